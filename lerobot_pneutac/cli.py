@@ -1,0 +1,42 @@
+"""`pneutac VERB`: one command, one module a verb, options in LeRobot's own style (draccus)."""
+
+import importlib
+import sys
+
+# verb -> (module with `main(argv)`, what it does); a verb without a module is not there yet
+VERBS: dict[str, tuple[str | None, str]] = {
+    "demo": ("lerobot_pneutac.demo", "the main job, end to end, on the built-in twin"),
+    "new": (None, "a new twin"),
+    "calibrate": ("lerobot_pneutac.calibrate", "fit a twin to a bench recording"),
+    "compare": (None, "errors of a twin against a recording, and where it fails"),
+    "diagnose": (None, "which physical effect is missing"),
+    "add": (None, "switch an effect on, re-fit, show the error before and after"),
+    "surrogate": (None, "train the fast networks from full simulations"),
+    "render": (None, "pictures and videos of a twin"),
+    "augment": (None, "demonstrations in, more demonstrations out"),
+    "benchmark": (None, "tables of speed and accuracy"),
+    "doctor": ("lerobot_pneutac.doctor", "what is installed, which GPU, which ports and cameras answer"),
+}
+
+
+def main() -> None:
+    """Entry point of the `pneutac` command."""
+    from pneutac_sim.errors import InputError
+
+    verb = sys.argv[1] if len(sys.argv) > 1 else "help"
+    if verb in ("help", "-h", "--help"):
+        print("usage: pneutac VERB [--option=value ...]\n")
+        for name, (module, text) in VERBS.items():
+            print(f"  {name:10s} {text}" + ("" if module else " (not there yet)"))
+        return
+    if verb not in VERBS:
+        sys.exit(f"pneutac: '{verb}' is not a verb; the verbs are {', '.join(VERBS)}.")
+    module, _ = VERBS[verb]
+    if module is None:
+        sys.exit(f"pneutac: '{verb}' is not there yet; the README's status table says what is.")
+    try:
+        importlib.import_module(module).main(sys.argv[2:])
+    except InputError as e:
+        sys.exit(f"pneutac {verb}: {e}")
+    except KeyboardInterrupt:
+        sys.exit(130)

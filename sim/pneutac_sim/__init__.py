@@ -1,0 +1,15 @@
+"""Physics and pictures of soft pneumatic fingers and camera-based touch; knows nothing of LeRobot.
+
+Importing registers the Gymnasium environments `pneutac_sim/switch`, `pneutac_sim/egg`, `pneutac_sim/card`
+and does nothing else.
+"""
+
+import gymnasium
+
+for _task in ("switch", "egg", "card"):
+    gymnasium.register(
+        id=f"pneutac_sim/{_task}",
+        entry_point="pneutac_sim.world.env:PneutacEnv",
+        kwargs={"task": _task},
+        max_episode_steps=150,
+    )

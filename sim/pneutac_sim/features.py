@@ -1,0 +1,41 @@
+"""The one definition of what a PneuTac robot senses and does, shared by world, environment, robot and policy.
+
+Units: joint angles rad, joint rates rad/s, positions m, contact area a fraction of the image (s/N),
+contact pixels log(1 + s), pressure kPa. Actions: end-effector velocity in m/s with orientation held, and
+pressure set-point in kPa. The paper's displacement per step is `velocity / CONTROL_HZ`.
+"""
+
+import numpy as np
+
+CONTROL_HZ = 15
+IMAGE_SHAPE = (320, 240, 3)
+IMAGE_NAME = "tactile"
+
+JOINT_NAMES = tuple(f"joint_{i}" for i in range(1, 8))
+STATE_NAMES = (
+    *(f"{j}.pos" for j in JOINT_NAMES),
+    *(f"{j}.vel" for j in JOINT_NAMES),
+    "ee_x.pos",
+    "ee_y.pos",
+    "ee_z.pos",
+    "contact_area.pos",
+    "contact_pixels.pos",
+    "pressure.pos",
+)
+ACTION_NAMES = ("dx.vel", "dy.vel", "dz.vel", "pressure.pos")
+
+MAX_SPEED_M_S = 0.1
+MAX_PRESSURE_KPA = 15.0
+ACTION_LOW = np.array([-MAX_SPEED_M_S] * 3 + [0.0], np.float32)
+ACTION_HIGH = np.array([MAX_SPEED_M_S] * 3 + [MAX_PRESSURE_KPA], np.float32)
+
+# Franka Emika Panda joint limits (rad, rad/s) from the manufacturer's published specification.
+JOINT_LOW = np.array([-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973])
+JOINT_HIGH = np.array([2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973])
+JOINT_SPEED = np.array([2.1750, 2.1750, 2.1750, 2.1750, 2.6100, 2.6100, 2.6100])
+
+N_PIXELS = IMAGE_SHAPE[0] * IMAGE_SHAPE[1]
+STATE_LOW = np.concatenate([JOINT_LOW, -JOINT_SPEED, [-0.9, -0.9, -0.3, 0.0, 0.0, 0.0]]).astype(np.float32)
+STATE_HIGH = np.concatenate(
+    [JOINT_HIGH, JOINT_SPEED, [0.9, 0.9, 1.2, 1.0, np.log1p(N_PIXELS), MAX_PRESSURE_KPA]]
+).astype(np.float32)

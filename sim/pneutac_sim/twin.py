@@ -1,0 +1,201 @@
+"""The twin: our model of one device, as a folder that a person can read and the Hub can carry.
+
+`twin.yaml` holds device, geometry, parameters and effects; `*.safetensors` hold arrays (rest image, splat
+colours, networks); `history/NNN/` holds every earlier version with what was changed and its errors.
+"""
+
+import copy
+import json
+import math
+import shutil
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import yaml
+from huggingface_hub import HfApi, snapshot_download
+from safetensors.numpy import load_file, save_file
+
+from pneutac_sim.errors import InputError
+
+DEVICES = ("finger", "arm", "gel")
+FORMAT = "pneutac-twin/1"
+
+# The paper's calibrated finger (Sec. IV-A), with the joint spring of a segment from beam theory:
+# K = E I / (L / N) for a 20 mm square section of 110 mm length; damping is light (ratio about 0.1 at the base).
+PAPER_FINGER = {
+    "gain_rad_per_kpa": 0.01114,
+    "gain_alpha": 0.0313,
+    "gain_beta": 0.2974,
+    "rest_pressure_kpa": 10.70,
+    "youngs_modulus_mpa": 0.945,
+    "poissons_ratio": 0.460,
+    "joint_stiffness_nm_per_rad": 0.458,
+    "joint_damping_nms_per_rad": 0.006,
+}
+
+
+@dataclass
+class Value:
+    """A number with its 95 % confidence interval where it was estimated."""
+
+    value: float
+    ci95: tuple[float, float] | None = None
+
+
+@dataclass
+class Twin:
+    """Our model of one device.
+
+    Attributes:
+        device: `finger`, `arm` or `gel`; a finger may carry a `gel` at its tip.
+        length_mm: length of the straight finger or arm.
+        spine_joint_positions_mm: arc length of each spine joint from the base.
+        parameters: name (with unit) to value, of the body.
+        effects: effect name to its parameters, in the order in which they were added.
+        gel: parameters of the gel and its optics (numbers and lists), empty where there is no gel.
+        arrays: named float32 or uint8 arrays kept as safetensors, such as `rest_image` (H, W, 3).
+        history: one entry a version: `version`, `change`, `recording`, `train`, `heldout`, `unit`.
+    """
+
+    device: str = "finger"
+    length_mm: float = 110.0
+    spine_joint_positions_mm: list[float] = field(default_factory=list)
+    parameters: dict[str, Value] = field(default_factory=dict)
+    effects: dict[str, dict[str, Value]] = field(default_factory=dict)
+    gel: dict = field(default_factory=dict)
+    arrays: dict[str, np.ndarray] = field(default_factory=dict)
+    history: list[dict] = field(default_factory=list)
+
+    def __post_init__(self):
+        if self.device not in DEVICES:
+            raise InputError(f"Twin device is '{self.device}'; it must be one of {', '.join(DEVICES)}.")
+        if not (self.length_mm > 0 and math.isfinite(self.length_mm)):
+            raise InputError(f"Twin length_mm is {self.length_mm}; it must be a positive number of millimetres.")
+        if not self.spine_joint_positions_mm:
+            n = {"finger": 4, "arm": 6, "gel": 0}[self.device]
+            self.spine_joint_positions_mm = [self.length_mm * (i + 0.5) / n for i in range(n)]
+        for name, p in self.parameters.items():
+            if not math.isfinite(p.value):
+                raise InputError(f"Twin parameter '{name}' is {p.value}; it must be a finite number.")
+
+    @classmethod
+    def builtin(cls) -> "Twin":
+        """The paper's finger, 110 mm long, with a generated DIGIT gel at its tip."""
+        return cls(parameters={k: Value(v) for k, v in PAPER_FINGER.items()})
+
+    def parameter(self, name: str) -> float:
+        """Value of one body parameter; raises InputError naming those that exist."""
+        if name not in self.parameters:
+            raise InputError(f"The twin has no parameter '{name}'; it has {', '.join(self.parameters)}.")
+        return self.parameters[name].value
+
+    # ---------------------------------------------------------------- files
+
+    def save(self, path: str | Path) -> Path:
+        """Writes the twin into folder `path` without touching its history; returns the folder."""
+        path = Path(path)
+        path.mkdir(parents=True, exist_ok=True)
+        text = yaml.safe_dump(self._as_dict(), sort_keys=False)
+        tmp = path / "twin.yaml.tmp"
+        tmp.write_text(text)
+        if self.arrays:
+            save_file({k: np.ascontiguousarray(v) for k, v in self.arrays.items()}, path / "arrays.safetensors")
+        tmp.replace(path / "twin.yaml")
+        return path
+
+    def save_version(self, path: str | Path, change: str, recording: str, errors: dict) -> Path:
+        """Appends a history entry and writes the twin as the next version of the folder `path`.
+
+        Args:
+            path: the twin's folder.
+            change: what was done, e.g. `added creep`.
+            recording: the recording that was used.
+            errors: `train`, `heldout` and `unit`.
+        """
+        path = Path(path)
+        number = len(self.history)
+        self.history.append({"version": number, "change": change, "recording": recording, **errors})
+        folder = path / "history" / f"{number:03d}"
+        self.save(path)
+        folder.mkdir(parents=True, exist_ok=True)
+        shutil.copy2(path / "twin.yaml", folder / "twin.yaml")
+        (folder / "change.json").write_text(json.dumps(self.history[-1], indent=2))
+        return path
+
+    @classmethod
+    def load(cls, path: str | Path) -> "Twin":
+        """Reads a twin's folder. Raises InputError with file and field where it is not one."""
+        file = Path(path) / "twin.yaml"
+        if not file.is_file():
+            raise InputError(
+                f"There is no twin at '{path}' (no twin.yaml); make one with `pneutac new --twin={path}`."
+            )
+        try:
+            d = yaml.safe_load(file.read_text())
+        except yaml.YAMLError as e:
+            raise InputError(f"{file} is not valid YAML: {e}.") from e
+        if not isinstance(d, dict) or d.get("format") != FORMAT:
+            raise InputError(f"{file}: field 'format' must be '{FORMAT}'.")
+        try:
+            twin = cls(
+                device=d["device"],
+                length_mm=float(d["length_mm"]),
+                spine_joint_positions_mm=[float(x) for x in d["spine_joint_positions_mm"]],
+                parameters={k: _value(v) for k, v in d["parameters"].items()},
+                effects={n: {k: _value(v) for k, v in e.items()} for n, e in d["effects"].items()},
+                gel=d["gel"],
+                history=d["history"],
+            )
+        except (KeyError, TypeError, ValueError, AttributeError) as e:
+            if isinstance(e, InputError):
+                raise InputError(f"{file}: {e}") from e
+            raise InputError(f"{file}: a field is missing or malformed: {e!r}.") from e
+        arrays = Path(path) / "arrays.safetensors"
+        if arrays.is_file():
+            try:
+                twin.arrays = load_file(arrays)
+            except Exception as e:
+                raise InputError(f"{arrays} is corrupted ({e}); restore it from the twin's source.") from e
+        return twin
+
+    def copy(self) -> "Twin":
+        """A deep copy."""
+        return copy.deepcopy(self)
+
+    def push_to_hub(self, repo_id: str, **kwargs) -> str:
+        """Uploads a saved copy of this twin to the Hugging Face Hub; returns the commit's address."""
+        import tempfile
+
+        with tempfile.TemporaryDirectory() as tmp:
+            self.save(tmp)
+            api = HfApi()
+            api.create_repo(repo_id, exist_ok=True)
+            return str(api.upload_folder(folder_path=tmp, repo_id=repo_id, **kwargs))
+
+    @classmethod
+    def from_pretrained(cls, name_or_path: str | Path, **kwargs) -> "Twin":
+        """Loads a twin from a folder or from a Hub repository."""
+        if Path(name_or_path).is_dir():
+            return cls.load(name_or_path)
+        return cls.load(snapshot_download(str(name_or_path), **kwargs))
+
+    def _as_dict(self) -> dict:
+        return {
+            "format": FORMAT,
+            "device": self.device,
+            "length_mm": float(self.length_mm),
+            "spine_joint_positions_mm": [float(x) for x in self.spine_joint_positions_mm],
+            "parameters": {k: _plain(v) for k, v in self.parameters.items()},
+            "effects": {n: {k: _plain(v) for k, v in e.items()} for n, e in self.effects.items()},
+            "gel": self.gel,
+            "history": self.history,
+        }
+
+
+def _plain(v: Value) -> dict:
+    return {"value": float(v.value)} | ({"ci95": [float(x) for x in v.ci95]} if v.ci95 else {})
+
+
+def _value(d: dict) -> Value:
+    return Value(float(d["value"]), tuple(float(x) for x in d["ci95"]) if d.get("ci95") else None)
