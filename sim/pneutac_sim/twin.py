@@ -71,7 +71,9 @@ class Twin:
         if self.device not in DEVICES:
             raise InputError(f"Twin device is '{self.device}'; it must be one of {', '.join(DEVICES)}.")
         if not (self.length_mm > 0 and math.isfinite(self.length_mm)):
-            raise InputError(f"Twin length_mm is {self.length_mm}; it must be a positive number of millimetres.")
+            raise InputError(
+                f"Twin length_mm is {self.length_mm}; it must be a positive number of millimetres."
+            )
         if not self.spine_joint_positions_mm:
             n = {"finger": 4, "arm": 6, "gel": 0}[self.device]
             self.spine_joint_positions_mm = [self.length_mm * (i + 0.5) / n for i in range(n)]
@@ -100,7 +102,9 @@ class Twin:
         tmp = path / "twin.yaml.tmp"
         tmp.write_text(text)
         if self.arrays:
-            save_file({k: np.ascontiguousarray(v) for k, v in self.arrays.items()}, path / "arrays.safetensors")
+            save_file(
+                {k: np.ascontiguousarray(v) for k, v in self.arrays.items()}, path / "arrays.safetensors"
+            )
         tmp.replace(path / "twin.yaml")
         return path
 
