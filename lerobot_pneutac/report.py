@@ -24,7 +24,8 @@ th { color:var(--dim); font-weight:600; }
 .scroll { overflow-x:auto; }
 figure { margin:1.2em 0; } figcaption { color:var(--dim); font-size:.9rem; margin-top:.3em; }
 img,video { max-width:100%; border-radius:4px; }
-pre { background:var(--soft); border:1px solid var(--line); padding:.8em 1em; overflow-x:auto; font-size:.84rem; }
+pre { background:var(--soft); border:1px solid var(--line); padding:.8em 1em; overflow-x:auto;
+  font-size:.84rem; }
 code { background:var(--soft); padding:.08em .3em; border-radius:3px; font-size:.9em; }
 """
 
@@ -72,7 +73,7 @@ class Report:
         )
 
     def image(self, image: np.ndarray, caption: str = "", width: int | None = None) -> None:
-        """A picture, uint8 (H, W, 3) or (H, W); `width` in page pixels where it should differ from its own."""
+        """A picture, uint8 (H, W, 3) or (H, W); `width` in page pixels, its own where None."""
         size = f' width="{width}"' if width else ""
         data = _png(image)
         self._parts.append(
@@ -97,8 +98,8 @@ class Report:
         spec = figure.to_json().replace("</", "<\\/")
         self._parts.append(
             f'<figure><div id="{name}"></div>{_caption(caption)}'
-            f"<script>(function(){{const f={spec};Plotly.newPlot('{name}',f.data,f.layout,{{responsive:true}});"
-            f"}})();</script></figure>"
+            f"<script>(function(){{const f={spec};"
+            f"Plotly.newPlot('{name}',f.data,f.layout,{{responsive:true}});}})();</script></figure>"
         )
 
     def write(self, path: str | Path) -> Path:

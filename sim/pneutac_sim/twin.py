@@ -22,7 +22,7 @@ DEVICES = ("finger", "arm", "gel")
 FORMAT = "pneutac-twin/1"
 
 # The paper's calibrated finger (Sec. IV-A), with the joint spring of a segment from beam theory:
-# K = E I / (L / N) for a 20 mm square section of 110 mm length; damping is light (ratio about 0.1 at the base).
+# K = E I / (L / N) for a 20 mm square section of 110 mm length; damping is light (ratio about 0.1).
 PAPER_FINGER = {
     "gain_rad_per_kpa": 0.01114,
     "gain_alpha": 0.0313,

@@ -1,0 +1,24 @@
+# A fresh machine needs Python >= 3.12 and make. uv is fetched with pip where it is missing.
+PYTHON ?= python3
+UV := $(shell uv --version >/dev/null 2>&1 && echo uv || echo .uv/bin/uv)
+
+.PHONY: demo test lint bench
+
+demo: .venv/ready
+	.venv/bin/pneutac demo
+
+test: .venv/ready
+	.venv/bin/python -m pytest
+
+lint: .venv/ready
+	.venv/bin/ruff check .
+	.venv/bin/ruff format --check .
+
+bench: .venv/ready
+	for f in benchmarks/*_speed.py; do .venv/bin/python $$f || exit 1; done
+
+.venv/ready: pyproject.toml constraints.txt
+	@[ "$(UV)" = uv ] || [ -x $(UV) ] || { $(PYTHON) -m venv .uv && .uv/bin/python -m pip install -q uv; }
+	$(UV) venv -q --allow-existing --python 3.12 .venv
+	$(UV) pip install -q --python .venv/bin/python -e '.[dev]' -c constraints.txt
+	@touch $@
