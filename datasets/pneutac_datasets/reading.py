@@ -1,0 +1,134 @@
+"""Reads the table of a bench recording from CSV, Parquet or a LeRobotDataset, bounded in memory."""
+
+import json
+from pathlib import Path
+
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from pneutac_sim.errors import InputError
+
+# A bench run of one hour at 100 Hz with 20 columns is about 60 MB of text; far above that, reading a table
+# whole would fill a laptop's memory (pandas needs roughly three times the size of the file).
+MAX_CSV_BYTES = 300 * 2**20
+MAX_ROWS = 5_000_000
+
+
+def read_meta(folder: Path) -> dict:
+    """Reads `recording.json` of a folder, or makes the equivalent for a LeRobotDataset without one."""
+    file = folder / "recording.json"
+    if not folder.is_dir():
+        raise InputError(
+            f"There is no bench recording at '{folder}'; give a folder that holds recording.json."
+        )
+    if not file.is_file():
+        if (folder / "meta" / "info.json").is_file():
+            return {"lerobot": True}
+        raise InputError(
+            f"{file} is missing; a bench recording is a folder with recording.json and samples.csv."
+        )
+    try:
+        meta = json.loads(file.read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError) as e:
+        raise InputError(f"{file} is not valid JSON: {e}; correct it in a text editor.") from e
+    if not isinstance(meta, dict):
+        raise InputError(f"{file} must hold a JSON object with the fields device, length_mm and samples.")
+    if (folder / "meta" / "info.json").is_file() and "samples" not in meta:
+        meta["lerobot"] = True
+    return meta
+
+
+def read_table(folder: Path, meta: dict) -> tuple[pd.DataFrame, Path]:
+    """Reads the samples; returns them and the file they came from.
+
+    Raises:
+        InputError: the file is missing, larger than the limits above, or not a table.
+    """
+    if meta.get("lerobot"):
+        return _read_lerobot(folder), folder / "data"
+    name = meta.get("samples", "samples.csv")
+    if not isinstance(name, str) or Path(name).suffix.lower() not in (".csv", ".parquet"):
+        raise InputError(
+            f"{folder / 'recording.json'}: field 'samples' is {name!r}; name a .csv or .parquet file."
+        )
+    file = folder / name
+    if not file.resolve().is_relative_to(folder.resolve()):
+        raise InputError(f"{folder / 'recording.json'}: field 'samples' must name a file inside the folder.")
+    if not file.is_file():
+        raise InputError(f"{file} is missing; field 'samples' of recording.json names the table of samples.")
+    return (_read_csv(file) if file.suffix.lower() == ".csv" else _read_parquet(file)), file
+
+
+def _read_csv(file: Path) -> pd.DataFrame:
+    size = file.stat().st_size
+    if size > MAX_CSV_BYTES:
+        raise InputError(
+            f"{file} has {size / 2**30:.1f} GB, above the limit of {MAX_CSV_BYTES // 2**20} MB for text; "
+            "keep every n-th row (20 to 50 Hz is enough) or convert it to .parquet."
+        )
+    try:
+        with file.open(encoding="utf-8") as f:
+            header = [c.strip() for c in f.readline().strip("\n\r").split(",")]
+        doubled = sorted({c for c in header if header.count(c) > 1})
+        if doubled:
+            raise InputError(f"{file}: column '{doubled[0]}' appears twice in the header; keep one of them.")
+        return pd.read_csv(file, skipinitialspace=True, low_memory=False).rename(columns=str.strip)
+    except UnicodeDecodeError as e:
+        raise InputError(f"{file} is not UTF-8 text ({e.reason}); save it as plain CSV.") from e
+    except (pd.errors.ParserError, pd.errors.EmptyDataError) as e:
+        reason = str(e).strip().splitlines()[0]
+        raise InputError(f"{file} is not a comma-separated table: {reason}; save it as plain CSV.") from e
+
+
+def _read_parquet(file: Path) -> pd.DataFrame:
+    try:
+        rows = pq.ParquetFile(file).metadata.num_rows
+        if rows > MAX_ROWS:
+            raise InputError(f"{file} has {rows} rows, above the limit of {MAX_ROWS}; keep every n-th row.")
+        return pq.read_table(file).to_pandas()
+    except (pa.ArrowInvalid, OSError) as e:
+        raise InputError(f"{file} cannot be read as Parquet: {str(e).splitlines()[0]}.") from e
+
+
+def _read_lerobot(folder: Path) -> pd.DataFrame:
+    """Columns of a LeRobotDataset: scalar features by name, vector features by the names of their entries.
+
+    `episode_index` becomes `trial` and `timestamp` becomes `time_s` where those are not features themselves.
+    """
+    file = folder / "meta" / "info.json"
+    try:
+        features = json.loads(file.read_text(encoding="utf-8"))["features"]
+    except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError) as e:
+        raise InputError(f"{file} is not a LeRobotDataset's info.json: {e!r}.") from e
+    parts = sorted((folder / "data").glob("**/*.parquet"))
+    if not parts:
+        raise InputError(
+            f"{folder / 'data'} holds no .parquet file; the LeRobotDataset is empty or incomplete."
+        )
+    raw = pd.concat([_read_parquet(p) for p in parts], ignore_index=True)
+    if len(raw) > MAX_ROWS:
+        raise InputError(f"{folder} has {len(raw)} rows, above the limit of {MAX_ROWS}; use fewer episodes.")
+    columns: dict[str, pd.Series] = {}
+    for name, feature in features.items():
+        if name not in raw.columns:
+            continue  # videos are files apart, not columns
+        names = feature.get("names")
+        names = list(names.values())[0] if isinstance(names, dict) else names
+        first = raw[name].iloc[0] if len(raw) else None
+        if hasattr(first, "__len__") and not isinstance(first, str | dict):
+            if not isinstance(names, list) or len(names) != len(first):
+                continue
+            for i, entry in enumerate(names):
+                columns[str(entry)] = raw[name].map(lambda v, i=i: v[i])
+        else:
+            columns[name] = raw[name]
+    table = pd.DataFrame(columns)
+    table = table.rename(
+        columns={
+            old: new
+            for old, new in (("episode_index", "trial"), ("timestamp", "time_s"))
+            if new not in table.columns
+        }
+    )
+    return table.drop(columns=[c for c in ("frame_index", "index", "task_index") if c in table.columns])
