@@ -147,7 +147,7 @@ class Demo:
         return {"real": bool(real and real.is_dir())}
 
     def record(self) -> None:
-        """One demonstration by lerobot-record in real time, the others unpaced by the same robot and teleop."""
+        """One demonstration by lerobot-record in real time, the others unpaced by the same robot code."""
         from lerobot_robot_pneutac.config_pneutac_scripted import PneutacScriptedConfig
         from lerobot_robot_pneutac.config_pneutac_sim import PneutacSimConfig
         from lerobot_robot_pneutac.pneutac_scripted import PneutacScripted
