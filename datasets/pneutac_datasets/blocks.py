@@ -45,7 +45,7 @@ def _spans(starts: np.ndarray, n: int):
 
 
 def strata(samples: pd.DataFrame, block: np.ndarray) -> np.ndarray:
-    """Stratum number of each block (n_blocks,): equal program, orientation, level of temperature and payload."""
+    """Stratum number of each block (n_blocks,): equal program, orientation, level of temperature, load."""
     first = np.unique(block, return_index=True)[1]
     key = [np.zeros(len(first), int)]
     for name in ("program", "indenter", "role"):

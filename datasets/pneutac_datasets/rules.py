@@ -16,8 +16,8 @@ OBSERVATIONS = {
 }
 LABELS = r"program|image(_\w+)?|mask(_\w+)?|role|indenter|depth_source"
 
-# A soft actuator bursts well below 20 bar, so a larger number is another unit. A tip cannot be much further from
-# the base than the device is long; the factor of three used below leaves room for a rough length_mm.
+# A soft actuator bursts well below 20 bar, so a larger number is another unit. A tip cannot be much further
+# from the base than the device is long; the factor of three used below leaves room for a rough length_mm.
 MAX_PRESSURE_KPA = 2000.0
 MAX_DUPLICATES = 0.01  # share of rows with a doubled stamp that a logger's rounding explains
 
