@@ -1,0 +1,115 @@
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from pneutac_sim.gel import probe
+from pneutac_sim.gel.probe import BOX, CAPSULE, CONE, CYLINDER, ELLIPSOID, SPHERE, probe_grid
+
+EYE = np.eye(3)
+
+
+def grid_mm():
+    x = (np.arange(59) + 0.5) * 12 / 59 - 6
+    y = (np.arange(80) + 0.5) * 16 / 80 - 8
+    return np.meshgrid(x, y)
+
+
+def inside(kind, size, p):
+    """Whether points (..., 3) in the shape's frame are inside, from the definition of the shape."""
+    s, r = size, np.linalg.norm
+    if kind == SPHERE:
+        return r(p, axis=-1) <= s[0]
+    if kind == ELLIPSOID:
+        return r(p / s, axis=-1) <= 1
+    if kind == BOX:
+        return (np.abs(p) <= s).all(-1)
+    if kind == CYLINDER:
+        return (r(p[..., :2], axis=-1) <= s[0]) & (np.abs(p[..., 2]) <= s[1])
+    if kind == CAPSULE:
+        axis = p * [0, 0, 1]
+        return r(p - np.clip(axis, -s[1], s[1]), axis=-1) <= s[0]
+    return (r(p[..., :2], axis=-1) <= s[0] * (p[..., 2] + s[1]) / (2 * s[1])) & (np.abs(p[..., 2]) <= s[1])
+
+
+def test_sphere_depth_is_the_closed_form():
+    x, y = grid_mm()
+    depth = probe_grid([SPHERE], [[0.003, 0, 0]], [[0.001, -0.002, 0.0021]], [EYE])
+    r2 = (x - 1) ** 2 + (y + 2) ** 2
+    expected = np.maximum(0, np.sqrt(np.maximum(9 - r2, 0)) - 2.1) * (r2 < 9)
+    assert depth.shape == (80, 59) and depth.dtype == np.float32
+    assert depth.max() > 0.85
+    np.testing.assert_allclose(depth, expected, atol=1e-5)
+
+
+def test_flat_box_presses_its_own_footprint_to_its_own_depth():
+    x, y = grid_mm()
+    yaw = Rotation.from_euler("z", 0.5).as_matrix()
+    depth = probe_grid([BOX], [[0.003, 0.002, 0.01]], [[0.001, 0.002, 0.009]], [yaw])
+    u, v = np.cos(0.5) * (x - 1) + np.sin(0.5) * (y - 2), -np.sin(0.5) * (x - 1) + np.cos(0.5) * (y - 2)
+    np.testing.assert_allclose(depth, 1.0 * ((np.abs(u) < 3) & (np.abs(v) < 2)), atol=1e-5)
+
+
+def test_tilted_box_has_a_plane_face():
+    """A box rolled by 0.2 rad about y: depth falls by tan(0.2) per mm of x under its lower face."""
+    x, _ = grid_mm()
+    roll = Rotation.from_euler("y", 0.2).as_matrix()
+    depth = probe_grid([BOX], [[0.02, 0.02, 0.005]], [[0, 0, 0.0045]], [roll])
+    expected = 5 / np.cos(0.2) - 4.5 + np.tan(0.2) * x
+    touched = expected > 0
+    assert 0.3 < touched.mean() < 0.9
+    np.testing.assert_allclose(depth, np.where(touched, expected, 0), atol=1e-5)
+
+
+@pytest.mark.parametrize("kind", probe.KINDS)
+def test_every_shape_agrees_with_marching_along_the_line(kind):
+    rng = np.random.default_rng(kind)
+    x, y = grid_mm()
+    z = -np.arange(0, 2.5, 0.01)
+    deepest, apart = 0.0, []
+    for _ in range(4):
+        size = rng.uniform(1, 4, 3)
+        rotation = Rotation.random(random_state=rng)
+        position = np.array([*rng.uniform(-3, 3, 2), rng.uniform(0.5, 2)])
+        gel = Rotation.random(random_state=rng)
+        gel_position = rng.normal(size=3)
+        depth = probe_grid(
+            [kind],
+            [size * 1e-3],
+            [(gel.apply(position) + gel_position) * 1e-3],
+            [(gel * rotation).as_matrix()],
+            gel_position * 1e-3,
+            gel.as_matrix(),
+        )
+        p = np.stack([np.broadcast_to(v[..., None], (80, 59, len(z))) for v in (x, y)], -1)
+        p = np.concatenate([p, np.broadcast_to(z[:, None], (80, 59, len(z), 1))], -1)
+        hit = inside(kind, size, rotation.inv().apply((p - position).reshape(-1, 3)).reshape(p.shape))
+        marched = np.where(hit, -z, 0).max(-1)
+        apart.append(np.abs(depth - marched))
+        deepest = max(deepest, depth.max())
+    assert deepest > 0.5
+    # one marching step apart, but where a grazing line is inside for less than a step
+    assert np.mean(np.concatenate(apart) > 0.0101) < 1e-3
+
+
+@pytest.mark.parametrize("kind", [CAPSULE, CYLINDER, CONE])
+def test_axes_along_the_gels_own_axes_have_no_singularity(kind):
+    for euler in ([0, 0, 0], [np.pi / 2, 0, 0], [0, np.pi / 2, 0], [np.pi, 0, 0]):
+        R = Rotation.from_euler("xyz", euler).as_matrix()
+        depth = probe_grid([kind], [[0.002, 0.002, 0]], [[0, 0, 0.0015]], [R])
+        assert np.isfinite(depth).all() and 0 < depth.max() <= 2.5
+
+
+def test_deepest_object_wins_thickness_clips_and_what_is_behind_is_ignored():
+    two = probe_grid(
+        [SPHERE, BOX], [[0.003, 0, 0], [0.001] * 3], [[0, 0, 0.0025], [0, 0, -0.0005]], [EYE, EYE]
+    )
+    assert two.max() == pytest.approx(1.5, abs=1e-5) and (two > 0.01).mean() > 0.04
+    deep = probe_grid([BOX], [[0.1, 0.1, 0.1]], [[0, 0, 0.05]], [EYE])
+    np.testing.assert_allclose(deep, probe.THICKNESS_MM)
+    assert probe_grid([BOX], [[0.1, 0.1, 0.1]], [[0, 0, -0.2]], [EYE]).max() == 0
+    assert probe_grid([], [], [], []).max() == 0
+
+
+def test_an_unknown_shape_is_named():
+    with pytest.raises(ValueError, match="knows shapes"):
+        probe_grid([7], [[1, 1, 1]], [[0, 0, 0]], [EYE])
