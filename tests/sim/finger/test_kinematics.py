@@ -1,0 +1,82 @@
+import numpy as np
+import pytest
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.finger.kinematics import (
+    bend_rotation,
+    forward_kinematics,
+    forward_kinematics_spatial,
+    gain_profile,
+    joint_command,
+)
+
+JOINTS = np.array([13.75, 41.25, 68.75, 96.25])
+
+
+@pytest.mark.parametrize("n", [1, 4, 6])
+def test_profile_has_unit_mean_and_the_papers_ratios(n):
+    r = gain_profile(n, 0.0313, 0.2974)
+    assert r.mean() == pytest.approx(1, abs=1e-14)
+    m = np.arange(1, n + 1) - (n + 1) / 2
+    ratio = np.exp(0.0313 * m) * (1 + 0.2974 * m**2)
+    np.testing.assert_allclose(r / r[0], ratio / ratio[0], rtol=1e-13)
+
+
+def test_profile_refuses_joints_that_bend_backwards():
+    with pytest.raises(InputError, match="gain_beta"):
+        gain_profile(4, 0.0, -0.6)
+
+
+def test_command_is_linear_in_pressure_and_zero_at_minus_rest_pressure():
+    q = joint_command(np.array([-10.7, 0.0, 5.0, 10.0]), 0.01114, 0.03, 0.3, 10.7, 4)
+    np.testing.assert_allclose(q[0], 0, atol=1e-15)
+    np.testing.assert_allclose(q[3] - q[2], q[2] - q[1])
+    np.testing.assert_allclose(q[1].sum(), 4 * 0.01114 * 10.7)
+
+
+def test_straight_finger_ends_at_its_length():
+    tip, bend = forward_kinematics(np.zeros((3, 4)), JOINTS, 110.0)
+    np.testing.assert_allclose(tip, [[110, 0]] * 3)
+    np.testing.assert_allclose(bend, 0)
+
+
+def test_many_joints_approach_a_circular_arc():
+    n, total, length = 400, 1.3, 110.0
+    s = length * (np.arange(n) + 0.5) / n
+    tip, bend = forward_kinematics(np.full(n, total / n), s, length)
+    radius = length / total
+    np.testing.assert_allclose(tip, [radius * np.sin(total), radius * (1 - np.cos(total))], rtol=1e-5)
+    assert bend == pytest.approx(total)
+
+
+def test_spatial_bend_in_either_plane_equals_the_planar_finger():
+    q = np.array([0.3, -0.1, 0.2, 0.4])
+    planar, bend = forward_kinematics(q, JOINTS, 110.0)
+    to_z, bend_z = forward_kinematics_spatial(np.stack([q, 0 * q], -1), JOINTS, 110.0)
+    to_y, bend_y = forward_kinematics_spatial(np.stack([0 * q, q], -1), JOINTS, 110.0)
+    np.testing.assert_allclose(to_z, [planar[0], 0, planar[1]], atol=1e-12)
+    np.testing.assert_allclose(to_y, [planar[0], planar[1], 0], atol=1e-12)
+    np.testing.assert_allclose(bend_z, [bend, 0])
+    np.testing.assert_allclose(bend_y, [0, bend])
+
+
+def test_turning_every_joints_bend_direction_turns_the_tip():
+    rng = np.random.default_rng(0)
+    q = rng.normal(scale=0.3, size=(6, 2))
+    c, s = np.cos(0.7), np.sin(0.7)
+    turned = q @ np.array([[c, s], [-s, c]])  # from z towards y
+    s_n = np.linspace(10, 100, 6)
+    a, _ = forward_kinematics_spatial(q, s_n, 110.0)
+    b, _ = forward_kinematics_spatial(turned, s_n, 110.0)
+    np.testing.assert_allclose(b, [a[0], c * a[1] + s * a[2], c * a[2] - s * a[1]], atol=1e-12)
+
+
+def test_bend_rotation_is_a_rotation():
+    R = bend_rotation(np.random.default_rng(1).normal(size=(50, 2)))
+    np.testing.assert_allclose(R @ R.swapaxes(-1, -2), np.broadcast_to(np.eye(3), R.shape), atol=1e-12)
+    np.testing.assert_allclose(np.linalg.det(R), 1)
+
+
+def test_joints_out_of_order_are_refused():
+    with pytest.raises(InputError, match="rise from base to tip"):
+        forward_kinematics(np.zeros(2), np.array([50.0, 20.0]), 110.0)
