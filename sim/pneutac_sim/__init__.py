@@ -6,7 +6,9 @@ and does nothing else.
 
 import gymnasium
 
-for _task in ("switch", "egg", "card"):
+from pneutac_sim.features import TASK_NAMES
+
+for _task in TASK_NAMES:
     gymnasium.register(
         id=f"pneutac_sim/{_task}",
         entry_point="pneutac_sim.world.env:PneutacEnv",

@@ -8,6 +8,7 @@ pressure set-point in kPa. The paper's displacement per step is `velocity / CONT
 import numpy as np
 
 CONTROL_HZ = 15
+TASK_NAMES = ("switch", "egg", "card")
 IMAGE_SHAPE = (320, 240, 3)
 IMAGE_NAME = "tactile"
 
