@@ -1,0 +1,78 @@
+"""Contact area s of a tactile image: the one definition for robot, environment, augmentation and policy.
+
+A pixel is in contact where the mean over R, G, B of |image - rest| exceeds a threshold in 8-bit levels. On
+real DIGITs 99.9 % of pixels away from any contact stay below 12 (noise, JPEG, drift of light), while half of
+those inside a contact exceed 24; calibration replaces the 12 by the sensor's own 99.9 % level.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+THRESHOLD_LEVELS = 12.0
+QUIET_SHARE = 0.999  # share of pixels without contact that stay below the threshold
+
+
+class ContactArea(NamedTuple):
+    """Contact readout of one tactile image.
+
+    Attributes:
+        pixels: s, number of pixels in contact.
+        area: s / N.
+        log_pixels: log(1 + s).
+    """
+
+    pixels: int
+    area: float
+    log_pixels: float
+
+    @classmethod
+    def of(cls, pixels: int, n_pixels: int) -> "ContactArea":
+        """The readout of `pixels` in contact among `n_pixels`."""
+        return cls(int(pixels), pixels / n_pixels, float(np.log1p(pixels)))
+
+
+def contact_area(
+    image: np.ndarray, rest_image: np.ndarray, threshold_levels: float = THRESHOLD_LEVELS
+) -> ContactArea:
+    """Thresholds |image - rest|.
+
+    Args:
+        image: tactile image, uint8 (H, W, 3).
+        rest_image: the same sensor without contact, uint8, same shape.
+        threshold_levels: mean difference of R, G, B above which a pixel is in contact.
+
+    Raises:
+        ValueError: the images differ in shape or are not uint8.
+    """
+    if image.shape != rest_image.shape or image.dtype != np.uint8 or rest_image.dtype != np.uint8:
+        raise ValueError(
+            f"a contact area needs two uint8 images of one shape; "
+            f"got {image.dtype} {image.shape} and {rest_image.dtype} {rest_image.shape}"
+        )
+    sum_limit = int(3 * threshold_levels)
+    pixels = _count(np.ascontiguousarray(image), np.ascontiguousarray(rest_image), sum_limit)
+    return ContactArea.of(pixels, image.shape[0] * image.shape[1])
+
+
+@njit(cache=True)
+def _count(image, rest, sum_limit):
+    n = 0
+    for i in range(image.shape[0]):
+        for j in range(image.shape[1]):
+            s = 0
+            for k in range(3):
+                s += abs(np.int32(image[i, j, k]) - np.int32(rest[i, j, k]))
+            n += s > sum_limit
+    return n
+
+
+def quiet_threshold(difference: np.ndarray, quiet: np.ndarray) -> float:
+    """Threshold that all but 0.1 % of the pixels without contact stay below.
+
+    Args:
+        difference: image - rest, (H, W, 3), levels.
+        quiet: (H, W) bool, where nothing touches.
+    """
+    return float(np.quantile(np.abs(difference).mean(2)[quiet], QUIET_SHARE))

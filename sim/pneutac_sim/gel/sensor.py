@@ -1,0 +1,69 @@
+"""A tactile sensor in simulation: probe grid -> gel surface -> light -> image and contact area."""
+
+import numpy as np
+
+from pneutac_sim.gel.contact import ContactArea, contact_area
+from pneutac_sim.gel.model import GelModel
+from pneutac_sim.gel.optics import Renderer
+from pneutac_sim.gel.probe import COLS, ROWS, probe_grid
+from pneutac_sim.gel.surface import surface
+from pneutac_sim.twin import Twin
+
+
+class TactileSensor:
+    """Images and contact areas of the gel of a twin.
+
+    Args:
+        twin: a twin with a gel; the generated DIGIT where it is None or has none.
+
+    Attributes:
+        model: the gel's sizes, mechanics and light.
+        rest_image: the image without contact, uint8 (H, W, 3), 320 x 240 for a DIGIT.
+    """
+
+    def __init__(self, twin: Twin | None = None):
+        self.model = GelModel.from_twin(twin)
+        self.rest_image = self.model.rest_image
+        width, height = self.model.window_mm
+        self._cell_mm = (width / COLS, height / ROWS)
+        m = self.model
+        self._renderer = Renderer(m.rest_image, m.weight, m.light, m.depth_light, self._cell_mm, (ROWS, COLS))
+
+    def probe(
+        self, kinds, sizes, positions, rotations, gel_position=np.zeros(3), gel_rotation=np.eye(3)
+    ) -> np.ndarray:
+        """`probe_grid` with this sensor's window and gel thickness: depth in mm, float32 (80, 59)."""
+        return probe_grid(
+            kinds,
+            sizes,
+            positions,
+            rotations,
+            gel_position,
+            gel_rotation,
+            self.model.window_mm,
+            self.model.thickness_mm,
+        )
+
+    def displacement(self, depth_mm: np.ndarray) -> np.ndarray:
+        """Displacement of the gel surface in mm under a probe grid, float32 (80, 59)."""
+        if depth_mm.shape != (ROWS, COLS):
+            raise ValueError(f"a probe grid has shape {(ROWS, COLS)}; got {depth_mm.shape}")
+        if not depth_mm.any():
+            return np.zeros((ROWS, COLS), np.float32)
+        return surface(depth_mm, self._cell_mm, self.model.decay_mm)
+
+    def image(self, depth_mm: np.ndarray) -> np.ndarray:
+        """Tactile image of a probe grid (80, 59) in mm: uint8 (H, W, 3)."""
+        return self._renderer.image(self.displacement(depth_mm))
+
+    def contact(self, image: np.ndarray) -> ContactArea:
+        """Contact area of a tactile image of this sensor."""
+        return contact_area(image, self.rest_image, self.model.threshold_levels)
+
+    def contact_from_depth(self, depth_mm: np.ndarray) -> ContactArea:
+        """Exactly `contact(image(depth_mm))` without keeping the image."""
+        n = self.rest_image.shape[0] * self.rest_image.shape[1]
+        if not depth_mm.any():
+            return ContactArea.of(0, n)
+        limit = int(3 * self.model.threshold_levels)
+        return ContactArea.of(self._renderer.contact_pixels(self.displacement(depth_mm), limit), n)

@@ -1,0 +1,108 @@
+"""Gel surface displacement under a given indentation depth.
+
+The gel is a thin soft layer bonded to its window. Its surface u [mm, into the gel] follows what presses it
+and sags around the contact like a Pasternak foundation (springs joined by a shear layer): its pressure
+k (u - l^2 lap u) is zero off the contact, so that
+
+    u >= d,   u - l^2 lap u >= 0,   one of them an equality at every point,
+
+with d the indentation depth of the probe grid and l the decay length. Inside the contact u = d; around a
+round contact u falls like K0(r / l); the slope is continuous at the contact's edge. Against Hertz' half-space
+the one length l also lets a thin layer hide its far field, which real DIGIT images ask for (see `calibrate`).
+"""
+
+import numpy as np
+from numba import njit
+from scipy.optimize import brentq
+from scipy.special import k0, k1
+
+DECAY_MM = 1.5
+
+
+def surface(
+    depth_mm: np.ndarray, cell_mm: tuple[float, float] = (12 / 59, 16 / 80), decay_mm: float = DECAY_MM
+) -> np.ndarray:
+    """Displacement of the gel surface under an indentation depth.
+
+    Args:
+        depth_mm: (rows, columns) depth of the pressing objects below the resting surface, zero off them.
+        cell_mm: grid spacing along columns (x) and rows (y).
+        decay_mm: length l over which the surface recovers around a contact.
+
+    Returns:
+        Displacement in mm, float32, same shape, nowhere less than `depth_mm`.
+    """
+    return _solve(np.ascontiguousarray(depth_mm, np.float32), cell_mm[0], cell_mm[1], decay_mm)
+
+
+def contact_radius(depth_mm: float, radius_mm: float, decay_mm: float = DECAY_MM) -> float:
+    """Contact radius of a sphere in mm: where its parabola and the K0 around it meet with one slope."""
+    d, R, decay = depth_mm, radius_mm, decay_mm
+
+    def kink(a):
+        return (a / R) / (d - a * a / (2 * R)) - k1(a / decay) / (decay * k0(a / decay))
+
+    rim = np.sqrt(2 * R * d)  # where the undeformed parabola would leave the gel
+    return float(brentq(kink, 1e-6 * rim, (1 - 1e-9) * rim))
+
+
+def pressed_sphere(
+    r_mm: np.ndarray, depth_mm: float, radius_mm: float, decay_mm: float = DECAY_MM
+) -> np.ndarray:
+    """Closed form of `surface` for a sphere (as a parabola, as in Hertz) at distance r from its axis, mm."""
+    a = contact_radius(depth_mm, radius_mm, decay_mm)
+    r = np.maximum(r_mm, a)
+    outside = (depth_mm - a * a / (2 * radius_mm)) * k0(r / decay_mm) / k0(a / decay_mm)
+    return np.where(r_mm < a, depth_mm - np.square(r_mm) / (2 * radius_mm), outside)
+
+
+@njit(cache=True)
+def _solve(d, hx, hy, decay):
+    """Nested iteration: the half-resolution solution, interpolated, starts the sweeps."""
+    rows, cols = d.shape
+    levels = 1
+    while min(rows, cols) >> levels >= 8 and min(hx, hy) * 2.0**levels < decay:
+        levels += 1
+    u = np.zeros((1, 1), np.float32)
+    for level in range(levels - 1, -1, -1):
+        f = 1 << level
+        n, m = (rows + f - 1) // f, (cols + f - 1) // f
+        # obstacle with a frame of ghost cells
+        o = np.zeros((n + 2, m + 2), np.float32)
+        for i in range(n):
+            for j in range(m):
+                if f == 1:
+                    o[i + 1, j + 1] = d[i, j]
+                else:  # cell mean
+                    s, c = np.float32(0.0), 0
+                    for p in range(i * f, min(i * f + f, rows)):
+                        for q in range(j * f, min(j * f + f, cols)):
+                            s += d[p, q]
+                            c += 1
+                    o[i + 1, j + 1] = s / c
+        v = o.copy()
+        if level < levels - 1:
+            for i in range(1, n + 1):
+                for j in range(1, m + 1):
+                    v[i, j] = max(o[i, j], u[(i + 1) // 2, (j + 1) // 2])
+        _sweeps(v, o, hx * f, hy * f, decay, 30 if level == levels - 1 else 12)
+        u = v
+    return u[1:-1, 1:-1].copy()
+
+
+@njit(cache=True, fastmath=True)
+def _sweeps(u, o, hx, hy, decay, sweeps):
+    """Projected red-black over-relaxation of u - l^2 lap u = 0 above the obstacle; zero slope at the rim."""
+    n, m = u.shape
+    kx, ky = np.float32((decay / hx) ** 2), np.float32((decay / hy) ** 2)
+    jacobi = 2 * (kx + ky) / (1 + 2 * (kx + ky))
+    omega = np.float32(2.0 / (1.0 + np.sqrt(1.0 - jacobi**2)))
+    scale = np.float32(1.0) / (np.float32(1.0) + np.float32(2.0) * (kx + ky))
+    for _ in range(sweeps):
+        for colour in range(2):
+            u[0], u[n - 1] = u[1], u[n - 2]
+            u[:, 0], u[:, m - 1] = u[:, 1], u[:, m - 2]
+            for i in range(1, n - 1):
+                for j in range(1 + (i + colour) % 2, m - 1, 2):
+                    x = (kx * (u[i, j - 1] + u[i, j + 1]) + ky * (u[i - 1, j] + u[i + 1, j])) * scale
+                    u[i, j] = max(o[i, j], u[i, j] + omega * (x - u[i, j]))
