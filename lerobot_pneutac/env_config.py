@@ -1,0 +1,70 @@
+"""Options of the environment `pneutac` for lerobot-eval and lerobot-train."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from lerobot.configs import FeatureType, PolicyFeature
+from lerobot.envs.configs import EnvConfig
+from lerobot.utils.constants import ACTION, OBS_IMAGES, OBS_STATE
+
+# Registers the Gymnasium ids. Workers of lerobot-eval get them by unpickling this module's config.
+import pneutac_sim  # noqa: F401
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import ACTION_NAMES, CONTROL_HZ, IMAGE_NAME, IMAGE_SHAPE, STATE_NAMES, TASK_NAMES
+
+
+@EnvConfig.register_subclass("pneutac")
+@dataclass
+class PneutacEnvConfig(EnvConfig):
+    """A manipulation task on the simulated robot.
+
+    Attributes:
+        task: `switch`, `egg` or `card`.
+        fps: control rate, Hz; the world has one only.
+        episode_length: control steps after which a trial counts as failed.
+        twin: folder of the finger's twin; default the built-in one.
+    """
+
+    task: str | None = "switch"
+    fps: int = CONTROL_HZ
+    episode_length: int = 150
+    twin: Path | None = None
+    features: dict[str, PolicyFeature] = field(
+        default_factory=lambda: {
+            ACTION: PolicyFeature(FeatureType.ACTION, (len(ACTION_NAMES),)),
+            "agent_pos": PolicyFeature(FeatureType.STATE, (len(STATE_NAMES),)),
+            f"pixels/{IMAGE_NAME}": PolicyFeature(FeatureType.VISUAL, IMAGE_SHAPE),
+        }
+    )
+    features_map: dict[str, str] = field(
+        default_factory=lambda: {
+            ACTION: ACTION,
+            "agent_pos": OBS_STATE,
+            f"pixels/{IMAGE_NAME}": f"{OBS_IMAGES}.{IMAGE_NAME}",
+        }
+    )
+
+    def __post_init__(self):
+        if self.task not in TASK_NAMES:
+            raise InputError(f"--env.task is '{self.task}'; it must be one of {', '.join(TASK_NAMES)}.")
+        if self.fps != CONTROL_HZ:
+            raise InputError(
+                f"--env.fps is {self.fps}; the simulated robot is controlled at {CONTROL_HZ} Hz."
+            )
+        if self.episode_length < 1:
+            raise InputError(f"--env.episode_length is {self.episode_length}; it must be at least 1 step.")
+        if self.twin is not None and not (Path(self.twin) / "twin.yaml").is_file():
+            raise InputError(f"--env.twin is '{self.twin}', which holds no twin.yaml; give a twin's folder.")
+
+    @property
+    def package_name(self) -> str:
+        """Prefix of the Gymnasium ids."""
+        return "pneutac_sim"
+
+    @property
+    def gym_kwargs(self) -> dict:
+        """What `gymnasium.make` is given."""
+        from pneutac_sim.twin import Twin
+
+        twin = {"twin": Twin.load(self.twin)} if self.twin else {}
+        return {"max_episode_steps": self.episode_length, **twin}

@@ -1,0 +1,120 @@
+"""Options of the policy `pneutac_bc`, and what it demands of a dataset."""
+
+from dataclasses import dataclass, field
+
+from lerobot.configs import FeatureType, NormalizationMode, PreTrainedConfig
+from lerobot.optim import AdamConfig
+from lerobot.utils.constants import ACTION, OBS_IMAGES, OBS_STATE
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import ACTION_NAMES, CONTROL_HZ, IMAGE_NAME, IMAGE_SHAPE, STATE_NAMES
+
+TACTILE = f"{OBS_IMAGES}.{IMAGE_NAME}"
+
+
+@PreTrainedConfig.register_subclass("pneutac_bc")
+@dataclass
+class PneutacBCConfig(PreTrainedConfig):
+    """Behaviour cloning from touch and proprioception, the paper's policy.
+
+    State and action are scaled by fixed physical ranges inside the network and LeRobot's own normalisation is
+    off, so that fine-tuning on other data never rescales what was learnt.
+
+    Attributes:
+        use_tactile: false leaves out the tactile image and both contact scalars.
+        control_hz: rate of the data and of the robot; turns velocities into displacements per step.
+        previous_action_dropout: share of training samples in which the previous action is hidden (replaced by
+            holding still), lest the policy copies its last action instead of looking.
+        optimizer_lr: learning rate of Adam.
+        action_feature_names: set by LeRobot from the dataset.
+    """
+
+    use_tactile: bool = True
+    control_hz: int = CONTROL_HZ
+    previous_action_dropout: float = 0.5
+    optimizer_lr: float = 3e-4
+    action_feature_names: list[str] | None = None
+    push_to_hub: bool = False
+    normalization_mapping: dict[str, NormalizationMode] = field(
+        default_factory=lambda: dict.fromkeys(("VISUAL", "STATE", "ACTION"), NormalizationMode.IDENTITY)
+    )
+
+    def __post_init__(self):
+        super().__post_init__()
+        if not 0 <= self.previous_action_dropout <= 1:
+            raise InputError(
+                f"--policy.previous_action_dropout is {self.previous_action_dropout}; it must be in [0, 1]."
+            )
+        if self.control_hz <= 0:
+            raise InputError(f"--policy.control_hz is {self.control_hz}; it must be positive.")
+        if any(mode is not NormalizationMode.IDENTITY for mode in self.normalization_mapping.values()):
+            raise InputError(
+                "--policy.normalization_mapping must be IDENTITY throughout; pneutac_bc scales by itself."
+            )
+
+    @property
+    def observation_delta_indices(self) -> None:
+        """The present observation only."""
+        return None
+
+    @property
+    def action_delta_indices(self) -> list[int]:
+        """The previous action, an input, and the present one, the label."""
+        return [-1, 0]
+
+    @property
+    def reward_delta_indices(self) -> None:
+        """No rewards."""
+        return None
+
+    def get_optimizer_preset(self) -> AdamConfig:
+        """Adam; the gradient is not clipped, its size is that of the loss in mm^2 and kPa^2."""
+        return AdamConfig(lr=self.optimizer_lr, grad_clip_norm=0.0)
+
+    def get_scheduler_preset(self) -> None:
+        """A constant learning rate."""
+        return None
+
+    def validate_features(self) -> None:
+        """Raises InputError where the shapes of state, action or tactile image do not fit."""
+        inputs, outputs = self.input_features or {}, self.output_features or {}
+        _need_shape(inputs, OBS_STATE, (len(STATE_NAMES),))
+        _need_shape(outputs, ACTION, (len(ACTION_NAMES),))
+        if self.use_tactile:
+            _need_shape(inputs, TACTILE, (IMAGE_SHAPE[2], *IMAGE_SHAPE[:2]))
+        # Other cameras, and without touch this one too, are not looked at; robots need not have them.
+        used = (TACTILE,) if self.use_tactile else ()
+        self.input_features = {
+            k: f for k, f in inputs.items() if f.type is not FeatureType.VISUAL or k in used
+        }
+
+    def check_dataset(self, meta) -> None:
+        """Raises InputError where a dataset cannot train this policy.
+
+        Args:
+            meta: LeRobotDatasetMetadata.
+        """
+        where = f"Dataset '{meta.repo_id}'"
+        if meta.fps != self.control_hz:
+            raise InputError(
+                f"{where} has {meta.fps} frames per second and the policy's control_hz is {self.control_hz};"
+                " they must be equal."
+            )
+        for key, names in ((OBS_STATE, STATE_NAMES), (ACTION, ACTION_NAMES)):
+            found = (meta.features.get(key) or {}).get("names")
+            if list(found or []) != list(names):
+                raise InputError(f"{where}: '{key}' has the names {found}; pneutac_bc needs {list(names)}.")
+        if self.use_tactile:
+            found = (meta.features.get(TACTILE) or {}).get("shape")
+            if tuple(found or ()) != IMAGE_SHAPE:
+                raise InputError(
+                    f"{where}: '{TACTILE}' has the shape {found}; pneutac_bc needs {IMAGE_SHAPE}, or"
+                    " --policy.use_tactile=false."
+                )
+
+
+def _need_shape(features: dict, key: str, shape: tuple[int, ...]) -> None:
+    found = tuple(features[key].shape) if key in features else None
+    if found != shape:
+        hint = "; without it use --policy.use_tactile=false" if key == TACTILE else ""
+        raise InputError(f"Feature '{key}' has the shape {found}; pneutac_bc needs {shape}{hint}.")

@@ -1,0 +1,216 @@
+"""The policy `pneutac_bc`: |tactile - rest| through a convolutional encoder, with the state into an MLP.
+
+The paper's policy network and loss (Sec. "Policy training"): a 64-D embedding of the tactile difference
+beside a 24-D observation {q, q', x, s/N, log(1+s), p, a_(t-1)}, two hidden layers of 256, 4-D action.
+"""
+
+import numpy as np
+import torch
+from lerobot.policies.pretrained import PreTrainedPolicy
+from lerobot.utils.constants import ACTION, OBS_STATE
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from lerobot_pneutac.policy.configuration_pneutac_bc import TACTILE, PneutacBCConfig
+from lerobot_pneutac.policy.rest_image import rest_image_of
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, IMAGE_SHAPE, STATE_NAMES
+
+# (centre, scale) of the state's channels: physical ranges of table-top work in front of a Panda whose flange
+# points down, much narrower than the robot's limits so that millimetres of position matter to the network.
+_HOME_JOINTS = (0.0, -np.pi / 4, 0.0, -3 * np.pi / 4, 0.0, np.pi / 2, np.pi / 4)
+_RANGES = (
+    *((q, 0.3) for q in _HOME_JOINTS),  # rad
+    *((0.0, 0.3) for _ in range(7)),  # rad/s
+    (0.48, 0.1),  # ee_x, m
+    (0.0, 0.1),  # ee_y, m
+    (0.30, 0.1),  # ee_z, m
+    (0.0, 0.05),  # s / N
+    (4.0, 4.0),  # log(1 + s)
+    (7.5, 7.5),  # kPa
+)
+_CONTACT = [STATE_NAMES.index("contact_area.pos"), STATE_NAMES.index("contact_pixels.pos")]
+_PRESSURE = STATE_NAMES.index("pressure.pos")
+EMBEDDING = 64
+HIDDEN = 256
+POOL = 4  # the difference image is averaged over 4 x 4 pixels
+DIFFERENCE_SCALE = 32 / 255  # a firm touch changes the image by some 32 of 255 levels
+
+
+class TactileEncoder(nn.Module):
+    """|image - rest|, averaged to 80 x 60, through three strided convolutions to a 64-D embedding.
+
+    Attributes:
+        rest_image: (3, 320, 240) in [0, 1]; NaN until it is known.
+    """
+
+    def __init__(self):
+        super().__init__()
+        h, w, c = IMAGE_SHAPE
+        self.register_buffer("rest_image", torch.full((c, h, w), torch.nan))
+        self.layers = nn.Sequential(
+            nn.Conv2d(c, 16, 5, stride=2, padding=2),
+            nn.ReLU(),
+            nn.Conv2d(16, 32, 3, stride=2, padding=1),
+            nn.ReLU(),
+            nn.Conv2d(32, 32, 3, stride=2, padding=1),
+            nn.ReLU(),
+            nn.Flatten(),
+            nn.Linear(32 * 10 * 8, EMBEDDING),
+        )
+
+    def forward(self, image: Tensor) -> Tensor:
+        """Embedding (B, 64) of images (B, 3, 320, 240) in [0, 1]."""
+        if image.shape[1:] != self.rest_image.shape:
+            raise InputError(
+                f"The tactile image has the shape {tuple(image.shape[1:])}; pneutac_bc needs"
+                f" {tuple(self.rest_image.shape)}."
+            )
+        if self.rest_image[0, 0, 0].isnan():
+            raise InputError(
+                "The policy has no rest image: train it on a dataset with tactile images or load its weights."
+            )
+        return self.layers(F.avg_pool2d((image - self.rest_image).abs(), POOL) / DIFFERENCE_SCALE)
+
+
+class PneutacBCPolicy(PreTrainedPolicy):
+    """Behaviour cloning from touch and proprioception; keeps its own previous action between calls.
+
+    Attributes:
+        encoder: of the tactile image; None with `use_tactile=False`.
+    """
+
+    config_class = PneutacBCConfig
+    name = "pneutac_bc"
+
+    def __init__(self, config: PneutacBCConfig, dataset_meta=None, **kwargs):
+        """A policy with random weights.
+
+        Args:
+            config: options, with the features of the data.
+            dataset_meta: LeRobotDatasetMetadata of the training data; its rest image becomes the policy's,
+                also where weights of another training are loaded afterwards.
+            **kwargs: what else LeRobot passes (dataset statistics) and this policy has no use for.
+
+        Raises:
+            InputError: features or dataset do not fit.
+        """
+        super().__init__(config)
+        config.validate_features()
+        self._dataset_rest = None
+        if dataset_meta is not None:
+            config.check_dataset(dataset_meta)
+            self._dataset_rest = rest_image_of(dataset_meta) if config.use_tactile else None
+
+        self.encoder = TactileEncoder() if config.use_tactile else None
+        channels = [i for i in range(len(STATE_NAMES)) if config.use_tactile or i not in _CONTACT]
+        low, high = torch.tensor(ACTION_LOW), torch.tensor(ACTION_HIGH)
+        centre, scale = torch.tensor(_RANGES, dtype=torch.float32)[channels].T
+        for name, value in {
+            "_channels": torch.tensor(channels),
+            "_state_centre": centre,
+            "_state_scale": scale,
+            "_action_low": low,
+            "_action_high": high,
+            "_action_centre": (low + high) / 2,
+            "_action_scale": (high - low) / 2,
+        }.items():
+            self.register_buffer(name, value, persistent=False)
+        width = len(channels) + len(low) + (EMBEDDING if config.use_tactile else 0)
+        self.mlp = nn.Sequential(
+            nn.Linear(width, HIDDEN),
+            nn.ReLU(),
+            nn.Linear(HIDDEN, HIDDEN),
+            nn.ReLU(),
+            nn.Linear(HIDDEN, len(low)),
+        )
+        self._take_dataset_rest()
+        self.reset()
+
+    @classmethod
+    def _load_as_safetensor(cls, model, model_file, map_location, strict):
+        """Loads weights; a rest image from the present dataset outlives the one in the file."""
+        model = super()._load_as_safetensor(model, model_file, map_location, strict)
+        model._take_dataset_rest()
+        return model
+
+    def _take_dataset_rest(self) -> None:
+        if self._dataset_rest is not None:
+            self.encoder.rest_image.copy_(self._dataset_rest)
+
+    def get_optim_params(self):
+        """All parameters."""
+        return self.parameters()
+
+    def reset(self) -> None:
+        """Forgets the previous action; to be called when an episode starts."""
+        self._previous: Tensor | None = None
+
+    # ------------------------------------------------------------ training
+
+    def forward(self, batch: dict[str, Tensor]) -> tuple[Tensor, dict[str, float]]:
+        """The paper's loss: mean of |1000 (dx - dx*)|^2 (mm^2 per step) plus mean of (p - p*)^2 (kPa^2).
+
+        Args:
+            batch: `action` (B, 2, 4), the previous and the present one; `action_is_pad` (B, 2), true where
+                there is none; `observation.state` (B, 20); the tactile image (B, 3, 320, 240) in [0, 1].
+
+        Returns:
+            loss, and its two terms by name.
+        """
+        previous, target = batch[ACTION].unbind(1)
+        hidden = batch[f"{ACTION}_is_pad"][:, 0]
+        if self.training and self.config.previous_action_dropout > 0:
+            drawn = torch.rand(len(hidden), device=hidden.device)
+            hidden = hidden | (drawn < self.config.previous_action_dropout)
+        previous = torch.where(hidden[:, None], self._hold(batch[OBS_STATE]), previous)
+        error = self._predict(batch, previous) - target
+        # Velocity m/s to displacement per step mm.
+        motion = (error[:, :3] * (1000 / self.config.control_hz)).square().sum(1).mean()
+        pressure = error[:, 3].square().mean()
+        return motion + pressure, {"motion_mm2": motion.item(), "pressure_kpa2": pressure.item()}
+
+    # ------------------------------------------------------------ inference
+
+    @torch.no_grad()
+    def select_action(self, batch: dict[str, Tensor], **kwargs) -> Tensor:
+        """The next action (B, 4), within the action limits; remembered as the previous one.
+
+        Raises:
+            InputError: an observation is not finite or has another shape, or there is no rest image.
+        """
+        self._previous = self.predict_action_chunk(batch)[:, 0]
+        return self._previous
+
+    @torch.no_grad()
+    def predict_action_chunk(self, batch: dict[str, Tensor], **kwargs) -> Tensor:
+        """The next action as a chunk of one, (B, 1, 4); remembers nothing."""
+        self.eval()
+        previous = self._hold(batch[OBS_STATE]) if self._previous is None else self._previous
+        action = self._predict(batch, previous)
+        if not action.isfinite().all():
+            raise InputError("The policy's action is not finite: its weights or an observation contain NaN.")
+        return action.clamp(self._action_low, self._action_high)[:, None]
+
+    # ------------------------------------------------------------ network
+
+    def _hold(self, state: Tensor) -> Tensor:
+        """The action (B, 4) that holds still: no velocity, and the pressure that there is."""
+        hold = torch.zeros(len(state), len(self._action_low), device=state.device)
+        hold[:, 3] = state[:, _PRESSURE]
+        return hold
+
+    def _predict(self, batch: dict[str, Tensor], previous: Tensor) -> Tensor:
+        """Action (B, 4) from an observation and the previous action (B, 4), in m/s and kPa, not clipped."""
+        state = batch[OBS_STATE]
+        if state.shape[1:] != (len(STATE_NAMES),):
+            raise InputError(
+                f"The state has the shape {tuple(state.shape[1:])}; it must be ({len(STATE_NAMES)},)."
+            )
+        parts = [
+            (state[:, self._channels] - self._state_centre) / self._state_scale,
+            (previous - self._action_centre) / self._action_scale,
+        ]
+        if self.encoder is not None:
+            parts.insert(0, self.encoder(batch[TACTILE]))
+        return self.mlp(torch.cat(parts, 1)) * self._action_scale + self._action_centre

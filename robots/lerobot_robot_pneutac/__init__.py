@@ -1,0 +1,11 @@
+"""The plugin's front door: LeRobot imports it and finds every device, environment and policy by name.
+
+Only configurations are imported here; what they configure is imported when it is made.
+"""
+
+from lerobot_pneutac.env_config import PneutacEnvConfig
+from lerobot_pneutac.policy.configuration_pneutac_bc import PneutacBCConfig
+from lerobot_robot_pneutac.config_pneutac_scripted import PneutacScriptedConfig
+from lerobot_robot_pneutac.config_pneutac_sim import PneutacSimConfig
+
+__all__ = ["PneutacBCConfig", "PneutacEnvConfig", "PneutacScriptedConfig", "PneutacSimConfig"]

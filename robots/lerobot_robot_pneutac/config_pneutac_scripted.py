@@ -1,0 +1,36 @@
+"""Options of the teleoperator `pneutac_scripted`."""
+
+from dataclasses import dataclass
+
+from lerobot.teleoperators import TeleoperatorConfig
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import CONTROL_HZ
+
+
+@TeleoperatorConfig.register_subclass("pneutac_scripted")
+@dataclass(kw_only=True)
+class PneutacScriptedConfig(TeleoperatorConfig):
+    """A scripted expert in place of a person's hand.
+
+    LeRobot tells a teleoperator nothing of episodes, so it counts its ticks: `episode_steps` of
+    demonstration, then `reset_steps` of waiting. The defaults fit `--dataset.fps=15
+    --dataset.episode_time_s=8 --dataset.reset_time_s=0`; a long recording on a busy computer is safer with
+    15 reset steps and `--dataset.reset_time_s=1`: missed ticks then fall into the waiting time.
+
+    Attributes:
+        episode_steps: ticks of a demonstration, `episode_time_s * fps`.
+        reset_steps: ticks between demonstrations, `reset_time_s * fps`.
+        seed: decides the variation between demonstrations.
+    """
+
+    episode_steps: int = 8 * CONTROL_HZ
+    reset_steps: int = 0
+    seed: int = 0
+
+    def __post_init__(self):
+        if self.episode_steps < 1 or self.reset_steps < 0:
+            raise InputError(
+                f"--teleop.episode_steps is {self.episode_steps} and --teleop.reset_steps {self.reset_steps};"
+                " the first must be at least 1 and the second at least 0."
+            )

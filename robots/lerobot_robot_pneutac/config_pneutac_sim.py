@@ -1,0 +1,34 @@
+"""Options of the robot `pneutac_sim`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from lerobot.robots import RobotConfig
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import TASK_NAMES
+
+
+@RobotConfig.register_subclass("pneutac_sim")
+@dataclass(kw_only=True)
+class PneutacSimConfig(RobotConfig):
+    """A Panda with the pneumatic finger and its gel, simulated.
+
+    Attributes:
+        task: what stands in front of the robot: `switch`, `egg` or `card`.
+        seed: decides the random start of every episode.
+        twin: folder of the finger's twin; default the built-in one.
+    """
+
+    task: str = "switch"
+    seed: int = 0
+    twin: Path | None = None
+
+    def __post_init__(self):
+        super().__post_init__()
+        if self.task not in TASK_NAMES:
+            raise InputError(f"--robot.task is '{self.task}'; it must be one of {', '.join(TASK_NAMES)}.")
+        if self.twin is not None and not (Path(self.twin) / "twin.yaml").is_file():
+            raise InputError(
+                f"--robot.twin is '{self.twin}', which holds no twin.yaml; give a twin's folder."
+            )

@@ -1,0 +1,91 @@
+"""The teleoperator `pneutac_scripted`: a closed-loop expert that sees the simulated world."""
+
+from typing import Any
+
+import numpy as np
+from lerobot.teleoperators import Teleoperator
+from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
+
+from lerobot_robot_pneutac.config_pneutac_scripted import PneutacScriptedConfig
+from lerobot_robot_pneutac.pneutac_sim import connected_robot
+from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, ACTION_NAMES
+
+
+class PneutacScripted(Teleoperator):
+    """Demonstrates the task on the `pneutac_sim` robot of the same process.
+
+    After `episode_steps` ticks and half of the `reset_steps` its action carries the key `reset`, which the
+    robot takes as the person putting the object back and which datasets leave out.
+    """
+
+    config_class = PneutacScriptedConfig
+    name = "pneutac_scripted"
+
+    def __init__(self, config: PneutacScriptedConfig):
+        super().__init__(config)
+        self.config = config
+        self._rng: np.random.Generator | None = None
+
+    @property
+    def action_features(self) -> dict[str, type]:
+        """Velocities (m/s) and pressure (kPa)."""
+        return dict.fromkeys(ACTION_NAMES, float)
+
+    @property
+    def feedback_features(self) -> dict:
+        """None."""
+        return {}
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether `connect` was called."""
+        return self._rng is not None
+
+    @property
+    def is_calibrated(self) -> bool:
+        """Always true."""
+        return True
+
+    def connect(self, calibrate: bool = True) -> None:
+        """Gets ready; the robot may be connected later, but before the first `get_action`."""
+        if self.is_connected:
+            raise DeviceAlreadyConnectedError(f"{self} is already connected.")
+        self._rng = np.random.default_rng(self.config.seed)
+        self._tick = 0
+
+    def calibrate(self) -> None:
+        """Nothing to do."""
+
+    def configure(self) -> None:
+        """Nothing to do."""
+
+    def get_action(self) -> dict[str, Any]:
+        """The expert's action for the world's present state, within the limits.
+
+        Raises:
+            InputError: no `pneutac_sim` robot is connected in this process.
+        """
+        if not self.is_connected:
+            raise DeviceNotConnectedError(f"{self} is not connected; call connect() first.")
+        c = self.config
+        if self._tick == 0:
+            from pneutac_sim.world.expert import ScriptedExpert
+
+            self._expert = ScriptedExpert(connected_robot().world, self._rng)
+        # Waiting is with the pressure off and the arm at rest.
+        action = self._expert.action() if self._tick < c.episode_steps else np.zeros(len(ACTION_NAMES))
+        values = np.clip(action, ACTION_LOW, ACTION_HIGH).tolist()
+        result: dict[str, Any] = dict(zip(ACTION_NAMES, values, strict=True))
+        if self._tick == c.episode_steps - 1 + (c.reset_steps + 1) // 2:
+            result["reset"] = True
+        self._tick = (self._tick + 1) % (c.episode_steps + c.reset_steps)
+        return result
+
+    def send_feedback(self, feedback: dict[str, Any]) -> None:
+        """Nothing to feel."""
+
+    def disconnect(self) -> None:
+        """Lets go of the expert."""
+        if not self.is_connected:
+            raise DeviceNotConnectedError(f"{self} is not connected; call connect() first.")
+        self._rng = self._expert = None
