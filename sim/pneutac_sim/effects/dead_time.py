@@ -1,0 +1,50 @@
+"""Dead time: the pressure follows the command only after a delay, p(t) = p_cmd(t - L)."""
+
+import math
+
+from pneutac_sim.effects.effect import Effect, Parameter, kernel
+
+# Samples kept: 1.5 s, the longest delay, at 1.3 kHz. Older ones are forgotten, which shortens the delay.
+_KEPT = 2048
+
+
+@kernel
+def run(x, dt, theta, conditions, state):
+    """State = a ring buffer: clock, oldest sample in use, newest + 1, then per slot time and channels."""
+    delay = theta[0]
+    n, channels = x.shape
+    width = channels + 1
+    clock, tail, head = state[0], int(state[1]), int(state[2])
+    for t in range(n):
+        if math.isinf(dt[t]):
+            clock, tail, head = 0.0, 0, 0
+        else:
+            clock += dt[t]
+        slot = 3 + (head % _KEPT) * width
+        state[slot] = clock
+        state[slot + 1 : slot + width] = x[t]
+        head += 1
+        tail = max(tail, head - _KEPT)
+        wanted = clock - delay
+        while tail + 1 < head and state[3 + ((tail + 1) % _KEPT) * width] <= wanted:
+            tail += 1
+        a = 3 + (tail % _KEPT) * width
+        share = 0.0
+        b = a
+        if tail + 1 < head and wanted > state[a]:
+            b = 3 + ((tail + 1) % _KEPT) * width
+            share = (wanted - state[a]) / (state[b] - state[a])
+        for c in range(channels):
+            x[t, c] = state[a + 1 + c] + share * (state[b + 1 + c] - state[a + 1 + c])
+    state[0], state[1], state[2] = clock, tail, head
+
+
+EFFECT = Effect(
+    name="dead_time",
+    stage="pneumatics",
+    parameters=(Parameter("delay_s", "s", default=0.15, lower=0.0, upper=1.5),),
+    run=run,
+    state_size=lambda channels: 3 + _KEPT * (channels + 1),
+    summary="Your pressure starts late: nothing happens for {delay_s:.2g} s after a command.",
+    experiment="Command single steps and log the measured pressure at 50 Hz or more: it stays flat first.",
+)

@@ -1,0 +1,39 @@
+"""Gain saturation: more pressure bends less and less, p_s tanh(p / p_s)."""
+
+import math
+
+from pneutac_sim.effects.effect import Effect, Parameter, kernel
+
+
+@kernel
+def run(x, dt, theta, conditions, state):
+    """No state."""
+    limit = theta[0]
+    if math.isinf(limit):
+        return
+    n, channels = x.shape
+    for t in range(n):
+        for c in range(channels):
+            x[t, c] = limit * math.tanh(x[t, c] / limit)
+
+
+EFFECT = Effect(
+    name="gain_saturation",
+    stage="actuation",
+    parameters=(
+        Parameter(
+            "saturation_pressure_kpa",
+            "kPa",
+            default=1.2,
+            lower=0.2,
+            upper=10.0,
+            neutral=math.inf,
+            log=True,
+            range_power=1,
+        ),
+    ),
+    run=run,
+    summary="Your {device} saturates: far above {saturation_pressure_kpa:.3g} kPa more pressure bends it "
+    "little.",
+    experiment="Go up in small steps to the highest safe pressure and wait at each: the curve flattens.",
+)

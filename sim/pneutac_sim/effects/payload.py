@@ -1,0 +1,25 @@
+"""Payload: a known mass hung at the tip, as far as it acts there."""
+
+from pneutac_sim.effects.effect import Effect, Parameter, kernel
+from pneutac_sim.effects.gravity import STANDARD_GRAVITY
+
+
+@kernel
+def run(x, dt, theta, conditions, state):
+    """Adds to the loads (N); conditions = payload_g, gravity_x, gravity_y, gravity_z."""
+    for t in range(len(x)):
+        for i in range(3):
+            x[t, i] += theta[0] * 1e-3 * STANDARD_GRAVITY * conditions[t, 0] * conditions[t, 1 + i]
+
+
+EFFECT = Effect(
+    name="payload",
+    stage="body",
+    signal="loads",
+    parameters=(Parameter("share", "", default=1.0, lower=0.0, upper=20.0),),
+    run=run,
+    columns=("payload_g", "gravity_x", "gravity_y", "gravity_z"),
+    summary="The payload bends your {device}, {share:.2g} times as much as its weight would at the set "
+    "stiffness.",
+    experiment="Hang two known masses at the tip, repeat one program with each, and write payload_g.",
+)

@@ -1,0 +1,70 @@
+"""Finds effects: the library's own, and those that other packages add through an entry point.
+
+Order within a stage (it matters: a leak is slowed by the lag behind it):
+
+- pneumatics: dead_time, leak, valve_lag, orifice_flow, sensor_offset
+- actuation: gain_saturation, stiffening, hysteresis, friction
+- body: gravity and payload (loads, in static equilibrium with the joints), thermal, cyclic_softening, creep
+- observation: base_tilt, camera_misalignment
+
+Effects of other packages come last in their stage, in alphabetical order.
+"""
+
+import importlib
+from functools import cache
+from importlib.metadata import entry_points
+
+from pneutac_sim.effects.effect import STAGES, Effect
+from pneutac_sim.errors import InputError
+
+ENTRY_POINT_GROUP = "pneutac.effects"
+
+BUILTIN = (
+    "dead_time",
+    "leak",
+    "valve_lag",
+    "orifice_flow",
+    "sensor_offset",
+    "gain_saturation",
+    "stiffening",
+    "hysteresis",
+    "friction",
+    "gravity",
+    "payload",
+    "thermal",
+    "cyclic_softening",
+    "creep",
+    "base_tilt",
+    "camera_misalignment",
+)
+
+
+@cache
+def all_effects() -> dict[str, Effect]:
+    """Name to effect, in the order in which they act.
+
+    Raises:
+        InputError: another package offers something that is no effect, or a name twice.
+    """
+    found = [importlib.import_module(f"pneutac_sim.effects.{name}").EFFECT for name in BUILTIN]
+    for point in sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda p: p.name):
+        effect = point.load()
+        if not isinstance(effect, Effect):
+            raise InputError(f"Entry point '{point.name}' of {ENTRY_POINT_GROUP} must be an Effect.")
+        if effect.name in {e.name for e in found}:
+            raise InputError(f"Two packages offer an effect named '{effect.name}'; rename one of them.")
+        found.append(effect)
+    return {e.name: e for stage in STAGES for e in found if e.stage == stage}
+
+
+def get_effect(name: str) -> Effect:
+    """One effect; raises InputError naming those that exist."""
+    if name not in all_effects():
+        raise InputError(f"There is no effect '{name}'; there are {', '.join(all_effects())}.")
+    return all_effects()[name]
+
+
+def in_order(names: list[str]) -> list[Effect]:
+    """These effects, sorted as they act."""
+    known = list(all_effects())
+    return [get_effect(n) for n in sorted({get_effect(n).name for n in names}, key=known.index)]

@@ -1,0 +1,72 @@
+"""The loaded spine against the energy it must minimise and against small-load beam statics."""
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from pneutac_sim.finger.equilibrium import planar, spatial
+from pneutac_sim.finger.kinematics import bend_rotation, forward_kinematics
+
+L = 0.11
+N = 4
+S = L * (np.arange(N) + 0.5) / N
+LINKS = np.diff(np.append(S, L))
+K = 0.4
+
+
+def _links():
+    return np.concatenate([LINKS, LINKS / L])
+
+
+def _points(q):
+    """Joint positions and tip (N + 1, 3) for angles (N, 2), link 0 left out."""
+    frame, points = np.eye(3), [np.zeros(3)]
+    for n in range(N):
+        frame = frame @ bend_rotation(q[n])
+        points.append(points[-1] + LINKS[n] * frame[:, 0])
+    return np.array(points)
+
+
+def _energy(q, free, load):
+    p = _points(q)
+    middle = 0.5 * (p[1:] + p[:-1])
+    return 0.5 * K * ((q - free) ** 2).sum() - p[-1] @ load[:3] - (LINKS / L) @ middle @ load[3:]
+
+
+@pytest.mark.parametrize("scale", [0.2, 1.0, 4.0])
+def test_spatial_equilibrium_is_the_minimum_of_energy(scale):
+    rng = np.random.default_rng(3)
+    free = rng.normal(scale=0.2, size=(N, 2))
+    load = scale * rng.normal(size=6)
+    q = free.reshape(1, -1).copy()
+    spatial(q, load[None], K, _links(), np.zeros(2 * N))
+    best = minimize(lambda v: _energy(v.reshape(N, 2), free, load), free.ravel(), options={"gtol": 1e-9})
+    np.testing.assert_allclose(q[0], best.x, atol=2e-6)
+
+
+def test_planar_equals_spatial_in_the_plane():
+    rng = np.random.default_rng(4)
+    free = rng.normal(scale=0.3, size=(20, N))
+    loads = rng.normal(size=(20, 6))
+    loads[:, [1, 4]] = 0
+    a = free.copy()
+    planar(a, loads, K, _links(), np.zeros(N))
+    b = np.stack([free, 0 * free], -1).reshape(20, -1)
+    spatial(b, loads, K, _links(), np.zeros(2 * N))
+    np.testing.assert_allclose(b.reshape(20, N, 2)[..., 0], a, atol=1e-9)
+    np.testing.assert_allclose(b.reshape(20, N, 2)[..., 1], 0, atol=1e-12)
+
+
+def test_small_tip_load_bends_each_joint_by_lever_times_force_over_stiffness():
+    force = 1e-4
+    q = np.zeros((1, N))
+    planar(q, np.array([[0, 0, force, 0, 0, 0.0]]), K, _links(), np.zeros(N))
+    np.testing.assert_allclose(q[0], force * (L - S) / K, rtol=1e-6)
+
+
+def test_heavy_hanging_load_straightens_a_bent_finger():
+    free = np.full((1, N), 0.4)
+    q = free.copy()
+    planar(q, np.array([[300.0, 0, 0, 0, 0, 0]]), K, _links(), np.zeros(N))
+    tip, _ = forward_kinematics(q[0], S, L)
+    assert tip[0] > 0.999 * L and abs(q).max() < 0.2 * 0.4
