@@ -1,0 +1,79 @@
+"""What the choice of effects needs to know of a fitted model, and who fits it."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+
+@dataclass
+class Fit:
+    """A model with all its parameters fitted to the training samples.
+
+    Attributes:
+        effects: names that are switched on, sorted.
+        residual: (n, k) measured minus predicted at every sample, unit of the headline error.
+        count: number of free parameters.
+        values: effect (empty for the body) to parameter to value; where a refit starts.
+        parameters: parameter to `{"value", "ci95", "unit"}`, for people.
+        at_bound: parameters at a bound.
+        jacobian: (m, p) derivative of the training residual, sign and order as the fit gives it.
+        names: (p,) of the Jacobian's columns, `effect.parameter`.
+    """
+
+    effects: tuple[str, ...]
+    residual: np.ndarray
+    count: int
+    values: dict = field(default_factory=dict)
+    parameters: dict = field(default_factory=dict)
+    at_bound: list[str] = field(default_factory=list)
+    jacobian: np.ndarray | None = None
+    names: list[str] = field(default_factory=list)
+
+    @property
+    def squared(self) -> np.ndarray:
+        """(n,) squared Euclidean distance."""
+        return (self.residual**2).sum(1)
+
+
+class Fitter(Protocol):
+    """Fits models, several at a time where it can."""
+
+    def fit_all(self, effects: Iterable[tuple[str, ...]], start: Fit | None = None) -> list[Fit]:
+        """One fit for each set of effects, in order, warm-started from `start`."""
+        ...
+
+
+def effective_count(residual: np.ndarray, mask: np.ndarray) -> float:
+    """Number of independent samples, N (1 - rho) / (1 + rho), with rho between neighbours.
+
+    Args:
+        residual: (n, k).
+        mask: (n,) samples that count.
+
+    Returns:
+        Between 10 and N.
+    """
+    pair = mask[1:] & mask[:-1]
+    r = residual - residual[mask].mean(0)
+    power = (r[mask] ** 2).sum() / max(mask.sum(), 1)
+    n = int(mask.sum())
+    if power <= 0 or not pair.any():
+        return float(max(n, 10))
+    rho = float((r[1:][pair] * r[:-1][pair]).sum() / pair.sum() / power)
+    rho = min(max(rho, 0.0), 0.9999)
+    return float(min(n, max(10.0, n * (1 - rho) / (1 + rho))))
+
+
+def bic(fit: Fit, mask: np.ndarray, n: float, floor: float) -> float:
+    """Bayesian information criterion on the training samples, n log MSE + k log n.
+
+    Args:
+        fit: the fitted model.
+        mask: (n,) training samples.
+        n: effective number of samples, the same for all models that are compared.
+        floor: a fit below the noise is not better than the noise; keeps a noise-free recording finite.
+    """
+    mse = max(float(fit.squared[mask].mean()), 0.25 * floor**2, 1e-18)
+    return n * float(np.log(mse)) + fit.count * float(np.log(n))

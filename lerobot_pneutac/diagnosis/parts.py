@@ -1,0 +1,62 @@
+"""Deals a recording into training, validation and test, and into the units that the bootstrap resamples."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pneutac_datasets import blocks
+from pneutac_datasets.recording import BenchRecording
+
+FRACTIONS = (0.5, 0.25, 0.25)
+FEW_BLOCKS = 10  # below this a third part would hold a block or two: validation is then the test as well
+UNITS = 16  # wanted in each held-out part; a bootstrap over fewer says little about its own spread
+
+
+@dataclass
+class Parts:
+    """Which samples are for what.
+
+    Attributes:
+        train: (n,) mask: fits parameters and ranks effects.
+        validation: (n,) mask: decides whether an effect is kept.
+        test: (n,) mask: looked at by the report alone; equal to `validation` where there is little data.
+        unit: (n,) resampling unit of each sample: a block of time or a piece of one.
+        stratum: (units,) condition of each unit (program, orientation, temperature, payload).
+    """
+
+    train: np.ndarray
+    validation: np.ndarray
+    test: np.ndarray
+    unit: np.ndarray
+    stratum: np.ndarray
+
+    @property
+    def heldout(self) -> np.ndarray:
+        """(n,) mask of all samples that no parameter was fitted to."""
+        return ~self.train
+
+    @property
+    def has_test(self) -> bool:
+        """Whether a part was left untouched by the choice of effects."""
+        return not np.array_equal(self.validation, self.test)
+
+
+def deal(recording: BenchRecording, seed: int) -> Parts:
+    """Splits by whole blocks of time, stratified by condition."""
+    block = recording.blocks()
+    if len(np.unique(block)) < FEW_BLOCKS:
+        train, test = recording.split(seed=seed, fractions=(0.6, 0.4))
+        validation = test
+    else:
+        train, validation, test = recording.split(seed=seed, fractions=FRACTIONS)
+    unit = block.copy()
+    pieces = 1
+    for part in (validation, test):
+        count = max(1, len(np.unique(block[part])))
+        pieces = max(pieces, min(4, -(-UNITS // count)))
+    position = np.arange(len(block)) - np.unique(block, return_index=True)[1][block]
+    size = np.bincount(block)[block]
+    unit = np.unique(block * pieces + position * pieces // size, return_inverse=True)[1]
+    stratum = blocks.strata(recording.samples, block)[block]
+    first = np.unique(unit, return_index=True)[1]
+    return Parts(train, validation, test, unit, stratum[first])

@@ -1,0 +1,109 @@
+"""The menu of experiments that can be proposed: two minutes each, made from the recording's own range."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from pneutac_datasets.recording import BenchRecording
+
+SECONDS = 120.0
+HZ = 10.0
+
+
+@dataclass
+class Program:
+    """One experiment.
+
+    Attributes:
+        name: short, for tables.
+        advice: an imperative sentence for the person at the bench.
+        samples: what would be commanded, one row a sample, with the recording's conditions.
+    """
+
+    name: str
+    advice: str
+    samples: pd.DataFrame
+
+
+def menu(recording: BenchRecording) -> list[Program]:
+    """All experiments that make sense for this recording's columns."""
+    s = recording.samples
+    command = s[recording.pressure_columns].to_numpy(float)
+    low, top = float(min(command.min(), 0.0)), float(command.max())
+    if top - low < 1e-6:
+        top = low + 50.0
+    span = top - low
+    t = np.arange(round(SECONDS * HZ)) / HZ
+
+    def triangle(period, a=low, b=top):
+        return a + (b - a) * (1 - np.abs(1 - 2 * ((t / period) % 1)))
+
+    def stairs(b):
+        levels = np.concatenate([np.linspace(low, b, 7), np.linspace(b, low, 7)[1:]])
+        return levels[np.minimum((t / SECONDS * len(levels)).astype(int), len(levels) - 1)]
+
+    loop = 120.0
+    steps = np.where(t % 20 < 10, low + 0.9 * span, low)
+    middle = low + 0.5 * span + 0.08 * span * np.sin(2 * np.pi * t / 8) + 0.3 * span * (t > 60)
+    zero = np.where(t % 30 < 10, 0.0, low + span * (0.4 + 0.6 * ((t // 30) % 2)))
+    warmup = np.where(t < 60, triangle(4.0, low, low + 0.5 * span), triangle(4.0))
+    made = [
+        ("slow loop", f"Run one loop between {low:.3g} and {top:.3g} kPa ten times slower, in {loop:.0f} s.", triangle(loop), {}),
+        ("fast loops", f"Run loops between {low:.3g} and {top:.3g} kPa in 4 s each.", triangle(4.0), {}),
+        ("long hold", f"Step to {low + 0.8 * span:.3g} kPa, hold 80 s, step to {low:.3g} kPa and hold 40 s.", np.where(t < 80, low + 0.8 * span, low), {}),
+        ("steps", f"Step between {low:.3g} and {low + 0.9 * span:.3g} kPa every 10 s.", steps, {}),
+        ("higher", f"Go up in stairs to {low + 1.3 * span:.3g} kPa if the device may bear it, and down again.", stairs(low + 1.3 * span), {}),
+        ("small reversals", "Make small back-and-forth moves around two pressures.", middle, {}),
+        ("back to zero", "Come back to 0 kPa for 10 s every half minute.", zero, {}),
+        ("cycles", "After a long rest make fifteen cycles to half the pressure, then fifteen to the full one.", warmup, {}),
+    ]  # fmt: skip
+    if recording.has("gravity_x"):
+        g = _usual(s, ["gravity_x", "gravity_y", "gravity_z"])
+        flip = dict(zip(("gravity_x", "gravity_y", "gravity_z"), -g, strict=True))
+        made.append(("flip the base", "Turn the base upside down and run one loop.", triangle(60.0), flip))
+    if recording.has("temperature_c"):
+        warm = float(s["temperature_c"].median()) + 8.0
+        made.append(
+            (
+                "warm",
+                f"Repeat a loop with the device at {warm:.0f} °C.",
+                triangle(60.0),
+                {"temperature_c": warm},
+            )
+        )
+    if recording.has("payload_g"):
+        heavy = float(s["payload_g"].max()) + 50.0
+        made.append(
+            (
+                "payload",
+                f"Hang {heavy:.0f} g at the tip and run one loop.",
+                triangle(60.0),
+                {"payload_g": heavy},
+            )
+        )
+    return [Program(name, advice, _table(recording, t, p, change)) for name, advice, p, change in made]
+
+
+def _table(recording: BenchRecording, t: np.ndarray, p: np.ndarray, change: dict) -> pd.DataFrame:
+    """All columns of the recording: conditions at their usual value, markers at zero, the command as given."""
+    table = pd.DataFrame({"trial": np.zeros(len(t), int), "time_s": t})
+    for i, c in enumerate(recording.pressure_columns):
+        table[c] = p if i == 0 else float(recording.samples[c].median())
+    for c in recording.samples.columns:
+        if c in table or c in ("program", "image", "mask"):
+            continue
+        x = recording.samples[c]
+        if pd.api.types.is_numeric_dtype(x):
+            table[c] = float(x.iloc[0]) if c.startswith("gravity") else float(x.median())
+    for c in [c for c in table if c.startswith("pressure_") and "cmd" not in c]:
+        command = c.replace("pressure_", "pressure_cmd_")
+        if command in table:
+            table[c] = table[command]
+    for c, v in change.items():
+        table[c] = v
+    return table
+
+
+def _usual(s: pd.DataFrame, columns: list[str]) -> np.ndarray:
+    return s[columns].iloc[0].to_numpy(float)

@@ -1,0 +1,168 @@
+"""Forward selection of effects with a backward check.
+
+Ranked by BIC on training blocks, kept only where a paired bootstrap on validation blocks says that the error
+falls for sure and the fall is worth having. The test part is never looked at here.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+
+from lerobot_pneutac.diagnosis.bootstrap import Resampler
+from lerobot_pneutac.diagnosis.fits import Fit, Fitter, bic, effective_count
+from lerobot_pneutac.diagnosis.parts import Parts
+
+MAX_EFFECTS = 5
+TRIES = 3  # candidates in BIC order that are put to the held-out test in each round
+WORTH_OF_ROOM = 0.04  # of the avoidable mean square error that is left
+WORTH_OF_BASE = 0.01  # of the avoidable mean square error of the start
+WORTH_OF_FLOOR = 0.01  # of the noise's mean square
+
+
+@dataclass
+class Selection:
+    """What forward selection found.
+
+    Attributes:
+        base: fit without further effects.
+        path: fits from `base` to the last, one effect more each.
+        added: the effect of each step.
+        first: candidate to its fit alone on top of `base`.
+        final: the fit kept after the backward check.
+        importance: selected effect to the rise of the validation error when it is taken out.
+        without: selected effect to the fit of the others.
+        near_miss: candidates that helped on average but not for sure.
+    """
+
+    base: Fit
+    path: list[Fit]
+    added: list[str]
+    first: dict[str, Fit]
+    final: Fit
+    importance: dict[str, float] = field(default_factory=dict)
+    without: dict[str, Fit] = field(default_factory=dict)
+    near_miss: list[str] = field(default_factory=list)
+
+    @property
+    def selected(self) -> list[str]:
+        """Effects found, the most important first."""
+        return sorted(self.importance, key=lambda e: -self.importance[e])
+
+
+def select(
+    fitter: Fitter,
+    start: tuple[str, ...],
+    candidates: list[str],
+    parts: Parts,
+    floor: float,
+    seed: int,
+    tell: Callable[[str], None] = lambda text: None,
+) -> Selection:
+    """Finds the effects that the data asks for.
+
+    Args:
+        fitter: fits sets of effects.
+        start: effects that the twin has already; they stay.
+        candidates: effects to try, none of them in `start`.
+        parts: training, validation, test.
+        floor: noise floor, unit of the residuals.
+        seed: of the bootstrap.
+        tell: is told what is being done.
+    """
+    judge = Resampler(parts.validation, parts.unit, parts.stratum, seed)
+    tell("the twin as it is")
+    base = fitter.fit_all([start])[0]
+    result = Selection(base, [base], [], {}, base)
+    now = base
+    for turn in range(MAX_EFFECTS):
+        open_ = [c for c in candidates if c not in now.effects]
+        tell("each candidate alone" if turn == 0 else f"each candidate beside {', '.join(result.added)}")
+        fits = dict(zip(open_, fitter.fit_all([_with(now, c) for c in open_], now), strict=True))
+        if turn == 0:
+            result.first = fits
+        found = _best(now, fits, base, parts, floor, judge, result)
+        if found is None:
+            break
+        result.added.append(found)
+        now = fits[found]
+        result.path.append(now)
+    result.final = now
+    _check_backward(fitter, start, parts, floor, judge, result, tell)
+    return result
+
+
+def accepted(before: Fit, after: Fit, base: Fit, floor: float, judge: Resampler) -> tuple[bool, bool]:
+    """Whether the held-out error falls for sure and worthwhile; and whether it at least fell worthwhile."""
+    drop, low, _ = judge.drop(before.squared, after.squared)
+    worth = max(
+        WORTH_OF_ROOM * (judge.value(before.squared) - floor**2),
+        WORTH_OF_BASE * (judge.value(base.squared) - floor**2),
+        WORTH_OF_FLOOR * floor**2,
+        1e-12 * judge.value(base.squared),
+    )
+    return bool(low > 0 and drop > worth), bool(drop > worth)
+
+
+def _best(now, fits, base, parts, floor, judge, result) -> str | None:
+    n = effective_count(now.residual, parts.train)
+    score = {c: bic(f, parts.train, n, floor) for c, f in fits.items()}
+    limit = bic(now, parts.train, n, floor)
+    order = sorted((c for c in fits if score[c] < limit), key=score.get)
+    for name in order[:TRIES]:
+        sure, perhaps = accepted(now, fits[name], base, floor, judge)
+        if sure:
+            return name
+        if perhaps and now is base and name not in result.near_miss:
+            result.near_miss.append(name)
+    return None
+
+
+def _check_backward(fitter, start, parts, floor, judge, result, tell) -> None:
+    """Takes out what the others have made needless, then measures what each of the rest is worth."""
+    while True:
+        chosen = [e for e in result.added if e in result.final.effects]
+        if not chosen:
+            break
+        tell("each selected effect taken out again")
+        sets = [tuple(sorted(set(result.final.effects) - {e})) for e in chosen]
+        result.without = dict(zip(chosen, fitter.fit_all(sets, result.final), strict=True))
+        rise = {
+            e: judge.value(f.squared) - judge.value(result.final.squared) for e, f in result.without.items()
+        }
+        needless = [
+            e
+            for e, f in result.without.items()
+            if len(chosen) > 1 and not accepted(f, result.final, result.base, floor, judge)[0]
+        ]
+        if not needless:
+            result.importance = rise
+            break
+        result.final = result.without[min(needless, key=rise.get)]
+    kept = set(result.final.effects)
+    result.path = (
+        _replay(fitter, start, result, kept) if len(result.added) != len(kept) - len(start) else result.path
+    )
+    result.added = [e for e in result.added if e in kept]
+
+
+def _replay(fitter, start, result, kept) -> list[Fit]:
+    """The ladder over the effects that stayed."""
+    names, rungs = list(start), [start]
+    for e in result.added:
+        if e in kept:
+            names.append(e)
+            rungs.append(tuple(sorted(names)))
+    return fitter.fit_all(rungs, result.final)
+
+
+def _with(fit: Fit, name: str) -> tuple[str, ...]:
+    return tuple(sorted({*fit.effects, name}))
+
+
+def rank(fits: dict[str, Fit], parts: Parts, floor: float) -> list[str]:
+    """Candidates by BIC, the best first, with the effective count of the best residual."""
+    if not fits:
+        return []
+    best = min(fits.values(), key=lambda f: float(f.squared[parts.train].mean()))
+    n = effective_count(best.residual, parts.train)
+    return sorted(fits, key=lambda c: bic(fits[c], parts.train, n, floor))
