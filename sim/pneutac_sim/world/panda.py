@@ -1,0 +1,145 @@
+"""Franka Panda from its published kinematics: MJCF, closed-form forward kinematics, differential IK.
+
+Kinematics: Craig's (modified) Denavit-Hartenberg parameters and joint limits as published by Franka Emika
+in the robot's interface specification. Link shapes and masses are capsules of the arm's rough size: with
+stiff joint control they matter for looks and little else.
+"""
+
+import mujoco
+import numpy as np
+
+from pneutac_sim.features import JOINT_HIGH, JOINT_LOW, JOINT_NAMES
+
+# Link offsets a (m), joint offsets d (m) and twists alpha (rad) of joints 1 to 7, then the flange (m).
+DH_A = (0.0, 0.0, 0.0, 0.0825, -0.0825, 0.0, 0.088)
+DH_D = (0.333, 0.0, 0.316, 0.0, 0.384, 0.0, 0.0)
+DH_ALPHA = tuple(np.pi / 2 * k for k in (0, -1, 1, 1, -1, 1, 1))
+FLANGE_M = 0.107
+
+# Flange straight down, elbow up; the start of every inverse kinematics.
+HOME_JOINTS = np.array([0.0, -np.pi / 4, 0.0, -3 * np.pi / 4, 0.0, np.pi / 2, np.pi / 4])
+
+# Joint servo: stiffness (N m/rad) and reflected motor inertia (kg m2). Damping is SERVO_LAG_S x stiffness: near
+# critical at home, and the same lag in every joint keeps the orientation held while the arm moves.
+SERVO_STIFFNESS = (12000, 12000, 8000, 8000, 3000, 3000, 2000)
+SERVO_LAG_S = 0.02
+ARMATURE = 0.1
+
+# Capsules of link i in its frame: (x, y, z of one end, x, y, z of the other, radius), metres; then kg.
+_LINKS = (
+    (((0, 0, -0.16, 0, 0, -0.03, 0.062), (0, -0.045, 0, 0, 0.045, 0, 0.06)), 3.0),
+    (((0, 0, -0.03, 0, 0, 0.05, 0.058), (0, -0.04, 0, 0, -0.19, 0, 0.058)), 3.0),
+    (((0, 0, -0.10, 0, 0, -0.03, 0.056), (0.0825, -0.03, 0, 0.0825, 0.03, 0, 0.052)), 2.5),
+    (((0, 0, -0.03, 0, 0, 0.03, 0.052), (-0.0825, 0.05, 0, -0.0825, 0.14, 0, 0.052)), 2.5),
+    (((0, 0, -0.22, 0, 0, -0.16, 0.05), (0, 0.06, -0.14, 0, 0.06, -0.02, 0.036)), 2.5),
+    (((0, 0, -0.05, 0, 0, 0.03, 0.05), (0.088, 0, -0.02, 0.088, 0, 0.03, 0.046)), 1.5),
+    (((0, 0, -0.01, 0, 0, 0.075, 0.042),), 0.7),
+)
+
+
+def forward_kinematics(q: np.ndarray) -> np.ndarray:
+    """Pose of the flange in the arm's base frame, the product of the seven modified DH transforms.
+
+    Args:
+        q: joint angles (7,), rad.
+
+    Returns:
+        (4, 4) homogeneous transform, metres.
+    """
+    T = np.eye(4)
+    for a, alpha, d, theta in zip(DH_A, DH_ALPHA, DH_D, q, strict=True):
+        ca, sa, ct, st = np.cos(alpha), np.sin(alpha), np.cos(theta), np.sin(theta)
+        T = T @ np.array(
+            [
+                [ct, -st, 0, a],
+                [st * ca, ct * ca, -sa, -d * sa],
+                [st * sa, ct * sa, ca, d * ca],
+                [0, 0, 0, 1],
+            ]
+        )
+    T[:3, 3] += FLANGE_M * T[:3, 2]
+    return T
+
+
+def body(payload: str = "") -> str:
+    """MJCF body of the arm, its base at the origin; `payload` is MJCF placed in the frame `flange`."""
+    xml = f'<body name="flange" pos="0 0 {FLANGE_M}"><site name="flange" size=".001" group="5"/>{payload}</body>'
+    for i in reversed(range(7)):
+        capsules, mass = _LINKS[i]
+        geoms = "".join(
+            f'<geom class="arm" type="capsule" fromto="{" ".join(map(str, c[:6]))}" size="{c[6]}"'
+            f' mass="{mass / len(capsules)}" material="{"arm_dark" if k else "arm"}"/>'
+            for k, c in enumerate(capsules)
+        )
+        ca, sa = np.cos(DH_ALPHA[i]), np.sin(DH_ALPHA[i])
+        pos = f"{DH_A[i]!r} {float(-sa * DH_D[i])!r} {float(ca * DH_D[i])!r}"
+        quat = f"{float(np.cos(DH_ALPHA[i] / 2))!r} {float(np.sin(DH_ALPHA[i] / 2))!r} 0 0"
+        xml = (
+            f'<body name="link{i + 1}" pos="{pos}" quat="{quat}" gravcomp="1">'
+            f'<joint name="{JOINT_NAMES[i]}" axis="0 0 1" range="{JOINT_LOW[i]} {JOINT_HIGH[i]}"'
+            f' armature="{ARMATURE}"/>{geoms}{xml}</body>'
+        )
+    base = '<geom class="arm" type="capsule" fromto="-.06 0 .06 0 0 .08" size=".075" material="arm_dark"/>'
+    return f'<body name="panda">{base}{xml}</body>'
+
+
+def actuators() -> str:
+    """MJCF position servos of the seven joints."""
+    return "".join(
+        f'<position name="servo_{j}" joint="{j}" kp="{kp}" kv="{SERVO_LAG_S * kp}"/>'
+        for j, kp in zip(JOINT_NAMES, SERVO_STIFFNESS, strict=True)
+    )
+
+
+DEFAULTS = '<default class="arm"><geom contype="0" conaffinity="0" group="1"/></default>'
+MATERIALS = (
+    '<material name="arm" rgba=".93 .94 .95 1" specular=".4" shininess=".5"/>'
+    '<material name="arm_dark" rgba=".32 .34 .38 1" specular=".3" shininess=".4"/>'
+)
+
+
+class CartesianIK:
+    """Joint targets that bring the flange to a position with its orientation held as at home.
+
+    Damped least squares on an arm of its own, so that the simulated arm is never touched:
+    `dq = J^T (J J^T + damping^2 I)^-1 e`, with `e` the position error and the rotation vector to the
+    held orientation. Joint limits are kept by clipping.
+
+    Attributes:
+        q: the present joint targets (7,), rad; each `solve` starts from them.
+    """
+
+    def __init__(self, damping: float = 0.01, iterations: int = 3):
+        xml = f"<mujoco><compiler angle='radian'/><default>{DEFAULTS}</default><asset>{MATERIALS}</asset>"
+        self._model = mujoco.MjModel.from_xml_string(f"{xml}<worldbody>{body()}</worldbody></mujoco>")
+        self._data = mujoco.MjData(self._model)
+        self._site = self._model.site("flange").id
+        self._damping2 = damping**2 * np.eye(6)
+        self._iterations = iterations
+        self._jac = np.zeros((6, 7))
+        self.quat = np.zeros(4)
+        mujoco.mju_mat2Quat(self.quat, forward_kinematics(HOME_JOINTS)[:3, :3].ravel())
+        self.reset(HOME_JOINTS)
+
+    def reset(self, q: np.ndarray) -> None:
+        """Starts again from the joint angles `q` (7,), rad."""
+        self.q = np.array(q, float)
+
+    def solve(self, position: np.ndarray) -> np.ndarray:
+        """Joint targets (7,), rad, for the flange at `position` (3,), metres in the base frame."""
+        m, d, s = self._model, self._data, self._site
+        error, quat, inverse = np.zeros(6), np.zeros(4), np.zeros(4)
+        for _ in range(self._iterations):
+            d.qpos[:] = self.q
+            mujoco.mj_kinematics(m, d)
+            mujoco.mj_comPos(m, d)
+            mujoco.mj_jacSite(m, d, self._jac[:3], self._jac[3:], s)
+            mujoco.mju_mat2Quat(quat, d.site_xmat[s])
+            mujoco.mju_negQuat(inverse, quat)
+            mujoco.mju_mulQuat(quat, self.quat, inverse)
+            mujoco.mju_quat2Vel(error[3:], quat, 1.0)
+            error[:3] = position - d.site_xpos[s]
+            J = self._jac
+            self.q += J.T @ np.linalg.solve(J @ J.T + self._damping2, error)
+            np.clip(self.q, JOINT_LOW, JOINT_HIGH, out=self.q)
+        return self.q.copy()

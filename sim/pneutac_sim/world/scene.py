@@ -1,0 +1,64 @@
+"""The MJCF of a whole world: arm, finger, task and what makes it pleasant to look at."""
+
+from pneutac_sim.features import CONTROL_HZ
+from pneutac_sim.twin import Twin
+from pneutac_sim.world import panda, soft_finger
+from pneutac_sim.world.tasks import Task
+
+SUBSTEPS = 50  # 1.33 ms: well below the stability limit of the finger's fastest mode (see `world.World`)
+TIMESTEP = 1 / (CONTROL_HZ * SUBSTEPS)
+
+# Geom groups: 0 decor, 1 arm and finger as seen, 2 task objects (seen and felt), 3 finger's collision shapes.
+OBJECT_GROUP = 2
+SEEN_GROUPS = (0, 1, 2)
+
+_DEFAULTS = f"""
+<default>
+  {panda.DEFAULTS}{soft_finger.DEFAULTS}
+  <default class="object">
+    <geom contype="2" conaffinity="1" group="{OBJECT_GROUP}" friction=".4" solref=".004 1" solimp=".95 .99 .0005"/>
+  </default>
+  <default class="decor"><geom contype="0" conaffinity="0" group="0" mass="0"/></default>
+</default>"""
+
+_ASSETS = f"""
+<asset>
+  {panda.MATERIALS}{soft_finger.MATERIALS}
+  <texture name="sky" type="skybox" builtin="gradient" rgb1=".93 .95 .98" rgb2=".62 .70 .80" width="64" height="64"/>
+  <texture name="table" type="2d" builtin="checker" rgb1=".80 .77 .72" rgb2=".84 .81 .76" width="64" height="64"/>
+  <material name="table" texture="table" texrepeat="10 10" texuniform="true" specular=".1" reflectance=".04"/>
+  <material name="console" rgba=".36 .42 .50 1" specular=".3" shininess=".4"/>
+  <material name="console_dark" rgba=".22 .25 .30 1" specular=".3" shininess=".4"/>
+  <material name="steel" rgba=".80 .82 .86 1" specular=".9" shininess=".8"/>
+  <material name="accent" rgba=".86 .22 .20 1" specular=".5" shininess=".6"/>
+  <material name="carton" rgba=".62 .66 .58 1" specular=".05"/>
+  <material name="carton_dark" rgba=".50 .54 .48 1" specular=".05"/>
+  <material name="egg" rgba=".93 .82 .68 1" specular=".2"/>
+  <material name="card" rgba=".97 .97 .94 1" specular=".3"/>
+</asset>"""
+
+_VISUAL = """
+<visual>
+  <global offwidth="1280" offheight="960" fovy="42"/>
+  <quality shadowsize="1024" offsamples="2"/>
+  <headlight ambient=".34 .34 .36" diffuse=".34 .34 .34" specular=".1 .1 .1"/>
+  <map znear=".01" zfar="8" shadowclip=".6"/>
+</visual>"""
+
+
+def build(task: Task, twin: Twin) -> str:
+    """MJCF of the world with `task` and the finger of `twin`."""
+    return f"""
+<mujoco model="pneutac_{task.name}">
+  <compiler angle="radian"/>
+  <option timestep="{TIMESTEP!r}" integrator="implicitfast" iterations="20"/>
+  {_VISUAL}{_DEFAULTS}{_ASSETS}
+  <worldbody>
+    <light pos=".2 -.6 1.2" dir=".25 .55 -1" diffuse=".55 .54 .52" specular=".2 .2 .2" castshadow="true"/>
+    <camera name="close" pos=".50 -.62 .34" xyaxes="1 .03 0 -.008 .27 .96"/>
+    <geom name="table" type="plane" size="2 2 .1" material="table" contype="2" conaffinity="1"/>
+    {panda.body(soft_finger.body(twin))}
+    {task.mjcf()}
+  </worldbody>
+  <actuator>{panda.actuators()}{soft_finger.actuators(twin)}{task.actuators()}</actuator>
+</mujoco>"""

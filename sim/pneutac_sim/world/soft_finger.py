@@ -1,0 +1,130 @@
+"""MJCF of the skeleton finger with a DIGIT at its tip: spine hinges, spring-loaded gel pad, gel frame.
+
+The skeleton is `M q'' + D q' + K q = tau_mpm(p)` with one hinge a spine joint; a positive angle bends
+towards the finger's +z. M follows from the finger's section and material, K and D from the twin. The world
+drives each hinge with a motor of torque `tau_mpm = K q_cmd(p)`.
+"""
+
+import numpy as np
+
+from pneutac_sim.twin import Twin
+
+SECTION_M = 0.020  # outer width and height of the soft segments
+DENSITY = 1145.0  # kg/m3, Agilus30 (manufacturer's data sheet)
+MOUNT_M = 0.020  # adapter between flange and finger base
+
+# DIGIT: housing 27 x 20 x 18 mm, about 20 g with its gel (Lambeta et al. 2020); metres, kg.
+DIGIT_SIZE = (0.027, 0.020, 0.018)
+DIGIT_MASS = 0.014  # without the gel
+GEL_ALONG_M = 0.015  # middle of the gel window beyond the finger's length
+GEL_ABOVE_M = 0.011  # resting gel surface above the neutral axis
+
+# Gel pad: the gel's contact surface as one rigid plate on a spring, so that the force is spring x imprint.
+PAD_HALF_M = (0.0065, 0.0085, 0.001)  # gel frame x, y, z; a little more than the window that the camera sees
+GEL_STIFFNESS = 1000.0  # N/m: 1 N makes an imprint of 1 mm in 2.5 mm of Ecoflex 00-31
+GEL_DAMPING = 4.0  # N s/m
+GEL_TRAVEL_M = 0.0025
+PAD_MASS = 0.006
+
+DEFAULTS = (
+    '<default class="finger"><geom contype="1" conaffinity="2" group="3" friction=".5"'
+    ' solref=".004 1" solimp=".95 .99 .0005"/></default>'
+    '<default class="skin"><geom contype="0" conaffinity="0" group="1" material="soft" mass="0"/></default>'
+)
+MATERIALS = (
+    '<material name="soft" rgba=".16 .18 .22 1" specular=".35" shininess=".3"/>'
+    '<material name="bellow" rgba=".12 .55 .58 1" specular=".5" shininess=".6"/>'
+    '<material name="digit" rgba=".95 .70 .25 1" specular=".4" shininess=".5"/>'
+    '<material name="gel" rgba=".88 .86 .95 1" specular="1" shininess=".9"/>'
+)
+
+
+def body(twin: Twin) -> str:
+    """MJCF of mount, finger and DIGIT for the flange: finger x along flange z, hanging down at home.
+
+    The finger is turned by 45 degrees about the flange's axis, as Franka's own hand is, so that at home it
+    bends towards world +x.
+    """
+    s = np.asarray(twin.spine_joint_positions_mm) * 1e-3
+    length = twin.length_mm * 1e-3
+    K = twin.parameter("joint_stiffness_nm_per_rad")
+    D = twin.parameter("joint_damping_nms_per_rad")
+    ends = np.append(s, length)
+
+    xml = _digit(length - s[-1])
+    for n in reversed(range(len(s))):
+        xml = (
+            f'<body name="spine_{n + 1}" pos="{s[n] - (s[n - 1] if n else 0.0)} 0 0">'
+            f'<joint name="spine_{n + 1}" axis="0 -1 0" stiffness="{K}" damping="{D}"/>'
+            f"{_segment(ends[n + 1] - ends[n], tip=n == len(s) - 1)}{xml}</body>"
+        )
+    c = float(np.sqrt(0.5))
+    mount = (
+        f'<geom class="skin" type="cylinder" fromto="0 0 0 0 0 {MOUNT_M}" size=".026" material="arm_dark"/>'
+    )
+    base = f'<geom class="skin" type="box" pos="{s[0] / 2} 0 0" size="{s[0] / 2} .012 .012"/>'
+    return (
+        f'{mount}<body name="finger" pos="0 0 {MOUNT_M}" xyaxes="0 0 1 {-c} {-c} 0">{_box_inertia(s[0])}'
+        f"{base}{xml}</body>"
+    )
+
+
+def actuators(twin: Twin) -> str:
+    """MJCF motors of the spine joints: their control is the torque tau_mpm [N m]."""
+    return "".join(
+        f'<motor name="spine_{n + 1}" joint="spine_{n + 1}"/>'
+        for n in range(len(twin.spine_joint_positions_mm))
+    )
+
+
+def _box_inertia(length: float, digit_at: float | None = None) -> str:
+    """MJCF inertial of a solid segment from x = 0 to `length`, with the DIGIT from `digit_at` on, metres."""
+    parts = [(DENSITY * SECTION_M**2 * length, length / 2, (length, SECTION_M, SECTION_M))]
+    if digit_at is not None:
+        parts.append((DIGIT_MASS, digit_at + DIGIT_SIZE[0] / 2, DIGIT_SIZE))
+    mass = sum(m for m, _, _ in parts)
+    centre = sum(m * x for m, x, _ in parts) / mass
+    inertia = np.zeros(3)
+    for m, x, (a, b, c) in parts:
+        inertia += m / 12 * np.array([b * b + c * c, a * a + c * c, a * a + b * b])
+        inertia[1:] += m * (x - centre) ** 2
+    return f'<inertial mass="{mass}" pos="{centre} 0 0" diaginertia="{" ".join(map(str, inertia))}"/>'
+
+
+def _segment(length: float, tip: bool) -> str:
+    """Inertia, bellows to look at and a capsule to touch, of the segment from x = 0 to `length`."""
+    rings = max(1, round(length / 0.0095))
+    pitch = length / rings
+    skin = "".join(
+        f'<geom class="skin" type="ellipsoid" pos="{(k + 0.5) * pitch} 0 .0015" size="{0.62 * pitch} .0115 .0105"'
+        ' material="bellow"/>'
+        for k in range(rings)
+    )
+    spine = f'<geom class="skin" type="box" pos="{length / 2} 0 -.0075" size="{length / 2} .010 .003"/>'
+    touch = f'<geom class="finger" type="capsule" fromto="0 0 0 {length} 0 0" size=".0095" mass="0"/>'
+    return _box_inertia(length, digit_at=length if tip else None) + skin + spine + touch
+
+
+def _digit(offset: float) -> str:
+    """DIGIT housing and gel on the tip link; `offset` is the finger's end in the tip link's frame, metres.
+
+    The site `gel` is the gel frame of `pneutac_sim.gel.probe`: y along the finger (image rows, towards the
+    tip), z out of the gel, origin in the middle of the window on the resting surface.
+    """
+    a, b, c = (x / 2 for x in DIGIT_SIZE)
+    z = GEL_ABOVE_M - 0.003 - c  # the gel stands 3 mm proud of the housing
+    x = offset + GEL_ALONG_M
+    px, py, pz = PAD_HALF_M
+    axes = 'xyaxes="0 -1 0 1 0 0"'
+    return (
+        f'<geom class="finger" type="box" pos="{offset + a} 0 {z}" size="{a} {b} {c}" mass="0"/>'
+        f'<geom class="skin" type="box" pos="{offset + a} 0 {z}" size="{a} {b} {c}" material="digit"/>'
+        f'<site name="gel" pos="{x} 0 {GEL_ABOVE_M}" {axes} size=".001" group="5"/>'
+        f'<body name="pad" pos="{x} 0 {GEL_ABOVE_M}" {axes} gravcomp="1">'
+        f'<joint name="pad" type="slide" axis="0 0 1" stiffness="{GEL_STIFFNESS}" damping="{GEL_DAMPING}"'
+        f' limited="true" range="{-GEL_TRAVEL_M} {GEL_TRAVEL_M}"/>'
+        f'<geom name="pad" class="finger" type="box" pos="0 0 {-pz}" size="{px} {py} {pz}" mass="{PAD_MASS}"'
+        ' friction="1" priority="1" solref=".004 1" solimp=".95 .97 .001"/>'
+        f'<geom class="skin" type="box" pos="0 0 {-pz * 1.6}" size="{px} {py} {pz * 1.6}" material="gel"/>'
+        f"</body>"
+    )

@@ -1,0 +1,64 @@
+"""What a task brings to the world: MJCF, a random start, and when it is done or spoilt."""
+
+import mujoco
+import numpy as np
+
+
+class Task:
+    """One manipulation task. A subclass sets the class attributes and the methods that it needs.
+
+    Geoms that the gel can feel carry `class="object"`; the scene puts them into a group of their own.
+
+    Attributes:
+        name: as in `pneutac_sim/<name>`.
+        description: the instruction in plain words, as stored with demonstrations.
+        home_m: flange position (3,) at the start of an episode, metres.
+    """
+
+    name: str
+    description: str
+    home_m: tuple[float, float, float]
+
+    def mjcf(self) -> str:
+        """MJCF bodies of the task's objects."""
+        raise NotImplementedError
+
+    def actuators(self) -> str:
+        """MJCF actuators that the task's objects need; their control is set in `reset`."""
+        return ""
+
+    def reset(self, model: mujoco.MjModel, data: mujoco.MjData, rng: np.random.Generator) -> None:
+        """Draws the start from `rng`: object poses into the model, joint angles into the data."""
+        raise NotImplementedError
+
+    def update(self, model: mujoco.MjModel, data: mujoco.MjData, dt: float) -> None:
+        """Called after every control step of `dt` seconds."""
+        raise NotImplementedError
+
+    def success(self) -> bool:
+        """Whether the task is done."""
+        raise NotImplementedError
+
+    def failure(self) -> str | None:
+        """What has spoilt the trial, in a few words, or None."""
+        return None
+
+
+def place(model: mujoco.MjModel, body: str, position, yaw: float) -> None:
+    """Moves a fixed body of the model: `position` (3,) m, `yaw` rad about world z."""
+    b = model.body(body)
+    b.pos[:] = position
+    b.quat[:] = np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)
+
+
+def contact_force(model: mujoco.MjModel, data: mujoco.MjData, prefix: str) -> float:
+    """Sum of normal forces (N) between the finger and geoms whose name starts with `prefix`."""
+    total, force = 0.0, np.zeros(6)
+    for i in range(data.ncon):
+        contact = data.contact[i]
+        pair = (contact.geom1, contact.geom2)
+        finger = any(model.geom_contype[g] == 1 for g in pair)
+        if finger and any(model.geom(g).name.startswith(prefix) for g in pair):
+            mujoco.mj_contactForce(model, data, i, force)
+            total += force[0]
+    return total

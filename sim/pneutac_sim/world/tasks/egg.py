@@ -1,0 +1,94 @@
+"""Open an egg carton: find the lid's front edge from below, hook it with the gel and lift."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pneutac_sim.world.tasks.base import Task, contact_force, place
+
+POSITION_M = (0.58, 0.0, 0.0)
+TRAY_M = 0.10  # height of the tray under the carton
+BASE_M = 0.045  # height of the carton's lower half
+DEPTH_M = 0.10  # hinge to front wall
+
+
+@dataclass
+class EggTask(Task):
+    """A lid on a hinge at the far side, held shut by a small magnet, its front edge standing out.
+
+    Attributes:
+        latch_n: pull of the latch at the front edge, N.
+        overhang_m: how far the lid's edge stands out over the front wall.
+        open_rad: lid angle that counts as open.
+        limit_n: pressing the carton harder than this breaks the eggs.
+        spread_x_m, spread_y_m, spread_yaw_rad: half widths of the random start.
+    """
+
+    name = "egg"
+    description = "Open the egg carton."
+    home_m = (0.36, 0.0, 0.285)
+
+    latch_n: float = 0.3
+    overhang_m: float = 0.016
+    open_rad: float = np.radians(60)
+    limit_n: float = 8.0
+    spread_x_m: float = 0.010
+    spread_y_m: float = 0.015
+    spread_yaw_rad: float = np.radians(8)
+
+    def mjcf(self) -> str:
+        half, front = DEPTH_M / 2, DEPTH_M + self.overhang_m
+        cups = "".join(
+            f'<geom class="decor" type="ellipsoid" pos="{x} {y} {BASE_M}" size=".018 .018 .022" material="egg"/>'
+            for x in (-0.025, 0.025)
+            for y in (-0.048, 0.0, 0.048)
+        )
+        domes = "".join(
+            f'<geom class="decor" type="ellipsoid" pos="{x} {y} .005" size=".021 .021 .018" material="carton"/>'
+            for x in (-0.077, -0.025)
+            for y in (-0.048, 0.0, 0.048)
+        )
+        return f"""
+        <body name="egg">
+          <geom class="object" type="box" pos="0 0 {TRAY_M / 2}" size=".045 .06 {TRAY_M / 2}" material="console_dark"/>
+          <body name="carton" pos="0 0 {TRAY_M}">
+            <geom name="carton_base" class="object" type="box" pos="0 0 {BASE_M / 2}"
+                  size="{half} .075 {BASE_M / 2}" material="carton_dark"/>
+            {cups}
+            <body name="lid" pos="{half} 0 {BASE_M + 0.003}">
+              <joint name="lid" axis="0 1 0" range="0 2" limited="true" damping=".004"/>
+              <geom name="carton_lid" class="object" type="box" pos="{-front / 2} 0 .002" size="{front / 2} .075 .002"
+                    mass=".025" material="carton"/>
+              {domes}
+              <body name="latch" pos="{-DEPTH_M + 0.004} 0 0">
+                <geom class="object" type="sphere" pos="0 0 0" size=".003" mass=".001" material="steel"/>
+              </body>
+            </body>
+          </body>
+        </body>"""
+
+    def actuators(self) -> str:
+        return f'<adhesion name="latch" body="latch" ctrlrange="0 1" gain="{self.latch_n}"/>'
+
+    def reset(self, model, data, rng):
+        x, y, yaw = rng.uniform(-1, 1, 3) * (self.spread_x_m, self.spread_y_m, self.spread_yaw_rad)
+        place(model, "egg", np.add(POSITION_M, (x, y, 0)), yaw)
+        self._lid = data.joint("lid")
+        data.actuator("latch").ctrl = 1.0
+        self._force = 0.0
+
+    def update(self, model, data, dt):
+        self._force = contact_force(model, data, "carton")
+
+    def success(self):
+        return self.lid_rad > self.open_rad
+
+    def failure(self):
+        if self._force > self.limit_n:
+            return f"pressed the carton with more than {self.limit_n:g} N"
+        return None
+
+    @property
+    def lid_rad(self) -> float:
+        """Angle of the lid, rad: 0 closed."""
+        return float(self._lid.qpos[0])

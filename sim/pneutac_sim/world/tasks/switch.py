@@ -1,0 +1,78 @@
+"""Flip a toggle switch: a bistable lever on a console, pushed away from the robot."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pneutac_sim.world.tasks.base import Task, place
+
+LEVER_M = 0.045  # hinge to bar
+HINGE_M = 0.085  # hinge above the table
+POSITION_M = (0.54, 0.0, 0.0)  # console, middle of the random poses
+REST_S = 0.5  # how long the lever must rest in the other well
+
+
+@dataclass
+class SwitchTask(Task):
+    """A lever with two wells at -+ `well_rad` and a ridge between them.
+
+    The hinge's torque is `-k q (q^2 / well^2 - 1)`, whose peak between well and ridge is
+    `2 k well / (3 sqrt 3)`; k follows from `ridge_torque_nm`.
+
+    Attributes:
+        ridge_torque_nm: torque that passes the ridge, N m.
+        well_rad: lever angle in a well; the task starts at -well (towards the robot) and ends at +well.
+        tilt_rad: how far the console leans towards the robot.
+        bar_half_m: half the length of the barrel-shaped bar on the lever.
+        spread_x_m, spread_y_m, spread_yaw_rad: half widths of the random start.
+    """
+
+    name = "switch"
+    description = "Flip the toggle switch."
+    home_m = (0.40, 0.0, 0.285)
+
+    ridge_torque_nm: float = 0.04
+    well_rad: float = 0.4
+    tilt_rad: float = 0.3
+    bar_half_m: float = 0.018
+    spread_x_m: float = 0.010
+    spread_y_m: float = 0.015
+    spread_yaw_rad: float = np.radians(10)
+
+    def mjcf(self) -> str:
+        k = self.ridge_torque_nm * 3 * np.sqrt(3) / (2 * self.well_rad)
+        b, top = self.bar_half_m, LEVER_M
+        return f"""
+        <body name="switch">
+          <geom class="object" type="box" pos="0 0 .01" size=".075 .06 .01" material="console_dark"/>
+          <body pos="0 0 {HINGE_M}" euler="0 {-self.tilt_rad} 0">
+            <geom class="object" type="box" pos=".006 0 -.038" size=".040 .045 .030" material="console"/>
+            <geom class="decor" type="cylinder" pos="0 0 -.008" size=".016 .003" material="steel"/>
+            <geom class="decor" type="box" pos=".034 0 -.0078" size=".003 .020 .0006" material="accent"/>
+            <body name="lever">
+              <joint name="lever" axis="0 1 0" stiffness="{-k} 0 {k / self.well_rad**2}" damping=".0015"/>
+              <geom class="object" type="capsule" fromto="0 0 0 0 0 {top}" size=".0035" mass=".004" material="steel"/>
+              <geom name="bar" class="object" type="ellipsoid" pos="0 0 {top}" size=".0065 {b} .0065" mass=".006"
+                    material="accent"/>
+            </body>
+          </body>
+        </body>"""
+
+    def reset(self, model, data, rng):
+        x, y, yaw = rng.uniform(-1, 1, 3) * (self.spread_x_m, self.spread_y_m, self.spread_yaw_rad)
+        place(model, "switch", np.add(POSITION_M, (x, y, 0)), yaw)
+        self._lever = data.joint("lever")
+        self._lever.qpos = -self.well_rad
+        self._rested_s = 0.0
+
+    def update(self, model, data, dt):
+        resting = self.lever_rad > 0.75 * self.well_rad and abs(self._lever.qvel[0]) < 0.5
+        self._rested_s = self._rested_s + dt if resting else 0.0
+
+    def success(self):
+        return self._rested_s >= REST_S - 1e-9
+
+    @property
+    def lever_rad(self) -> float:
+        """Angle of the lever, rad: -well at the start, +well when flipped."""
+        return float(self._lever.qpos[0])

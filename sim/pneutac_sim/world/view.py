@@ -1,0 +1,103 @@
+"""Pictures of the world: by MuJoCo's renderer, or drawn from the kinematics where there is no OpenGL."""
+
+import logging
+import os
+import sys
+
+import mujoco
+import numpy as np
+
+from pneutac_sim.world.scene import SEEN_GROUPS
+
+logger = logging.getLogger(__name__)
+
+CAMERA = "close"
+INSET = 0.36  # height of the tactile image as a share of the picture's
+
+
+class View:
+    """A camera on a model, with the tactile image inset. OpenGL starts with the first picture."""
+
+    def __init__(self, model: mujoco.MjModel):
+        self._model = model
+        self._gl = None
+        self._failed = False
+
+    def picture(self, data: mujoco.MjData, tactile: np.ndarray | None, width: int, height: int) -> np.ndarray:
+        """Picture uint8 (height, width, 3) of the state; `data` must have its kinematics up to date."""
+        if self._gl is None and not self._failed:
+            try:
+                self._gl = _Renderer(self._model)
+            except Exception as e:  # every platform and driver fails in its own way
+                logger.warning("No OpenGL (%s): pictures are drawn from the kinematics instead.", e)
+                self._failed = True
+        if self._gl is not None:
+            image = self._gl.render(data, width, height)
+        else:
+            from pneutac_sim.world.drawing import draw
+
+            image = draw(self._model, data, CAMERA, width, height)
+        if tactile is not None:
+            _inset(image, tactile)
+        return image
+
+    def close(self) -> None:
+        """Frees the renderer; a later picture starts it again."""
+        if self._gl is not None:
+            self._gl.close()
+            self._gl = None
+
+
+class _Renderer:
+    """MuJoCo's renderer on a GL context chosen here: EGL where there is no display.
+
+    `mujoco.Renderer` takes its backend from MUJOCO_GL when mujoco is imported, which is too early for a
+    library; this one decides at the first picture and sets no variable unless the backend itself does.
+    """
+
+    def __init__(self, model: mujoco.MjModel):
+        if sys.platform == "linux" and not os.environ.get("MUJOCO_GL") and not os.environ.get("DISPLAY"):
+            from mujoco.egl import GLContext
+        else:
+            from mujoco.gl_context import GLContext
+        self._context = GLContext(model.vis.global_.offwidth, model.vis.global_.offheight)
+        self._context.make_current()
+        self._mjr = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._mjr)
+        self._model = model
+        self._scene = mujoco.MjvScene(model, maxgeom=500)
+        self._camera = mujoco.MjvCamera()
+        self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
+        self._camera.fixedcamid = model.camera(CAMERA).id
+        self._option = mujoco.MjvOption()
+        self._option.geomgroup[:] = [g in SEEN_GROUPS for g in range(mujoco.mjNGROUP)]
+
+    def render(self, data: mujoco.MjData, width: int, height: int) -> np.ndarray:
+        self._context.make_current()
+        mujoco.mjv_updateScene(
+            self._model, data, self._option, None, self._camera, mujoco.mjtCatBit.mjCAT_ALL.value, self._scene
+        )
+        image = np.empty((height, width, 3), np.uint8)
+        rect = mujoco.MjrRect(0, 0, width, height)
+        mujoco.mjr_render(rect, self._scene, self._mjr)
+        mujoco.mjr_readPixels(image, None, rect, self._mjr)
+        return np.ascontiguousarray(image[::-1])
+
+    def close(self) -> None:
+        self._context.make_current()
+        self._mjr.free()
+        self._context.free()
+
+
+def _inset(image: np.ndarray, tactile: np.ndarray) -> None:
+    """Puts the tactile image with a light frame into the lower right corner, in place."""
+    height, width = image.shape[:2]
+    rows = int(INSET * height)
+    cols = rows * tactile.shape[1] // tactile.shape[0]
+    y, x = height - rows - 8, width - cols - 8
+    if y < 2 or x < 2:
+        return
+    i = (np.arange(rows) + 0.5) * tactile.shape[0] / rows
+    j = (np.arange(cols) + 0.5) * tactile.shape[1] / cols
+    image[y - 2 : y + rows + 2, x - 2 : x + cols + 2] = 245
+    image[y : y + rows, x : x + cols] = tactile[i.astype(int)[:, None], j.astype(int)]

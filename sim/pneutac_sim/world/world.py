@@ -1,0 +1,245 @@
+"""The world: Panda, pneumatic finger with its gel, and a task, stepped at the control rate.
+
+One description serves environment, robot twin and planner. A control step integrates the Cartesian velocity,
+solves the inverse kinematics once, and interpolates joint targets and pressure over the physics substeps.
+"""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, CONTROL_HZ, JOINT_NAMES
+from pneutac_sim.finger.kinematics import joint_command
+from pneutac_sim.gel.sensor import TactileSensor
+from pneutac_sim.twin import Twin
+from pneutac_sim.world import scene
+from pneutac_sim.world.panda import HOME_JOINTS, CartesianIK
+from pneutac_sim.world.tasks import make_task
+from pneutac_sim.world.touch import Touch
+from pneutac_sim.world.view import View
+
+DT = 1 / CONTROL_HZ
+# Where the flange may be sent, metres in the arm's base frame: in reach with the flange down.
+WORKSPACE_LOW = np.array([0.30, -0.20, 0.18])
+WORKSPACE_HIGH = np.array([0.66, 0.20, 0.55])
+HOME_JITTER_M = 0.004  # half width of the random start of the flange
+SETTLE_STEPS = 8  # control steps at rest before an episode
+
+
+@dataclass
+class Observation:
+    """What a robot senses once a control step.
+
+    Attributes:
+        state: (20,) float32 in the order of `features.STATE_NAMES`.
+        tactile: uint8 (320, 240, 3), or None where the world has no image.
+    """
+
+    state: np.ndarray
+    tactile: np.ndarray | None
+
+
+class World:
+    """Arm, finger and task, deterministic under `reset(seed)`.
+
+    Attributes:
+        task: the task; `task.description` is the instruction.
+        sensor: the gel's tactile sensor.
+        time_s: simulated time since the reset.
+        clipped: number of commands that were clipped to limits since the reset.
+        command: last action after clipping (4,).
+        touch: last touch: `depth_mm`, `image`, `pixels`, `area`.
+        model, data: MuJoCo's, for planners, experts and tests.
+    """
+
+    def __init__(self, task: str = "switch", twin: Twin | None = None, touch: str = "image"):
+        """A world with a task.
+
+        Args:
+            task: `switch`, `egg` or `card`.
+            twin: the finger with its gel; default the built-in one.
+            touch: `image`, `area` (contact area without an image, faster) or `none`.
+
+        Raises:
+            InputError: unknown task or touch mode; a twin that is not a finger or too stiff to integrate.
+        """
+        self.task = make_task(task)
+        self.twin = twin or Twin.builtin()
+        if self.twin.device != "finger":
+            raise InputError(
+                f"The world needs the twin of a finger; this twin's device is '{self.twin.device}'."
+            )
+        self.model = mujoco.MjModel.from_xml_string(scene.build(self.task, self.twin))
+        self.data = mujoco.MjData(self.model)
+        self.sensor = TactileSensor(self.twin)
+        self.touch = Touch(self.model, self.sensor, touch)
+        self._ik = CartesianIK()
+        self._view = View(self.model)
+        self._rng = np.random.default_rng()
+        self._flange = self.model.site("flange").id
+        self._gel = self.model.site("gel").id
+        self._pad = self.data.joint("pad")
+
+        n = len(self.twin.spine_joint_positions_mm)
+        # Qualified by count: the arm's joints and servos come first in the model, then the spine's.
+        self._arm, self._spine = slice(0, len(JOINT_NAMES)), slice(len(JOINT_NAMES), len(JOINT_NAMES) + n)
+        self._stiffness = self.twin.parameter("joint_stiffness_nm_per_rad")
+        self._actuation = [
+            self.twin.parameter(k)
+            for k in ("gain_rad_per_kpa", "gain_alpha", "gain_beta", "rest_pressure_kpa")
+        ]
+        self._check_stability()
+        self.reset(0)
+
+    # ---------------------------------------------------------------- episode
+
+    def reset(self, seed: int | None = None) -> Observation:
+        """Starts an episode; `seed` decides everything, None draws the next start of the same stream."""
+        if seed is not None:
+            self._rng = np.random.default_rng(seed)
+        mujoco.mj_resetData(self.model, self.data)
+        self.task.reset(self.model, self.data, self._rng)
+        self.target_m = np.array(self.task.home_m) + self._rng.uniform(-1, 1, 3) * HOME_JITTER_M
+        self._ik.reset(HOME_JOINTS)
+        for _ in range(20):
+            self._joints = self._ik.solve(self.target_m)
+        self.pressure_kpa = 0.0
+        self.data.qpos[self._arm] = self._joints
+        self.data.qpos[self._spine] = self.joint_command(0.0)
+        self.clipped = 0
+        self.command = np.zeros(4)
+        for _ in range(SETTLE_STEPS):
+            self._advance(self._joints, 0.0)
+        self.data.time = 0.0
+        self.touch.sense(self.data)
+        return self._observe()
+
+    def step(self, action: np.ndarray) -> Observation:
+        """Advances one control step of 1 / CONTROL_HZ s.
+
+        Args:
+            action: (4,) as `features.ACTION_NAMES`: flange velocity m/s in the world frame, pressure kPa. What
+                exceeds the limits is clipped and counted in `clipped`.
+
+        Raises:
+            InputError: the action has another shape or is not finite.
+        """
+        self.command = self._clip(action)
+        target = np.clip(self.target_m + self.command[:3] * DT, WORKSPACE_LOW, WORKSPACE_HIGH)
+        self.clipped += int(np.any(target != self.target_m + self.command[:3] * DT))
+        self.target_m = target
+        self._advance(self._ik.solve(target), float(self.command[3]))
+        self.task.update(self.model, self.data, DT)
+        self.touch.sense(self.data)
+        return self._observe()
+
+    def _clip(self, action) -> np.ndarray:
+        try:
+            action = np.asarray(action, float)
+        except (TypeError, ValueError) as e:
+            raise InputError(
+                f"The action must be 4 numbers (dx, dy, dz in m/s, pressure in kPa): {e}."
+            ) from e
+        if action.shape != (4,):
+            raise InputError(
+                f"The action has shape {action.shape}; it must be (4,): dx, dy, dz in m/s and pressure in kPa."
+            )
+        if not np.isfinite(action).all():
+            raise InputError(f"The action {action.tolist()} is not finite; every entry must be a number.")
+        clipped = np.clip(action, ACTION_LOW.astype(float), ACTION_HIGH.astype(float))
+        # A float32 action at the limit is not beyond it.
+        self.clipped += int(np.any(np.abs(clipped - action) > 1e-6))
+        return clipped
+
+    def _advance(self, joints: np.ndarray, pressure_kpa: float) -> None:
+        """Physics substeps of one control step, towards joint targets (7,) and a pressure."""
+        f = np.linspace(0, 1, scene.SUBSTEPS + 1)[1:, None]
+        ctrl = np.empty((scene.SUBSTEPS, self._spine.stop))
+        ctrl[:, self._arm] = self._joints + f * (joints - self._joints)
+        pressure = self.pressure_kpa + f[:, 0] * (pressure_kpa - self.pressure_kpa)
+        ctrl[:, self._spine] = self._stiffness * self.joint_command(pressure)  # tau_mpm = K q_cmd(p)
+        control = self.data.ctrl[: self._spine.stop]
+        for row in ctrl:
+            control[:] = row
+            mujoco.mj_step(self.model, self.data)
+        mujoco.mj_kinematics(self.model, self.data)
+        self._joints, self.pressure_kpa = joints, pressure_kpa
+
+    def joint_command(self, pressure_kpa) -> np.ndarray:
+        """Spine joint angles (..., N), rad, that the pressure (...) commands: q_cmd = G r_n (p + p0)."""
+        return joint_command(pressure_kpa, *self._actuation, self._spine.stop - self._spine.start)
+
+    def _check_stability(self) -> None:
+        """Raises InputError where the twin's finger is too stiff for the time step."""
+        n, d = self.model.nv, self.data
+        M, K = np.zeros((n, n)), np.zeros(n)
+        mujoco.mj_forward(self.model, d)
+        mujoco.mj_fullM(self.model, d, M)
+        K[self._spine] = self._stiffness
+        rate = np.sqrt(np.linalg.eigvals(np.linalg.solve(M, np.diag(K))).real.max())
+        if rate * scene.TIMESTEP > 1.9:  # explicit springs are stable up to 2
+            largest = self._stiffness * (1.9 / (rate * scene.TIMESTEP)) ** 2
+            raise InputError(
+                f"Twin parameter 'joint_stiffness_nm_per_rad' is {self._stiffness:g}; the world can integrate "
+                f"up to {largest:.2g} with this finger."
+            )
+
+    # ---------------------------------------------------------------- senses
+
+    def _observe(self) -> Observation:
+        d = self.data
+        s = self.touch.pixels
+        state = np.concatenate(
+            [
+                d.qpos[self._arm],
+                d.qvel[self._arm],
+                d.site_xpos[self._flange],
+                [self.touch.area, np.log1p(s), self.pressure_kpa],
+            ]
+        )
+        return Observation(state.astype(np.float32), self.touch.image)
+
+    @property
+    def time_s(self) -> float:
+        """Simulated seconds since the reset."""
+        return self.data.time
+
+    @property
+    def success(self) -> bool:
+        """Whether the task is done."""
+        return self.task.success()
+
+    @property
+    def failure(self) -> str | None:
+        """What has spoilt the trial, or None."""
+        return self.task.failure()
+
+    @property
+    def spine_rad(self) -> np.ndarray:
+        """Spine joint angles (N,), rad."""
+        return self.data.qpos[self._spine].copy()
+
+    @property
+    def press_mm(self) -> float:
+        """How far the gel's surface is pressed in, mm; the force on it is GEL_STIFFNESS times this."""
+        return -1e3 * float(self._pad.qpos[0])
+
+    @property
+    def flange_m(self) -> np.ndarray:
+        """Flange position (3,), metres."""
+        return self.data.site_xpos[self._flange].copy()
+
+    @property
+    def gel_m(self) -> np.ndarray:
+        """Middle of the gel window on the resting surface (3,), metres."""
+        return self.data.site_xpos[self._gel].copy()
+
+    def render(self, width: int = 480, height: int = 360) -> np.ndarray:
+        """Picture of the scene with the tactile image in a corner, uint8 (height, width, 3)."""
+        return self._view.picture(self.data, self.touch.image, width, height)
+
+    def close(self) -> None:
+        """Frees the renderer."""
+        self._view.close()
