@@ -4,19 +4,21 @@ import numpy as np
 
 # Light of three LEDs on the sides of the window, in levels per unit slope (rows R, G, B; columns x, y), and
 # in levels per millimetre; round numbers of the size that calibration finds on real DIGITs.
-LIGHT = np.array([[-60.0, 40.0], [65.0, 35.0], [5.0, -75.0]])
-DEPTH_LIGHT = np.array([2.0, 2.0, 6.0])
+LIGHT = np.array([[-110.0, 80.0], [90.0, 30.0], [-30.0, -130.0]])
+DEPTH_LIGHT = np.array([-3.0, -8.0, -4.0])
 
 # Soft glows: channel, centre (x, y) and widths as fractions of width and height, strength in levels.
-_AMBIENT = (62.0, 66.0, 68.0)
+_AMBIENT = (42.0, 66.0, 74.0)
 _GLOWS = (
-    (0, 0.22, 0.33, 0.34, 0.40, 105.0),
-    (0, 0.10, 0.85, 0.40, 0.30, 30.0),
-    (1, 0.95, 0.42, 0.42, 0.38, 78.0),
-    (1, 0.15, 0.13, 0.22, 0.12, 38.0),
-    (2, 0.20, 0.75, 0.40, 0.30, 55.0),
-    (2, 0.50, 1.00, 0.45, 0.25, 30.0),
-    (2, 0.45, 0.00, 0.60, 0.10, 35.0),
+    (0, 0.20, 0.42, 0.27, 0.32, 125.0),
+    (0, 0.12, 0.88, 0.34, 0.22, 40.0),
+    (0, 0.45, 0.20, 0.40, 0.10, 40.0),
+    (1, 0.85, 0.42, 0.32, 0.30, 88.0),
+    (1, 0.10, 0.16, 0.30, 0.10, 50.0),
+    (1, 0.55, 0.10, 0.50, 0.14, 25.0),
+    (2, 0.15, 0.70, 0.32, 0.28, 55.0),
+    (2, 0.60, 0.95, 0.30, 0.20, 55.0),
+    (2, 0.50, 0.00, 0.60, 0.08, 35.0),
 )
 
 
@@ -28,5 +30,5 @@ def rest_image(shape: tuple[int, int, int]) -> np.ndarray:
     image[:] = _AMBIENT
     for channel, cx, cy, sx, sy, level in _GLOWS:
         image[..., channel] += level * np.exp(-0.5 * (((x - cx) / sx) ** 2 + ((y - cy) / sy) ** 2))
-    vignette = 1.0 - 0.28 * ((2 * x - 1) ** 2 + (2 * y - 1) ** 2)
+    vignette = 1.0 - 0.14 * ((2 * x - 1) ** 2 + (2 * y - 1) ** 2)
     return np.clip(image * vignette[..., None], 0, 255).round().astype(np.uint8)

@@ -1,9 +1,10 @@
 """The gel as its twin keeps it: sizes, mechanics and light of one camera-based touch sensor."""
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
+from PIL import Image
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import IMAGE_SHAPE
@@ -68,6 +69,21 @@ class GelModel:
         if not self.multiply:
             return np.ones(self.rest_image.shape, np.float32)
         return (self.rest_image / self.rest_image.mean((0, 1))).astype(np.float32)
+
+    def resized(self, height: int, width: int) -> "GelModel":
+        """The same gel seen by an image of another size but the same proportions (within 2 %).
+
+        Raises:
+            InputError: the proportions differ.
+        """
+        h, w = self.rest_image.shape[:2]
+        if abs(w / h / (width / height) - 1) > 0.02:
+            raise InputError(
+                f"The gel's images are {w} x {h} pixels, which cannot become {width} x {height} without "
+                "distortion; crop the recording's images to 3 : 4."
+            )
+        image = np.asarray(Image.fromarray(self.rest_image).resize((width, height), Image.Resampling.BOX))
+        return replace(self, rest_image=image, px_per_mm=self.px_per_mm * height / h)
 
     @classmethod
     def builtin(cls) -> "GelModel":

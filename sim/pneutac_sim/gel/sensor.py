@@ -14,15 +14,15 @@ class TactileSensor:
     """Images and contact areas of the gel of a twin.
 
     Args:
-        twin: a twin with a gel; the generated DIGIT where it is None or has none.
+        twin: a twin with a gel, or its gel alone; the generated DIGIT where it is None or has none.
 
     Attributes:
         model: the gel's sizes, mechanics and light.
         rest_image: the image without contact, uint8 (H, W, 3), 320 x 240 for a DIGIT.
     """
 
-    def __init__(self, twin: Twin | None = None):
-        self.model = GelModel.from_twin(twin)
+    def __init__(self, twin: Twin | GelModel | None = None):
+        self.model = twin if isinstance(twin, GelModel) else GelModel.from_twin(twin)
         self.rest_image = self.model.rest_image
         width, height = self.model.window_mm
         self._cell_mm = (width / COLS, height / ROWS)

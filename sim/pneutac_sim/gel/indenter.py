@@ -1,0 +1,71 @@
+"""Indenters of bench recordings, as the same shapes that the environment's objects are made of."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.gel.probe import BOX, CONE, CYLINDER, SPHERE
+
+INDENTERS = ("sphere", "cylinder", "cube", "edge", "cone")
+
+
+@dataclass
+class Press:
+    """One indenter pressed into the gel, gel frame.
+
+    Attributes:
+        indenter: `sphere`; `cylinder` standing on its flat end; `cube` on a face; `edge`, a cube on one of
+            its edges, which lies along x; `cone` on its apex, with a right angle of opening.
+        size_mm: radius of sphere, cylinder or the cone's base; side of cube and edge.
+        x_mm: position of the contact centre along image columns, from the window's centre.
+        y_mm: along image rows.
+        depth_mm: how deep the lowest point lies below the resting surface.
+        yaw_rad: turn about z, from x towards y.
+    """
+
+    indenter: str
+    size_mm: float
+    x_mm: float
+    y_mm: float
+    depth_mm: float
+    yaw_rad: float = 0.0
+
+    def __post_init__(self):
+        if self.indenter not in INDENTERS:
+            raise InputError(f"indenter is '{self.indenter}'; it must be one of {', '.join(INDENTERS)}.")
+        for name in ("size_mm", "depth_mm"):
+            if not 0 < getattr(self, name) < np.inf:
+                raise InputError(
+                    f"{name} of the {self.indenter} is {getattr(self, name)}; give millimetres above zero."
+                )
+
+    @property
+    def contact_radius_mm(self) -> float:
+        """Nominal contact radius: Hertz' sqrt(R d) for a sphere, else that of the touching figure."""
+        s, d = self.size_mm, self.depth_mm
+        return {
+            "sphere": np.sqrt(s * d),
+            "cylinder": s,
+            "cube": s / np.sqrt(2),
+            "edge": s / 2,
+            "cone": min(d, s),
+        }[self.indenter]
+
+    def shapes(self) -> tuple:
+        """`kinds, sizes, positions, rotations` for `probe_grid`, in metres."""
+        s, tilt = self.size_mm, Rotation.identity()
+        if self.indenter == "sphere":
+            kind, size, low = SPHERE, (s, 0, 0), s
+        elif self.indenter == "cylinder":
+            kind, size, low = CYLINDER, (s, 5.0, 0), 5.0
+        elif self.indenter == "cone":
+            kind, size, low = CONE, (s, s / 2, 0), s / 2
+        else:
+            kind, size, low = BOX, (s / 2, s / 2, s / 2), s / 2
+            if self.indenter == "edge":
+                tilt, low = Rotation.from_euler("x", np.pi / 4), s / np.sqrt(2)
+        rotation = Rotation.from_euler("z", self.yaw_rad) * tilt
+        position = np.array([self.x_mm, self.y_mm, low - self.depth_mm])
+        return [kind], [np.array(size) * 1e-3], [position * 1e-3], [rotation.as_matrix()]
