@@ -15,7 +15,7 @@ from pneutac_sim.errors import InputError
 
 # A full effect leaves the plain model at this many times the noise floor.
 FULL_MISFIT = 5.0
-PRESSURE_NOISE_KPA = 0.1
+PRESSURE_NOISE = 5e-4  # of the largest pressure: a good gauge
 
 
 def effect_names() -> list[str]:
@@ -90,7 +90,7 @@ def generate(
         "pressure_cmd_kpa": bench.command[bench.logged],
     }
     if measured_pressure:
-        table["pressure_kpa"] = reading + PRESSURE_NOISE_KPA * rng.normal(size=len(reading))
+        table["pressure_kpa"] = reading + PRESSURE_NOISE * bench.top * rng.normal(size=len(reading))
     seen = tip + noise * rng.normal(size=tip.shape)
     table |= {f"tip_{a}_mm": seen[:, i] for i, a in enumerate("xyz")}
     table |= {f"gravity_{a}": bench.gravity[bench.logged, i] for i, a in enumerate("xyz")}
