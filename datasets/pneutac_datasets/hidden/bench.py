@@ -120,7 +120,7 @@ def fit_plain(bench: Bench, tip: np.ndarray) -> np.ndarray:
     found = least_squares(
         lambda x: (model(x, some) - tip[some])[:, ::2].ravel(),
         [b["gain"], b["alpha"], b["beta"], b["rest_pressure_kpa"]],
-        bounds=([0.0, -0.5, -0.3, -bench.top], [np.inf, 0.5, 2.0, 2 * bench.top]),
+        bounds=([0.0, -1.5, -0.4, -3 * bench.top], [np.inf, 1.5, 3.0, 3 * bench.top]),
         x_scale=[0.1 * b["gain"], 0.1, 0.1, 0.1 * bench.top],
         xtol=1e-6,
         ftol=1e-6,
