@@ -18,14 +18,14 @@ from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, IMAGE_SHAPE, STATE_NAM
 
 # (centre, scale) of the state's channels: physical ranges of table-top work in front of a Panda whose flange
 # points down, much narrower than the robot's limits so that millimetres of position matter to the network.
-_HOME_JOINTS = (0.0, -np.pi / 4, 0.0, -3 * np.pi / 4, 0.0, np.pi / 2, np.pi / 4)
+_JOINTS = (0.0, 0.0, 0.0, -2.55, 0.0, 2.55, np.pi / 4)
 _RANGES = (
-    *((q, 0.3) for q in _HOME_JOINTS),  # rad
-    *((0.0, 0.3) for _ in range(7)),  # rad/s
-    (0.48, 0.1),  # ee_x, m
+    *((q, 0.3) for q in _JOINTS),  # rad
+    *((0.0, 0.3) for _ in _JOINTS),  # rad/s
+    (0.46, 0.1),  # ee_x, m
     (0.0, 0.1),  # ee_y, m
-    (0.30, 0.1),  # ee_z, m
-    (0.0, 0.05),  # s / N
+    (0.28, 0.1),  # ee_z, m
+    (0.0, 0.1),  # s / N
     (4.0, 4.0),  # log(1 + s)
     (7.5, 7.5),  # kPa
 )

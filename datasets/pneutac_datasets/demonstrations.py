@@ -1,0 +1,99 @@
+"""Demonstrations in memory: a LeRobotDataset's episodes as arrays, and back."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
+from lerobot.utils.constants import ACTION, DEFAULT_FEATURES, OBS_IMAGES, OBS_STATE
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import ACTION_NAMES, IMAGE_NAME, STATE_NAMES
+
+TACTILE = f"{OBS_IMAGES}.{IMAGE_NAME}"
+JOINTS, RATES, EE = slice(0, 7), slice(7, 14), slice(14, 17)
+AREA = STATE_NAMES.index("contact_area.pos")
+PIXELS = STATE_NAMES.index("contact_pixels.pos")
+PRESSURE = STATE_NAMES.index("pressure.pos")
+
+
+@dataclass
+class Episode:
+    """One demonstration.
+
+    Attributes:
+        state: (T, 20) in the order of `features.STATE_NAMES`.
+        action: (T, 4) in the order of `features.ACTION_NAMES`.
+        images: uint8 (T, 320, 240, 3).
+        task: the instruction.
+        fps: frames per second.
+    """
+
+    state: np.ndarray
+    action: np.ndarray
+    images: np.ndarray
+    task: str
+    fps: int
+
+    def __len__(self) -> int:
+        return len(self.state)
+
+    def at(self, times: np.ndarray) -> "Episode":
+        """The episode played at fractional frame numbers `times` (T',), T' > 1; images are the nearest."""
+        frames = np.arange(len(self))
+        state, action = (
+            np.stack([np.interp(times, frames, column) for column in x.T], 1)
+            for x in (self.state, self.action)
+        )
+        pace = np.gradient(times)[:, None]  # the velocities follow the pace
+        state[:, RATES] *= pace
+        action[:, :3] *= pace
+        return replace(self, state=state, action=action, images=self.images[np.round(times).astype(int)])
+
+    def contact(self) -> tuple[int, int] | None:
+        """First and last frame in contact, or None."""
+        frames = np.flatnonzero(self.state[:, AREA] > 0)
+        return (int(frames[0]), int(frames[-1])) if len(frames) else None
+
+
+def demonstration_features(meta: LeRobotDatasetMetadata) -> dict:
+    """The dataset's own features; raises InputError where they are not those of a pneutac robot."""
+    features = {k: dict(f) for k, f in meta.features.items() if k not in DEFAULT_FEATURES}
+    if set(features) != {OBS_STATE, ACTION, TACTILE}:
+        raise InputError(
+            f"Dataset '{meta.repo_id}' has the features {', '.join(features)}; demonstrations have exactly"
+            f" {OBS_STATE}, {ACTION} and {TACTILE}."
+        )
+    for key, names in ((OBS_STATE, STATE_NAMES), (ACTION, ACTION_NAMES)):
+        if list(features[key]["names"]) != list(names):
+            raise InputError(
+                f"Dataset '{meta.repo_id}': '{key}' has the names {features[key]['names']}; it must have"
+                f" {list(names)}."
+            )
+    # The encoder's own entries are written anew with the first video.
+    info = features[TACTILE].get("info") or {}
+    features[TACTILE]["info"] = {k: v for k, v in info.items() if not k.startswith("video.")}
+    return features
+
+
+def load_episode(dataset: LeRobotDataset, index: int) -> Episode:
+    """Reads an episode whole; raises InputError where it has one frame only."""
+    row = dataset.meta.episodes[index]
+    frames = [dataset[i] for i in range(row["dataset_from_index"], row["dataset_to_index"])]
+    if len(frames) < 2:
+        raise InputError(f"Dataset '{dataset.repo_id}': episode {index} has one frame only; delete it.")
+    images = np.stack([_as_uint8(f[TACTILE]) for f in frames])
+    state, action = (np.stack([f[k].numpy() for f in frames]).astype(float) for k in (OBS_STATE, ACTION))
+    return Episode(state, action, images, frames[0]["task"], dataset.meta.fps)
+
+
+def _as_uint8(image) -> np.ndarray:
+    """(3, H, W) uint8 or float in [0, 1] to uint8 (H, W, 3); videos come as the first, PNGs as the second."""
+    array = image.permute(1, 2, 0).numpy()
+    return array if array.dtype == np.uint8 else (array * 255).round().astype(np.uint8)
+
+
+def save_episode(dataset: LeRobotDataset, episode: Episode) -> None:
+    """Appends an episode to a dataset that is being written."""
+    for state, action, image in zip(episode.state, episode.action, episode.images, strict=True):
+        dataset.add_frame({OBS_STATE: state, ACTION: action, TACTILE: image, "task": episode.task})
+    dataset.save_episode()

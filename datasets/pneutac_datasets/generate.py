@@ -1,0 +1,89 @@
+"""Records demonstrations faster than wall time: lerobot-record's loop without its sleeps.
+
+The same Robot and Teleoperator objects, the same order of calls, features and dataset code as lerobot-record,
+so that what comes out merges with its recordings.
+"""
+
+from pathlib import Path
+
+from lerobot.datasets import LeRobotDataset
+from lerobot.utils.constants import ACTION, OBS_STR
+from lerobot.utils.feature_utils import build_dataset_frame, combine_feature_dicts, hw_to_dataset_features
+from rich.progress import track
+
+from lerobot_robot_pneutac.pneutac_scripted import PneutacScripted
+from lerobot_robot_pneutac.pneutac_sim import PneutacSim
+from pneutac_datasets.writing import create_dataset, quiet_encoders
+from pneutac_sim.errors import InputError
+
+
+def record_episodes(
+    robot: PneutacSim,
+    teleop: PneutacScripted,
+    repo_id: str,
+    root: str | Path,
+    episodes: int,
+    fps: int,
+    task_text: str,
+    use_videos: bool,
+) -> Path:
+    """Records demonstrations of a scripted teleoperator; a failed one is recorded anew, as a person would.
+
+    Args:
+        robot: the simulated robot, connected here where it is not.
+        teleop: its teleoperator, connected here where it is not; its `episode_steps` is the episodes' length.
+        repo_id: name of the dataset.
+        root: folder of the dataset, which must not exist.
+        episodes: number of demonstrations.
+        fps: frames per second that the dataset states.
+        task_text: instruction stored with every frame.
+        use_videos: store the tactile images as video instead of PNG.
+
+    Returns:
+        `root`.
+
+    Raises:
+        InputError: `root` exists, or three of four demonstrations fail.
+    """
+    features = combine_feature_dicts(
+        hw_to_dataset_features(robot.action_features, ACTION, use_videos),
+        hw_to_dataset_features(robot.observation_features, OBS_STR, use_videos),
+    )
+    length = teleop.config.episode_steps
+    dataset = create_dataset(repo_id, root, fps, features, robot.name, use_videos, length)
+    for device in (teleop, robot):
+        if not device.is_connected:
+            device.connect()
+    failed = 0
+    with quiet_encoders():
+        try:
+            for done in track(range(episodes), f"recording {episodes} demonstrations", transient=True):
+                while not _record_episode(robot, teleop, dataset, task_text):
+                    dataset.clear_episode_buffer()
+                    failed += 1
+                    if failed > 4 + 3 * done:
+                        raise InputError(
+                            f"{failed} scripted demonstrations failed and {done} succeeded; can the twin's"
+                            f" finger do the task '{robot.config.task}' in {length} steps?"
+                        )
+                dataset.save_episode()
+        finally:
+            dataset.finalize()
+    return Path(root)
+
+
+def _record_episode(robot: PneutacSim, teleop: PneutacScripted, dataset: LeRobotDataset, task: str) -> bool:
+    """One cycle of the teleoperator into the episode buffer; returns whether the task was done."""
+    for tick in range(teleop.config.episode_steps + teleop.config.reset_steps):
+        observation = robot.get_observation()
+        action = teleop.get_action()
+        robot.send_action(action)
+        if tick < teleop.config.episode_steps:
+            dataset.add_frame(
+                {
+                    **build_dataset_frame(dataset.features, observation, OBS_STR),
+                    **build_dataset_frame(dataset.features, action, ACTION),
+                    "task": task,
+                }
+            )
+    return robot.successes[-1]

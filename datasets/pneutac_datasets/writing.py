@@ -1,0 +1,71 @@
+"""Writing LeRobotDatasets offline: no frame is lost, however fast, and the console stays quiet."""
+
+import contextlib
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import av
+from lerobot.datasets import LeRobotDataset
+
+import datasets
+from pneutac_sim.errors import InputError
+
+
+def create_dataset(
+    repo_id: str,
+    root: str | Path,
+    fps: int,
+    features: dict,
+    robot_type: str,
+    use_videos: bool,
+    longest_episode: int,
+) -> LeRobotDataset:
+    """A new LeRobotDataset for unpaced writing.
+
+    Args:
+        repo_id: name of the dataset.
+        root: its folder, which must not exist.
+        fps: frames per second that it states.
+        features: LeRobot's dictionary of features.
+        robot_type: name of the robot.
+        use_videos: whether the images become videos.
+        longest_episode: most frames that an episode will have; the video encoder drops frames that it cannot
+            queue, so its queue holds a whole episode.
+
+    Raises:
+        InputError: `root` exists.
+    """
+    if Path(root).exists():
+        raise InputError(f"'{root}' exists; give a new folder for dataset '{repo_id}'.")
+    return LeRobotDataset.create(
+        repo_id,
+        fps,
+        features,
+        root=root,
+        robot_type=robot_type,
+        use_videos=use_videos,
+        image_writer_threads=2,
+        video_backend="pyav",
+        streaming_encoding=use_videos,
+        encoder_queue_maxsize=longest_episode + 1,
+    )
+
+
+@contextlib.contextmanager
+def quiet_encoders() -> Iterator[None]:
+    """Silences the video encoder and the progress bars of Hugging Face datasets while it lasts."""
+    svt, bars = os.environ.get("SVT_LOG"), datasets.is_progress_bar_enabled()
+    os.environ["SVT_LOG"] = "1"  # SVT-AV1 reads it when an encoder opens; 1 is errors only
+    av.logging.set_libav_level(av.logging.ERROR)  # LeRobot logs through libav's own callback
+    datasets.disable_progress_bars()
+    try:
+        yield
+    finally:
+        if svt is None:
+            del os.environ["SVT_LOG"]
+        else:
+            os.environ["SVT_LOG"] = svt
+        av.logging.set_libav_level(av.logging.INFO)
+        if bars:
+            datasets.enable_progress_bars()
