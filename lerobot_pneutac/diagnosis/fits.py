@@ -6,6 +6,8 @@ from typing import Protocol
 
 import numpy as np
 
+from pneutac_sim.twin import Twin
+
 
 @dataclass
 class Fit:
@@ -15,21 +17,23 @@ class Fit:
         effects: names that are switched on, sorted.
         residual: (n, k) measured minus predicted at every sample, unit of the headline error.
         count: number of free parameters.
-        values: effect (empty for the body) to parameter to value; where a refit starts.
-        parameters: parameter to `{"value", "ci95", "unit"}`, for people.
-        at_bound: parameters at a bound.
-        jacobian: (m, p) derivative of the training residual, sign and order as the fit gives it.
-        names: (p,) of the Jacobian's columns, `effect.parameter`.
+        twin: the fitted twin; where a refit starts.
+        names: free parameters, base parameters first, then `effect.parameter`.
+        at_bound: parameter to `lower` or `upper`.
+        not_identified: parameter to the reason.
+        correlation: between the free parameters, (count, count).
+        evaluations: simulations that the fit took.
     """
 
     effects: tuple[str, ...]
     residual: np.ndarray
     count: int
-    values: dict = field(default_factory=dict)
-    parameters: dict = field(default_factory=dict)
-    at_bound: list[str] = field(default_factory=list)
-    jacobian: np.ndarray | None = None
+    twin: Twin | None = None
     names: list[str] = field(default_factory=list)
+    at_bound: dict[str, str] = field(default_factory=dict)
+    not_identified: dict[str, str] = field(default_factory=dict)
+    correlation: np.ndarray | None = None
+    evaluations: int = 0
 
     @property
     def squared(self) -> np.ndarray:

@@ -7,7 +7,6 @@ falls for sure and the fall is worth having. The test part is never looked at he
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-
 from lerobot_pneutac.diagnosis.bootstrap import Resampler
 from lerobot_pneutac.diagnosis.fits import Fit, Fitter, bic, effective_count
 from lerobot_pneutac.diagnosis.parts import Parts
@@ -32,6 +31,7 @@ class Selection:
         importance: selected effect to the rise of the validation error when it is taken out.
         without: selected effect to the fit of the others.
         near_miss: candidates that helped on average but not for sure.
+        beside: refused candidate to its fit beside all that were selected.
     """
 
     base: Fit
@@ -42,6 +42,7 @@ class Selection:
     importance: dict[str, float] = field(default_factory=dict)
     without: dict[str, Fit] = field(default_factory=dict)
     near_miss: list[str] = field(default_factory=list)
+    beside: dict[str, Fit] = field(default_factory=dict)
 
     @property
     def selected(self) -> list[str]:
@@ -56,7 +57,7 @@ def select(
     parts: Parts,
     floor: float,
     seed: int,
-    tell: Callable[[str], None] = lambda text: None,
+    tell: Callable[[str, int], None] = lambda text, fits: None,
 ) -> Selection:
     """Finds the effects that the data asks for.
 
@@ -67,21 +68,25 @@ def select(
         parts: training, validation, test.
         floor: noise floor, unit of the residuals.
         seed: of the bootstrap.
-        tell: is told what is being done.
+        tell: is told what is being done and how many fits it takes.
     """
     judge = Resampler(parts.validation, parts.unit, parts.stratum, seed)
-    tell("the twin as it is")
+    tell("the start", 1)
     base = fitter.fit_all([start])[0]
     result = Selection(base, [base], [], {}, base)
     now = base
     for turn in range(MAX_EFFECTS):
         open_ = [c for c in candidates if c not in now.effects]
-        tell("each candidate alone" if turn == 0 else f"each candidate beside {', '.join(result.added)}")
+        beside = (
+            f"each candidate beside {', '.join(result.added)}" if result.added else "each candidate alone"
+        )
+        tell(beside, len(open_))
         fits = dict(zip(open_, fitter.fit_all([_with(now, c) for c in open_], now), strict=True))
         if turn == 0:
             result.first = fits
         found = _best(now, fits, base, parts, floor, judge, result)
         if found is None:
+            result.beside = fits
             break
         result.added.append(found)
         now = fits[found]
@@ -123,7 +128,7 @@ def _check_backward(fitter, start, parts, floor, judge, result, tell) -> None:
         chosen = [e for e in result.added if e in result.final.effects]
         if not chosen:
             break
-        tell("each selected effect taken out again")
+        tell("each selected effect taken out again", len(chosen))
         sets = [tuple(sorted(set(result.final.effects) - {e})) for e in chosen]
         result.without = dict(zip(chosen, fitter.fit_all(sets, result.final), strict=True))
         rise = {

@@ -1,0 +1,50 @@
+"""Which effects a recording can test, and which column the others need."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pneutac_datasets.recording import BenchRecording
+from pneutac_sim.effects.registry import all_effects
+from pneutac_sim.twin import Twin
+
+ALWAYS = ("session_time_s", "length_mm")
+LEAST_CHANGE = {"temperature_c": 1.0, "payload_g": 1e-3}  # below this a condition is as good as constant
+
+
+@dataclass
+class Untested:
+    """An effect that this recording cannot test.
+
+    Attributes:
+        name: the effect.
+        reason: what is missing, a sentence with the remedy.
+    """
+
+    name: str
+    reason: str
+
+
+def sort_candidates(recording: BenchRecording, twin: Twin) -> tuple[list[str], list[Untested]]:
+    """Effects to try and those that cannot be tried; what the twin has already is in neither."""
+    names, untested = [], []
+    for name, effect in all_effects().items():
+        if name in twin.effects:
+            continue
+        missing = [c for c in effect.columns if c not in ALWAYS and not recording.has(c)]
+        constant = [
+            c
+            for c in effect.columns
+            if c in LEAST_CHANGE and recording.has(c) and np.ptp(recording.column(c)) < LEAST_CHANGE[c]
+        ]
+        if missing:
+            untested.append(Untested(name, f"cannot be tested, record column {', '.join(missing)}"))
+        elif constant:
+            untested.append(Untested(name, f"cannot be tested, column {constant[0]} hardly changes: vary it"))
+        elif effect.stage == "observation" and recording.device == "arm":
+            untested.append(
+                Untested(name, "cannot be tested on curvatures, record tip_x_mm, tip_y_mm, tip_z_mm")
+            )
+        else:
+            names.append(name)
+    return names, untested

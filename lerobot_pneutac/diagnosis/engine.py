@@ -1,0 +1,186 @@
+"""Fits sets of effects to a recording, in other processes where there are cores to spare.
+
+Each worker loads the recording once and keeps it prepared; a job is only names and starting values, an answer
+only arrays, so nothing that was compiled has to travel.
+"""
+
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Iterable
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lerobot_pneutac.diagnosis.fits import Fit
+from pneutac_datasets.recording import BenchRecording
+from pneutac_sim.finger.bench import Bench, simulate
+from pneutac_sim.finger.fit import fit
+from pneutac_sim.twin import Twin
+
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+
+
+@dataclass(frozen=True)
+class Job:
+    """One fit.
+
+    Attributes:
+        twin: where it starts; its parameters of these effects are used where it has them.
+        effects: switched on.
+        target: `pose` or `pressure`.
+        source: `command` or `measured`.
+        starts: starting points of the first round.
+    """
+
+    twin: Twin
+    effects: tuple[str, ...]
+    target: str
+    source: str
+    starts: int
+
+
+class Prepared:
+    """A recording with its training samples, prepared once for each pair of target and source."""
+
+    def __init__(self, recording: BenchRecording, train: np.ndarray):
+        self.recording, self.train = recording, train
+        self._benches: dict[tuple[str, str], Bench] = {}
+
+    def run(self, job: Job) -> Fit:
+        """Fits one set of effects."""
+        key = (job.target, job.source)
+        if key not in self._benches:
+            self._benches[key] = Bench.of(self.recording, job.twin, source=job.source, target=job.target)
+        bench = self._benches[key]
+        if job.target == "pressure" and not job.effects:  # nothing to fit: the command is the pressure
+            residual = simulate(job.twin, bench, []).residual[:, : bench.counted]
+            return Fit((), residual, 0, replace(job.twin, arrays={}, gel={}, history=[], effects={}))
+        return lean(
+            fit(job.twin, bench, list(job.effects), self.train, starts=job.starts), bench, job.effects
+        )
+
+
+def lean(found, bench: Bench, effects: tuple[str, ...]) -> Fit:
+    """What the diagnosis keeps of a simulator's fit."""
+    return Fit(
+        effects=tuple(effects),
+        residual=found.residual[:, : bench.counted],
+        count=len(found.free),
+        twin=replace(found.twin, arrays={}, gel={}, history=[]),
+        names=list(found.free_names),
+        at_bound=dict(found.at_bound),
+        not_identified=dict(found.not_identified),
+        correlation=found.confidence.correlation,
+        evaluations=found.evaluations,
+    )
+
+
+_prepared: Prepared | None = None
+
+
+def _begin(recording: BenchRecording, train: np.ndarray) -> None:
+    global _prepared
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent alone answers to Ctrl-C
+    _prepared = Prepared(recording, train)
+
+
+def _work(job: Job) -> Fit:
+    return _prepared.run(job)
+
+
+class Engine:
+    """Runs jobs, inline or in worker processes; use it as a context manager.
+
+    Args:
+        recording: to be fitted.
+        train: (n,) training samples.
+        jobs: processes; 1 runs inline.
+        done: is called after each fit.
+    """
+
+    def __init__(
+        self,
+        recording: BenchRecording,
+        train: np.ndarray,
+        jobs: int = 1,
+        done: Callable[[], None] = lambda: None,
+    ):
+        self._bench = Prepared(recording, train)
+        self._jobs, self._done = jobs, done
+        self._pool: ProcessPoolExecutor | None = None
+
+    def __enter__(self) -> "Engine":
+        if self._jobs > 1:
+            before = {k: os.environ.get(k) for k in THREADS}
+            os.environ.update(dict.fromkeys(THREADS, "1"))  # read by the workers alone, at their start
+            try:
+                self._pool = ProcessPoolExecutor(
+                    self._jobs,
+                    multiprocessing.get_context("spawn"),
+                    _begin,
+                    (self._bench.recording, self._bench.train),
+                )
+                for _ in range(self._jobs):
+                    self._pool.submit(os.getpid)  # starts the processes while the environment is set
+            finally:
+                for k, v in before.items():
+                    os.environ.pop(k) if v is None else os.environ.__setitem__(k, v)
+        return self
+
+    def __exit__(self, kind, value, trace) -> None:
+        if self._pool is not None:
+            processes = list(self._pool._processes.values())
+            self._pool.shutdown(wait=kind is None, cancel_futures=True)
+            if kind is not None:
+                for p in processes:
+                    p.terminate()
+
+    def run(self, jobs: Iterable[Job]) -> list[Fit]:
+        """Answers in the order of the jobs."""
+        jobs = list(jobs)
+        if self._pool is None or len(jobs) == 1:
+            out = []
+            for job in jobs:
+                out.append(self._bench.run(job))
+                self._done()
+            return out
+        futures = {self._pool.submit(_work, job): i for i, job in enumerate(jobs)}
+        out = [None] * len(jobs)
+        for future in as_completed(futures):
+            out[futures[future]] = future.result()
+            self._done()
+        return out
+
+
+class StageFitter:
+    """Fits sets of effects for one stage of a diagnosis and remembers them.
+
+    Args:
+        engine: runs the fits.
+        twin: where the first fit starts.
+        target: `pose` or `pressure`.
+        source: `command` or `measured`.
+        starts: starting points of a fit that has no warm start.
+    """
+
+    def __init__(self, engine: Engine, twin: Twin, target: str, source: str, starts: int = 4):
+        self.engine, self.twin, self.target, self.source, self.starts = engine, twin, target, source, starts
+        self._known: dict[tuple[str, ...], Fit] = {}
+
+    def fit_all(self, effects: Iterable[tuple[str, ...]], start: Fit | None = None) -> list[Fit]:
+        """One fit for each set of effects, in order."""
+        effects = [tuple(sorted(e)) for e in effects]
+        missing = [e for e in dict.fromkeys(effects) if e not in self._known]
+        twin = start.twin if start is not None else self.twin
+        found = self.engine.run(
+            Job(twin, e, self.target, self.source, 2 if start is not None else self.starts) for e in missing
+        )
+        self._known.update(zip(missing, found, strict=True))
+        return [self._known[e] for e in effects]
+
+
+def cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

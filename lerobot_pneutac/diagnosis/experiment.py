@@ -1,0 +1,94 @@
+"""The next experiment: where the predictions of two rivals differ most, over the noise."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lerobot_pneutac.diagnosis.programs import Program, menu
+from pneutac_datasets.recording import BenchRecording
+from pneutac_sim.effects.registry import get_effect
+from pneutac_sim.errors import InputError
+from pneutac_sim.finger.bench import Bench
+from pneutac_sim.finger.pipeline import Pipeline
+from pneutac_sim.twin import Twin
+
+PRESSURE_NOISE = 0.005  # of the range: an ordinary gauge
+LOG_PRESSURE = "log the measured pressure"
+LOG_ADVICE = "Log the measured pressure (pressure_kpa): it tells what air does from what the body does."
+
+
+@dataclass
+class Separation:
+    """How well one experiment tells two models apart.
+
+    Attributes:
+        name: of the experiment.
+        advice: what to do at the bench.
+        score: sum of squared predicted differences over the noise's variance, in two minutes at 10 Hz.
+        time_s: (n,) of the program.
+        predictions: (n, k) headline columns (or pressure) of each model.
+        columns: their names.
+    """
+
+    name: str
+    advice: str
+    score: float
+    time_s: np.ndarray
+    predictions: tuple[np.ndarray, np.ndarray]
+    columns: list[str]
+
+
+def separations(
+    recording: BenchRecording, a: Twin, b: Twin, floor: float, effects: tuple[str, ...] = ()
+) -> list[Separation]:
+    """All experiments of the menu, the one that separates two twins most first.
+
+    Args:
+        recording: what has been measured so far.
+        a: one fitted twin.
+        b: its rival.
+        floor: noise floor in the unit of the headline error.
+        effects: those in which they differ; where one is of the pneumatics and pressure was not measured,
+            measuring it is on the menu.
+    """
+    found = []
+    pneumatic = {get_effect(e).stage == "pneumatics" for e in effects}
+    logged = any(c.replace("cmd_", "") in recording.samples for c in recording.pressure_columns)
+    for program in menu(recording):
+        pair = _predict(recording, program, a, b)
+        if pair is None:
+            continue
+        (ya, pa), (yb, pb), columns = pair
+        score = float(((ya - yb) ** 2).sum() / max(floor, 1e-12) ** 2)
+        t = program.samples["time_s"].to_numpy()
+        found.append(Separation(program.name, program.advice, score, t, (ya, yb), columns))
+        if pneumatic == {True, False} and not logged:
+            noise = PRESSURE_NOISE * max(float(np.ptp(program.samples[recording.pressure_columns])), 1e-9)
+            score = float(((pa - pb) ** 2).sum() / noise**2)
+            advice = f"{LOG_ADVICE} {program.advice}"
+            found.append(
+                Separation(f"{LOG_PRESSURE}, {program.name}", advice, score, t, (pa, pb), ["pressure_kpa"])
+            )
+    return sorted(found, key=lambda s: -s.score)
+
+
+def _predict(recording: BenchRecording, program: Program, a: Twin, b: Twin):
+    planned = BenchRecording(recording.folder, recording.meta, program.samples, recording.device)
+    out = []
+    for twin in (a, b):
+        bench = Bench.of(planned, twin, source="command", start="held")
+        try:
+            seen, pressure = predict(twin, bench)
+        except InputError:  # a load too heavy for the joints under these conditions
+            return None
+        if not np.isfinite(seen).all():
+            return None
+        out.append((seen, pressure))
+    return out[0], out[1], list(bench.columns[: bench.counted])
+
+
+def predict(twin: Twin, bench: Bench) -> tuple[np.ndarray, np.ndarray]:
+    """What a twin predicts: headline columns (n, k) and pressure in the chambers (n, chambers), kPa."""
+    pipeline = Pipeline.of(twin, bench.inputs)
+    run = pipeline.run(bench.inputs, pipeline.theta(twin, bench.inputs.pressure_range_kpa))
+    return pipeline.outputs(run, bench.columns[: bench.counted]), run.pressure_kpa
