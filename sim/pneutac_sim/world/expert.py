@@ -97,6 +97,11 @@ def _go(world: World, goal: np.ndarray, speed: float, pressure: float) -> Script
         yield speed * way / max(np.linalg.norm(way), 0.02), pressure
 
 
+def _about_y(angle: float) -> np.ndarray:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+
+
 def _touching(world: World) -> bool:
     return world.press_mm > TOUCH_MM
 
@@ -137,4 +142,51 @@ def flip_switch(world: World, habits: Habits) -> Script:
         yield np.zeros(3), habits.high_kpa
 
 
-SCRIPTS: dict[str, Callable[[World, Habits], Script]] = {"switch": flip_switch}
+def open_carton(world: World, habits: Habits) -> Script:
+    """Touch the lid's edge, go below it while inflating, come up under it and lift along the lid's arc."""
+    task, lid = world.task, world.data.body("lid")
+
+    def under(along_m: float, below_m: float, ahead_rad: float = 0.0) -> np.ndarray:
+        """Point `along_m` inside the lid's edge and `below_m` under it, the lid opened a little further."""
+        turn = task.lid_rad + ahead_rad
+        c, s = np.cos(turn), np.sin(turn)
+        x, z = along_m - task.reach_m, -below_m
+        axes = lid.xmat.reshape(3, 3) @ _about_y(-task.lid_rad)
+        return lid.xpos + axes @ [c * x + s * z, 0.0, -s * x + c * z]
+
+    def towards(goal: np.ndarray) -> np.ndarray:
+        way = goal - world.gel_m
+        way[1] = 0.0
+        return 0.06 * habits.speed * way / max(np.linalg.norm(way), 0.015)
+
+    level = np.array([0.0, 0.0, task.edge_m])
+    yield from _approach(world, habits, level, lambda: _touching(world))
+    yield from _hold(habits.pause_s, habits.low_kpa)
+    while world.pressure_kpa < habits.high_kpa - 0.5 or world.gel_m[2] > task.edge_m - 0.016:
+        yield towards(under(-0.008, 0.022)), habits.high_kpa
+    while world.press_mm < 0.25 and task.lid_rad < 0.1:
+        yield towards(under(0.006, -0.002)), habits.high_kpa
+    while not world.success:
+        yield towards(under(0.006, 0.0, ahead_rad=0.2)), habits.high_kpa
+
+
+def pull_card(world: World, habits: Habits) -> Script:
+    """Touch the front card, inflate to press it lightly, draw it out along the holder's lean."""
+    task = world.task
+    c, s = np.cos(task.lean_rad), np.sin(task.lean_rad)
+    draw, into = np.array([-s, 0.0, c]), np.array([c, 0.0, s])
+    press_kpa = 0.65 * habits.high_kpa
+    level = np.array([0.0, 0.0, task.middle_m])
+    yield from _approach(world, habits, level, lambda: world.press_mm > 0.1)
+    yield from _hold(habits.pause_s, habits.low_kpa)
+    while not world.success:
+        error = 0.65 - world.press_mm
+        speed = 0.04 * habits.speed * np.clip(1 - 4 * abs(error), 0, 1)
+        yield speed * draw + 0.12 * np.clip(error, -0.2, 0.2) * into, press_kpa
+
+
+SCRIPTS: dict[str, Callable[[World, Habits], Script]] = {
+    "switch": flip_switch,
+    "egg": open_carton,
+    "card": pull_card,
+}

@@ -51,10 +51,14 @@ def body(twin: Twin) -> str:
     D = twin.parameter("joint_damping_nms_per_rad")
     ends = np.append(s, length)
 
-    xml = _digit(length - s[-1])
+    # The plain twin's q_cmd holds the sag of the pose in which it was calibrated (the paper's p0 absorbs it), so
+    # weight acts only where the twin has the effect `gravity`.
+    weight = f'gravcomp="{0 if "gravity" in twin.effects else 1}"'
+
+    xml = _digit(length - s[-1], weight)
     for n in reversed(range(len(s))):
         xml = (
-            f'<body name="spine_{n + 1}" pos="{s[n] - (s[n - 1] if n else 0.0)} 0 0">'
+            f'<body name="spine_{n + 1}" pos="{s[n] - (s[n - 1] if n else 0.0)} 0 0" {weight}>'
             f'<joint name="spine_{n + 1}" axis="0 -1 0" stiffness="{K}" damping="{D}"/>'
             f"{_segment(ends[n + 1] - ends[n], tip=n == len(s) - 1)}{xml}</body>"
         )
@@ -105,7 +109,7 @@ def _segment(length: float, tip: bool) -> str:
     return _box_inertia(length, digit_at=length if tip else None) + skin + spine + touch
 
 
-def _digit(offset: float) -> str:
+def _digit(offset: float, weight: str) -> str:
     """DIGIT housing and gel on the tip link; `offset` is the finger's end in the tip link's frame, metres.
 
     The site `gel` is the gel frame of `pneutac_sim.gel.probe`: y along the finger (image rows, towards the
@@ -120,7 +124,7 @@ def _digit(offset: float) -> str:
         f'<geom class="finger" type="box" pos="{offset + a} 0 {z}" size="{a} {b} {c}" mass="0"/>'
         f'<geom class="skin" type="box" pos="{offset + a} 0 {z}" size="{a} {b} {c}" material="digit"/>'
         f'<site name="gel" pos="{x} 0 {GEL_ABOVE_M}" {axes} size=".001" group="5"/>'
-        f'<body name="pad" pos="{x} 0 {GEL_ABOVE_M}" {axes} gravcomp="1">'
+        f'<body name="pad" pos="{x} 0 {GEL_ABOVE_M}" {axes} {weight}>'
         f'<joint name="pad" type="slide" axis="0 0 1" stiffness="{GEL_STIFFNESS}" damping="{GEL_DAMPING}"'
         f' limited="true" range="{-GEL_TRAVEL_M} {GEL_TRAVEL_M}"/>'
         f'<geom name="pad" class="finger" type="box" pos="0 0 {-pz}" size="{px} {py} {pz}" mass="{PAD_MASS}"'

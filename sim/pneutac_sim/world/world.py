@@ -11,7 +11,7 @@ import numpy as np
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, CONTROL_HZ, JOINT_NAMES
-from pneutac_sim.finger.kinematics import joint_command
+from pneutac_sim.finger.online import PressurePipeline
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.twin import Twin
 from pneutac_sim.world import scene
@@ -50,6 +50,8 @@ class World:
         time_s: simulated time since the reset.
         clipped: number of commands that were clipped to limits since the reset.
         command: last action after clipping (4,).
+        target_m: where the flange is sent (3,), metres.
+        spine_target_rad: spine joint angles q_cmd (N,) that the pressure commands, after the twin's effects.
         touch: last touch: `depth_mm`, `image`, `pixels`, `area`.
         model, data: MuJoCo's, for planners, experts and tests.
     """
@@ -83,13 +85,10 @@ class World:
         self._pad = self.data.joint("pad")
 
         n = len(self.twin.spine_joint_positions_mm)
-        # Qualified by count: the arm's joints and servos come first in the model, then the spine's.
+        # The arm's joints and servos come first in the model, then the spine's.
         self._arm, self._spine = slice(0, len(JOINT_NAMES)), slice(len(JOINT_NAMES), len(JOINT_NAMES) + n)
         self._stiffness = self.twin.parameter("joint_stiffness_nm_per_rad")
-        self._actuation = [
-            self.twin.parameter(k)
-            for k in ("gain_rad_per_kpa", "gain_alpha", "gain_beta", "rest_pressure_kpa")
-        ]
+        self._pipeline = PressurePipeline(self.twin)
         self._check_stability()
         self.reset(0)
 
@@ -105,13 +104,14 @@ class World:
         self._ik.reset(HOME_JOINTS)
         for _ in range(20):
             self._joints = self._ik.solve(self.target_m)
-        self.pressure_kpa = 0.0
+        self._pipeline.reset(0.0)
+        self.spine_target_rad = self._pipeline.step(0.0, DT)
         self.data.qpos[self._arm] = self._joints
-        self.data.qpos[self._spine] = self.joint_command(0.0)
+        self.data.qpos[self._spine] = self.spine_target_rad
         self.clipped = 0
         self.command = np.zeros(4)
         for _ in range(SETTLE_STEPS):
-            self._advance(self._joints, 0.0)
+            self._advance(self._joints, self.spine_target_rad)
         self.data.time = 0.0
         self.touch.sense(self.data)
         return self._observe()
@@ -130,7 +130,7 @@ class World:
         target = np.clip(self.target_m + self.command[:3] * DT, WORKSPACE_LOW, WORKSPACE_HIGH)
         self.clipped += int(np.any(target != self.target_m + self.command[:3] * DT))
         self.target_m = target
-        self._advance(self._ik.solve(target), float(self.command[3]))
+        self._advance(self._ik.solve(target), self._pipeline.step(self.command[3], DT))
         self.task.update(self.model, self.data, DT)
         self.touch.sense(self.data)
         return self._observe()
@@ -153,23 +153,19 @@ class World:
         self.clipped += int(np.any(np.abs(clipped - action) > 1e-6))
         return clipped
 
-    def _advance(self, joints: np.ndarray, pressure_kpa: float) -> None:
-        """Physics substeps of one control step, towards joint targets (7,) and a pressure."""
+    def _advance(self, joints: np.ndarray, spine: np.ndarray) -> None:
+        """Physics substeps of one control step, towards joint targets of the arm (7,) and the spine (N,)."""
         f = np.linspace(0, 1, scene.SUBSTEPS + 1)[1:, None]
         ctrl = np.empty((scene.SUBSTEPS, self._spine.stop))
         ctrl[:, self._arm] = self._joints + f * (joints - self._joints)
-        pressure = self.pressure_kpa + f[:, 0] * (pressure_kpa - self.pressure_kpa)
-        ctrl[:, self._spine] = self._stiffness * self.joint_command(pressure)  # tau_mpm = K q_cmd(p)
+        q_cmd = self.spine_target_rad + f * (spine - self.spine_target_rad)
+        ctrl[:, self._spine] = self._stiffness * q_cmd  # tau_mpm = K q_cmd(p)
         control = self.data.ctrl[: self._spine.stop]
         for row in ctrl:
             control[:] = row
             mujoco.mj_step(self.model, self.data)
         mujoco.mj_kinematics(self.model, self.data)
-        self._joints, self.pressure_kpa = joints, pressure_kpa
-
-    def joint_command(self, pressure_kpa) -> np.ndarray:
-        """Spine joint angles (..., N), rad, that the pressure (...) commands: q_cmd = G r_n (p + p0)."""
-        return joint_command(pressure_kpa, *self._actuation, self._spine.stop - self._spine.start)
+        self._joints, self.spine_target_rad = joints, spine
 
     def _check_stability(self) -> None:
         """Raises InputError where the twin's finger is too stiff for the time step."""
@@ -205,6 +201,11 @@ class World:
     def time_s(self) -> float:
         """Simulated seconds since the reset."""
         return self.data.time
+
+    @property
+    def pressure_kpa(self) -> float:
+        """Pressure in the finger's chamber, kPa; behind the command where the twin has a valve lag."""
+        return float(self._pipeline.pressure_kpa[0])
 
     @property
     def success(self) -> bool:

@@ -35,8 +35,8 @@ class CardTask(Task):
 
     cards: int = 3
     friction: tuple[float, float] = (0.2, 0.4)
-    edge_n: float = 0.08
-    lean_rad: float = 0.45
+    edge_n: float = 0.18
+    lean_rad: float = 0.40
     draw_m: float = 0.030
     second_m: float = 0.010
     spread_x_m: float = 0.010
@@ -54,7 +54,8 @@ class CardTask(Task):
             deck = (
                 f'<body name="card_{i}" pos="{-t} 0 0">'
                 f'<joint name="card_{i}" type="slide" axis="0 0 1" range="0 .2" limited="true"'
-                f' frictionloss="{self.edge_n}" damping=".2" armature=".003"/>'
+                f' frictionloss="{self.edge_n}" damping=".2" armature=".02"'
+                ' solreffriction=".004 1" solimpfriction=".99 .99 .001" solreflimit=".004 1"/>'
                 f'<geom name="card_{i}" class="object" type="box" size="{t / 2} {w / 2} {h / 2}"'
                 f' mass=".0018" material="card" friction=".8"/>{faces if i == 1 else ""}{deck}</body>'
             )
@@ -62,7 +63,7 @@ class CardTask(Task):
         <body name="card">
           <geom class="object" type="box" pos=".02 0 {STAND_M / 2}" size=".03 .05 {STAND_M / 2}" material="console_dark"/>
           <body pos="0 0 {STAND_M}" euler="0 {-self.lean_rad} 0">
-            <geom class="object" type="box" pos=".012 0 .045" size=".010 .038 .045" material="console"/>
+            <geom class="object" type="box" pos=".012 0 .040" size=".010 .038 .040" material="console"/>
             <geom class="object" type="box" pos="-.002 0 .004" size=".012 .038 .004" material="console"/>
             <body pos="0 0 {0.010 + h / 2}">{deck}</body>
           </body>
@@ -89,6 +90,11 @@ class CardTask(Task):
         if self.drawn_m(2) > self.second_m:
             return f"a second card came out more than {self.second_m * 1e3:g} mm"
         return None
+
+    @property
+    def middle_m(self) -> float:
+        """Height at which to touch the front card, just below its upper edge, metres above the table."""
+        return STAND_M + (0.006 + CARD_M[1]) * np.cos(self.lean_rad)
 
     def drawn_m(self, card: int) -> float:
         """How far a card has come out of the holder, metres; card 1 is the front one."""
