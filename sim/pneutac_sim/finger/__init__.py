@@ -1,0 +1,22 @@
+"""The pneumatic finger: one pipeline from pressure command to markers, its calibration and its online use."""
+
+from pneutac_sim.finger.bench import Bench, Prediction, simulate
+from pneutac_sim.finger.fit import Fit, fit
+from pneutac_sim.finger.inputs import Inputs
+from pneutac_sim.finger.online import PressurePipeline
+from pneutac_sim.finger.pipeline import Pipeline, Run
+from pneutac_sim.finger.stages import Geometry, base_parameters
+
+__all__ = [
+    "Bench",
+    "Fit",
+    "Geometry",
+    "Inputs",
+    "Pipeline",
+    "Prediction",
+    "PressurePipeline",
+    "Run",
+    "base_parameters",
+    "fit",
+    "simulate",
+]

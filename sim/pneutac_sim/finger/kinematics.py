@@ -70,7 +70,8 @@ def forward_kinematics(
     Returns:
         Tip (..., 2) as x, z in the unit of `length`; bend angle (...) of the tip, rad.
     """
-    heading = np.cumsum(q, axis=-1)
+    q = np.asarray(q, dtype=float)
+    heading = q @ np.triu(np.ones((q.shape[-1], q.shape[-1])))  # cumulative sum, faster than np.cumsum here
     links = _links(joint_positions, length)
     x = joint_positions[0] + np.cos(heading) @ links
     z = np.sin(heading) @ links

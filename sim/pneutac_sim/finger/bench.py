@@ -1,0 +1,152 @@
+"""A recording prepared for the model: what drives it, what was measured, and in which unit errors count."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.finger.inputs import Inputs, pressure_columns
+from pneutac_sim.finger.pipeline import Pipeline
+from pneutac_sim.twin import Twin
+
+# What an error is counted in, in this order of preference: the first kind that was measured.
+KINDS = (
+    (r"tip_[xyz]_mm", "mm"),
+    (r"bend_angle_rad", "rad"),
+    (r"curvature_[xy]_1_per_m", "1/m"),
+    (r"q_\d+_rad", "rad"),
+)
+TARGETS = ("pose", "pressure")
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A recording prepared once, for many simulations and fits.
+
+    Attributes:
+        inputs: what drives the model.
+        columns: (D,) measured columns; those that count in the error come first.
+        measured: (n, D) their values.
+        scale: (D,) what one unit of each column is worth in the unit of the error.
+        counted: how many of the columns count in the error.
+        unit: of the error.
+        device: `finger` or `arm`.
+        adjacent: (n,) True where a sample directly follows the one before in its trial.
+    """
+
+    inputs: Inputs
+    columns: tuple[str, ...]
+    measured: np.ndarray
+    scale: np.ndarray
+    counted: int
+    unit: str
+    device: str
+    adjacent: np.ndarray
+
+    @classmethod
+    def of(
+        cls, recording, twin: Twin, source: str = "auto", target: str = "pose", start: str = "auto"
+    ) -> "Bench":
+        """Prepares a bench recording (anything with `.samples` and `.device`).
+
+        Args:
+            recording: of a finger or an arm.
+            twin: of the same device; gives the length.
+            source: see `Inputs.from_samples`.
+            target: `pose` (tip, angles, curvatures), or `pressure` for the measured pressure, which needs the
+                command as its source.
+            start: see `Inputs.from_samples`.
+
+        Raises:
+            InputError: the devices differ or the wanted columns are missing.
+        """
+        if recording.device != twin.device:
+            raise InputError(f"The recording is of a {recording.device}, the twin is of a {twin.device}.")
+        if target not in TARGETS:
+            raise InputError(f"target is '{target}'; it must be one of {', '.join(TARGETS)}.")
+        samples = recording.samples
+        if target == "pressure":
+            source = "command"
+            names = pressure_columns(twin.device)[1]
+            missing = [c for c in names if c not in samples]
+            if missing:
+                raise InputError(f"The recording has no measured pressure (column '{missing[0]}').")
+            groups = [(names, "kPa")]
+        else:
+            groups = [([c for c in samples if re.fullmatch(k, str(c))], unit) for k, unit in KINDS]
+            groups = [g for g in groups if g[0]]
+            if not groups:
+                raise InputError(
+                    "The recording has no tip_x_mm, tip_z_mm, bend_angle_rad, curvature or q_1_rad column."
+                )
+        unit = groups[0][1]
+        columns = [c for names, _ in groups for c in names]
+        worth = {"mm": 1.0, "kPa": 1.0, "rad": 1.0, "1/m": 1.0}
+        if unit == "mm":  # a finger that bends by 1 rad moves its tip by half its length
+            worth |= {"rad": 0.5 * twin.length_mm, "1/m": 0.5e-3 * twin.length_mm**2}
+        inputs = Inputs.from_samples(samples, twin.device, twin.length_mm, source, start)
+        trial = np.asarray(samples["trial"])
+        return cls(
+            inputs=inputs,
+            columns=tuple(columns),
+            measured=np.stack([np.asarray(samples[c], dtype=float) for c in columns], axis=1),
+            scale=np.array([worth[u] for names, u in groups for _ in names]),
+            counted=len(groups[0][0]),
+            unit=unit,
+            device=twin.device,
+            adjacent=np.r_[False, trial[1:] == trial[:-1]],
+        )
+
+    def __len__(self) -> int:
+        return len(self.measured)
+
+    def error(self, residual: np.ndarray, mask: np.ndarray | None = None) -> float:
+        """Root mean square Euclidean distance over samples of a residual (n, D), in `unit`."""
+        r = residual[:, : self.counted] if mask is None else residual[mask, : self.counted]
+        return float(np.sqrt((r * r).sum(axis=1).mean())) if len(r) else float("nan")
+
+    def thin(self, samples: np.ndarray) -> "Bench":
+        """Only these samples (indices, (k,)); the model still runs through all of them."""
+        return replace(
+            self,
+            inputs=self.inputs.thin(samples),
+            measured=self.measured[samples],
+            adjacent=self.adjacent[samples] & (np.diff(samples, prepend=-2) == 1),
+        )
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What a twin predicts for a recording.
+
+    Attributes:
+        bench: the prepared recording.
+        model: (n, D) predicted values of `bench.columns`.
+        residual: (n, D) measured - model.
+        error: root mean square Euclidean distance in `bench.unit`.
+        left_out: effects of the twin that could not act, and why.
+    """
+
+    bench: Bench
+    model: np.ndarray
+    residual: np.ndarray
+    error: float
+    left_out: dict[str, str]
+
+
+def simulate(twin: Twin, recording, effects: Sequence[str] | None = None) -> Prediction:
+    """Runs a twin on a recording.
+
+    Args:
+        twin: of the same device.
+        recording: a bench recording, or a `Bench` prepared from one.
+        effects: these instead of the twin's own (those it does not have start at their defaults).
+    """
+    bench = recording if isinstance(recording, Bench) else Bench.of(recording, twin)
+    pipeline = Pipeline.of(twin, bench.inputs, effects)
+    run = pipeline.run(bench.inputs, pipeline.theta(twin, bench.inputs.pressure_range_kpa))
+    model = pipeline.outputs(run, bench.columns)
+    residual = bench.measured - model
+    return Prediction(bench, model, residual, bench.error(residual), pipeline.left_out)

@@ -1,0 +1,217 @@
+"""Fits a twin to a recording: bounded nonlinear least squares over all parameters, from several starts.
+
+A first round on a thinned recording looks for the right valley, the second polishes on every sample. Whatever
+the recording cannot tell apart is held and named.
+"""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.finger.bench import Bench
+from pneutac_sim.finger.confidence import Z95, Confidence, confidence, independent
+from pneutac_sim.finger.least_squares import minimise
+from pneutac_sim.finger.pipeline import Pipeline
+from pneutac_sim.finger.problem import Limits, Problem
+from pneutac_sim.twin import Twin
+
+_EDGE = 1e-3  # of a parameter's whole range: nearer to its bound it counts as at it
+_COARSE = 1200  # samples in the first round
+
+
+@dataclass(frozen=True)
+class Fit:
+    """The outcome of `fit`.
+
+    Attributes:
+        twin: the twin with the new parameters and their confidence intervals.
+        pipeline: the model that was fitted.
+        theta: (P,) all parameters.
+        free: (F,) indices of those that were fitted; `confidence` is in this order.
+        residual: (n, D) measured - model over all samples.
+        train: error over the training samples, in `unit`.
+        heldout: error over the others; NaN where there are none.
+        unit: of the errors.
+        confidence: spread and correlations in scaled units, effective number of samples.
+        ci95: parameter name to its interval, for all in `free`.
+        at_bound: parameter name to `lower` or `upper`, where it stopped at a bound that is no neutral point.
+        not_identified: parameters that the recording cannot tell, and why.
+        evaluations: simulations made, most of them of a thinned recording or of a part of the chain.
+        seconds: wall time.
+    """
+
+    twin: Twin
+    pipeline: Pipeline
+    theta: np.ndarray
+    free: np.ndarray
+    residual: np.ndarray
+    train: float
+    heldout: float
+    unit: str
+    confidence: Confidence
+    ci95: dict[str, tuple[float, float]]
+    at_bound: dict[str, str]
+    not_identified: dict[str, str]
+    evaluations: int
+    seconds: float
+
+    @property
+    def free_names(self) -> list[str]:
+        """Names of the fitted parameters."""
+        return [self.pipeline.names[i] for i in self.free]
+
+
+def fit(
+    twin: Twin,
+    recording,
+    effects: Sequence[str] | None = None,
+    train: np.ndarray | None = None,
+    only: Sequence[str] | None = None,
+    starts: int = 4,
+    seed: int = 0,
+) -> Fit:
+    """Fits all parameters of a twin with these effects to the training samples of a recording.
+
+    Args:
+        twin: where the fit starts.
+        recording: a bench recording, or a `Bench` prepared from one (faster for many fits).
+        effects: switched on; None for the twin's own.
+        train: (n,) samples to fit; None for all.
+        only: fit these and hold the rest: names of parameters, or of effects for all of theirs.
+        starts: how many starting points the first round tries.
+        seed: decides the random ones among them.
+
+    Raises:
+        InputError: there are fewer training samples than parameters.
+    """
+    began = time.perf_counter()
+    bench = recording if isinstance(recording, Bench) else Bench.of(recording, twin)
+    mask = np.ones(len(bench), bool) if train is None else np.asarray(train, bool)
+    pipeline = Pipeline.of(twin, bench.inputs, effects)
+    limits = Limits(pipeline, bench.inputs.pressure_range_kpa)
+    free = _free(pipeline, only)
+    if mask.sum() * len(bench.columns) <= len(free):
+        raise InputError(
+            f"There are {int(mask.sum())} training samples for {len(free)} parameters; record more, or fit "
+            "fewer."
+        )
+
+    chosen = np.flatnonzero(mask)
+    thin = bench.thin(chosen[:: max(1, len(chosen) // _COARSE)])
+    bench_train = bench.thin(chosen)
+    now = pipeline.theta(twin, bench.inputs.pressure_range_kpa)
+    coarse = Problem(pipeline, thin, now, limits, free)
+    anchors = sorted([now, _rough_drive(coarse, now, limits)], key=coarse.cost)
+    whole = Problem(pipeline, bench_train, anchors[0], limits, free)
+    told = independent(whole.jacobian(np.clip(limits.scaled(anchors[0], free), 0.01, 0.99)))
+    not_identified = {
+        pipeline.names[i]: "the recording cannot tell it from the other parameters" for i in free[~told]
+    }
+    free = free[told]
+
+    best, count = None, coarse.evaluations + whole.evaluations
+    for theta in _starts(anchors, pipeline, limits, free, starts, np.random.default_rng(seed)):
+        problem = Problem(pipeline, thin, theta, limits, free)
+        found = minimise(problem.residual, problem.jacobian, limits.scaled(theta, free), 15)
+        count += problem.evaluations
+        if best is None or found.cost < best[0]:
+            best = (found.cost, problem.theta(found.v))
+    whole = Problem(pipeline, bench_train, best[1], limits, free)
+    v = minimise(whole.residual, whole.jacobian, limits.scaled(best[1], free)).v
+    theta = whole.theta(v)
+
+    residual = bench.measured - pipeline.outputs(pipeline.run(bench.inputs, theta), bench.columns)
+    scaled = residual[mask] * bench.scale
+    edge = (v < _EDGE) | (v > 1 - _EDGE)
+    known = confidence(whole.jacobian(v), scaled, bench.adjacent[mask], edge)
+    names = [pipeline.names[i] for i in free]
+    low = limits.value(np.clip(v - Z95 * known.sd, 0, 1), free)
+    high = limits.value(np.clip(v + Z95 * known.sd, 0, 1), free)
+    ci95 = {name: (float(a), float(b)) for name, a, b in zip(names, low, high, strict=True)}
+    at_bound = {}
+    for j in np.flatnonzero(edge):
+        bound = (limits.upper if v[j] > 0.5 else limits.lower)[free[j]]
+        if bound != pipeline.specs[free[j]].neutral:
+            at_bound[names[j]] = "upper" if v[j] > 0.5 else "lower"
+    for j in np.flatnonzero((2 * Z95 * known.sd > 1) & ~edge):
+        not_identified[names[j]] = "its interval spans everything that physics allows"
+    return Fit(
+        twin=pipeline.update(twin, theta, ci95),
+        pipeline=pipeline,
+        theta=theta,
+        free=free,
+        residual=residual,
+        train=bench.error(residual, mask),
+        heldout=bench.error(residual, ~mask),
+        unit=bench.unit,
+        confidence=known,
+        ci95=ci95,
+        at_bound=at_bound,
+        not_identified=not_identified,
+        evaluations=count + whole.evaluations,
+        seconds=time.perf_counter() - began,
+    )
+
+
+def _free(pipeline: Pipeline, only: Sequence[str] | None) -> np.ndarray:
+    """Indices of the parameters to fit."""
+    if only is not None:
+        known = {*pipeline.names, *(e.name for e in pipeline.effects)}
+        for name in only:
+            if name not in known:
+                raise InputError(f"There is no parameter or effect '{name}'; there are {', '.join(known)}.")
+    free = []
+    for i, (name, spec) in enumerate(zip(pipeline.names, pipeline.specs, strict=True)):
+        effect = name.rpartition(".")[0]
+        wanted = only is None or name in only or (effect and effect in only)
+        if wanted and not spec.fixed and effect not in pipeline.left_out:
+            free.append(i)
+    return np.array(free, int)
+
+
+def _rough_drive(problem: Problem, theta: np.ndarray, limits: Limits) -> np.ndarray:
+    """The best of a coarse grid over gain, rest pressure and the chambers' directions, the rest as it is."""
+    names = problem.pipeline.names
+    free = set(problem.free.tolist())
+    axes = {}
+    for name, shares in {
+        "gain_rad_per_kpa": (-0.7, -0.3, -0.12, -0.04, 0.02, 0.04, 0.08, 0.12, 0.2, 0.3, 0.5, 0.8),
+        "rest_pressure_kpa": (-0.5, -0.1, 0.0, 0.1, 0.5, 1.0),
+        "chamber_angle_rad": tuple(np.arange(-6, 6) / 12),
+    }.items():
+        if name in names and names.index(name) in free:
+            i = names.index(name)
+            scale = (
+                2 * np.pi
+                if name == "chamber_angle_rad"
+                else limits.upper[i] / problem.pipeline.specs[i].upper
+            )
+            axes[i] = [s * scale for s in shares if limits.lower[i] <= s * scale <= limits.upper[i]]
+    if "chamber_angle_rad" in names and names.index("chamber_angle_rad") in free:
+        axes[names.index("chamber_handedness")] = [-1.0, 1.0]
+    best, lowest = theta, np.inf
+    for values in (
+        np.stack(np.meshgrid(*axes.values(), indexing="ij"), -1).reshape(-1, len(axes)) if axes else []
+    ):
+        trial = theta.copy()
+        trial[list(axes)] = values
+        cost = problem.cost(trial)
+        if cost < lowest:
+            best, lowest = trial, cost
+    return best
+
+
+def _starts(
+    anchors: list[np.ndarray], pipeline: Pipeline, limits: Limits, free: np.ndarray, starts: int, rng
+) -> list[np.ndarray]:
+    """Starting points: the anchors, then the best anchor with random values for the effects' parameters."""
+    points = list(anchors[: max(starts, 1)])
+    random = np.array([i for i in free if "." in pipeline.names[i]], int)
+    while len(points) < starts and len(random):
+        theta = anchors[0].copy()
+        theta[random] = limits.value(rng.uniform(0.02, 0.6, len(random)), random)
+        points.append(theta)
+    return points

@@ -1,0 +1,92 @@
+"""Bounded nonlinear least squares for many residuals and few parameters (Levenberg-Marquardt).
+
+scipy.optimize.least_squares decomposes the whole Jacobian in every step and only creeps towards an active
+bound; with 10^4 residuals, ten parameters and weights that end at zero, that takes nine tenths of a fit. Here
+each step is a small bounded linear least-squares problem in the normal equations, solved exactly by SciPy.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+from scipy.optimize import lsq_linear
+
+_LARGEST_STEP = 0.3  # of a parameter's whole range
+# A pull towards the start worth this share of the residual's scale over a parameter's whole range. It decides
+# only what the data leave open, and keeps flat valleys from costing hundreds of steps.
+_PULL = 1e-4
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Where the iteration ended.
+
+    Attributes:
+        v: (F,) parameters in [0, 1].
+        cost: sum of squares.
+        steps: number of Jacobians taken.
+    """
+
+    v: np.ndarray
+    cost: float
+    steps: int
+
+
+def minimise(
+    residual: Callable[[np.ndarray], np.ndarray],
+    jacobian: Callable[[np.ndarray], np.ndarray],
+    v: np.ndarray,
+    steps: int = 30,
+    tolerance: float = 1e-6,
+) -> Solution:
+    """Minimises the sum of squares over v in [0, 1]^F.
+
+    Args:
+        residual: v to (m,).
+        jacobian: v to (m, F); called at the v at which `residual` was called last.
+        v: (F,) start.
+        steps: most Jacobians to take.
+        tolerance: stops where a step promises or brings less than this share of the cost.
+    """
+    v = np.clip(v, 0.0, 1.0)
+    start = v.copy()
+    r = residual(v)
+    cost = float(r @ r)
+    pull = _PULL**2 * max(cost, 1e-12)
+    damping = 1e-3
+    for step in range(1, steps + 1):
+        J = jacobian(v)
+        H, g = J.T @ J, J.T @ r + pull * (v - start)
+        size = np.diag(H) + pull
+        accepted = False
+        while not accepted and damping < 1e8:
+            d = _bounded_step(H + np.diag(pull + damping * size), g, v)
+            promised = -(2 * g @ d + d @ H @ d)
+            if promised <= tolerance * cost:
+                return Solution(v, cost, step)
+            trial = residual(v + d)
+            new = float(trial @ trial)
+            accepted = np.isfinite(new) and new < cost
+            gain = (cost - new) / promised
+            damping = damping * (0.2 if gain > 0.5 else 1.0) if accepted else damping * 5.0
+        if not accepted:
+            return Solution(v, cost, step)
+        small = cost - new <= tolerance * cost
+        v, r, cost = np.clip(v + d, 0.0, 1.0), trial, new
+        if small:
+            return Solution(v, cost, step)
+    return Solution(v, cost, steps)
+
+
+def _bounded_step(A: np.ndarray, g: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Minimises d A d / 2 + g d with v + d in [0, 1] and |d| limited."""
+    R = cholesky(A)
+    low, high = np.maximum(-v, -_LARGEST_STEP), np.minimum(1 - v, _LARGEST_STEP)
+    free = -solve_triangular(R, solve_triangular(R, g, trans="T"))
+    if ((free >= low) & (free <= high)).all():
+        return free
+    room = high > low
+    return lsq_linear(
+        R, -solve_triangular(R, g, trans="T"), bounds=(low, np.where(room, high, low + 1e-12)), method="bvls"
+    ).x

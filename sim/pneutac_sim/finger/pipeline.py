@@ -1,0 +1,225 @@
+"""The finger pipeline: pressure command -> pneumatics -> actuation -> body -> observation.
+
+One model for `finger` (N joints in a plane), `arm` (three chambers, two bending axes) and any single bending
+segment, used by calibration, comparison, diagnosis, and step by step in the environment.
+
+    from pneutac_sim.finger import Bench, Pipeline, PressurePipeline, fit, simulate
+
+    simulate(twin, recording)                 # -> Prediction: model, measured, residual (n, D), unit, error
+    bench = Bench.of(recording, twin)         # prepares a recording once for many fits and simulations
+    f = fit(twin, bench, effects=["creep"], train=mask)     # refits everything; f.twin is the new twin
+    model = Pipeline.of(twin, bench.inputs, effects=[...])  # parameters `model.names`, e.g. creep.weight_2s
+    run = model.run(bench.inputs, theta)      # theta (P,); run.markers (n, 5), run.joints, run.pressure_kpa
+    model.run(bench.inputs, theta2, reuse=run)    # repeats only what follows the first changed parameter
+    online = PressurePipeline(twin)
+    online.step(pressure_cmd_kpa, dt_s)       # -> joint targets (N,), one control step
+
+Time: samples may be spaced unevenly. Trials are separate: at its first sample a trial is taken to have
+rested at that pressure for ever (or vented, see `Inputs`). What the material remembers for good is carried
+from trial to trial in the order of the table: largest strain and cycles (cyclic_softening), plays
+(hysteresis), where dry friction left the joint. Pressure is taken as a straight line between samples.
+
+Where the measured pressure is the input, pneumatics are skipped except for the sensor's error. The body is
+quasi-static: loads (gravity, payload) find their equilibrium with the elastic spine first, then temperature,
+softening and creep act on the whole bend, so a payload creeps like a pressure does.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pneutac_sim.effects.effect import Parameter
+from pneutac_sim.effects.registry import get_effect, in_order
+from pneutac_sim.errors import InputError
+from pneutac_sim.finger.inputs import Inputs
+from pneutac_sim.finger.stages import Drive, EffectLink, Geometry, Loads, Markers, base_parameters
+from pneutac_sim.twin import Twin, Value
+
+
+@dataclass(frozen=True)
+class Run:
+    """One simulation.
+
+    Attributes:
+        theta: (P,) its parameters.
+        signals: what enters each link of the chain, and what leaves the last.
+        pressure_kpa: (n, chambers) in the chambers, as their sensor reads it.
+        joints: (n, N) or (n, 2 N) joint angles, rad.
+        markers: (n, 5) tip x, y, z in mm, bend towards +z and towards +y in rad.
+    """
+
+    theta: np.ndarray
+    signals: list[np.ndarray]
+    pressure_kpa: np.ndarray
+    joints: np.ndarray
+    markers: np.ndarray
+
+
+class Pipeline:
+    """The model of one device with some effects switched on.
+
+    Args:
+        geometry: the device.
+        effects: names, in any order; they act in the library's order.
+        measured: True where the input will be the measured pressure.
+        columns: condition columns that the input has; None for all. Effects without theirs are left out.
+
+    Attributes:
+        names: (P,) parameter names, base parameters first, then `effect.parameter`.
+        specs: (P,) what each may be.
+        left_out: effects that cannot act on this input, and why.
+        chain: the links, in order.
+        reads_pressure: index of the link that the sensed pressure enters.
+        reads_joints: index of the link that the joint angles enter.
+    """
+
+    def __init__(
+        self,
+        geometry: Geometry,
+        effects: Sequence[str] = (),
+        measured: bool = False,
+        columns: set[str] | None = None,
+    ):
+        self.geometry = geometry
+        self.effects = in_order(list(effects))
+        self.names: list[str] = [p.name for p in base_parameters(geometry)]
+        self.specs: list[Parameter] = list(base_parameters(geometry))
+        self.left_out: dict[str, str] = {}
+        links: dict[str, list[EffectLink]] = {
+            s: [] for s in ("pneumatics", "actuation", "loads", "body", "observation")
+        }
+        for e in self.effects:
+            at = len(self.names)
+            self.names += [f"{e.name}.{p.name}" for p in e.parameters]
+            self.specs += e.parameters
+            missing = [c for c in e.columns if columns is not None and c not in columns]
+            if missing:
+                self.left_out[e.name] = f"the recording has no column {', '.join(missing)}"
+            elif measured and e.stage == "pneumatics" and e.name != "sensor_offset":
+                self.left_out[e.name] = "the measured pressure is the input"
+            else:
+                group = "loads" if e.signal == "loads" else e.stage
+                links[group].append(EffectLink(e, tuple(range(at, len(self.names)))))
+        base = len(base_parameters(geometry))
+        loads = [Loads(geometry, tuple(links["loads"]), base - 1)] if links["loads"] else []
+        to_joints = [*links["pneumatics"], *links["actuation"], Drive(geometry, tuple(range(base - 1)))]
+        to_markers = [*to_joints, *loads, *links["body"], Markers(geometry)]
+        self.chain = [*to_markers, *links["observation"]]
+        sensor = [i for i, e in enumerate(links["pneumatics"]) if e.effect.name == "sensor_offset"]
+        self.reads_pressure = sensor[0] if sensor else len(links["pneumatics"])
+        self.reads_joints = len(to_markers) - 1
+
+    @classmethod
+    def of(cls, twin: Twin, inputs: Inputs | None = None, effects: Sequence[str] | None = None) -> "Pipeline":
+        """The pipeline of a twin, for given inputs, with its own effects or these instead."""
+        geometry = Geometry(twin.device, twin.length_mm, tuple(twin.spine_joint_positions_mm))
+        names = list(twin.effects) if effects is None else list(effects)
+        if inputs is None:
+            return cls(geometry, names)
+        return cls(geometry, names, inputs.measured, set(inputs.columns))
+
+    # ---------------------------------------------------------------- parameters
+
+    def theta(self, twin: Twin, pressure_range_kpa: float = 1.0) -> np.ndarray:
+        """(P,) values in the twin; what it does not have yet starts at its default for this pressure range.
+
+        Raises:
+            InputError: the twin gives an effect a parameter that it does not have.
+        """
+        for name, values in twin.effects.items():
+            known = {p.name for p in get_effect(name).parameters}
+            for parameter in values:
+                if parameter not in known:
+                    raise InputError(
+                        f"The twin's effect '{name}' has no parameter '{parameter}'; "
+                        f"it has {', '.join(known)}."
+                    )
+        out = np.empty(len(self.names))
+        for i, (name, spec) in enumerate(zip(self.names, self.specs, strict=True)):
+            effect, _, parameter = name.rpartition(".")
+            held = twin.effects.get(effect, {}) if effect else twin.parameters
+            out[i] = held[parameter].value if parameter in held else spec.limits(pressure_range_kpa)[0]
+        return out
+
+    def neutral(self, theta: np.ndarray, effects: Sequence[str]) -> np.ndarray:
+        """A copy of `theta` (P,) in which these effects do nothing."""
+        out = theta.copy()
+        for i, (name, spec) in enumerate(zip(self.names, self.specs, strict=True)):
+            if name.partition(".")[0] in effects:
+                out[i] = spec.neutral
+        return out
+
+    def update(
+        self, twin: Twin, theta: np.ndarray, ci95: dict[str, tuple[float, float]] | None = None
+    ) -> Twin:
+        """A copy of the twin with these parameters and exactly this pipeline's effects."""
+        new = twin.copy()
+        new.effects = {}
+        for name, value in zip(self.names, theta, strict=True):
+            effect, _, parameter = name.rpartition(".")
+            held = new.effects.setdefault(effect, {}) if effect else new.parameters
+            held[parameter] = Value(float(value), (ci95 or {}).get(name))
+        return new
+
+    # ---------------------------------------------------------------- simulation
+
+    def run(self, inputs: Inputs, theta: np.ndarray, reuse: Run | None = None) -> Run:
+        """Simulates all samples.
+
+        Args:
+            inputs: made for the same device, source and columns as this pipeline.
+            theta: (P,) parameters.
+            reuse: an earlier run on the same inputs; what comes before the first changed parameter is not
+                repeated.
+        """
+        theta = np.asarray(theta, dtype=float)
+        at, signals = 0, [inputs.pressure_kpa]
+        if reuse is not None:
+            changed = set(np.flatnonzero(theta != reuse.theta).tolist())
+            while at < len(self.chain) and not changed.intersection(self.chain[at].indices):
+                at += 1
+            signals = reuse.signals[: at + 1]
+        for i in range(at, len(self.chain)):
+            link, x, dt, conditions = self.chain[i], signals[-1], inputs.dt_s, inputs.conditions
+            if i == self.reads_joints:
+                x = x[inputs.rows]
+            if i >= self.reads_joints:
+                dt, conditions = inputs.sample_dt_s, inputs.sample_conditions
+            signals.append(link(x, dt, theta, conditions, np.zeros(link.state_size(x.shape[1]))))
+        return Run(
+            theta=theta,
+            signals=signals,
+            pressure_kpa=signals[self.reads_pressure][inputs.rows],
+            joints=signals[self.reads_joints][inputs.rows],
+            markers=signals[-1],
+        )
+
+    def outputs(self, run: Run, columns: Sequence[str]) -> np.ndarray:
+        """(n, len(columns)) model values of columns of a bench recording.
+
+        An arm's `curvature_x` is its bend towards +z over its length, `curvature_y` towards +y.
+        """
+        return np.stack([self._output(run, c) for c in columns], axis=1)
+
+    def _output(self, run: Run, column: str) -> np.ndarray:
+        tips = ("tip_x_mm", "tip_y_mm", "tip_z_mm")
+        if column in tips:
+            return run.markers[:, tips.index(column)]
+        if column == "bend_angle_rad":
+            return (
+                run.markers[:, 3]
+                if self.geometry.axes == 1
+                else np.hypot(run.markers[:, 3], run.markers[:, 4])
+            )
+        if column in ("curvature_x_1_per_m", "curvature_y_1_per_m"):
+            return run.markers[:, 3 + (column[10] == "y")] / (1e-3 * self.geometry.length_mm)
+        kind, _, rest = column.partition("_")
+        number = rest.partition("_")[0]
+        if kind == "q" and number.isdigit() and 1 <= int(number) <= self.geometry.n_joints:
+            return run.joints[:, (int(number) - 1) * self.geometry.axes]
+        if column == "pressure_kpa" and self.geometry.chambers == 1:
+            return run.pressure_kpa[:, 0]
+        if kind == "pressure" and number.isdigit() and 1 <= int(number) <= self.geometry.chambers:
+            return run.pressure_kpa[:, int(number) - 1]
+        raise InputError(f"The model of a {self.geometry.device} has no output '{column}'.")

@@ -1,0 +1,107 @@
+"""A recording and a pipeline as a function from scaled parameters to residuals, with its Jacobian."""
+
+import numpy as np
+
+from pneutac_sim.finger.bench import Bench
+from pneutac_sim.finger.pipeline import Pipeline, Run
+
+_STEP = 1e-4  # of a parameter's whole range, for differences
+
+
+class Limits:
+    """Bounds of all parameters of a pipeline, and their map to [0, 1] (of the logarithm where that matters).
+
+    Attributes:
+        default: (P,) starting values for the recording's pressure range.
+        lower: (P,) bounds.
+        upper: (P,) bounds.
+    """
+
+    def __init__(self, pipeline: Pipeline, pressure_range_kpa: float):
+        limits = np.array([p.limits(pressure_range_kpa) for p in pipeline.specs])
+        self._log = np.array([p.log for p in pipeline.specs])
+        self.default, self.lower, self.upper = limits.T
+        every = np.arange(len(limits))
+        self._bottom, self._top = self._inner(self.lower, every), self._inner(self.upper, every)
+
+    def _inner(self, x: np.ndarray, index: np.ndarray) -> np.ndarray:
+        return np.where(self._log[index], np.log(np.maximum(x, 1e-300)), x)
+
+    def value(self, v: np.ndarray, index: np.ndarray) -> np.ndarray:
+        """Parameters `index` at scaled values v in [0, 1]."""
+        inner = self._bottom[index] + v * (self._top - self._bottom)[index]
+        return np.where(self._log[index], np.exp(np.where(self._log[index], inner, 0.0)), inner)
+
+    def scaled(self, theta: np.ndarray, index: np.ndarray) -> np.ndarray:
+        """Scaled values of parameters `index` of theta (P,), held within their bounds."""
+        v = (self._inner(theta[index], index) - self._bottom[index]) / (self._top - self._bottom)[index]
+        return np.clip(v, 0.0, 1.0)
+
+
+class Problem:
+    """Residuals of one recording as a function of the free parameters, scaled to [0, 1].
+
+    Args:
+        pipeline: the model.
+        bench: the recording, whole or thinned.
+        theta: (P,) values of the parameters that are not free.
+        limits: bounds of all parameters.
+        free: (F,) indices of the free ones.
+
+    Attributes:
+        evaluations: simulations so far.
+    """
+
+    def __init__(
+        self,
+        pipeline: Pipeline,
+        bench: Bench,
+        theta: np.ndarray,
+        limits: Limits,
+        free: np.ndarray,
+    ):
+        self.pipeline, self.bench, self.limits = pipeline, bench, limits
+        self.free = np.asarray(free, int)
+        self.evaluations = 0
+        self._theta = theta
+        self._measured = self._scaled(bench.measured)
+        self._last: Run | None = None
+
+    def theta(self, v: np.ndarray) -> np.ndarray:
+        """All parameters (P,)."""
+        theta = self._theta.copy()
+        theta[self.free] = self.limits.value(v, self.free)
+        return theta
+
+    def residual(self, v: np.ndarray) -> np.ndarray:
+        """Model - measured (m D,), in the unit of the error."""
+        self._last = self._run(self.theta(v), self._last)
+        return self._values(self._last) - self._measured
+
+    def cost(self, theta: np.ndarray) -> float:
+        """Sum of squares at all parameters (P,)."""
+        r = self._values(self._run(theta, None)) - self._measured
+        return float(r @ r)
+
+    def jacobian(self, v: np.ndarray) -> np.ndarray:
+        """Derivative (m D, F) of the residual by one-sided differences."""
+        theta = self.theta(v)
+        if self._last is None or not np.array_equal(self._last.theta, theta):
+            self.residual(v)
+        run, at = self._last, self._values(self._last)
+        J = np.empty((len(at), len(v)))
+        for j in range(len(v)):
+            moved = v.copy()
+            moved[j] += _STEP if v[j] < 0.5 else -_STEP
+            J[:, j] = (self._values(self._run(self.theta(moved), run)) - at) / (moved[j] - v[j])
+        return J
+
+    def _run(self, theta: np.ndarray, reuse: Run | None) -> Run:
+        self.evaluations += 1
+        return self.pipeline.run(self.bench.inputs, theta, reuse)
+
+    def _values(self, run: Run) -> np.ndarray:
+        return self._scaled(self.pipeline.outputs(run, self.bench.columns))
+
+    def _scaled(self, values: np.ndarray) -> np.ndarray:
+        return (values * self.bench.scale).ravel()

@@ -1,0 +1,183 @@
+"""The links of the pipeline's chain: each changes one signal and keeps its own state.
+
+pressure (m, chambers) -> Drive -> joints (m, N) or (m, 2 N) -> Loads -> joints -> Markers -> markers (m, 5).
+Effects sit between them. Every link reads its parameters from one vector `theta` by index.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from pneutac_sim.effects.effect import Effect, Parameter
+from pneutac_sim.finger import equilibrium
+from pneutac_sim.finger.inputs import CHAMBERS
+from pneutac_sim.finger.kinematics import forward_kinematics, forward_kinematics_spatial, gain_profile
+from pneutac_sim.twin import PAPER_FINGER
+
+Conditions = Callable[[tuple[str, ...]], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """Shape of the device: `finger` (one bending plane) or `arm` (two), length and joints in mm."""
+
+    device: str
+    length_mm: float
+    joint_positions_mm: tuple[float, ...]
+
+    @property
+    def n_joints(self) -> int:
+        """N."""
+        return len(self.joint_positions_mm)
+
+    @property
+    def axes(self) -> int:
+        """Bending axes of a joint."""
+        return 1 if self.device == "finger" else 2
+
+    @property
+    def chambers(self) -> int:
+        """Independent pressures."""
+        return CHAMBERS[self.device]
+
+
+def base_parameters(geometry: Geometry) -> tuple[Parameter, ...]:
+    """Parameters that every twin of this device has.
+
+    Bounds: a joint bends at most 2 rad at the largest pressure, and every joint in the same direction.
+    """
+    half = (geometry.n_joints - 1) / 2
+    shape = (
+        Parameter("gain_alpha", "", 0.0, -1.5, 1.5, fixed=geometry.n_joints < 2),
+        Parameter("gain_beta", "", 0.0, -0.95 / max(half, 0.5) ** 2, 3.0, fixed=geometry.n_joints < 3),
+    )
+    stiffness = Parameter(
+        "joint_stiffness_nm_per_rad",
+        "N m/rad",
+        PAPER_FINGER["joint_stiffness_nm_per_rad"],
+        1e-4,
+        100.0,
+        log=True,
+        fixed=True,
+    )
+    if geometry.device == "finger":
+        return (
+            Parameter("gain_rad_per_kpa", "rad/kPa", 0.15, -2.0, 2.0, range_power=-1),
+            *shape,
+            Parameter("rest_pressure_kpa", "kPa", 0.0, -3.0, 3.0, range_power=1),
+            stiffness,
+        )
+    return (
+        Parameter("gain_rad_per_kpa", "rad/kPa", 0.1, 0.0, 2.0, range_power=-1),
+        *shape,
+        Parameter("rest_pressure_z_kpa", "kPa", 0.0, -3.0, 3.0, range_power=1),
+        Parameter("rest_pressure_y_kpa", "kPa", 0.0, -3.0, 3.0, range_power=1),
+        Parameter("chamber_angle_rad", "rad", 0.0, -2 * np.pi, 2 * np.pi),
+        Parameter("chamber_2_gain", "", 1.0, 0.2, 5.0, neutral=1.0, log=True),
+        Parameter("chamber_3_gain", "", 1.0, 0.2, 5.0, neutral=1.0, log=True),
+        Parameter("chamber_handedness", "", 1.0, -1.0, 1.0, fixed=True),
+        stiffness,
+    )
+
+
+@dataclass(frozen=True)
+class EffectLink:
+    """One effect in the chain."""
+
+    effect: Effect
+    indices: tuple[int, ...]
+
+    def state_size(self, channels: int) -> int:
+        """Numbers that it remembers."""
+        return self.effect.state_size(channels)
+
+    def __call__(self, x, dt, theta, conditions: Conditions, state) -> np.ndarray:
+        """Returns the changed signal (m, channels); `state` is updated."""
+        out = np.array(x)
+        self.effect.run(out, dt, theta[list(self.indices)], conditions(self.effect.columns), state)
+        return out
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Pressure to free joint angles, q_n = G r_n(alpha, beta) (p + p0).
+
+    In an arm chamber c pulls in the direction angle + handedness 2 pi (c - 1) / 3, counted from +z towards
+    +y, and p is the vector sum of the three pressures times their relative gains.
+    """
+
+    geometry: Geometry
+    indices: tuple[int, ...]
+
+    def state_size(self, channels: int) -> int:
+        """It remembers nothing."""
+        return 0
+
+    def __call__(self, x, dt, theta, conditions: Conditions, state) -> np.ndarray:
+        """Returns joints (m, N axes)."""
+        n = self.geometry.n_joints
+        values = theta[list(self.indices)]
+        G, alpha, beta = values[:3]
+        profile = gain_profile(n, alpha, beta)
+        if self.geometry.device == "finger":
+            return (G * (x + values[3])) * profile
+        rest, angle, ratios, hand = values[3:5], values[5], np.r_[1.0, values[6:8]], values[8]
+        phi = angle + np.sign(hand) * 2 * np.pi * np.arange(3) / 3
+        directions = ratios[:, None] * np.stack([np.cos(phi), np.sin(phi)], axis=1)
+        drive = G * (x @ directions + rest)
+        return (profile[:, None] * drive[:, None, :]).reshape(len(x), -1)
+
+
+@dataclass(frozen=True)
+class Loads:
+    """Static equilibrium with the loads that effects put on the body."""
+
+    geometry: Geometry
+    effects: tuple[EffectLink, ...]
+    stiffness: int
+
+    @property
+    def indices(self) -> tuple[int, ...]:
+        """Parameters that it depends on."""
+        return (self.stiffness, *(i for e in self.effects for i in e.indices))
+
+    def state_size(self, channels: int) -> int:
+        """Deflection of the sample before."""
+        return channels
+
+    def __call__(self, x, dt, theta, conditions: Conditions, state) -> np.ndarray:
+        """Returns loaded joint angles (m, N axes)."""
+        loads = np.zeros((len(x), 6))
+        for e in self.effects:
+            loads = e(loads, dt, theta, conditions, np.zeros(e.state_size(6)))
+        length = 1e-3 * self.geometry.length_mm
+        links = np.diff(np.append(1e-3 * np.array(self.geometry.joint_positions_mm), length))
+        out = np.array(x)
+        solve = equilibrium.planar if self.geometry.axes == 1 else equilibrium.spatial
+        solve(out, loads, theta[self.stiffness], np.concatenate([links, links / length]), state)
+        return out
+
+
+@dataclass(frozen=True)
+class Markers:
+    """Joint angles to what a camera sees: tip x, y, z in mm, bend towards +z and +y in rad."""
+
+    geometry: Geometry
+    indices: tuple[int, ...] = ()
+
+    def state_size(self, channels: int) -> int:
+        """It remembers nothing."""
+        return 0
+
+    def __call__(self, x, dt, theta, conditions: Conditions, state) -> np.ndarray:
+        """Returns markers (m, 5)."""
+        g = self.geometry
+        out = np.zeros((len(x), 5))
+        joints = np.array(g.joint_positions_mm)
+        if g.axes == 1:
+            tip, bend = forward_kinematics(x, joints, g.length_mm)
+            out[:, 0], out[:, 2], out[:, 3] = tip[:, 0], tip[:, 1], bend
+        else:
+            out[:, :3], out[:, 3:] = forward_kinematics_spatial(x.reshape(len(x), -1, 2), joints, g.length_mm)
+        return out
