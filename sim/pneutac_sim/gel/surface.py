@@ -13,8 +13,6 @@ the one length l also lets a thin layer hide its far field, which real DIGIT ima
 
 import numpy as np
 from numba import njit
-from scipy.optimize import brentq
-from scipy.special import k0, k1
 
 DECAY_MM = 1.5
 
@@ -33,27 +31,6 @@ def surface(
         Displacement in mm, float32, same shape, nowhere less than `depth_mm`.
     """
     return _solve(np.ascontiguousarray(depth_mm, np.float32), cell_mm[0], cell_mm[1], decay_mm)
-
-
-def contact_radius(depth_mm: float, radius_mm: float, decay_mm: float = DECAY_MM) -> float:
-    """Contact radius of a sphere in mm: where its parabola and the K0 around it meet with one slope."""
-    d, R, decay = depth_mm, radius_mm, decay_mm
-
-    def kink(a):
-        return (a / R) / (d - a * a / (2 * R)) - k1(a / decay) / (decay * k0(a / decay))
-
-    rim = np.sqrt(2 * R * d)  # where the undeformed parabola would leave the gel
-    return float(brentq(kink, 1e-6 * rim, (1 - 1e-9) * rim))
-
-
-def pressed_sphere(
-    r_mm: np.ndarray, depth_mm: float, radius_mm: float, decay_mm: float = DECAY_MM
-) -> np.ndarray:
-    """Closed form of `surface` for a sphere (as a parabola, as in Hertz) at distance r from its axis, mm."""
-    a = contact_radius(depth_mm, radius_mm, decay_mm)
-    r = np.maximum(r_mm, a)
-    outside = (depth_mm - a * a / (2 * radius_mm)) * k0(r / decay_mm) / k0(a / decay_mm)
-    return np.where(r_mm < a, depth_mm - np.square(r_mm) / (2 * radius_mm), outside)
 
 
 @njit(cache=True)

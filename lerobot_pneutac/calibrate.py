@@ -1,0 +1,110 @@
+"""`pneutac calibrate`: fits a twin to a bench recording, in place, as its next version."""
+
+import importlib.util
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import draccus
+from rich.console import Console
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.twin import Twin
+
+
+@dataclass
+class CalibrateConfig:
+    """Options of `pneutac calibrate`.
+
+    Attributes:
+        twin: folder of the twin; a twin of a gel is begun where there is none.
+        recording: folder of the bench recording. Without it a gel is calibrated from the DIGIT photographs in
+            $PNEUTAC_DATA, or from generated images where that is unset.
+        out: folder for `result.json`, `report.html` and pictures.
+        multiply: gel only: multiply its light by the rest colour of the pixel; on real DIGITs this predicts
+            held-out images better than adding it.
+        seed: decides every random choice.
+    """
+
+    twin: Path | None = None
+    recording: Path | None = None
+    out: Path | None = None
+    multiply: bool = True
+    seed: int = 0
+
+    def __post_init__(self):
+        if self.twin is None:
+            raise InputError("Give the twin's folder with --twin=DIR.")
+        if self.out is not None and self.out.exists() and not self.out.is_dir():
+            raise InputError(f"--out={self.out} is a file; give a folder.")
+
+
+def main(argv: list[str]) -> None:
+    """Runs the verb with its command line options."""
+    cfg = draccus.parse(CalibrateConfig, args=argv)
+    with TemporaryDirectory() as tmp:
+        calibrate(cfg, Path(tmp), Console())
+
+
+def calibrate(cfg: CalibrateConfig, scratch: Path, console: Console) -> dict:
+    """Fits the twin to the recording and writes both; returns what goes into `result.json`.
+
+    Args:
+        cfg: the options.
+        scratch: a folder for generated data.
+        console: where the table and remarks go.
+    """
+    from pneutac_datasets.recording import BenchRecording
+
+    recording = BenchRecording.load(cfg.recording or _default_recording(scratch, cfg.seed, console))
+    for warning in recording.warnings:
+        console.print(f"[yellow]note:[/] {warning}", highlight=False)
+    twin = _twin(cfg.twin, recording, console)
+    if recording.device == "gel":
+        from lerobot_pneutac.fit_gel import calibrate_gel
+
+        return calibrate_gel(twin, recording, cfg, console)
+    if importlib.util.find_spec("lerobot_pneutac.fit_body") is None:
+        raise InputError(
+            f"{recording.folder} is a recording of a body ('{recording.device}'), and calibrating bodies is "
+            "not there yet; the README's status table says what is."
+        )
+    from lerobot_pneutac.fit_body import calibrate_body
+
+    return calibrate_body(twin, recording, cfg, console)
+
+
+def _default_recording(scratch: Path, seed: int, console: Console) -> Path:
+    real = Path(os.environ.get("PNEUTAC_DATA", "/nonexistent")) / "tactile" / "digit_nagoya"
+    if real.is_dir():
+        console.print(f"No --recording given: using the DIGIT photographs in {real}.", highlight=False)
+        return real
+    from pneutac_datasets.gel_generator import write_gel_recording
+
+    console.print(
+        "[yellow]No --recording given: using GENERATED images, not photographs.[/] "
+        "Give --recording=DIR to calibrate to a real sensor."
+    )
+    return write_gel_recording(scratch / "generated", seed).folder
+
+
+def _twin(folder: Path, recording, console: Console) -> Twin:
+    """The twin to fit, which must be of the recording's device, or a finger for a gel's recording."""
+    if not (folder / "twin.yaml").exists():
+        if recording.device != "gel":
+            raise InputError(
+                f"There is no twin at '{folder}'; make one with `pneutac new --twin={folder} "
+                f"--device={recording.device}`."
+            )
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            raise InputError(f"'{folder}' holds no twin but something else; give an empty or new folder.")
+        console.print(f"There is no twin at {folder} yet: beginning one of a gel.", highlight=False)
+        return Twin(device="gel", length_mm=16.0)
+    twin = Twin.load(folder)
+    if twin.device != recording.device and (twin.device, recording.device) != ("finger", "gel"):
+        raise InputError(
+            f"{recording.folder} is a recording of a '{recording.device}' but the twin at '{folder}' is of a "
+            f"'{twin.device}'; give a twin of that device."
+        )
+    return twin

@@ -1,0 +1,227 @@
+"""Calibrates the gel of a twin to a bench recording, scores it on held-out photographs and reports."""
+
+import time
+
+import numpy as np
+from PIL import Image
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from lerobot_pneutac.report import Report, write_result
+from pneutac_datasets.gel_recording import GelRecording, GelSample
+from pneutac_datasets.recording import BenchRecording
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import IMAGE_SHAPE
+from pneutac_sim.gel.fit import fit_gel, press_depth
+from pneutac_sim.gel.metrics import ImageScores, score
+from pneutac_sim.gel.model import GelModel
+from pneutac_sim.gel.sensor import TactileSensor
+from pneutac_sim.twin import Twin
+
+OURS, PASTED, REST = "this model", "difference pasted", "rest image"
+PICTURES = 6  # held-out images in the picture grid
+
+
+def calibrate_gel(twin: Twin, recording: BenchRecording, cfg, console: Console) -> dict:
+    """Fits, saves the twin's next version, prints the table, writes result, pictures and report.
+
+    Args:
+        twin: a twin of a gel, or of a finger that gets this gel.
+        recording: of a gel, with one row of role `calibration`.
+        cfg: `CalibrateConfig`.
+        console: where the table goes.
+
+    Returns:
+        The content of `result.json`.
+    """
+    data = GelRecording.load(recording)
+    for warning in data.warnings[len(recording.warnings) :]:
+        console.print(f"[yellow]note:[/] {warning}", highlight=False)
+    sample = data.calibration
+    start = time.monotonic()
+    try:
+        gel, evaluations = fit_gel(
+            data.rest, sample.image, sample.press, data.px_per_mm, cfg.multiply, data.thickness_mm
+        )
+        carried = _for_twin(gel, twin)
+    except InputError as e:
+        names = f"rest image '{recording.meta['rest_image']}', indentation '{sample.name}'"
+        raise InputError(f"{recording.folder} ({names}): {e}") from e
+    seconds = time.monotonic() - start
+
+    images = render(gel, data, console)
+    scores = {name: _scores(data, predicted) for name, predicted in images.items()}
+    heldout = [i for i, s in enumerate(data.samples) if s.role != "calibration"]
+    trained = scores[OURS][data.samples.index(sample)]
+    mean = (
+        {name: ImageScores.mean([rows[i] for i in heldout]) for name, rows in scores.items()}
+        if heldout
+        else {}
+    )
+    error = {"train": trained.rmse, "heldout": mean[OURS].rmse if heldout else None}
+
+    carried.into_twin(twin)
+    twin.save_version(cfg.twin, "calibrated gel", str(recording.folder), {**error, "unit": "levels"})
+    result = {
+        "parameters": _parameters(carried),
+        "error": error,
+        "evaluations": evaluations,
+        "seconds": seconds,
+        "image": (vars(mean[OURS]) | {"rest_rmse": mean[REST].rmse, "n": len(heldout)}) if heldout else None,
+        "methods": {name: vars(m) for name, m in mean.items()},
+        "recording": str(recording.folder),
+        "notes": recording.meta.get("notes", ""),
+        "twin": str(cfg.twin),
+        "version": twin.history[-1]["version"],
+    }
+    rows = _table(data, scores)
+    _print(rows, console)
+    console.print(
+        f"Fitted to one rest and one indentation image in {seconds:.1f} s; "
+        f"the twin at {cfg.twin} is now version {result['version']}.",
+        highlight=False,
+    )
+    if not heldout:
+        console.print(
+            "[yellow]note:[/] there is no held-out image, so nothing tells how well this generalises."
+        )
+    if cfg.out is not None:
+        write_result(cfg.out, result)
+        picture = picture_grid(data, images[OURS], sample)
+        Image.fromarray(picture).save(cfg.out / "tactile.png")
+        console.print(f"Report: {_report(cfg, result, rows, picture)}", highlight=False)
+    return result
+
+
+def _for_twin(gel: GelModel, twin: Twin) -> GelModel:
+    """The gel at the size in which the twin keeps it: 240 x 320, other proportions for a lone gel only."""
+    h, w = gel.rest_image.shape[:2]
+    if twin.device == "gel" and abs(w / h / (IMAGE_SHAPE[1] / IMAGE_SHAPE[0]) - 1) > 0.02:
+        return gel
+    return gel.resized(*IMAGE_SHAPE[:2])
+
+
+def render(gel: GelModel, data: GelRecording, console: Console) -> dict[str, list[np.ndarray]]:
+    """Predictions of every sample by the model and by the two rows that keep one honest."""
+    sensor, sample = TactileSensor(gel), data.calibration
+    difference = sample.image.astype(np.int16) - data.rest
+    images: dict[str, list[np.ndarray]] = {OURS: [], PASTED: [], REST: []}
+    for s in track(data.samples, "rendering", console=console, transient=True):
+        images[OURS].append(sensor.image(press_depth(s.press, gel)))
+        moved = shift(difference, round(s.x_px - sample.x_px), round(s.y_px - sample.y_px))
+        images[PASTED].append(np.clip(data.rest + moved, 0, 255).astype(np.uint8))
+        images[REST].append(data.rest)
+    return images
+
+
+def shift(image: np.ndarray, dx: int, dy: int) -> np.ndarray:
+    """Moves an image (H, W, C) by whole pixels, right and down; zeros come in."""
+    h, w = image.shape[:2]
+    out = np.zeros_like(image)
+    out[max(dy, 0) : h + min(dy, 0), max(dx, 0) : w + min(dx, 0)] = image[
+        max(-dy, 0) : h + min(-dy, 0), max(-dx, 0) : w + min(-dx, 0)
+    ]
+    return out
+
+
+def _scores(data: GelRecording, predicted: list[np.ndarray]) -> list[ImageScores]:
+    return [
+        score(p, s.image, data.rest, s.x_px, s.y_px, s.radius_px)
+        for p, s in zip(predicted, data.samples, strict=True)
+    ]
+
+
+def _parameters(gel: GelModel) -> dict:
+    """Name to value and unit of what was fitted."""
+    out = {}
+    for k, channel in enumerate("rgb"):
+        for axis in range(2):
+            out[f"light_{channel}_{'xy'[axis]}"] = {"value": gel.light[k, axis], "unit": "levels"}
+        out[f"depth_light_{channel}"] = {"value": gel.depth_light[k], "unit": "levels/mm"}
+    out["decay_mm"] = {"value": gel.decay_mm, "unit": "mm"}
+    out["threshold_levels"] = {"value": gel.threshold_levels, "unit": "levels"}
+    return out
+
+
+def _table(data: GelRecording, scores: dict[str, list[ImageScores]]) -> list[dict]:
+    """One row a method and role, held-out roles first."""
+    rows = []
+    for role in sorted({s.role for s in data.samples}, key=lambda r: (r == "calibration", r)):
+        picked = [i for i, s in enumerate(data.samples) if s.role == role]
+        for name, each in scores.items():
+            m = ImageScores.mean([each[i] for i in picked])
+            row = {"images": f"{role or 'others'} ({len(picked)})", "method": name}
+            row |= {"RMSE": m.rmse, "PSNR": m.psnr, "NCC": m.ncc}
+            rows.append(row | {"contact": m.contact_rmse, "dNCC": m.contact_dncc})
+    return [r for r in rows if not (r["method"] == PASTED and r["images"].startswith("calibration"))]
+
+
+def _print(rows: list[dict], console: Console) -> None:
+    table = Table(title="Rendered against real tactile images (8-bit levels)")
+    for name in rows[0]:
+        table.add_column(name, justify="left" if name in ("images", "method") else "right")
+    last = None
+    for row in rows:
+        if last is not None and row["images"] != last:
+            table.add_section()
+        shown, last = "" if row["images"] == last else row["images"], row["images"]
+        cells = [
+            f"{v:.3f}" if "NCC" in k else f"{v:.2f}" if isinstance(v, float) else v for k, v in row.items()
+        ]
+        table.add_row(shown, *cells[1:], style="bold" if row["method"] == OURS else None)
+    console.print(table)
+
+
+def picture_grid(data: GelRecording, ours: list[np.ndarray], first: GelSample) -> np.ndarray:
+    """Rows real, ours, error (grey is none, four times exaggerated); columns rest, calibration, held-out."""
+    heldout = [i for i, s in enumerate(data.samples) if s.role != "calibration"]
+    picks = (
+        [heldout[i] for i in np.unique(np.linspace(0, len(heldout) - 1, PICTURES).astype(int))]
+        if heldout
+        else []
+    )
+    columns = [_column(data.rest, data.rest)]
+    columns += [_column(data.samples[i].image, ours[i]) for i in [data.samples.index(first), *picks]]
+    return np.concatenate(columns, axis=1)
+
+
+def _column(real: np.ndarray, ours: np.ndarray) -> np.ndarray:
+    error = np.clip(128 + 4.0 * (ours.astype(float) - real), 0, 255).astype(np.uint8)
+    size = (round(160 * real.shape[1] / real.shape[0] * 4 / 3), round(160 * 4 / 3))
+    small = [np.asarray(Image.fromarray(a).resize(size, Image.Resampling.BOX)) for a in (real, ours, error)]
+    return np.pad(
+        np.concatenate([np.pad(a, ((0, 4), (0, 0), (0, 0)), constant_values=255) for a in small]),
+        ((0, 0), (0, 4), (0, 0)),
+        constant_values=255,
+    )
+
+
+def _report(cfg, result: dict, rows: list[dict], picture: np.ndarray):
+    report = Report("A tactile sensor from two photographs")
+    image = result["image"]
+    if image:
+        report.lead(
+            f"On {image['n']} images that the fit has not seen, the error is {image['rmse']:.2f} levels; "
+            f"the rest image alone has {image['rest_rmse']:.2f}."
+        )
+    report.text(f"Recording: `{result['recording']}`. {result['notes']}")
+    report.image(
+        picture,
+        "Above real, in the middle ours, below ours - real (four times; grey is no error). "
+        "Columns: rest, the calibration image, held-out images.",
+    )
+    report.table(
+        rows,
+        "Mean over images; contact: a disc of twice the contact radius; dNCC: correlation of "
+        "(image - rest) there.",
+    )
+    report.heading("What was fitted")
+    report.table(
+        [{"parameter": k, **v} for k, v in result["parameters"].items()],
+        "Light per unit slope along x (columns) and y (rows) and per millimetre of depth",
+    )
+    report.heading("Do it again")
+    command = f"pneutac calibrate --twin={cfg.twin} --multiply={str(cfg.multiply).lower()} --seed={cfg.seed}"
+    report.code(command + (f" --recording={cfg.recording}" if cfg.recording else ""))
+    return report.write(cfg.out)

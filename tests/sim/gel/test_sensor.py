@@ -1,0 +1,125 @@
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.gel.contact import contact_area
+from pneutac_sim.gel.model import GelModel
+from pneutac_sim.gel.optics import upsample
+from pneutac_sim.gel.probe import BOX, CAPSULE, SPHERE
+from pneutac_sim.gel.sensor import TactileSensor
+from pneutac_sim.twin import Twin
+
+
+@pytest.fixture(scope="module")
+def sensor():
+    return TactileSensor()
+
+
+def press(sensor, kind=SPHERE, z_mm=2.5, euler=(0, 0, 0), x_mm=1.0, y_mm=2.0, size_mm=(3, 3, 3)):
+    R = Rotation.from_euler("xyz", euler).as_matrix()
+    return sensor.probe([kind], [np.array(size_mm) * 1e-3], [[x_mm * 1e-3, y_mm * 1e-3, z_mm * 1e-3]], [R])
+
+
+def test_rest_without_contact(sensor):
+    image = sensor.image(np.zeros((80, 59), np.float32))
+    assert image.shape == (320, 240, 3) and image.dtype == np.uint8
+    np.testing.assert_array_equal(image, sensor.rest_image)
+    assert sensor.contact(image) == (0, 0.0, 0.0)
+
+
+def test_contact_grows_with_depth(sensor):
+    pixels = [sensor.contact(sensor.image(press(sensor, z_mm=3 - d))).pixels for d in np.linspace(0, 1.2, 13)]
+    assert pixels[0] == 0 and pixels[-1] > 3000
+    assert all(b >= a for a, b in zip(pixels, pixels[1:], strict=False))
+    assert pixels[4] > 100, "a touch of 0.4 mm is felt"
+
+
+def test_contact_readout_is_what_the_policy_reads(sensor):
+    c = sensor.contact(sensor.image(press(sensor)))
+    assert c.area == c.pixels / (320 * 240)
+    assert c.log_pixels == pytest.approx(np.log(1 + c.pixels))
+
+
+def test_fast_path_equals_the_image_exactly():
+    rng = np.random.default_rng(0)
+    model = GelModel.builtin()
+    model.rest_image = rng.integers(0, 256, (320, 240, 3), dtype=np.uint8)  # saturates and rounds everywhere
+    for multiply in (True, False):
+        model.multiply = multiply
+        sensor = TactileSensor(model)
+        for i in range(20):
+            kind = (SPHERE, CAPSULE, BOX)[i % 3]
+            euler, x, y = rng.uniform(-1, 1, 3), rng.uniform(-5, 5), rng.uniform(-7, 7)
+            depth = press(sensor, kind, rng.uniform(1, 3), euler, x, y)
+            assert sensor.contact_from_depth(depth) == sensor.contact(sensor.image(depth))
+
+
+def test_image_is_the_photometric_formula(sensor):
+    """c0 + w (L grad u + c_d u), evaluated plainly with numpy, within rounding."""
+    m, u = sensor.model, sensor.displacement(press(sensor)).astype(np.float64)
+    gy, gx = np.gradient(u, 16 / 80, 12 / 59)
+    light = np.stack([upsample(m.light[k, 0] * gx + m.light[k, 1] * gy + m.depth_light[k] * u, 320, 240)
+                      for k in range(3)], -1)  # fmt: skip
+    w = m.rest_image / m.rest_image.mean((0, 1))
+    expected = np.clip(m.rest_image + w * light, 0, 255)
+    image = sensor.image(press(sensor)).astype(float)
+    # the rim of the grid uses one-sided differences in both
+    assert np.abs(image - expected).max() <= 0.51
+    assert np.abs(image - m.rest_image).max() > 20
+
+
+def test_the_imprint_is_where_the_object_is(sensor):
+    image = sensor.image(press(sensor, x_mm=-2.0, y_mm=4.0)).astype(float)
+    weight = np.square(image - sensor.rest_image).sum(-1)
+    y, x = np.indices(weight.shape) + 0.5
+    assert (weight * x).sum() / weight.sum() == pytest.approx(120 - 2 * 20, abs=5)
+    assert (weight * y).sum() / weight.sum() == pytest.approx(160 + 4 * 20, abs=5)
+
+
+def test_upsampling_is_exact_on_planes():
+    i, j = np.mgrid[:80, :59] + 0.5
+    y, x = np.mgrid[:320, :240] + 0.5
+    out = upsample((3 * j * 240 / 59 - 2 * i * 4).astype(np.float32), 320, 240)
+    inner = (slice(4, -4), slice(4, -4))
+    np.testing.assert_allclose(out[inner], (3 * x - 2 * y)[inner], atol=1e-3)
+
+
+def test_a_gel_survives_the_twins_file(tmp_path):
+    rng = np.random.default_rng(1)
+    gel = GelModel(
+        rng.integers(0, 256, (320, 240, 3), dtype=np.uint8), rng.normal(size=(3, 2)), rng.normal(size=3), 19.5
+    )
+    twin = Twin.builtin()
+    gel.into_twin(twin)
+    twin.save(tmp_path)
+    read = TactileSensor(Twin.load(tmp_path)).model
+    assert read.window_mm == pytest.approx((240 / 19.5, 320 / 19.5))
+    np.testing.assert_array_equal(read.rest_image, gel.rest_image)
+    np.testing.assert_array_equal(read.light, gel.light)
+
+
+@pytest.mark.parametrize(
+    "field, value, says",
+    [
+        ("light", [[1.0, 2.0]], "light"),
+        ("light", "bright", "light"),
+        ("depth_light", [1.0, 2.0, float("nan")], "depth_light"),
+        ("px_per_mm", -3.0, "px_per_mm"),
+        ("decay_mm", "long", "decay_mm"),
+        ("colour", 3.0, "colour"),
+    ],
+)
+def test_a_broken_gel_is_named(field, value, says):
+    twin = Twin.builtin()
+    GelModel.builtin().into_twin(twin)
+    twin.gel[field] = value
+    with pytest.raises(InputError, match=says):
+        TactileSensor(twin)
+
+
+def test_wrong_sizes_are_refused(sensor):
+    with pytest.raises(ValueError, match="probe grid has shape"):
+        sensor.image(np.zeros((40, 30), np.float32))
+    with pytest.raises(ValueError, match="one shape"):
+        contact_area(np.zeros((10, 10, 3), np.uint8), sensor.rest_image)
