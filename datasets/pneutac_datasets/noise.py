@@ -65,7 +65,8 @@ def noise_floor(recording: BenchRecording) -> NoiseFloor:
         by = {c: MAD * float(np.median(np.abs(np.concatenate(fast[c])))) / np.sqrt(2) for c in numeric}
         slow = {c: float(np.sqrt(np.mean(np.concatenate(whole[c]) ** 2) / 2)) for c in numeric}
         session = _norm(slow, columns)
-        how = f"half the variance of the fast difference between {len(pairs)} pairs of equal runs"
+        how = f"half the variance of the fast difference of equal runs ({len(pairs)} pairs)"
+        how = how.replace("1 pairs", "1 pair") if len(pairs) == 1 else how
     elif all(c in stated for c in columns):
         by = {c: float(stated[c]) for c in numeric if c in stated}
         how = "stated in recording.json"

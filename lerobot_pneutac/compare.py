@@ -1,0 +1,305 @@
+"""`pneutac compare`: how far a twin is from a recording, and where it fails."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import draccus
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from lerobot_pneutac.report import write_result
+from pneutac_datasets.axes import Axis, axes
+from pneutac_datasets.check import check
+from pneutac_datasets.noise import NoiseFloor, noise_floor
+from pneutac_datasets.recording import BenchRecording
+from pneutac_sim.errors import InputError
+from pneutac_sim.finger import Bench, simulate
+from pneutac_sim.twin import Twin
+
+PASSAGE_S = 2.0
+PASSAGES = 5
+APART_S = 10.0  # between the starts of two: the next-worst place says more than the same one again
+
+
+@dataclass
+class CompareConfig:
+    """Options of `pneutac compare`.
+
+    Attributes:
+        twin: the twin's folder.
+        recording: a bench recording of the same device.
+        out: folder for `result.json` and `report.html`; nothing is written without it.
+        seed: decides which blocks of time are held out, where the twin was not fitted on this recording.
+    """
+
+    twin: Path
+    recording: Path
+    out: Path | None = None
+    seed: int = 0
+
+
+@dataclass
+class Comparison:
+    """A twin against a recording, sample by sample.
+
+    Attributes:
+        recording: without the rows that the data check left out.
+        said: what the data check found, one sentence each.
+        columns: (D,) compared columns; the first `counted` make the error.
+        counted: see `columns`.
+        measured: (n, D).
+        model: (n, D).
+        unit: of the error.
+        train: (n,) mask; the other samples are held out.
+        noise: floor of the error.
+        axes: ways to sort the samples.
+    """
+
+    recording: BenchRecording
+    said: list[str]
+    columns: tuple[str, ...]
+    counted: int
+    measured: np.ndarray
+    model: np.ndarray
+    unit: str
+    train: np.ndarray
+    noise: NoiseFloor
+    axes: list[Axis]
+
+    @property
+    def squared(self) -> np.ndarray:
+        """(n,) squared Euclidean distance."""
+        return ((self.measured - self.model)[:, : self.counted] ** 2).sum(1)
+
+
+def main(argv: list[str]) -> None:
+    """Runs the verb."""
+    config = draccus.parse(CompareConfig, args=argv)
+    twin = Twin.load(config.twin)
+    recording = BenchRecording.load(config.recording)
+    if recording.device != twin.device and not (recording.device == "gel" and twin.gel):
+        raise InputError(
+            f"{config.recording} is of a {recording.device} and {config.twin} of a {twin.device}; "
+            "compare a twin with a recording of its own device."
+        )
+    if recording.device == "gel":
+        from lerobot_pneutac.compare_gel import compare_gel
+
+        compare_gel(twin, recording, config.out, Console())
+        return
+    c = compare(twin, recording, config.seed)
+    result = summarize(c, twin)
+    _show(c, result)
+    if config.out is not None:
+        from lerobot_pneutac.compare_report import write_report
+
+        write_result(config.out, result)
+        Console().print(f"report: {write_report(c, result, config.out)}")
+
+
+def compare(twin: Twin, recording: BenchRecording, seed: int = 0) -> Comparison:
+    """Checks the recording, runs the twin on it and sorts the errors.
+
+    Args:
+        twin: of the same device.
+        recording: of a finger or an arm.
+        seed: of the split, where the twin's history does not tell another one for this recording.
+    """
+    clean, said = check(recording)
+    prediction = simulate(twin, clean)
+    said += [f"Effect '{name}' could not act: {why}." for name, why in prediction.left_out.items()]
+    bench = prediction.bench
+    return Comparison(
+        recording=clean,
+        said=said,
+        columns=bench.columns,
+        counted=bench.counted,
+        measured=bench.measured,
+        model=prediction.model,
+        unit=bench.unit,
+        train=train_mask(twin, clean, seed),
+        noise=noise_floor(clean),
+        axes=axes(clean),
+    )
+
+
+def train_mask(twin: Twin, recording: BenchRecording, seed: int = 0) -> np.ndarray:
+    """Samples (n,) that the twin may have been fitted to.
+
+    The last version fitted on this very recording tells by its `split` (seed, fractions; the first part
+    trains); any other recording is split with `seed`.
+    """
+    here = str(Path(recording.folder).resolve())
+    for entry in reversed(twin.history):
+        split = entry.get("split")
+        if split and entry.get("recording") and str(Path(entry["recording"]).resolve()) == here:
+            return recording.split(int(split["seed"]), tuple(split["fractions"]))[0]
+    return recording.split(seed)[0]
+
+
+def summarize(c: Comparison, twin: Twin) -> dict:
+    """The comparison as `result.json` has it; numbers without a sample behind them are null."""
+    squared = c.squared
+    pressure = _pressure_error(c, twin)
+    return {
+        "unit": c.unit,
+        "sentence": sentence(c),
+        "error": {"all": _rms(squared), "train": _rms(squared[c.train]), "heldout": _rms(squared[~c.train])},
+        "noise_floor": c.noise.value,
+        "noise": {"session": c.noise.session, "how": c.noise.how, "by_column": c.noise.by_column},
+        "columns": {
+            name: _rms(c.measured[:, i] - c.model[:, i], squares=False) for i, name in enumerate(c.columns)
+        },
+        "pressure": pressure,
+        "by": {a.name: by_axis(a, squared, c.train) for a in c.axes},
+        "worst": worst(c),
+        "history": [
+            {k: e.get(k) for k in ("version", "change", "train", "heldout", "unit")} for e in twin.history
+        ],
+        "samples": len(squared),
+        "checks": c.said,
+    }
+
+
+def _pressure_error(c: Comparison, twin: Twin) -> dict | None:
+    """How far the pneumatics are from the measured pressure, from the command; null without one."""
+    measured = [n.replace("cmd_", "") for n in c.recording.pressure_columns]
+    if not all(map(c.recording.has, measured)):
+        return None
+    p = simulate(twin, Bench.of(c.recording, twin, target="pressure"))
+    squared = (p.residual**2).sum(1)
+    return {
+        "unit": "kPa",
+        "error": {"train": _rms(squared[c.train]), "heldout": _rms(squared[~c.train])},
+        "means": "measured pressure against what the twin makes of the command",
+    }
+
+
+def by_axis(axis: Axis, squared: np.ndarray, train: np.ndarray) -> list[dict]:
+    """One row a bin: error, held-out error, number of samples and share of all squared error."""
+    total = max(float(squared.sum()), 1e-300)
+    rows = []
+    for i, label in enumerate(axis.labels):
+        at = axis.bin == i
+        row = {"value": label}
+        if axis.value is not None:
+            row |= {"from": float(axis.value[at].min()), "to": float(axis.value[at].max())}
+        row |= {
+            "error": _rms(squared[at]),
+            "heldout": _rms(squared[at & ~train]),
+            "n": int(at.sum()),
+            "share": float(squared[at].sum() / total),
+        }
+        rows.append(row)
+    return rows
+
+
+def worst(c: Comparison) -> list[dict]:
+    """The worst passages of about `PASSAGE_S`, at least two samples each, some time apart."""
+    passages = []
+    squared = c.squared
+    for trial, rows in c.recording.trials().items():
+        t, e = c.recording.column("time_s")[rows], squared[rows]
+        sums = np.r_[0.0, np.cumsum(e)]
+        end = np.maximum(
+            np.searchsorted(t, t + PASSAGE_S, side="right"), np.minimum(np.arange(len(t)) + 2, len(t))
+        )
+        mean = (sums[end] - sums[:-1]) / (end - np.arange(len(t)))
+        free = np.ones(len(t), bool)
+        for a in np.argsort(-mean, kind="stable"):
+            if len([p for p in passages if p["trial"] == trial]) == PASSAGES:
+                break
+            if free[a : end[a]].all() and end[a] - a >= min(2, len(t)):
+                free[np.abs(t - t[a]) < APART_S] = False
+                passage = {"trial": trial, "from_s": float(t[a]), "to_s": float(t[end[a] - 1])}
+                passage["error"] = float(np.sqrt(mean[a]))
+                if c.recording.has("program"):
+                    passage["program"] = str(c.recording.column("program")[rows][a])
+                passages.append(passage)
+    return sorted(passages, key=lambda p: -p["error"])[:PASSAGES]
+
+
+def sentence(c: Comparison) -> str:
+    """What a newcomer should take away."""
+    squared = c.squared
+    error = _rms(squared[~c.train])
+    if error is None:
+        error = _rms(squared)
+    what = {"mm": "tip", "rad": "bend", "1/m": "curvature"}.get(c.unit, "device")
+    said = f"The twin misses the measured {what} by {error:.3g} {c.unit} where it was not fitted"
+    if c.noise.value > 0:
+        times = error / c.noise.value
+        if times < 1.1:
+            return f"{said}: no more than the noise of the measurement ({c.noise.value:.2g} {c.unit})."
+        said += f", {times:.1f} times the noise of the measurement ({c.noise.value:.2g} {c.unit})"
+    peak = _peak(c)
+    return f"{said}; it is worst {peak}." if peak else f"{said}."
+
+
+_PHRASES = {
+    ("direction", "loading"): "while the pressure rises",
+    ("direction", "unloading"): "while the pressure falls",
+    ("direction", "hold"): "while the pressure is held",
+    ("rate", "hold"): "while the pressure is held",
+    "rate": "at {0}",
+    "hold_time_s": "after a hold of {0}",
+    "program": "in program '{0}'",
+    "gravity": "with gravity along ({0})",
+    "trial": "in trial {0}",
+    "pressure_cmd_kpa": "at {0} kPa",
+    "temperature_c": "at {0} °C",
+}
+
+
+def _peak(c: Comparison) -> str:
+    """Where the error stands out most against all the rest."""
+    squared = c.squared
+    best, phrase = 1.5, ""
+    for axis in c.axes:
+        if len(axis.labels) < 2:
+            continue
+        for i, label in enumerate(axis.labels):
+            at = axis.bin == i
+            if at.mean() < 0.02 or at.all():
+                continue
+            ratio = np.sqrt(squared[at].mean() / max(squared[~at].mean(), 1e-300))
+            if ratio > best:
+                best = ratio
+                phrase = _PHRASES.get((axis.name, label)) or _PHRASES.get(
+                    axis.name, "where {1} is {0}"
+                ).format(label, axis.name)
+    return phrase
+
+
+def _rms(x: np.ndarray, squares: bool = True) -> float | None:
+    """Root of the mean of squares (n,), or of the squares of (n,); None where there is none."""
+    if len(x) == 0:
+        return None
+    return float(np.sqrt(np.mean(x if squares else x**2)))
+
+
+def _show(c: Comparison, result: dict) -> None:
+    console = Console()
+    console.print(f"[bold]{result['sentence']}[/bold]")
+    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
+
+    def number(x):
+        return "-" if x is None else f"{x:.3g} {c.unit}"
+
+    table.add_row("held-out error", number(result["error"]["heldout"]))
+    table.add_row("train error", number(result["error"]["train"]))
+    table.add_row("noise floor", f"{number(c.noise.value)} ({c.noise.how})")
+    if result["pressure"]:
+        e = result["pressure"]["error"]["heldout"]
+        table.add_row("pressure, held out", "-" if e is None else f"{e:.3g} kPa")
+    for p in result["worst"][:3]:
+        where = f"trial {p['trial']}, {p['from_s']:.1f} to {p['to_s']:.1f} s"
+        table.add_row("worst passage", f"{number(p['error'])} in {where} {p.get('program', '')}")
+    for entry in result["history"]:
+        table.add_row(
+            f"version {entry['version']}", f"{entry['change']}: held out {number(entry['heldout'])}"
+        )
+    console.print(table)
+    for said in c.said:
+        console.print(f"[yellow]- {said}[/yellow]")
