@@ -6,9 +6,9 @@ import sys
 # verb -> (module with `main(argv)`, what it does); a verb without a module is not there yet
 VERBS: dict[str, tuple[str | None, str]] = {
     "demo": ("lerobot_pneutac.demo", "the main job, end to end, on the built-in twin"),
-    "new": (None, "a new twin"),
+    "new": ("lerobot_pneutac.new", "a new twin"),
     "calibrate": ("lerobot_pneutac.calibrate", "fit a twin to a bench recording"),
-    "compare": (None, "errors of a twin against a recording, and where it fails"),
+    "compare": ("lerobot_pneutac.compare", "errors of a twin against a recording, and where it fails"),
     "diagnose": (None, "which physical effect is missing"),
     "add": (None, "switch an effect on, re-fit, show the error before and after"),
     "surrogate": (None, "train the fast networks from full simulations"),
