@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import draccus
 from rich.console import Console
 
+from lerobot_pneutac.options import parse_options
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin
 
@@ -42,7 +42,7 @@ class CalibrateConfig:
 
 def main(argv: list[str]) -> None:
     """Runs the verb with its command line options."""
-    cfg = draccus.parse(CalibrateConfig, args=argv)
+    cfg = parse_options(CalibrateConfig, argv)
     with TemporaryDirectory() as tmp:
         calibrate(cfg, Path(tmp), Console())
 

@@ -95,7 +95,7 @@ def _rgb(recording: BenchRecording, value) -> np.ndarray:
     image = recording.image(value)
     if isinstance(value, str):
         with Image.open(recording.folder / value) as im:
-            deep = "16" in im.mode or any("16" in str(tile) for tile in im.tile)
+            deep = "16" in im.mode or any("16" in str(tile[3]) for tile in im.tile)
             what = {"L": "grey", "1": "black and white", "P": "a palette", "I": "grey with 32 bits"}.get(
                 im.mode
             )

@@ -59,11 +59,10 @@ def fit_gel(
         error, coefficients = 0.0, []
         for k in range(3):
             A = features * weight[touched, k, None]
-            c, *_ = np.linalg.lstsq(A, difference[touched, k], rcond=None)
+            AA, Ab = A.T @ A, A.T @ difference[touched, k]  # normal equations, 3 x 3 and well conditioned
+            c, *_ = np.linalg.lstsq(AA, Ab, rcond=None)
             coefficients.append(c)
-            # outside the touched region the model changes nothing, so its error is the difference itself
-            error += float(np.square(difference[touched, k] - A @ c).sum())
-            error += float(np.square(difference[~touched, k]).sum())
+            error += c @ AA @ c - 2 * c @ Ab  # less the constant |difference|^2 of the whole image
         return error, np.array(coefficients)
 
     search = minimize_scalar(
@@ -92,7 +91,7 @@ def _features(gel: GelModel, depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     u = surface(depth, cell, gel.decay_mm)
     fields = [upsample(f, h, w) for f in (*gradient(u, cell), u)]
     touched = fields[2] > 0.02 * u.max()
-    return np.stack([f[touched] for f in fields], -1), touched
+    return np.stack([f[touched] for f in fields], -1).astype(np.float64), touched
 
 
 def _disc(image: np.ndarray, press: Press, px_per_mm: float, radii: float) -> np.ndarray:
@@ -138,10 +137,16 @@ def check_pair(rest: np.ndarray, indentation: np.ndarray, press: Press, px_per_m
                 f"{likeness:.2f}; the rest image seems to be of another sensor or session."
             )
     scale = press.contact_radius_mm * px_per_mm / 3
+    rows, cols = (np.flatnonzero(near.any(axis)) for axis in (1, 0))
+    margin = int(4 * scale)
+    around = (
+        slice(max(rows[0] - margin, 0), rows[-1] + margin),
+        slice(max(cols[0] - margin, 0), cols[-1] + margin),
+    )
 
     def relief(image):  # bumps of the size of the contact; a rest image varies more slowly
-        bumps = [gaussian_laplace(image[..., k].astype(np.float32), scale) for k in range(3)]
-        return float(np.sqrt(np.mean(np.square(np.stack(bumps, -1)[near]))))
+        bumps = [gaussian_laplace(image[..., k][around].astype(np.float32), scale) for k in range(3)]
+        return float(np.sqrt(np.mean(np.square(np.stack(bumps, -1)[near[around]]))))
 
     blur = 0.15 * px_per_mm  # averages noise within a grid cell
     difference = gaussian_filter(indentation.astype(np.float32) - rest, (blur, blur, 0))

@@ -14,7 +14,7 @@ the one length l also lets a thin layer hide its far field, which real DIGIT ima
 import numpy as np
 from numba import njit
 
-DECAY_MM = 1.5
+DECAY_MM = 1.2  # found on two real DIGITs: 1.17 and 1.31
 
 
 def surface(

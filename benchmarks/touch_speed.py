@@ -1,0 +1,82 @@
+"""Speed of the tactile pipeline on one thread: python benchmarks/touch_speed.py.
+
+Prints medians in milliseconds beside the goal for each stage.
+"""
+
+import os
+
+os.environ.setdefault("NUMBA_NUM_THREADS", "1")
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import time
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from scipy.spatial.transform import Rotation
+
+from pneutac_datasets.gel_generator import hertz
+from pneutac_sim.gel.fit import fit_gel, press_depth
+from pneutac_sim.gel.indenter import Press
+from pneutac_sim.gel.model import GelModel
+from pneutac_sim.gel.probe import BOX, CAPSULE, SPHERE, probe_grid
+from pneutac_sim.gel.sensor import TactileSensor
+
+
+def median_ms(call, repeats: int = 300) -> float:
+    call()
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        call()
+        times.append(time.perf_counter() - start)
+    return 1e3 * float(np.median(times))
+
+
+def main() -> None:
+    sensor = TactileSensor()
+    tilt = Rotation.from_euler("xyz", [0.1, 0.2, 0.3]).as_matrix()
+    shapes = {
+        "one sphere": ([SPHERE], [[0.003, 0, 0]], [[0, 0, 0.0024]]),
+        "one box": ([BOX], [[0.004, 0.003, 0.003]], [[0, 0, 0.0024]]),
+        "one capsule": ([CAPSULE], [[0.002, 0.004, 0]], [[0, 0, 0.0044]]),
+        "box, capsule, sphere": (
+            [BOX, CAPSULE, SPHERE],
+            [[0.004, 0.003, 0.003], [0.002, 0.004, 0], [0.003, 0, 0]],
+            [[0, 0.004, 0.0024], [0, 0, 0.0044], [0, -0.004, 0.0024]],
+        ),
+    }
+    table = Table(title="Tactile pipeline, one thread")
+    for name in ("stage", "median ms", "goal ms"):
+        table.add_column(name, justify="left" if name == "stage" else "right")
+    for name, (kinds, sizes, positions) in shapes.items():
+        arrays = [np.array(kinds), np.array(sizes), np.array(positions), np.array([tilt] * len(kinds))]
+        table.add_row(f"probe grid, {name}", f"{median_ms(lambda a=arrays: probe_grid(*a)):.3f}", "0.040")
+    depth = probe_grid(*arrays)
+    table.add_row("gel surface", f"{median_ms(lambda: sensor.displacement(depth)):.3f}", "")
+    table.add_row("image, surface included", f"{median_ms(lambda: sensor.image(depth)):.3f}", "2")
+    image = sensor.image(depth)
+    table.add_row("contact area of an image", f"{median_ms(lambda: sensor.contact(image)):.3f}", "")
+    table.add_row(
+        "contact area without the image", f"{median_ms(lambda: sensor.contact_from_depth(depth)):.3f}", ""
+    )
+    nothing = np.zeros_like(depth)
+    table.add_row("image without contact", f"{median_ms(lambda: sensor.image(nothing)):.3f}", "")
+    gel, press = GelModel.builtin(), Press("sphere", 3.0, 0.5, 0.5, 0.9)
+    photograph = sensor.image(press_depth(press, gel))
+    fit = median_ms(lambda: fit_gel(gel.rest_image, photograph, press, 20.0), 5)
+    table.add_row("calibration from one pair", f"{fit:.0f}", "")
+    console = Console()
+    console.print(table)
+    x, y = np.meshgrid((np.arange(59) + 0.5) * 12 / 59 - 6, (np.arange(80) + 0.5) * 0.2 - 8)
+    r, radius, d = np.hypot(x, y), 3.0, 0.9
+    u = sensor.displacement(np.maximum(0, d - r**2 / (2 * radius)).astype(np.float32))
+    inside = r < np.sqrt(radius * d)
+    gap = np.abs(u - hertz(r, d, radius))[inside].max() / d
+    console.print(
+        f"A ball's surface inside its contact differs from Hertz by at most {100 * gap:.1f} % of the depth."
+    )
+
+
+if __name__ == "__main__":
+    main()
