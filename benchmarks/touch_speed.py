@@ -57,9 +57,8 @@ def main() -> None:
     table.add_row("image, surface included", f"{median_ms(lambda: sensor.image(depth)):.3f}", "2")
     image = sensor.image(depth)
     table.add_row("contact area of an image", f"{median_ms(lambda: sensor.contact(image)):.3f}", "")
-    table.add_row(
-        "contact area without the image", f"{median_ms(lambda: sensor.contact_from_depth(depth)):.3f}", ""
-    )
+    area = median_ms(lambda: sensor.contact_from_depth(depth))
+    table.add_row("contact area without the image", f"{area:.3f}", "")
     nothing = np.zeros_like(depth)
     table.add_row("image without contact", f"{median_ms(lambda: sensor.image(nothing)):.3f}", "")
     gel, press = GelModel.builtin(), Press("sphere", 3.0, 0.5, 0.5, 0.9)
@@ -74,7 +73,7 @@ def main() -> None:
     inside = r < np.sqrt(radius * d)
     gap = np.abs(u - hertz(r, d, radius))[inside].max() / d
     console.print(
-        f"A ball's surface inside its contact differs from Hertz by at most {100 * gap:.1f} % of the depth."
+        f"Inside its contact a ball's surface differs from Hertz by {100 * gap:.1f} % of the depth."
     )
 
 

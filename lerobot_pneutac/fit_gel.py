@@ -59,7 +59,11 @@ def calibrate_gel(twin: Twin, recording: BenchRecording, cfg, console: Console) 
         if heldout
         else {}
     )
-    error = {"train": trained.rmse, "heldout": mean[OURS].rmse if heldout else None}
+    unseen = [scores[OURS][i].rmse for i in heldout]
+    error = {
+        "train": trained.rmse,
+        "heldout": float(np.sqrt(np.mean(np.square(unseen)))) if heldout else None,
+    }
 
     carried.into_twin(twin)
     twin.save_version(cfg.twin, "calibrated gel", str(recording.folder), {**error, "unit": "levels"})
@@ -68,8 +72,10 @@ def calibrate_gel(twin: Twin, recording: BenchRecording, cfg, console: Console) 
         "error": error,
         "evaluations": evaluations,
         "seconds": seconds,
-        "image": (vars(mean[OURS]) | {"rest_rmse": mean[REST].rmse, "n": len(heldout)}) if heldout else None,
-        "methods": {name: vars(m) for name, m in mean.items()},
+        "image": (_finite(mean[OURS]) | {"rest_rmse": mean[REST].rmse, "n": len(heldout)})
+        if heldout
+        else None,
+        "methods": {name: _finite(m) for name, m in mean.items()},
         "recording": str(recording.folder),
         "notes": recording.meta.get("notes", ""),
         "twin": str(cfg.twin),
@@ -130,6 +136,11 @@ def _scores(data: GelRecording, predicted: list[np.ndarray]) -> list[ImageScores
         score(p, s.image, data.rest, s.x_px, s.y_px, s.radius_px)
         for p, s in zip(predicted, data.samples, strict=True)
     ]
+
+
+def _finite(scores: ImageScores) -> dict:
+    """Scores as plain numbers; the PSNR of equal images, which is infinite, as None."""
+    return {k: v if np.isfinite(v) else None for k, v in vars(scores).items()}
 
 
 def _parameters(gel: GelModel) -> dict:

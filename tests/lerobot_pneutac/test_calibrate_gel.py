@@ -41,7 +41,7 @@ def test_generated_pair_beats_rest_and_pasted_difference_on_held_out_images(gene
         assert ours["contact_rmse"] < 0.75 * other["contact_rmse"]
     assert ours["contact_dncc"] > max(0.9, pasted["contact_dncc"])
     assert result["image"]["n"] == 6 and result["image"]["rest_rmse"] == rest["rmse"]
-    assert result["error"]["heldout"] == result["image"]["rmse"]
+    assert 1 <= result["error"]["heldout"] / result["image"]["rmse"] < 1.1, "root mean square over images"
     assert set(result) >= {"parameters", "error", "evaluations", "seconds", "image"}
     page = (tmp_path / "out" / "report.html").read_text()
     assert "data:image/png;base64" in page and "http://" not in page.replace("http://www.w3.org", "")

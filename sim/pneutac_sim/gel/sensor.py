@@ -54,7 +54,8 @@ class TactileSensor:
 
     def image(self, depth_mm: np.ndarray) -> np.ndarray:
         """Tactile image of a probe grid (80, 59) in mm: uint8 (H, W, 3)."""
-        return self._renderer.image(self.displacement(depth_mm))
+        u = self.displacement(depth_mm)
+        return self._renderer.image(u) if u.any() else self.rest_image.copy()
 
     def contact(self, image: np.ndarray) -> ContactArea:
         """Contact area of a tactile image of this sensor."""
