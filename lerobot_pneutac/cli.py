@@ -9,12 +9,12 @@ VERBS: dict[str, tuple[str | None, str]] = {
     "new": ("lerobot_pneutac.new", "a new twin"),
     "calibrate": ("lerobot_pneutac.calibrate", "fit a twin to a bench recording"),
     "compare": ("lerobot_pneutac.compare", "errors of a twin against a recording, and where it fails"),
-    "diagnose": (None, "which physical effect is missing"),
-    "add": (None, "switch an effect on, re-fit, show the error before and after"),
+    "diagnose": ("lerobot_pneutac.diagnose", "which physical effect is missing"),
+    "add": ("lerobot_pneutac.add", "switch an effect on, re-fit, show the error before and after"),
     "surrogate": (None, "train the fast networks from full simulations"),
     "render": (None, "pictures and videos of a twin"),
     "augment": (None, "demonstrations in, more demonstrations out"),
-    "benchmark": (None, "tables of speed and accuracy"),
+    "benchmark": ("lerobot_pneutac.benchmark", "tables of speed and accuracy"),
     "doctor": ("lerobot_pneutac.doctor", "what is installed, which GPU, which ports and cameras answer"),
 }
 

@@ -1,5 +1,6 @@
 """The whole diagnosis: data check, noise floor, fingerprints, selection, rivals, verdict."""
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -95,6 +96,23 @@ class Diagnosis:
     seconds: float = 0.0
     judge: Resampler | None = field(default=None, repr=False)
 
+    @property
+    def before_error(self) -> float:
+        """Error of the twin as it is on the test part."""
+        return float(np.sqrt(self.judge.value((self.before**2).sum(1))))
+
+    @property
+    def after_error(self) -> float:
+        """Error of the final twin on the test part."""
+        return float(np.sqrt(self.judge.value((self.after**2).sum(1))))
+
+    @property
+    def removed(self) -> tuple[float, tuple[float, float]]:
+        """Share of the avoidable error that all found effects remove, with its interval."""
+        if not self.selected:
+            return 0.0, (0.0, 0.0)
+        return self.judge.reduction((self.before**2).sum(1), (self.after**2).sum(1), self.noise.value)
+
 
 def diagnose(
     twin: Twin,
@@ -117,6 +135,7 @@ def diagnose(
     Raises:
         InputError: the recording has too few rows to fit the twin at all, or is of another device.
     """
+    began = time.perf_counter()
     recording, findings = check(recording)
     noise = noise_floor(recording)
     parts = deal(recording, seed)
@@ -224,6 +243,7 @@ def diagnose(
         verdict=decide(evidence),
         measured_pressure=bool(measured),
         pressure_error=pressure,
+        seconds=time.perf_counter() - began,
         judge=test,
     )
 
