@@ -31,7 +31,7 @@ from pneutac_sim.twin import Value
 SIGNALS = {
     "pneumatics": ("pressure",),  # kPa, a channel a chamber
     "actuation": ("pressure",),  # kPa that bends, a channel a chamber
-    "body": ("joints", "loads"),  # rad, a channel a joint (and axis)
+    "body": ("joints", "loads", "markers"),  # joints: rad, a channel a joint (and axis)
     "observation": ("markers",),  # tip x, y, z in mm, bend towards +z and towards +y in rad
 }
 STAGES = tuple(SIGNALS)
@@ -91,7 +91,9 @@ class Effect:
         run: compiled function, see the module's text.
         summary: one sentence for a newcomer, with `{device}` and `{parameter}` placeholders.
         experiment: what to record to see the effect apart from its rivals.
-        columns: condition columns that it needs; also `session_time_s` and `length_mm`, which always exist.
+        columns: condition columns that it needs. These are computed: `session_time_s`, `length_mm`,
+            `bending_pressure_kpa` (the pressure that reaches the body, where `signal` is `markers`), and
+            `other_1_kpa` to `other_3_kpa` where the recording has further `*_kpa` columns.
         signal: what it acts on; empty for the stage's first signal.
         state_size: number of channels to number of state values.
         derive: parameter values to further values that `summary` shows.

@@ -67,15 +67,16 @@ def run(x, dt, theta, conditions, state):
                 for i in range(_PIECES):
                     target = before[c] + (command - before[c]) * (i + 1) / _PIECES
                     rate = fill_rate if target > p[c] else vent_rate
-                    if math.isinf(rate):
+                    if p[c] == target or math.isinf(rate):
                         p[c] = target
                         continue
                     now, other = ATMOSPHERE_KPA + p[c], max(ATMOSPHERE_KPA + target, 1.0)
                     step = dt[t] / _PIECES
-                    after = (
-                        fill(now, other, rate, b, step) if target > p[c] else vent(now, other, rate, b, step)
-                    )
-                    p[c] = after - ATMOSPHERE_KPA
+                    if target > p[c]:
+                        after = fill(now, other, rate, b, step)
+                    else:
+                        after = vent(now, other, rate, b, step)
+                    p[c] = target if after == other else after - ATMOSPHERE_KPA
             before[c] = command
             x[t, c] = p[c]
 

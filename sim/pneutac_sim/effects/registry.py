@@ -3,8 +3,9 @@
 Order within a stage (it matters: a leak is slowed by the lag behind it):
 
 - pneumatics: dead_time, leak, valve_lag, orifice_flow, sensor_offset
-- actuation: gain_saturation, stiffening, hysteresis, friction
-- body: gravity and payload (loads, in static equilibrium with the joints), thermal, cyclic_softening, creep
+- actuation: gain_saturation, stiffening, hysteresis, friction, crosstalk
+- body: gravity and payload (loads, in static equilibrium with the joints), thermal, cyclic_softening, creep;
+  then elongation (of the finished pose)
 - observation: base_tilt, camera_misalignment
 
 Effects of other packages come last in their stage, in alphabetical order.
@@ -29,11 +30,13 @@ BUILTIN = (
     "stiffening",
     "hysteresis",
     "friction",
+    "crosstalk",
     "gravity",
     "payload",
     "thermal",
     "cyclic_softening",
     "creep",
+    "elongation",
     "base_tilt",
     "camera_misalignment",
 )

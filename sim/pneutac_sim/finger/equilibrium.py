@@ -12,7 +12,7 @@ import numpy as np
 from pneutac_sim.effects.effect import kernel
 
 _ITERATIONS = 60  # heavy loads on soft joints; light ones take two or three
-_TOLERANCE = 1e-8  # rad; the step after it would be far smaller still
+_TOLERANCE = 1e-6  # rad, of a step; what is left after it is a hundred times smaller
 
 
 @kernel

@@ -92,6 +92,8 @@ def fit(
     mask = np.ones(len(bench), bool) if train is None else np.asarray(train, bool)
     pipeline = Pipeline.of(twin, bench.inputs, effects)
     limits = Limits(pipeline, bench.inputs.pressure_range_kpa)
+    if bench.unit == "kPa" and only is None:  # the pressure knows nothing of the body behind it
+        only = [e.name for e in pipeline.effects if e.stage == "pneumatics"]
     free = _free(pipeline, only)
     if mask.sum() * len(bench.columns) <= len(free):
         raise InputError(

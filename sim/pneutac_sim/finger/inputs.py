@@ -1,7 +1,7 @@
 """What drives the model: pressures, time steps and conditions of a table of samples."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -82,6 +82,12 @@ class Inputs:
             for name in samples
             if _is_number(samples[name]) and name not in names
         }
+        others = [c for c in columns if c.endswith("_kpa") and c not in (*command, *measured)]
+        if others:
+            zero = np.zeros(len(time))
+            columns |= {
+                f"other_{i + 1}_kpa": columns[others[i]] if i < len(others) else zero for i in range(3)
+            }
         columns["session_time_s"] = _session_time(time, first)
         columns["length_mm"] = np.full(len(time), float(length_mm))
         scale = max(
@@ -106,9 +112,15 @@ class Inputs:
             self._cache[names] = np.stack(parts, axis=1) if parts else np.zeros((len(self.dt_s), 0))
         return self._cache[names]
 
-    def sample_conditions(self, names: tuple[str, ...]) -> np.ndarray:
-        """(n, k) condition columns at the samples."""
-        return self.conditions(names)[self.rows]
+    def at_samples(self, more: dict[str, np.ndarray]) -> Callable[[tuple[str, ...]], np.ndarray]:
+        """Like `conditions`, (n, k) at the samples, and with these further columns (m,)."""
+
+        def conditions(names: tuple[str, ...]) -> np.ndarray:
+            if not any(name in more for name in names):
+                return self.conditions(names)[self.rows]
+            return np.stack([(more | self.columns)[name][self.rows] for name in names], axis=1)
+
+        return conditions
 
     @property
     def sample_dt_s(self) -> np.ndarray:
@@ -150,6 +162,20 @@ def pressure_columns(device: str) -> tuple[list[str], list[str]]:
         return ["pressure_cmd_kpa"], ["pressure_kpa"]
     chambers = range(1, CHAMBERS[device] + 1)
     return [f"pressure_cmd_{i}_kpa" for i in chambers], [f"pressure_{i}_kpa" for i in chambers]
+
+
+def other_pressures(samples: Mapping, device: str) -> list[str]:
+    """Pressures of other chambers that a recording has as conditions."""
+    own = sum(pressure_columns(device), [])
+    return [str(c) for c in samples if str(c).endswith("_kpa") and c not in own]
+
+
+def conditions_of(samples: Mapping, device: str) -> set[str]:
+    """Columns that effects may ask for, recorded or computed."""
+    computed = {"session_time_s", "length_mm", "bending_pressure_kpa"}
+    if other_pressures(samples, device):
+        computed |= {"other_1_kpa", "other_2_kpa", "other_3_kpa"}
+    return computed | {str(c) for c in samples}
 
 
 def _is_number(column) -> bool:

@@ -5,7 +5,10 @@ Link 0 runs from the base to the first joint and is fixed; a positive angle bend
 in any one unit; the tip comes out in the same unit.
 """
 
+import math
+
 import numpy as np
+from numba import njit
 
 from pneutac_sim.errors import InputError
 
@@ -95,32 +98,33 @@ def forward_kinematics_spatial(
         Tip (..., 3) as x, y, z in the unit of `length`; bend (..., 2) = sum of q_n, towards +z and +y, rad.
     """
     q = np.asarray(q, dtype=float)
+    tip = np.empty((*q.shape[:-2], 3))
     links = _links(joint_positions, length)
-    tip = np.zeros((*q.shape[:-2], 3))
-    tip[..., 0] = joint_positions[0]
-    frame = np.broadcast_to(np.eye(3), (*q.shape[:-2], 3, 3))
-    for n, link in enumerate(links):
-        frame = frame @ bend_rotation(q[..., n, :])
-        tip += link * frame[..., :, 0]
+    _chain(q.reshape(-1, len(links), 2), float(joint_positions[0]), links, tip.reshape(-1, 3))
     return tip, q.sum(axis=-2)
 
 
-def bend_rotation(q: np.ndarray) -> np.ndarray:
-    """Rotation (..., 3, 3) that bends x by the angle |q| towards (0, q[1], q[0]) (Rodrigues' formula)."""
-    to_z, to_y = q[..., 0], q[..., 1]
-    angle = np.hypot(to_z, to_y)
-    a = np.sinc(angle / np.pi)  # sin(angle) / angle
-    b = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2  # (1 - cos(angle)) / angle^2
-    R = np.empty((*q.shape[:-1], 3, 3))
-    R[..., 0, 0] = np.cos(angle)
-    R[..., 1, 0] = a * to_y
-    R[..., 2, 0] = a * to_z
-    R[..., 0, 1] = -a * to_y
-    R[..., 0, 2] = -a * to_z
-    R[..., 1, 1] = 1 - b * to_y * to_y
-    R[..., 2, 2] = 1 - b * to_z * to_z
-    R[..., 1, 2] = R[..., 2, 1] = -b * to_y * to_z
-    return R
+@njit(cache=True)
+def _chain(q, first, links, tip):
+    """Tips (n, 3) of chains of joints (n, N, 2), by Rodrigues' formula joint by joint."""
+    x, y, z = np.empty(3), np.empty(3), np.empty(3)  # the frame's columns
+    for t in range(len(q)):
+        x[:], y[:], z[:] = 0.0, 0.0, 0.0
+        x[0] = y[1] = z[2] = 1.0
+        tip[t, 0], tip[t, 1], tip[t, 2] = first, 0.0, 0.0
+        for n in range(len(links)):
+            to_z, to_y = q[t, n, 0], q[t, n, 1]
+            square = to_z * to_z + to_y * to_y
+            angle = math.sqrt(square)
+            a = math.sin(angle) / angle if angle > 1e-6 else 1.0
+            b = (1.0 - math.cos(angle)) / square if angle > 1e-4 else 0.5
+            for i in range(3):
+                old_x, old_y, old_z = x[i], y[i], z[i]
+                x[i] = (1.0 - b * square) * old_x + a * (to_y * old_y + to_z * old_z)
+                lost = a * old_x + b * (to_y * old_y + to_z * old_z)
+                y[i] = old_y - to_y * lost
+                z[i] = old_z - to_z * lost
+                tip[t, i] += links[n] * x[i]
 
 
 def _links(joint_positions: np.ndarray, length: float) -> np.ndarray:

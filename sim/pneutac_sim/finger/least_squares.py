@@ -53,6 +53,8 @@ def minimise(
     start = v.copy()
     r = residual(v)
     cost = float(r @ r)
+    if len(v) == 0:
+        return Solution(v, cost, 0)
     pull = _PULL**2 * max(cost, 1e-12)
     damping = 1e-3
     for step in range(1, steps + 1):

@@ -36,6 +36,8 @@ from pneutac_sim.finger.inputs import Inputs
 from pneutac_sim.finger.stages import Drive, EffectLink, Geometry, Loads, Markers, base_parameters
 from pneutac_sim.twin import Twin, Value
 
+BENDING_PRESSURE = "bending_pressure_kpa"
+
 
 @dataclass(frozen=True)
 class Run:
@@ -87,28 +89,30 @@ class Pipeline:
         self.specs: list[Parameter] = list(base_parameters(geometry))
         self.left_out: dict[str, str] = {}
         links: dict[str, list[EffectLink]] = {
-            s: [] for s in ("pneumatics", "actuation", "loads", "body", "observation")
+            s: [] for s in ("pneumatics", "actuation", "loads", "joints", "markers", "observation")
         }
         for e in self.effects:
             at = len(self.names)
             self.names += [f"{e.name}.{p.name}" for p in e.parameters]
             self.specs += e.parameters
-            missing = [c for c in e.columns if columns is not None and c not in columns]
+            missing = [c for c in e.columns if columns is not None and c not in (*columns, BENDING_PRESSURE)]
             if missing:
                 self.left_out[e.name] = f"the recording has no column {', '.join(missing)}"
             elif measured and e.stage == "pneumatics" and e.name != "sensor_offset":
                 self.left_out[e.name] = "the measured pressure is the input"
             else:
-                group = "loads" if e.signal == "loads" else e.stage
-                links[group].append(EffectLink(e, tuple(range(at, len(self.names)))))
+                links[e.signal if e.stage == "body" else e.stage].append(
+                    EffectLink(e, tuple(range(at, len(self.names))))
+                )
         base = len(base_parameters(geometry))
         loads = [Loads(geometry, tuple(links["loads"]), base - 1)] if links["loads"] else []
         to_joints = [*links["pneumatics"], *links["actuation"], Drive(geometry, tuple(range(base - 1)))]
-        to_markers = [*to_joints, *loads, *links["body"], Markers(geometry)]
-        self.chain = [*to_markers, *links["observation"]]
+        to_markers = [*to_joints, *loads, *links["joints"], Markers(geometry)]
+        self.chain = [*to_markers, *links["markers"], *links["observation"]]
         sensor = [i for i, e in enumerate(links["pneumatics"]) if e.effect.name == "sensor_offset"]
         self.reads_pressure = sensor[0] if sensor else len(links["pneumatics"])
         self.reads_joints = len(to_markers) - 1
+        self._drive = len(to_joints) - 1
 
     @classmethod
     def of(cls, twin: Twin, inputs: Inputs | None = None, effects: Sequence[str] | None = None) -> "Pipeline":
@@ -185,7 +189,8 @@ class Pipeline:
             if i == self.reads_joints:
                 x = x[inputs.rows]
             if i >= self.reads_joints:
-                dt, conditions = inputs.sample_dt_s, inputs.sample_conditions
+                dt = inputs.sample_dt_s
+                conditions = inputs.at_samples({BENDING_PRESSURE: signals[self._drive].mean(axis=1)})
             signals.append(link(x, dt, theta, conditions, np.zeros(link.state_size(x.shape[1]))))
         return Run(
             theta=theta,

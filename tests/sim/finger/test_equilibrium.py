@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 from scipy.optimize import minimize
+from scipy.spatial.transform import Rotation
 
 from pneutac_sim.finger.equilibrium import planar, spatial
-from pneutac_sim.finger.kinematics import bend_rotation, forward_kinematics
+from pneutac_sim.finger.kinematics import forward_kinematics
 
 L = 0.11
 N = 4
@@ -20,10 +21,10 @@ def _links():
 
 def _points(q):
     """Joint positions and tip (N + 1, 3) for angles (N, 2), link 0 left out."""
-    frame, points = np.eye(3), [np.zeros(3)]
+    frame, points = Rotation.identity(), [np.zeros(3)]
     for n in range(N):
-        frame = frame @ bend_rotation(q[n])
-        points.append(points[-1] + LINKS[n] * frame[:, 0])
+        frame = frame * Rotation.from_rotvec([0, -q[n, 0], q[n, 1]])
+        points.append(points[-1] + LINKS[n] * frame.apply([1, 0, 0]))
     return np.array(points)
 
 

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger.kinematics import (
-    bend_rotation,
     forward_kinematics,
     forward_kinematics_spatial,
     gain_profile,
@@ -71,10 +71,19 @@ def test_turning_every_joints_bend_direction_turns_the_tip():
     np.testing.assert_allclose(b, [a[0], c * a[1] + s * a[2], c * a[2] - s * a[1]], atol=1e-12)
 
 
-def test_bend_rotation_is_a_rotation():
-    R = bend_rotation(np.random.default_rng(1).normal(size=(50, 2)))
-    np.testing.assert_allclose(R @ R.swapaxes(-1, -2), np.broadcast_to(np.eye(3), R.shape), atol=1e-12)
-    np.testing.assert_allclose(np.linalg.det(R), 1)
+def test_spatial_tip_equals_the_product_of_rotations():
+    rng = np.random.default_rng(1)
+    q = rng.normal(scale=0.5, size=(20, 6, 2))
+    q[0] = 0.0
+    s_n = np.linspace(10, 100, 6)
+    tip, _ = forward_kinematics_spatial(q, s_n, 110.0)
+    links = np.diff(np.append(s_n, 110.0))
+    for angles, found in zip(q, tip, strict=True):
+        frame, end = Rotation.identity(), np.array([10.0, 0, 0])
+        for (to_z, to_y), link in zip(angles, links, strict=True):
+            frame = frame * Rotation.from_rotvec([0, -to_z, to_y])
+            end = end + link * frame.apply([1, 0, 0])
+        np.testing.assert_allclose(found, end, atol=1e-10)
 
 
 def test_joints_out_of_order_are_refused():
