@@ -6,9 +6,9 @@ import numpy as np
 
 from pneutac_datasets.recording import BenchRecording
 from pneutac_sim.effects.registry import all_effects
+from pneutac_sim.finger.inputs import conditions_of
 from pneutac_sim.twin import Twin
 
-ALWAYS = ("session_time_s", "length_mm")
 LEAST_CHANGE = {"temperature_c": 1.0, "payload_g": 1e-3}  # below this a condition is as good as constant
 
 
@@ -28,10 +28,14 @@ class Untested:
 def sort_candidates(recording: BenchRecording, twin: Twin) -> tuple[list[str], list[Untested]]:
     """Effects to try and those that cannot be tried; what the twin has already is in neither."""
     names, untested = [], []
+    known = conditions_of(recording.samples, recording.device)
+    marked = any(recording.has(f"tip_{a}_mm") for a in "xyz")
     for name, effect in all_effects().items():
         if name in twin.effects:
             continue
-        missing = [c for c in effect.columns if c not in ALWAYS and not recording.has(c)]
+        missing = [c for c in effect.columns if c not in known]
+        if any(c.startswith("other_") for c in missing):
+            continue  # there is no other chamber on record, so none whose effect could be missing
         constant = [
             c
             for c in effect.columns
@@ -41,9 +45,9 @@ def sort_candidates(recording: BenchRecording, twin: Twin) -> tuple[list[str], l
             untested.append(Untested(name, f"cannot be tested, record column {', '.join(missing)}"))
         elif constant:
             untested.append(Untested(name, f"cannot be tested, column {constant[0]} hardly changes: vary it"))
-        elif effect.stage == "observation" and recording.device == "arm":
+        elif effect.signal == "markers" and not marked:
             untested.append(
-                Untested(name, "cannot be tested on curvatures, record tip_x_mm, tip_y_mm, tip_z_mm")
+                Untested(name, "cannot be tested on angles, record tip_x_mm, tip_y_mm, tip_z_mm")
             )
         else:
             names.append(name)
