@@ -18,8 +18,8 @@ MIN_THRESHOLD_LEVELS = 4.0  # below this, rounding and image compression alone w
 
 # Of 66 photographs of three real sensors, an indentation has at least 2.5 times the rest image's relief at
 # the contact, its blurred difference is at least 3 times that elsewhere, and away from the contact it
-# correlates with the rest image above 0.96, but by only 0.73 with that of another DIGIT. The limits leave room
-# for weaker contacts and noisier cameras.
+# correlates with the rest image above 0.96, but by only 0.73 with that of another DIGIT. The limits leave
+# room for weaker contacts and noisier cameras.
 MIN_CONTRAST = 1.5
 MIN_LIKENESS = 0.85
 
