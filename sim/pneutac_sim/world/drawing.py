@@ -1,4 +1,4 @@
-"""A flat-shaded drawing of the scene without OpenGL: every geom as the filled hull of its projected points."""
+"""A flat-shaded drawing of the scene without OpenGL: each geom as the filled hull of its projected points."""
 
 import cv2
 import mujoco

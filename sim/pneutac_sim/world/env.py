@@ -21,8 +21,9 @@ class PneutacEnv(gymnasium.Env):
     """A task as a Gymnasium environment; reward 1 on the step that succeeds.
 
     Observation: `agent_pos` (20,) float32 as `features.STATE_NAMES` and, with `touch="image"`,
-    `pixels/tactile` uint8 (320, 240, 3). Action: (4,) float32 as `features.ACTION_NAMES`. An episode terminates
-    on success and on failure; `info` has `is_success`, `failure` (text, empty where none) and `clipped`.
+    `pixels/tactile` uint8 (320, 240, 3). Action: (4,) float32 as `features.ACTION_NAMES`. An episode
+    terminates on success and on failure; `info` has `is_success`, `failure` (text, empty where none) and
+    `clipped`.
 
     Attributes:
         world: the world inside, for experts and tests.

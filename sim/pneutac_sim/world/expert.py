@@ -1,8 +1,9 @@
 """Scripted experts: closed loop on the world's truth, with the variation of a person at a joystick.
 
-An expert's behaviour can be read off its observation: it approaches at low pressure along a path that depends
-on the flange's position, presses on when it touches, inflates while it presses, and retreats inflated when the
-object has moved. So a policy that sees position, pressure, touch and its previous action can imitate it.
+An expert's behaviour can be read off its observation: it approaches at low pressure along a path that
+depends on the flange's position, presses on when it touches, inflates while it presses, and retreats inflated
+when the object has moved. So a policy that sees position, pressure, touch and its previous action can imitate
+it.
 """
 
 from collections.abc import Callable, Iterator

@@ -19,8 +19,8 @@ FLANGE_M = 0.107
 # Flange straight down, elbow up; the start of every inverse kinematics.
 HOME_JOINTS = np.array([0.0, -np.pi / 4, 0.0, -3 * np.pi / 4, 0.0, np.pi / 2, np.pi / 4])
 
-# Joint servo: stiffness (N m/rad) and reflected motor inertia (kg m2). Damping is SERVO_LAG_S x stiffness: near
-# critical at home, and the same lag in every joint keeps the orientation held while the arm moves.
+# Joint servo: stiffness (N m/rad) and reflected motor inertia (kg m2). Damping is SERVO_LAG_S x stiffness:
+# near critical at home, and the same lag in every joint keeps the orientation held while the arm moves.
 SERVO_STIFFNESS = (12000, 12000, 8000, 8000, 3000, 3000, 2000)
 SERVO_LAG_S = 0.02
 ARMATURE = 0.1
@@ -63,7 +63,8 @@ def forward_kinematics(q: np.ndarray) -> np.ndarray:
 
 def body(payload: str = "") -> str:
     """MJCF body of the arm, its base at the origin; `payload` is MJCF placed in the frame `flange`."""
-    xml = f'<body name="flange" pos="0 0 {FLANGE_M}"><site name="flange" size=".001" group="5"/>{payload}</body>'
+    site = '<site name="flange" size=".001" group="5"/>'
+    xml = f'<body name="flange" pos="0 0 {FLANGE_M}">{site}{payload}</body>'
     for i in reversed(range(7)):
         capsules, mass = _LINKS[i]
         geoms = "".join(

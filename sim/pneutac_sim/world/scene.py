@@ -16,7 +16,8 @@ _DEFAULTS = f"""
 <default>
   {panda.DEFAULTS}{soft_finger.DEFAULTS}
   <default class="object">
-    <geom contype="2" conaffinity="1" group="{OBJECT_GROUP}" friction=".4" solref=".004 1" solimp=".95 .99 .0005"/>
+    <geom contype="2" conaffinity="1" group="{OBJECT_GROUP}" friction=".4" solref=".004 1"
+          solimp=".95 .99 .0005"/>
   </default>
   <default class="decor"><geom contype="0" conaffinity="0" group="0" mass="0"/></default>
 </default>"""
@@ -24,9 +25,11 @@ _DEFAULTS = f"""
 _ASSETS = f"""
 <asset>
   {panda.MATERIALS}{soft_finger.MATERIALS}
-  <texture name="sky" type="skybox" builtin="gradient" rgb1=".93 .95 .98" rgb2=".62 .70 .80" width="64" height="64"/>
-  <texture name="table" type="2d" builtin="checker" rgb1=".80 .77 .72" rgb2=".84 .81 .76" width="64" height="64"/>
-  <material name="table" texture="table" texrepeat="10 10" texuniform="true" specular=".1" reflectance=".04"/>
+  <texture name="sky" type="skybox" builtin="gradient" rgb1=".93 .95 .98" rgb2=".62 .70 .80"
+           width="64" height="64"/>
+  <texture name="table" type="2d" builtin="checker" rgb1=".80 .77 .72" rgb2=".84 .81 .76"
+           width="64" height="64"/>
+  <material name="table" texture="table" texrepeat="10 10" texuniform="true" specular=".1"/>
   <material name="console" rgba=".36 .42 .50 1" specular=".3" shininess=".4"/>
   <material name="console_dark" rgba=".22 .25 .30 1" specular=".3" shininess=".4"/>
   <material name="steel" rgba=".80 .82 .86 1" specular=".9" shininess=".8"/>
@@ -40,7 +43,7 @@ _ASSETS = f"""
 _VISUAL = """
 <visual>
   <global offwidth="1280" offheight="960" fovy="42"/>
-  <quality shadowsize="1024" offsamples="2"/>
+  <quality shadowsize="1024" offsamples="0" numslices="16" numstacks="9"/>
   <headlight ambient=".34 .34 .36" diffuse=".34 .34 .34" specular=".1 .1 .1"/>
   <map znear=".01" zfar="8" shadowclip=".6"/>
 </visual>"""
@@ -54,9 +57,11 @@ def build(task: Task, twin: Twin) -> str:
   <option timestep="{TIMESTEP!r}" integrator="implicitfast" iterations="20"/>
   {_VISUAL}{_DEFAULTS}{_ASSETS}
   <worldbody>
-    <light pos=".2 -.6 1.2" dir=".25 .55 -1" diffuse=".55 .54 .52" specular=".2 .2 .2" castshadow="true"/>
-    <camera name="close" pos=".50 -.62 .34" xyaxes="1 .03 0 -.008 .27 .96"/>
-    <geom name="table" type="plane" size="2 2 .1" material="table" contype="2" conaffinity="1"/>
+    <light pos="1 -.5 1.1" dir="-.5 .5 -1" cutoff="35" exponent="3" diffuse=".57 .55 .52"
+           specular=".2 .2 .2"/>
+    <light pos=".3 -.9 .9" dir=".2 .9 -.6" cutoff="60" diffuse=".16 .16 .18" castshadow="false"/>
+    <camera name="close" pos=".37 -.50 .31" xyaxes=".968 -.252 0 .057 .219 .974"/>
+    <geom name="table" type="plane" size="0 0 .1" material="table" contype="2" conaffinity="1"/>
     {panda.body(soft_finger.body(twin))}
     {task.mjcf()}
   </worldbody>

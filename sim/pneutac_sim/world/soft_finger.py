@@ -51,8 +51,8 @@ def body(twin: Twin) -> str:
     D = twin.parameter("joint_damping_nms_per_rad")
     ends = np.append(s, length)
 
-    # The plain twin's q_cmd holds the sag of the pose in which it was calibrated (the paper's p0 absorbs it), so
-    # weight acts only where the twin has the effect `gravity`.
+    # The plain twin's q_cmd holds the sag of the pose in which it was calibrated (the paper's p0 absorbs it),
+    # so weight acts only where the twin has the effect `gravity`.
     weight = f'gravcomp="{0 if "gravity" in twin.effects else 1}"'
 
     xml = _digit(length - s[-1], weight)
@@ -100,8 +100,8 @@ def _segment(length: float, tip: bool) -> str:
     rings = max(1, round(length / 0.0095))
     pitch = length / rings
     skin = "".join(
-        f'<geom class="skin" type="ellipsoid" pos="{(k + 0.5) * pitch} 0 .0015" size="{0.62 * pitch} .0115 .0105"'
-        ' material="bellow"/>'
+        f'<geom class="skin" type="ellipsoid" pos="{(k + 0.5) * pitch} 0 .0015"'
+        f' size="{0.62 * pitch} .0115 .0105" material="bellow"/>'
         for k in range(rings)
     )
     spine = f'<geom class="skin" type="box" pos="{length / 2} 0 -.0075" size="{length / 2} .010 .003"/>'

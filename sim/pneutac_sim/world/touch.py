@@ -4,7 +4,6 @@ import mujoco
 import numpy as np
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.gel.probe import probe_grid
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.world.scene import OBJECT_GROUP
 
@@ -36,7 +35,7 @@ class Touch:
         self.image, self.pixels, self.area = None, 0, 0.0
         if self._mode == "none":
             return
-        self.depth_mm = probe_grid(
+        self.depth_mm = self.sensor.probe(
             self._kinds,
             self._sizes,
             data.geom_xpos[self._felt],

@@ -120,8 +120,8 @@ class World:
         """Advances one control step of 1 / CONTROL_HZ s.
 
         Args:
-            action: (4,) as `features.ACTION_NAMES`: flange velocity m/s in the world frame, pressure kPa. What
-                exceeds the limits is clipped and counted in `clipped`.
+            action: (4,) as `features.ACTION_NAMES`: flange velocity m/s in the world frame, pressure kPa.
+                What exceeds the limits is clipped and counted in `clipped`.
 
         Raises:
             InputError: the action has another shape or is not finite.
@@ -144,7 +144,7 @@ class World:
             ) from e
         if action.shape != (4,):
             raise InputError(
-                f"The action has shape {action.shape}; it must be (4,): dx, dy, dz in m/s and pressure in kPa."
+                f"The action has shape {action.shape}; it must be (4,): dx, dy, dz in m/s, pressure in kPa."
             )
         if not np.isfinite(action).all():
             raise InputError(f"The action {action.tolist()} is not finite; every entry must be a number.")
@@ -178,8 +178,8 @@ class World:
         if rate * scene.TIMESTEP > 1.9:  # explicit springs are stable up to 2
             largest = self._stiffness * (1.9 / (rate * scene.TIMESTEP)) ** 2
             raise InputError(
-                f"Twin parameter 'joint_stiffness_nm_per_rad' is {self._stiffness:g}; the world can integrate "
-                f"up to {largest:.2g} with this finger."
+                f"Twin parameter 'joint_stiffness_nm_per_rad' is {self._stiffness:g}; the world can "
+                f"integrate up to {largest:.2g} with this finger."
             )
 
     # ---------------------------------------------------------------- senses

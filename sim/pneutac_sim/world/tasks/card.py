@@ -1,6 +1,7 @@
 """Pull one card out of a deck that stands in a leaning holder."""
 
 from dataclasses import dataclass
+from typing import override
 
 import numpy as np
 
@@ -42,6 +43,7 @@ class CardTask(Task):
     spread_x_m: float = 0.010
     spread_y_m: float = 0.010
 
+    @override
     def mjcf(self) -> str:
         w, h, t = CARD_M
         deck = ""
@@ -61,7 +63,8 @@ class CardTask(Task):
             )
         return f"""
         <body name="card">
-          <geom class="object" type="box" pos=".02 0 {STAND_M / 2}" size=".03 .05 {STAND_M / 2}" material="console_dark"/>
+          <geom class="object" type="box" pos=".02 0 {STAND_M / 2}" size=".03 .05 {STAND_M / 2}"
+                material="console_dark"/>
           <body pos="0 0 {STAND_M}" euler="0 {-self.lean_rad} 0">
             <geom class="object" type="box" pos=".012 0 .040" size=".010 .038 .040" material="console"/>
             <geom class="object" type="box" pos="-.002 0 .004" size=".012 .038 .004" material="console"/>
@@ -69,6 +72,7 @@ class CardTask(Task):
           </body>
         </body>"""
 
+    @override
     def reset(self, model, data, rng):
         x, y = rng.uniform(-1, 1, 2) * (self.spread_x_m, self.spread_y_m)
         self._mu = rng.uniform(*self.friction, self.cards)
@@ -77,15 +81,18 @@ class CardTask(Task):
         self._dofs = [model.joint(f"card_{i + 1}").dofadr[0] for i in range(self.cards)]
         self._set_friction(model, 0.0)
 
+    @override
     def update(self, model, data, dt):
         self._set_friction(model, contact_force(model, data, "card_1"))
 
     def _set_friction(self, model, normal_n: float) -> None:
         model.dof_frictionloss[self._dofs] = self._mu * normal_n + self.edge_n * np.arange(1, self.cards + 1)
 
+    @override
     def success(self):
         return self.drawn_m(1) > self.draw_m
 
+    @override
     def failure(self):
         if self.drawn_m(2) > self.second_m:
             return f"a second card came out more than {self.second_m * 1e3:g} mm"

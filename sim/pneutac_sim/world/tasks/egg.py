@@ -1,6 +1,7 @@
 """Open an egg carton: find the lid's front edge from below, hook it with the gel and lift."""
 
 from dataclasses import dataclass
+from typing import override
 
 import numpy as np
 
@@ -36,40 +37,46 @@ class EggTask(Task):
     spread_y_m: float = 0.015
     spread_yaw_rad: float = np.radians(8)
 
+    @override
     def mjcf(self) -> str:
         half, front = DEPTH_M / 2, DEPTH_M + self.overhang_m
         cups = "".join(
-            f'<geom class="decor" type="ellipsoid" pos="{x} {y} {BASE_M}" size=".018 .018 .022" material="egg"/>'
+            f'<geom class="decor" type="ellipsoid" pos="{x} {y} {BASE_M}" size=".018 .018 .022"'
+            ' material="egg"/>'
             for x in (-0.025, 0.025)
             for y in (-0.048, 0.0, 0.048)
         )
         domes = "".join(
-            f'<geom class="decor" type="ellipsoid" pos="{x} {y} .005" size=".021 .021 .018" material="carton"/>'
+            f'<geom class="decor" type="ellipsoid" pos="{x} {y} .005" size=".021 .021 .018"'
+            ' material="carton"/>'
             for x in (-0.077, -0.025)
             for y in (-0.048, 0.0, 0.048)
         )
         return f"""
         <body name="egg">
-          <geom class="object" type="box" pos="0 0 {TRAY_M / 2}" size=".045 .06 {TRAY_M / 2}" material="console_dark"/>
+          <geom class="object" type="box" pos="0 0 {TRAY_M / 2}" size=".045 .06 {TRAY_M / 2}"
+                material="console_dark"/>
           <body name="carton" pos="0 0 {TRAY_M}">
             <geom name="carton_base" class="object" type="box" pos="0 0 {BASE_M / 2}"
-                  size="{half} .075 {BASE_M / 2}" material="carton_dark"/>
+                  size="{half} .075 {BASE_M / 2}" material="carton_dark" conaffinity="5"/>
             {cups}
             <body name="lid" pos="{half} 0 {BASE_M + 0.003}">
               <joint name="lid" axis="0 1 0" range="0 2" limited="true" damping=".004"/>
-              <geom name="carton_lid" class="object" type="box" pos="{-front / 2} 0 .002" size="{front / 2} .075 .002"
-                    mass=".025" material="carton"/>
+              <geom name="carton_lid" class="object" type="box" pos="{-front / 2} 0 .002"
+                    size="{front / 2} .075 .002" mass=".025" material="carton"/>
               {domes}
               <body name="latch" pos="{-DEPTH_M + 0.004} 0 0">
-                <geom class="object" type="sphere" pos="0 0 0" size=".003" mass=".001" material="steel"/>
+                <geom class="decor" type="sphere" size=".0035" mass=".001" material="steel" contype="4"/>
               </body>
             </body>
           </body>
         </body>"""
 
+    @override
     def actuators(self) -> str:
         return f'<adhesion name="latch" body="latch" ctrlrange="0 1" gain="{self.latch_n}"/>'
 
+    @override
     def reset(self, model, data, rng):
         x, y, yaw = rng.uniform(-1, 1, 3) * (self.spread_x_m, self.spread_y_m, self.spread_yaw_rad)
         place(model, "egg", np.add(POSITION_M, (x, y, 0)), yaw)
@@ -77,12 +84,15 @@ class EggTask(Task):
         data.actuator("latch").ctrl = 1.0
         self._force = (0.0, 0.0)
 
+    @override
     def update(self, model, data, dt):
         self._force = (self._force[1], contact_force(model, data, "carton"))
 
+    @override
     def success(self):
         return self.lid_rad > self.open_rad
 
+    @override
     def failure(self):
         if min(self._force) > self.limit_n:  # a bump of a moment is not a press
             return f"pressed the carton with more than {self.limit_n:g} N"

@@ -1,6 +1,7 @@
 """Flip a toggle switch: a bistable lever on a console, pushed away from the robot."""
 
 from dataclasses import dataclass
+from typing import override
 
 import numpy as np
 
@@ -39,25 +40,28 @@ class SwitchTask(Task):
     spread_y_m: float = 0.015
     spread_yaw_rad: float = np.radians(10)
 
+    @override
     def mjcf(self) -> str:
         k = self.ridge_torque_nm * 3 * np.sqrt(3) / (2 * self.well_rad)
         b, top = self.bar_half_m, LEVER_M
         return f"""
         <body name="switch">
-          <geom class="object" type="box" pos="0 0 .01" size=".075 .06 .01" material="console_dark"/>
+          <geom class="object" type="box" pos=".018 0 .012" size=".075 .06 .012" material="console_dark"/>
           <body pos="0 0 {HINGE_M}" euler="0 {-self.tilt_rad} 0">
-            <geom class="object" type="box" pos=".006 0 -.038" size=".040 .045 .030" material="console"/>
+            <geom class="object" type="box" pos="0 0 -.043" size=".040 .045 .035" material="console"/>
             <geom class="decor" type="cylinder" pos="0 0 -.008" size=".016 .003" material="steel"/>
             <geom class="decor" type="box" pos=".034 0 -.0078" size=".003 .020 .0006" material="accent"/>
             <body name="lever">
               <joint name="lever" axis="0 1 0" stiffness="{-k} 0 {k / self.well_rad**2}" damping=".0015"/>
-              <geom class="object" type="capsule" fromto="0 0 0 0 0 {top}" size=".0035" mass=".004" material="steel"/>
-              <geom name="bar" class="object" type="ellipsoid" pos="0 0 {top}" size=".0065 {b} .0065" mass=".006"
-                    material="accent"/>
+              <geom class="object" type="capsule" fromto="0 0 0 0 0 {top}" size=".0035" mass=".004"
+                    material="steel"/>
+              <geom name="bar" class="object" type="ellipsoid" pos="0 0 {top}" size=".0065 {b} .0065"
+                    mass=".006" material="accent"/>
             </body>
           </body>
         </body>"""
 
+    @override
     def reset(self, model, data, rng):
         x, y, yaw = rng.uniform(-1, 1, 3) * (self.spread_x_m, self.spread_y_m, self.spread_yaw_rad)
         place(model, "switch", np.add(POSITION_M, (x, y, 0)), yaw)
@@ -65,10 +69,12 @@ class SwitchTask(Task):
         self._lever.qpos = -self.well_rad
         self._rested_s = 0.0
 
+    @override
     def update(self, model, data, dt):
         resting = self.lever_rad > 0.75 * self.well_rad and abs(self._lever.qvel[0]) < 0.5
         self._rested_s = self._rested_s + dt if resting else 0.0
 
+    @override
     def success(self):
         return self._rested_s >= REST_S - 1e-9
 

@@ -1,0 +1,76 @@
+"""The Gymnasium environment."""
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import pneutac_sim  # noqa: F401  registers the environments
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import TASK_NAMES
+from pneutac_sim.world.env import PneutacEnv
+from pneutac_sim.world.expert import ScriptedExpert
+from pneutac_sim.world.world import World
+
+
+@pytest.mark.parametrize("task", TASK_NAMES)
+@pytest.mark.filterwarnings("ignore:.*symmetric and normalized")  # ours are in m/s and kPa
+@pytest.mark.filterwarnings("error")
+def test_check_env(task):
+    check_env(gymnasium.make(f"pneutac_sim/{task}", render_mode="rgb_array").unwrapped)
+
+
+def test_what_lerobot_reads():
+    env = gymnasium.make("pneutac_sim/switch", max_episode_steps=7)
+    assert env._max_episode_steps == 7
+    assert env.unwrapped.task == "switch" and env.unwrapped.task_description == "Flip the toggle switch."
+    assert env.unwrapped.metadata["render_fps"] == 15
+    observation, info = env.reset(seed=0)
+    assert info["is_success"] is False and info["clipped"] == 0
+    assert observation["pixels"]["tactile"].shape == (320, 240, 3)
+    assert env.render().shape == (360, 480, 3)
+    for i in range(7):
+        observation, reward, terminated, truncated, info = env.step(np.zeros(4, np.float32))
+        assert env.observation_space.contains(observation)
+        assert info["is_success"] is False and reward == 0 and not terminated
+        assert truncated == (i == 6)
+
+
+def test_episode_ends_with_success():
+    env = gymnasium.make("pneutac_sim/switch", touch="area")
+    env.reset(seed=2)
+    expert = ScriptedExpert(env.unwrapped.world, np.random.default_rng(2))
+    terminated = truncated = False
+    while not (terminated or truncated):
+        observation, reward, terminated, truncated, info = env.step(expert.action())
+        assert env.observation_space.contains(observation)
+    assert terminated and info["is_success"] and reward == 1 and info["failure"] == ""
+    assert "pixels" not in observation
+
+
+def test_seed_means_the_same_as_in_the_world_and_unseeded_starts_differ():
+    env, world = PneutacEnv("switch", touch="none"), World("switch", touch="none")
+    observation, _ = env.reset(seed=11)
+    assert np.array_equal(observation["agent_pos"], world.reset(11).state)
+    one, _ = env.reset()
+    two, _ = env.reset()
+    assert not np.array_equal(one["agent_pos"], two["agent_pos"])
+
+
+def test_vector_env_of_two():
+    env = gymnasium.make_vec("pneutac_sim/switch", num_envs=2, vectorization_mode="sync", touch="area")
+    observation, info = env.reset(seed=[3, 4])
+    single = World("switch", touch="area")
+    assert np.array_equal(observation["agent_pos"][1], single.reset(4).state)
+    _, _, _, _, info = env.step(np.zeros((2, 4), np.float32))
+    assert info["is_success"].tolist() == [False, False]
+    env.close()
+
+
+def test_bad_input_is_refused():
+    with pytest.raises(InputError, match="switch, egg, card"):
+        PneutacEnv("door")
+    env = PneutacEnv("switch", touch="none")
+    env.reset(seed=0)
+    with pytest.raises(InputError, match="not finite"):
+        env.step(np.full(4, np.nan, np.float32))

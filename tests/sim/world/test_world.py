@@ -1,0 +1,167 @@
+"""The world: determinism, observations, bad input, clipping, pictures."""
+
+import numpy as np
+import pytest
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, N_PIXELS, STATE_NAMES, TASK_NAMES
+from pneutac_sim.world import drawing, scene
+from pneutac_sim.world.expert import ScriptedExpert
+from pneutac_sim.world.tasks import TASKS
+from pneutac_sim.world.view import CAMERA
+from pneutac_sim.world.world import DT, WORKSPACE_HIGH, World
+
+
+@pytest.fixture(scope="module")
+def world():
+    return World("switch", touch="image")
+
+
+def rollout(world, seed, steps=30):
+    states = [world.reset(seed).state]
+    rng = np.random.default_rng(seed)
+    low, high = (
+        np.maximum(ACTION_LOW, [-0.03, -0.03, -0.05, 0]),
+        np.minimum(ACTION_HIGH, [0.1, 0.03, 0.03, 15]),
+    )
+    images = []
+    for _ in range(steps):
+        o = world.step(rng.uniform(low, high))
+        states.append(o.state)
+        images.append(o.tactile)
+    return np.array(states), np.array(images)
+
+
+def test_every_task_has_a_world():
+    assert tuple(TASKS) == TASK_NAMES
+
+
+def test_same_seed_is_bitwise_the_same_also_in_another_instance(world):
+    first, images = rollout(world, 7)
+    rollout(world, 8)  # whatever happened before does not matter
+    again, images_again = rollout(world, 7)
+    other, images_other = rollout(World("switch", touch="image"), 7)
+    for states in (again, other):
+        assert np.array_equal(first, states)
+    assert np.array_equal(images, images_again) and np.array_equal(images, images_other)
+
+
+def test_seeds_differ_and_an_unseeded_reset_draws_the_next_start(world):
+    starts = []
+    for seed in (1, None, 2):
+        world.reset(seed)
+        starts.append(world.model.body("switch").pos.copy())
+    assert not np.array_equal(starts[0], starts[1]) and not np.array_equal(starts[0], starts[2])
+    world.reset(1)
+    world.reset()
+    assert np.array_equal(world.model.body("switch").pos, starts[1])
+
+
+def test_random_starts_fill_their_range(world):
+    task = world.task
+    poses = []
+    for seed in range(60):
+        world.reset(seed)
+        b = world.model.body("switch")
+        poses.append([*b.pos[:2], 2 * np.arctan2(b.quat[3], b.quat[0])])
+    half = (np.max(poses, 0) - np.min(poses, 0)) / 2
+    limit = np.array([task.spread_x_m, task.spread_y_m, task.spread_yaw_rad])
+    assert np.all(half <= limit) and np.all(half > 0.8 * limit)
+
+
+def test_touch_modes_agree_on_state_but_for_the_touch():
+    states = {
+        mode: rollout(World("switch", touch=mode), 3, steps=20)[0] for mode in ("image", "area", "none")
+    }
+    assert np.array_equal(states["image"], states["area"])
+    blind = [i for i, n in enumerate(STATE_NAMES) if not n.startswith("contact")]
+    assert np.array_equal(states["image"][:, blind], states["none"][:, blind])
+
+
+def test_observation_holds_what_the_names_say(world):
+    observation = world.reset(0)
+    for _ in range(4):
+        observation = world.step([0.05, 0, 0, 9.0])
+    state = dict(zip(STATE_NAMES, observation.state, strict=True))
+    assert observation.state.dtype == np.float32 and observation.tactile.shape == (320, 240, 3)
+    np.testing.assert_allclose([state[f"ee_{a}.pos"] for a in "xyz"], world.flange_m, atol=1e-6)
+    np.testing.assert_allclose([state[f"joint_{i}.vel"] for i in range(1, 8)], world.data.qvel[:7], atol=1e-6)
+    assert state["pressure.pos"] == pytest.approx(9.0)
+    assert world.time_s == pytest.approx(4 * DT)
+    s = world.touch.pixels
+    assert state["contact_area.pos"] == pytest.approx(s / N_PIXELS)
+    assert state["contact_pixels.pos"] == pytest.approx(np.log1p(s), abs=1e-5)
+
+
+def test_limits_clip_and_count(world):
+    world.reset(0)
+    world.step([0, 0, 0, 15.0])
+    world.step(ACTION_HIGH)
+    world.step(ACTION_LOW)
+    assert world.clipped == 0
+    world.step([0, 0, 0, 40.0])
+    assert world.clipped == 1 and world.pressure_kpa == 15.0
+    world.step([0, 0, 0, -3.0])
+    assert world.clipped == 2 and world.pressure_kpa == 0.0
+    world.step([3.0, 0, 0, 0])
+    assert world.clipped == 3 and world.command[0] == pytest.approx(0.1)
+    for _ in range(90):
+        world.step([0, 0, 0.1, 0])
+    assert world.flange_m[2] <= WORKSPACE_HIGH[2] + 2e-3
+    assert world.clipped > 3
+
+
+@pytest.mark.parametrize(
+    "action", [[0, 0, np.nan, 5], [0, 0, 0, np.inf], [0, 0, 5], [[0, 0, 0, 5]], ["a"] * 4]
+)
+def test_bad_actions_are_one_clear_sentence(world, action):
+    world.reset(0)
+    before = world.data.qpos.copy()
+    with pytest.raises(InputError, match="action") as e:
+        world.step(action)
+    assert str(e.value).count("\n") == 0
+    assert np.array_equal(before, world.data.qpos)
+
+
+def test_unknown_task_and_touch_list_what_there_is():
+    with pytest.raises(InputError, match="switch, egg, card"):
+        World("door")
+    with pytest.raises(InputError, match="image, area, none"):
+        World("switch", touch="smell")
+
+
+def test_time_step_divides_the_control_step():
+    assert scene.TIMESTEP * scene.SUBSTEPS == pytest.approx(DT, rel=1e-12)
+
+
+def press(world):
+    world.reset(1)
+    expert = ScriptedExpert(world, np.random.default_rng(1))
+    while world.touch.pixels < 2000:
+        world.step(expert.action())
+
+
+def test_render_shows_the_scene_with_the_tactile_image(world):
+    world.reset(0)
+    free = world.render(320, 240)
+    assert free.shape == (240, 320, 3) and free.dtype == np.uint8 and free.std() > 20
+    press(world)
+    inset = (slice(-94, -8), slice(-72, -8))
+    assert np.abs(world.render(320, 240)[inset].astype(int) - free[inset]).max() > 25
+
+
+def test_without_opengl_the_scene_is_drawn(world, monkeypatch, caplog):
+    def no_gl(*args):
+        raise RuntimeError("no EGL here")
+
+    monkeypatch.setattr("pneutac_sim.world.view._Renderer", no_gl)
+    blind = World("switch", touch="none")
+    blind.reset(0)
+    first = blind.render(320, 240)
+    assert "no EGL here" in caplog.text
+    for _ in range(15):
+        blind.step([0.05, 0, 0, 15.0])
+    second = blind.render(320, 240)
+    assert first.shape == (240, 320, 3) and first.std() > 20
+    assert (first != second).any(axis=2).mean() > 0.02  # the finger has moved
+    assert np.array_equal(second, drawing.draw(blind.model, blind.data, CAMERA, 320, 240))

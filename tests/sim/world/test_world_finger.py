@@ -1,0 +1,151 @@
+"""The finger in the world: statics against the formula, loads, imprint and force."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.finger.kinematics import forward_kinematics, joint_command
+from pneutac_sim.twin import PAPER_FINGER, Twin, Value
+from pneutac_sim.world import soft_finger
+from pneutac_sim.world.tasks.base import contact_force
+from pneutac_sim.world.world import DT, World
+
+
+def hold(world, pressure_kpa, steps=45):
+    for _ in range(steps):
+        world.step([0, 0, 0, pressure_kpa])
+
+
+@pytest.fixture(scope="module")
+def world():
+    return World("switch", touch="area")
+
+
+@pytest.mark.parametrize("pressure_kpa", [0.0, 7.5, 15.0])
+def test_equilibrium_is_the_commanded_bend(world, pressure_kpa):
+    world.reset(0)
+    hold(world, pressure_kpa)
+    g = PAPER_FINGER
+    q_cmd = joint_command(
+        pressure_kpa,
+        g["gain_rad_per_kpa"],
+        g["gain_alpha"],
+        g["gain_beta"],
+        g["rest_pressure_kpa"],
+        4,
+    )
+    np.testing.assert_allclose(world.spine_rad, q_cmd, atol=1e-4)
+    # total bend 4 G (p + p0), unit mean of the profile
+    assert world.spine_rad.sum() == pytest.approx(4 * 0.01114 * (pressure_kpa + 10.7), abs=4e-4)
+
+
+def test_finger_hangs_down_and_bends_towards_world_x(world):
+    world.reset(0)
+    hold(world, 6.0)
+    twin = world.twin
+    s = np.array(twin.spine_joint_positions_mm)
+    (x, z), bend = forward_kinematics(world.spine_rad, s, twin.length_mm)
+    base = world.data.body("finger").xpos
+    tip = base + 1e-3 * np.array([z, 0, -x])  # finger x is world -z, finger z is world x
+    along = np.array([np.sin(bend), 0, -np.cos(bend)])
+    normal = np.array([np.cos(bend), 0, np.sin(bend)])
+    expected = tip + soft_finger.GEL_ALONG_M * along + soft_finger.GEL_ABOVE_M * normal
+    np.testing.assert_allclose(world.gel_m, expected, atol=2e-4)
+    np.testing.assert_allclose(world.data.site("gel").xmat.reshape(3, 3)[:, 2], normal, atol=2e-3)
+
+
+def test_payload_at_the_tip_balances_the_springs(world):
+    world.reset(0)
+    K, load = PAPER_FINGER["joint_stiffness_nm_per_rad"], np.array([0.2, 0.0, -0.3])
+    body = world.model.body("spine_4").id
+    world.data.xfrc_applied[body, :3] = load
+    hold(world, 5.0, steps=60)
+    world.data.xfrc_applied[:] = 0
+    point = world.data.xipos[body]  # MuJoCo applies the force at the centre of mass
+    for n in range(4):
+        arm = point - world.data.xanchor[world.model.joint(f"spine_{n + 1}").id]
+        torque = -np.cross(arm, load)[1]  # hinges turn about world -y
+        spring = K * (world.spine_rad[n] - world.spine_target_rad[n])
+        assert spring == pytest.approx(torque, abs=3e-4)
+
+
+def test_weight_acts_where_the_twin_has_gravity():
+    twin = Twin.builtin()
+    twin.effects["gravity"] = {"body_mass_g": Value(40.0), "tip_mass_g": Value(20.0)}
+    heavy = World("switch", twin, touch="none")
+    heavy.reset(0)
+    hold(heavy, 6.0)
+    sag = heavy.spine_target_rad - heavy.spine_rad
+    assert np.all(sag > 1e-3)  # a hanging, curled finger is pulled straight
+    assert sag[0] == max(sag)
+
+
+def press_on_a_fixed_bar(push_m):
+    """Drives the gel into the bar of a locked switch by `push_m`; returns N, mm, mm and the world."""
+    world = World("switch", touch="area")
+    world.reset(0)
+    hold(world, 5.0)
+    model, data = world.model, world.data
+    bar = model.geom("bar").id
+    normal = data.site("gel").xmat.reshape(3, 3)[:, 2]
+    model.dof_damping[model.joint("lever").dofadr[0]] = 1e4
+    touching = world.gel_m + normal * (model.geom_size[bar, 0] + 0.001)
+    model.body_pos[model.body("switch").id] += touching - data.geom_xpos[bar]
+    steps = 30
+    for _ in range(steps):
+        world.step([*(normal * push_m / (steps * DT)), 5.0])
+    hold(world, 5.0, steps=20)
+    total, force = 0.0, np.zeros(6)
+    for i in range(data.ncon):
+        assert model.geom("pad").id in (data.contact[i].geom1, data.contact[i].geom2)
+        mujoco.mj_contactForce(model, data, i, force)
+        total += force[0]
+    return total, float(world.touch.depth_mm.max()), world.press_mm, world
+
+
+@pytest.mark.parametrize("push_m", [0.01, 0.02])
+def test_imprint_is_force_over_gel_stiffness(push_m):
+    force, imprint_mm, press_mm, _ = press_on_a_fixed_bar(push_m)
+    assert 0.1 < force < 2.0
+    assert press_mm == pytest.approx(1e3 * force / soft_finger.GEL_STIFFNESS, rel=0.05)
+    # what the probe grid sees is the same imprint, plus the solver's softness of a few hundredths of a mm
+    assert imprint_mm == pytest.approx(press_mm, rel=0.15, abs=0.03)
+
+
+def test_harder_push_makes_a_deeper_imprint_and_larger_contact_area():
+    soft, hard = press_on_a_fixed_bar(0.018), press_on_a_fixed_bar(0.03)
+    assert hard[0] > soft[0] and hard[1] > soft[1]
+    assert hard[3].touch.pixels > soft[3].touch.pixels > 0
+
+
+def test_free_finger_feels_nothing(world):
+    world.reset(0)
+    hold(world, 3.0, steps=5)
+    assert world.touch.pixels == 0 and world.touch.depth_mm.max() == 0
+    assert contact_force(world.model, world.data, "bar") == 0
+    assert abs(world.press_mm) < 0.02
+
+
+def test_twin_with_valve_lag_is_slower():
+    twin = Twin.builtin()
+    twin.effects["valve_lag"] = {"fill_time_s": Value(0.5), "vent_time_s": Value(1.0)}
+    lagging, plain = World("switch", twin, touch="none"), World("switch", touch="none")
+    for w in (lagging, plain):
+        w.reset(0)
+        hold(w, 10.0, steps=6)
+    assert plain.pressure_kpa == pytest.approx(10.0)
+    assert 2.0 < lagging.pressure_kpa < 9.0
+    assert lagging.spine_rad.sum() < plain.spine_rad.sum() - 0.05
+
+
+def test_too_stiff_a_finger_is_refused():
+    twin = Twin.builtin()
+    twin.parameters["joint_stiffness_nm_per_rad"] = Value(50.0)
+    with pytest.raises(InputError, match="joint_stiffness_nm_per_rad"):
+        World("switch", twin, touch="none")
+
+
+def test_a_gel_alone_is_refused():
+    with pytest.raises(InputError, match="finger"):
+        World("switch", Twin(device="gel"), touch="none")
