@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-import draccus
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from lerobot_pneutac.options import parse_options
 from lerobot_pneutac.report import write_result
 from pneutac_datasets.axes import Axis, axes
 from pneutac_datasets.check import check
@@ -75,7 +75,7 @@ class Comparison:
 
 def main(argv: list[str]) -> None:
     """Runs the verb."""
-    config = draccus.parse(CompareConfig, args=argv)
+    config = parse_options(CompareConfig, argv)
     twin = Twin.load(config.twin)
     recording = BenchRecording.load(config.recording)
     if recording.device != twin.device and not (recording.device == "gel" and twin.gel):
@@ -201,16 +201,14 @@ def worst(c: Comparison) -> list[dict]:
     squared = c.squared
     for trial, rows in c.recording.trials().items():
         t, e = c.recording.column("time_s")[rows], squared[rows]
-        sums = np.r_[0.0, np.cumsum(e)]
-        end = np.maximum(
-            np.searchsorted(t, t + PASSAGE_S, side="right"), np.minimum(np.arange(len(t)) + 2, len(t))
-        )
-        mean = (sums[end] - sums[:-1]) / (end - np.arange(len(t)))
-        free = np.ones(len(t), bool)
+        begin, sums = np.arange(len(t)), np.r_[0.0, np.cumsum(e)]
+        end = np.maximum(np.searchsorted(t, t + PASSAGE_S, side="right"), np.minimum(begin + 2, len(t)))
+        mean = (sums[end] - sums[:-1]) / (end - begin)
+        free = t <= max(t[0], t[-1] - PASSAGE_S)  # a passage is whole, or the whole of a short trial
         for a in np.argsort(-mean, kind="stable"):
             if len([p for p in passages if p["trial"] == trial]) == PASSAGES:
                 break
-            if free[a : end[a]].all() and end[a] - a >= min(2, len(t)):
+            if free[a]:
                 free[np.abs(t - t[a]) < APART_S] = False
                 passage = {"trial": trial, "from_s": float(t[a]), "to_s": float(t[end[a] - 1])}
                 passage["error"] = float(np.sqrt(mean[a]))
@@ -232,7 +230,7 @@ def sentence(c: Comparison) -> str:
         times = error / c.noise.value
         if times < 1.1:
             return f"{said}: no more than the noise of the measurement ({c.noise.value:.2g} {c.unit})."
-        said += f", {times:.1f} times the noise of the measurement ({c.noise.value:.2g} {c.unit})"
+        said += f", {times:.3g} times the noise of the measurement ({c.noise.value:.2g} {c.unit})"
     peak = _peak(c)
     return f"{said}; it is worst {peak}." if peak else f"{said}."
 

@@ -134,10 +134,11 @@ def loops(c) -> go.Figure:
         index = index[:: max(1, len(index) // 1200)]
         for values, colour, label in ((c.measured, MEASURED, "measured"), (c.model, MODEL, "model")):
             figure.add_scatter(
-                x=p[index].round(3), y=values[index, i].round(4), name=f"{label}, trial {trial}",
-                mode="lines", line={"color": colour, "width": 1}, opacity=0.7,
+                x=p[index].round(3), y=values[index, i].round(4), name=label, legendgroup=label,
+                showlegend=rows.start == 0, mode="lines", line={"color": colour, "width": 1}, opacity=0.7,
+                hovertemplate=f"trial {trial}: %{{y}} at %{{x}} kPa",
             )  # fmt: skip
-    figure.update_layout(xaxis_title=f"{columns[k]}", yaxis_title=_title(c.columns[i]))
+    figure.update_layout(xaxis_title=_title(columns[k]), yaxis_title=_title(c.columns[i]))
     return figure
 
 
@@ -205,12 +206,12 @@ def residuals(c) -> go.Figure:
         {
             "label": name,
             "method": "update",
-            "args": [{"visible": [k == j for j in range(len(choices))]}, {"xaxis.title.text": name}],
+            "args": [{"visible": [k == j for j in range(len(choices))]}, {"xaxis.title.text": _title(name)}],
         }
         for k, (name, _) in enumerate(choices)
     ]
     figure.update_layout(
-        xaxis_title=choices[0][0],
+        xaxis_title=_title(choices[0][0]),
         yaxis_title=f"residual of {_title(c.columns[i])}",
         updatemenus=[{"buttons": buttons, "x": 1, "xanchor": "right", "y": 1.15, "yanchor": "top"}],
     )
@@ -237,5 +238,4 @@ def ladder(result: dict) -> go.Figure:
 
 def _title(name: str) -> str:
     unit = unit_of(name)
-    plain = name.removesuffix(f"_{unit.lower()}") if unit else name
-    return f"{plain.replace('_', ' ')}, {unit}" if unit and plain != name else name.replace("_", " ")
+    return f"{name.rpartition('_')[0].replace('_', ' ')}, {unit}" if unit else name.replace("_", " ")

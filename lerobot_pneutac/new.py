@@ -3,9 +3,9 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import draccus
 from rich.console import Console
 
+from lerobot_pneutac.options import parse_options
 from pneutac_datasets.recording import BenchRecording
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import Pipeline
@@ -34,7 +34,7 @@ class NewConfig:
 
 def main(argv: list[str]) -> None:
     """Runs the verb."""
-    config = draccus.parse(NewConfig, args=argv)
+    config = parse_options(NewConfig, argv)
     if (config.twin / "twin.yaml").exists():
         raise InputError(f"{config.twin} already holds a twin; choose another folder, or delete that one.")
     if config.device is not None and config.device not in DEVICES:

@@ -98,7 +98,8 @@ def numbers(name: str, value: np.ndarray, bins: int) -> Axis:
     edges = np.linspace(distinct[0], distinct[-1], bins + 1)
     place = np.clip(np.searchsorted(edges, value, side="right") - 1, 0, bins - 1)
     digits = max(0, int(np.ceil(-np.log10((edges[1] - edges[0]) / 2))))
-    labels = [f"{a:.{digits}f} to {b:.{digits}f}" for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    shown = [f"{x:.{digits}f}" for x in np.round(edges, digits) + 0.0]  # + 0.0 makes -0 a 0
+    labels = [f"{a} to {b}" for a, b in zip(shown[:-1], shown[1:], strict=True)]
     return Axis(name, value, np.where(np.isfinite(value), place, -1), labels)
 
 
