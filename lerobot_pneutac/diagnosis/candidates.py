@@ -46,9 +46,7 @@ def sort_candidates(recording: BenchRecording, twin: Twin) -> tuple[list[str], l
         elif constant:
             untested.append(Untested(name, f"cannot be tested, column {constant[0]} hardly changes: vary it"))
         elif effect.signal == "markers" and not marked:
-            untested.append(
-                Untested(name, "cannot be tested on angles, record tip_x_mm, tip_y_mm, tip_z_mm")
-            )
+            untested.append(Untested(name, "cannot be tested on angles, record tip_x_mm, tip_y_mm, tip_z_mm"))
         else:
             names.append(name)
     return names, untested

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lerobot_pneutac.diagnosis.fits import Fit
+from lerobot_pneutac.diagnosis.score import promising
 from pneutac_datasets.recording import BenchRecording
 from pneutac_sim.finger.bench import Bench, simulate
 from pneutac_sim.finger.fit import fit
@@ -48,12 +49,15 @@ class Prepared:
         self.recording, self.train = recording, train
         self._benches: dict[tuple[str, str], Bench] = {}
 
+    def bench(self, twin: Twin, target: str, source: str) -> Bench:
+        """The recording as the simulator wants it."""
+        if (target, source) not in self._benches:
+            self._benches[target, source] = Bench.of(self.recording, twin, source=source, target=target)
+        return self._benches[target, source]
+
     def run(self, job: Job) -> Fit:
         """Fits one set of effects."""
-        key = (job.target, job.source)
-        if key not in self._benches:
-            self._benches[key] = Bench.of(self.recording, job.twin, source=job.source, target=job.target)
-        bench = self._benches[key]
+        bench = self.bench(job.twin, job.target, job.source)
         if job.target == "pressure" and not job.effects:  # nothing to fit: the command is the pressure
             residual = simulate(job.twin, bench, []).residual[:, : bench.counted]
             return Fit((), residual, 0, replace(job.twin, arrays={}, gel={}, history=[], effects={}))
@@ -107,7 +111,7 @@ class Engine:
         jobs: int = 1,
         done: Callable[[], None] = lambda: None,
     ):
-        self._bench = Prepared(recording, train)
+        self._prepared = Prepared(recording, train)
         self._jobs, self._done = jobs, done
         self._pool: ProcessPoolExecutor | None = None
 
@@ -120,7 +124,7 @@ class Engine:
                     self._jobs,
                     multiprocessing.get_context("spawn"),
                     _begin,
-                    (self._bench.recording, self._bench.train),
+                    (self._prepared.recording, self._prepared.train),
                 )
                 for _ in range(self._jobs):
                     self._pool.submit(os.getpid)  # starts the processes while the environment is set
@@ -137,13 +141,19 @@ class Engine:
                 for p in processes:
                     p.terminate()
 
+    def promising(self, fit: Fit, candidates: list[str], least: float, target: str, source: str) -> list[str]:
+        """See `score.promising`."""
+        return promising(
+            fit, candidates, least, self._prepared.bench(fit.twin, target, source), self._prepared.train
+        )
+
     def run(self, jobs: Iterable[Job]) -> list[Fit]:
         """Answers in the order of the jobs."""
         jobs = list(jobs)
         if self._pool is None or len(jobs) == 1:
             out = []
             for job in jobs:
-                out.append(self._bench.run(job))
+                out.append(self._prepared.run(job))
                 self._done()
             return out
         futures = {self._pool.submit(_work, job): i for i, job in enumerate(jobs)}
@@ -179,6 +189,10 @@ class StageFitter:
         )
         self._known.update(zip(missing, found, strict=True))
         return [self._known[e] for e in effects]
+
+    def promising(self, fit: Fit, candidates: list[str], least: float) -> list[str]:
+        """Those that might lower the training mean square error by the share `least`, by a score test."""
+        return self.engine.promising(fit, candidates, least, self.target, self.source)
 
 
 def cores() -> int:

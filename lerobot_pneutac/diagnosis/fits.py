@@ -48,6 +48,10 @@ class Fitter(Protocol):
         """One fit for each set of effects, in order, warm-started from `start`."""
         ...
 
+    def promising(self, fit: Fit, candidates: list[str], least: float) -> list[str]:
+        """Those that might lower the training mean square error of `fit` by the share `least` of it."""
+        ...
+
 
 def effective_count(residual: np.ndarray, mask: np.ndarray) -> float:
     """Number of independent samples, N (1 - rho) / (1 + rho), with rho between neighbours.

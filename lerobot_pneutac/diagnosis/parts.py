@@ -41,11 +41,18 @@ class Parts:
         return not np.array_equal(self.validation, self.test)
 
 
-def deal(recording: BenchRecording, seed: int) -> Parts:
-    """Splits by whole blocks of time, stratified by condition."""
+def deal(recording: BenchRecording, seed: int, choose: bool = True) -> Parts:
+    """Splits by whole blocks of time, stratified by condition.
+
+    Args:
+        recording: cleaned.
+        seed: decides which block goes where.
+        choose: True where a choice is made on held-out blocks, so that others are kept for the report; else the
+            split is the recording's usual one in two.
+    """
     block = recording.blocks()
-    if len(np.unique(block)) < FEW_BLOCKS:
-        train, test = recording.split(seed=seed, fractions=(0.6, 0.4))
+    if not choose or len(np.unique(block)) < FEW_BLOCKS:
+        train, test = recording.split(seed=seed)
         validation = test
     else:
         train, validation, test = recording.split(seed=seed, fractions=FRACTIONS)

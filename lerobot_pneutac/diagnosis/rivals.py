@@ -8,7 +8,7 @@ import numpy as np
 from lerobot_pneutac.diagnosis.bootstrap import Resampler
 from lerobot_pneutac.diagnosis.fits import Fit
 from lerobot_pneutac.diagnosis.parts import Parts
-from lerobot_pneutac.diagnosis.selection import Selection, accepted, rank
+from lerobot_pneutac.diagnosis.selection import ALIKE, Selection, accepted, rank
 
 MOST_TRIED = 5
 CORRELATED = 0.95
@@ -37,7 +37,7 @@ def find_rivals(
     fitter, found: Selection, candidates: list[str], parts: Parts, floor: float, seed: int,
     tell: Callable[[str, int], None],
 ) -> tuple[list[Rival], list[tuple[str, str, float]]]:  # fmt: skip
-    """Names every candidate whose held-out difference from the winner includes zero.
+    """Names every candidate whose held-out difference from the winner includes zero or does not matter.
 
     Args:
         fitter: for more than one selected effect, fits the exchanged sets; None where that is not needed.
@@ -54,6 +54,7 @@ def find_rivals(
     judge = Resampler(parts.heldout, parts.unit, parts.stratum, seed + 2)
     rivals, pairs = [], []
     for effect, without in found.without.items():
+        room = judge.value(without.squared) - floor**2
         fits = found.first if len(found.without) == 1 else {}
         if not fits and fitter is not None:
             others = [c for c in rank(found.first, parts, floor) if c not in found.final.effects][:MOST_TRIED]
@@ -64,8 +65,8 @@ def find_rivals(
             if name in found.final.effects:
                 continue
             difference = judge.mse(fit.squared) - judge.mse(found.final.squared)
-            includes_zero = np.quantile(difference, 0.025) <= 0
-            if includes_zero and accepted(without, fit, found.base, floor, judge)[0]:
+            as_good = np.quantile(difference, 0.025) <= 0 or difference.mean() < ALIKE * room
+            if as_good and accepted(without, fit, found.base, floor, judge)[0]:
                 share = judge.value(fit.squared) / max(judge.value(found.final.squared), 1e-30) - 1
                 rivals.append(Rival(effect, name, share, fit, found.final))
     for name, fit in found.beside.items():

@@ -14,8 +14,9 @@ from lerobot_pneutac.diagnosis.parts import Parts
 MAX_EFFECTS = 5
 TRIES = 3  # candidates in BIC order that are put to the held-out test in each round
 WORTH_OF_ROOM = 0.04  # of the avoidable mean square error that is left
-WORTH_OF_BASE = 0.01  # of the avoidable mean square error of the start
-WORTH_OF_FLOOR = 0.01  # of the noise's mean square
+WORTH_OF_BASE = 0.03  # of the avoidable mean square error of the start
+WORTH_OF_FLOOR = 0.02  # of the noise's mean square
+ALIKE = 0.02  # of the avoidable mean square error: candidates that differ by less are equal; the simpler wins
 
 
 @dataclass
@@ -76,7 +77,11 @@ def select(
     result = Selection(base, [base], [], {}, base)
     now = base
     for turn in range(MAX_EFFECTS):
+        if judge.value(now.squared) - floor**2 < worth(base, floor, judge):
+            break  # nothing is left that could be worth having
         open_ = [c for c in candidates if c not in now.effects]
+        if turn > 0:
+            open_ = fitter.promising(now, open_, WORTH_OF_ROOM / 4)
         beside = (
             f"each candidate beside {', '.join(result.added)}" if result.added else "each candidate alone"
         )
@@ -99,13 +104,17 @@ def select(
 def accepted(before: Fit, after: Fit, base: Fit, floor: float, judge: Resampler) -> tuple[bool, bool]:
     """Whether the held-out error falls for sure and worthwhile; and whether it at least fell worthwhile."""
     drop, low, _ = judge.drop(before.squared, after.squared)
-    worth = max(
-        WORTH_OF_ROOM * (judge.value(before.squared) - floor**2),
+    least = max(WORTH_OF_ROOM * (judge.value(before.squared) - floor**2), worth(base, floor, judge))
+    return bool(low > 0 and drop > least), bool(drop > least)
+
+
+def worth(base: Fit, floor: float, judge: Resampler) -> float:
+    """Least fall of the mean square error that is worth an effect."""
+    return max(
         WORTH_OF_BASE * (judge.value(base.squared) - floor**2),
         WORTH_OF_FLOOR * floor**2,
         1e-12 * judge.value(base.squared),
     )
-    return bool(low > 0 and drop > worth), bool(drop > worth)
 
 
 def _best(now, fits, base, parts, floor, judge, result) -> str | None:
@@ -116,10 +125,20 @@ def _best(now, fits, base, parts, floor, judge, result) -> str | None:
     for name in order[:TRIES]:
         sure, perhaps = accepted(now, fits[name], base, floor, judge)
         if sure:
-            return name
+            return _simplest(name, order, now, fits, floor, judge)
         if perhaps and now is base and name not in result.near_miss:
             result.near_miss.append(name)
     return None
+
+
+def _simplest(
+    best: str, order: list[str], now: Fit, fits: dict[str, Fit], floor: float, judge: Resampler
+) -> str:
+    """Among candidates as good as the best, for all that matters, the one with the fewest parameters."""
+    room = judge.value(now.squared) - floor**2
+    limit = judge.value(fits[best].squared) + ALIKE * room
+    alike = [c for c in order if judge.value(fits[c].squared) <= limit]
+    return min([best, *alike], key=lambda c: (fits[c].count, order.index(c)))
 
 
 def _check_backward(fitter, start, parts, floor, judge, result, tell) -> None:

@@ -1,0 +1,29 @@
+"""`pneutac benchmark NAME`: tables of accuracy and speed, each one command."""
+
+import importlib
+
+from pneutac_sim.errors import InputError
+
+# name -> module with `main(argv)`; None where the table is not there yet
+TABLES: dict[str, str | None] = {
+    "diagnosis": "lerobot_pneutac.benchmark_diagnosis",
+    "body": None,
+    "tactile": None,
+    "surrogate": None,
+    "augment": None,
+    "policy": None,
+    "speed": None,
+}
+
+
+def main(argv: list[str]) -> None:
+    """Runs one table."""
+    name = argv[0] if argv else ""
+    if name not in TABLES:
+        raise InputError(f"'{name}' is no benchmark; give one of {', '.join(TABLES)}.")
+    module = TABLES[name]
+    if module is None:
+        raise InputError(
+            f"The benchmark '{name}' is not there yet; {', '.join(k for k, v in TABLES.items() if v)} is."
+        )
+    importlib.import_module(module).main(argv[1:])
