@@ -29,6 +29,7 @@ from rich.progress import (
 
 from lerobot_pneutac.demo_report import write_report
 from pneutac_sim.errors import InputError
+from pneutac_sim.twin import Twin
 
 FPS = 15
 TASK_TEXT = "flip the switch"
@@ -132,6 +133,11 @@ class Demo:
             raise InputError(f"the command above failed; the end of {self.path(log)} says:\n{tail}")
         return "".join(lines)
 
+    def show(self, text: str, lines: int = 18) -> None:
+        """Prints the last lines of a command's output."""
+        for line in text.rstrip().splitlines()[-lines:]:
+            self.console.print(line, highlight=False, soft_wrap=True, markup=False)
+
     # ------------------------------------------------------------ the stages
 
     def calibrate(self) -> dict:
@@ -140,10 +146,11 @@ class Demo:
         data = os.environ.get("PNEUTAC_DATA")
         real = Path(data) / "tactile" / "digit_nagoya" if data else None
         shutil.rmtree(twin, ignore_errors=True)
+        Twin.builtin().save(twin)
         command = ["pneutac", "calibrate", f"--twin={twin}", f"--out={self.path('calibration')}"]
         if real and real.is_dir():
             command.append(f"--recording={real}")
-        print_tail(self.run(command, "calibrate.log"), self.console)
+        self.show(self.run(command, "calibrate.log"))
         return {"real": bool(real and real.is_dir())}
 
     def record(self) -> None:
@@ -268,12 +275,6 @@ class Demo:
         )
         info = json.loads((out / "eval_info.json").read_text())
         return {"success_percent": info["overall"]["pc_success"], "episodes": cfg.eval_episodes}
-
-
-def print_tail(text: str, console: Console, lines: int = 14) -> None:
-    """The last lines of a command's output, indented."""
-    for line in text.rstrip().splitlines()[-lines:]:
-        console.print("  " + line, highlight=False, soft_wrap=True, markup=False)
 
 
 def main(argv: list[str]) -> None:
