@@ -16,7 +16,6 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-import draccus
 from rich.console import Console
 from rich.progress import (
     BarColumn,
@@ -28,8 +27,8 @@ from rich.progress import (
 )
 
 from lerobot_pneutac.demo_report import write_report
+from lerobot_pneutac.options import parse_options
 from pneutac_sim.errors import InputError
-from pneutac_sim.twin import Twin
 
 FPS = 15
 TASK_TEXT = "flip the switch"
@@ -146,7 +145,7 @@ class Demo:
         data = os.environ.get("PNEUTAC_DATA")
         real = Path(data) / "tactile" / "digit_nagoya" if data else None
         shutil.rmtree(twin, ignore_errors=True)
-        Twin.builtin().save(twin)
+        self.run(["pneutac", "new", f"--twin={twin}", "--device=finger"], "new.log")
         command = ["pneutac", "calibrate", f"--twin={twin}", f"--out={self.path('calibration')}"]
         if real and real.is_dir():
             command.append(f"--recording={real}")
@@ -279,7 +278,7 @@ class Demo:
 
 def main(argv: list[str]) -> None:
     """Runs the demo; returns normally with the report's path and success rate printed."""
-    cfg = draccus.parse(DemoConfig, args=argv)
+    cfg = parse_options(DemoConfig, argv)
     start = time.monotonic()
     demo = Demo(cfg)
     demo.stage("calibrate", "1/5  Calibrate the tactile sensor from two images", demo.calibrate)
