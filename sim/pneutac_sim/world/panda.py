@@ -110,7 +110,7 @@ class CartesianIK:
         q: the present joint targets (7,), rad; each `solve` starts from them.
     """
 
-    def __init__(self, damping: float = 0.01, iterations: int = 3):
+    def __init__(self, damping: float = 0.01, iterations: int = 2):
         xml = f"<mujoco><compiler angle='radian'/><default>{DEFAULTS}</default><asset>{MATERIALS}</asset>"
         self._model = mujoco.MjModel.from_xml_string(f"{xml}<worldbody>{body()}</worldbody></mujoco>")
         self._data = mujoco.MjData(self._model)
