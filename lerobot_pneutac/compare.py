@@ -38,6 +38,10 @@ class CompareConfig:
     out: Path | None = None
     seed: int = 0
 
+    def __post_init__(self):
+        if self.out is not None and self.out.exists() and not self.out.is_dir():
+            raise InputError(f"--out={self.out} is a file; give a folder.")
+
 
 @dataclass
 class Comparison:

@@ -40,8 +40,9 @@ def _bouc_wen(p, rho, sigma, n):
     z = np.zeros_like(p)
     state = 0.0  # lives on from trial to trial: time alone does not change it
     for i in range(1, len(p)):
-        d = (p[i] - p[i - 1]) / 20
-        for _ in range(20):  # a pressure step crosses the whole loop
+        pieces = 1 + int(20 * rho * abs(p[i] - p[i - 1]))  # a pressure step crosses the whole loop
+        d = (p[i] - p[i - 1]) / pieces
+        for _ in range(pieces):
             a = abs(state) ** (n - 1)
             state += rho * (d - sigma * abs(d) * a * state + (sigma - 1) * d * a * abs(state))
             state = min(1.0, max(-1.0, state))
