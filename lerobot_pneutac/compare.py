@@ -131,14 +131,13 @@ def compare(twin: Twin, recording: BenchRecording, seed: int = 0) -> Comparison:
 def train_mask(twin: Twin, recording: BenchRecording, seed: int = 0) -> np.ndarray:
     """Samples (n,) that the twin may have been fitted to.
 
-    The last version fitted on this very recording tells by its `split` (seed, fractions; the first part
-    trains); any other recording is split with `seed`.
+    The last version fitted on this very recording tells the `seed` of its split; other recordings are split
+    with `seed`.
     """
-    here = str(Path(recording.folder).resolve())
+    here = Path(recording.folder).resolve()
     for entry in reversed(twin.history):
-        split = entry.get("split")
-        if split and entry.get("recording") and str(Path(entry["recording"]).resolve()) == here:
-            return recording.split(int(split["seed"]), tuple(split["fractions"]))[0]
+        if entry.get("seed") is not None and Path(entry.get("recording") or "").resolve() == here:
+            return recording.split(int(entry["seed"]))[0]
     return recording.split(seed)[0]
 
 
