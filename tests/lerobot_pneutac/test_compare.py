@@ -90,10 +90,8 @@ def test_the_split_of_the_fit_is_used_again(bench):
     r = BenchRecording.load(bench / "none")
     twin = Twin.load(bench / "twin")
     np.testing.assert_array_equal(train_mask(twin, r), r.split(0)[0])
-    twin.history.append(
-        {"recording": str(bench / "none"), "split": {"seed": 5, "fractions": [0.5, 0.25, 0.25]}}
-    )
-    expected = r.split(5, (0.5, 0.25, 0.25))[0]
+    twin.history.append({"recording": str(bench / "none"), "seed": 5})
+    expected = r.split(5)[0]
     np.testing.assert_array_equal(train_mask(twin, r), expected)
     assert (train_mask(twin, BenchRecording.load(bench / "creep")) != expected).any()
 
