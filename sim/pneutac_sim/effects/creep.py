@@ -1,9 +1,9 @@
 """Creep: part of the bend arrives late, by a Prony series in the creep compliance.
 
-q = (q_el + sum_i w_i s_i) / (1 + sum_i w_i), tau_i s_i' = q_el - s_i, with tau = 0.5, 2, 8, 32, 128 s. A
-factor of four between neighbours reproduces any time constant from 0.5 to 128 s within 4 % of the late part,
-and leaves weights w_i >= 0 as the only parameters, which are far easier to fit than free times. The gain is
-that of the fully relaxed body. q_el is taken as a straight line between samples (exact step).
+q = (q_el + sum_i w_i s_i) / (1 + sum_i w_i), tau_i s_i' = q_el - s_i, tau = 0.4, 1.3, 4, 13, 40, 130 s. A
+factor of about three between neighbours reproduces any one time constant in between within 5 % of the late
+part, and leaves weights w_i >= 0 as the only parameters, which are far easier to fit than free times. The gain
+is that of the fully relaxed body. q_el is taken as a straight line between samples (exact step).
 """
 
 import math
@@ -12,13 +12,13 @@ import numpy as np
 
 from pneutac_sim.effects.effect import Effect, Parameter, kernel
 
-TIMES_S = (0.5, 2.0, 8.0, 32.0, 128.0)
+TIMES_S = (0.4, 1.3, 4.0, 13.0, 40.0, 130.0)
 _TAU = np.array(TIMES_S)
 
 
 @kernel
 def run(x, dt, theta, conditions, state):
-    """State = the elastic angle before of each channel, then the five late parts of each channel."""
+    """State = the elastic angle before of each channel, then the late parts of each channel."""
     n, channels = x.shape
     m = len(_TAU)
     total = 1.0 + theta.sum()

@@ -5,6 +5,9 @@ import math
 from pneutac_sim.effects.effect import Effect, Parameter, kernel
 
 
+_HELD_KPA = 1e-6  # a command that changes by less is held; rounding changes it by far less
+
+
 @kernel
 def run(x, dt, theta, conditions, state):
     """State = per channel the share of the pressure still there and the command before."""
@@ -13,7 +16,7 @@ def run(x, dt, theta, conditions, state):
     for t in range(n):
         for c in range(channels):
             command = x[t, c]
-            if math.isinf(dt[t]) or command != before[c]:
+            if math.isinf(dt[t]) or abs(command - before[c]) > _HELD_KPA:
                 left[c] = 1.0  # the valve opens and fills up again
             else:
                 left[c] *= math.exp(-theta[0] * dt[t])

@@ -42,7 +42,7 @@ def vent(p, p2, k, b, h):
         h -= choked
         p = p2 / b
     phi = math.asin(min((p2 / p - b) / (1 - b), 1.0))
-    steps = 1 + int(min(8.0 * k * h, 64.0))
+    steps = 1 + int(min(32.0 * k * h, 128.0))
     g = k * h / (1 - b) / steps
     for _ in range(steps):
         middle = phi + 0.5 * g * (b + (1 - b) * math.sin(phi))
@@ -65,7 +65,7 @@ def run(x, dt, theta, conditions, state):
                 p[c] = command
             else:
                 for i in range(_PIECES):
-                    target = before[c] + (command - before[c]) * (i + 1) / _PIECES
+                    target = command - (command - before[c]) * (_PIECES - 1 - i) / _PIECES
                     rate = fill_rate if target > p[c] else vent_rate
                     if p[c] == target or math.isinf(rate):
                         p[c] = target

@@ -8,7 +8,7 @@ segment, used by calibration, comparison, diagnosis, and step by step in the env
     simulate(twin, recording)                 # -> Prediction: model, measured, residual (n, D), unit, error
     bench = Bench.of(recording, twin)         # prepares a recording once for many fits and simulations
     f = fit(twin, bench, effects=["creep"], train=mask)     # refits everything; f.twin is the new twin
-    model = Pipeline.of(twin, bench.inputs, effects=[...])  # parameters `model.names`, e.g. creep.weight_2s
+    model = Pipeline.of(twin, bench.inputs, effects=[...])  # parameters `model.names`, e.g. creep.weight_4s
     run = model.run(bench.inputs, theta)      # theta (P,); run.markers (n, 5), run.joints, run.pressure_kpa
     model.run(bench.inputs, theta2, reuse=run)    # repeats only what follows the first changed parameter
     online = PressurePipeline(twin)
@@ -132,7 +132,7 @@ class Pipeline:
             InputError: the twin gives an effect a parameter that it does not have.
         """
         for name, values in twin.effects.items():
-            known = {p.name for p in get_effect(name).parameters}
+            known = [p.name for p in get_effect(name).parameters]
             for parameter in values:
                 if parameter not in known:
                     raise InputError(

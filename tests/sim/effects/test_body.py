@@ -1,0 +1,114 @@
+"""Body effects: creep, softening, temperature, loads."""
+
+import numpy as np
+import pytest
+from scipy.optimize import nnls
+from scipy.special import erf
+
+from pneutac_sim.effects import get_effect
+from pneutac_sim.effects.creep import TIMES_S
+
+WEIGHTS = (0.1, 0.3, 0.0, 0.2, 0.4, 0.1)
+NAMES = [p.name for p in get_effect("creep").parameters]
+CREEP = dict(zip(NAMES, WEIGHTS, strict=True))
+
+
+def apply(name, x, values, dt=0.05, conditions=None):
+    return get_effect(name).apply(x, np.full(len(x), dt), values, conditions)
+
+
+def test_creep_step_response_is_the_prony_series():
+    dt = 0.01
+    x = np.r_[0.0, np.full(20000, 1.0)]
+    y = apply("creep", x, CREEP, dt)
+    w = np.array(WEIGHTS)
+    t = np.arange(20001) * dt
+    # the sampled step is a ramp of one sample, so its middle lies half a sample before the second sample
+    late = (1 - np.exp(-(t[:, None] - dt / 2) / np.array(TIMES_S))) @ w
+    expected = (x + late) / (1 + w.sum())
+    np.testing.assert_allclose(y[1:], expected[1:], atol=2e-4)
+
+
+def test_creep_forgets_nothing_and_superposes():
+    rng = np.random.default_rng(0)
+    a, b = rng.normal(size=(2, 300))
+    a[0] = b[0] = 0
+    both = apply("creep", a + 2 * b, CREEP)
+    np.testing.assert_allclose(both, apply("creep", a, CREEP) + 2 * apply("creep", b, CREEP), atol=1e-12)
+
+
+def test_creep_reaches_the_same_bend_in_the_end_and_starts_there_after_a_long_rest():
+    x = np.r_[0.0, np.full(400, 3.0)]
+    assert apply("creep", x, CREEP, dt=10.0)[-1] == pytest.approx(3.0, rel=1e-9)
+    np.testing.assert_allclose(apply("creep", np.full(100, 3.0), CREEP), 3.0, rtol=1e-12)
+
+
+@pytest.mark.parametrize("tau", [0.5, 1.0, 3.0, 5.0, 17.0, 60.0, 130.0])
+def test_the_grid_of_times_reproduces_any_time_constant(tau):
+    t = np.geomspace(0.05, 600, 200)
+    basis = np.exp(-t[:, None] / np.array(TIMES_S))
+    w, _ = nnls(basis, np.exp(-t / tau))
+    assert np.abs(basis @ w - np.exp(-t / tau)).max() < 0.05
+
+
+def test_creep_tells_how_long_and_how_much():
+    only_4s = dict.fromkeys(NAMES, 0.0) | {"weight_4s": 0.25}
+    derived = get_effect("creep").derive(only_4s)
+    assert derived["late_percent"] == pytest.approx(20)
+    assert derived["settle_s"] == pytest.approx(4 * np.log(10), rel=0.01)
+
+
+def test_softening_below_the_maximum_follows_ogden_and_roxburgh():
+    up_down_up = np.r_[np.linspace(0.01, 1, 50), np.linspace(1, 0.1, 50), np.linspace(0.1, 1.5, 70)]
+    m, u = 0.3, 0.6
+    values = {"below_maximum": m, "below_maximum_width": u, "per_cycle": 0.0, "cycles": 3.0}
+    y = apply("cyclic_softening", up_down_up, values)
+    largest = np.maximum.accumulate(up_down_up)
+    np.testing.assert_allclose(y, up_down_up / (1 - m * erf((1 - (up_down_up / largest) ** 2) / u)))
+    virgin = up_down_up == largest
+    np.testing.assert_array_equal(y[virgin], up_down_up[virgin])  # new ground is as hard as ever
+    assert (y[60:95] > up_down_up[60:95]).all()
+
+
+def test_softening_grows_with_cycles_as_one_minus_exponential_and_survives_a_rest():
+    cycle = np.r_[np.linspace(0, 1, 50), np.linspace(1, 0, 50)]
+    x = np.tile(cycle, 8)
+    values = {"below_maximum": 0.0, "below_maximum_width": 0.5, "per_cycle": 0.15, "cycles": 2.0}
+    dt = np.full(len(x), 0.05)
+    dt[400] = np.inf
+    y = get_effect("cyclic_softening").apply(x, dt, values)
+    peaks = y[49::100]
+    n = np.arange(8) * 0.95  # a twentieth of the way back is not counted
+    np.testing.assert_allclose(peaks, 1 + 0.15 * (1 - np.exp(-n / 2.0)), rtol=0.01)
+
+
+def test_noise_is_not_counted_as_cycles():
+    rng = np.random.default_rng(0)
+    x = np.r_[np.linspace(0, 1, 50), 1 + 0.01 * rng.normal(size=2000)]
+    values = {"below_maximum": 0.0, "below_maximum_width": 0.5, "per_cycle": 0.5, "cycles": 1.0}
+    y = apply("cyclic_softening", x, values)
+    assert abs(y[-200:].mean() / x[-200:].mean() - 1) < 0.05
+
+
+def test_temperature_changes_the_bend_by_a_factor_per_degree():
+    T = np.array([18.0, 23.0, 24.0, 33.0])
+    y = apply("thermal", np.full(4, 0.5), {"softening_1_per_k": 0.1, "reference_temperature_c": 23.0}, 1.0, T)
+    np.testing.assert_allclose(y, 0.5 * np.exp(0.1 * (T - 23)))
+
+
+def test_gravity_and_payload_add_weight_along_gravity():
+    down = np.array([[0.0, 0, -1], [1.0, 0, 0]])
+    loads = get_effect("gravity").apply(
+        np.zeros((2, 6)), np.ones(2), {"body_mass_g": 100.0, "tip_mass_g": 20.0}, down
+    )
+    np.testing.assert_allclose(loads[0], [0, 0, -0.02 * 9.80665, 0, 0, -0.1 * 9.80665])
+    np.testing.assert_allclose(loads[1], [0.02 * 9.80665, 0, 0, 0.1 * 9.80665, 0, 0])
+    hung = get_effect("payload").apply(loads, np.ones(2), {"share": 1.0}, np.c_[[50.0, 0.0], down])
+    np.testing.assert_allclose(hung[0] - loads[0], [0, 0, -0.05 * 9.80665, 0, 0, 0])
+    np.testing.assert_array_equal(hung[1], loads[1])
+
+
+def test_elongation_moves_the_tip_away_from_the_base():
+    x = np.array([[100.0, 0.0, 20.0, 0.4, 0.0]])
+    y = apply("elongation", x, {"strain_1_per_kpa": 0.01}, 1.0, np.array([5.0]))
+    np.testing.assert_allclose(y, [[105.0, 0.0, 21.0, 0.4, 0.0]])

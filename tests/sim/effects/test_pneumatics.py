@@ -1,0 +1,129 @@
+"""Pneumatic effects against their analytic solutions."""
+
+import numpy as np
+import pytest
+
+from pneutac_sim.effects import get_effect
+from pneutac_sim.effects.orifice_flow import ATMOSPHERE_KPA, fill, vent
+
+HZ = 50
+
+
+def ramp_then_hold(slope, seconds=10.0):
+    t = np.arange(int(seconds * HZ)) / HZ
+    return t, slope * np.minimum(t, 2.0)
+
+
+def apply(name, x, values, dt=1 / HZ, conditions=None):
+    return get_effect(name).apply(x, np.full(len(x), dt), values, conditions)
+
+
+def test_lag_follows_a_ramp_by_the_analytic_answer():
+    t, x = ramp_then_hold(3.0)
+    tau = 0.7
+    y = apply("valve_lag", x, {"fill_time_s": tau, "vent_time_s": tau})
+    rising = 3.0 * (t - tau * (1 - np.exp(-t / tau)))
+    at_2 = 3.0 * (2 - tau * (1 - np.exp(-2 / tau)))
+    expected = np.where(t <= 2, rising, 6.0 + (at_2 - 6.0) * np.exp(-(t - 2) / tau))
+    np.testing.assert_allclose(y, expected, atol=1e-9)
+
+
+def test_lag_fills_and_vents_with_its_own_time_each():
+    x = np.r_[0.0, np.full(500, 10.0), np.zeros(500)]
+    y = apply("valve_lag", x, {"fill_time_s": 0.3, "vent_time_s": 1.1})
+    filled = (10 - y[2:100]) / (10 - y[1:99])
+    vented = y[502:600] / y[501:599]
+    np.testing.assert_allclose(-1 / HZ / np.log(filled), 0.3, rtol=1e-9)
+    np.testing.assert_allclose(-1 / HZ / np.log(vented), 1.1, rtol=1e-9)
+
+
+def test_lag_does_not_depend_on_how_a_straight_command_is_sampled():
+    t = np.sort(np.random.default_rng(0).uniform(0, 5, 200))
+    t[0] = 0.0
+    fine = np.unique(np.r_[t, np.linspace(0, 5, 1000)])
+    values = {"fill_time_s": 0.4, "vent_time_s": 0.4}
+    effect = get_effect("valve_lag")
+    a = effect.apply(2 * t, np.diff(t, prepend=0), values)
+    b = effect.apply(2 * fine, np.diff(fine, prepend=0), values)
+    np.testing.assert_allclose(a, np.interp(t, fine, b), atol=1e-9)
+
+
+def test_a_trial_begins_settled_at_its_first_pressure():
+    x = np.r_[np.zeros(50), np.full(50, 8.0)]
+    dt = np.full(100, 0.02)
+    dt[50] = np.inf
+    for name in ("valve_lag", "orifice_flow", "dead_time"):
+        np.testing.assert_array_equal(get_effect(name).apply(x, dt), x)
+
+
+def test_choked_filling_is_constant_mass_flow():
+    p1, b, k = 600.0, 0.3, 0.2
+    p, h = 110.0, 0.05
+    pressures = [p]
+    for _ in range(10):
+        pressures.append(fill(pressures[-1], p1, k, b, h))
+    assert pressures[-1] / p1 < b
+    np.testing.assert_allclose(np.diff(pressures), k * p1 * h, rtol=1e-12)
+
+
+def test_choked_venting_is_exponential():
+    p = [900.0]
+    for _ in range(5):
+        p.append(vent(p[-1], 110.0, 0.5, 0.3, 0.1))
+    np.testing.assert_allclose(np.diff(np.log(p)), -0.5 * 0.1, rtol=1e-12)
+
+
+@pytest.mark.parametrize("direction", ["fill", "vent"])
+def test_flow_solves_iso_6358_across_choked_and_subsonic(direction):
+    b, k, t_end = 0.3, 0.8, 1.1
+    p1, p2 = (500.0, 120.0) if direction == "fill" else (700.0, 150.0)
+    p = p2 if direction == "fill" else p1
+    n = 400_000
+    for _ in range(n):  # explicit Euler of the equation itself
+        up, down = (p1, p) if direction == "fill" else (p, p2)
+        r = down / up
+        psi = 1.0 if r <= b else np.sqrt(max(0.0, 1 - ((r - b) / (1 - b)) ** 2))
+        p += (1 if direction == "fill" else -1) * k * up * psi * t_end / n
+    flow, start, other = (fill, p2, p1) if direction == "fill" else (vent, p1, p2)
+    whole = flow(start, other, k, b, t_end)
+    assert whole == pytest.approx(p, rel=2e-4)
+    halves = flow(flow(start, other, k, b, 0.4), other, k, b, t_end - 0.4)
+    assert halves == pytest.approx(whole, rel=1e-3)
+
+
+def test_orifice_arrives_in_finite_time_and_takes_longer_for_larger_steps():
+    def arrival(step):
+        x = np.r_[0.0, np.full(4000, step)]
+        y = apply("orifice_flow", x, {"fill_rate_1_per_s": 0.5, "vent_rate_1_per_s": 0.5}, 0.005)
+        assert y[-1] == step and (np.diff(y) >= 0).all()
+        return np.argmax(y == step) * 0.005
+
+    # phi runs from asin((p2/p1 - b)/(1 - b)) to pi/2 at the rate k/(1 - b)
+    r = ATMOSPHERE_KPA / (ATMOSPHERE_KPA + 50)
+    exact = (np.pi / 2 - np.arcsin((r - 0.3) / 0.7)) * 0.7 / 0.5
+    assert arrival(50.0) == pytest.approx(exact, abs=0.02)
+    assert arrival(5.0) < 0.5 * arrival(50.0)
+
+
+def test_dead_time_shifts_a_ramp_and_holds_before_it():
+    t = np.cumsum(np.random.default_rng(3).uniform(0.005, 0.05, 500))
+    x = np.where(t > t[0] + 1.0, t - t[0] - 1.0, 0.0) + 2.0
+    y = get_effect("dead_time").apply(x, np.diff(t, prepend=0), {"delay_s": 0.33})
+    expected = np.interp(t - 0.33, t, x)
+    np.testing.assert_allclose(y, expected, atol=1e-12)
+
+
+def test_leak_decays_while_the_command_holds_and_refills_when_it_moves():
+    x = np.r_[np.zeros(10), np.full(200, 12.0), np.full(100, 6.0)]
+    y = apply("leak", x, {"leak_rate_1_per_s": 0.08})
+    t = np.arange(200) / HZ
+    np.testing.assert_allclose(y[10:210], 12.0 * np.exp(-0.08 * t), rtol=1e-12)
+    assert y[210] == 6.0
+
+
+def test_sensor_error_is_undone_exactly():
+    p = np.linspace(0, 15, 50)
+    t = np.linspace(0, 600, 50)
+    reading = 1.05 * p + 0.3 + 1e-3 * t
+    values = {"scale": 1.05, "offset_kpa": 0.3, "drift_kpa_per_s": 1e-3}
+    np.testing.assert_allclose(apply("sensor_offset", reading, values, conditions=t), p, atol=1e-12)

@@ -1,0 +1,195 @@
+import time
+
+import numpy as np
+import pytest
+
+from pneutac_sim.effects import all_effects
+from pneutac_sim.errors import InputError
+from pneutac_sim.finger import Inputs, Pipeline, PressurePipeline
+from pneutac_sim.finger.kinematics import forward_kinematics, joint_command
+from pneutac_sim.twin import PAPER_FINGER, Twin, Value
+
+ALL = list(all_effects())
+
+
+def simulate(twin, inputs, effects=None, reuse=None):
+    model = Pipeline.of(twin, inputs, effects)
+    return model, model.run(inputs, model.theta(twin, inputs.pressure_range_kpa), reuse)
+
+
+def test_without_effects_it_is_the_papers_finger(program):
+    inputs = Inputs.from_samples(program(400))
+    _, run = simulate(Twin.builtin(), inputs)
+    p = PAPER_FINGER
+    q = joint_command(
+        inputs.pressure_kpa[:, 0],
+        p["gain_rad_per_kpa"],
+        p["gain_alpha"],
+        p["gain_beta"],
+        p["rest_pressure_kpa"],
+        4,
+    )
+    tip, bend = forward_kinematics(q, np.array([13.75, 41.25, 68.75, 96.25]), 110.0)
+    np.testing.assert_allclose(run.joints, q)
+    np.testing.assert_allclose(run.markers[:, [0, 2]], tip)
+    np.testing.assert_allclose(run.markers[:, 3], bend)
+
+
+@pytest.mark.parametrize("device", ["finger", "arm"])
+def test_all_effects_at_their_neutral_point_change_nothing(program, device):
+    table = program(600)
+    for i in range(3):
+        table[f"pressure_cmd_{i + 1}_kpa"] = np.roll(table["pressure_cmd_kpa"], 60 * i)
+    twin = Twin(device=device)
+    inputs = Inputs.from_samples(table, device)
+    _, bare = simulate(twin, inputs)
+    model = Pipeline.of(twin, inputs, ALL)
+    theta = model.neutral(model.theta(twin, inputs.pressure_range_kpa), ALL)
+    np.testing.assert_array_equal(model.run(inputs, theta).markers, bare.markers)
+
+
+@pytest.mark.parametrize("device", ["finger", "arm"])
+def test_step_by_step_equals_the_whole_recording(program, with_effects, device):
+    """On a uniform grid, with everything that the environment leaves to the pipeline."""
+    chain = [n for n, e in all_effects().items() if e.signal in ("pressure", "joints") and n != "crosstalk"]
+    table = program(300)
+    n = len(table["time_s"])
+    table["trial"], table["time_s"] = np.zeros(n, int), np.arange(n) / 20
+    chambers = ["pressure_cmd_kpa"] if device == "finger" else [f"pressure_cmd_{i}_kpa" for i in (1, 2, 3)]
+    for i, c in enumerate(chambers):
+        table[c] = np.roll(table["pressure_cmd_kpa"], 40 * i)
+        table[c][0] = 2.0
+    twin = with_effects(
+        Twin(device=device, parameters={"gain_rad_per_kpa": Value(0.011)}), dict.fromkeys(chain, {})
+    )
+    _, run = simulate(twin, Inputs.from_samples(table, device, 110.0, start="held"))
+    online = PressurePipeline(twin)
+    online.reset(2.0)
+    joints, pressures = [], []
+    for k in range(1, n):
+        command = np.array([table[c][k] for c in chambers])
+        joints.append(online.step(command, 0.05, {"temperature_c": table["temperature_c"][k]}).ravel())
+        pressures.append(online.pressure_kpa)
+    np.testing.assert_allclose(joints[1:], run.joints[2:], rtol=0, atol=2e-5)  # the first knew no temperature
+    np.testing.assert_allclose(pressures, run.pressure_kpa[1:], atol=1e-9)
+
+
+def test_online_rests_effects_whose_conditions_are_not_given(with_effects):
+    twin = with_effects(Twin.builtin(), {"thermal": {"softening_1_per_k": 0.2}})
+    plain, thermal = PressurePipeline(Twin.builtin()), PressurePipeline(twin)
+    np.testing.assert_array_equal(plain.step(9.0, 0.1), thermal.step(9.0, 0.1))
+    warm = thermal.step(9.0, 0.1, {"temperature_c": 25.0})
+    np.testing.assert_allclose(warm, plain.step(9.0, 0.1) * np.exp(0.4))
+
+
+def test_reused_links_give_the_same_run(program):
+    inputs = Inputs.from_samples(program(600))
+    twin = Twin.builtin()
+    model, before = simulate(twin, inputs, ALL[:15])
+    for j in range(len(model.names)):
+        theta = before.theta.copy()
+        theta[j] = 1.01 * theta[j] + 1e-3
+        np.testing.assert_array_equal(
+            model.run(inputs, theta, reuse=before).markers, model.run(inputs, theta).markers
+        )
+
+
+def test_trials_do_not_influence_each_other_except_by_what_the_material_remembers(program):
+    table = program(1600)
+    forget = ["dead_time", "leak", "valve_lag", "orifice_flow", "creep", "gravity"]
+    alone = {k: v[table["trial"] == 1] for k, v in table.items()}
+    whole, one = Inputs.from_samples(table), Inputs.from_samples(alone)
+    a = simulate(Twin.builtin(), whole, forget)[1].markers[table["trial"] == 1]
+    np.testing.assert_allclose(simulate(Twin.builtin(), one, forget)[1].markers, a, atol=1e-4)
+    softened = simulate(Twin.builtin(), whole, ["cyclic_softening"])[1].markers[table["trial"] == 1]
+    assert np.abs(simulate(Twin.builtin(), one, ["cyclic_softening"])[1].markers - softened).max() > 0.1
+
+
+def test_measured_pressure_replaces_the_pneumatics(program):
+    table = program(600)
+    table["pressure_kpa"] = 0.5 * table["pressure_cmd_kpa"]
+    half = dict(table, pressure_cmd_kpa=table["pressure_kpa"])
+    half.pop("pressure_kpa")
+    model, run = simulate(Twin.builtin(), Inputs.from_samples(table), ["valve_lag", "creep"])
+    assert "valve_lag" in model.left_out
+    _, expected = simulate(Twin.builtin(), Inputs.from_samples(half), ["creep"])
+    np.testing.assert_allclose(run.markers, expected.markers)
+
+
+def test_an_effect_without_its_columns_is_left_out_and_named(program):
+    table = program(200)
+    del table["temperature_c"]
+    model, _ = simulate(Twin.builtin(), Inputs.from_samples(table), ["thermal", "crosstalk"])
+    assert "temperature_c" in model.left_out["thermal"] and "crosstalk" in model.left_out
+
+
+def test_a_payload_creeps_like_a_pressure(program):
+    """Hung at once, a weight sinks by the same late share that a pressure step has."""
+    n = 2400
+    table = {
+        "trial": np.zeros(n, int),
+        "time_s": np.arange(n) / 20,
+        "pressure_cmd_kpa": np.full(n, 2.0),
+        "gravity_x": np.zeros(n),
+        "gravity_y": np.zeros(n),
+        "gravity_z": np.full(n, -1.0),
+        "payload_g": np.where(np.arange(n) < 100, 0.0, 30.0),
+    }
+    twin = Twin.builtin()
+    inputs = Inputs.from_samples(table)
+    model = Pipeline.of(twin, inputs, ["payload", "creep"])
+    theta = model.theta(twin, 2.0)
+    weight = model.names.index("creep.weight_4s")
+    theta[[i for i, s in enumerate(model.names) if s.startswith("creep")]] = 0.0
+    theta[weight] = 0.5
+    tip = model.run(inputs, theta).joints.sum(axis=1)
+    final, jump, before = tip[-1], tip[101], tip[90]
+    assert (jump - before) / (final - before) == pytest.approx(1 / 1.5, abs=0.03)
+
+
+def test_an_arm_bends_towards_the_chamber_that_is_pressed():
+    twin = Twin(device="arm", length_mm=117.0)
+    twin.parameters["gain_rad_per_kpa"] = Value(0.02)
+    p = 10.0 * np.eye(3)
+    table = {"trial": np.arange(3), "time_s": np.zeros(3)}
+    table |= {f"pressure_cmd_{i + 1}_kpa": p[:, i] for i in range(3)}
+    _, run = simulate(twin, Inputs.from_samples(table, "arm", 117.0))
+    z, y = run.markers[:, 2], run.markers[:, 1]
+    direction = np.degrees(np.arctan2(y, z)) % 360
+    np.testing.assert_allclose(direction, [0, 120, 240], atol=1e-9)
+    np.testing.assert_allclose(np.hypot(y, z), np.hypot(y, z)[0])
+    model = Pipeline.of(twin)
+    curvature = model.outputs(run, ["curvature_x_1_per_m", "curvature_y_1_per_m"])
+    np.testing.assert_allclose(np.linalg.norm(curvature, axis=1), 6 * 0.02 * 10 / 0.117)
+    equal = {k: (v if k in ("trial", "time_s") else np.full(3, 10.0)) for k, v in table.items()}
+    _, run = simulate(twin, Inputs.from_samples(equal, "arm", 117.0))
+    np.testing.assert_allclose(run.markers[:, :3], [[117.0, 0, 0]] * 3, atol=1e-9)
+
+
+def test_elongation_uses_the_pressure_that_arrives(program):
+    inputs = Inputs.from_samples(program(200))
+    model, run = simulate(Twin.builtin(), inputs, ["valve_lag", "elongation"])
+    _, plain = simulate(Twin.builtin(), inputs, ["valve_lag"])
+    strain = run.theta[model.names.index("elongation.strain_1_per_kpa")]
+    np.testing.assert_allclose(run.markers[:, 0] / plain.markers[:, 0], 1 + strain * run.pressure_kpa[:, 0])
+
+
+def test_bad_twins_and_columns_are_refused(program):
+    twin = Twin.builtin()
+    twin.effects["creep"] = {"weight_9s": Value(0.1)}
+    with pytest.raises(InputError, match="no parameter 'weight_9s'; it has weight_0_4s"):
+        Pipeline.of(twin).theta(twin)
+    model, run = simulate(Twin.builtin(), Inputs.from_samples(program(100)))
+    with pytest.raises(InputError, match="no output 'tip_w_mm'"):
+        model.outputs(run, ["tip_w_mm"])
+
+
+def test_ten_minutes_with_every_effect_take_well_under_50_ms(program):
+    inputs = Inputs.from_samples(program(12000))
+    model, run = simulate(Twin.builtin(), inputs, ALL)
+    times = []
+    for _ in range(5):
+        began = time.process_time()
+        model.run(inputs, run.theta)
+        times.append(time.process_time() - began)
+    assert min(times) < 0.05
