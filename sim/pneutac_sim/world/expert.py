@@ -17,6 +17,8 @@ from pneutac_sim.world.world import DT, World
 ACCELERATION = 0.25  # m/s2, how fast a hand changes the velocity
 TOUCH_MM = 0.4  # imprint from which on a touch is seen in the tactile image: about 0.4 N
 
+Script = Iterator[tuple[np.ndarray, float]]  # yields wished velocity (3,) m/s and pressure kPa
+
 
 @dataclass
 class Habits:
@@ -89,18 +91,10 @@ class ScriptedExpert:
         return np.clip(action, ACTION_LOW, ACTION_HIGH).astype(np.float32)
 
 
-Script = Iterator[tuple[np.ndarray, float]]  # yields wished velocity (3,) m/s and pressure kPa
-
-
 def _go(world: World, goal: np.ndarray, speed: float, pressure: float) -> Script:
     """Brings the flange to `goal`, slowing down over the last centimetres."""
     while np.linalg.norm(way := goal - world.flange_m) > 0.004:
         yield speed * way / max(np.linalg.norm(way), 0.02), pressure
-
-
-def _about_y(angle: float) -> np.ndarray:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
 
 
 def _touching(world: World) -> bool:
@@ -137,7 +131,8 @@ def flip_switch(world: World, habits: Habits) -> Script:
             yield habits.speed * np.array([0.02, 0.8 * slip[1], 3.0 * slip[2]]), habits.high_kpa
         if task.lever_rad < 0.5 * task.well_rad:
             yield from _go(world, world.flange_m + back, 0.06, habits.low_kpa)
-    yield from _hold(habits.overshoot_s, habits.high_kpa)
+    for _ in range(round(habits.overshoot_s / DT)):
+        yield habits.speed * np.array([0.02, 0.0, 0.0]), habits.high_kpa
     yield from _go(world, world.flange_m + back, 0.06 * habits.speed, habits.high_kpa)
     while not world.success:
         yield np.zeros(3), habits.high_kpa
@@ -145,15 +140,13 @@ def flip_switch(world: World, habits: Habits) -> Script:
 
 def open_carton(world: World, habits: Habits) -> Script:
     """Touch the lid's edge, go below it while inflating, come up under it and lift along the lid's arc."""
-    task, lid = world.task, world.data.body("lid")
+    task, hinge, carton = world.task, world.data.body("lid"), world.data.body("carton")
 
     def under(along_m: float, below_m: float, ahead_rad: float = 0.0) -> np.ndarray:
         """Point `along_m` inside the lid's edge and `below_m` under it, the lid opened a little further."""
-        turn = task.lid_rad + ahead_rad
-        c, s = np.cos(turn), np.sin(turn)
+        c, s = np.cos(task.lid_rad + ahead_rad), np.sin(task.lid_rad + ahead_rad)
         x, z = along_m - task.reach_m, -below_m
-        axes = lid.xmat.reshape(3, 3) @ _about_y(-task.lid_rad)
-        return lid.xpos + axes @ [c * x + s * z, 0.0, -s * x + c * z]
+        return hinge.xpos + carton.xmat.reshape(3, 3) @ [c * x + s * z, 0.0, -s * x + c * z]
 
     def towards(goal: np.ndarray) -> np.ndarray:
         way = goal - world.gel_m

@@ -23,6 +23,11 @@ class View:
         self._gl = None
         self._failed = False
 
+    @property
+    def uses_gl(self) -> bool:
+        """Whether the renderer has started."""
+        return self._gl is not None
+
     def picture(self, data: mujoco.MjData, tactile: np.ndarray | None, width: int, height: int) -> np.ndarray:
         """Picture uint8 (height, width, 3) of the state; `data` must have its kinematics up to date."""
         if self._gl is None and not self._failed:

@@ -241,6 +241,11 @@ class World:
         """Picture of the scene with the tactile image in a corner, uint8 (height, width, 3)."""
         return self._view.picture(self.data, self.touch.image, width, height)
 
+    @property
+    def renders_with_gl(self) -> bool:
+        """Whether the last picture came from OpenGL; False before the first one and where it is drawn."""
+        return self._view.uses_gl
+
     def close(self) -> None:
         """Frees the renderer."""
         self._view.close()
