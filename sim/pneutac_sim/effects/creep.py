@@ -2,7 +2,7 @@
 
 q = (q_el + sum_i w_i s_i) / (1 + sum_i w_i), tau_i s_i' = q_el - s_i, tau = 0.4, 1.3, 4, 13, 40, 130 s. A
 factor of about three between neighbours reproduces any one time constant in between within 5 % of the late
-part, and leaves weights w_i >= 0 as the only parameters, which are far easier to fit than free times. The gain
+part, and leaves weights w_i >= 0 as the only parameters, far easier to fit than free times. The gain
 is that of the fully relaxed body. q_el is taken as a straight line between samples (exact step).
 """
 

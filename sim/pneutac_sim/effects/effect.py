@@ -54,6 +54,8 @@ class Parameter:
         log: True where the parameter is positive and its magnitude is what matters.
         fixed: True for a constant that a user may set and that data cannot tell from another parameter.
         range_power: default and bounds are in units of (largest pressure in kPa) ** range_power.
+        step: share of the range between bounds by which a fit moves it to see what it does; larger where the
+            answer comes in jumps.
     """
 
     name: str
@@ -65,6 +67,7 @@ class Parameter:
     log: bool = False
     fixed: bool = False
     range_power: int = 0
+    step: float = 1e-4
 
     def __post_init__(self):
         if not (self.lower <= self.default <= self.upper and self.lower < self.upper):

@@ -31,7 +31,7 @@ EFFECT = Effect(
     stage="actuation",
     parameters=(
         Parameter("coulomb_kpa", "kPa", default=0.03, lower=0.0, upper=0.4, range_power=1),
-        Parameter("breakaway_kpa", "kPa", default=0.01, lower=0.0, upper=0.3, range_power=1),
+        Parameter("breakaway_kpa", "kPa", default=0.01, lower=0.0, upper=0.3, range_power=1, step=0.03),
     ),
     run=run,
     state_size=lambda channels: 2 * channels,

@@ -4,7 +4,6 @@ import math
 
 from pneutac_sim.effects.effect import Effect, Parameter, kernel
 
-
 _HELD_KPA = 1e-6  # a command that changes by less is held; rounding changes it by far less
 
 

@@ -5,8 +5,6 @@ import numpy as np
 from pneutac_sim.finger.bench import Bench
 from pneutac_sim.finger.pipeline import Pipeline, Run
 
-_STEP = 1e-4  # of a parameter's whole range, for differences
-
 
 class Limits:
     """Bounds of all parameters of a pipeline, and their map to [0, 1] (of the logarithm where that matters).
@@ -90,9 +88,10 @@ class Problem:
             self.residual(v)
         run, at = self._last, self._values(self._last)
         J = np.empty((len(at), len(v)))
+        steps = [self.pipeline.specs[i].step for i in self.free]
         for j in range(len(v)):
             moved = v.copy()
-            moved[j] += _STEP if v[j] < 0.5 else -_STEP
+            moved[j] += steps[j] if v[j] < 0.5 else -steps[j]
             J[:, j] = (self._values(self._run(self.theta(moved), run)) - at) / (moved[j] - v[j])
         return J
 

@@ -1,0 +1,206 @@
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.finger import Bench, fit
+from pneutac_sim.finger.confidence import autocorrelation, independent
+from pneutac_sim.finger.least_squares import minimise
+from pneutac_sim.twin import Twin, Value
+
+
+def blocks(n, size=200):
+    return (np.arange(n) // size) % 3 > 0
+
+
+def test_static_parameters_come_back_within_their_intervals(program, recording):
+    truth = Twin.builtin()
+    rec = recording(truth, program(), noise=0.1)
+    f = fit(Twin(), rec, [], blocks(2400))
+    for name in ("gain_rad_per_kpa", "gain_alpha", "gain_beta", "rest_pressure_kpa"):
+        low, high = f.ci95[name]
+        assert low <= truth.parameter(name) <= high
+        assert f.twin.parameters[name].ci95 == f.ci95[name]
+    assert f.train == pytest.approx(0.1 * np.sqrt(2), rel=0.05)
+    assert f.heldout == pytest.approx(0.1 * np.sqrt(2), rel=0.1)
+    assert f.unit == "mm" and not f.at_bound
+
+
+CASES = {
+    "valve_lag": {"fill_time_s": 0.4, "vent_time_s": 0.9},
+    "orifice_flow": {"fill_rate_1_per_s": 0.6, "vent_rate_1_per_s": 0.3},
+    "dead_time": {"delay_s": 0.37},
+    "leak": {"leak_rate_1_per_s": 0.05},
+    "sensor_offset": {"drift_kpa_per_s": 0.01},
+    "gain_saturation": {"saturation_pressure_kpa": 14.0},
+    "stiffening": {"linear_1_per_kpa": 0.04, "quadratic_1_per_kpa2": -0.001},
+    "hysteresis": {"weight_2": 0.2, "weight_4": 0.3},
+    "friction": {"coulomb_kpa": 0.6, "breakaway_kpa": 0.3},
+    "creep": {"weight_0_4s": 0.0, "weight_4s": 0.3, "weight_40s": 0.2},
+    "cyclic_softening": {"below_maximum": 0.2, "per_cycle": 0.2},
+    "thermal": {"softening_1_per_k": 0.03},
+    "gravity": {"body_mass_g": 60.0, "tip_mass_g": 25.0},
+    "payload": {"share": 1.3},
+    "elongation": {"strain_1_per_kpa": 0.01},
+    "base_tilt": {"pitch_rad": 0.05, "shift_x_mm": 2.0},
+    "camera_misalignment": {"pan_rad": 0.1, "shift_x_mm": 5.0},
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_each_effect_is_fitted_down_to_the_noise(name, program, recording, with_effects):
+    truth = with_effects(Twin.builtin(), {name: CASES[name]})
+    rec = recording(truth, program(seed=3), noise=0.1)
+    train = blocks(2400)
+    static, f = fit(Twin(), rec, [], train), fit(Twin(), rec, [name], train)
+    noise = 0.1 * np.sqrt(2)
+    assert static.heldout > 1.5 * noise
+    assert f.heldout < 1.15 * noise
+    assert f.train < 1.06 * noise
+
+
+def test_intervals_cover_the_truth_about_as_often_as_they_say(program, recording, with_effects):
+    """With strongly correlated noise, where plain intervals would be several times too narrow."""
+    truth = with_effects(Twin.builtin(), {"valve_lag": {}})
+    table, hits, count, rng = program(1200), 0, 0, np.random.default_rng(0)
+    for _ in range(20):
+        rec = recording(truth, table, noise=0.0)
+        for c in ("tip_x_mm", "tip_z_mm"):
+            e = rng.normal(size=1200)
+            for i in range(1, 1200):
+                e[i] += 0.9 * e[i - 1]
+            rec.samples[c] += 0.1 * e
+        f = fit(truth, rec, starts=1)
+        assert f.confidence.rho == pytest.approx(0.9, abs=0.05)
+        for name in ("rest_pressure_kpa", "valve_lag.fill_time_s", "valve_lag.vent_time_s"):
+            low, high = f.ci95[name]
+            true = truth.parameter(name) if "." not in name else 0.3
+            hits += low <= true <= high
+            count += 1
+    assert 0.85 <= hits / count <= 1.0
+
+
+def test_a_parameter_at_its_bound_is_called_out(program, recording, with_effects):
+    truth = with_effects(Twin.builtin(), {"dead_time": {"delay_s": 1.9}})
+    f = fit(Twin.builtin(), recording(truth, program()), ["dead_time"])
+    assert f.at_bound["dead_time.delay_s"] == "upper"
+
+
+def test_weights_that_end_at_zero_are_no_bound_to_warn_of(program, recording, with_effects):
+    truth = with_effects(Twin.builtin(), {"creep": dict.fromkeys(CASES["creep"], 0.0) | {"weight_4s": 0.3}})
+    f = fit(Twin.builtin(), recording(truth, program()), ["creep"])
+    assert not f.at_bound
+
+
+def test_what_the_recording_cannot_tell_is_held_and_named(program, recording):
+    rec = recording(Twin.builtin(), program())
+    f = fit(Twin.builtin(), rec, ["base_tilt"])
+    assert {"base_tilt.yaw_rad", "base_tilt.roll_rad", "base_tilt.shift_y_mm"} <= set(f.not_identified)
+    assert f.theta[f.pipeline.names.index("base_tilt.yaw_rad")] == 0.0
+    angles = recording(Twin.builtin(), program(), columns=("bend_angle_rad",), noise=0.002)
+    f = fit(Twin(), angles, [])
+    assert set(f.not_identified) == {"gain_alpha", "gain_beta"}
+    assert f.unit == "rad"
+    assert f.twin.parameter("rest_pressure_kpa") == pytest.approx(10.7, rel=0.02)
+
+
+def test_measured_pressure_is_fitted_by_the_pneumatics_alone(program, recording, with_effects):
+    truth = with_effects(Twin.builtin(), {"valve_lag": {"fill_time_s": 0.5, "vent_time_s": 1.2}})
+    rec = recording(truth, program(), columns=("tip_x_mm", "tip_z_mm", "pressure_kpa"), noise=0.05)
+    f = fit(truth, Bench.of(rec, truth, target="pressure"), ["valve_lag", "creep"])
+    assert f.unit == "kPa"
+    assert f.free_names == ["valve_lag.fill_time_s", "valve_lag.vent_time_s"]
+    assert f.twin.effects["valve_lag"]["fill_time_s"].value == pytest.approx(0.5, rel=0.02)
+    assert f.twin.effects["valve_lag"]["vent_time_s"].value == pytest.approx(1.2, rel=0.02)
+
+
+def test_only_some_parameters_can_be_fitted(program, recording, with_effects):
+    truth = with_effects(Twin.builtin(), {"valve_lag": {}})
+    f = fit(truth, recording(truth, program()), only=["valve_lag", "gain_rad_per_kpa"])
+    assert f.free_names == ["gain_rad_per_kpa", "valve_lag.fill_time_s", "valve_lag.vent_time_s"]
+    with pytest.raises(InputError, match="no parameter or effect 'gainn'"):
+        fit(truth, recording(truth, program()), only=["gainn"])
+
+
+def test_the_same_seed_gives_the_same_fit(program, recording):
+    rec = recording(Twin.builtin(), program())
+    a, b = fit(Twin(), rec, ["hysteresis"], seed=3), fit(Twin(), rec, ["hysteresis"], seed=3)
+    np.testing.assert_array_equal(a.theta, b.theta)
+
+
+def test_an_arm_is_fitted_from_its_curvatures_whichever_way_its_chambers_are_numbered(program, recording):
+    for hand in (1.0, -1.0):
+        truth = Twin(device="arm", length_mm=117.0)
+        truth.parameters = {
+            "gain_rad_per_kpa": Value(0.01),
+            "chamber_angle_rad": Value(1.9),
+            "chamber_2_gain": Value(1.1),
+            "rest_pressure_y_kpa": Value(2.0),
+            "chamber_handedness": Value(hand),
+        }
+        table = program(1200)
+        for i in (1, 2, 3):
+            table[f"pressure_cmd_{i}_kpa"] = np.roll(table["pressure_cmd_kpa"], 171 * i)
+        del table["pressure_cmd_kpa"]
+        rec = recording(truth, table, ("curvature_x_1_per_m", "curvature_y_1_per_m"), noise=0.02)
+        f = fit(Twin(device="arm", length_mm=117.0), rec)
+        assert f.train < 0.03 and f.unit == "1/m"
+        assert f.twin.parameter("chamber_handedness") == hand
+        assert np.cos(f.twin.parameter("chamber_angle_rad") - 1.9) > 0.999
+        assert f.twin.parameter("chamber_2_gain") == pytest.approx(1.1, rel=0.02)
+
+
+def test_a_single_segment_with_its_own_length_and_sign(program, recording):
+    truth = Twin(length_mm=152.0, spine_joint_positions_mm=[38.0, 114.0])
+    truth.parameters = {"gain_rad_per_kpa": Value(-0.02), "rest_pressure_kpa": Value(-1.0)}
+    f = fit(Twin(length_mm=152.0, spine_joint_positions_mm=[38.0, 114.0]), recording(truth, program()))
+    assert f.train < 0.3
+    assert f.twin.parameter("gain_rad_per_kpa") == pytest.approx(-0.02, rel=0.02)
+
+
+def test_a_constant_pressure_does_not_break_the_fit(program, recording):
+    table = program()
+    table["pressure_cmd_kpa"] = np.full(2400, 5.0)
+    f = fit(Twin.builtin(), recording(Twin.builtin(), table), ["valve_lag"])
+    assert np.isfinite(f.theta).all()
+    assert {"rest_pressure_kpa", "valve_lag.fill_time_s"} <= set(f.not_identified)
+
+
+def test_too_few_samples_are_refused(program, recording):
+    rec = recording(Twin.builtin(), program())
+    train = np.zeros(2400, bool)
+    train[:2] = True
+    with pytest.raises(InputError, match="2 training samples for 10 parameters"):
+        fit(Twin(), rec, ["creep"], train)
+
+
+def test_minimise_finds_what_scipy_finds_with_active_bounds():
+    rng = np.random.default_rng(0)
+    A, b = rng.normal(size=(200, 6)), rng.normal(size=200)
+
+    def residual(v):
+        return A @ v + 0.3 * np.sin(3 * (A @ v)) - b
+
+    def jacobian(v):
+        return (1 + 0.9 * np.cos(3 * (A @ v)))[:, None] * A
+
+    ours = minimise(residual, jacobian, np.full(6, 0.4), steps=200, tolerance=1e-12)
+    theirs = least_squares(residual, np.full(6, 0.4), jacobian, (0, 1), ftol=1e-14, xtol=1e-14, gtol=1e-14)
+    assert ours.cost <= 2 * theirs.cost * (1 + 1e-6)
+    assert (ours.v == 0).any()
+
+
+def test_dependent_columns_are_found_in_order():
+    rng = np.random.default_rng(0)
+    J = rng.normal(size=(100, 4))
+    J[:, 2] = 2 * J[:, 0] - J[:, 1] + 1e-6 * J[:, 3]
+    J = np.c_[J, 1e-6 * J[:, 3]]
+    np.testing.assert_array_equal(independent(J), [True, True, False, True, False])
+
+
+def test_autocorrelation_does_not_look_across_trials():
+    e = np.r_[np.ones(50), -np.ones(50)][:, None]
+    adjacent = np.ones(100, bool)
+    adjacent[[0, 50]] = False
+    assert autocorrelation(e, adjacent) == 0.9999
+    assert autocorrelation(np.random.default_rng(0).normal(size=(10000, 1)), np.ones(10000, bool)) < 0.05
