@@ -12,6 +12,7 @@ from lerobot_pneutac.diagnose import load_pair, progress
 from lerobot_pneutac.diagnosis import pneumatics
 from lerobot_pneutac.diagnosis.bootstrap import Resampler
 from lerobot_pneutac.diagnosis.candidates import sort_candidates
+from lerobot_pneutac.diagnosis.mounts import align_mounts
 from lerobot_pneutac.diagnosis.parts import Parts, deal
 from lerobot_pneutac.diagnosis.refit import Refit, refit
 from lerobot_pneutac.options import parse_options
@@ -151,7 +152,7 @@ def add(twin: Twin, recording: BenchRecording, effect: str, seed: int = 0, done=
             f"The twin has the effect '{effect}' already (it has {', '.join(twin.effects)}); "
             "`pneutac calibrate` re-fits it."
         )
-    recording, _ = check(recording)
+    recording, _ = align_mounts(check(recording)[0], twin.length_mm)
     for u in sort_candidates(recording, twin)[1]:
         if u.name == effect:
             raise InputError(f"{recording.folder}: effect '{effect}' {u.reason}.")

@@ -71,7 +71,7 @@ def lean(found, bench: Bench, effects: tuple[str, ...]) -> Fit:
     return Fit(
         effects=tuple(effects),
         residual=found.residual[:, : bench.counted],
-        count=len(found.free),
+        count=_active(found, bench.inputs.pressure_range_kpa),
         twin=replace(found.twin, arrays={}, gel={}, history=[]),
         names=list(found.free_names),
         at_bound=dict(found.at_bound),
@@ -79,6 +79,17 @@ def lean(found, bench: Bench, effects: tuple[str, ...]) -> Fit:
         correlation=found.confidence.correlation,
         evaluations=found.evaluations,
     )
+
+
+def _active(found, pressure_range_kpa: float) -> int:
+    """Free parameters that do something: a weight that was fitted to zero costs nothing."""
+    count = 0
+    for i in found.free:
+        spec = found.pipeline.specs[i]
+        _, low, high = spec.limits(pressure_range_kpa)
+        idle = spec.neutral in (low, high) and abs(found.theta[i] - spec.neutral) < 1e-3 * (high - low)
+        count += not idle
+    return count
 
 
 _prepared: Prepared | None = None

@@ -16,7 +16,7 @@ class Fit:
     Attributes:
         effects: names that are switched on, sorted.
         residual: (n, k) measured minus predicted at every sample, unit of the headline error.
-        count: number of free parameters.
+        count: number of free parameters that are not at a bound where they do nothing.
         twin: the fitted twin; where a refit starts.
         names: free parameters, base parameters first, then `effect.parameter`.
         at_bound: parameter to `lower` or `upper`.
@@ -53,25 +53,26 @@ class Fitter(Protocol):
         ...
 
 
-def effective_count(residual: np.ndarray, mask: np.ndarray) -> float:
+def effective_count(residual: np.ndarray, mask: np.ndarray, least: int = 10) -> float:
     """Number of independent samples, N (1 - rho) / (1 + rho), with rho between neighbours.
 
     Args:
         residual: (n, k).
         mask: (n,) samples that count.
+        least: independent pieces of time there are anyway.
 
     Returns:
-        Between 10 and N.
+        Between `least` and N.
     """
     pair = mask[1:] & mask[:-1]
     r = residual - residual[mask].mean(0)
     power = (r[mask] ** 2).sum() / max(mask.sum(), 1)
     n = int(mask.sum())
     if power <= 0 or not pair.any():
-        return float(max(n, 10))
+        return float(max(n, least))
     rho = float((r[1:][pair] * r[:-1][pair]).sum() / pair.sum() / power)
     rho = min(max(rho, 0.0), 0.9999)
-    return float(min(n, max(10.0, n * (1 - rho) / (1 + rho))))
+    return float(min(max(n, least), max(least, n * (1 - rho) / (1 + rho))))
 
 
 def bic(fit: Fit, mask: np.ndarray, n: float, floor: float) -> float:

@@ -9,6 +9,7 @@ from pneutac_datasets.recording import BenchRecording
 
 FRACTIONS = (0.5, 0.25, 0.25)
 FEW_BLOCKS = 10  # below this a third part would hold a block or two: validation is then the test as well
+LEAST_OF_A_KIND = 4  # blocks of each condition: two to train, one to validate, one to test
 UNITS = 16  # wanted in each held-out part; a bootstrap over fewer says little about its own spread
 
 
@@ -47,23 +48,36 @@ def deal(recording: BenchRecording, seed: int, choose: bool = True) -> Parts:
     Args:
         recording: cleaned.
         seed: decides which block goes where.
-        choose: True where a choice is made on held-out blocks, so that others are kept for the report; else the
-            split is the recording's usual one in two.
+        choose: True where a choice is made on held-out blocks, so that others are kept for the report;
+            else the split is the recording's usual one in two.
     """
     block = recording.blocks()
     if not choose or len(np.unique(block)) < FEW_BLOCKS:
         train, test = recording.split(seed=seed)
         validation = test
     else:
-        train, validation, test = recording.split(seed=seed, fractions=FRACTIONS)
-    unit = block.copy()
+        block = _refine(recording, block)
+        part = blocks.assign(recording.samples, block, seed, FRACTIONS)
+        train, validation, test = (part == i for i in range(3))
     pieces = 1
     for part in (validation, test):
-        count = max(1, len(np.unique(block[part])))
-        pieces = max(pieces, min(4, -(-UNITS // count)))
-    position = np.arange(len(block)) - np.unique(block, return_index=True)[1][block]
-    size = np.bincount(block)[block]
-    unit = np.unique(block * pieces + position * pieces // size, return_inverse=True)[1]
+        pieces = max(pieces, min(4, -(-UNITS // max(1, len(np.unique(block[part]))))))
+    unit = _cut(block, np.full(block.max() + 1, pieces))
     stratum = blocks.strata(recording.samples, block)[block]
     first = np.unique(unit, return_index=True)[1]
     return Parts(train, validation, test, unit, stratum[first])
+
+
+def _refine(recording: BenchRecording, block: np.ndarray) -> np.ndarray:
+    """Finer blocks (n,) where a condition has fewer than `LEAST_OF_A_KIND`, so that every part gets some of it."""
+    stratum = blocks.strata(recording.samples, block)
+    count = np.bincount(stratum)[stratum]
+    return _cut(block, np.maximum(1, -(-LEAST_OF_A_KIND // count)))
+
+
+def _cut(block: np.ndarray, pieces: np.ndarray) -> np.ndarray:
+    """Blocks (n,), each cut into so many pieces of equal length."""
+    position = np.arange(len(block)) - np.unique(block, return_index=True)[1][block]
+    size = np.bincount(block)[block]
+    within = position * pieces[block] // size
+    return np.unique(block * (pieces.max() + 1) + within, return_inverse=True)[1]

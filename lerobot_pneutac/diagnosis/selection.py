@@ -7,12 +7,14 @@ falls for sure and the fall is worth having. The test part is never looked at he
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from lerobot_pneutac.diagnosis.bootstrap import Resampler
 from lerobot_pneutac.diagnosis.fits import Fit, Fitter, bic, effective_count
 from lerobot_pneutac.diagnosis.parts import Parts
 
 MAX_EFFECTS = 5
-TRIES = 3  # candidates in BIC order that are put to the held-out test in each round
+TRIES = 4  # candidates in BIC order that are put to the held-out test in each round
 WORTH_OF_ROOM = 0.04  # of the avoidable mean square error that is left
 WORTH_OF_BASE = 0.03  # of the avoidable mean square error of the start
 WORTH_OF_FLOOR = 0.02  # of the noise's mean square
@@ -118,10 +120,9 @@ def worth(base: Fit, floor: float, judge: Resampler) -> float:
 
 
 def _best(now, fits, base, parts, floor, judge, result) -> str | None:
-    n = effective_count(now.residual, parts.train)
+    n = effective_count(now.residual, parts.train, len(np.unique(parts.unit[parts.train])))
     score = {c: bic(f, parts.train, n, floor) for c, f in fits.items()}
-    limit = bic(now, parts.train, n, floor)
-    order = sorted((c for c in fits if score[c] < limit), key=score.get)
+    order = sorted(fits, key=score.get)
     for name in order[:TRIES]:
         sure, perhaps = accepted(now, fits[name], base, floor, judge)
         if sure:

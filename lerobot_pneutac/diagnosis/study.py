@@ -14,6 +14,7 @@ from lerobot_pneutac.diagnosis.engine import Engine, StageFitter
 from lerobot_pneutac.diagnosis.experiment import predict
 from lerobot_pneutac.diagnosis.fingerprints import Fingerprint, fingerprints
 from lerobot_pneutac.diagnosis.fits import Fit
+from lerobot_pneutac.diagnosis.mounts import align_mounts
 from lerobot_pneutac.diagnosis.parts import Parts, deal
 from lerobot_pneutac.diagnosis.rivals import Rival, find_rivals
 from lerobot_pneutac.diagnosis.selection import Selection, select
@@ -137,6 +138,8 @@ def diagnose(
     """
     began = time.perf_counter()
     recording, findings = check(recording)
+    recording, moved = align_mounts(recording, twin.length_mm)
+    findings = findings + moved
     noise = noise_floor(recording)
     parts = deal(recording, seed)
     columns, _ = headline(recording)
