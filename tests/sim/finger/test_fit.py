@@ -62,7 +62,7 @@ def test_each_effect_is_fitted_down_to_the_noise(name, program, recording, with_
 def test_intervals_cover_the_truth_about_as_often_as_they_say(program, recording, with_effects):
     """With strongly correlated noise, where plain intervals would be several times too narrow."""
     truth = with_effects(Twin.builtin(), {"valve_lag": {}})
-    table, hits, count, rng = program(1200), 0, 0, np.random.default_rng(0)
+    table, hits, misses, rng = program(1200), [], [], np.random.default_rng(0)
     for _ in range(20):
         rec = recording(truth, table, noise=0.0)
         for c in ("tip_x_mm", "tip_z_mm"):
@@ -75,9 +75,10 @@ def test_intervals_cover_the_truth_about_as_often_as_they_say(program, recording
         for name in ("rest_pressure_kpa", "valve_lag.fill_time_s", "valve_lag.vent_time_s"):
             low, high = f.ci95[name]
             true = truth.parameter(name) if "." not in name else 0.3
-            hits += low <= true <= high
-            count += 1
-    assert 0.85 <= hits / count <= 1.0
+            hits.append(low <= true <= high)
+            misses.append(2 * 1.96 * (0.5 * (low + high) - true) / (high - low))
+    assert np.mean(hits) >= 0.9
+    assert 0.4 < np.sqrt(np.mean(np.square(misses))) < 1.2  # neither far too wide nor too narrow
 
 
 def test_a_parameter_at_its_bound_is_called_out(program, recording, with_effects):
