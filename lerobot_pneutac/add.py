@@ -152,7 +152,7 @@ def add(twin: Twin, recording: BenchRecording, effect: str, seed: int = 0, done=
             f"The twin has the effect '{effect}' already (it has {', '.join(twin.effects)}); "
             "`pneutac calibrate` re-fits it."
         )
-    recording, _ = align_mounts(check(recording)[0], twin.length_mm)
+    recording = align_mounts(check(recording)[0], twin.length_mm)[0]
     for u in sort_candidates(recording, twin)[1]:
         if u.name == effect:
             raise InputError(f"{recording.folder}: effect '{effect}' {u.reason}.")
@@ -190,7 +190,7 @@ def _show(added: Added, before: dict, after: dict, console: Console) -> None:
         values = {k: v.value for k, v in added.after.twin.effects[added.effect].items()}
         console.print(get_effect(added.effect).describe(values), highlight=False)
         console.print(
-            f"{added.effect} removes {100 * share:.0f} % [{100 * lo:.0f}-{100 * hi:.0f}] of the avoidable error",
+            f"{added.effect} removes {100 * share:.0f} % [{100 * lo:.0f}-{100 * hi:.0f}] of what is avoidable",
             highlight=False,
         )
     if added.after.at_bound:

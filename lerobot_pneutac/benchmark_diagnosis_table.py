@@ -81,9 +81,10 @@ def write_table(answers: list[dict], out: Path, console: Console) -> None:
     for head in ("", "right", "95 %", "error before", "after", "noise", "removed", "extra", "s"):
         table.add_column(head)
     lines = [
-        "| recordings | right | 95 % interval | error before, mm | after, mm | noise, mm | avoidable error removed | with an extra effect | median s |",
+        "| recordings | right | 95 % interval | error before, mm | after, mm | noise, mm | avoidable error "
+        "removed | with an extra effect | median s |",
         "|---|---|---|---|---|---|---|---|---|",
-    ]  # fmt: skip
+    ]
     for r in rows:
         cells = [
             f"{r['group']}", f"{r['right']} of {r['recordings']}", f"{r['ci95'][0]:.0%}-{r['ci95'][1]:.0%}",
@@ -93,7 +94,8 @@ def write_table(answers: list[dict], out: Path, console: Console) -> None:
         table.add_row(*cells)
         lines.append("| " + " | ".join(cells) + " |")
     console.print(table)
-    lines += ["", "| hidden | strength | right | answers | error before, mm | after, mm | removed |", "|---|---|---|---|---|---|---|"]  # fmt: skip
+    lines += ["", "| hidden | strength | right | answers | error before, mm | after, mm | removed |"]
+    lines += ["|---|---|---|---|---|---|---|"]
     for (name, strength), members in _by_effect(answers).items():
         said: dict[str, int] = {}
         for a in members:
@@ -101,8 +103,8 @@ def write_table(answers: list[dict], out: Path, console: Console) -> None:
         words = ", ".join(f"{k} {v}" for k, v in sorted(said.items(), key=lambda x: -x[1]))
         before, after, removed = (np.mean([a[k] for a in members]) for k in ("before", "after", "reduction"))
         lines.append(
-            f"| {name} | {strength:g} | {sum(map(right, members))} of {len(members)} | {words} | {before:.2f} | "
-            f"{after:.2f} | {removed:.0%} |"
+            f"| {name} | {strength:g} | {sum(map(right, members))} of {len(members)} | {words} | "
+            f"{before:.2f} | {after:.2f} | {removed:.0%} |"
         )
     wrong = [a for a in answers if not right(a)]
     write_result(out, {"groups": rows, "wrong": wrong})

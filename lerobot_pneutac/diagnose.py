@@ -161,8 +161,8 @@ def result(d: Diagnosis, advice: str) -> dict:
         "reduction": share,
         "reduction_ci95": list(interval),
         "parameters": {
-            e: {k: {"value": v.value, "ci95": list(v.ci95) if v.ci95 else None} for k, v in d.twin.effects[e].items()}
-            for e in d.selected
+            name: {k: {"value": v.value, "ci95": v.ci95} for k, v in d.twin.effects[name].items()}
+            for name in d.selected
         },
         "ladder": [{"change": label, **errors(r)} for label, r in d.ladder],
         "effects": [
@@ -182,7 +182,7 @@ def result(d: Diagnosis, advice: str) -> dict:
         "indistinguishable": [[r.effect, r.rival] for r in d.rivals],
         "correlated": [{"effects": [a, b], "correlation": c} for a, b, c in d.correlated],
         "at_bound": d.evidence.at_bound,
-        "error_over_noise": {"before": d.evidence.before, "after": d.evidence.after, "limit": d.evidence.limit},
+        "error_over_noise": {k: getattr(d.evidence, k) for k in ("before", "after", "limit")},
         "measured_pressure": d.measured_pressure,
         "findings": d.findings,
         "notes": caveats(d),

@@ -76,16 +76,18 @@ def contrasts(recording: BenchRecording, p: np.ndarray) -> dict[str, tuple[str, 
     s = recording.samples
     dt = steps(recording)
     held = _since_change(p, dt)
+    slow = np.stack([lagged(p, dt, t) - p for t in (3.0, 20.0)], 1)
+    loops = np.stack([play(p, dt, r) - p for r in (0.05, 0.2)], 1)
     made = {
         "valve_lag": ("the loop widens with speed", lagged(p, dt, 0.3) - p),
         "dead_time": ("the start of each move is late", lagged(p, dt, 0.08) - p),
-        "creep": ("it relaxes for seconds in holds", np.stack([lagged(p, dt, t) - p for t in (3.0, 20.0)], 1)),
-        "hysteresis": ("the loop is there at any speed", np.stack([play(p, dt, r) - p for r in (0.05, 0.2)], 1)),
+        "creep": ("it relaxes for seconds in holds", slow),
+        "hysteresis": ("the loop is there at any speed", loops),
         "friction": ("it waits at each reversal", play(p, dt, 0.03) - p),
         "leak": ("it falls back while the valve holds", p * (1 - np.exp(-held / 10))),
         "stiffening": ("one curved line in pressure", np.stack([p**2, p**3], 1)),
         "gain_saturation": ("one line that flattens", p**3),
-        "cyclic_softening": ("softer below the largest pressure so far, and with each cycle", _history(p, dt)),
+        "cyclic_softening": ("softer below the largest pressure so far and per cycle", _history(p, dt)),
         "sensor_offset": ("it drifts with the time of the session", np.cumsum(np.minimum(dt, 1.0))),
     }  # fmt: skip
     if "temperature_c" in s:

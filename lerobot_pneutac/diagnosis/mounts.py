@@ -1,8 +1,8 @@
 """Sessions that were mounted differently: a twin has one base, so such trials are moved onto the first one.
 
-Per trial the tip is regressed on the pressure. Where, under equal conditions, the tip at rest lies far from the
-first trial's or the same pressure bends it in another direction, the device was turned about its axis and shifted
-between trials: that says nothing about its physics, and would drown what does.
+Per trial the tip is regressed on the pressure. Where, under equal conditions, the tip at rest lies far from
+the first trial's or the same pressure bends it in another direction, the device was turned about its axis and
+shifted between trials: that says nothing about its physics, and would drown what does.
 """
 
 import numpy as np
@@ -16,7 +16,7 @@ CONDITIONS = {"gravity_x": 0.1, "gravity_y": 0.1, "gravity_z": 0.1, "temperature
 TIP = ["tip_x_mm", "tip_y_mm", "tip_z_mm"]
 
 
-def align_mounts(recording: BenchRecording, length_mm: float) -> tuple[BenchRecording, list[str]]:
+def align_mounts(recording: BenchRecording, length_mm: float) -> tuple[BenchRecording, list[str], list[int]]:
     """Moves trials that were mounted differently onto the mount of the first one.
 
     Args:
@@ -24,10 +24,10 @@ def align_mounts(recording: BenchRecording, length_mm: float) -> tuple[BenchReco
         length_mm: of the device.
 
     Returns:
-        The recording, and a sentence where something was moved.
+        The recording, a sentence where something was moved, and the trials that were.
     """
     if recording.device != "finger" or not all(recording.has(c) for c in TIP):
-        return recording, []
+        return recording, [], []
     column = "pressure_kpa" if recording.has("pressure_kpa") else "pressure_cmd_kpa"
     p = recording.column(column).astype(float)
     y = recording.samples[TIP].to_numpy(float)
@@ -37,7 +37,7 @@ def align_mounts(recording: BenchRecording, length_mm: float) -> tuple[BenchReco
             design = np.stack([np.ones(rows.stop - rows.start), p[rows] - p.min()], 1)
             seen[trial] = np.linalg.lstsq(design, y[rows], rcond=None)[0]
     if len(seen) < 2:
-        return recording, []
+        return recording, [], []
     first = next(iter(seen))
     rest, slope = seen[first]
     moved, turned, out = [], [], y.copy()
@@ -57,18 +57,32 @@ def align_mounts(recording: BenchRecording, length_mm: float) -> tuple[BenchReco
         out[rows] = (y[rows] - here) @ turn.T + rest
         moved.append((str(trial), far))
     if not moved:
-        return recording, []
+        return recording, [], []
     samples = recording.samples.copy()
     samples[TIP] = out
     said = (
-        f"The device was mounted differently in trial {', '.join(t for t, _ in moved)} (at rest its tip is up to "
-        f"{max(f for _, f in moved):.0f} mm from where it is in trial {first}"
+        f"The device was mounted differently in trial {', '.join(t for t, _ in moved)} (at rest its tip is "
+        f"up to {max(f for _, f in moved):.0f} mm from where it is in trial {first}"
         + (f", and in trial {', '.join(turned)} the same pressure bends it another way" if turned else "")
         + "); these trials are turned and shifted onto the first mount."
     )
-    return BenchRecording(recording.folder, recording.meta, samples, recording.device, recording.warnings), [
-        said
-    ]
+    clean = BenchRecording(recording.folder, recording.meta, samples, recording.device, recording.warnings)
+    return clean, [said], [int(t) for t, _ in moved]
+
+
+def settle(
+    recording: BenchRecording, trials: list[int], residual: np.ndarray, train: np.ndarray
+) -> BenchRecording:
+    """Shifts these trials by what a fitted twin misses them by on average over training samples."""
+    samples = recording.samples.copy()
+    tip = samples[TIP].to_numpy(float)
+    for trial in trials:
+        rows = np.zeros(len(tip), bool)
+        rows[recording.trials()[trial]] = True
+        if (rows & train).any():
+            tip[rows] -= residual[rows & train].mean(0)
+    samples[TIP] = tip
+    return BenchRecording(recording.folder, recording.meta, samples, recording.device, recording.warnings)
 
 
 def _same(recording: BenchRecording, a: int, b: int) -> bool:

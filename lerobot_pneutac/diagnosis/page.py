@@ -137,8 +137,8 @@ def over_time(d: Diagnosis) -> go.Figure:
         figure.add_scatter(x=t[::step], y=np.round(y, 4), name=name, line={"width": 1, "color": colour})
     p = d.recording.samples[d.recording.pressure_columns].to_numpy(float).mean(1)
     figure.add_scatter(
-        x=t[::step], y=np.round(p[::step], 3), name="command (kPa)", yaxis="y2", line={"width": 1, "color": RED},
-        visible="legendonly",
+        x=t[::step], y=np.round(p[::step], 3), name="command (kPa)", yaxis="y2",
+        line={"width": 1, "color": RED}, visible="legendonly",
     )  # fmt: skip
     figure.update_layout(yaxis2={"overlaying": "y", "side": "right", "showgrid": False})
     return figure.update_yaxes(title=f"error ({d.noise.unit})").update_xaxes(title="session (s)")
@@ -200,8 +200,8 @@ def proposed(s: Separation) -> go.Figure:
     k = int(np.argmax(spread))
     for name, y, colour in zip(("chosen", "rival"), s.predictions, (BLUE, RED), strict=True):
         figure.add_scatter(x=s.time_s, y=np.round(y[:, k], 4), name=name, line={"color": colour})
-    figure.add_scatter(x=s.time_s, y=np.round((s.predictions[0] - s.predictions[1])[:, k], 4), name="difference",
-                       line={"color": GREY, "dash": "dot"})  # fmt: skip
+    apart = np.round((s.predictions[0] - s.predictions[1])[:, k], 4)
+    figure.add_scatter(x=s.time_s, y=apart, name="difference", line={"color": GREY, "dash": "dot"})
     return figure.update_xaxes(title="time (s)").update_yaxes(title=s.columns[min(k, len(s.columns) - 1)])
 
 

@@ -1,7 +1,7 @@
 """Where the pressure was measured, air and body are told apart by it.
 
-Pneumatic effects are fitted to the measured pressure itself; the body is driven by the pressure that was there,
-so nothing that the air does can pass for creep, or the other way round.
+Pneumatic effects are fitted to the measured pressure itself; the body is driven by the pressure that was
+there, so nothing that the air does can pass for creep, or the other way round.
 """
 
 from dataclasses import replace

@@ -44,19 +44,24 @@ def menu(recording: BenchRecording) -> list[Program]:
         return levels[np.minimum((t / SECONDS * len(levels)).astype(int), len(levels) - 1)]
 
     loop = 120.0
+    whole = f"between {low:.3g} and {top:.3g} kPa"
+    held, most, higher = low + 0.8 * span, low + 0.9 * span, low + 1.3 * span
     steps = np.where(t % 20 < 10, low + 0.9 * span, low)
     middle = low + 0.5 * span + 0.08 * span * np.sin(2 * np.pi * t / 8) + 0.3 * span * (t > 60)
     zero = np.where(t % 30 < 10, 0.0, low + span * (0.4 + 0.6 * ((t // 30) % 2)))
     warmup = np.where(t < 60, triangle(4.0, low, low + 0.5 * span), triangle(4.0))
     made = [
-        ("slow loop", f"Run one loop between {low:.3g} and {top:.3g} kPa ten times slower, in {loop:.0f} s.", triangle(loop), {}),
-        ("fast loops", f"Run loops between {low:.3g} and {top:.3g} kPa in 4 s each.", triangle(4.0), {}),
-        ("long hold", f"Step to {low + 0.8 * span:.3g} kPa, hold 80 s, step to {low:.3g} kPa and hold 40 s.", np.where(t < 80, low + 0.8 * span, low), {}),
-        ("steps", f"Step between {low:.3g} and {low + 0.9 * span:.3g} kPa every 10 s.", steps, {}),
-        ("higher", f"Go up in stairs to {low + 1.3 * span:.3g} kPa if the device may bear it, and down again.", stairs(low + 1.3 * span), {}),
+        ("slow loop", f"Run one loop {whole} ten times slower, in {loop:.0f} s.", triangle(loop), {}),
+        ("fast loops", f"Run loops {whole} in 4 s each.", triangle(4.0), {}),
+        ("long hold", f"Step to {held:.3g} kPa, hold 80 s, step to {low:.3g} kPa and hold 40 s.",
+         np.where(t < 80, held, low), {}),
+        ("steps", f"Step between {low:.3g} and {most:.3g} kPa every 10 s.", steps, {}),
+        ("higher", f"Go up in stairs to {higher:.3g} kPa if the device may bear it, and down again.",
+         stairs(higher), {}),
         ("small reversals", "Make small back-and-forth moves around two pressures.", middle, {}),
         ("back to zero", "Come back to 0 kPa for 10 s every half minute.", zero, {}),
-        ("cycles", "After a long rest make fifteen cycles to half the pressure, then fifteen to the full one.", warmup, {}),
+        ("cycles", "After a rest make fifteen cycles to half the pressure and fifteen to the full one.",
+         warmup, {}),
     ]  # fmt: skip
     if recording.has("gravity_x"):
         g = _usual(s, ["gravity_x", "gravity_y", "gravity_z"])
@@ -86,7 +91,7 @@ def menu(recording: BenchRecording) -> list[Program]:
 
 
 def _table(recording: BenchRecording, t: np.ndarray, p: np.ndarray, change: dict) -> pd.DataFrame:
-    """All columns of the recording: conditions at their usual value, markers at zero, the command as given."""
+    """All columns of the recording: conditions and markers at their usual value, the command as given."""
     table = pd.DataFrame({"trial": np.zeros(len(t), int), "time_s": t})
     for i, c in enumerate(recording.pressure_columns):
         table[c] = p if i == 0 else float(recording.samples[c].median())

@@ -1,8 +1,8 @@
 """A quick look at which effects are worth a fit, by a score test (one Gauss-Newton step, no iteration).
 
 Each candidate is switched on at its starting values; what that changes, and what its parameters would change
-from there, is regressed on the residual together with the parameters that are in the model already. The share of
-the residual that this explains bounds, to first order, what a fit could win.
+from there, is regressed on the residual together with the parameters that are in the model already. The share
+of the residual that this explains bounds, to first order, what a fit could win.
 """
 
 import numpy as np

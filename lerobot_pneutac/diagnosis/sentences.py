@@ -67,8 +67,8 @@ def caveats(d: Diagnosis) -> list[str]:
         )
     elif not d.measured_pressure:
         said.append(
-            "The pressure was not measured, so a slow valve and a creeping body hide each other: a lag may be "
-            "creep in part. Log pressure_kpa to tell them apart."
+            "The pressure was not measured, so a slow valve and a creeping body hide each other: a lag may "
+            "be creep in part. Log pressure_kpa to tell them apart."
         )
     if d.evidence.at_bound:
         said.append(f"At a bound, so the form is not right there: {', '.join(d.evidence.at_bound)}.")

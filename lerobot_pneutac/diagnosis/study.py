@@ -14,7 +14,7 @@ from lerobot_pneutac.diagnosis.engine import Engine, StageFitter
 from lerobot_pneutac.diagnosis.experiment import predict
 from lerobot_pneutac.diagnosis.fingerprints import Fingerprint, fingerprints
 from lerobot_pneutac.diagnosis.fits import Fit
-from lerobot_pneutac.diagnosis.mounts import align_mounts
+from lerobot_pneutac.diagnosis.mounts import align_mounts, settle
 from lerobot_pneutac.diagnosis.parts import Parts, deal
 from lerobot_pneutac.diagnosis.rivals import Rival, find_rivals
 from lerobot_pneutac.diagnosis.selection import Selection, select
@@ -32,7 +32,7 @@ class Tested:
 
     Attributes:
         name: the effect.
-        heldout: error on the test part, unit of the headline error (from measured pressure where that drives).
+        heldout: error on the test part (from measured pressure where that drives the model).
         reduction: share of the avoidable error that it removes there.
         ci95: its interval.
         parameters: name to `{"value", "ci95", "unit"}`.
@@ -138,8 +138,8 @@ def diagnose(
     """
     began = time.perf_counter()
     recording, findings = check(recording)
-    recording, moved = align_mounts(recording, twin.length_mm)
-    findings = findings + moved
+    recording, said, moved = align_mounts(recording, twin.length_mm)
+    findings = findings + said
     noise = noise_floor(recording)
     parts = deal(recording, seed)
     columns, _ = headline(recording)
@@ -148,6 +148,11 @@ def diagnose(
     measured = pneumatics.measured_columns(recording)
     test = Resampler(parts.test, parts.unit, parts.stratum, seed + 1)
 
+    if moved:
+        with Engine(recording, parts.train, 1, done) as engine:
+            tell("how each session was mounted", 1)
+            rough = StageFitter(engine, twin, "pose", "measured" if measured else "command").fit_all([own])[0]
+        recording = settle(recording, moved, rough.residual, parts.train)
     with Engine(recording, parts.train, jobs, done) as engine:
         tell("the twin as it is", 1)
         base = StageFitter(engine, twin, "pose", "command").fit_all([own])[0]

@@ -52,6 +52,9 @@ class LinearFitter:
             fits.append(Fit(tuple(names), (self.y - J @ theta)[:, None], J.shape[1]))
         return fits
 
+    def promising(self, fit, candidates, least):
+        return candidates
+
 
 def toy(hidden, seed=0, noise=0.3):
     recording = make_recording(seed, noise)
