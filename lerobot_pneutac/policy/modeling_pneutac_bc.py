@@ -105,11 +105,14 @@ class PneutacBCPolicy(PreTrainedPolicy):
         self.encoder = TactileEncoder() if config.use_tactile else None
         channels = [i for i in range(len(STATE_NAMES)) if config.use_tactile or i not in _CONTACT]
         low, high = torch.tensor(ACTION_LOW), torch.tensor(ACTION_HIGH)
-        centre, scale = torch.tensor(_RANGES, dtype=torch.float32)[channels].T
+        centre, scale = torch.tensor(_RANGES, dtype=torch.float32).T
+        noise_scale = scale.clone()
+        noise_scale[_CONTACT] = 0.0  # the image shows the contact; its scalars stay true to it
         for name, value in {
             "_channels": torch.tensor(channels),
             "_state_centre": centre,
             "_state_scale": scale,
+            "_noise_scale": noise_scale,
             "_action_low": low,
             "_action_high": high,
             "_action_centre": (low + high) / 2,
@@ -160,11 +163,13 @@ class PneutacBCPolicy(PreTrainedPolicy):
         """
         previous, target = batch[ACTION].unbind(1)
         hidden = batch[f"{ACTION}_is_pad"][:, 0]
-        if self.training and self.config.previous_action_dropout > 0:
+        state = batch[OBS_STATE]
+        if self.training:
+            state = state + torch.randn_like(state) * (self.config.state_noise * self._noise_scale)
             drawn = torch.rand(len(hidden), device=hidden.device)
             hidden = hidden | (drawn < self.config.previous_action_dropout)
-        previous = torch.where(hidden[:, None], self._hold(batch[OBS_STATE]), previous)
-        error = self._predict(batch, previous) - target
+        previous = torch.where(hidden[:, None], self._hold(state), previous)
+        error = self._predict(state, batch.get(TACTILE), previous) - target
         # Velocity m/s to displacement per step mm.
         motion = (error[:, :3] * (1000 / self.config.control_hz)).square().sum(1).mean()
         pressure = error[:, 3].square().mean()
@@ -186,8 +191,13 @@ class PneutacBCPolicy(PreTrainedPolicy):
     def predict_action_chunk(self, batch: dict[str, Tensor], **kwargs) -> Tensor:
         """The next action as a chunk of one, (B, 1, 4); remembers nothing."""
         self.eval()
-        previous = self._hold(batch[OBS_STATE]) if self._previous is None else self._previous
-        action = self._predict(batch, previous)
+        state = batch[OBS_STATE]
+        if state.shape[1:] != (len(STATE_NAMES),):
+            raise InputError(
+                f"The state has the shape {tuple(state.shape[1:])}; it must be ({len(STATE_NAMES)},)."
+            )
+        previous = self._hold(state) if self._previous is None else self._previous
+        action = self._predict(state, batch.get(TACTILE), previous)
         if not action.isfinite().all():
             raise InputError("The policy's action is not finite: its weights or an observation contain NaN.")
         return action.clamp(self._action_low, self._action_high)[:, None]
@@ -200,17 +210,14 @@ class PneutacBCPolicy(PreTrainedPolicy):
         hold[:, 3] = state[:, _PRESSURE]
         return hold
 
-    def _predict(self, batch: dict[str, Tensor], previous: Tensor) -> Tensor:
-        """Action (B, 4) from an observation and the previous action (B, 4), in m/s and kPa, not clipped."""
-        state = batch[OBS_STATE]
-        if state.shape[1:] != (len(STATE_NAMES),):
-            raise InputError(
-                f"The state has the shape {tuple(state.shape[1:])}; it must be ({len(STATE_NAMES)},)."
-            )
+    def _predict(self, state: Tensor, image: Tensor | None, previous: Tensor) -> Tensor:
+        """Action (B, 4), m/s and kPa, not clipped, from state (B, 20), image and previous action (B, 4)."""
         parts = [
-            (state[:, self._channels] - self._state_centre) / self._state_scale,
+            ((state - self._state_centre) / self._state_scale)[:, self._channels],
             (previous - self._action_centre) / self._action_scale,
         ]
         if self.encoder is not None:
-            parts.insert(0, self.encoder(batch[TACTILE]))
+            if image is None:
+                raise InputError(f"The observation has no '{TACTILE}'; pneutac_bc was trained with touch.")
+            parts.insert(0, self.encoder(image))
         return self.mlp(torch.cat(parts, 1)) * self._action_scale + self._action_centre
