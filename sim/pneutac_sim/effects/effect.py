@@ -67,7 +67,7 @@ class Parameter:
     log: bool = False
     fixed: bool = False
     range_power: int = 0
-    step: float = 1e-4
+    step: float = 1e-5
 
     def __post_init__(self):
         if not (self.lower <= self.default <= self.upper and self.lower < self.upper):

@@ -16,10 +16,12 @@ from pneutac_sim.finger.confidence import Z95, Confidence, confidence, independe
 from pneutac_sim.finger.least_squares import minimise
 from pneutac_sim.finger.pipeline import Pipeline
 from pneutac_sim.finger.problem import Limits, Problem
+from pneutac_sim.finger.starts import rough_drive, starting_points
 from pneutac_sim.twin import Twin
 
 _EDGE = 1e-3  # of a parameter's whole range: nearer to its bound it counts as at it
 _COARSE = 1200  # samples in the first round
+_COARSE_STEPS = 8  # enough to tell the valleys apart
 
 
 @dataclass(frozen=True)
@@ -101,45 +103,39 @@ def fit(
             "fewer."
         )
 
+    theta = pipeline.theta(twin, bench.inputs.pressure_range_kpa)
     chosen = np.flatnonzero(mask)
     thin = bench.thin(chosen[:: max(1, len(chosen) // _COARSE)])
-    bench_train = bench.thin(chosen)
-    now = pipeline.theta(twin, bench.inputs.pressure_range_kpa)
-    coarse = Problem(pipeline, thin, now, limits, free)
-    anchors = sorted([now, _rough_drive(coarse, now, limits)], key=coarse.cost)
-    whole = Problem(pipeline, bench_train, anchors[0], limits, free)
+    problem = Problem(pipeline, thin, theta, limits, free)
+    anchors = sorted([theta, rough_drive(pipeline, thin, theta, limits, free)], key=problem.cost)
+    whole = Problem(pipeline, bench.thin(chosen), anchors[0], limits, free)
     told = independent(whole.jacobian(np.clip(limits.scaled(anchors[0], free), 0.01, 0.99)))
-    not_identified = {
-        pipeline.names[i]: "the recording cannot tell it from the other parameters" for i in free[~told]
-    }
+    not_identified = dict.fromkeys(
+        (pipeline.names[i] for i in free[~told]), "the recording cannot tell it from the other parameters"
+    )
     free = free[told]
 
-    best, count = None, coarse.evaluations + whole.evaluations
-    for theta in _starts(anchors, pipeline, limits, free, starts, np.random.default_rng(seed)):
-        problem = Problem(pipeline, thin, theta, limits, free)
-        found = minimise(problem.residual, problem.jacobian, limits.scaled(theta, free), 15)
-        count += problem.evaluations
-        if best is None or found.cost < best[0]:
-            best = (found.cost, problem.theta(found.v))
-    whole = Problem(pipeline, bench_train, best[1], limits, free)
-    v = minimise(whole.residual, whole.jacobian, limits.scaled(best[1], free)).v
-    theta = whole.theta(v)
+    points = starting_points(anchors, pipeline, limits, free, starts, np.random.default_rng(seed))
+    tried = [Problem(pipeline, thin, point, limits, free) for point in points]
+    found = [
+        minimise(p.residual, p.jacobian, limits.scaled(point, free), _COARSE_STEPS)
+        for p, point in zip(tried, points, strict=True)
+    ]
+    best = min(range(len(found)), key=lambda i: found[i].cost)
+    final = Problem(pipeline, whole.bench, points[best], limits, free)
+    v = minimise(final.residual, final.jacobian, found[best].v).v
+    theta = final.theta(v)
 
     residual = bench.measured - pipeline.outputs(pipeline.run(bench.inputs, theta), bench.columns)
-    scaled = residual[mask] * bench.scale
     edge = (v < _EDGE) | (v > 1 - _EDGE)
-    known = confidence(whole.jacobian(v), scaled, bench.adjacent[mask], edge)
-    names = [pipeline.names[i] for i in free]
-    low = limits.value(np.clip(v - Z95 * known.sd, 0, 1), free)
-    high = limits.value(np.clip(v + Z95 * known.sd, 0, 1), free)
-    ci95 = {name: (float(a), float(b)) for name, a, b in zip(names, low, high, strict=True)}
-    at_bound = {}
+    known = confidence(final.jacobian(v), residual[mask] * bench.scale, bench.adjacent[mask], edge)
+    ci95, at_bound = _intervals(pipeline, limits, free, v, known.sd), {}
     for j in np.flatnonzero(edge):
         bound = (limits.upper if v[j] > 0.5 else limits.lower)[free[j]]
         if bound != pipeline.specs[free[j]].neutral:
-            at_bound[names[j]] = "upper" if v[j] > 0.5 else "lower"
+            at_bound[pipeline.names[free[j]]] = "upper" if v[j] > 0.5 else "lower"
     for j in np.flatnonzero((2 * Z95 * known.sd > 1) & ~edge):
-        not_identified[names[j]] = "its interval spans everything that physics allows"
+        not_identified[pipeline.names[free[j]]] = "its interval spans everything that physics allows"
     return Fit(
         twin=pipeline.update(twin, theta, ci95),
         pipeline=pipeline,
@@ -153,9 +149,16 @@ def fit(
         ci95=ci95,
         at_bound=at_bound,
         not_identified=not_identified,
-        evaluations=count + whole.evaluations,
+        evaluations=sum(p.evaluations for p in (problem, whole, final, *tried)),
         seconds=time.perf_counter() - began,
     )
+
+
+def _intervals(pipeline: Pipeline, limits: Limits, free: np.ndarray, v: np.ndarray, sd: np.ndarray) -> dict:
+    """Name to 95 % interval, within the bounds; a logarithmic parameter has it around its logarithm."""
+    low = limits.value(np.clip(v - Z95 * sd, 0, 1), free)
+    high = limits.value(np.clip(v + Z95 * sd, 0, 1), free)
+    return {pipeline.names[i]: (float(a), float(b)) for i, a, b in zip(free, low, high, strict=True)}
 
 
 def _free(pipeline: Pipeline, only: Sequence[str] | None) -> np.ndarray:
@@ -172,48 +175,3 @@ def _free(pipeline: Pipeline, only: Sequence[str] | None) -> np.ndarray:
         if wanted and not spec.fixed and effect not in pipeline.left_out:
             free.append(i)
     return np.array(free, int)
-
-
-def _rough_drive(problem: Problem, theta: np.ndarray, limits: Limits) -> np.ndarray:
-    """The best of a coarse grid over gain, rest pressure and the chambers' directions, the rest as it is."""
-    names = problem.pipeline.names
-    free = set(problem.free.tolist())
-    axes = {}
-    for name, shares in {
-        "gain_rad_per_kpa": (-0.7, -0.3, -0.12, -0.04, 0.02, 0.04, 0.08, 0.12, 0.2, 0.3, 0.5, 0.8),
-        "rest_pressure_kpa": (-0.5, -0.1, 0.0, 0.1, 0.5, 1.0),
-        "chamber_angle_rad": tuple(np.arange(-6, 6) / 12),
-    }.items():
-        if name in names and names.index(name) in free:
-            i = names.index(name)
-            scale = (
-                2 * np.pi
-                if name == "chamber_angle_rad"
-                else limits.upper[i] / problem.pipeline.specs[i].upper
-            )
-            axes[i] = [s * scale for s in shares if limits.lower[i] <= s * scale <= limits.upper[i]]
-    if "chamber_angle_rad" in names and names.index("chamber_angle_rad") in free:
-        axes[names.index("chamber_handedness")] = [-1.0, 1.0]
-    best, lowest = theta, np.inf
-    for values in (
-        np.stack(np.meshgrid(*axes.values(), indexing="ij"), -1).reshape(-1, len(axes)) if axes else []
-    ):
-        trial = theta.copy()
-        trial[list(axes)] = values
-        cost = problem.cost(trial)
-        if cost < lowest:
-            best, lowest = trial, cost
-    return best
-
-
-def _starts(
-    anchors: list[np.ndarray], pipeline: Pipeline, limits: Limits, free: np.ndarray, starts: int, rng
-) -> list[np.ndarray]:
-    """Starting points: the anchors, then the best anchor with random values for the effects' parameters."""
-    points = list(anchors[: max(starts, 1)])
-    random = np.array([i for i in free if "." in pipeline.names[i]], int)
-    while len(points) < starts and len(random):
-        theta = anchors[0].copy()
-        theta[random] = limits.value(rng.uniform(0.02, 0.6, len(random)), random)
-        points.append(theta)
-    return points
