@@ -110,7 +110,7 @@ class Demo:
         columns = (SpinnerColumn(), BarColumn(), TextColumn("{task.completed}/{task.total}"))
         clock = (TimeElapsedColumn(), TimeRemainingColumn())
         with (
-            self.path(log).open("w") as file,
+            self.path(log).open("w", buffering=1) as file,
             Progress(*columns, *clock, console=self.console, transient=True) as bar,
             subprocess.Popen(
                 command,
