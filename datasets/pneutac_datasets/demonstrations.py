@@ -38,8 +38,12 @@ class Episode:
         return len(self.state)
 
     def at(self, times: np.ndarray) -> "Episode":
-        """The episode played at fractional frame numbers `times` (T',), T' > 1; images are the nearest."""
+        """The episode played at fractional frame numbers `times` (T',), T' > 1.
+
+        Images and contact are those of the nearest frame, so that they belong together.
+        """
         frames = np.arange(len(self))
+        nearest = np.round(times).astype(int)
         state, action = (
             np.stack([np.interp(times, frames, column) for column in x.T], 1)
             for x in (self.state, self.action)
@@ -47,7 +51,8 @@ class Episode:
         pace = np.gradient(times)[:, None]  # the velocities follow the pace
         state[:, RATES] *= pace
         action[:, :3] *= pace
-        return replace(self, state=state, action=action, images=self.images[np.round(times).astype(int)])
+        state[:, [AREA, PIXELS]] = self.state[nearest][:, [AREA, PIXELS]]
+        return replace(self, state=state, action=action, images=self.images[nearest])
 
     def contact(self) -> tuple[int, int] | None:
         """First and last frame in contact, or None."""
