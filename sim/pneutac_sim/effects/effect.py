@@ -31,7 +31,7 @@ from pneutac_sim.twin import Value
 SIGNALS = {
     "pneumatics": ("pressure",),  # kPa, a channel a chamber
     "actuation": ("pressure",),  # kPa that bends, a channel a chamber
-    "body": ("joints", "loads", "markers"),  # joints: rad, a channel a joint (and axis)
+    "body": ("joints", "loads", "markers"),  # joints: rad less the curl at rest, a channel a joint (and axis)
     "observation": ("markers",),  # tip x, y, z in mm, bend towards +z and towards +y in rad
 }
 STAGES = tuple(SIGNALS)

@@ -21,7 +21,8 @@ from trial to trial in the order of the table: largest strain and cycles (cyclic
 
 Where the measured pressure is the input, pneumatics are skipped except for the sensor's error. The body is
 quasi-static: loads (gravity, payload) find their equilibrium with the elastic spine first, then temperature,
-softening and creep act on the whole bend, so a payload creeps like a pressure does.
+softening and creep act on the whole bend, so a payload creeps like a pressure does. The curl at rest,
+G r_n p0, is the shape without stress and stays as it is.
 """
 
 from collections.abc import Sequence
@@ -33,7 +34,7 @@ from pneutac_sim.effects.effect import Parameter
 from pneutac_sim.effects.registry import get_effect, in_order
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger.inputs import Inputs
-from pneutac_sim.finger.stages import Drive, EffectLink, Geometry, Loads, Markers, base_parameters
+from pneutac_sim.finger.stages import BodyLink, Drive, EffectLink, Geometry, Loads, Markers, base_parameters
 from pneutac_sim.twin import Twin, Value
 
 BENDING_PRESSURE = "bending_pressure_kpa"
@@ -105,9 +106,11 @@ class Pipeline:
                     EffectLink(e, tuple(range(at, len(self.names))))
                 )
         base = len(base_parameters(geometry))
+        drive = Drive(geometry, tuple(range(base - 1)))
         loads = [Loads(geometry, tuple(links["loads"]), base - 1)] if links["loads"] else []
-        to_joints = [*links["pneumatics"], *links["actuation"], Drive(geometry, tuple(range(base - 1)))]
-        to_markers = [*to_joints, *loads, *links["joints"], Markers(geometry)]
+        body = [BodyLink(e.effect, e.indices, drive) for e in links["joints"]]
+        to_joints = [*links["pneumatics"], *links["actuation"], drive]
+        to_markers = [*to_joints, *loads, *body, Markers(geometry)]
         self.chain = [*to_markers, *links["markers"], *links["observation"]]
         sensor = [i for i, e in enumerate(links["pneumatics"]) if e.effect.name == "sensor_offset"]
         self.reads_pressure = sensor[0] if sensor else len(links["pneumatics"])

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pneutac_sim.effects.effect import Effect, Parameter
+from pneutac_sim.errors import InputError
 from pneutac_sim.finger import equilibrium
 from pneutac_sim.finger.inputs import CHAMBERS
 from pneutac_sim.finger.kinematics import forward_kinematics, forward_kinematics_spatial, gain_profile
@@ -25,6 +26,12 @@ class Geometry:
     device: str
     length_mm: float
     joint_positions_mm: tuple[float, ...]
+
+    def __post_init__(self):
+        if self.device not in CHAMBERS:
+            raise InputError(
+                f"A '{self.device}' has no pressure chambers; the pipeline models {' and '.join(CHAMBERS)}."
+            )
 
     @property
     def n_joints(self) -> int:
@@ -116,17 +123,36 @@ class Drive:
 
     def __call__(self, x, dt, theta, conditions: Conditions, state) -> np.ndarray:
         """Returns joints (m, N axes)."""
-        n = self.geometry.n_joints
-        values = theta[list(self.indices)]
-        G, alpha, beta = values[:3]
-        profile = gain_profile(n, alpha, beta)
-        if self.geometry.device == "finger":
-            return (G * (x + values[3])) * profile
-        rest, angle, ratios, hand = values[3:5], values[5], np.r_[1.0, values[6:8]], values[8]
-        phi = angle + np.sign(hand) * 2 * np.pi * np.arange(3) / 3
-        directions = ratios[:, None] * np.stack([np.cos(phi), np.sin(phi)], axis=1)
-        drive = G * (x @ directions + rest)
+        profile, directions, rest = self._constants(theta)
+        drive = theta[self.indices[0]] * (x @ directions + rest)
         return (profile[:, None] * drive[:, None, :]).reshape(len(x), -1)
+
+    def rest(self, theta) -> np.ndarray:
+        """Joint angles (N axes,) at zero pressure: a curl without stress."""
+        profile, _, rest = self._constants(theta)
+        return (theta[self.indices[0]] * profile[:, None] * rest).ravel()
+
+    def _constants(self, theta) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Profile (N,), direction of each chamber (chambers, axes), rest pressure (axes,)."""
+        values = theta[list(self.indices)]
+        profile = gain_profile(self.geometry.n_joints, values[1], values[2])
+        if self.geometry.device == "finger":
+            return profile, np.ones((1, 1)), values[3:4]
+        angle, ratios, hand = values[5], np.r_[1.0, values[6:8]], values[8]
+        phi = angle + np.sign(hand) * 2 * np.pi * np.arange(3) / 3
+        return profile, ratios[:, None] * np.stack([np.cos(phi), np.sin(phi)], axis=1), values[3:5]
+
+
+@dataclass(frozen=True)
+class BodyLink(EffectLink):
+    """An effect on the joints: it acts on what is strained, not on the curl that the device has at rest."""
+
+    drive: Drive
+
+    def __call__(self, x, dt, theta, conditions: Conditions, state) -> np.ndarray:
+        """Returns the changed joints (m, N axes); `state` is updated."""
+        strained = x - self.drive.rest(theta)
+        return x + (super().__call__(strained, dt, theta, conditions, state) - strained)
 
 
 @dataclass(frozen=True)

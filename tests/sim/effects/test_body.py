@@ -92,8 +92,9 @@ def test_noise_is_not_counted_as_cycles():
 
 def test_temperature_changes_the_bend_by_a_factor_per_degree():
     T = np.array([18.0, 23.0, 24.0, 33.0])
-    y = apply("thermal", np.full(4, 0.5), {"softening_1_per_k": 0.1, "reference_temperature_c": 23.0}, 1.0, T)
-    np.testing.assert_allclose(y, 0.5 * np.exp(0.1 * (T - 23)))
+    values = {"softening_1_per_k": 0.1, "curvature_1_per_k2": -0.002, "reference_temperature_c": 23.0}
+    y = apply("thermal", np.full(4, 0.5), values, 1.0, T)
+    np.testing.assert_allclose(y, 0.5 * np.exp(0.1 * (T - 23) - 0.002 * (T - 23) ** 2))
 
 
 def test_gravity_and_payload_add_weight_along_gravity():

@@ -167,6 +167,12 @@ def test_a_constant_pressure_does_not_break_the_fit(program, recording):
     assert {"rest_pressure_kpa", "valve_lag.fill_time_s"} <= set(f.not_identified)
 
 
+def test_three_rows_are_enough_for_an_answer_that_claims_nothing(program, recording):
+    rec = recording(Twin.builtin(), {k: v[[0, 100, 300]] for k, v in program().items()})
+    f = fit(Twin(), rec)
+    assert np.isfinite(f.theta).all() and np.isfinite(f.train) and np.isnan(f.heldout)
+
+
 def test_too_few_samples_are_refused(program, recording):
     rec = recording(Twin.builtin(), program())
     train = np.zeros(2400, bool)
