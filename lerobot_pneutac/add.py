@@ -190,7 +190,7 @@ def _show(added: Added, before: dict, after: dict, console: Console) -> None:
         values = {k: v.value for k, v in added.after.twin.effects[added.effect].items()}
         console.print(get_effect(added.effect).describe(values), highlight=False)
         console.print(
-            f"{added.effect} removes {100 * share:.0f} % [{100 * lo:.0f}-{100 * hi:.0f}] of what is avoidable",
+            f"{added.effect} removes {100 * share:.0f} % [{100 * lo:.0f}-{100 * hi:.0f}] of what could go",
             highlight=False,
         )
     if added.after.at_bound:

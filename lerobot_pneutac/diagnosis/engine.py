@@ -7,6 +7,7 @@ only arrays, so nothing that was compiled has to travel.
 import multiprocessing
 import os
 import signal
+import time
 from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
@@ -21,6 +22,9 @@ from pneutac_sim.finger.fit import fit
 from pneutac_sim.twin import Twin
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+
+
+PATIENCE_S = 10.0  # a round of fits that would take longer than this is shared among processes
 
 
 @dataclass(frozen=True)
@@ -106,12 +110,12 @@ def _work(job: Job) -> Fit:
 
 
 class Engine:
-    """Runs jobs, inline or in worker processes; use it as a context manager.
+    """Runs jobs, inline while that is quick, else in worker processes; use it as a context manager.
 
     Args:
         recording: to be fitted.
         train: (n,) training samples.
-        jobs: processes; 1 runs inline.
+        jobs: processes; 1 always runs inline.
         done: is called after each fit.
     """
 
@@ -127,22 +131,21 @@ class Engine:
         self._pool: ProcessPoolExecutor | None = None
 
     def __enter__(self) -> "Engine":
-        if self._jobs > 1:
-            before = {k: os.environ.get(k) for k in THREADS}
-            os.environ.update(dict.fromkeys(THREADS, "1"))  # read by the workers alone, at their start
-            try:
-                self._pool = ProcessPoolExecutor(
-                    self._jobs,
-                    multiprocessing.get_context("spawn"),
-                    _begin,
-                    (self._prepared.recording, self._prepared.train),
-                )
-                for _ in range(self._jobs):
-                    self._pool.submit(os.getpid)  # starts the processes while the environment is set
-            finally:
-                for k, v in before.items():
-                    os.environ.pop(k) if v is None else os.environ.__setitem__(k, v)
         return self
+
+    def _start(self) -> None:
+        """Starts the workers; each imports the simulator anew, which takes some seconds."""
+        before = {k: os.environ.get(k) for k in THREADS}
+        os.environ.update(dict.fromkeys(THREADS, "1"))  # read by the workers alone, at their start
+        try:
+            context = multiprocessing.get_context("spawn")
+            prepared = (self._prepared.recording, self._prepared.train)
+            self._pool = ProcessPoolExecutor(self._jobs, context, _begin, prepared)
+            for _ in range(self._jobs):
+                self._pool.submit(os.getpid)  # starts the processes while the environment is set
+        finally:
+            for k, v in before.items():
+                os.environ.pop(k) if v is None else os.environ.__setitem__(k, v)
 
     def __exit__(self, kind, value, trace) -> None:
         if self._pool is not None:
@@ -160,19 +163,24 @@ class Engine:
 
     def run(self, jobs: Iterable[Job]) -> list[Fit]:
         """Answers in the order of the jobs."""
-        jobs = list(jobs)
-        if self._pool is None or len(jobs) == 1:
-            out = []
-            for job in jobs:
-                out.append(self._prepared.run(job))
-                self._done()
-            return out
-        futures = {self._pool.submit(_work, job): i for i, job in enumerate(jobs)}
-        out = [None] * len(jobs)
-        for future in as_completed(futures):
-            out[futures[future]] = future.result()
+        jobs, out = list(jobs), []
+        began = time.perf_counter()
+        for job in jobs if self._pool is None else ():
+            out.append(self._prepared.run(job))
             self._done()
-        return out
+            each = (time.perf_counter() - began) / len(out)
+            if self._jobs > 1 and len(out) >= 2 and each * (len(jobs) - len(out)) > PATIENCE_S:
+                self._start()
+                break
+        rest = jobs[len(out) :]
+        if not rest:
+            return out
+        futures = {self._pool.submit(_work, job): i for i, job in enumerate(rest)}
+        found = [None] * len(rest)
+        for future in as_completed(futures):
+            found[futures[future]] = future.result()
+            self._done()
+        return out + found
 
 
 class StageFitter:

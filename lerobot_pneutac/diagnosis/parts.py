@@ -9,6 +9,7 @@ from pneutac_datasets.recording import BenchRecording
 
 FRACTIONS = (0.5, 0.25, 0.25)
 FEW_BLOCKS = 10  # below this a third part would hold a block or two: validation is then the test as well
+RARE = 4  # blocks of a condition below which they are cut finer
 LEAST_OF_A_KIND = 8  # blocks of each condition: one in each part may fall where nothing shows
 UNITS = 16  # wanted in each held-out part; a bootstrap over fewer says little about its own spread
 
@@ -72,7 +73,7 @@ def _refine(recording: BenchRecording, block: np.ndarray) -> np.ndarray:
     """Finer blocks (n,) where a condition has too few of them for every part to get some."""
     stratum = blocks.strata(recording.samples, block)
     count = np.bincount(stratum)[stratum]
-    return _cut(block, np.maximum(1, -(-LEAST_OF_A_KIND // count)))
+    return _cut(block, np.where(count < RARE, -(-LEAST_OF_A_KIND // count), 1))
 
 
 def _cut(block: np.ndarray, pieces: np.ndarray) -> np.ndarray:

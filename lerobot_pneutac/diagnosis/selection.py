@@ -123,10 +123,13 @@ def _best(now, fits, base, parts, floor, judge, result) -> str | None:
     n = effective_count(now.residual, parts.train, len(np.unique(parts.unit[parts.train])))
     score = {c: bic(f, parts.train, n, floor) for c, f in fits.items()}
     order = sorted(fits, key=score.get)
-    for name in order[:TRIES]:
+    for i, name in enumerate(order[:TRIES]):
         sure, perhaps = accepted(now, fits[name], base, floor, judge)
         if sure:
-            return _simplest(name, order, now, fits, floor, judge)
+            # something is missing for sure; what ranks higher and does no worse here explains it better
+            reached = judge.value(fits[name].squared)
+            better = [c for c in order[:i] if judge.value(fits[c].squared) <= reached]
+            return _simplest(better[0] if better else name, order, now, fits, floor, judge)
         if perhaps and now is base and name not in result.near_miss:
             result.near_miss.append(name)
     return None
@@ -157,7 +160,7 @@ def _check_backward(fitter, start, parts, floor, judge, result, tell) -> None:
         needless = [
             e
             for e, f in result.without.items()
-            if len(chosen) > 1 and not accepted(f, result.final, result.base, floor, judge)[0]
+            if len(chosen) > 1 and not accepted(f, result.final, result.base, floor, judge)[1]
         ]
         if not needless:
             result.importance = rise

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 VERDICTS = ("adequate", "missing_effect", "insufficient_form", "unknown_effect", "ambiguous")
 
-MOST = 0.6  # share of the avoidable error that an effect must remove to carry the headline
+MOST = 0.5  # share of the avoidable error that effects must remove to carry the headline
 FEW_UNITS = 6  # held-out pieces of time below which no bootstrap means much
 FEW_SAMPLES = 60
 SMALL_LEFTOVER = 0.12  # share of the avoidable error that may stay without a word on the form

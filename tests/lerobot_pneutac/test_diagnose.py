@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from lerobot_pneutac import diagnose as verb
+from lerobot_pneutac.diagnosis import engine
 from lerobot_pneutac.diagnosis.experiment import separations
 from lerobot_pneutac.diagnosis.mounts import align_mounts
+from lerobot_pneutac.diagnosis.parts import deal
 from lerobot_pneutac.diagnosis.sentences import next_experiment
 from lerobot_pneutac.diagnosis.study import diagnose
 from lerobot_pneutac.diagnosis.verdict import Evidence, decide
@@ -95,10 +97,20 @@ def test_a_diagnosis_repeats_itself(bench):
     assert a.verdict == b.verdict and np.array_equal(a.after, b.after) and a.evidence == b.evidence
 
 
-def test_workers_give_the_same_answer(bench):
-    recording = bench("none")
-    a, b = (diagnose(twin_of(recording), recording, jobs=j) for j in (1, 2))
-    np.testing.assert_allclose(a.after, b.after, rtol=0, atol=1e-9)
+def test_workers_give_the_same_answer(bench, monkeypatch):
+    recording = bench("creep")
+    twin, parts = twin_of(recording), deal(recording, 0)
+    sets = [(), ("creep",), ("stiffening",), ("valve_lag",)]
+    jobs = [engine.Job(twin, e, "pose", "command", 2) for e in sets]
+    found = []
+    for processes in (1, 2):
+        monkeypatch.setattr(engine, "PATIENCE_S", 0.0)
+        with engine.Engine(recording, parts.train, processes) as e:
+            found.append(e.run(jobs))
+            assert (e._pool is not None) == (processes == 2)
+    for a, b in zip(*found, strict=True):
+        np.testing.assert_allclose(a.residual, b.residual, rtol=0, atol=1e-9)
+        assert a.effects == b.effects
 
 
 def test_a_short_recording_is_ambiguous_and_says_what_to_record(bench):

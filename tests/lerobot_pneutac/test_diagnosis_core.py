@@ -93,7 +93,7 @@ def test_the_most_important_effect_comes_first():
 
 
 def test_bootstrap_interval_covers_the_true_drop():
-    """Errors correlated within blocks: the 98 % interval of the drop must hold the true value in most worlds."""
+    """Errors correlated within blocks: the 98 % interval holds the true drop in most worlds."""
     covered = 0
     for seed in range(60):
         rng = np.random.default_rng(seed)
