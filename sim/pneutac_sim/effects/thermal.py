@@ -1,7 +1,7 @@
 """Temperature: a warm material is softer, so the same pressure or load bends it further.
 
 By the factor exp(c dT + d dT^2), dT = T - T_ref. The second term is there because the slope of a printed
-rubber changes within a few degrees: Agilus30 loses 15 % of its modulus a degree at 20-26 C, half that at 29-35.
+rubber changes within degrees: Agilus30 loses 15 % of its modulus a degree at 20-26 C, half that at 29-35.
 """
 
 import math
