@@ -3,13 +3,13 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from draccus.utils import DecodingError
 from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.envs.configs import EnvConfig
 from lerobot.utils.constants import ACTION, OBS_IMAGES, OBS_STATE
 
 # Registers the Gymnasium ids. Workers of lerobot-eval get them by unpickling this module's config.
 import pneutac_sim  # noqa: F401
-from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_NAMES, CONTROL_HZ, IMAGE_NAME, IMAGE_SHAPE, STATE_NAMES, TASK_NAMES
 
 
@@ -45,16 +45,23 @@ class PneutacEnvConfig(EnvConfig):
     )
 
     def __post_init__(self):
+        # LeRobot's commands print a DecodingError as one line and hide any other error's text.
         if self.task not in TASK_NAMES:
-            raise InputError(f"--env.task is '{self.task}'; it must be one of {', '.join(TASK_NAMES)}.")
+            raise DecodingError(
+                (), f"--env.task is '{self.task}'; it must be one of {', '.join(TASK_NAMES)}."
+            )
         if self.fps != CONTROL_HZ:
-            raise InputError(
-                f"--env.fps is {self.fps}; the simulated robot is controlled at {CONTROL_HZ} Hz."
+            raise DecodingError(
+                (), f"--env.fps is {self.fps}; the simulated robot is controlled at {CONTROL_HZ} Hz."
             )
         if self.episode_length < 1:
-            raise InputError(f"--env.episode_length is {self.episode_length}; it must be at least 1 step.")
+            raise DecodingError(
+                (), f"--env.episode_length is {self.episode_length}; it must be at least 1 step."
+            )
         if self.twin is not None and not (Path(self.twin) / "twin.yaml").is_file():
-            raise InputError(f"--env.twin is '{self.twin}', which holds no twin.yaml; give a twin's folder.")
+            raise DecodingError(
+                (), f"--env.twin is '{self.twin}', which holds no twin.yaml; give a twin's folder."
+            )
 
     @property
     def package_name(self) -> str:

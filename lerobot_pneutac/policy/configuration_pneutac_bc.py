@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+from draccus.utils import DecodingError
 from lerobot.configs import FeatureType, NormalizationMode, PreTrainedConfig
 from lerobot.optim import AdamConfig
 from lerobot.utils.constants import ACTION, OBS_IMAGES, OBS_STATE
@@ -44,18 +45,20 @@ class PneutacBCConfig(PreTrainedConfig):
     )
 
     def __post_init__(self):
+        # LeRobot's commands print a DecodingError as one line and hide any other error's text.
         super().__post_init__()
         if not 0 <= self.previous_action_dropout <= 1:
-            raise InputError(
-                f"--policy.previous_action_dropout is {self.previous_action_dropout}; it must be in [0, 1]."
+            raise DecodingError(
+                (),
+                f"--policy.previous_action_dropout is {self.previous_action_dropout}; it must be in [0, 1].",
             )
         if self.state_noise < 0:
-            raise InputError(f"--policy.state_noise is {self.state_noise}; it must not be negative.")
+            raise DecodingError((), f"--policy.state_noise is {self.state_noise}; it must not be negative.")
         if self.control_hz <= 0:
-            raise InputError(f"--policy.control_hz is {self.control_hz}; it must be positive.")
+            raise DecodingError((), f"--policy.control_hz is {self.control_hz}; it must be positive.")
         if any(mode is not NormalizationMode.IDENTITY for mode in self.normalization_mapping.values()):
-            raise InputError(
-                "--policy.normalization_mapping must be IDENTITY throughout; pneutac_bc scales by itself."
+            raise DecodingError(
+                (), "--policy.normalization_mapping must be IDENTITY throughout; pneutac_bc scales by itself."
             )
 
     @property

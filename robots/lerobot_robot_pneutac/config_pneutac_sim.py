@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from draccus.utils import DecodingError
 from lerobot.robots import RobotConfig
 
-from pneutac_sim.errors import InputError
 from pneutac_sim.features import TASK_NAMES
 
 
@@ -25,10 +25,13 @@ class PneutacSimConfig(RobotConfig):
     twin: Path | None = None
 
     def __post_init__(self):
+        # LeRobot's commands print a DecodingError as one line and hide any other error's text.
         super().__post_init__()
         if self.task not in TASK_NAMES:
-            raise InputError(f"--robot.task is '{self.task}'; it must be one of {', '.join(TASK_NAMES)}.")
+            raise DecodingError(
+                (), f"--robot.task is '{self.task}'; it must be one of {', '.join(TASK_NAMES)}."
+            )
         if self.twin is not None and not (Path(self.twin) / "twin.yaml").is_file():
-            raise InputError(
-                f"--robot.twin is '{self.twin}', which holds no twin.yaml; give a twin's folder."
+            raise DecodingError(
+                (), f"--robot.twin is '{self.twin}', which holds no twin.yaml; give a twin's folder."
             )

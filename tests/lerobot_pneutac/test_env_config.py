@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
+from draccus.utils import DecodingError
 from lerobot.envs.factory import make_env
 from lerobot.envs.utils import env_to_policy_features, preprocess_observation
 
 from lerobot_pneutac.env_config import PneutacEnvConfig
-from pneutac_sim.errors import InputError
 
 
 def test_environment_gives_what_the_config_promises():
@@ -31,7 +31,7 @@ def test_environment_gives_what_the_config_promises():
     ],
 )
 def test_bad_options_are_named(options, said):
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(DecodingError, match=said):
         PneutacEnvConfig(**options)
 
 

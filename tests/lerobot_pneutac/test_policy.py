@@ -3,6 +3,7 @@ import time
 import numpy as np
 import pytest
 import torch
+from draccus.utils import DecodingError
 from lerobot.configs import FeatureType, NormalizationMode, PolicyFeature, PreTrainedConfig
 from lerobot.datasets import LeRobotDatasetMetadata
 from lerobot.policies import make_policy, make_pre_post_processors
@@ -96,7 +97,7 @@ def test_config_survives_saving_and_loading(tmp_path):
     ],
 )
 def test_bad_options_are_named(options, said):
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(DecodingError, match=said):
         make_config(**options)
 
 

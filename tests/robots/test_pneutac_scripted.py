@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from draccus.utils import DecodingError
 from lerobot.utils.errors import DeviceNotConnectedError
 
 from lerobot_robot_pneutac.config_pneutac_scripted import PneutacScriptedConfig
@@ -80,5 +81,5 @@ def test_needs_a_simulated_robot_in_the_process(pair):
 
 
 def test_bad_options_are_named():
-    with pytest.raises(InputError, match="episode_steps is 0"):
+    with pytest.raises(DecodingError, match="episode_steps is 0"):
         PneutacScriptedConfig(episode_steps=0)

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from draccus.utils import DecodingError
 from lerobot.rollout.context import HardwareContext
 from lerobot.rollout.strategies import core
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
@@ -131,7 +132,7 @@ def test_connection_is_checked(tmp_path, make_robot):
 
 
 def test_bad_options_are_named(tmp_path):
-    with pytest.raises(InputError, match="'juggle'; it must be one of switch, egg, card"):
+    with pytest.raises(DecodingError, match="'juggle'; it must be one of switch, egg, card"):
         PneutacSimConfig(task="juggle")
-    with pytest.raises(InputError, match="holds no twin.yaml"):
+    with pytest.raises(DecodingError, match="holds no twin.yaml"):
         PneutacSimConfig(twin=tmp_path)
