@@ -1,0 +1,186 @@
+"""LeRobot's whole loop as its users run it: real commands, no display, no network."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
+from lerobot.utils.constants import OBS_STATE
+from safetensors.torch import load_file
+
+from pneutac_sim.features import STATE_NAMES
+
+BIN = Path(sys.executable).parent
+STEPS = 75  # 5 s at 15 Hz
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """Runs a LeRobot command in a working folder of its own and returns its output."""
+    work = tmp_path_factory.mktemp("loop")
+    env = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    # Two processes at a time on two cores: more threads would only stand in each other's way.
+    env |= {"HF_HOME": str(work / "hf"), "HF_HUB_OFFLINE": "1", "OMP_NUM_THREADS": "1"}
+
+    def call(command: str, *options: str) -> str:
+        arguments = [str(BIN / command), *options]
+        done = subprocess.run(arguments, cwd=work, env=env, text=True, capture_output=True, timeout=300)
+        assert done.returncode == 0, f"{' '.join(arguments)}\n{done.stdout[-3000:]}\n{done.stderr[-5000:]}"
+        return done.stdout + done.stderr
+
+    call.work = work
+    return call
+
+
+def dataset_options(name: str, work: Path, episodes: int, seconds: float) -> list[str]:
+    return [
+        f"--dataset.repo_id=local/{name}",
+        f"--dataset.root={work / name}",
+        "--dataset.no_stamp=true",
+        "--dataset.single_task=Flip the toggle switch.",
+        "--dataset.fps=15",
+        f"--dataset.episode_time_s={seconds}",
+        "--dataset.reset_time_s=0",
+        f"--dataset.num_episodes={episodes}",
+        "--dataset.streaming_encoding=true",
+        "--dataset.push_to_hub=false",
+        "--play_sounds=false",
+    ]
+
+
+TRAIN = [
+    "--policy.device=cpu",
+    "--batch_size=8",
+    "--num_workers=0",
+    "--save_freq=0",
+    "--env_eval_freq=0",
+    "--wandb.enable=false",
+]
+
+
+@pytest.mark.slow
+def test_record_train_eval_rollout_replay_merge_view_finetune(run):
+    work = run.work
+    policy = work / "train/checkpoints/last/pretrained_model"
+
+    run(
+        "lerobot-record",
+        "--robot.type=pneutac_sim",
+        "--robot.id=twin",
+        "--robot.seed=1",
+        "--teleop.type=pneutac_scripted",
+        "--teleop.id=script",
+        f"--teleop.episode_steps={STEPS}",
+        *dataset_options("demo", work, 2, STEPS / 15),
+    )
+    demo = LeRobotDatasetMetadata("local/demo", work / "demo")
+    assert demo.total_episodes == 2
+    # A busy computer may miss ticks at an episode's end, but not many.
+    assert 2 * STEPS - 10 <= demo.total_frames <= 2 * STEPS
+    assert demo.robot_type == "pneutac"
+
+    frames = LeRobotDataset("local/demo", work / "demo", video_backend="pyav").hf_dataset
+    state = np.array(frames.with_format("numpy")[OBS_STATE])
+    assert state[0, STATE_NAMES.index("pressure.pos")] == 0
+    assert state[:, STATE_NAMES.index("contact_area.pos")].max() > 0.01
+
+    log = run(
+        "lerobot-train",
+        "--policy.type=pneutac_bc",
+        "--dataset.repo_id=local/demo",
+        f"--dataset.root={work / 'demo'}",
+        f"--output_dir={work / 'train'}",
+        "--steps=20",
+        "--log_freq=10",
+        *TRAIN,
+    )
+    assert "motion_mm2" in log
+    assert (policy / "model.safetensors").is_file()
+
+    log = run(
+        "lerobot-eval",
+        f"--policy.path={policy}",
+        "--policy.device=cpu",
+        "--env.type=pneutac",
+        "--env.task=switch",
+        "--env.episode_length=20",
+        "--eval.n_episodes=2",
+        "--eval.batch_size=2",
+        "--eval.use_async_envs=true",
+        f"--output_dir={work / 'eval'}",
+    )
+    overall = json.loads((work / "eval/eval_info.json").read_text())["overall"]
+    assert overall["n_episodes"] == 2
+    assert 0 <= overall["pc_success"] <= 100
+    assert list((work / "eval").rglob("*.mp4"))
+
+    run(
+        "lerobot-rollout",
+        "--strategy.type=episodic",
+        f"--policy.path={policy}",
+        "--device=cpu",
+        "--robot.type=pneutac_sim",
+        "--robot.id=twin",
+        "--fps=15",
+        "--task=Flip the toggle switch.",
+        *dataset_options("rollout_demo", work, 2, 2),
+    )
+    rollout = LeRobotDatasetMetadata("local/rollout_demo", work / "rollout_demo")
+    assert rollout.total_episodes == 2
+    assert 40 <= rollout.total_frames <= 60
+    assert {k: f["shape"] for k, f in rollout.features.items()} == {
+        k: f["shape"] for k, f in demo.features.items()
+    }
+
+    run(
+        "lerobot-replay",
+        "--robot.type=pneutac_sim",
+        "--robot.id=twin",
+        "--dataset.repo_id=local/demo",
+        f"--dataset.root={work / 'demo'}",
+        "--dataset.episode=1",
+        "--play_sounds=false",
+    )
+
+    run(
+        "lerobot-edit-dataset",
+        "--new_repo_id=local/merged",
+        f"--new_root={work / 'merged'}",
+        "--operation.type=merge",
+        "--operation.repo_ids=['local/demo','local/rollout_demo']",
+        f"--operation.roots=['{work / 'demo'}','{work / 'rollout_demo'}']",
+    )
+    merged = LeRobotDatasetMetadata("local/merged", work / "merged")
+    assert merged.total_frames == demo.total_frames + rollout.total_frames
+
+    run(
+        "lerobot-dataset-viz",
+        "--repo-id=local/merged",
+        f"--root={work / 'merged'}",
+        "--episode-index=3",
+        "--save=1",
+        f"--output-dir={work / 'viz'}",
+        "--num-workers=0",
+    )
+    assert list((work / "viz").glob("*.rrd"))
+
+    run(
+        "lerobot-train",
+        f"--policy.path={policy}",
+        "--policy.optimizer_lr=1e-4",
+        "--dataset.repo_id=local/merged",
+        f"--dataset.root={work / 'merged'}",
+        f"--output_dir={work / 'tuned'}",
+        "--steps=5",
+        "--log_freq=5",
+        *TRAIN,
+    )
+    before = load_file(policy / "model.safetensors")
+    after = load_file(work / "tuned/checkpoints/last/pretrained_model/model.safetensors")
+    moved = (after["mlp.0.weight"] - before["mlp.0.weight"]).abs().max().item()
+    # Five steps of Adam move a weight by five learning rates at most: it went on from the old weights.
+    assert 0 < moved <= 5.5e-4
