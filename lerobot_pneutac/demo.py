@@ -32,6 +32,13 @@ from pneutac_sim.errors import InputError
 
 FPS = 15
 TASK_TEXT = "flip the switch"
+# Forked loaders start at once, where the platform forks safely; LeRobot's default of four spawned ones takes
+# longer to start than this training lasts.
+WORKERS = (
+    ["--num_workers=2", "--dataloader_multiprocessing_context=fork"]
+    if sys.platform == "linux"
+    else ["--num_workers=0"]
+)
 
 
 @dataclass
@@ -51,9 +58,9 @@ class DemoConfig:
 
     out: Path = Path("outputs/demo")
     episodes: int = 8
-    augmented: int = 32
-    steps: int = 2000
-    batch_size: int = 32
+    augmented: int = 24
+    steps: int = 500
+    batch_size: int = 16
     eval_episodes: int = 20
     seed: int = 1
     fresh: bool = False
@@ -240,7 +247,7 @@ class Demo:
                 f"--steps={cfg.steps}",
                 f"--batch_size={cfg.batch_size}",
                 f"--seed={cfg.seed}",
-                "--num_workers=0",
+                *WORKERS,
                 f"--log_freq={max(1, cfg.steps // 50)}",
                 "--save_freq=0",
                 "--env_eval_freq=0",
