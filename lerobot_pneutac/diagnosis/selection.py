@@ -12,6 +12,7 @@ import numpy as np
 from lerobot_pneutac.diagnosis.bootstrap import Resampler
 from lerobot_pneutac.diagnosis.fits import Fit, Fitter, bic, effective_count
 from lerobot_pneutac.diagnosis.parts import Parts
+from lerobot_pneutac.diagnosis.verdict import MOST
 
 MAX_EFFECTS = 5
 TRIES = 4  # candidates in BIC order that are put to the held-out test in each round
@@ -33,7 +34,7 @@ class Selection:
         final: the fit kept after the backward check.
         importance: selected effect to the rise of the validation error when it is taken out.
         without: selected effect to the fit of the others.
-        near_miss: candidates that helped on average but not for sure.
+        near_miss: candidates that alone would explain most, but not for sure.
         beside: refused candidate to its fit beside all that were selected.
     """
 
@@ -130,7 +131,8 @@ def _best(now, fits, base, parts, floor, judge, result) -> str | None:
             reached = judge.value(fits[name].squared)
             better = [c for c in order[:i] if judge.value(fits[c].squared) <= reached]
             return _simplest(better[0] if better else name, order, now, fits, floor, judge)
-        if perhaps and now is base and name not in result.near_miss:
+        room = judge.value(now.squared) - floor**2
+        if perhaps and now is base and judge.drop(now.squared, fits[name].squared)[0] > MOST * room:
             result.near_miss.append(name)
     return None
 
