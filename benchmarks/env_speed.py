@@ -42,7 +42,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--steps", type=int, default=600, help="control steps per cell")
     steps = parser.parse_args().steps
-    table = Table("task", *[f"{m} [steps/s]" for m in MODES], title="Environment steps per second of one core")
+    table = Table("task", *[f"{m} [steps/s]" for m in MODES], title="Steps per second of one core")
     for task in TASK_NAMES:
         cells = []
         for touch in MODES:
