@@ -10,7 +10,7 @@ from pneutac_datasets.noise import headline, noise_floor
 from pneutac_datasets.recording import BenchRecording
 
 DRAWS = 60
-TOLERANCE = 1.05  # nobody cares for a leftover that lifts the error by less than a twentieth over the noise
+TOLERANCE = 1.10  # the floor itself is known to some percent only, and nobody cares for a leftover that small
 
 
 def noise_limit(
