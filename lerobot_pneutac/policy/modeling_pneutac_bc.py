@@ -160,6 +160,9 @@ class PneutacBCPolicy(PreTrainedPolicy):
 
         Returns:
             loss, and its two terms by name.
+
+        Raises:
+            InputError: the loss is not finite.
         """
         previous, target = batch[ACTION].unbind(1)
         hidden = batch[f"{ACTION}_is_pad"][:, 0]
@@ -173,7 +176,12 @@ class PneutacBCPolicy(PreTrainedPolicy):
         # Velocity m/s to displacement per step mm.
         motion = (error[:, :3] * (1000 / self.config.control_hz)).square().sum(1).mean()
         pressure = error[:, 3].square().mean()
-        return motion + pressure, {"motion_mm2": motion.item(), "pressure_kpa2": pressure.item()}
+        loss = motion + pressure
+        if not loss.isfinite():
+            raise InputError(
+                "The loss is not finite: the dataset contains NaN, or the learning rate is too high."
+            )
+        return loss, {"motion_mm2": motion.item(), "pressure_kpa2": pressure.item()}
 
     # ------------------------------------------------------------ inference
 

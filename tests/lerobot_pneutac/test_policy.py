@@ -189,6 +189,13 @@ def test_noise_spares_evaluation():
     assert policy(batch)[0] == policy(batch)[0]
 
 
+def test_a_loss_that_is_not_finite_stops_the_training():
+    batch = make_batch()
+    batch[OBS_STATE][1, 3] = torch.nan
+    with pytest.raises(InputError, match="dataset contains NaN"):
+        make_ready_policy()(batch)
+
+
 def test_overfits_one_batch():
     policy = make_ready_policy(state_noise=0.0, previous_action_dropout=0.0).train()
     batch = make_batch()
