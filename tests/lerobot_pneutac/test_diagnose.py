@@ -232,4 +232,5 @@ def test_real_segment_lag_and_creep_are_told_apart():
     recording = real("asu_segment")
     d = diagnose(Twin("finger", recording.length_mm), recording)
     assert {"valve_lag", "orifice_flow"} & set(d.selected) and "creep" in d.selected
-    assert d.after_error <= 0.5 * d.before_error
+    assert d.pressure_error[1] < 0.5 * d.pressure_error[0]  # the air by itself
+    assert d.after_error < 0.65 * d.before_error  # after the sessions were brought onto one mount
