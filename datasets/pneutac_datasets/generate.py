@@ -30,8 +30,8 @@ def record_episodes(
     """Records demonstrations of a scripted teleoperator; a failed one is recorded anew, as a person would.
 
     Args:
-        robot: the simulated robot, connected here where it is not.
-        teleop: its teleoperator, connected here where it is not; its `episode_steps` is the episodes' length.
+        robot: the simulated robot; one that is not connected is connected for the recording only.
+        teleop: its teleoperator, likewise; its `episode_steps` is the episodes' length.
         repo_id: name of the dataset.
         root: folder of the dataset, which must not exist.
         episodes: number of demonstrations.
@@ -51,9 +51,9 @@ def record_episodes(
     )
     length = teleop.config.episode_steps
     dataset = create_dataset(repo_id, root, fps, features, robot.name, use_videos, length)
-    for device in (teleop, robot):
-        if not device.is_connected:
-            device.connect()
+    ours = [device for device in (teleop, robot) if not device.is_connected]
+    for device in ours:
+        device.connect()
     failed = 0
     with quiet_encoders():
         try:
@@ -69,6 +69,8 @@ def record_episodes(
                 dataset.save_episode()
         finally:
             dataset.finalize()
+            for device in ours:
+                device.disconnect()
     return Path(root)
 
 
