@@ -26,9 +26,8 @@ class PneutacBCConfig(PreTrainedConfig):
         control_hz: rate of the data and of the robot; turns velocities into displacements per step.
         previous_action_dropout: share of training samples in which the previous action is hidden (replaced by
             holding still), lest the policy copies its last action instead of looking.
-        state_noise: noise on the proprioception while training, as a share of each channel's scale (0.1 is
-            10 mm, 0.03 rad, 0.75 kPa), lest the policy's own small errors of position and pressure add up:
-            without it the pressure drifts, since the next one is nearly the present one.
+        pressure_noise_kpa: noise on the sensed pressure while training. The next pressure is nearly the
+            present one; a policy that copies it lets small errors add up, and the pressure drifts.
         optimizer_lr: learning rate of Adam.
         action_feature_names: set by LeRobot from the dataset.
     """
@@ -36,7 +35,7 @@ class PneutacBCConfig(PreTrainedConfig):
     use_tactile: bool = True
     control_hz: int = CONTROL_HZ
     previous_action_dropout: float = 0.3
-    state_noise: float = 0.1
+    pressure_noise_kpa: float = 0.75
     optimizer_lr: float = 3e-4
     action_feature_names: list[str] | None = None
     push_to_hub: bool = False
@@ -52,8 +51,10 @@ class PneutacBCConfig(PreTrainedConfig):
                 (),
                 f"--policy.previous_action_dropout is {self.previous_action_dropout}; it must be in [0, 1].",
             )
-        if self.state_noise < 0:
-            raise DecodingError((), f"--policy.state_noise is {self.state_noise}; it must not be negative.")
+        if self.pressure_noise_kpa < 0:
+            raise DecodingError(
+                (), f"--policy.pressure_noise_kpa is {self.pressure_noise_kpa}; it must not be negative."
+            )
         if self.control_hz <= 0:
             raise DecodingError((), f"--policy.control_hz is {self.control_hz}; it must be positive.")
         if any(mode is not NormalizationMode.IDENTITY for mode in self.normalization_mapping.values()):

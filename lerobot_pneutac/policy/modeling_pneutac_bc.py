@@ -106,13 +106,10 @@ class PneutacBCPolicy(PreTrainedPolicy):
         channels = [i for i in range(len(STATE_NAMES)) if config.use_tactile or i not in _CONTACT]
         low, high = torch.tensor(ACTION_LOW), torch.tensor(ACTION_HIGH)
         centre, scale = torch.tensor(_RANGES, dtype=torch.float32).T
-        noise_scale = scale.clone()
-        noise_scale[_CONTACT] = 0.0  # the image shows the contact; its scalars stay true to it
         for name, value in {
             "_channels": torch.tensor(channels),
             "_state_centre": centre,
             "_state_scale": scale,
-            "_noise_scale": noise_scale,
             "_action_low": low,
             "_action_high": high,
             "_action_centre": (low + high) / 2,
@@ -168,7 +165,8 @@ class PneutacBCPolicy(PreTrainedPolicy):
         hidden = batch[f"{ACTION}_is_pad"][:, 0]
         state = batch[OBS_STATE]
         if self.training:
-            state = state + torch.randn_like(state) * (self.config.state_noise * self._noise_scale)
+            state = state.clone()
+            state[:, _PRESSURE] += self.config.pressure_noise_kpa * torch.randn_like(state[:, _PRESSURE])
             drawn = torch.rand(len(hidden), device=hidden.device)
             hidden = hidden | (drawn < self.config.previous_action_dropout)
         previous = torch.where(hidden[:, None], self._hold(state), previous)

@@ -82,7 +82,9 @@ def write_dataset(root, levels, fps=15, state_names=STATE_NAMES, shape=IMAGE_SHA
 
 
 def test_config_survives_saving_and_loading(tmp_path):
-    config = make_config(use_tactile=False, state_noise=0.2, previous_action_dropout=0.7, optimizer_lr=1e-4)
+    config = make_config(
+        use_tactile=False, pressure_noise_kpa=0.2, previous_action_dropout=0.7, optimizer_lr=1e-4
+    )
     config.save_pretrained(tmp_path)
     assert PreTrainedConfig.from_pretrained(tmp_path) == config
 
@@ -91,7 +93,7 @@ def test_config_survives_saving_and_loading(tmp_path):
     ("options", "said"),
     [
         ({"previous_action_dropout": 1.5}, "previous_action_dropout is 1.5"),
-        ({"state_noise": -1.0}, "state_noise is -1.0"),
+        ({"pressure_noise_kpa": -1.0}, "pressure_noise_kpa is -1.0"),
         ({"control_hz": 0}, "control_hz is 0"),
         ({"normalization_mapping": {"STATE": NormalizationMode.MEAN_STD}}, "must be IDENTITY"),
     ],
@@ -170,7 +172,7 @@ def test_first_frame_looks_to_training_as_it_does_to_a_fresh_policy():
 
 
 def test_dropout_hides_the_previous_action_in_training_only():
-    policy = make_ready_policy(previous_action_dropout=1.0, state_noise=0.0)
+    policy = make_ready_policy(previous_action_dropout=1.0, pressure_noise_kpa=0.0)
     batch = make_batch()
     other = {**batch, ACTION: batch[ACTION].clone()}
     other[ACTION][:, 0] = torch.tensor(ACTION_HIGH)
@@ -181,7 +183,7 @@ def test_dropout_hides_the_previous_action_in_training_only():
 
 
 def test_noise_spares_evaluation():
-    policy = make_ready_policy(state_noise=0.1)
+    policy = make_ready_policy(pressure_noise_kpa=0.1)
     batch = make_batch()
     policy.train()
     assert policy(batch)[0] != policy(batch)[0]
@@ -197,7 +199,7 @@ def test_a_loss_that_is_not_finite_stops_the_training():
 
 
 def test_overfits_one_batch():
-    policy = make_ready_policy(state_noise=0.0, previous_action_dropout=0.0).train()
+    policy = make_ready_policy(pressure_noise_kpa=0.0, previous_action_dropout=0.0).train()
     batch = make_batch()
     preset = policy.config.get_optimizer_preset()
     assert preset.lr == 3e-4
