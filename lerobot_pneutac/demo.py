@@ -32,6 +32,7 @@ from pneutac_sim.errors import InputError
 
 FPS = 15
 TASK_TEXT = "flip the switch"
+EPISODE_S = 6  # the script needs at most 4.4 s
 # Forked loaders start at once, where the platform forks safely; LeRobot's default of four spawned ones takes
 # longer to start than this training lasts.
 WORKERS = (
@@ -58,7 +59,7 @@ class DemoConfig:
 
     out: Path = Path("outputs/demo")
     episodes: int = 8
-    augmented: int = 24
+    augmented: int = 16
     steps: int = 500
     batch_size: int = 16
     eval_episodes: int = 20
@@ -181,13 +182,14 @@ class Demo:
                 f"--robot.seed={cfg.seed}",
                 "--teleop.type=pneutac_scripted",
                 f"--teleop.seed={cfg.seed}",
+                f"--teleop.episode_steps={EPISODE_S * FPS}",
                 f"--dataset.repo_id=local/{first.name}",
                 f"--dataset.root={first}",
                 "--dataset.no_stamp=true",
                 f"--dataset.single_task={TASK_TEXT}",
                 f"--dataset.fps={FPS}",
                 "--dataset.num_episodes=1",
-                "--dataset.episode_time_s=8",
+                f"--dataset.episode_time_s={EPISODE_S}",
                 "--dataset.reset_time_s=0",
                 "--dataset.video=false",
                 "--dataset.push_to_hub=false",
@@ -198,7 +200,9 @@ class Demo:
         robot = PneutacSim(
             PneutacSimConfig(id="twin", twin=self.path("twin"), task="switch", seed=cfg.seed + 1000)
         )
-        teleop = PneutacScripted(PneutacScriptedConfig(id="scripted", seed=cfg.seed + 1000))
+        teleop = PneutacScripted(
+            PneutacScriptedConfig(id="scripted", seed=cfg.seed + 1000, episode_steps=EPISODE_S * FPS)
+        )
         record_episodes(robot, teleop, f"local/{rest.name}", rest, cfg.episodes - 1, FPS, TASK_TEXT, False)
         self.run(
             [
