@@ -103,7 +103,7 @@ def main(argv: list[str]) -> None:
 
 
 def compare(twin: Twin, recording: BenchRecording, seed: int = 0) -> Comparison:
-    """Checks the recording, runs the twin on it and sorts the errors.
+    """Checks the recording, runs the twin from the commanded pressure and sorts the errors.
 
     Args:
         twin: of the same device.
@@ -111,7 +111,7 @@ def compare(twin: Twin, recording: BenchRecording, seed: int = 0) -> Comparison:
         seed: of the split, where the twin's history does not tell another one for this recording.
     """
     clean, said = check(recording)
-    prediction = simulate(twin, clean)
+    prediction = simulate(twin, Bench.of(clean, twin, source="command"))
     said += [f"Effect '{name}' could not act: {why}." for name, why in prediction.left_out.items()]
     bench = prediction.bench
     return Comparison(

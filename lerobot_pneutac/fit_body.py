@@ -17,8 +17,6 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.finger import Bench, Fit, Pipeline, fit, simulate
 from pneutac_sim.twin import Twin
 
-FRACTIONS = (0.7, 0.3)
-
 
 @dataclass(frozen=True)
 class BodyFit:
@@ -27,10 +25,10 @@ class BodyFit:
     Attributes:
         twin: the next version, not yet written.
         fits: one fit a stage: of the measured pressure, if any, then of the pose.
-        bench: the recording as `compare` sees it.
+        bench: the recording as the body fit sees it, driven by the measured pressure where there is one.
         train: (n,) mask.
-        before: held-out error of the twin as it was; None where nothing was held out.
-        error: `train` and `heldout` error of the new one.
+        before: held-out error of the twin as it was, from the command; None where nothing was held out.
+        error: `train` and `heldout` error of the new one, from the command.
         seconds: wall time.
     """
 
@@ -60,9 +58,10 @@ def fit_body(twin: Twin, recording, seed: int = 0) -> BodyFit:
             f"{recording.folder}: no column tip_x_mm, bend_angle_rad, curvature_x_1_per_m or q_1_rad tells "
             "what the device did; add one of them."
         )
-    train, heldout = recording.split(seed, FRACTIONS)
+    train, heldout = recording.split(seed)
     bench = Bench.of(recording, twin)
-    before = simulate(twin, bench)
+    command = Bench.of(recording, twin, source="command")
+    start, before = twin, simulate(twin, bench)
     fits = []
     air = [name for name in twin.effects if name in before.left_out and bench.inputs.measured]
     air = [name for name in air if "measured pressure" in before.left_out[name]]
@@ -70,14 +69,18 @@ def fit_body(twin: Twin, recording, seed: int = 0) -> BodyFit:
         fits.append(fit(twin, Bench.of(recording, twin, target="pressure"), None, train, air, seed=seed))
         twin = fits[0].twin
     fits.append(fit(twin, bench, train=train, seed=seed))
-    after = fits[-1]
+    after = fits[-1].twin
+
+    def error(model: Twin, mask: np.ndarray) -> float | None:
+        return command.error(simulate(model, command).residual, mask) if mask.any() else None
+
     return BodyFit(
-        twin=after.twin,
+        twin=after,
         fits=fits,
         bench=bench,
         train=train,
-        before=bench.error(before.residual, heldout) if heldout.any() else None,
-        error={"train": after.train, "heldout": after.heldout if heldout.any() else None},
+        before=error(start, heldout),
+        error={"train": error(after, train), "heldout": error(after, heldout)},
         seconds=time.perf_counter() - began,
     )
 
@@ -100,7 +103,7 @@ def calibrate_body(twin: Twin, recording, cfg, console: Console) -> dict:
     with console.status("fitting"):
         found = fit_body(twin, clean, cfg.seed)
     unit = found.bench.unit
-    errors = {**found.error, "unit": unit, "split": {"seed": cfg.seed, "fractions": list(FRACTIONS)}}
+    errors = {**found.error, "unit": unit, "seed": cfg.seed}
     found.twin.save_version(cfg.twin, "calibrated", str(recording.folder), errors)
     rows = parameter_rows(found)
     result = {

@@ -5,6 +5,8 @@ import json
 import pytest
 
 from lerobot_pneutac import add as verb
+from lerobot_pneutac import calibrate
+from lerobot_pneutac.compare import compare, summarize
 from pneutac_datasets.hidden.generate import generate
 from pneutac_datasets.recording import BenchRecording
 from pneutac_sim.errors import InputError
@@ -62,3 +64,20 @@ def test_an_effect_without_its_column_is_refused(pair, tmp_path):
     twin = Twin("finger", r.length_mm, r.spine_joint_positions_mm).save(tmp_path / "twin")
     with pytest.raises(InputError, match="record column temperature_c"):
         verb.main([f"--twin={twin}", f"--recording={tmp_path / 'cold'}", "--effect=thermal"])
+
+
+def test_every_verb_sees_the_fall_of_a_pneumatic_effect(tmp_path):
+    """Errors are counted from the command, so a slow valve is in them although the pressure was measured."""
+    generate(["valve_lag"], tmp_path / "recording", 5004, minutes=3.0, hz=10)
+    recording = BenchRecording.load(tmp_path / "recording")
+    folder = Twin("finger", recording.length_mm, recording.spine_joint_positions_mm).save(tmp_path / "twin")
+    calibrate.main([f"--twin={folder}", f"--recording={recording.folder}"])
+
+    def heldout():
+        twin = Twin.load(folder)
+        return summarize(compare(twin, recording), twin)["error"]["heldout"]
+
+    plain = heldout()
+    assert Twin.load(folder).history[-1]["heldout"] == pytest.approx(plain, rel=0.02)
+    verb.main([f"--twin={folder}", f"--recording={recording.folder}", "--effect=valve_lag"])
+    assert heldout() < 0.5 * plain

@@ -8,11 +8,11 @@ import pytest
 
 from lerobot_pneutac import compare, new
 from lerobot_pneutac.compare import train_mask
+from lerobot_pneutac.fit_body import fit_body
 from pneutac_datasets.axes import axes, motion
 from pneutac_datasets.hidden.generate import generate
 from pneutac_datasets.recording import BenchRecording
 from pneutac_sim.errors import InputError
-from pneutac_sim.finger import fit
 from pneutac_sim.twin import Twin
 
 CONTRACT = ["pressure_cmd_kpa", "direction", "rate", "hold_time_s", "program", "trial", "gravity"]
@@ -27,13 +27,8 @@ def bench(tmp_path_factory):
         generate(name, root / name, seed=3, minutes=2, hz=20)
     new.main([f"--twin={root / 'twin'}", f"--recording={root / 'none'}"])
     r = BenchRecording.load(root / "none")
-    found = fit(Twin.load(root / "twin"), r, train=r.split(0)[0])
-    found.twin.save_version(
-        root / "twin",
-        "calibrated",
-        str(root / "none"),
-        {"train": found.train, "heldout": found.heldout, "unit": "mm"},
-    )
+    found = fit_body(Twin.load(root / "twin"), r)
+    found.twin.save_version(root / "twin", "calibrated", str(root / "none"), {**found.error, "unit": "mm"})
     return root
 
 

@@ -58,7 +58,7 @@ def test_calibrate_finds_the_parameters_and_writes_the_next_version(tmp_path, ca
     assert entry["version"] == 0 and entry["heldout"] == pytest.approx(result["error"]["heldout"])
     # what was held out can be found again, and the saved twin has that very error there
     recording = BenchRecording.load(folder)
-    heldout = recording.split(entry["split"]["seed"], tuple(entry["split"]["fractions"]))[1]
+    heldout = recording.split(entry["seed"])[1]
     p = simulate(twin, recording)
     assert p.bench.error(p.residual, heldout) == pytest.approx(entry["heldout"], rel=1e-6)
     report = (tmp_path / "out" / "report.html").read_text()
