@@ -33,13 +33,6 @@ from pneutac_sim.errors import InputError
 FPS = 15
 TASK_TEXT = "flip the switch"
 EPISODE_S = 6  # the script needs at most 4.4 s
-# Forked loaders start at once, where the platform forks safely; LeRobot's default of four spawned ones takes
-# longer to start than this training lasts.
-WORKERS = (
-    ["--num_workers=2", "--dataloader_multiprocessing_context=fork"]
-    if sys.platform == "linux"
-    else ["--num_workers=0"]
-)
 
 
 @dataclass
@@ -112,7 +105,8 @@ class Demo:
         """
         self._commands.append(shlex.join(command))
         self.console.print(f"  [dim]$ {self._commands[-1]}[/]", soft_wrap=True, highlight=False)
-        env = os.environ | {"HF_HUB_OFFLINE": "1", "PYTHONUNBUFFERED": "1"}
+        # More threads than cores left over make torch on small batches slower, not faster.
+        env = os.environ | {"HF_HUB_OFFLINE": "1", "OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
         env["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{env['PATH']}"
         lines = []
         columns = (SpinnerColumn(), BarColumn(), TextColumn("{task.completed}/{task.total}"))
@@ -191,7 +185,7 @@ class Demo:
                 "--dataset.num_episodes=1",
                 f"--dataset.episode_time_s={EPISODE_S}",
                 "--dataset.reset_time_s=0",
-                "--dataset.video=false",
+                "--dataset.streaming_encoding=true",
                 "--dataset.push_to_hub=false",
                 "--play_sounds=false",
             ],
@@ -203,7 +197,7 @@ class Demo:
         teleop = PneutacScripted(
             PneutacScriptedConfig(id="scripted", seed=cfg.seed + 1000, episode_steps=EPISODE_S * FPS)
         )
-        record_episodes(robot, teleop, f"local/{rest.name}", rest, cfg.episodes - 1, FPS, TASK_TEXT, False)
+        record_episodes(robot, teleop, f"local/{rest.name}", rest, cfg.episodes - 1, FPS, TASK_TEXT, True)
         self.run(
             [
                 "lerobot-edit-dataset",
@@ -251,7 +245,7 @@ class Demo:
                 f"--steps={cfg.steps}",
                 f"--batch_size={cfg.batch_size}",
                 f"--seed={cfg.seed}",
-                *WORKERS,
+                "--num_workers=0",
                 f"--log_freq={max(1, cfg.steps // 50)}",
                 "--save_freq=0",
                 "--env_eval_freq=0",
