@@ -53,7 +53,7 @@ class DemoConfig:
     out: Path = Path("outputs/demo")
     episodes: int = 8
     augmented: int = 16
-    steps: int = 500
+    steps: int = 1000
     batch_size: int = 16
     eval_episodes: int = 20
     seed: int = 1
