@@ -18,8 +18,9 @@ from rich.progress import (
 from rich.table import Table
 
 from lerobot_pneutac.diagnosis.engine import cores
+from lerobot_pneutac.diagnosis.result import Diagnosis
 from lerobot_pneutac.diagnosis.sentences import caveats, lead, next_experiment
-from lerobot_pneutac.diagnosis.study import Diagnosis, diagnose
+from lerobot_pneutac.diagnosis.study import diagnose
 from lerobot_pneutac.options import parse_options
 from lerobot_pneutac.report import write_result
 from pneutac_datasets.recording import BenchRecording

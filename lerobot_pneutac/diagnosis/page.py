@@ -6,8 +6,8 @@ import numpy as np
 import plotly.graph_objects as go
 
 from lerobot_pneutac.diagnosis.experiment import Separation
+from lerobot_pneutac.diagnosis.result import Diagnosis
 from lerobot_pneutac.diagnosis.sentences import caveats, lead
-from lerobot_pneutac.diagnosis.study import Diagnosis
 from lerobot_pneutac.report import Report
 
 BLUE, GREY, RED = "#0b6e99", "#9aa5b1", "#b8442f"

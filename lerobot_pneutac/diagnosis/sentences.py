@@ -1,7 +1,7 @@
 """What was found, in words that a newcomer understands."""
 
 from lerobot_pneutac.diagnosis.experiment import Separation, separations
-from lerobot_pneutac.diagnosis.study import Diagnosis
+from lerobot_pneutac.diagnosis.result import Diagnosis
 from pneutac_sim.effects.registry import get_effect
 
 REPEAT = "Run the same program twice, an hour apart: what comes back is the device, what does not is the lab."
