@@ -12,7 +12,7 @@ from lerobot_pneutac.diagnose import load_pair, progress
 from lerobot_pneutac.diagnosis import pneumatics
 from lerobot_pneutac.diagnosis.bootstrap import Resampler
 from lerobot_pneutac.diagnosis.candidates import sort_candidates
-from lerobot_pneutac.diagnosis.mounts import align_mounts
+from lerobot_pneutac.diagnosis.mounts import on_one_mount
 from lerobot_pneutac.diagnosis.parts import Parts, deal
 from lerobot_pneutac.diagnosis.refit import Refit, refit
 from lerobot_pneutac.options import parse_options
@@ -152,11 +152,12 @@ def add(twin: Twin, recording: BenchRecording, effect: str, seed: int = 0, done=
             f"The twin has the effect '{effect}' already (it has {', '.join(twin.effects)}); "
             "`pneutac calibrate` re-fits it."
         )
-    recording = align_mounts(check(recording)[0], twin.length_mm)[0]
+    recording = check(recording)[0]
     for u in sort_candidates(recording, twin)[1]:
         if u.name == effect:
             raise InputError(f"{recording.folder}: effect '{effect}' {u.reason}.")
     parts = deal(recording, seed, choose=False)
+    recording = on_one_mount(recording, twin, parts.train)[0]
     noise = noise_floor(recording)
     before = refit(twin, recording, list(twin.effects), parts, done)
     start = before.twin if not pneumatics.is_pneumatic(effect) else twin

@@ -7,6 +7,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from lerobot_pneutac.diagnosis.mounts import on_one_mount
 from lerobot_pneutac.options import parse_options
 from lerobot_pneutac.report import write_result
 from pneutac_datasets.axes import Axis, axes
@@ -111,6 +112,9 @@ def compare(twin: Twin, recording: BenchRecording, seed: int = 0) -> Comparison:
         seed: of the split, where the twin's history does not tell another one for this recording.
     """
     clean, said = check(recording)
+    train = train_mask(twin, clean, seed)
+    clean, moved = on_one_mount(clean, twin, train, refit=False)
+    said += moved
     prediction = simulate(twin, Bench.of(clean, twin, source="command"))
     said += [f"Effect '{name}' could not act: {why}." for name, why in prediction.left_out.items()]
     bench = prediction.bench
@@ -122,7 +126,7 @@ def compare(twin: Twin, recording: BenchRecording, seed: int = 0) -> Comparison:
         measured=bench.measured,
         model=prediction.model,
         unit=bench.unit,
-        train=train_mask(twin, clean, seed),
+        train=train,
         noise=noise_floor(clean),
         axes=axes(clean),
     )

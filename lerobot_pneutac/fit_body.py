@@ -11,6 +11,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from lerobot_pneutac.diagnosis.mounts import on_one_mount
 from lerobot_pneutac.report import Report, write_result
 from pneutac_datasets.check import check
 from pneutac_sim.errors import InputError
@@ -29,6 +30,7 @@ class BodyFit:
         train: (n,) mask.
         before: held-out error of the twin as it was, from the command; None where nothing was held out.
         error: `train` and `heldout` error of the new one, from the command.
+        said: where sessions were brought onto one mount, a sentence that tells so.
         seconds: wall time.
     """
 
@@ -38,6 +40,7 @@ class BodyFit:
     train: np.ndarray
     before: float | None
     error: dict[str, float | None]
+    said: list[str]
     seconds: float
 
 
@@ -59,6 +62,7 @@ def fit_body(twin: Twin, recording, seed: int = 0) -> BodyFit:
             "what the device did; add one of them."
         )
     train, heldout = recording.split(seed)
+    recording, said = on_one_mount(recording, twin, train)
     bench = Bench.of(recording, twin)
     command = Bench.of(recording, twin, source="command")
     start, before = twin, simulate(twin, bench)
@@ -81,6 +85,7 @@ def fit_body(twin: Twin, recording, seed: int = 0) -> BodyFit:
         train=train,
         before=error(start, heldout),
         error={"train": error(after, train), "heldout": error(after, heldout)},
+        said=said,
         seconds=time.perf_counter() - began,
     )
 
@@ -102,6 +107,8 @@ def calibrate_body(twin: Twin, recording, cfg, console: Console) -> dict:
         console.print(f"[yellow]note:[/] {sentence}", highlight=False)
     with console.status("fitting"):
         found = fit_body(twin, clean, cfg.seed)
+    for sentence in found.said:
+        console.print(f"[yellow]note:[/] {sentence}", highlight=False)
     unit = found.bench.unit
     errors = {**found.error, "unit": unit, "seed": cfg.seed}
     found.twin.save_version(cfg.twin, "calibrated", str(recording.folder), errors)

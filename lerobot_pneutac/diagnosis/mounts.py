@@ -2,18 +2,43 @@
 
 Per trial the tip is regressed on the pressure. Where, under equal conditions, the tip at rest lies far from
 the first trial's or the same pressure bends it in another direction, the device was turned about its axis and
-shifted between trials: that says nothing about its physics, and would drown what does.
+shifted between trials: that says nothing about its physics, and would drown what does. Every verb that weighs
+a twin against a recording looks at it through `on_one_mount`.
 """
 
 import numpy as np
 
 from pneutac_datasets.recording import BenchRecording
+from pneutac_sim.finger import Bench, fit, simulate
+from pneutac_sim.twin import Twin
 
 FAR = 0.05  # of the device's length: further apart at rest than any creep leaves it
 TURNED_DEG = 45.0
 SWEEP = 0.3  # of the whole pressure range that a trial must cover to tell its rest and direction
 CONDITIONS = {"gravity_x": 0.1, "gravity_y": 0.1, "gravity_z": 0.1, "temperature_c": 2.0, "payload_g": 0.1}
 TIP = ["tip_x_mm", "tip_y_mm", "tip_z_mm"]
+
+
+def on_one_mount(
+    recording: BenchRecording, twin: Twin, train: np.ndarray, refit: bool = True
+) -> tuple[BenchRecording, list[str]]:
+    """The recording as if all sessions had been mounted alike, and a sentence where they were not.
+
+    What a straight line in the pressure leaves of the shift is taken from what the twin misses each session
+    by on average over training samples, so held-out samples are never looked at.
+
+    Args:
+        recording: cleaned; one of a single mount is returned as it is.
+        twin: of the device.
+        train: (n,) mask of training samples.
+        refit: whether the twin is fitted first, or taken as it is.
+    """
+    aligned, said, alike = align_mounts(recording, twin.length_mm)
+    if not said:
+        return recording, []
+    bench = Bench.of(aligned, twin)
+    found = fit(twin, bench, train=train, starts=2) if refit else simulate(twin, bench)
+    return _settle(aligned, alike, found.residual, train), said
 
 
 def align_mounts(recording: BenchRecording, length_mm: float) -> tuple[BenchRecording, list[str], list[int]]:
@@ -24,7 +49,7 @@ def align_mounts(recording: BenchRecording, length_mm: float) -> tuple[BenchReco
         length_mm: of the device.
 
     Returns:
-        The recording, a sentence where something was moved, and the trials that were.
+        The recording, a sentence where something was moved, and the trials whose mounts can be compared.
     """
     if recording.device != "finger" or not all(recording.has(c) for c in TIP):
         return recording, [], []
@@ -40,11 +65,12 @@ def align_mounts(recording: BenchRecording, length_mm: float) -> tuple[BenchReco
         return recording, [], []
     first = next(iter(seen))
     rest, slope = seen[first]
-    moved, turned, out = [], [], y.copy()
+    moved, turned, alike, out = [], [], [first], y.copy()
     for trial, (here, direction) in seen.items():
         rows = recording.trials()[trial]
         if trial == first or not _same(recording, recording.trials()[first].start, rows.start):
             continue
+        alike.append(trial)
         roll = np.arctan2(slope[1], slope[2]) - np.arctan2(direction[1], direction[2])
         roll = (roll + np.pi) % (2 * np.pi) - np.pi
         far = float(np.linalg.norm(here - rest))
@@ -67,10 +93,10 @@ def align_mounts(recording: BenchRecording, length_mm: float) -> tuple[BenchReco
         + "); these trials are turned and shifted onto the first mount."
     )
     clean = BenchRecording(recording.folder, recording.meta, samples, recording.device, recording.warnings)
-    return clean, [said], [int(t) for t, _ in moved]
+    return clean, [said], alike
 
 
-def settle(
+def _settle(
     recording: BenchRecording, trials: list[int], residual: np.ndarray, train: np.ndarray
 ) -> BenchRecording:
     """Shifts these trials by what a fitted twin misses them by on average over training samples."""

@@ -13,7 +13,7 @@ from lerobot_pneutac.diagnosis.engine import Engine, StageFitter
 from lerobot_pneutac.diagnosis.experiment import predict
 from lerobot_pneutac.diagnosis.fingerprints import fingerprints
 from lerobot_pneutac.diagnosis.fits import Fit
-from lerobot_pneutac.diagnosis.mounts import align_mounts, settle
+from lerobot_pneutac.diagnosis.mounts import on_one_mount
 from lerobot_pneutac.diagnosis.parts import deal
 from lerobot_pneutac.diagnosis.result import Diagnosis, Tested
 from lerobot_pneutac.diagnosis.rivals import find_rivals
@@ -49,21 +49,16 @@ def diagnose(
     """
     began = time.perf_counter()
     recording, findings = check(recording)
-    recording, said, moved = align_mounts(recording, twin.length_mm)
+    parts = deal(recording, seed)
+    recording, said = on_one_mount(recording, twin, parts.train)
     findings = findings + said
     noise = noise_floor(recording)
-    parts = deal(recording, seed)
     columns, _ = headline(recording)
     names, untested = sort_candidates(recording, twin)
     own = tuple(sorted(twin.effects))
     measured = pneumatics.measured_columns(recording)
     test = Resampler(parts.test, parts.unit, parts.stratum, seed + 1)
 
-    if moved:
-        with Engine(recording, parts.train, 1, done) as engine:
-            tell("how each session was mounted", 1)
-            rough = StageFitter(engine, twin, "pose", "measured" if measured else "command").fit_all([own])[0]
-        recording = settle(recording, moved, rough.residual, parts.train)
     with Engine(recording, parts.train, jobs, done) as engine:
         tell("the twin as it is", 1)
         base = StageFitter(engine, twin, "pose", "command").fit_all([own])[0]

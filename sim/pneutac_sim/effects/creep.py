@@ -62,7 +62,7 @@ EFFECT = Effect(
     name="creep",
     stage="body",
     parameters=tuple(
-        Parameter(f"weight_{_label(tau)}", "", default=0.04, lower=0.0, upper=3.0) for tau in TIMES_S
+        Parameter(f"weight_{_label(tau)}", "", default=0.04, lower=0.0, upper=12.0) for tau in TIMES_S
     ),
     run=run,
     state_size=lambda channels: channels * (1 + len(TIMES_S)),
