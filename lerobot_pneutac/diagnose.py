@@ -182,6 +182,14 @@ def result(d: Diagnosis, advice: str) -> dict:
         ],
         "indistinguishable": [[r.effect, r.rival] for r in d.rivals],
         "correlated": [{"effects": [a, b], "correlation": c} for a, b, c in d.correlated],
+        "profile": [
+            {
+                "parameter": p.name, "value": p.value, "unit": p.unit, "interval95": list(p.interval),
+                "bounded_below": p.below, "bounded_above": p.above, "remark": p.remark,
+                "points": [{"value": v, "chi2": c} for v, c in p.points],
+            }
+            for p in d.profiles
+        ],
         "at_bound": d.evidence.at_bound,
         "error_over_noise": {k: getattr(d.evidence, k) for k in ("before", "after", "limit")},
         "measured_pressure": d.measured_pressure,

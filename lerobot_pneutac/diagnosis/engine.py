@@ -45,6 +45,15 @@ class Job:
     source: str
     starts: int
 
+    def run(self, prepared: "Prepared") -> Fit:
+        """Fits one set of effects."""
+        bench = prepared.bench(self.twin, self.target, self.source)
+        if self.target == "pressure" and not self.effects:  # nothing to fit: the command is the pressure
+            residual = simulate(self.twin, bench, []).residual[:, : bench.counted]
+            return Fit((), residual, 0, replace(self.twin, arrays={}, gel={}, history=[], effects={}))
+        found = fit(self.twin, bench, list(self.effects), prepared.train, starts=self.starts)
+        return lean(found, bench, self.effects)
+
 
 class Prepared:
     """A recording with its training samples, prepared once for each pair of target and source."""
@@ -58,16 +67,6 @@ class Prepared:
         if (target, source) not in self._benches:
             self._benches[target, source] = Bench.of(self.recording, twin, source=source, target=target)
         return self._benches[target, source]
-
-    def run(self, job: Job) -> Fit:
-        """Fits one set of effects."""
-        bench = self.bench(job.twin, job.target, job.source)
-        if job.target == "pressure" and not job.effects:  # nothing to fit: the command is the pressure
-            residual = simulate(job.twin, bench, []).residual[:, : bench.counted]
-            return Fit((), residual, 0, replace(job.twin, arrays={}, gel={}, history=[], effects={}))
-        return lean(
-            fit(job.twin, bench, list(job.effects), self.train, starts=job.starts), bench, job.effects
-        )
 
 
 def lean(found, bench: Bench, effects: tuple[str, ...]) -> Fit:
@@ -105,8 +104,8 @@ def _begin(recording: BenchRecording, train: np.ndarray) -> None:
     _prepared = Prepared(recording, train)
 
 
-def _work(job: Job) -> Fit:
-    return _prepared.run(job)
+def _work(job):
+    return job.run(_prepared)
 
 
 class Engine:
@@ -161,12 +160,12 @@ class Engine:
             fit, candidates, least, self._prepared.bench(fit.twin, target, source), self._prepared.train
         )
 
-    def run(self, jobs: Iterable[Job]) -> list[Fit]:
-        """Answers in the order of the jobs."""
+    def run(self, jobs: Iterable) -> list:
+        """Answers in the order of the jobs, each a `Job` or anything else that pickles and has its `run`."""
         jobs, out = list(jobs), []
         began = time.perf_counter()
         for job in jobs if self._pool is None else ():
-            out.append(self._prepared.run(job))
+            out.append(job.run(self._prepared))
             self._done()
             each = (time.perf_counter() - began) / len(out)
             if self._jobs > 1 and len(out) >= 2 and each * (len(jobs) - len(out)) > PATIENCE_S:

@@ -44,7 +44,7 @@ def write_page(d: Diagnosis, advice: str, separation: Separation | None, out: Pa
     )
     page.table([{"not tested": u.name, "why": u.reason} for u in d.untested])
     page.heading("What is left over time")
-    page.figure(over_time(d), "Distance between measured and modelled, before and after.")
+    page.figure(over_time(d), "Distance between measured and modelled, before and after; red: the command.")
     page.table(worst(d), "The worst passages after the change.")
     page.heading("Where the error is")
     for name, x in axes(d).items():
@@ -68,6 +68,21 @@ def write_page(d: Diagnosis, advice: str, separation: Separation | None, out: Pa
         page.table(
             [{"effect": a, "and": b, "correlation of parameters": c} for a, b, c in d.correlated],
             "Second look: with both switched on, the recording can hardly share the answer between them.",
+        )
+    if d.profiles:
+        page.heading("How well each parameter is known")
+        page.table(
+            [
+                {
+                    "parameter": f"{p.name} ({p.unit})" if p.unit else p.name,
+                    "value": p.value,
+                    "95 % interval": f"{p.interval[0]:.4g} to {p.interval[1]:.4g}",
+                    "remark": p.remark,
+                }
+                for p in d.profiles
+            ],
+            "Second look, by profile likelihood: each parameter is held beside its value and all others are "
+            "fitted again; the interval holds what the training blocks do not contradict.",
         )
     if separation is not None:
         page.figure(proposed(separation), f"Predictions of the two rivals: {separation.advice}")
@@ -128,20 +143,28 @@ def reductions(d: Diagnosis) -> go.Figure:
 
 
 def over_time(d: Diagnosis) -> go.Figure:
-    """Error before and after, with the pressure."""
+    """Error before and after, over the commanded pressure on an axis of its own at the right."""
     t = _session_time(d)
     step = max(1, len(t) // MOST_POINTS)
+    p = d.recording.samples[d.recording.pressure_columns].to_numpy(float).mean(1)
     figure = go.Figure()
+    figure.add_scatter(
+        x=t[::step], y=np.round(p[::step], 3), name="command", yaxis="y2", opacity=0.35,
+        line={"width": 1, "color": RED},
+    )  # fmt: skip
     for name, r, colour in (("before", d.before, GREY), ("after", d.after, BLUE)):
         y = np.sqrt((r**2).sum(1))[::step]
         figure.add_scatter(x=t[::step], y=np.round(y, 4), name=name, line={"width": 1, "color": colour})
-    p = d.recording.samples[d.recording.pressure_columns].to_numpy(float).mean(1)
-    figure.add_scatter(
-        x=t[::step], y=np.round(p[::step], 3), name="command (kPa)", yaxis="y2",
-        line={"width": 1, "color": RED}, visible="legendonly",
+    red = {"color": RED}
+    return figure.update_layout(
+        xaxis={"title": "session (s)"},
+        yaxis={"title": f"error ({d.noise.unit})", "rangemode": "tozero", "overlaying": "y2"},
+        yaxis2={
+            "title": {"text": "command (kPa)", "font": red}, "tickfont": red, "side": "right",
+            "showgrid": False, "zeroline": False, "automargin": True,
+        },
+        legend={"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0},
     )  # fmt: skip
-    figure.update_layout(yaxis2={"overlaying": "y", "side": "right", "showgrid": False})
-    return figure.update_yaxes(title=f"error ({d.noise.unit})").update_xaxes(title="session (s)")
 
 
 def axes(d: Diagnosis) -> dict[str, np.ndarray]:

@@ -9,6 +9,7 @@ from lerobot_pneutac.diagnosis.candidates import Untested
 from lerobot_pneutac.diagnosis.fingerprints import Fingerprint
 from lerobot_pneutac.diagnosis.fits import Fit
 from lerobot_pneutac.diagnosis.parts import Parts
+from lerobot_pneutac.diagnosis.profile import Profile
 from lerobot_pneutac.diagnosis.rivals import Rival
 from lerobot_pneutac.diagnosis.verdict import Evidence
 from pneutac_datasets.noise import NoiseFloor
@@ -58,6 +59,7 @@ class Diagnosis:
         prints: fingerprints.
         rivals: rivals of each selected effect.
         correlated: pairs of effects whose parameters the data cannot tell apart (correlation above 0.95).
+        profiles: what the recording tells of each parameter of the selected effects.
         evidence: numbers behind the verdict.
         verdict: one of five.
         measured_pressure: whether air and body were told apart by measured pressure.
@@ -80,6 +82,7 @@ class Diagnosis:
     prints: list[Fingerprint]
     rivals: list[Rival]
     correlated: list[tuple[str, str, float]]
+    profiles: list[Profile]
     evidence: Evidence
     verdict: str
     measured_pressure: bool

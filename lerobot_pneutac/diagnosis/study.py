@@ -15,6 +15,7 @@ from lerobot_pneutac.diagnosis.fingerprints import fingerprints
 from lerobot_pneutac.diagnosis.fits import Fit
 from lerobot_pneutac.diagnosis.mounts import on_one_mount
 from lerobot_pneutac.diagnosis.parts import deal
+from lerobot_pneutac.diagnosis.profile import profile
 from lerobot_pneutac.diagnosis.result import Diagnosis, Tested
 from lerobot_pneutac.diagnosis.rivals import find_rivals
 from lerobot_pneutac.diagnosis.selection import Selection, select
@@ -62,11 +63,12 @@ def diagnose(
     with Engine(recording, parts.train, jobs, done) as engine:
         tell("the twin as it is", 1)
         base = StageFitter(engine, twin, "pose", "command").fit_all([own])[0]
-        air = body = None
+        air, profiles = None, []
         if measured:
             air_noise = pneumatics.sensor_noise(recording, measured)
+            fitter = StageFitter(engine, base.twin, "pressure", "command")
             air = select(
-                StageFitter(engine, base.twin, "pressure", "command"),
+                fitter,
                 tuple(e for e in own if pneumatics.is_pneumatic(e)),
                 [c for c in names if pneumatics.is_pneumatic(c)],
                 parts,
@@ -74,6 +76,7 @@ def diagnose(
                 seed,
                 tell,
             )
+            profiles = profile(fitter, air.final, air.selected, parts, tell)
     if measured:
         driven = pneumatics.driven_by(recording, measured, air.final.residual, air_noise)
         names_body = [c for c in names if not pneumatics.is_pneumatic(c)]
@@ -85,6 +88,7 @@ def diagnose(
         fitter = StageFitter(engine, base.twin, "pose", source)
         body = select(fitter, own_body, names_body, parts, noise.value, seed, tell)
         rivals, correlated = find_rivals(fitter, body, names_body, parts, noise.value, seed, tell)
+        profiles += profile(fitter, body.final, body.selected, parts, tell)
     if air is not None:
         more, also = find_rivals(None, air, [], parts, air_noise, seed, tell)
         rivals, correlated = more + rivals, also + correlated
@@ -153,6 +157,7 @@ def diagnose(
         prints=fingerprints(recording, base.residual, drive, seed),
         rivals=rivals,
         correlated=correlated,
+        profiles=profiles,
         evidence=evidence,
         verdict=decide(evidence),
         measured_pressure=bool(measured),
