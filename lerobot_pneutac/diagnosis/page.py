@@ -158,10 +158,12 @@ def over_time(d: Diagnosis) -> go.Figure:
     red = {"color": RED}
     return figure.update_layout(
         xaxis={"title": "session (s)"},
-        yaxis={"title": f"error ({d.noise.unit})", "rangemode": "tozero", "overlaying": "y2"},
+        yaxis={
+            "title": f"error ({d.noise.unit})", "rangemode": "tozero", "overlaying": "y2", "tickmode": "auto",
+        },
         yaxis2={
             "title": {"text": "command (kPa)", "font": red}, "tickfont": red, "side": "right",
-            "showgrid": False, "zeroline": False, "automargin": True,
+            "rangemode": "tozero", "showgrid": False, "zeroline": False, "automargin": True,
         },
         legend={"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0},
     )  # fmt: skip

@@ -28,6 +28,7 @@ OUTWARD = 3  # of them before the bound itself is tried
 LEAST_GROWTH, GROWTH = 1.25, 10.0  # by which one try goes farther than the one before
 STEPS = 4  # of each refit, which starts where the others are expected
 CLOSE = 0.1  # of the limit's root: so near to it a straight line leads to it
+IMPOSSIBLE = 1e9  # chi-square of a value that physics does not allow
 NEGLIGIBLE = 0.02  # chi-square that is not worth another step of a refit
 
 
@@ -126,9 +127,9 @@ class _Valley:
         self._J, j = J[:, :-1], J[:, -1]
         self._least = max(float(r @ r), 1e-30)
         self._worth = job.count * len(bench.columns) / self._least  # chi-square of one unit of cost
-        room = (self._best > 1e-6) & (self._best < 1 - 1e-6)  # those at a bound stay there
+        loose = (self._best > 1e-6) & (self._best < 1 - 1e-6)  # those at a bound stay there
         self._along = np.zeros(len(self._best))
-        self._along[room] = -np.linalg.lstsq(self._J[:, room], j, rcond=1e-6)[0]
+        self._along[loose] = -np.linalg.lstsq(self._J[:, loose], j, rcond=1e-6)[0]
         left = j + self._J @ self._along
         self._rise = 2 * self._worth * float(left @ r), self._worth * float(left @ left)
         self.seen: list[tuple[float, float]] = [(float(self.theta[self.held]), 0.0)]
@@ -147,7 +148,8 @@ class _Valley:
         for turn in range(POINTS if room > 1e-6 else 0):
             reach = room if outside is None and turn >= OUTWARD else min(reach, room)
             root, others = self._root(
-                end if reach == room else self._start + sign * reach, self._best + reach * slope
+                end if reach == room else self._start + sign * reach,
+                np.clip(self._best + reach * slope, 0, 1),
             )
             if root < Z95:
                 inside, slope = (reach, root), (others - self._best) / reach
@@ -182,10 +184,16 @@ class _Valley:
         def jacobian(at):
             return known.pop() if known else problem.jacobian(at)
 
+        if not np.isfinite(problem.residual(guess)).all():  # the body gives way under its load, for example
+            return self._lost(theta, IMPOSSIBLE), guess
         found = minimise(problem.residual, jacobian, guess, STEPS, NEGLIGIBLE / (self._worth * self._least))
-        chi2 = max(0.0, self._worth * (found.cost - self._least))
+        return self._lost(theta, self._worth * (found.cost - self._least)), found.v
+
+    def _lost(self, theta: np.ndarray, chi2: float) -> float:
+        """Notes a value; what fits better than the fit itself loses nothing."""
+        chi2 = min(max(0.0, chi2), IMPOSSIBLE)
         self.seen.append((float(theta[self.held]), chi2))
-        return float(np.sqrt(chi2)), found.v
+        return float(np.sqrt(chi2))
 
     def _value(self, v: float) -> float:
         """The parameter at a scaled value."""

@@ -12,6 +12,7 @@ from lerobot_pneutac.diagnosis import engine
 from lerobot_pneutac.diagnosis.experiment import separations
 from lerobot_pneutac.diagnosis.mounts import align_mounts
 from lerobot_pneutac.diagnosis.parts import deal
+from lerobot_pneutac.diagnosis.profile import profile
 from lerobot_pneutac.diagnosis.sentences import next_experiment
 from lerobot_pneutac.diagnosis.study import diagnose
 from lerobot_pneutac.diagnosis.verdict import Evidence, decide
@@ -53,8 +54,13 @@ def test_the_verb_writes_contract_and_report(bench, tmp_path, capsys):
     mine = next(e for e in result["effects"] if e["name"] == "creep")
     lo, hi = mine["reduction_ci95"]
     assert 0.8 < lo <= mine["reduction"] <= hi <= 1.0
+    assert {p["parameter"].partition(".")[0] for p in result["profile"]} == set(result["selected"])
+    for p in result["profile"]:
+        assert p["interval95"][0] <= p["value"] <= p["interval95"][1]
+        assert bool(p["remark"]) == (not (p["bounded_below"] and p["bounded_above"]))
     assert result["ladder"][-1]["heldout"] == pytest.approx(result["after"]["heldout"])
     html = (tmp_path / "out" / "report.html").read_text()
+    assert "How well each parameter is known" in html
     assert "Your finger creeps" in html and "http" not in html.split("<main>")[1].split("<script>")[0]
     assert "Your finger creeps" in " ".join(capsys.readouterr().out.split())
 
@@ -102,12 +108,16 @@ def test_workers_give_the_same_answer(bench, monkeypatch):
     twin, parts = twin_of(recording), deal(recording, 0)
     sets = [(), ("creep",), ("stiffening",), ("valve_lag",)]
     jobs = [engine.Job(twin, e, "pose", "command", 2) for e in sets]
-    found = []
+    found, profiles = [], []
     for processes in (1, 2):
         monkeypatch.setattr(engine, "PATIENCE_S", 0.0)
         with engine.Engine(recording, parts.train, processes) as e:
             found.append(e.run(jobs))
             assert (e._pool is not None) == (processes == 2)
+            fitter, creep = engine.StageFitter(e, twin, "pose", "command"), found[0][1]
+            profiles.append(profile(fitter, creep, ["creep"], parts, lambda text, jobs: None))
+    for a, b in zip(*profiles, strict=True):
+        np.testing.assert_allclose(a.interval, b.interval, rtol=1e-6)
     for a, b in zip(*found, strict=True):
         np.testing.assert_allclose(a.residual, b.residual, rtol=0, atol=1e-9)
         assert a.effects == b.effects
