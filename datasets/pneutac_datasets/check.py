@@ -4,6 +4,7 @@ import numpy as np
 
 from pneutac_datasets.noise import headline
 from pneutac_datasets.recording import BenchRecording
+from pneutac_datasets.rules import plural
 
 LONGEST_EXCURSION_S = 2.0
 EXPLAINED_BY_S = 2.0  # a pressure change this long before can still move the tip (dead time and fill time)
@@ -65,13 +66,13 @@ def _jumps(recording: BenchRecording) -> tuple[list[str], np.ndarray]:
     elif bad.any():
         runs = int(np.sum(np.diff(np.r_[0, bad.astype(int)]) == 1))
         said.append(
-            f"The tracker jumps away and comes back {runs} times (first in {first}); "
-            f"{int(bad.sum())} rows are left out."
+            f"The tracker jumps away and comes back {plural(runs, 'time')} (first in {first}); "
+            f"{_left_out(bad)}."
         )
     if steps:
         said.append(
-            f"The marker shifts suddenly {steps} times without a change of pressure and stays there (first "
-            f"in {first_step}); these rows are kept: a slipped marker or the device itself."
+            f"The marker shifts suddenly {plural(steps, 'time')} without a change of pressure and stays "
+            f"there (first in {first_step}); these rows are kept: a slipped marker or the device itself."
         )
     return said, bad
 
@@ -163,8 +164,13 @@ def _frozen(recording: BenchRecording) -> tuple[list[str], np.ndarray]:
     return [
         f"The tracker stands still while the pressure moves (first in trial "
         f"{recording.column('trial')[first]} at {recording.column('time_s')[first]:.2f} s); "
-        f"{int(bad.sum())} rows are left out."
+        f"{_left_out(bad)}."
     ], bad
+
+
+def _left_out(bad: np.ndarray) -> str:
+    n = int(bad.sum())
+    return f"{plural(n, 'row')} {'is' if n == 1 else 'are'} left out"
 
 
 def _saturation(recording: BenchRecording) -> list[str]:
@@ -199,8 +205,8 @@ def _clock(recording: BenchRecording) -> list[str]:
     if not gaps:
         return []
     return [
-        f"The clock has {gaps} gaps (the longest {longest:.1f} s, in {where}); what happened meanwhile is "
-        "unknown to a model with memory, so start a new trial there."
+        f"The clock has {plural(gaps, 'gap')} (the longest {longest:.1f} s, in {where}); what happened "
+        "meanwhile is unknown to a model with memory, so start a new trial there."
     ]
 
 

@@ -10,6 +10,7 @@ from itertools import combinations
 
 import numpy as np
 
+from pneutac_datasets import rules
 from pneutac_datasets.recording import BenchRecording
 
 HOLD_S = 1.0  # pressure at rest for this long before a sample counts as held
@@ -39,12 +40,7 @@ class NoiseFloor:
 
 def headline(recording: BenchRecording) -> tuple[list[str], str]:
     """The columns whose Euclidean distance is `the error`, and its unit: tip, else angle, else curvature."""
-    seen = recording.observations
-    for prefix, unit in (("tip_", "mm"), ("bend_", "rad"), ("q_", "rad"), ("curvature_", "1/m")):
-        columns = [c for c in seen if c.startswith(prefix)]
-        if columns:
-            return columns, unit
-    return [], ""
+    return rules.headline(recording.observations)
 
 
 def noise_floor(recording: BenchRecording) -> NoiseFloor:
@@ -65,8 +61,7 @@ def noise_floor(recording: BenchRecording) -> NoiseFloor:
         by = {c: MAD * float(np.median(np.abs(np.concatenate(fast[c])))) / np.sqrt(2) for c in numeric}
         slow = {c: float(np.sqrt(np.mean(np.concatenate(whole[c]) ** 2) / 2)) for c in numeric}
         session = _norm(slow, columns)
-        how = f"half the variance of the fast difference of equal runs ({len(pairs)} pairs)"
-        how = how.replace("1 pairs", "1 pair") if len(pairs) == 1 else how
+        how = f"how far {rules.plural(len(pairs), 'pair')} of equal runs differ from moment to moment"
     elif all(c in stated for c in columns):
         by = {c: float(stated[c]) for c in numeric if c in stated}
         how = "stated in recording.json"
@@ -157,8 +152,11 @@ def held(recording: BenchRecording) -> np.ndarray:
 def _from_holds(recording: BenchRecording, columns: list[str]) -> tuple[dict[str, float], str]:
     mask = held(recording)
     at_rest = mask.mean() > 0.02 and mask.sum() >= 40
-    how = "the fast part of the motion while the pressure is held" if at_rest else (
-        "the fast part of the motion, since the pressure is never held"
+    still = np.ptp(recording.samples[recording.pressure_columns].to_numpy(float), axis=0).max() < 1e-3
+    how = "the fast part of the motion" + (
+        ", as the commanded pressure never moves" if still
+        else " while the commanded pressure is held" if at_rest
+        else ", since the commanded pressure is hardly ever held"
     )  # fmt: skip
     use = mask if at_rest else np.ones(len(recording), bool)
     residuals: dict[str, list[np.ndarray]] = {c: [np.zeros(1)] for c in columns}
@@ -171,4 +169,6 @@ def _from_holds(recording: BenchRecording, columns: list[str]) -> tuple[dict[str
             if len(piece) >= window:
                 for c in columns:
                     residuals[c].append(_detrended(recording.column(c)[piece], window))
+    if all(len(r) == 1 for r in residuals.values()):
+        how = "unknown, the recording is too short to tell it"
     return {c: float(np.sqrt(np.mean(np.concatenate(r) ** 2))) for c, r in residuals.items()}, how

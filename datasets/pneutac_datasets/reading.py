@@ -69,7 +69,14 @@ def _read_csv(file: Path) -> pd.DataFrame:
         )
     try:
         with file.open(encoding="utf-8") as f:
-            header = [c.strip() for c in f.readline().strip("\n\r").split(",")]
+            line = f.readline().strip("\n\r")
+        header = [c.strip() for c in line.split(",")]
+        for mark, name in ((";", "semicolons"), ("\t", "tabs")):
+            if len(header) == 1 and mark in line:
+                raise InputError(
+                    f"{file} is separated by {name}; save it with commas between the columns and points in "
+                    "the numbers."
+                )
         doubled = sorted({c for c in header if header.count(c) > 1})
         if doubled:
             raise InputError(f"{file}: column '{doubled[0]}' appears twice in the header; keep one of them.")

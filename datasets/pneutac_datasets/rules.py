@@ -19,7 +19,25 @@ LABELS = r"program|image(_\w+)?|mask(_\w+)?|role|indenter|depth_source"
 # A soft actuator bursts well below 20 bar, so a larger number is another unit. A tip cannot be much further
 # from the base than the device is long; the factor of three used below leaves room for a rough length_mm.
 MAX_PRESSURE_KPA = 2000.0
+DAY_S = 86400.0
 MAX_DUPLICATES = 0.01  # share of rows with a doubled stamp that a logger's rounding explains
+
+# What counts as the error, in this order of preference: prefix of the columns, unit.
+HEADLINES = (("tip_", "mm"), ("bend_", "rad"), ("q_", "rad"), ("curvature_", "1/m"))
+
+
+def headline(observed: list[str]) -> tuple[list[str], str]:
+    """The observed columns whose Euclidean distance is `the error`, and its unit."""
+    for prefix, unit in HEADLINES:
+        columns = [c for c in observed if c.startswith(prefix)]
+        if columns:
+            return columns, unit
+    return [], ""
+
+
+def plural(n: int, noun: str) -> str:
+    """`1 row`, `2 rows`."""
+    return f"{n} {noun}" + ("" if n == 1 else "s")
 
 
 def device_of(meta: dict, samples: pd.DataFrame, folder: Path) -> str:
@@ -28,18 +46,18 @@ def device_of(meta: dict, samples: pd.DataFrame, folder: Path) -> str:
     if device is None and meta.get("lerobot"):
         device = "gel" if "indenter" in samples else "arm" if "pressure_cmd_1_kpa" in samples else "finger"
     if device not in DEVICES:
+        fault = "is missing" if device is None else f"is {device!r}"
         raise InputError(
-            f"{folder / 'recording.json'}: field 'device' is {device!r}; "
-            f"it must be one of {', '.join(DEVICES)}."
+            f"{folder / 'recording.json'}: field 'device' {fault}; it must be one of {', '.join(DEVICES)}."
         )
     return device
 
 
 def check_meta(meta: dict, file: Path) -> None:
-    """Checks lengths and joint positions of `recording.json`."""
+    """Checks lengths, joint positions and stated noise of `recording.json`."""
     length = meta.get("length_mm")
     if length is not None:
-        if isinstance(length, bool) or not isinstance(length, int | float) or not 0 < length < float("inf"):
+        if not _positive(length):
             raise InputError(
                 f"{file}: field 'length_mm' is {length!r}; give a positive number of millimetres."
             )
@@ -59,6 +77,40 @@ def check_meta(meta: dict, file: Path) -> None:
             raise InputError(
                 f"{file}: field 'spine_joint_positions_mm' must be rising numbers between 0 and length_mm."
             )
+    noise = meta.get("noise")
+    if noise is not None:
+        wrong = f"{file}: field 'noise' is {noise!r}"
+        if isinstance(noise, dict):
+            bad = {k: x for k, x in noise.items() if not _positive(x)}
+            wrong = "".join(f"{file}: field 'noise' of '{k}' is {x!r}" for k, x in list(bad.items())[:1])
+        if wrong:
+            raise InputError(
+                f"{wrong}; give each measured column its standard deviation, a positive number, such as "
+                '{"tip_x_mm": 0.2}.'
+            )
+
+
+def _positive(x) -> bool:
+    return not isinstance(x, bool) and isinstance(x, int | float) and 0 < x < float("inf")
+
+
+def _check_noise(samples: pd.DataFrame, device: str, meta: dict, file: Path) -> None:
+    """Every column with a stated noise is measured, and every column of the error has one."""
+    stated = meta.get("noise") or {}
+    seen = observations(samples, device)
+    source = file.parent / "recording.json"
+    for name in stated:
+        if name not in seen and not (name in samples and re.fullmatch(r"pressure_(\d+_)?kpa", name)):
+            raise InputError(
+                f"{source}: field 'noise' names '{name}', which is not measured in {file.name}; "
+                f"name {', '.join(seen)}."
+            )
+    missing = [c for c in headline(seen)[0] if stated and c not in stated]
+    if missing:
+        raise InputError(
+            f"{source}: field 'noise' does not name '{missing[0]}', which the error counts too; "
+            "add it, or leave out the field so that the noise is estimated."
+        )
 
 
 def check_samples(
@@ -72,10 +124,21 @@ def check_samples(
     samples = _numbers(samples, device, file)
     samples["trial"] = _trials(samples["trial"], file)
     if device != "gel":
+        _check_noise(samples, device, meta, file)
         samples = _check_time(samples, file, warnings)
         check_units(samples, meta, file)
         _check_poverty(samples, file, warnings)
     return samples, warnings
+
+
+_HOW = {
+    "trial": "add it with 0 in every row, or with a new number wherever the recording was started anew",
+    "time_s": "add the time of each row since the start of its trial, in seconds",
+    "image": "add the file name of each row's picture, relative to the folder",
+    "indenter": "add what was pressed into the gel in each row, such as sphere",
+    "pressure_cmd_kpa": "add the commanded pressure above the surroundings, in kPa",
+    "pressure_cmd_1_kpa": "add the commanded pressures, pressure_cmd_1_kpa and so on, one column a chamber",
+}
 
 
 def _check_columns(samples: pd.DataFrame, device: str, file: Path) -> None:
@@ -83,11 +146,12 @@ def _check_columns(samples: pd.DataFrame, device: str, file: Path) -> None:
     for name in ["trial", "time_s"] + (["image", "indenter"] if device == "gel" else [first]):
         if name not in samples.columns:
             raise InputError(
-                f"{file}: column '{name}' is missing{_near(name, samples)}; a {device} needs it."
+                f"{file}: column '{name}' is missing{_near(name, samples)}; {_HOW[name]} (a recording of "
+                f"{'an' if device == 'arm' else 'a'} {device} needs it)."
             )
     if device != "gel" and not observations(samples, device):
         needed = "tip_x_mm, tip_z_mm, bend_angle_rad or q_1_rad"
-        needed += ", or curvature_x_1_per_m" if device == "arm" else ", or image"
+        needed += ", or curvature_x_1_per_m" if device == "arm" else ""
         if not [c for c in samples if re.fullmatch(r"image(_\w+)?", c)]:
             raise InputError(
                 f"{file}: no column tells what the {device} did{_near('tip_x_mm', samples)}; add {needed}."
@@ -122,11 +186,16 @@ def _numbers(samples: pd.DataFrame, device: str, file: Path) -> pd.DataFrame:
         if bad.any():
             row = int(np.argmax(bad))
             raise InputError(
-                f"{file}: column '{name}', row {row + 1} is {_shown(column.iloc[row])} "
-                f"({int(bad.sum())} such rows); delete these rows or fill in finite numbers."
+                f"{file}: column '{name}', {_row(row, file)} is {_shown(column.iloc[row])} "
+                f"({plural(int(bad.sum()), 'such row')}); delete it or fill in a finite number."
             )
         samples[name] = values
     return samples
+
+
+def _row(row: int, file: Path) -> str:
+    """`row 3 (line 4 of the file)`: rows of data count from 1, and a text file has its header above them."""
+    return f"row {row + 1}" + (f" (line {row + 2} of the file)" if file.suffix.lower() == ".csv" else "")
 
 
 def _shown(value) -> str:
@@ -138,14 +207,16 @@ def _trials(trial: pd.Series, file: Path) -> np.ndarray:
     broken = t != np.round(t)
     if broken.any():
         row = int(np.argmax(broken))
-        raise InputError(f"{file}: column 'trial', row {row + 1} is {t[row]}; number the trials 0, 1, 2, ...")
+        raise InputError(
+            f"{file}: column 'trial', {_row(row, file)} is {t[row]}; number the trials 0, 1, 2, ..."
+        )
     t = t.astype(np.int64)
     starts = np.flatnonzero(np.r_[True, t[1:] != t[:-1]])
     seen: set[int] = set()
     for row in starts:
         if t[row] in seen:
             raise InputError(
-                f"{file}: column 'trial', row {row + 1} goes back to trial {t[row]}; "
+                f"{file}: column 'trial', {_row(row, file)} goes back to trial {t[row]}; "
                 "keep the rows of a trial together, or give the second part its own number."
             )
         seen.add(int(t[row]))
@@ -158,26 +229,54 @@ def _check_time(samples: pd.DataFrame, file: Path, warnings: list[str]) -> pd.Da
     if (step < 0).any():
         row = int(np.argmax(step < 0))
         raise InputError(
-            f"{file}: column 'time_s', row {row + 1} goes back from {time[row - 1]:g} to {time[row]:g} s in "
-            f"trial {trial[row]}; sort the trial by time, or start a new trial where the clock was reset."
+            f"{file}: column 'time_s', {_row(row, file)} goes back from {time[row - 1]:g} to {time[row]:g} s "
+            f"in trial {trial[row]}; sort the trial by time, or start a new trial where the clock was reset."
         )
     doubled = step == 0
     if doubled.any():
         row, n = int(np.argmax(doubled)), int(doubled.sum())
         where = (
-            f"{file}: column 'time_s', row {row + 1} repeats the stamp {time[row]:g} s of trial {trial[row]}"
+            f"{file}: column 'time_s', {_row(row, file)} repeats the stamp {time[row]:g} s of trial "
+            f"{trial[row]} ({plural(n, 'such row')})"
         )
         if n > MAX_DUPLICATES * len(samples) and n > 1:
-            raise InputError(f"{where} ({n} rows do); write time_s with more digits, or delete those rows.")
-        warnings.append(f"{where} ({n} rows do); they are left out.")
-        samples = samples[~doubled].reset_index(drop=True)
+            raise InputError(f"{where}; write time_s with more digits, or delete those rows.")
+        warnings.append(f"{where}; {'it is' if n == 1 else 'they are'} left out.")
+        samples = samples[~doubled]
     normal = np.median(step[np.isfinite(step)]) if np.isfinite(step).any() else 0.0
+    if 5 <= normal <= 1000 and _in_milliseconds(samples):
+        raise InputError(
+            f"{file}: column 'time_s' has one sample every {normal:g} s for {_length(samples) / DAY_S:.1f} "
+            "days while the pressure ramps from row to row, which can only be milliseconds; divide it by "
+            "1000."
+        )
     if normal >= 5 and len(samples) > 100:
         warnings.append(
             f"{file}: column 'time_s' has one sample every {normal:g} s; if the clock counts milliseconds, "
             "divide it by 1000."
         )
     return samples
+
+
+def _length(samples: pd.DataFrame) -> float:
+    """Time recorded in all trials, s."""
+    time = samples.groupby("trial")["time_s"]
+    return float((time.max() - time.min()).sum())
+
+
+def _in_milliseconds(samples: pd.DataFrame) -> bool:
+    """Whether a clock with steps of 5 to 1000 counts milliseconds for sure.
+
+    Its stamps are whole numbers, make more than a day, and the commanded pressure follows ramps. A recording
+    that is truly so slow holds its pressures (creep) or jumps between them from row to row (fatigue).
+    """
+    time = samples["time_s"].to_numpy()
+    if _length(samples) < DAY_S or (np.abs(time - np.round(time)) > 1e-3).any():
+        return False
+    p = samples[[c for c in samples if re.fullmatch(r"pressure_cmd_(\d+_)?kpa", c)]].to_numpy(float)
+    move = np.abs(np.diff(p, axis=0)).max(1) / max(float(np.ptp(p)), 1e-9)
+    moving = move > 1e-4
+    return bool(moving.mean() > 0.1 and np.median(move[moving]) < 0.1)
 
 
 def check_units(samples: pd.DataFrame, meta: dict, file: Path) -> None:
@@ -189,7 +288,8 @@ def check_units(samples: pd.DataFrame, meta: dict, file: Path) -> None:
 
     def refuse(name: str, value: float, row: int, unit: str, remedy: str):
         raise InputError(
-            f"{file}: column '{name}', row {row + 1} is {value:g}, which can only be {unit}; {remedy}."
+            f"{file}: column '{name}', {_row(int(samples.index[row]), file)} is {value:g}, which can only be "
+            f"{unit}; {remedy}."
         )
 
     pressures = [c for c in samples if re.fullmatch(r"pressure_(cmd_)?(\d+_)?kpa", c)]
@@ -239,6 +339,12 @@ def check_units(samples: pd.DataFrame, meta: dict, file: Path) -> None:
 
 def _check_poverty(samples: pd.DataFrame, file: Path, warnings: list[str]) -> None:
     """Notes what is too poor to decide much from; such a recording still loads."""
+    tips = [c for c in samples if re.fullmatch(r"tip_[xyz]_mm", c)]
+    if tips and "tip_z_mm" not in tips:
+        warnings.append(
+            f"{file}: column 'tip_z_mm' is missing, so z, in which the device bends, was not measured; the "
+            f"error counts {' and '.join(tips)} alone."
+        )
     pressures = [c for c in samples if re.fullmatch(r"pressure_cmd_(\d+_)?kpa", c)]
     if all(np.ptp(samples[c].to_numpy()) < 1e-3 for c in pressures):
         warnings.append(
@@ -251,4 +357,6 @@ def _check_poverty(samples: pd.DataFrame, file: Path, warnings: list[str]) -> No
             "record the same program twice to know the noise."
         )
     if len(samples) < 50:
-        warnings.append(f"{file} has only {len(samples)} rows, too few to tell effects apart; record longer.")
+        warnings.append(
+            f"{file} has only {plural(len(samples), 'row')}, too few to tell effects apart; record longer."
+        )

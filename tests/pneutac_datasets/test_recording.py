@@ -94,7 +94,10 @@ def break_(column, row, value):
 
 
 BAD = {
-    "missing column": (lambda s: s.drop(columns="pressure_cmd_kpa"), "'pressure_cmd_kpa' is missing"),
+    "missing column": (
+        lambda s: s.drop(columns="pressure_cmd_kpa"),
+        "'pressure_cmd_kpa' is missing; add .* in kPa",
+    ),
     "unit in the name": (
         lambda s: s.rename(columns={"pressure_cmd_kpa": "pressure_cmd_pa"}),
         "there is 'pressure_cmd_pa'",
@@ -110,14 +113,27 @@ BAD = {
     "kelvin": (lambda s: s.assign(temperature_c=294.0), "kelvin"),
     "gravity in m/s2": (lambda s: s.assign(gravity_x=9.81, gravity_y=0, gravity_z=0), "unit vector"),
     "half a gravity vector": (lambda s: s.assign(gravity_x=1.0), "'gravity_y' is missing"),
-    "time backwards": (break_("time_s", 12, 0.01), "'time_s', row 13 goes back.*sort"),
+    "time backwards": (
+        break_("time_s", 12, 0.01),
+        r"'time_s', row 13 \(line 14 of the file\) goes back.*sort",
+    ),
+    "milliseconds": (
+        lambda s: s.assign(time_s=np.round(s.time_s * 1e4)),
+        "time_s.*milliseconds; divide it by 1000",
+    ),
     "many doubled stamps": (lambda s: s.assign(time_s=np.round(s.time_s, 1)), "repeats the stamp.*digits"),
-    "nan": (break_("tip_x_mm", 12, np.nan), "'tip_x_mm', row 13 is empty.*delete"),
+    "nan": (
+        break_("tip_x_mm", 12, np.nan),
+        r"'tip_x_mm', row 13 \(line 14 of the file\) is empty \(1 such row\).*delete",
+    ),
     "inf": (break_("tip_z_mm", 3, np.inf), "'tip_z_mm', row 4"),
-    "text": (break_("pressure_cmd_kpa", 7, "n/a!"), "'pressure_cmd_kpa', row 8 is 'n/a!'"),
+    "text": (
+        break_("pressure_cmd_kpa", 7, "n/a!"),
+        r"'pressure_cmd_kpa', row 8 \(line 9 of the file\) is 'n/a!'",
+    ),
     "condition with a hole": (break_("temperature_c", 0, np.nan), "'temperature_c', row 1"),
     "fractional trial": (lambda s: s.assign(trial=s.trial + 0.5), "'trial', row 1"),
-    "trial resumed": (lambda s: pd.concat([s, s[s.trial == 0]]), "'trial', row 401 goes back to trial 0"),
+    "trial resumed": (lambda s: pd.concat([s, s[s.trial == 0]]), "'trial', row 401 .*goes back to trial 0"),
     "no rows": (lambda s: s.iloc[:0], "no rows"),
 }
 
@@ -138,10 +154,24 @@ def test_bad_table_is_one_sentence_with_file_column_and_remedy(tmp_path, case):
         ("{", "recording.json is not valid JSON"),
         ("[1]", "JSON object"),
         ('{"device": "claw"}', "'claw'; it must be one of finger, arm, gel"),
-        ('{"length_mm": 110}', "'device' is None"),
+        ('{"length_mm": 110}', "'device' is missing"),
         ('{"device": "finger", "length_mm": 0.11}', "only be metres"),
         ('{"device": "finger", "length_mm": NaN}', "length_mm"),
         ('{"device": "finger", "length_mm": 110, "spine_joint_positions_mm": [50, 10]}', "spine_joint"),
+        *(
+            (f'{{"device": "finger", "length_mm": 110, "samples": "samples.csv", "noise": {noise}}}', message)
+            for noise, message in (
+                ('"0.2"', "noise.*standard deviation"),
+                ("0.2", "noise.*standard deviation"),
+                ("[0.2]", "noise.*standard deviation"),
+                ('{"tip_x_mm": -1}', "'noise' of 'tip_x_mm' is -1"),
+                ('{"tip_x_mm": "0.2"}', "'noise' of 'tip_x_mm' is '0.2'"),
+                ('{"tip_x_mm": NaN}', "'noise' of 'tip_x_mm' is nan"),
+                ('{"tipx": 0.2}', "'tipx', which is not measured"),
+                ('{"temperature_c": 0.2}', "'temperature_c', which is not measured"),
+                ('{"tip_x_mm": 0.2, "tip_z_mm": 0.2}', "does not name 'tip_y_mm'"),
+            )
+        ),
         ('{"device": "finger", "samples": "other.csv"}', "other.csv is missing"),
         ('{"device": "finger", "samples": "../r2/samples.csv"}', "inside the folder"),
         ('{"device": "finger", "samples": "samples.pkl"}', "samples"),
@@ -185,13 +215,41 @@ def test_a_two_gigabyte_csv_is_refused_before_it_is_read(tmp_path):
         (lambda s: s.assign(pressure_cmd_kpa=20.0), "constant at 20 kPa"),
         (lambda s: s[s.trial == 0], "one trial only"),
         (lambda s: s.iloc[:3], "only 3 rows"),
-        (break_("time_s", 12, 11 / 20), "row 13 repeats the stamp 0.55 s"),
+        (break_("time_s", 12, 11 / 20), "0.55 s of trial 0 (1 such row); it is left out"),
+        (lambda s: s.drop(columns="tip_z_mm"), "z, in which the device bends, was not measured"),
     ],
 )
 def test_poor_data_loads_with_a_warning(tmp_path, change, message):
     r = BenchRecording.load(write(tmp_path / "r", change(table())))
     assert any(message in w for w in r.warnings)
     assert all((np.diff(r.column("time_s")[s]) > 0).all() for s in r.trials().values())
+
+
+def test_a_table_with_semicolons_says_so(tmp_path):
+    folder = write(tmp_path / "r")
+    table().to_csv(folder / "samples.csv", sep=";", index=False)
+    with pytest.raises(InputError, match="separated by semicolons; save it with commas"):
+        BenchRecording.load(folder)
+
+
+def test_stated_noise_of_every_tip_column_is_accepted(tmp_path):
+    noise = {"tip_x_mm": 0.2, "tip_y_mm": 0.2, "tip_z_mm": 1}
+    assert BenchRecording.load(write(tmp_path / "r", noise=noise)).meta["noise"] == noise
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        lambda n: np.where(np.arange(n) < n / 2, 0.0, 30.0),
+        lambda n: np.random.default_rng(0).uniform(0, 40, n).round(3),
+    ],
+    ids=["creep under one load", "cycles faster than the logger"],
+)
+def test_a_recording_of_days_is_no_clock_in_milliseconds(tmp_path, command):
+    s = table(8000, 1)
+    s = s.assign(time_s=60.0 * np.arange(len(s)), pressure_cmd_kpa=command(len(s)))
+    r = BenchRecording.load(write(tmp_path / "r", s))
+    assert any("if the clock counts milliseconds" in w for w in r.warnings)
 
 
 @pytest.mark.parametrize("seed", range(5))
