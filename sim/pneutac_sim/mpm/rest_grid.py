@@ -1,0 +1,134 @@
+"""The background grid of a body at rest: which cells hold particles, and what each node weighs.
+
+Grid spacing is twice the particles', so a full cell holds eight of them, at a quarter and three quarters of
+its edges. With quadratic splines all eight share the same 27 nodes, and their weights are products of the
+numbers below.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pneutac_sim.mpm.body import Body
+
+# Spline weight of nodes 0, 1, 2 and its derivative (per grid spacing) at the two particles of a cell.
+WEIGHT = np.array([[0.28125, 0.6875, 0.03125], [0.03125, 0.6875, 0.28125]])
+SLOPE = np.array([[-0.75, 0.5, 0.25], [-0.25, -0.5, 0.75]])
+
+
+def spline(f: np.ndarray) -> np.ndarray:
+    """(..., 3) weights of nodes 0, 1, 2 at distance f in [0.5, 1.5] from node 0, in grid spacings."""
+    return np.stack([0.5 * (1.5 - f) ** 2, 0.75 - (f - 1.0) ** 2, 0.5 * (f - 0.5) ** 2], -1)
+
+
+@dataclass(frozen=True)
+class RestGrid:
+    """A body's cells and nodes.
+
+    Attributes:
+        dx: grid spacing, m.
+        nodes: (N, 3) rest positions of the nodes that the body touches, m.
+        volume: (N,) material volume that each node carries, m3.
+        cell_nodes: (C, 27) node of each cell's corner, index 9 i + 3 j + k.
+        cell_mask: (C,) int bits: particle 4 i + 2 j + k of the cell exists.
+        slots: (N, 27) cell whose local node a this node is; C where there is none.
+        ghost: (N,) node beyond the clamped side that mirrors this one, -1 for none: it moves the opposite
+        way, so that the side itself stands still.
+        mirrored: (N,) bool: this node is such a ghost.
+        particle_cell: (P,) cell of each particle.
+        particle_local: (P,) its number in the cell.
+        surface_cell: (S,) cell of each point of the body's surface, sorted.
+        surface_weights: (S, 3, 3) spline weights along x, y, z.
+        surface_normal: (S, 3) outward at rest.
+        surface_start: (C + 1,) first surface point of each cell.
+    """
+
+    dx: float
+    nodes: np.ndarray
+    volume: np.ndarray
+    cell_nodes: np.ndarray
+    cell_mask: np.ndarray
+    slots: np.ndarray
+    ghost: np.ndarray
+    mirrored: np.ndarray
+    particle_cell: np.ndarray
+    particle_local: np.ndarray
+    surface_cell: np.ndarray
+    surface_weights: np.ndarray
+    surface_normal: np.ndarray
+    surface_start: np.ndarray
+
+    @staticmethod
+    def of(body: Body) -> "RestGrid":
+        """The grid of a body."""
+        dx = 2 * body.spacing_m
+        cell, local = body.cells // 2, body.cells % 2
+        cells, index = np.unique(cell, axis=0, return_inverse=True)
+        index = index.ravel()
+        number = local @ np.array([4, 2, 1])
+        mask = np.zeros(len(cells), np.int32)
+        np.bitwise_or.at(mask, index, 1 << number.astype(np.int32))
+        # Node (i, j, k) of the grid lies at the middle of cell (i - 1, j - 1, k - 1): a quadratic spline's
+        # three nearest nodes are the middles of its own cell and of the two neighbours.
+        offset = np.stack(np.meshgrid(*(np.arange(3),) * 3, indexing="ij"), -1).reshape(27, 3)
+        corner = cells[:, None] + offset
+        nodes, node_of = np.unique(corner.reshape(-1, 3), axis=0, return_inverse=True)
+        node_of = node_of.reshape(-1, 27).astype(np.int32)
+        slots = np.full((len(nodes), 27), len(cells), np.int32)
+        slots[node_of, np.arange(27)] = np.arange(len(cells))[:, None]
+        w = WEIGHT[local]  # (P, 3 axes, 3 nodes)
+        share = np.einsum("pa,pb,pc->pabc", w[:, 0], w[:, 1], w[:, 2]).reshape(-1, 27)
+        volume = np.zeros(len(nodes))
+        np.add.at(volume, node_of[index], share * body.spacing_m**3)
+        ghost = np.full(len(nodes), -1, np.int32)
+        mirrored = np.zeros(len(nodes), bool)
+        if body.clamp:
+            axis = "xyz".index(body.clamp[0])
+            mirrored = nodes[:, axis] == 0
+            step = np.eye(3, dtype=int)[axis]
+            place = {tuple(n): i for i, n in enumerate(nodes)}
+            for i in np.flatnonzero(mirrored):
+                ghost[place[tuple(nodes[i] + step)]] = i
+        surface = _surface(body, cells, index)
+        return RestGrid(
+            dx=dx,
+            nodes=body.origin_m + (nodes - 0.5) * dx,
+            volume=volume,
+            cell_nodes=node_of,
+            cell_mask=mask,
+            slots=slots,
+            ghost=ghost,
+            mirrored=mirrored,
+            particle_cell=index.astype(np.int32),
+            particle_local=number.astype(np.int32),
+            **surface,
+        )
+
+
+def _surface(body: Body, cells: np.ndarray, index: np.ndarray) -> dict[str, np.ndarray]:
+    """One point on each outer face of the lattice, sorted by cell."""
+    taken = {tuple(c) for c in body.cells}
+    owners, normals = [], []
+    for axis in range(3):
+        for sign in (-1, 1):
+            step = np.zeros(3, int)
+            step[axis] = sign
+            bare = np.array([tuple(c) not in taken for c in body.cells + step], bool)
+            owners.append(np.flatnonzero(bare))
+            normals.append(np.tile(step, (bare.sum(), 1)))
+    owner, normal = np.concatenate(owners), np.concatenate(normals)
+    if body.clamp:
+        axis = "xyz".index(body.clamp[0])
+        keep = ~((normal[:, axis] == -1) & (body.cells[owner, axis] == 0))
+        owner, normal = owner[keep], normal[keep]
+    order = np.argsort(index[owner], kind="stable")
+    owner, normal = owner[order], normal[order]
+    cell = index[owner]
+    # 0.75 or 1.25 grid spacings from node 0 for a particle; a face is a quarter spacing further out.
+    place = 0.75 + 0.5 * (body.cells[owner] % 2) + 0.25 * normal
+    return {
+        "surface_cell": cell.astype(np.int32),
+        "surface_weights": spline(place).astype(np.float32),
+        "surface_normal": normal.astype(np.float32),
+        "surface_start": np.searchsorted(cell, np.arange(len(cells) + 1)).astype(np.int32),
+    }

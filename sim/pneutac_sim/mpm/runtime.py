@@ -1,0 +1,65 @@
+"""The one place that loads the kernel compiler and starts it on a device.
+
+Taichi compiles the kernels; where only its maintained fork `quadrants` is installed, that does. Kernels
+import `ti` from here and keep to what both can do.
+"""
+
+import multiprocessing
+import os
+
+from pneutac_sim.errors import InputError
+
+os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "False")  # it greets on stdout, where results go
+try:
+    import taichi as ti
+except ImportError:
+    import quadrants as ti
+
+_started: tuple[str, int] | None = None  # device and process
+
+
+def start(device: str = "auto", threads: int = 0) -> str:
+    """Starts the compiler's runtime once a process; later calls with the same device do nothing.
+
+    Args:
+        device: `cpu`, `cuda`, or `auto` for CUDA where there is one.
+        threads: of the CPU; 0 for all cores.
+
+    Returns:
+        `cpu` or `cuda`.
+
+    Raises:
+        InputError: no such device, CUDA is missing, the runtime runs on another device already, or this
+        process was forked from one in which it had been started (it would hang).
+    """
+    global _started
+    if device not in ("auto", "cpu", "cuda"):
+        raise InputError(f"There is no device '{device}'; choose auto, cpu or cuda.")
+    if _started is not None:
+        running, process = _started
+        if process != os.getpid():
+            raise InputError(
+                "This process was forked after the MPM runtime had been started, which makes it hang; "
+                "start processes with multiprocessing.get_context('spawn')."
+            )
+        if device not in ("auto", running):
+            raise InputError(f"The MPM runtime runs on {running} already; {device} needs a new process.")
+        return running
+    if device == "auto":
+        device = "cuda" if _has_cuda() else "cpu"
+    elif device == "cuda" and not _has_cuda():
+        raise InputError(
+            "CUDA is not available: `nvidia-smi` must list a GPU, with a driver of version 450 or newer; "
+            "use --device=cpu."
+        )
+    options = {"default_fp": ti.f32, "offline_cache": True, "log_level": ti.WARN}
+    if device == "cpu":
+        options["cpu_max_num_threads"] = threads or multiprocessing.cpu_count()
+    ti.init(arch=ti.cuda if device == "cuda" else ti.cpu, **options)
+    _started = (device, os.getpid())
+    return device
+
+
+def _has_cuda() -> bool:
+    with_arch = getattr(ti._lib.core, "with_cuda", None)
+    return bool(with_arch and with_arch())

@@ -1,0 +1,225 @@
+"""What a user calls: equilibrium under loads, and motion over time."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.mpm.total_lagrangian import Loads, TotalLagrangian
+
+CHUNK = 25  # substeps between two looks at the residual
+RAMP = 16  # pieces of the way of an indenter that begins inside the body
+
+
+class MpmDiverged(RuntimeError):  # noqa: N818
+    """The material points found no equilibrium, or left the finite numbers."""
+
+
+@dataclass(frozen=True)
+class Equilibrium:
+    """Bodies at rest under load.
+
+    Attributes:
+        positions: (B, P, 3) of the particles, m.
+        gradients: (B, P, 3, 3) deformation gradients.
+        q: (B, H) joint angles, rad.
+        controller_torque: (B, H) of the controller, N m.
+        body_torque: (B, H) of body and gravity on the joints, N m; the two add up to nearly nothing.
+        contact_force: (B, 3) of the indenter on the body, N.
+        penetration_m: (B,) deepest surface point inside the indenter, m.
+        residual: (B,) unbalanced force over the forces inside the body.
+        substeps: taken.
+    """
+
+    positions: np.ndarray
+    gradients: np.ndarray
+    q: np.ndarray
+    controller_torque: np.ndarray
+    body_torque: np.ndarray
+    contact_force: np.ndarray
+    penetration_m: np.ndarray
+    residual: np.ndarray
+    substeps: int
+
+
+def solve_equilibrium(
+    solver: TotalLagrangian,
+    loads: Loads,
+    tolerance: float = 3e-3,
+    max_substeps: int = 20_000,
+    warm: bool = False,
+) -> Equilibrium:
+    """Lets bodies come to rest under loads by damped stepping, near critical damping of the slowest motion.
+
+    Args:
+        solver: holds the bodies; their state is where the search begins if `warm`.
+        loads: what acts.
+        tolerance: of the unbalanced force over the inner forces.
+        max_substeps: after so many the search is given up.
+        warm: go on from the present state (a neighbouring pressure, say) instead of from rest.
+
+    Raises:
+        MpmDiverged: no equilibrium was found; says which body and what to change.
+    """
+    if warm and solver.spine:
+        q = solver.angles()[0]
+        before = solver.drive_target
+        solver.shift_q(q + (np.broadcast_to(loads.q_cmd, q.shape) - before))
+    elif not warm:
+        solver.reset()
+        if solver.spine and loads.q_cmd is not None:
+            solver.set_q(loads.q_cmd)
+    solver.heavy_edges(True)
+    rate = solver.slowest_rate()
+    taken = 0
+
+    def go(loads: Loads, substeps: int) -> None:
+        nonlocal taken
+        solver.apply(loads, damping=2 * rate, contact_rate=2 * rate)
+        solver.step(substeps)
+        taken += substeps
+
+    go(loads, 0)
+    away = _retreat(solver, loads)
+    for i in range(RAMP):
+        if away is None:
+            break
+        go(replace(loads, position_m=loads.position_m + away * (1 - (i + 1) / RAMP)), 10)
+    try:
+        while True:
+            go(loads, CHUNK - 1)
+            m = solver.measure()
+            taken += 1
+            _finite(solver, m["residual"], taken)
+            # A motion slower than the guess shows once the fast ones have died away.
+            rate = np.where(m["rate"] > 0, np.minimum(rate, m["rate"]), rate)
+            left = m["residual"] / np.maximum(m["scale"], solver.least_force())
+            if (left < tolerance).all() and _joints_rest(solver, loads, tolerance):
+                break
+            if taken >= max_substeps:
+                worst = int(np.argmax(left))
+                raise MpmDiverged(
+                    f"Body '{solver.body.name}' (number {worst} of the batch) is not at rest after {taken} "
+                    f"substeps: unbalanced forces are {left[worst]:.2g} of the inner ones, {tolerance:.2g} "
+                    "was asked; allow more substeps, or approach the load in steps with warm=True."
+                )
+    finally:
+        solver.heavy_edges(False)
+    positions, gradients = solver.particles()
+    force, depth = solver.contact()
+    q, _, soft = solver.angles()
+    target = np.zeros_like(q) if loads.q_cmd is None else np.broadcast_to(loads.q_cmd, q.shape)
+    stiffness = solver.spine.stiffness_nm_per_rad if solver.spine else 0.0
+    return Equilibrium(
+        positions=positions,
+        gradients=gradients,
+        q=q,
+        controller_torque=stiffness * (target - q),
+        body_torque=soft,
+        contact_force=force.sum(1),
+        penetration_m=depth.max(1, initial=0.0),
+        residual=left,
+        substeps=taken,
+    )
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Bodies in motion, T frames.
+
+    Attributes:
+        time_s: (T,).
+        q: (T, B, H) rad.
+        q_vel: (T, B, H) rad/s.
+        body_torque: (T, B, H) N m.
+        contact_force: (T, B, 3) N.
+        positions: (T, B, P, 3) m, or None where particles were not asked for.
+    """
+
+    time_s: np.ndarray
+    q: np.ndarray
+    q_vel: np.ndarray
+    body_torque: np.ndarray
+    contact_force: np.ndarray
+    positions: np.ndarray | None
+
+
+def simulate(
+    solver: TotalLagrangian,
+    loads: Callable[[float], Loads] | Loads,
+    duration_s: float,
+    frame_s: float,
+    damping: float = 0.0,
+    dt: float | None = None,
+    particles: bool = True,
+) -> Trajectory:
+    """Moves bodies on from their present state; the first frame is that state.
+
+    Args:
+        solver: holds the bodies.
+        loads: what acts, or a function of time; held constant during a frame.
+        duration_s: s.
+        frame_s: time between frames, s.
+        damping: of the momentum by a surrounding medium, 1/s.
+        dt: largest step, s; None for the largest stable one of the batch.
+        particles: keep their positions.
+
+    Raises:
+        InputError: a duration or a step that makes no sense.
+        MpmDiverged: a body left the finite numbers.
+    """
+    if not (duration_s > 0 and 0 < frame_s <= duration_s):
+        raise InputError(
+            f"duration_s {duration_s} and frame_s {frame_s} must be positive, the second smaller."
+        )
+    limit = float(solver.stable_dt.min()) if dt is None else dt
+    substeps = int(np.ceil(frame_s / limit))
+    step = frame_s / substeps
+    frames = int(round(duration_s / frame_s))
+    at = loads if callable(loads) else lambda _: loads
+    out: dict[str, list] = {k: [] for k in ("q", "q_vel", "body_torque", "contact_force", "positions")}
+    solver.heavy_edges(False)
+    for frame in range(frames + 1):
+        q, qd, soft = solver.angles()
+        force = solver.contact()[0].sum(1)
+        values = (q, qd, soft, force, solver.particles()[0] if particles else None)
+        for key, value in zip(out, values, strict=True):
+            out[key].append(value)
+        if frame < frames:
+            solver.apply(at(frame * frame_s), damping=damping, dt=step, contact_rate=0.05 / step)
+            solver.step(substeps)
+            _finite(solver, solver.energy(), (frame + 1) * substeps)
+    stacked = {k: np.stack(v) if v[0] is not None else None for k, v in out.items()}
+    return Trajectory(time_s=np.arange(frames + 1) * frame_s, **stacked)
+
+
+def _retreat(solver: TotalLagrangian, loads: Loads) -> np.ndarray | None:
+    """(B, 3) m by which an indenter that overlaps the body must go back along its axis, or None."""
+    if not solver.touching:
+        return None
+    solver.step(0)
+    overlap = solver.overlap()
+    if overlap.max() < 0.25 * solver.body.spacing_m:
+        return None
+    axis = np.broadcast_to(loads.rotation, (solver.batch, 3, 3))[:, :, 2]
+    return overlap[:, None] * axis
+
+
+def _joints_rest(solver: TotalLagrangian, loads: Loads, tolerance: float) -> bool:
+    if not solver.spine:
+        return True
+    q, _, soft = solver.angles()
+    target = np.zeros_like(q) if loads.q_cmd is None else np.broadcast_to(loads.q_cmd, q.shape)
+    torque = solver.spine.stiffness_nm_per_rad * (target - q)
+    scale = np.abs(soft).max(1, keepdims=True) + 1e-9
+    return bool((np.abs(torque + soft) < max(tolerance, 1e-3) * scale + 1e-7).all())
+
+
+def _finite(solver: TotalLagrangian, value: np.ndarray, substeps: int) -> None:
+    if not np.isfinite(value).all():
+        worst = int(np.argmin(np.isfinite(value)))
+        raise MpmDiverged(
+            f"Body '{solver.body.name}' (number {worst} of the batch) left the finite numbers within "
+            f"{substeps} substeps: a particle was turned inside out; load it more slowly, or use finer particles."
+        )
