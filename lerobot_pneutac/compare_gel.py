@@ -1,4 +1,4 @@
-"""Compares a gel twin with photographs: scores, also of the contact alone, and the worst images."""
+"""Compares a gel twin with recorded images: scores, also of the contact alone, and the worst images."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -18,12 +18,12 @@ from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.twin import Twin
 
-QUIET_RADII = 3.0  # beyond so many contact radii the photograph should equal the rest image
+QUIET_RADII = 3.0  # beyond so many contact radii the image should equal the rest image
 WORST = 5
 
 
 def compare_gel(twin: Twin, recording: BenchRecording, out: Path | None, console: Console) -> dict:
-    """Renders every photograph's indentation with the twin, scores and reports.
+    """Renders every image's indentation with the twin, scores and reports.
 
     The recording's own rest image and scale are used: illumination drifts between sessions, and that is no
     fault of the gel's model.
@@ -78,9 +78,9 @@ def compare_gel(twin: Twin, recording: BenchRecording, out: Path | None, console
         first = data.samples[int(np.argmax(train))]
         picture = picture_grid(data, ours, first)
         Image.fromarray(picture).save(out / "tactile.png")
-        report = Report(f"Gel twin against photographs: {recording.folder.name}")
+        report = Report(f"Gel twin against recording: {recording.folder.name}")
         report.lead(sentence)
-        report.image(picture, "Above real, in the middle the twin, below four times the difference.")
+        report.image(picture, "Above the recording, in the middle the twin, below four times the difference.")
         if result["image"]:
             report.table([result["image"]], "Means over the images whose role is not calibration.")
         for name, rows in result["by"].items():
@@ -130,6 +130,6 @@ def _sentence(result: dict) -> str:
         error = result["error"]["train"]
         return f"The twin misses its calibration image by {error:.3g} levels; the recording has no other."
     return (
-        f"On {image['n']} photographs that the twin was not fitted to it is {image['rmse']:.3g} levels off "
+        f"On {image['n']} images that the twin was not fitted to it is {image['rmse']:.3g} levels off "
         f"(the rest image alone {image['rest_rmse']:.3g}), in the contact {image['contact_rmse']:.3g}."
     )

@@ -1,4 +1,4 @@
-"""Calibrates the gel of a twin to a bench recording, scores it on held-out photographs and reports."""
+"""Calibrates the gel of a twin to a bench recording, scores it on held-out images and reports."""
 
 import time
 
@@ -65,8 +65,11 @@ def calibrate_gel(twin: Twin, recording: BenchRecording, cfg, console: Console) 
         "heldout": float(np.sqrt(np.mean(np.square(unseen)))) if heldout else None,
     }
 
+    # images generated for this run alone are gone after it, so their folder would tell nothing
+    passing = cfg.recording is None and recording.meta.get("generated")
+    source = f"generated images (seed {cfg.seed})" if passing else str(recording.folder)
     carried.into_twin(twin)
-    twin.save_version(cfg.twin, "calibrated gel", str(recording.folder), {**error, "unit": "levels"})
+    twin.save_version(cfg.twin, "calibrated gel", source, {**error, "unit": "levels"})
     result = {
         "parameters": _parameters(carried),
         "error": error,
@@ -76,7 +79,7 @@ def calibrate_gel(twin: Twin, recording: BenchRecording, cfg, console: Console) 
         if heldout
         else None,
         "methods": {name: _finite(m) for name, m in mean.items()},
-        "recording": str(recording.folder),
+        "recording": source,
         "notes": recording.meta.get("notes", ""),
         "twin": str(cfg.twin),
         "version": twin.history[-1]["version"],
@@ -169,7 +172,7 @@ def _table(data: GelRecording, scores: dict[str, list[ImageScores]]) -> list[dic
 
 
 def _print(rows: list[dict], console: Console) -> None:
-    table = Table(title="Rendered against real tactile images (8-bit levels)")
+    table = Table(title="Rendered against the recording's tactile images (8-bit levels)")
     for name in rows[0]:
         table.add_column(name, justify="left" if name in ("images", "method") else "right")
     last = None
@@ -185,7 +188,7 @@ def _print(rows: list[dict], console: Console) -> None:
 
 
 def picture_grid(data: GelRecording, ours: list[np.ndarray], first: GelSample) -> np.ndarray:
-    """Rows real, ours, error (grey is none, four times exaggerated); columns rest, calibration, held-out."""
+    """Rows recorded, ours, error (grey is none, four times exaggerated); columns rest, first, held-out."""
     heldout = [i for i, s in enumerate(data.samples) if s.role != "calibration"]
     picks = (
         [heldout[i] for i in np.unique(np.linspace(0, len(heldout) - 1, PICTURES).astype(int))]
@@ -197,10 +200,12 @@ def picture_grid(data: GelRecording, ours: list[np.ndarray], first: GelSample) -
     return np.concatenate(columns, axis=1)
 
 
-def _column(real: np.ndarray, ours: np.ndarray) -> np.ndarray:
-    error = np.clip(128 + 4.0 * (ours.astype(float) - real), 0, 255).astype(np.uint8)
-    size = (round(160 * real.shape[1] / real.shape[0] * 4 / 3), round(160 * 4 / 3))
-    small = [np.asarray(Image.fromarray(a).resize(size, Image.Resampling.BOX)) for a in (real, ours, error)]
+def _column(recorded: np.ndarray, ours: np.ndarray) -> np.ndarray:
+    error = np.clip(128 + 4.0 * (ours.astype(float) - recorded), 0, 255).astype(np.uint8)
+    size = (round(160 * recorded.shape[1] / recorded.shape[0] * 4 / 3), round(160 * 4 / 3))
+    small = [
+        np.asarray(Image.fromarray(a).resize(size, Image.Resampling.BOX)) for a in (recorded, ours, error)
+    ]
     return np.pad(
         np.concatenate([np.pad(a, ((0, 4), (0, 0), (0, 0)), constant_values=255) for a in small]),
         ((0, 0), (0, 4), (0, 0)),
@@ -209,7 +214,7 @@ def _column(real: np.ndarray, ours: np.ndarray) -> np.ndarray:
 
 
 def _report(cfg, result: dict, rows: list[dict], picture: np.ndarray):
-    report = Report("A tactile sensor from two photographs")
+    report = Report("A tactile sensor from two images")
     image = result["image"]
     if image:
         report.lead(
@@ -219,7 +224,7 @@ def _report(cfg, result: dict, rows: list[dict], picture: np.ndarray):
     report.text(f"Recording: `{result['recording']}`. {result['notes']}")
     report.image(
         picture,
-        "Above real, in the middle ours, below ours - real (four times; grey is no error). "
+        "Above the recording, in the middle ours, below ours minus recording (four times; grey is no error). "
         "Columns: rest, the calibration image, held-out images.",
     )
     report.table(
@@ -234,5 +239,5 @@ def _report(cfg, result: dict, rows: list[dict], picture: np.ndarray):
     )
     report.heading("Do it again")
     command = f"pneutac calibrate --twin={cfg.twin} --multiply={str(cfg.multiply).lower()} --seed={cfg.seed}"
-    report.code(command + (f" --recording={cfg.recording}" if cfg.recording else ""))
+    report.code(command + (f" --recording={cfg.recording}" if cfg.recording else "") + f" --out={cfg.out}")
     return report.write(cfg.out)

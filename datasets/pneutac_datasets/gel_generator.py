@@ -72,6 +72,7 @@ def write_gel_recording(folder: str | Path, seed: int = 0, heldout: int = 6) -> 
         "rest_image": "rest.png",
         "samples": "samples.csv",
         "px_per_mm": PX_PER_MM,
+        "generated": True,
         "notes": "Generated: point LEDs on a Hertz half-space, with noise and drift; not photographs.",
     }
     BenchRecording(folder, meta, pd.DataFrame(rows), "gel").write(folder)

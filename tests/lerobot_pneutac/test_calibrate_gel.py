@@ -76,8 +76,13 @@ def test_a_finger_twin_gets_the_gel_as_its_next_version(generated, tmp_path):
 
 def test_without_a_recording_the_output_says_that_the_images_are_generated(tmp_path, capsys, monkeypatch):
     monkeypatch.delenv("PNEUTAC_DATA", raising=False)
-    main([f"--twin={tmp_path / 'twin'}"])
-    assert "GENERATED images, not photographs" in capsys.readouterr().out
+    main([f"--twin={tmp_path / 'twin'}", f"--out={tmp_path / 'out'}"])
+    said = capsys.readouterr().out
+    assert "GENERATED images, not photographs" in said and "real tactile" not in said
+    assert Twin.load(tmp_path / "twin").history[-1]["recording"] == "generated images (seed 0)"
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "from two photographs" not in page and "Above real" not in page
+    assert f"--out={tmp_path / 'out'}" in page and "/generated" not in page
 
 
 def test_same_recording_same_twin(generated, tmp_path):
