@@ -8,14 +8,16 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from lerobot_pneutac.diagnose import load_pair, progress
+from lerobot_pneutac.diagnose import progress
 from lerobot_pneutac.diagnosis import pneumatics
 from lerobot_pneutac.diagnosis.bootstrap import Resampler
 from lerobot_pneutac.diagnosis.candidates import sort_candidates
 from lerobot_pneutac.diagnosis.mounts import on_one_mount
 from lerobot_pneutac.diagnosis.parts import Parts, deal
 from lerobot_pneutac.diagnosis.refit import Refit, refit
+from lerobot_pneutac.diagnosis.sentences import percent
 from lerobot_pneutac.options import parse_options
+from lerobot_pneutac.pair import enough_rows, load_pair, require
 from lerobot_pneutac.report import Report, write_result
 from pneutac_datasets.check import check
 from pneutac_datasets.noise import NoiseFloor, noise_floor
@@ -44,9 +46,7 @@ class AddConfig:
     seed: int = 0
 
     def __post_init__(self):
-        for name in ("twin", "recording"):
-            if getattr(self, name) is None:
-                raise InputError(f"Give the {name}'s folder with --{name}=DIR.")
+        require(self, "twin", "recording")
         if not self.effect:
             raise InputError(
                 "Give the effect with --effect=NAME; `pneutac diagnose` tells which one is missing."
@@ -68,6 +68,7 @@ class Added:
         fall: of the held-out mean square error: value, lower 1 % and upper 99 % bound.
         reduction: share of the avoidable error removed, and its 95 % interval.
         judge: resamples the held-out blocks.
+        said: what the data check found, one sentence each.
     """
 
     effect: str
@@ -78,6 +79,7 @@ class Added:
     fall: tuple[float, float, float]
     reduction: tuple[float, tuple[float, float]]
     judge: Resampler
+    said: list[str]
 
     @property
     def falls(self) -> bool:
@@ -104,6 +106,8 @@ def main(argv: list[str]) -> None:
     with progress(console) as (tell, done):
         tell(f"fitting with and without {cfg.effect}", 2)
         added = add(twin, recording, cfg.effect, cfg.seed, done)
+    for sentence in added.said:
+        console.print(f"[yellow]note:[/] {sentence}", highlight=False)
     before, after = added.errors(added.before.residual), added.errors(added.after.residual)
     _show(added, before, after, console)
     unit = added.noise.unit
@@ -131,6 +135,7 @@ def main(argv: list[str]) -> None:
         "parameters": parameters(added.after.twin, cfg.effect),
         "at_bound": sorted(added.after.at_bound),
         "not_identified": added.after.not_identified,
+        "checks": added.said,
         "twin": str(cfg.twin),
         "version": len(added.after.twin.history) - 1,
     }
@@ -152,21 +157,21 @@ def add(twin: Twin, recording: BenchRecording, effect: str, seed: int = 0, done=
             f"The twin has the effect '{effect}' already (it has {', '.join(twin.effects)}); "
             "`pneutac calibrate` re-fits it."
         )
-    recording = check(recording)[0]
+    recording, said = check(recording)
     for u in sort_candidates(recording, twin)[1]:
         if u.name == effect:
             raise InputError(f"{recording.folder}: effect '{effect}' {u.reason}.")
     parts = deal(recording, seed, choose=False)
-    recording = on_one_mount(recording, twin, parts.train)[0]
+    enough_rows(twin, recording, [*twin.effects, effect], parts.train)
+    recording, moved = on_one_mount(recording, twin, parts.train)
     noise = noise_floor(recording)
     before = refit(twin, recording, list(twin.effects), parts, done)
     start = before.twin if not pneumatics.is_pneumatic(effect) else twin
     after = refit(start, recording, [*twin.effects, effect], parts, done)
     judge = Resampler(parts.heldout, parts.unit, parts.stratum, seed)
     b, a = (before.residual**2).sum(1), (after.residual**2).sum(1)
-    return Added(
-        effect, before, after, parts, noise, judge.drop(b, a), judge.reduction(b, a, noise.value), judge
-    )
+    reduction = judge.reduction(b, a, noise.value)
+    return Added(effect, before, after, parts, noise, judge.drop(b, a), reduction, judge, said + moved)
 
 
 def parameters(twin: Twin, effect: str) -> dict:
@@ -187,15 +192,19 @@ def _show(added: Added, before: dict, after: dict, console: Console) -> None:
         table.add_row(name, f"{e['train']:.4g}", f"{e['heldout']:.4g}", f"{lo:.4g} to {hi:.4g}")
     console.print(table)
     if added.falls:
-        share, (lo, hi) = added.reduction
-        values = {k: v.value for k, v in added.after.twin.effects[added.effect].items()}
-        console.print(get_effect(added.effect).describe(values), highlight=False)
+        console.print(_physics(added), highlight=False)
         console.print(
-            f"{added.effect} removes {100 * share:.0f} % [{100 * lo:.0f}-{100 * hi:.0f}] of what could go",
-            highlight=False,
+            f"{added.effect} removes {percent(*added.reduction)} of what could be avoided", highlight=False
         )
     if added.after.at_bound:
         console.print(f"[yellow]at a bound:[/] {', '.join(added.after.at_bound)}", highlight=False)
+
+
+def _physics(added: Added) -> str:
+    """What the effect does to this device, with the fitted numbers."""
+    twin = added.after.twin
+    values = {k: v.value for k, v in twin.effects[added.effect].items()}
+    return get_effect(added.effect).describe(values, twin.device)
 
 
 def _page(added: Added, result: dict) -> Report:
@@ -203,11 +212,10 @@ def _page(added: Added, result: dict) -> Report:
 
     unit = added.noise.unit
     page = Report(f"Added {added.effect}")
-    share, (lo, hi) = added.reduction
     page.lead(
-        f"With {added.effect} the held-out error fell from {result['before']['heldout']:.3g} to "
-        f"{result['after']['heldout']:.3g} {unit}: {100 * share:.0f} % [{100 * lo:.0f}-{100 * hi:.0f}] of "
-        "what could be avoided."
+        f"{_physics(added)} With {added.effect} the held-out error fell from "
+        f"{result['before']['heldout']:.3g} to {result['after']['heldout']:.3g} {unit}: "
+        f"{percent(*added.reduction)} of what could be avoided."
     )
     figure = go.Figure()
     for name, e, colour in (("before", result["before"], "#9aa5b1"), ("after", result["after"], "#0b6e99")):
@@ -217,6 +225,18 @@ def _page(added: Added, result: dict) -> Report:
     figure.add_hline(y=added.noise.value, line_dash="dash", annotation_text="noise")
     page.figure(figure.update_yaxes(title=f"held-out error ({unit})", rangemode="tozero"))
     page.table(
-        [{"parameter": k, **v} for k, v in result["parameters"].items()], "Fitted, with 95 % intervals."
+        [
+            {
+                "parameter": k,
+                "value": v["value"],
+                "95 % interval": "{:.4g} to {:.4g}".format(*v["ci95"]) if v["ci95"] else "held",
+                "unit": v["unit"] or "(a ratio)",
+            }
+            for k, v in result["parameters"].items()
+        ],
+        "Fitted to the training blocks.",
     )
+    if added.said:
+        page.heading("What the data check found")
+        page.text("\n\n".join(added.said))
     return page

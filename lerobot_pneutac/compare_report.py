@@ -157,11 +157,19 @@ def heat_map(c) -> go.Figure:
             at = (down == a) & (across.bin == b)
             if at.any():
                 z[a, b] = np.sqrt(c.squared[at].mean())
+    top = max(float(np.nanmax(z)), 1e-9)  # plotly heeds zmin only where zmax is given too
     z = np.where(np.isfinite(z), z.round(4), None).tolist()
     bar = {"title": c.unit}
     figure = go.Figure(
         go.Heatmap(
-            z=z, x=across.labels, y=names, colorscale="YlOrRd", zmin=0, colorbar=bar, hoverongaps=False
+            z=z,
+            x=across.labels,
+            y=names,
+            colorscale="YlOrRd",
+            zmin=0,
+            zmax=top,
+            colorbar=bar,
+            hoverongaps=False,
         )
     )
     figure.update_layout(xaxis_title="commanded pressure, kPa", yaxis_title="pressure")

@@ -18,14 +18,15 @@ from rich.progress import (
 from rich.table import Table
 
 from lerobot_pneutac.diagnosis.engine import cores
-from lerobot_pneutac.diagnosis.result import Diagnosis
-from lerobot_pneutac.diagnosis.sentences import caveats, lead, next_experiment
+from lerobot_pneutac.diagnosis.result import Diagnosis, Tested
+from lerobot_pneutac.diagnosis.sentences import caveats, lead, next_experiment, percent
 from lerobot_pneutac.diagnosis.study import diagnose
 from lerobot_pneutac.options import parse_options
+from lerobot_pneutac.pair import load_pair, require
 from lerobot_pneutac.report import write_result
-from pneutac_datasets.recording import BenchRecording
 from pneutac_sim.errors import InputError
-from pneutac_sim.twin import Twin
+
+LITTLE_ALONE = 0.03  # share of the avoidable error: an effect that alone removes less looks like nothing
 
 
 @dataclass
@@ -47,9 +48,7 @@ class DiagnoseConfig:
     seed: int = 0
 
     def __post_init__(self):
-        for name in ("twin", "recording"):
-            if getattr(self, name) is None:
-                raise InputError(f"Give the {name}'s folder with --{name}=DIR.")
+        require(self, "twin", "recording")
         if self.out is not None and self.out.exists() and not self.out.is_dir():
             raise InputError(f"--out={self.out} is a file; give a folder.")
         if self.jobs < 0:
@@ -70,26 +69,6 @@ def main(argv: list[str]) -> None:
 
         write_result(cfg.out, result(d, advice))
         console.print(f"report: {write_page(d, advice, separation, cfg.out)}", highlight=False)
-
-
-def load_pair(twin_path: Path, recording_path: Path) -> tuple[Twin, BenchRecording]:
-    """The twin and a recording that may be diagnosed; raises InputError where they do not fit together."""
-    twin, recording = Twin.load(twin_path), BenchRecording.load(recording_path)
-    if recording.device == "gel":
-        raise InputError(
-            f"{recording_path} is of a gel; effects are sought in recordings of a finger or an arm."
-        )
-    if recording.device != twin.device:
-        raise InputError(
-            f"{recording_path} is of a {recording.device} and {twin_path} of a {twin.device}; "
-            "diagnose a twin with a recording of its own device."
-        )
-    if recording.length_mm is not None and abs(recording.length_mm - twin.length_mm) > 0.02 * twin.length_mm:
-        raise InputError(
-            f"{recording_path}/recording.json: length_mm is {recording.length_mm:g}, the twin's is "
-            f"{twin.length_mm:g}; make the twin with `pneutac new --twin=DIR --recording={recording_path}`."
-        )
-    return twin, recording
 
 
 class progress:  # noqa: N801
@@ -128,8 +107,7 @@ def show(d: Diagnosis, advice: str, console: Console) -> None:
     rest = [t for t in d.tested if t.name not in d.selected][: max(2, 6 - len(chosen))]
     for t in chosen + rest:
         values = ", ".join(f"{k} {v['value']:.3g}" for k, v in list(t.parameters.items())[:3])
-        share = f"{100 * t.reduction:.0f} % [{100 * t.ci95[0]:.0f} to {100 * t.ci95[1]:.0f}]"
-        table.add_row(t.name, f"{t.heldout:.3g}", share, values, "found" if t.name in d.selected else "")
+        table.add_row(t.name, f"{t.heldout:.3g}", percent(t.reduction, t.ci95), values, found(d, t))
     if d.selected:
         table.add_row("(all found)", f"{d.after_error:.3g}", "", "", "")
     console.print(table)
@@ -139,6 +117,13 @@ def show(d: Diagnosis, advice: str, console: Console) -> None:
         console.print(sentence, highlight=False)
     console.print(f"[bold]Next experiment:[/] {advice}", highlight=False)
     console.print(f"verdict: {d.verdict}   ({d.seconds:.0f} s)", highlight=False)
+
+
+def found(d: Diagnosis, t: Tested) -> str:
+    """What the table's last column says; some effects show only once others are there."""
+    if t.name not in d.selected:
+        return ""
+    return "found" if t.reduction > LITTLE_ALONE or len(d.selected) == 1 else "found, with the others"
 
 
 def result(d: Diagnosis, advice: str) -> dict:

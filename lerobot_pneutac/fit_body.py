@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from lerobot_pneutac.diagnosis.mounts import on_one_mount
+from lerobot_pneutac.pair import enough_rows
 from lerobot_pneutac.report import Report, write_result
 from pneutac_datasets.check import check
 from pneutac_sim.errors import InputError
@@ -62,6 +63,7 @@ def fit_body(twin: Twin, recording, seed: int = 0) -> BodyFit:
             "what the device did; add one of them."
         )
     train, heldout = recording.split(seed)
+    enough_rows(twin, recording, list(twin.effects), train)
     recording, said = on_one_mount(recording, twin, train)
     bench = Bench.of(recording, twin)
     command = Bench.of(recording, twin, source="command")

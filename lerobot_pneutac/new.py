@@ -7,6 +7,7 @@ from rich.console import Console
 
 from lerobot_pneutac.options import parse_options
 from pneutac_datasets.recording import BenchRecording
+from pneutac_datasets.rules import an
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import Pipeline
 from pneutac_sim.gel.model import GelModel
@@ -42,7 +43,7 @@ def main(argv: list[str]) -> None:
     recording = BenchRecording.load(config.recording) if config.recording is not None else None
     if recording is not None and config.device not in (None, recording.device):
         raise InputError(
-            f"--device is '{config.device}', but {config.recording} is of a {recording.device}; omit one."
+            f"--device is '{config.device}', but {config.recording} is of {an(recording.device)}; omit one."
         )
     twin = new_twin(
         config.device or (recording.device if recording else "finger"), recording, config.length_mm

@@ -92,7 +92,7 @@ class Report:
         """An interactive plotly figure."""
         self._figures += 1
         figure.update_layout(
-            template="plotly_white", height=height, margin={"l": 60, "r": 20, "t": 40, "b": 50}
+            template="plotly_white", height=height, margin={"l": 60, "r": 20, "t": 60, "b": 50}
         )
         name = f"figure{self._figures}"
         spec = figure.to_json().replace("</", "<\\/")

@@ -61,7 +61,8 @@ def noise_floor(recording: BenchRecording) -> NoiseFloor:
         by = {c: MAD * float(np.median(np.abs(np.concatenate(fast[c])))) / np.sqrt(2) for c in numeric}
         slow = {c: float(np.sqrt(np.mean(np.concatenate(whole[c]) ** 2) / 2)) for c in numeric}
         session = _norm(slow, columns)
-        how = f"how far {rules.plural(len(pairs), 'pair')} of equal runs differ from moment to moment"
+        pair = rules.plural(len(pairs), "pair")
+        how = f"what differs from moment to moment between equal runs, {pair} of them"
     elif all(c in stated for c in columns):
         by = {c: float(stated[c]) for c in numeric if c in stated}
         how = "stated in recording.json"

@@ -40,6 +40,11 @@ def plural(n: int, noun: str) -> str:
     return f"{n} {noun}" + ("" if n == 1 else "s")
 
 
+def an(device: str) -> str:
+    """`a finger`, `an arm`."""
+    return f"{'an' if device == 'arm' else 'a'} {device}"
+
+
 def device_of(meta: dict, samples: pd.DataFrame, folder: Path) -> str:
     """The recording's device; a LeRobotDataset without recording.json tells it by its columns."""
     device = meta.get("device")
@@ -147,7 +152,7 @@ def _check_columns(samples: pd.DataFrame, device: str, file: Path) -> None:
         if name not in samples.columns:
             raise InputError(
                 f"{file}: column '{name}' is missing{_near(name, samples)}; {_HOW[name]} (a recording of "
-                f"{'an' if device == 'arm' else 'a'} {device} needs it)."
+                f"{an(device)} needs it)."
             )
     if device != "gel" and not observations(samples, device):
         needed = "tip_x_mm, tip_z_mm, bend_angle_rad or q_1_rad"

@@ -87,13 +87,19 @@ def align_mounts(recording: BenchRecording, length_mm: float) -> tuple[BenchReco
     samples = recording.samples.copy()
     samples[TIP] = out
     said = (
-        f"The device was mounted differently in trial {', '.join(t for t, _ in moved)} (at rest its tip is "
+        f"The device was mounted differently in {_trials([t for t, _ in moved])} (at rest its tip is "
         f"up to {max(f for _, f in moved):.0f} mm from where it is in trial {first}"
-        + (f", and in trial {', '.join(turned)} the same pressure bends it another way" if turned else "")
+        + (f", and in {_trials(turned)} the same pressure bends it another way" if turned else "")
         + "); these trials are turned and shifted onto the first mount."
     )
     clean = BenchRecording(recording.folder, recording.meta, samples, recording.device, recording.warnings)
     return clean, [said], alike
+
+
+def _trials(numbers: list[str]) -> str:
+    """`trial 3`, `trials 3, 4 and 5`."""
+    *first, last = numbers
+    return f"trials {', '.join(first)} and {last}" if first else f"trial {last}"
 
 
 def _settle(

@@ -7,7 +7,7 @@ import plotly.graph_objects as go
 
 from lerobot_pneutac.diagnosis.experiment import Separation
 from lerobot_pneutac.diagnosis.result import Diagnosis
-from lerobot_pneutac.diagnosis.sentences import caveats, lead
+from lerobot_pneutac.diagnosis.sentences import caveats, how_tested, lead, percent
 from lerobot_pneutac.report import Report
 
 BLUE, GREY, RED = "#0b6e99", "#9aa5b1", "#b8442f"
@@ -28,6 +28,7 @@ def write_page(d: Diagnosis, advice: str, separation: Separation | None, out: Pa
         ladder(d), "Held-out error, blocks of time that nothing was fitted or chosen on; bars are 95 %."
     )
     page.heading("Each candidate alone")
+    page.text(how_tested(d))
     page.figure(
         reductions(d), "Share of the avoidable error that each effect alone removes, with its interval."
     )
@@ -36,7 +37,7 @@ def write_page(d: Diagnosis, advice: str, separation: Separation | None, out: Pa
             {
                 "effect": t.name,
                 f"held-out error ({unit})": t.heldout,
-                "removes": f"{100 * t.reduction:.0f} % [{100 * t.ci95[0]:.0f} to {100 * t.ci95[1]:.0f}]",
+                "removes": percent(t.reduction, t.ci95),
                 "tested by": t.tested_by,
             }
             for t in d.tested

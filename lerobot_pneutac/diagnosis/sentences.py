@@ -1,11 +1,14 @@
 """What was found, in words that a newcomer understands."""
 
+import numpy as np
+
 from lerobot_pneutac.diagnosis.experiment import Separation, separations
+from lerobot_pneutac.diagnosis.pneumatics import sensor_noise
 from lerobot_pneutac.diagnosis.result import Diagnosis
+from lerobot_pneutac.pair import LONGER
 from pneutac_sim.effects.registry import get_effect
 
 REPEAT = "Run the same program twice, an hour apart: what comes back is the device, what does not is the lab."
-LONGER = "Record ten minutes with steps, slow and fast ramps and long holds, in several trials."
 
 
 def lead(d: Diagnosis) -> str:
@@ -19,7 +22,10 @@ def lead(d: Diagnosis) -> str:
         )
     if d.verdict == "ambiguous":
         if not e.moves:
-            return "This recording cannot tell: the pressure never moves."
+            return (
+                "This recording cannot tell: the commanded pressure never moves, so nothing about bending "
+                "can be learnt from it."
+            )
         if e.poor:
             return (
                 f"This recording is too short to tell anything: {e.samples} samples to fit and {e.units} "
@@ -66,10 +72,7 @@ def caveats(d: Diagnosis) -> list[str]:
             f"modelled air by {after:.3g} kPa, and its noise is {noise:.2g} kPa."
         )
     elif not d.measured_pressure:
-        said.append(
-            "The pressure was not measured, so a slow valve and a creeping body hide each other: a lag may "
-            "be creep in part. Log pressure_kpa to tell them apart."
-        )
+        said.append(_no_pressure(d))
     if d.evidence.at_bound:
         said.append(f"At a bound, so the form is not right there: {', '.join(d.evidence.at_bound)}.")
     if not d.parts.has_test:
@@ -77,6 +80,43 @@ def caveats(d: Diagnosis) -> list[str]:
             "The recording is too short for a part of its own for the report; the errors are optimistic."
         )
     return said
+
+
+def _no_pressure(d: Diagnosis) -> str:
+    """Why the measured pressure tells nothing, and what follows."""
+    logged = [c.replace("cmd_", "") for c in d.recording.pressure_columns]
+    hidden = "so a slow valve and a creeping body hide each other: a lag may be creep in part."
+    if not all(map(d.recording.has, logged)):
+        return f"The pressure was not measured, {hidden} Log {', '.join(logged)} to tell them apart."
+    if d.evidence.moves:
+        return f"The measured pressure hardly moves while the command does, so it was left aside, {hidden}"
+    moved = max(np.ptp(d.recording.column(c)) for c in logged)
+    if moved > max(1e-3, 10 * sensor_noise(d.recording, logged)):
+        return (
+            "The measured pressure moves although the commanded one never does, so the model had nothing to "
+            "follow: check that pressure_cmd_kpa is what was asked for."
+        )
+    return "The measured pressure does not move either."
+
+
+def how_tested(d: Diagnosis) -> str:
+    """On what the candidates were tried, and why some kind is not among them."""
+    if not d.measured_pressure:
+        said = "Without a usable measured pressure, effects of air and body are tried on the pose alike."
+        return said if d.tested else f"{said} {_NONE_TRIED.format('effect', 'pose')}"
+    said = (
+        "As the pressure was measured, effects of the air are tried on it, and all others on the pose, "
+        "driven by the measured pressure."
+    )
+    on_pressure = [t.tested_by == "measured pressure" for t in d.tested]
+    if not any(on_pressure):
+        said += " " + _NONE_TRIED.format("effect of the air", "measured pressure")
+    if all(on_pressure):
+        said += " " + _NONE_TRIED.format("other effect", "pose")
+    return said
+
+
+_NONE_TRIED = "No {} was tried: the twin as it is leaves nothing of the {} that would be worth one."
 
 
 def next_experiment(d: Diagnosis) -> tuple[str, Separation | None]:
@@ -99,8 +139,13 @@ def next_experiment(d: Diagnosis) -> tuple[str, Separation | None]:
 
 
 def _percent(d: Diagnosis) -> str:
-    share, (lo, hi) = d.removed
-    return f"{100 * share:.0f} % [{100 * lo:.0f}-{100 * hi:.0f}]"
+    return percent(*d.removed)
+
+
+def percent(share: float, interval: tuple[float, float]) -> str:
+    """`87 % [81 to 92]`; the interval is left out where it rounds to the number itself."""
+    value, lo, hi = (round(100 * x) for x in (share, *interval))
+    return f"{value} %" if lo == value == hi else f"{value} % [{lo} to {hi}]"
 
 
 def _names(names: list[str]) -> str:

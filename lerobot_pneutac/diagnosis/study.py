@@ -20,9 +20,11 @@ from lerobot_pneutac.diagnosis.result import Diagnosis, Tested
 from lerobot_pneutac.diagnosis.rivals import find_rivals
 from lerobot_pneutac.diagnosis.selection import Selection, select
 from lerobot_pneutac.diagnosis.verdict import Evidence, decide
+from lerobot_pneutac.pair import enough_rows
 from pneutac_datasets.check import check
 from pneutac_datasets.noise import headline, noise_floor
 from pneutac_datasets.recording import BenchRecording
+from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.finger.bench import Bench
 from pneutac_sim.twin import Twin
 
@@ -51,12 +53,14 @@ def diagnose(
     began = time.perf_counter()
     recording, findings = check(recording)
     parts = deal(recording, seed)
+    names, untested = sort_candidates(recording, twin)
+    own = tuple(sorted(twin.effects))
+    largest = max(names, key=lambda e: len(get_effect(e).parameters), default=None)
+    enough_rows(twin, recording, [*own, *([largest] if largest else [])], parts.train)
     recording, said = on_one_mount(recording, twin, parts.train)
     findings = findings + said
     noise = noise_floor(recording)
     columns, _ = headline(recording)
-    names, untested = sort_candidates(recording, twin)
-    own = tuple(sorted(twin.effects))
     measured = pneumatics.measured_columns(recording)
     test = Resampler(parts.test, parts.unit, parts.stratum, seed + 1)
 
@@ -200,8 +204,6 @@ def _tested(air, body, base: Fit, residual, test: Resampler, floor: float, sourc
 
 def parameters(fit: Fit, effect: str) -> dict:
     """Parameters of one effect with interval and unit."""
-    from pneutac_sim.effects.registry import get_effect
-
     values = fit.twin.effects.get(effect, {})
     units = {p.name: p.unit for p in get_effect(effect).parameters}
     return {

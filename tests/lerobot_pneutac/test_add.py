@@ -30,12 +30,24 @@ def test_adding_the_hidden_effect_writes_the_next_version(pair, tmp_path):
     assert result["after"]["heldout"] < 0.5 * result["before"]["heldout"]
     assert result["after"]["heldout_ci95"][1] < result["before"]["heldout_ci95"][0]
     assert any(p["value"] > 0.01 for p in result["parameters"].values())
+    page = (tmp_path / "report.html").read_text().split("<main>")[1].split("<script>")[0]
+    assert "Your finger creeps" in page and "(a ratio)" in (tmp_path / "report.html").read_text()
     new = Twin.load(twin)
     assert "creep" in new.effects and new.history[-1]["change"] == "added creep"
     assert new.history[-1]["heldout"] == pytest.approx(result["after"]["heldout"])
     assert (twin / "history" / "000" / "twin.yaml").is_file()
     with pytest.raises(InputError, match="has the effect 'creep' already"):
         verb.main([f"--twin={twin}", f"--recording={recording}", "--effect=creep"])
+
+
+def test_what_the_data_check_found_is_told(pair, tmp_path, capsys):
+    r = BenchRecording.load(pair[1])
+    r.samples = r.samples.drop(columns=["pressure_kpa"])
+    r.write(tmp_path / "blind")
+    twin = Twin("finger", r.length_mm, r.spine_joint_positions_mm).save(tmp_path / "twin")
+    verb.main([f"--twin={twin}", f"--recording={tmp_path / 'blind'}", "--effect=creep"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "There is no measured pressure" in said and "of what could be avoided" in said
 
 
 def test_an_effect_that_does_not_help_is_refused_with_numbers(pair, tmp_path):

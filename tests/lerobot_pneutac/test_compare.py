@@ -8,8 +8,9 @@ import pytest
 
 from lerobot_pneutac import compare, new
 from lerobot_pneutac.compare import train_mask
+from lerobot_pneutac.compare_report import heat_map
 from lerobot_pneutac.fit_body import fit_body
-from pneutac_datasets.axes import axes, motion
+from pneutac_datasets.axes import Axis, axes, motion
 from pneutac_datasets.hidden.generate import generate
 from pneutac_datasets.recording import BenchRecording
 from pneutac_sim.errors import InputError
@@ -129,12 +130,14 @@ def test_new_takes_the_geometry_and_never_overwrites(bench, tmp_path):
 
 def test_bad_input_is_refused_before_work_starts(bench, tmp_path):
     new.main([f"--twin={tmp_path / 'arm'}", "--device=arm"])
-    with pytest.raises(InputError, match="is of a finger and .* of a arm|own device"):
+    with pytest.raises(InputError, match="is of a finger and .* of an arm; compare .* own device"):
         compare.main([f"--twin={tmp_path / 'arm'}", f"--recording={bench / 'none'}"])
     with pytest.raises(InputError, match="There is no twin"):
         compare.main([f"--twin={tmp_path / 'nothing'}", f"--recording={bench / 'none'}"])
     with pytest.raises(InputError, match="no bench recording"):
         compare.main([f"--twin={bench / 'twin'}", f"--recording={tmp_path / 'nothing'}"])
+    with pytest.raises(InputError, match="Give the recording's folder with --recording=DIR"):
+        compare.main([f"--twin={bench / 'twin'}"])
 
 
 @pytest.mark.parametrize("rows", [1, 3, 40])
@@ -144,3 +147,31 @@ def test_the_poorest_recording_still_compares(bench, tmp_path, rows):
     compare.main([f"--twin={bench / 'twin'}", f"--recording={tmp_path / 'poor'}", f"--out={tmp_path / 'o'}"])
     result = json.loads((tmp_path / "o" / "result.json").read_text())
     assert result["samples"] == rows and any("one trial only" in s for s in result["checks"])
+    assert "worst at" not in result["sentence"] and "worst where" not in result["sentence"]
+
+
+def test_a_constant_command_and_too_few_rows_lead_the_headline(bench, tmp_path):
+    r = BenchRecording.load(bench / "creep")
+    moving = np.flatnonzero(np.diff(r.column("pressure_cmd_kpa")))[0]
+    r.samples["tip_z_mm"] += 20.0
+    few = r.keep(np.isin(np.arange(len(r)), moving + np.arange(20))).write(tmp_path / "few")
+    r.samples["pressure_cmd_kpa"] = 20.0
+    for folder, start, end in (
+        (r.write(tmp_path / "constant"), "The commanded pressure never moves", "where it was not fitted."),
+        (few, "The twin misses", "20 rows cannot tell where it is worst, so record longer."),
+    ):
+        result = run(bench, folder, tmp_path / "o")
+        assert result["sentence"].startswith(start) and result["sentence"].endswith(end)
+
+
+def test_the_heat_map_begins_at_zero(bench):
+    c = compare.compare(Twin.load(bench / "twin"), BenchRecording.load(bench / "creep"))
+    heat = heat_map(c).data[0]
+    assert heat.zmin == 0 and heat.zmax == pytest.approx(np.nanmax(np.array(heat.z, float)), abs=1e-3)
+
+
+def test_a_rate_is_told_in_words():
+    axis = Axis("rate", None, np.arange(4), ["hold", "0.1 to 2 kPa/s", "2 to 7 kPa/s", "7 to 165 kPa/s"])
+    said = [compare.phrase(axis, i) for i in range(4)]
+    assert said[0] == "while the pressure is held" and said[3] == "when the pressure moves fast"
+    assert len(set(said)) == 4 and not any("kPa" in s for s in said)

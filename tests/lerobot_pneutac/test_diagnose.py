@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +14,10 @@ from lerobot_pneutac.diagnosis.experiment import separations
 from lerobot_pneutac.diagnosis.mounts import align_mounts
 from lerobot_pneutac.diagnosis.parts import deal
 from lerobot_pneutac.diagnosis.profile import profile
-from lerobot_pneutac.diagnosis.sentences import next_experiment
+from lerobot_pneutac.diagnosis.sentences import caveats, next_experiment, percent
 from lerobot_pneutac.diagnosis.study import diagnose
 from lerobot_pneutac.diagnosis.verdict import Evidence, decide
+from lerobot_pneutac.pair import load_pair
 from pneutac_datasets.hidden.generate import generate
 from pneutac_datasets.recording import BenchRecording
 from pneutac_sim.errors import InputError
@@ -137,7 +139,39 @@ def test_constant_pressure_is_ambiguous(bench):
     still.samples["pressure_cmd_kpa"] = 20.0
     still.samples["pressure_kpa"] = 20.0
     d = diagnose(twin_of(recording), still)
-    assert d.verdict == "ambiguous" and "never moves" in verb.lead(d)
+    assert d.verdict == "ambiguous" and "the commanded pressure never moves" in verb.lead(d)
+    assert "does not move either" in caveats(d)[0] and "ten minutes" in next_experiment(d)[0]
+    still.samples["pressure_kpa"] = recording.samples["pressure_kpa"][:600]
+    d = diagnose(twin_of(recording), still)
+    assert d.verdict == "ambiguous"
+    said = " ".join([verb.lead(d), *caveats(d)])
+    assert "the commanded pressure never moves" in said and "measured pressure moves" in said
+    assert "not measured" not in said
+
+
+def test_too_few_rows_to_fit_name_the_file_and_what_to_record(bench, tmp_path):
+    recording = bench("none")
+    recording.keep(np.arange(len(recording)) < 3).write(tmp_path / "three")
+    twin = twin_of(recording).save(tmp_path / "twin")
+    wanted = r"three/samples\.csv has 3 rows, .* at least \d+ .*; record ten minutes with steps"
+    with pytest.raises(InputError, match=wanted) as e:
+        verb.main([f"--twin={twin}", f"--recording={tmp_path / 'three'}"])
+    least = int(re.search(r"at least (\d+)", str(e.value))[1])
+    d = diagnose(twin_of(recording), recording.keep(np.arange(len(recording)) < least))
+    assert d.verdict == "ambiguous"
+
+
+def test_pressures_far_above_the_calibrated_are_noted(bench, tmp_path):
+    recording = bench("none")
+    twin = twin_of(recording)
+    twin.parameters = {"gain_rad_per_kpa": Value(0.01, (0.009, 0.011))}
+    twin.save(tmp_path / "twin")
+    for factor, noted in ((1.0, False), (40.0, True)):
+        other = recording.keep(np.ones(len(recording), bool))
+        other.samples[["pressure_cmd_kpa", "pressure_kpa"]] *= factor
+        folder = other.write(tmp_path / f"times_{factor:g}")
+        warnings = load_pair(tmp_path / "twin", folder)[1].warnings
+        assert any("pascal" in w for w in warnings) == noted
 
 
 def test_effects_without_their_column_are_listed_with_the_remedy(bench):
@@ -152,10 +186,15 @@ def test_effects_without_their_column_are_listed_with_the_remedy(bench):
 def test_wrong_device_and_missing_options_are_one_sentence(bench, tmp_path):
     recording = bench("none")
     twin = Twin("arm", recording.length_mm).save(tmp_path / "arm")
-    with pytest.raises(InputError, match="of a finger and .* of a arm"):
+    with pytest.raises(InputError, match="of a finger and .* of an arm; diagnose"):
         verb.main([f"--twin={twin}", f"--recording={recording.folder}"])
     with pytest.raises(InputError, match="--twin=DIR"):
         verb.main([f"--recording={recording.folder}"])
+
+
+def test_percentages_have_no_minus_zero_and_no_empty_interval():
+    assert percent(-0.001, (-0.004, 0.3)) == "0 % [0 to 30]"
+    assert percent(0.999, (0.998, 1.0)) == "100 %"
 
 
 def test_verdicts_follow_the_evidence():
