@@ -221,7 +221,7 @@ def residuals(c) -> go.Figure:
     figure.update_layout(
         xaxis_title=_title(choices[0][0]),
         yaxis_title=f"residual of {_title(c.columns[i])}",
-        updatemenus=[{"buttons": buttons, "x": 1, "xanchor": "right", "y": 1.15, "yanchor": "top"}],
+        updatemenus=[{"buttons": buttons, "x": 0, "xanchor": "left", "y": 1.15, "yanchor": "top"}],
     )
     return figure
 
