@@ -12,7 +12,7 @@ TABLES: dict[str, str | None] = {
     "surrogate": None,
     "augment": None,
     "policy": None,
-    "speed": None,
+    "speed": "lerobot_pneutac.benchmark_speed",
 }
 
 

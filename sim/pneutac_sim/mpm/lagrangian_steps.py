@@ -15,12 +15,12 @@ GPU_LANES = 256
 @ti.kernel
 def within(
     substeps: int, bodies: int, cells: int, nodes: int, points: int, hinges: int, carried: int, dx: float,
-    samples: int, soa: ti.template(), touching: ti.template(), load: floats, x: floats, v: floats, total:
+    samples: int, soa: ti.template(), touching: ti.template(), load: floats, u: floats, v: floats, total:
     floats, force: floats, cell_nodes: ints, cell_mask: ints, slots: ints, ghost: ints, role: ints, volume:
-    floats, inertia: floats, rest: floats, start: ints, weights: floats, shape: ints, table: floats, anchor:
-    floats, contact: floats, q: floats, qd: floats, drive: floats, chain: floats, lump: floats, pose:
-    floats, wrench: floats, momentum: floats, work: floats, soft: floats, bound: ints, bound_link: ints,
-    bound_start: ints,
+    floats, inertia: floats, rest: floats, start: ints, spot: floats, weights: floats, shape: ints, table:
+    floats, anchor: floats, contact: floats, q: floats, qd: floats, drive: floats, chain: floats, lump:
+    floats, pose: floats, wrench: floats, momentum: floats, work: floats, soft: floats, bound: ints,
+    bound_link: ints, bound_start: ints,
 ):  # fmt: skip
     """All substeps of each body by one thread (CPU) or one block (GPU)."""
     spread = kern.SPREAD_CPU
@@ -35,11 +35,11 @@ def within(
             for _ in range(substeps):
                 c = lane
                 while c < cells:
-                    kern.elastic(b, c, cells, nodes, dx, load, x, force, cell_nodes, cell_mask, soa)
+                    kern.elastic(b, c, cells, nodes, dx, load, u, force, cell_nodes, cell_mask, soa)
                     if ti.static(touching):
                         kern.touch(
-                            b, c, cells, nodes, points, load, x, force, cell_nodes, start, weights, shape,
-                            table, samples, anchor, contact, soa,
+                            b, c, cells, nodes, points, load, u, force, spot, cell_nodes, start, weights,
+                            shape, table, samples, anchor, contact, soa,
                         )  # fmt: skip
                     c += stride
                 if ti.static(soa):
@@ -52,7 +52,7 @@ def within(
                         cells,
                         nodes,
                         load,
-                        x,
+                        u,
                         v,
                         total,
                         force,
@@ -61,7 +61,6 @@ def within(
                         role,
                         volume,
                         inertia,
-                        rest,
                         soa,
                     )
                     n += stride
@@ -70,7 +69,9 @@ def within(
                 if hinges > 0:
                     j = lane
                     while j < (hinges + 1) * 6:
-                        spk.react(b, j, nodes, hinges, x, total, bound, bound_start, pose, lump, wrench, soa)
+                        spk.react(
+                            b, j, nodes, hinges, u, rest, total, bound, bound_start, pose, lump, wrench, soa
+                        )
                         j += stride
                     if ti.static(soa):
                         ti.simt.block.sync()
@@ -82,7 +83,7 @@ def within(
                         ti.simt.block.sync()
                     k = lane
                     while k < carried:
-                        spk.carry(b, k, nodes, hinges, x, bound, bound_link, rest, pose, soa)
+                        spk.carry(b, k, nodes, hinges, u, bound, bound_link, rest, pose, soa)
                         k += stride
                     if ti.static(soa):
                         ti.simt.block.sync()
@@ -91,48 +92,46 @@ def within(
 @ti.kernel
 def across(
     bodies: int, cells: int, nodes: int, points: int, hinges: int, carried: int, dx: float, samples: int,
-    soa: ti.template(), touching: ti.template(), load: floats, x: floats, v: floats, total: floats, force:
+    soa: ti.template(), touching: ti.template(), load: floats, u: floats, v: floats, total: floats, force:
     floats, cell_nodes: ints, cell_mask: ints, slots: ints, ghost: ints, role: ints, volume: floats,
-    inertia: floats, rest: floats, start: ints, weights: floats, shape: ints, table: floats, anchor: floats,
-    contact: floats, q: floats, qd: floats, drive: floats, chain: floats, lump: floats, pose: floats,
-    wrench: floats, momentum: floats, work: floats, soft: floats, bound: ints, bound_link: ints,
-    bound_start: ints,
+    inertia: floats, rest: floats, start: ints, spot: floats, weights: floats, shape: ints, table: floats,
+    anchor: floats, contact: floats, q: floats, qd: floats, drive: floats, chain: floats, lump: floats,
+    pose: floats, wrench: floats, momentum: floats, work: floats, soft: floats, bound: ints, bound_link:
+    ints, bound_start: ints,
 ):  # fmt: skip
     """One substep, cells and then nodes side by side."""
     for t in range(bodies * cells):
         b, c = t // cells, t % cells
-        kern.elastic(b, c, cells, nodes, dx, load, x, force, cell_nodes, cell_mask, soa)
+        kern.elastic(b, c, cells, nodes, dx, load, u, force, cell_nodes, cell_mask, soa)
         if ti.static(touching):
             kern.touch(
-                b, c, cells, nodes, points, load, x, force, cell_nodes, start, weights, shape,
-                table, samples, anchor, contact, soa,
+                b, c, cells, nodes, points, load, u, force, spot, cell_nodes, start, weights,
+                shape, table, samples, anchor, contact, soa,
             )  # fmt: skip
     for t in range(bodies * nodes):
         b, n = t // nodes, t % nodes
-        kern.move(
-            b, n, cells, nodes, load, x, v, total, force, slots, ghost, role, volume, inertia, rest, soa
-        )
+        kern.move(b, n, cells, nodes, load, u, v, total, force, slots, ghost, role, volume, inertia, soa)
     if hinges > 0:
         for t in range(bodies * (hinges + 1) * 6):
             b, j = t // ((hinges + 1) * 6), t % ((hinges + 1) * 6)
-            spk.react(b, j, nodes, hinges, x, total, bound, bound_start, pose, lump, wrench, soa)
+            spk.react(b, j, nodes, hinges, u, rest, total, bound, bound_start, pose, lump, wrench, soa)
         for b in range(bodies):
             spk.project(b, hinges, load, q, qd, drive, chain, lump, pose, wrench, momentum, work, soft)
         for t in range(bodies * carried):
             b, k = t // carried, t % carried
-            spk.carry(b, k, nodes, hinges, x, bound, bound_link, rest, pose, soa)
+            spk.carry(b, k, nodes, hinges, u, bound, bound_link, rest, pose, soa)
 
 
 @ti.kernel
 def place(
     bodies: int, cells: int, nodes: int, points: int, hinges: int, carried: int, soa: ti.template(), q:
-    floats, chain: floats, pose: floats, bound: ints, bound_link: ints, rest: floats, x: floats,
+    floats, chain: floats, pose: floats, bound: ints, bound_link: ints, rest: floats, u: floats,
 ):  # fmt: skip
     """Links, and the nodes that they carry, where the joint angles put them."""
     for b in range(bodies):
         spk.bend(b, hinges, q, chain, pose)
         for k in range(carried):
-            spk.carry(b, k, nodes, hinges, x, bound, bound_link, rest, pose, soa)
+            spk.carry(b, k, nodes, hinges, u, bound, bound_link, rest, pose, soa)
 
 
 @ti.kernel
@@ -169,44 +168,44 @@ def measure(
 @ti.kernel
 def overlap(
     bodies: int, cells: int, nodes: int, points: int, hinges: int, carried: int, dx: float, samples: int,
-    soa: ti.template(), load: floats, x: floats, v: floats, total: floats, force: floats, cell_nodes: ints,
+    soa: ti.template(), load: floats, u: floats, v: floats, total: floats, force: floats, cell_nodes: ints,
     cell_mask: ints, slots: ints, ghost: ints, role: ints, volume: floats, inertia: floats, rest: floats,
-    start: ints, weights: floats, shape: ints, table: floats, anchor: floats, contact: floats, q: floats,
-    qd: floats, drive: floats, chain: floats, lump: floats, pose: floats, wrench: floats, momentum: floats,
-    work: floats, soft: floats, bound: ints, bound_link: ints, bound_start: ints,
+    start: ints, spot: floats, weights: floats, shape: ints, table: floats, anchor: floats, contact: floats,
+    q: floats, qd: floats, drive: floats, chain: floats, lump: floats, pose: floats, wrench: floats,
+    momentum: floats, work: floats, soft: floats, bound: ints, bound_link: ints, bound_start: ints,
 ):  # fmt: skip
     """Depth of every surface point, without any force."""
     for t in range(bodies * cells):
         b, c = t // cells, t % cells
         for s in range(start[c], start[c + 1]):
             contact[(b * points + s) * 4 + 3] = -kern.depth(
-                b, c, s, cells, nodes, load, x, cell_nodes, weights, shape, table, samples, soa
+                b, c, s, cells, nodes, load, u, spot, cell_nodes, weights, shape, table, samples, soa
             )
 
 
 @ti.kernel
 def particles(
     bodies: int, cells: int, nodes: int, points: int, hinges: int, carried: int, count: int, dx: float, soa:
-    ti.template(), x: floats, cell_nodes: ints, particle_cell: ints, local: ints, place: floats,
+    ti.template(), u: floats, cell_nodes: ints, particle_cell: ints, local: ints, place: floats,
 ):  # fmt: skip
     """Position and deformation gradient of each particle, twelve numbers."""
     for t in range(bodies * count):
         b, p = t // count, t % count
         c = particle_cell[p]
         at = ti.Vector([0.0, 0.0, 0.0])
-        G = ti.Matrix.zero(ti.f32, 3, 3)
+        G = ti.Matrix.identity(ti.f32, 3)
         side = ti.Vector([(local[p] >> 2) & 1, (local[p] >> 1) & 1, local[p] & 1])
         w, s = ti.Matrix.zero(ti.f32, 3, 3), ti.Matrix.zero(ti.f32, 3, 3)
         for d, i in ti.static(ti.ndrange(3, 3)):
             w[d, i] = kern.W[1][i] if side[d] == 1 else kern.W[0][i]
             s[d, i] = kern.D[1][i] if side[d] == 1 else kern.D[0][i]
         for i, j, k in ti.static(ti.ndrange(3, 3, 3)):
-            u = kern.vector(x, b, kern.pick(cell_nodes, c, 9 * i + 3 * j + k, cells, soa), nodes, soa)
-            at += w[0, i] * w[1, j] * w[2, k] * u
+            move = kern.vector(u, b, kern.pick(cell_nodes, c, 9 * i + 3 * j + k, cells, soa), nodes, soa)
+            at += w[0, i] * w[1, j] * w[2, k] * move
             slope = ti.Vector(
                 [s[0, i] * w[1, j] * w[2, k], w[0, i] * s[1, j] * w[2, k], w[0, i] * w[1, j] * s[2, k]]
             )
-            G += u.outer_product(slope) / dx
+            G += move.outer_product(slope) / dx
         for d in ti.static(range(3)):
             place[t * 12 + d] = at[d]
             for e in ti.static(range(3)):

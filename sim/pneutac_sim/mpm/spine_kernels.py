@@ -10,7 +10,8 @@ from pneutac_sim.mpm.lagrangian_kernels import DAMPING, DT, LOAD, RHO, arrays, m
 from pneutac_sim.mpm.runtime import ti
 
 # Rows of `chain`, a hinge: origin, axis at rest. Rows of `lump`, a link: mass, centre, inertia about it, all
-# of unit density. Rows of `pose`, a link: rotation, shift. Rows of `wrench` and `momentum`, a link: force, torque.
+# of unit density. Rows of `pose`, a link: rotation, shift. Rows of `wrench` and `momentum`, a link: force,
+# torque.
 CHAIN, LUMP, POSE_OF, SIX = 6, 13, 12, 6
 
 
@@ -28,7 +29,8 @@ def react(
     item,
     nodes,
     hinges,
-    x: arrays,
+    u: arrays,
+    rest: arrays,
     total: arrays,
     bound: arrays,
     bound_start: arrays,
@@ -46,7 +48,7 @@ def react(
         f = vector(total, b, bound[k], nodes, soa)
         w = f
         if d > 2:
-            w = (vector(x, b, bound[k], nodes, soa) - centre).cross(f)
+            w = (vector3(rest, bound[k] * 3) + vector(u, b, bound[k], nodes, soa) - centre).cross(f)
         e = d % 3
         sum_ += w[0] if e == 0 else (w[1] if e == 1 else w[2])
     wrench[(b * (hinges + 1) + link) * SIX + d] = sum_
@@ -172,7 +174,7 @@ def carry(
     k,
     nodes,
     hinges,
-    x: arrays,
+    u: arrays,
     bound: arrays,
     bound_link: arrays,
     rest: arrays,
@@ -182,6 +184,7 @@ def carry(
     """Puts one bound node where its link is."""
     n = bound[k]
     T = (b * (hinges + 1) + bound_link[k]) * POSE_OF
-    p = matrix9(pose, T) @ vector3(rest, n * 3) + vector3(pose, T + 9)
+    p = vector3(rest, n * 3)
+    p = matrix9(pose, T) @ p + vector3(pose, T + 9) - p
     for d in ti.static(range(3)):
-        x[place(b, n, d, nodes, soa)] = p[d]
+        u[place(b, n, d, nodes, soa)] = p[d]

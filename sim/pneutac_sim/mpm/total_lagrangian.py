@@ -96,11 +96,12 @@ class TotalLagrangian:
         self.arrays = {
             name: _send(a)
             for name, a in {
-                "load": self.load, "x": z((b, n, 3)), "v": z((b, n, 3)), "total": z((b, n, 3)),
+                "load": self.load, "u": z((b, n, 3)), "v": z((b, n, 3)), "total": z((b, n, 3)),
                 "force": z((b, c + 1, 27, 3)), "cell_nodes": two(g.cell_nodes), "cell_mask": g.cell_mask,
                 "slots": two(g.slots), "ghost": g.ghost, "role": self.role, "volume": g.volume,
                 "inertia": g.volume, "before": z((b, n, 3)), "soft": z((b, max(self.hinges, 1))),
-                "rest": g.nodes, "start": g.surface_start, "weights": g.surface_weights,
+                "rest": g.nodes, "start": g.surface_start, "spot": g.surface_points,
+                "weights": g.surface_weights,
                 "shape": z(b, np.int32), "table": table, "anchor": z((b, s, 5)), "contact": z((b, s, 4)),
                 "q": z((b, max(self.hinges, 1))), "qd": z((b, max(self.hinges, 1))),
                 "drive": z((b, max(self.hinges, 1), 3)), "chain": chain, "lump": lump, "pose": pose,
@@ -123,7 +124,7 @@ class TotalLagrangian:
 
     def set_nodes(self, x: np.ndarray) -> None:
         """Puts the nodes (B, N, 3) somewhere, at rest."""
-        self.arrays["x"].from_numpy(self._flat(x))
+        self.arrays["u"].from_numpy(self._flat(x - self.grid.nodes))
         self.arrays["v"].fill(0)
 
     def set_q(self, q: np.ndarray) -> None:
@@ -155,7 +156,7 @@ class TotalLagrangian:
             steps.place(
                 *self.counts,
                 self.soa,
-                *(a[k] for k in ("q", "chain", "pose", "bound", "bound_link", "rest", "x")),
+                *(a[k] for k in ("q", "chain", "pose", "bound", "bound_link", "rest", "u")),
             )
 
     def apply(self, loads: Loads, damping=0.0, dt=None, contact_rate=0.0) -> None:
@@ -253,8 +254,9 @@ class TotalLagrangian:
         return 0.5 * np.pi * shear / far
 
     def least_force(self) -> np.ndarray:
-        """(B,) N: forces below this count as none: a millionth of what strains one cell by 1."""
-        return 1e-6 * np.array([m.youngs_modulus_pa for m in self.materials]) * self.grid.dx**2
+        """(B,) N: inner forces below this count as none, being those of a strain of 3e-4 in every cell."""
+        youngs = np.array([m.youngs_modulus_pa for m in self.materials])
+        return 3e-4 * youngs * self.grid.dx**2 * np.sqrt(len(self.grid.cell_mask))
 
     def energy(self) -> np.ndarray:
         """(B,) kinetic energy of the nodes, J."""
@@ -270,7 +272,7 @@ class TotalLagrangian:
 
     def nodes(self) -> np.ndarray:
         """(B, N, 3) m."""
-        return self._unflat(self.arrays["x"].to_numpy())
+        return self.grid.nodes + self._unflat(self.arrays["u"].to_numpy())
 
     def particles(self) -> tuple[np.ndarray, np.ndarray]:
         """(B, P, 3) positions in m and (B, P, 3, 3) deformation gradients."""
@@ -278,10 +280,10 @@ class TotalLagrangian:
         if "place" not in a:
             a["particle_cell"], a["local"] = _send(self.grid.particle_cell), _send(self.grid.particle_local)
             a["place"] = _send(np.zeros((self.batch, count, 12)))
-        names = ("x", "cell_nodes", "particle_cell", "local", "place")
+        names = ("u", "cell_nodes", "particle_cell", "local", "place")
         steps.particles(*self.counts, count, self.grid.dx, self.soa, *(a[k] for k in names))
         out = a["place"].to_numpy().reshape(self.batch, count, 12)
-        return out[..., :3], out[..., 3:].reshape(self.batch, count, 3, 3)
+        return self.body.positions + out[..., :3], out[..., 3:].reshape(self.batch, count, 3, 3)
 
     def contact(self) -> tuple[np.ndarray, np.ndarray]:
         """(B, S, 3) forces in N on the surface points and (B, S) their depth in the indenter in m."""
@@ -315,6 +317,6 @@ def _send(a: np.ndarray):
 
 
 _ORDER = (
-    "load x v total force cell_nodes cell_mask slots ghost role volume inertia rest start weights shape table "
-    "anchor contact q qd drive chain lump pose wrench momentum work soft bound bound_link bound_start"
+    "load u v total force cell_nodes cell_mask slots ghost role volume inertia rest start spot weights shape "
+    "table anchor contact q qd drive chain lump pose wrench momentum work soft bound bound_link bound_start"
 ).split()
