@@ -10,7 +10,15 @@ from lerobot.utils.constants import ACTION, OBS_IMAGES, OBS_STATE
 
 # Registers the Gymnasium ids. Workers of lerobot-eval get them by unpickling this module's config.
 import pneutac_sim  # noqa: F401
-from pneutac_sim.features import ACTION_NAMES, CONTROL_HZ, IMAGE_NAME, IMAGE_SHAPE, STATE_NAMES, TASK_NAMES
+from pneutac_sim.features import (
+    ACTION_NAMES,
+    CONTROL_HZ,
+    FIDELITIES,
+    IMAGE_NAME,
+    IMAGE_SHAPE,
+    STATE_NAMES,
+    TASK_NAMES,
+)
 
 
 @EnvConfig.register_subclass("pneutac")
@@ -23,12 +31,15 @@ class PneutacEnvConfig(EnvConfig):
         fps: control rate, Hz; the world has one only.
         episode_length: control steps after which a trial counts as failed.
         twin: folder of the finger's twin; default the built-in one.
+        fidelity: what bends the finger: `skeleton`, or `mpm`, the full material point body (about 0.3 s a
+            control step while the pressure moves; for short episodes).
     """
 
     task: str | None = "switch"
     fps: int = CONTROL_HZ
     episode_length: int = 150
     twin: Path | None = None
+    fidelity: str = "skeleton"
     features: dict[str, PolicyFeature] = field(
         default_factory=lambda: {
             ACTION: PolicyFeature(FeatureType.ACTION, (len(ACTION_NAMES),)),
@@ -58,6 +69,10 @@ class PneutacEnvConfig(EnvConfig):
             raise DecodingError(
                 (), f"--env.episode_length is {self.episode_length}; it must be at least 1 step."
             )
+        if self.fidelity not in FIDELITIES:
+            raise DecodingError(
+                (), f"--env.fidelity is '{self.fidelity}'; it must be one of {', '.join(FIDELITIES)}."
+            )
         if self.twin is not None and not (Path(self.twin) / "twin.yaml").is_file():
             raise DecodingError(
                 (), f"--env.twin is '{self.twin}', which holds no twin.yaml; give a twin's folder."
@@ -74,4 +89,4 @@ class PneutacEnvConfig(EnvConfig):
         from pneutac_sim.twin import Twin
 
         twin = {"twin": Twin.load(self.twin)} if self.twin else {}
-        return {"max_episode_steps": self.episode_length, **twin}
+        return {"max_episode_steps": self.episode_length, "fidelity": self.fidelity, **twin}

@@ -9,6 +9,7 @@ import numpy as np
 
 CONTROL_HZ = 15
 TASK_NAMES = ("switch", "egg", "card")
+FIDELITIES = ("skeleton", "mpm")  # what bends the finger of a world
 IMAGE_SHAPE = (320, 240, 3)
 IMAGE_NAME = "tactile"
 

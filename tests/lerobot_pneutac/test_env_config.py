@@ -45,3 +45,12 @@ def test_a_twin_folder_reaches_the_world(tmp_path):
     world = env.envs[0].unwrapped.world
     assert world.twin.parameter("gain_rad_per_kpa") == pytest.approx(0.5 * 0.01114)
     env.close()
+
+
+def test_fidelity_reaches_the_world():
+    assert PneutacEnvConfig(fidelity="mpm").gym_kwargs["fidelity"] == "mpm"
+    with pytest.raises(DecodingError, match="skeleton, mpm"):
+        PneutacEnvConfig(fidelity="fem")
+    env = make_env(PneutacEnvConfig(fidelity="mpm"), n_envs=1)["pneutac"][0]
+    assert env.envs[0].unwrapped.world.mpm is not None
+    env.close()

@@ -41,6 +41,7 @@ class PneutacEnv(gymnasium.Env):
         render_mode: str | None = "rgb_array",
         render_width: int = 480,
         render_height: int = 360,
+        fidelity: str = "skeleton",
     ):
         """An environment with a task.
 
@@ -51,8 +52,9 @@ class PneutacEnv(gymnasium.Env):
             render_mode: `rgb_array` or None.
             render_width: pixels of `render()`.
             render_height: pixels of `render()`.
+            fidelity: `skeleton` or `mpm`, see `World`.
         """
-        self.world = World(task, twin, touch)
+        self.world = World(task, twin, touch, fidelity)
         self.task = task
         self.task_description = self.world.task.description
         self.render_mode = render_mode

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, CONTROL_HZ, JOINT_NAMES
+from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, CONTROL_HZ, FIDELITIES, JOINT_NAMES
 from pneutac_sim.finger.online import PressurePipeline
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.twin import Twin
@@ -52,20 +52,30 @@ class World:
         command: last action after clipping (4,).
         target_m: where the flange is sent (3,), metres.
         spine_target_rad: spine joint angles q_cmd (N,) that the pressure commands, after the twin's effects.
+        mpm: the material point finger, or None for the skeleton.
         touch: last touch: `depth_mm`, `image`, `pixels`, `area`.
         model, data: MuJoCo's, for planners, experts and tests.
     """
 
-    def __init__(self, task: str = "switch", twin: Twin | None = None, touch: str = "image"):
+    def __init__(
+        self,
+        task: str = "switch",
+        twin: Twin | None = None,
+        touch: str = "image",
+        fidelity: str = "skeleton",
+    ):
         """A world with a task.
 
         Args:
             task: `switch`, `egg` or `card`.
             twin: the finger with its gel; default the built-in one.
             touch: `image`, `area` (contact area without an image, faster) or `none`.
+            fidelity: what bends the finger: `skeleton`, or `mpm`, the full material point body (for short
+                episodes; see `world.mpm_finger`).
 
         Raises:
-            InputError: unknown task or touch mode; a twin that is not a finger or too stiff to integrate.
+            InputError: unknown task, touch mode or fidelity; a twin that is not a finger or too stiff to
+                integrate, or has an effect that the material points lack.
         """
         self.task = make_task(task)
         self.twin = twin or Twin.builtin()
@@ -73,6 +83,13 @@ class World:
             raise InputError(
                 f"The world needs the twin of a finger; this twin's device is '{self.twin.device}'."
             )
+        if fidelity not in FIDELITIES:
+            raise InputError(f"fidelity is '{fidelity}'; it must be one of {', '.join(FIDELITIES)}.")
+        self.mpm = None
+        if fidelity == "mpm":
+            from pneutac_sim.world.mpm_finger import MpmFinger  # the compiler behind it takes a second
+
+            self.mpm = MpmFinger(self.twin)
         self.model = mujoco.MjModel.from_xml_string(scene.build(self.task, self.twin))
         self.data = mujoco.MjData(self.model)
         self.sensor = TactileSensor(self.twin)
@@ -107,7 +124,9 @@ class World:
         self._pipeline.reset(0.0)
         self.spine_target_rad = self._pipeline.step(0.0, DT)
         self.data.qpos[self._arm] = self._joints
-        self.data.qpos[self._spine] = self.spine_target_rad
+        self._load = None  # torque on the spine's joints from outside during the last step, N m
+        self._drive = self._bend(self.spine_target_rad)
+        self.data.qpos[self._spine] = self._drive
         self.clipped = 0
         self.command = np.zeros(4)
         for _ in range(SETTLE_STEPS):
@@ -155,17 +174,34 @@ class World:
 
     def _advance(self, joints: np.ndarray, spine: np.ndarray) -> None:
         """Physics substeps of one control step, towards joint targets of the arm (7,) and the spine (N,)."""
+        drive = self._bend(spine)
         f = np.linspace(0, 1, scene.SUBSTEPS + 1)[1:, None]
         ctrl = np.empty((scene.SUBSTEPS, self._spine.stop))
         ctrl[:, self._arm] = self._joints + f * (joints - self._joints)
-        q_cmd = self.spine_target_rad + f * (spine - self.spine_target_rad)
-        ctrl[:, self._spine] = self._stiffness * q_cmd  # tau_mpm = K q_cmd(p)
+        towards = self._drive + f * (drive - self._drive)
+        ctrl[:, self._spine] = self._stiffness * towards  # tau_mpm = K q_cmd(p)
         control = self.data.ctrl[: self._spine.stop]
+        load = np.zeros(self._spine.stop - self._spine.start)
         for row in ctrl:
             control[:] = row
             mujoco.mj_step(self.model, self.data)
+            if self.mpm:
+                d, s = self.data, self._spine
+                load += d.qfrc_constraint[s] - d.qfrc_bias[s] + d.qfrc_gravcomp[s]
         mujoco.mj_kinematics(self.model, self.data)
-        self._joints, self.spine_target_rad = joints, spine
+        self._load = load / scene.SUBSTEPS
+        self._joints, self.spine_target_rad, self._drive = joints, spine, drive
+
+    def _bend(self, q_cmd: np.ndarray) -> np.ndarray:
+        """Angles (N,) towards which the joint springs pull, rad.
+
+        The joint springs add load / K to them; the material points have that load in their equilibrium, so it
+        is taken off: what rests in the world is then what rests there.
+        """
+        if self.mpm is None:
+            return q_cmd
+        q = self.mpm.bend(q_cmd, self._load)
+        return q if self._load is None else q - self._load / self._stiffness
 
     def _check_stability(self) -> None:
         """Raises InputError where the twin's finger is too stiff for the time step."""

@@ -1,0 +1,234 @@
+"""From a twin to material points: finger, arm and gel, their joint targets and their loads.
+
+    solver = finger(twin, batch=4)
+    rest = solve_equilibrium(solver, Loads(q_cmd=joint_targets(twin, [0, 5, 10, 15])))
+
+The twin's pipeline gives the joint targets, so every effect of its pneumatics, actuation and body acts here
+too; one that cannot is refused by name. Effects of the observation (camera, base) are no matter of the body.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from pneutac_sim.effects.registry import get_effect
+from pneutac_sim.errors import InputError
+from pneutac_sim.finger.inputs import CHAMBERS, Inputs, pressure_columns
+from pneutac_sim.finger.pipeline import Pipeline
+from pneutac_sim.gel.model import GelModel
+from pneutac_sim.gel.probe import COLS, ROWS
+from pneutac_sim.mpm.body import Body, Material
+from pneutac_sim.mpm.shapes import arm_mesh, finger_mesh
+from pneutac_sim.mpm.spine import Spine
+from pneutac_sim.mpm.total_lagrangian import TotalLagrangian
+from pneutac_sim.twin import PAPER_FINGER, Twin
+
+# What a twin's parameters are where it does not tell. Moduli of the finger: the paper's calibrated ones;
+# density: Agilus30's data sheet; gel: Ecoflex 00-31 with a coat of paint, about 0.1 MPa.
+DEFAULTS = {
+    "youngs_modulus_mpa": PAPER_FINGER["youngs_modulus_mpa"],
+    "poissons_ratio": PAPER_FINGER["poissons_ratio"],
+    "density_kg_m3": 1145.0,
+    "spine_damping_nms_per_rad": 0.01,
+    "gel_youngs_modulus_mpa": 0.1,
+    "gel_poissons_ratio": 0.46,
+    "gel_density_kg_m3": 1070.0,
+}
+# The controller is stiff against the body (0.07 to 0.29 N m/rad a joint of the finger), which takes back
+# 1.6 % of its bend; with a soft one the search for rest takes far longer.
+BY_DEVICE = {
+    "width_mm": {"finger": 20.0, "arm": 40.0},
+    "spine_stiffness_nm_per_rad": {"finger": 20.0, "arm": 200.0},
+}
+SHAPES = {"finger": finger_mesh, "arm": arm_mesh}
+LAYERS = 13  # of a gel
+
+
+def parameter(twin: Twin, name: str) -> float:
+    """The twin's value, or the default of `DEFAULTS` or `BY_DEVICE`."""
+    if name in twin.parameters:
+        return twin.parameters[name].value
+    return BY_DEVICE[name][twin.device] if name in BY_DEVICE else DEFAULTS[name]
+
+
+def finger(twin: Twin, batch: int = 1, particles: int = 4000, mesh=None, device: str = "auto"):
+    """Fingers: a soft body that is held at its base, with a hinge at each of the twin's joints.
+
+    Args:
+        twin: a finger's.
+        batch: how many.
+        particles: of each, about.
+        mesh: closed `trimesh.Trimesh` in m, x along the finger from its base, the neutral axis at y = z = 0;
+            None for bellows with a flat back, `width_mm` wide.
+        device: see `runtime.start`.
+
+    Returns:
+        `TotalLagrangian`.
+
+    Raises:
+        InputError: another device's twin, a mesh that is shorter than the spine, an impossible parameter.
+    """
+    return _bending("finger", twin, batch, particles, mesh, device)
+
+
+def arm(twin: Twin, batch: int = 1, particles: int = 4000, mesh=None, device: str = "auto"):
+    """Arms: as `finger`, with three chambers round the axis and two hinges a joint, towards +z and +y."""
+    return _bending("arm", twin, batch, particles, mesh, device)
+
+
+def _bending(kind, twin, batch, particles, mesh, device) -> TotalLagrangian:
+    if twin.device != kind:
+        raise InputError(f"The twin is of a {twin.device}; this model is of a {kind}.")
+    _refuse(twin)
+    length = 1e-3 * twin.length_mm
+    if mesh is None:
+        mesh = SHAPES[kind](length, 1e-3 * parameter(twin, "width_mm"))
+    material = Material(
+        1e6 * parameter(twin, "youngs_modulus_mpa"),
+        parameter(twin, "poissons_ratio"),
+        parameter(twin, "density_kg_m3"),
+    )
+    body = Body.from_mesh(kind, mesh, material, particles=particles, clamp="x-")
+    end = float(body.positions[:, 0].max())
+    joints = 1e-3 * np.asarray(twin.spine_joint_positions_mm)
+    if not joints[-1] < end < 1.1 * length:
+        raise InputError(
+            f"The mesh of the {kind} reaches x = {1e3 * end:.4g} mm; the twin is {twin.length_mm:g} mm long "
+            f"with its last joint at {1e3 * joints[-1]:.4g} mm: give a mesh in metres, its base at x = 0."
+        )
+    spine = Spine(
+        tuple(joints.tolist()),
+        length,
+        0.0,
+        0.0,
+        radius_m=0.75 * 2 * body.spacing_m,  # in any lattice the axis has a node this near
+        axes=2 if kind == "arm" else 1,
+        stiffness_nm_per_rad=parameter(twin, "spine_stiffness_nm_per_rad"),
+        damping_nms_per_rad=parameter(twin, "spine_damping_nms_per_rad"),
+    )
+    return TotalLagrangian(body, spine, batch=batch, device=device)
+
+
+def gel(twin: Twin, batch: int = 1, counts=(COLS, ROWS, LAYERS), device: str = "auto") -> TotalLagrangian:
+    """Gels, held at their back; gel frame of `gel.probe`: z out of the sensor, resting surface at z = 0.
+
+    Particle (i, j, k) of the lattice stands for column i and row j of the probe grid (x along image columns,
+    y along rows), layer k from the back. The lattice is equal along all axes and covers the window; a
+    built-in gel is 12.0 x 16.3 x 2.6 mm.
+
+    Args:
+        twin: a gel's, or a finger's that carries one.
+        batch: how many.
+        counts: particles along x, y and z.
+        device: see `runtime.start`.
+    """
+    if twin.device == "arm":
+        raise InputError("The twin is of an arm, which carries no gel.")
+    counts = np.asarray(counts, int)
+    if counts.shape != (3,) or (counts < 2).any():
+        raise InputError(f"counts is {counts.tolist()}; give three numbers of particles, each at least 2.")
+    window = 1e-3 * np.array(GelModel.from_twin(twin).window_mm)
+    spacing = float((window / counts[:2]).max())
+    material = Material(
+        1e6 * parameter(twin, "gel_youngs_modulus_mpa"),
+        parameter(twin, "gel_poissons_ratio"),
+        parameter(twin, "gel_density_kg_m3"),
+    )
+    origin = -spacing * counts * [0.5, 0.5, 1.0]
+    return TotalLagrangian(
+        Body.box("gel", counts, spacing, material, origin, clamp="z-"), batch=batch, device=device
+    )
+
+
+def surface_displacement(solver: TotalLagrangian, window_mm: tuple[float, float] | None = None) -> np.ndarray:
+    """How far each point of the gel's face has moved into the gel.
+
+    The face lies half a spacing above the uppermost particles and moves with their deformation. A point
+    keeps its place in the grid, also where it moves sideways.
+
+    Args:
+        solver: a gel, at rest under load.
+        window_mm: width and height that the grid covers; None for all of the gel's width, and the same
+            spacing along rows and columns where the gel is as tall as its window asks.
+
+    Returns:
+        (B, 80, 59) mm, in the frame of the probe grid.
+    """
+    body = solver.body
+    positions, gradients = solver.particles()
+    nx, ny, nz = body.cells.max(0) + 1
+    top = np.flatnonzero(body.cells[:, 2] == nz - 1)
+    top = top[np.lexsort((body.cells[top, 0], body.cells[top, 1]))]  # row by row
+    half = 0.5 * body.spacing_m
+    z = positions[:, top, 2] + half * gradients[:, top, 2, 2]
+    down = 1e3 * (body.positions[top, 2] + half - z).reshape(-1, ny, nx)
+    width, height = window_mm or (1e3 * nx * body.spacing_m, 1e3 * nx * body.spacing_m * ROWS / COLS)
+    rows = _places(ROWS, height, ny, 1e3 * body.spacing_m)
+    cols = _places(COLS, width, nx, 1e3 * body.spacing_m)
+    return np.einsum("ri,bij,cj->brc", rows, down, cols)
+
+
+def _places(points: int, extent: float, count: int, spacing: float) -> np.ndarray:
+    """(points, count) weights of linear interpolation from lattice rows to cell centres over `extent`."""
+    place = ((np.arange(points) + 0.5) / points - 0.5) * extent / spacing + (count - 1) / 2
+    low = np.clip(np.floor(place).astype(int), 0, count - 2)
+    share = np.clip(place - low, 0, 1)
+    out = np.zeros((points, count))
+    out[np.arange(points), low], out[np.arange(points), low + 1] = 1 - share, share
+    return out
+
+
+def joint_targets(
+    twin: Twin, pressure_kpa, time_s=None, conditions: Mapping[str, float] | None = None
+) -> np.ndarray:
+    """Joint targets from the twin's own pipeline: pneumatics, actuation, and what loads do to the joints.
+
+    Weight and payload bend the joints by their torque over the twin's `joint_stiffness_nm_per_rad`, as in the
+    skeleton; the spine's controller is a stiff servo and not what yields to them.
+
+    Args:
+        twin: a finger's or an arm's.
+        pressure_kpa: (T,) commands for a finger, (T, 3) for an arm.
+        time_s: (T,) rising; None where each pressure has been held for long by itself.
+        conditions: what effects ask for, such as `temperature_c`, `gravity_x` or `payload_g`.
+
+    Returns:
+        (T, H) rad, hinge by hinge as in `Spine`.
+
+    Raises:
+        InputError: a pressure is not a finite number; an effect of the twin cannot act here.
+    """
+    if twin.device not in CHAMBERS:
+        raise InputError(f"The twin is of a {twin.device}, which has no joints.")
+    _refuse(twin)
+    pressure, chambers = np.asarray(pressure_kpa, float), CHAMBERS[twin.device]
+    pressure = pressure[:, None] if pressure.ndim == 1 and chambers == 1 else pressure
+    if pressure.ndim != 2 or pressure.shape[1] != chambers or not np.isfinite(pressure).all():
+        raise InputError(
+            f"pressure_kpa is {pressure.tolist()}; a {twin.device} takes {chambers} finite number"
+            f"{'s' if chambers > 1 else ''} at a time."
+        )
+    n = len(pressure)
+    rows = {
+        "trial": np.arange(n) if time_s is None else np.zeros(n, int),
+        "time_s": np.zeros(n) if time_s is None else np.asarray(time_s, float),
+        **{name: np.full(n, float(value)) for name, value in (conditions or {}).items()},
+        **dict(zip(pressure_columns(twin.device)[0], pressure.T, strict=True)),
+    }
+    inputs = Inputs.from_samples(rows, twin.device, twin.length_mm, source="command", start="held")
+    pipeline = Pipeline.of(twin, inputs)
+    for name, why in pipeline.left_out.items():
+        raise InputError(
+            f"The twin's effect '{name}' cannot act: {why.replace('the recording has no column', 'give')}."
+        )
+    return pipeline.run(inputs, pipeline.theta(twin)).joints
+
+
+def _refuse(twin: Twin) -> None:
+    for name in twin.effects:
+        effect = get_effect(name)
+        if effect.stage == "body" and effect.signal == "markers":
+            raise InputError(
+                f"The twin's effect '{name}' does not act in the material point model yet, since its spine "
+                "keeps its length; take the effect out to go on without it."
+            )

@@ -1,0 +1,59 @@
+"""Closed meshes of the parametric finger and arm, in m: x along the straight device, axis at y = z = 0."""
+
+import numpy as np
+import trimesh
+
+PITCH_M = 0.0095  # of the bellows
+STATIONS_A_RING = 4
+ANGLES = 24
+
+
+def finger_mesh(length_m: float, width_m: float) -> trimesh.Trimesh:
+    """A bar with a rounded square section, bellows above and on its sides, and a flat spine below (-z).
+
+    Args:
+        length_m: of the straight finger.
+        width_m: outer width and height.
+    """
+    angle = np.linspace(0, 2 * np.pi, ANGLES, endpoint=False)
+    y, z = np.cos(angle), np.sin(angle)
+    rounded = 0.5 * width_m / (y**4 + z**4) ** 0.25
+    # Folds cut in where the section looks up, half as deep at the sides, not at all below.
+    return _tube(length_m, np.stack([rounded * y, rounded * z], 1), 0.22 * np.clip(0.6 + z, 0, 1))
+
+
+def arm_mesh(length_m: float, width_m: float) -> trimesh.Trimesh:
+    """Three bellows side by side round the axis: a section with three lobes, the first towards +z.
+
+    Args:
+        length_m: of the straight arm.
+        width_m: diameter of the circle round the lobes.
+    """
+    angle = np.linspace(0, 2 * np.pi, ANGLES, endpoint=False)
+    lobes = np.cos(3 * (angle - np.pi / 2))
+    section = 0.5 * width_m * (0.9 + 0.1 * lobes)[:, None] * np.stack([np.cos(angle), np.sin(angle)], 1)
+    return _tube(length_m, section, 0.15 * np.ones(ANGLES))
+
+
+def _tube(length_m: float, section: np.ndarray, depth: np.ndarray) -> trimesh.Trimesh:
+    """Sweeps a section (A, 2), drawn in by the share `depth` (A,) at each fold, along x; ends are closed."""
+    rings = max(1, round(length_m / PITCH_M))
+    share = np.linspace(0, 1, rings * STATIONS_A_RING + 1)
+    fold = 0.5 + 0.5 * np.cos(2 * np.pi * rings * share)  # 1 in a fold
+    fold[share < 0.5 / rings] = fold[share > 1 - 0.5 / rings] = 0.0  # full ends
+    points = section * (1 - fold[:, None, None] * depth[:, None])
+    x = np.broadcast_to((share * length_m)[:, None, None], (*points.shape[:2], 1))
+    vertices = np.concatenate([np.concatenate([x, points], -1).reshape(-1, 3), [[0, 0, 0], [length_m, 0, 0]]])
+    count = len(section)
+    s, a = np.meshgrid(np.arange(len(share) - 1), np.arange(count), indexing="ij")
+    here, beside = s * count + a, s * count + (a + 1) % count
+    sides = np.stack([here, beside, here + count, beside, beside + count, here + count], -1)
+    ring, first, last = np.arange(count), len(vertices) - 2, len(vertices) - 1
+    after = (ring + 1) % count
+    end = (len(share) - 1) * count
+    base = np.stack([np.full_like(ring, first), after, ring], 1)
+    tip = np.stack([np.full_like(ring, last), end + ring, end + after], 1)
+    mesh = trimesh.Trimesh(vertices, np.concatenate([sides.reshape(-1, 3), base, tip]), process=False)
+    if mesh.volume < 0:
+        mesh.invert()
+    return mesh
