@@ -166,7 +166,7 @@ def simulate(
         particles: keep their positions.
 
     Raises:
-        InputError: a duration or a step that makes no sense.
+        InputError: a duration or a step that makes no sense, or an indenter that begins inside a body.
         MpmDiverged: a body left the finite numbers.
     """
     if not (duration_s > 0 and 0 < frame_s <= duration_s):
@@ -180,6 +180,8 @@ def simulate(
     at = loads if callable(loads) else lambda _: loads
     out: dict[str, list] = {k: [] for k in ("q", "q_vel", "body_torque", "contact_force", "positions")}
     solver.heavy_edges(False)
+    solver.apply(at(0.0), damping=damping, dt=step)
+    _outside(solver)
     for frame in range(frames + 1):
         q, qd, soft = solver.angles()
         force = solver.contact()[0].sum(1)
@@ -192,6 +194,20 @@ def simulate(
             _finite(solver, solver.energy(), (frame + 1) * substeps)
     stacked = {k: np.stack(v) if v[0] is not None else None for k, v in out.items()}
     return Trajectory(time_s=np.arange(frames + 1) * frame_s, **stacked)
+
+
+def _outside(solver: TotalLagrangian) -> None:
+    """Refuses to begin a motion with an indenter well inside a body: it would be shot away."""
+    if not solver.touching:
+        return
+    overlap = solver.overlap()
+    if overlap.max() >= 0.25 * solver.body.spacing_m:
+        worst = int(overlap.argmax())
+        raise InputError(
+            f"Body '{solver.body.name}' (number {worst} of the batch): the indenter begins "
+            f"{overlap[worst]:.3g} m inside the body; start it outside, or press it in with "
+            "solve_equilibrium first."
+        )
 
 
 def _retreat(solver: TotalLagrangian, loads: Loads) -> np.ndarray | None:

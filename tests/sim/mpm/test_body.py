@@ -1,0 +1,93 @@
+"""Bodies from meshes: volume and mass, and what is refused."""
+
+import numpy as np
+import pytest
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.mpm.body import Body, Material
+from pneutac_sim.mpm.rest_grid import RestGrid
+
+trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed: there are no meshes to fill")
+
+RUBBER = Material(1e5, 0.45, 1100.0)
+SHAPES = {
+    "sphere": lambda: trimesh.creation.icosphere(subdivisions=4, radius=0.01),
+    "cylinder": lambda: trimesh.creation.cylinder(radius=0.008, height=0.03, sections=64),
+}
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_volume_and_mass_converge(shape):
+    mesh = SHAPES[shape]()
+    errors = []
+    for per_radius in (4, 9, 16):
+        spacing = 0.008 / per_radius
+        body = Body.from_mesh(shape, mesh, RUBBER, spacing_m=spacing)
+        grid = RestGrid.of(body)
+        assert grid.volume.sum() == pytest.approx(body.volume_m3, rel=1e-9)  # nodes carry all the mass
+        centre = (grid.volume[:, None] * grid.nodes).sum(0) / grid.volume.sum()
+        assert np.abs(centre - mesh.center_mass).max() < 0.05 * spacing
+        errors.append(abs(body.volume_m3 / mesh.volume - 1))
+    assert errors[-1] < 0.015
+    assert errors[-1] < 0.5 * errors[0]
+
+
+def test_particles_as_many_as_asked():
+    body = Body.from_mesh("ball", SHAPES["sphere"](), RUBBER, particles=4000)
+    assert abs(len(body.cells) - 4000) < 100
+    assert (np.linalg.norm(body.positions, axis=1) < 0.01).all()
+
+
+def test_an_open_mesh_is_refused():
+    mesh = SHAPES["sphere"]()
+    mesh.update_faces(np.arange(len(mesh.faces)) > 3)
+    with pytest.raises(InputError, match="Body 'ball': the mesh is open"):
+        Body.from_mesh("ball", mesh, RUBBER)
+
+
+def test_an_inverted_mesh_is_refused():
+    mesh = SHAPES["sphere"]()
+    mesh.invert()
+    with pytest.raises(InputError, match="turned inside out"):
+        Body.from_mesh("ball", mesh, RUBBER)
+
+
+def test_an_empty_mesh_is_refused():
+    with pytest.raises(InputError, match="Body 'nothing'"):
+        Body.from_mesh("nothing", trimesh.Trimesh(), RUBBER)
+
+
+def test_a_spacing_larger_than_the_mesh_is_refused():
+    wedge = trimesh.creation.annulus(r_min=0.009, r_max=0.01, height=0.01)
+    with pytest.raises(InputError, match="no particle lies inside"):
+        Body.from_mesh("ring", wedge, RUBBER, spacing_m=0.02)
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ((1e5, 0.5), "poissons_ratio is 0.5"),
+        ((1e5, -0.1), "poissons_ratio is -0.1"),
+        ((1e5, float("nan")), "poissons_ratio is nan"),
+        ((-1.0, 0.3), "youngs_modulus_pa is -1.0; it must be a positive number"),
+        ((float("inf"), 0.3), "youngs_modulus_pa is inf"),
+        ((1e5, 0.3, 0.0), "density_kg_m3 is 0.0"),
+    ],
+)
+def test_an_impossible_material_is_refused(values, words):
+    with pytest.raises(InputError, match=words):
+        Material(*values)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"counts": (4, 0, 4)}, "counts is"),
+        ({"spacing_m": -1e-3}, "spacing_m is -0.001"),
+        ({"clamp": "top"}, "clamp is 'top'; choose x-, y-, z-"),
+    ],
+)
+def test_an_impossible_box_is_refused(change, words):
+    good = {"name": "box", "counts": (4, 4, 4), "spacing_m": 1e-3, "material": RUBBER}
+    with pytest.raises(InputError, match=words):
+        Body.box(**(good | change))

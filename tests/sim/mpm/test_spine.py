@@ -1,0 +1,220 @@
+"""The spine: skeleton dynamics, two-way coupling, balance of torques."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.mpm.body import Body, Material
+from pneutac_sim.mpm.solve import simulate, solve_equilibrium
+from pneutac_sim.mpm.spine import Spine
+from pneutac_sim.mpm.total_lagrangian import Loads, TotalLagrangian
+
+SPACING = 4e-3
+COUNTS = (24, 4, 4)
+LENGTH = COUNTS[0] * SPACING
+MIDDLE = 2 * SPACING
+
+
+class Skeleton(Spine):
+    """Carries every node, so that no soft part is left behind by a fast swing."""
+
+    def bind(self, body, grid):
+        link = np.searchsorted(self.joint_positions_m, grid.nodes[:, 0]) * self.axes
+        return np.where(grid.mirrored, -1, link).astype(np.int32)
+
+
+def arm(material, joints=(0.2, 0.45, 0.7), spine=Spine, **values):
+    body = Body.box("arm", COUNTS, SPACING, material, clamp="x-")
+    values = {"radius_m": 6e-3, "stiffness_nm_per_rad": 1.0, "damping_nms_per_rad": 1e-3} | values
+    places = tuple(LENGTH * j for j in joints)
+    return TotalLagrangian(body, spine(places, LENGTH, MIDDLE, MIDDLE, **values), device="cpu")
+
+
+def lumps(solver):
+    """Mass (kg), centre x (m) from the base, and inertia about y through it, of each moving link."""
+    rho = solver.body.material.density_kg_m3
+    rows = []
+    for link in range(1, solver.hinges + 1):
+        m, p = rho * solver.grid.volume[solver.role == link], solver.grid.nodes[solver.role == link]
+        c = (m[:, None] * p).sum(0) / m.sum()
+        rows.append((m.sum(), c[0], (m * ((p - c)[:, [0, 2]] ** 2).sum(1)).sum()))
+    return np.array(rows)
+
+
+def skeleton(solver, q_cmd, gravity, times, coriolis=1.0):
+    """(T, H) angles of the bare chain in its plane, from Lagrange's equations by a standard integrator."""
+    rows, x, s = lumps(solver), np.array(solver.spine.joint_positions_m), solver.spine
+    h = solver.hinges
+
+    def jacobians(q):
+        """(H, 2, H) of the centres; a joint turns all that lies behind it from x towards z."""
+        angle = np.cumsum(q)
+        out = np.zeros((h, 2, h))
+        place = np.zeros((h + 1, 2))
+        place[0] = x[0], 0
+        for i in range(h):
+            step = (x[i + 1] - x[i]) if i + 1 < h else 0
+            place[i + 1] = place[i] + step * np.array([np.cos(angle[i]), np.sin(angle[i])])
+        for i in range(h):
+            centre = place[i] + (rows[i, 1] - x[i]) * np.array([np.cos(angle[i]), np.sin(angle[i])])
+            for j in range(i + 1):
+                arm_ = centre - place[j]
+                out[i, :, j] = -arm_[1], arm_[0]
+        return out
+
+    def mass(q):
+        j = jacobians(q)
+        spin = np.tril(np.ones((h, h)))
+        return sum(
+            rows[i, 0] * j[i].T @ j[i] + rows[i, 2] * np.outer(spin[i], spin[i]) for i in range(h)
+        )
+
+    def slope(_, y):
+        q, v = y[:h], y[h:]
+        eps = 1e-6
+        dm = [
+            (mass(q + eps * np.eye(h)[k]) - mass(q - eps * np.eye(h)[k])) / (2 * eps) for k in range(h)
+        ]
+        pull = sum(dm[k] * v[k] for k in range(h)) @ v - 0.5 * np.array([v @ d @ v for d in dm])
+        weight = sum(rows[i, 0] * jacobians(q)[i].T @ gravity[[0, 2]] for i in range(h))
+        torque = s.stiffness_nm_per_rad * (q_cmd - q) - s.damping_nms_per_rad * v + weight
+        return np.concatenate([v, np.linalg.solve(mass(q), torque - coriolis * pull)])
+
+    out = solve_ivp(slope, (0, times[-1]), np.zeros(2 * h), t_eval=times, rtol=1e-8, atol=1e-10)
+    return out.y[:h].T
+
+
+AIR = Material(1.0, 0.0, 1000.0)  # as heavy as rubber, a hundred thousand times softer
+
+
+def test_one_joint_swings_as_a_damped_oscillator():
+    """Period and decay of I q'' + K_d q' + K_p (q - q_cmd) = 0 with the lump's inertia."""
+    solver = arm(AIR, joints=(0.3,), spine=Skeleton, damping_nms_per_rad=4e-4)
+    m, x, inertia = lumps(solver)[0]
+    whole = inertia + m * (x - 0.3 * LENGTH) ** 2
+    omega = np.sqrt(1.0 / whole)
+    zeta = 4e-4 / (2 * np.sqrt(whole * 1.0))
+    assert 0.01 < zeta < 0.5  # the decay can be seen
+    period = 2 * np.pi / (omega * np.sqrt(1 - zeta**2))
+    out = simulate(
+        solver, Loads(q_cmd=np.array([[0.2]])), 2 * period, period / 100, dt=period / 4000, particles=False
+    )
+    t, w = out.time_s, omega * np.sqrt(1 - zeta**2)
+    decay = np.exp(-zeta * omega * t)
+    expected = 0.2 * (1 - decay * (np.cos(w * t) + zeta / np.sqrt(1 - zeta**2) * np.sin(w * t)))
+    assert np.abs(out.q[:, 0, 0] - expected).max() < 0.02 * 0.2
+
+
+def test_three_joints_move_as_the_bare_skeleton():
+    """Large swings, so that Coriolis' and centrifugal terms count, under gravity."""
+    solver = arm(AIR, spine=Skeleton, stiffness_nm_per_rad=0.5, damping_nms_per_rad=2e-4)
+    q_cmd, gravity = np.array([0.35, -0.3, 0.35]), np.array([3.0, 0, -9.81])
+    loads = Loads(q_cmd=q_cmd[None], gravity=gravity)
+    out = simulate(solver, loads, 0.06, 1e-3, dt=5e-6, particles=False)
+    expected = skeleton(solver, q_cmd, gravity, out.time_s)
+    error = np.abs(out.q[:, 0] - expected).max()
+    without = skeleton(solver, q_cmd, gravity, out.time_s, coriolis=0.0)
+    assert error < 0.01 * np.ptp(expected)
+    assert error < 0.2 * np.abs(without - expected).max()  # these terms can be seen
+
+
+RUBBER = Material(2e5, 0.4, 1100.0)
+BEND = Loads(q_cmd=np.array([[0.3, 0.25, 0.2]]), gravity=np.array([0, 0, -9.81]))
+
+
+@pytest.fixture(scope="module")
+def bent():
+    solver = arm(RUBBER, stiffness_nm_per_rad=0.5)
+    return solver, solve_equilibrium(solver, BEND, tolerance=1e-3)
+
+
+def test_torques_balance_at_rest(bent):
+    _, e = bent
+    assert np.abs(e.controller_torque + e.body_torque).max() < 0.01 * np.abs(e.body_torque).max()
+    assert np.abs(BEND.q_cmd - e.q).min() > 0.02  # the body really pushes back
+
+
+def test_torque_of_the_body_is_the_slope_of_its_energy(bent, reference):
+    """At rest the free nodes bear no force: moving the carried ones with a joint costs its torque."""
+    solver, e = bent
+    x = solver.nodes()[0].astype(float)
+    weight = 1100.0 * solver.grid.volume[:, None] * BEND.gravity
+
+    def potential(q):
+        moved = x.copy()
+        poses = solver.spine.poses(q)
+        for link in range(solver.hinges + 1):
+            here = solver.role == link
+            moved[here] = solver.grid.nodes[here] @ poses[link, :, :3].T + poses[link, :, 3]
+        return reference.energy(solver, moved) - (weight * moved)[~solver.grid.mirrored].sum()
+
+    for h in range(solver.hinges):
+        step = 1e-5 * np.eye(solver.hinges)[h]
+        torque = -(potential(e.q[0] + step) - potential(e.q[0] - step)) / 2e-5
+        assert torque == pytest.approx(e.body_torque[0, h], abs=0.01 * float(np.abs(e.body_torque).max()))
+
+
+def test_the_coupling_does_not_depend_on_the_step():
+    ends = []
+    for fraction in (1.0, 0.5):
+        solver = arm(RUBBER, stiffness_nm_per_rad=0.5)
+        step = fraction * solver.stable_dt[0]
+        out = simulate(solver, BEND, 0.6, 0.6, damping=60.0, dt=step)
+        ends.append((out.q[-1, 0], out.positions[-1, 0]))
+    assert np.abs(ends[0][0] - ends[1][0]).max() < 1e-3 * np.abs(ends[0][0]).max()
+    assert np.abs(ends[0][1] - ends[1][1]).max() < 0.02 * SPACING
+
+
+def test_opposite_targets_bend_to_mirror_images():
+    """With an even number of particles about the spine's plane."""
+    ends = []
+    for sign in (1, -1):
+        solver = arm(RUBBER, stiffness_nm_per_rad=0.5)
+        out = simulate(solver, Loads(q_cmd=sign * BEND.q_cmd), 0.05, 0.05)
+        ends.append((out.q[-1, 0], out.positions[-1, 0].reshape(*COUNTS, 3) - [0, MIDDLE, MIDDLE]))
+    assert np.abs(ends[0][0] + ends[1][0]).max() < 1e-4 * np.abs(ends[0][0]).max()
+    assert np.abs(ends[0][1] - ends[1][1][:, :, ::-1] * [1, 1, -1]).max() < 1e-3 * SPACING
+
+
+def test_two_axes_bend_alike():
+    """On a square section, towards +y as much as towards +z."""
+    ends = []
+    for axis in range(2):
+        solver = arm(RUBBER, axes=2, joints=(0.3, 0.6))
+        q = np.zeros((1, 4))
+        q[0, axis::2] = 0.3
+        out = simulate(solver, Loads(q_cmd=q), 0.05, 0.05)
+        ends.append((out.q[-1, 0, axis::2], out.positions[-1, 0].reshape(*COUNTS, 3)))
+    assert np.abs(ends[0][0] - ends[1][0]).max() < 2e-4
+    assert np.abs(ends[0][1] - ends[1][1].swapaxes(1, 2)[..., [0, 2, 1]]).max() < 1e-3 * SPACING
+
+
+def test_a_spine_outside_the_body_is_refused():
+    with pytest.raises(InputError, match="Body 'arm': the spine's link after joint 1 .* outside the body"):
+        body = Body.box("arm", COUNTS, SPACING, RUBBER, clamp="x-")
+        TotalLagrangian(body, Spine((0.02,), LENGTH, 0.1, 0.1, radius_m=5e-3), device="cpu")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"joint_positions_m": (0.03, 0.02)}, "from base to tip, ascending"),
+        ({"length_m": 0.01}, "length_m is 0.01; it must exceed"),
+        ({"axes": 3}, "axes is 3; choose 1"),
+        ({"radius_m": 0.0}, "radius_m is 0.0; it must be positive"),
+        ({"stiffness_nm_per_rad": -1.0}, "stiffness_nm_per_rad is -1.0"),
+    ],
+)
+def test_an_impossible_spine_is_refused(change, words):
+    good = {"joint_positions_m": (0.02, 0.05), "length_m": 0.1, "y_m": 0.01, "z_m": 0.01, "radius_m": 5e-3}
+    with pytest.raises(InputError, match=words):
+        Spine(**(good | change))
+
+
+def test_a_joint_target_that_is_no_number_is_refused():
+    solver = arm(RUBBER)
+    with pytest.raises(InputError, match="Body 'arm': a joint target is not a finite number"):
+        simulate(solver, Loads(q_cmd=np.array([[0.1, np.nan, 0.1]])), 0.01, 0.01)
+    with pytest.raises(InputError, match="a joint target is not a finite number"):
+        solve_equilibrium(solver, Loads(q_cmd=np.array([[0.1, np.nan, 0.1]])))
