@@ -16,7 +16,7 @@ from pneutac_sim.mpm.runtime import ti
 
 # Columns of `load`, one row a body.
 MU, LAM, RHO, DT, DAMPING, GRAVITY, POSE = 0, 1, 2, 3, 4, 5, 8
-SIZE, FRICTION, SPRING, RATE, LOAD = 20, 23, 24, 25, 26
+SIZE, FRICTION, SPRING, RATE, DRIFT, LOAD = 20, 23, 24, 25, 26, 29
 SPREAD_CPU = 512  # loops of up to so many iterations run on one thread
 
 W = tuple(tuple(float(x) for x in row) for row in WEIGHT)
@@ -205,11 +205,9 @@ def surface(
 ):  # fmt: skip
     """Where surface point s of cell c is."""
     p = vector3(spot, s * 3)
-    for i, j in ti.ndrange(3, 3):
-        wij = weights[s * 9 + i] * weights[s * 9 + 3 + j]
-        for k in ti.static(range(3)):
-            n = pick(cell_nodes, c, 9 * i + 3 * j + k, cells, soa)
-            p += wij * weights[s * 9 + 6 + k] * vector(u, b, n, nodes, soa)
+    for i, j, k in ti.static(ti.ndrange(3, 3, 3)):
+        w = weights[s * 9 + i] * weights[s * 9 + 3 + j] * weights[s * 9 + 6 + k]
+        p += w * vector(u, b, pick(cell_nodes, c, 9 * i + 3 * j + k, cells, soa), nodes, soa)
     return p
 
 
@@ -229,17 +227,18 @@ def depth(
 def touch(
     b, c, cells, nodes, points, load: arrays, u: arrays, force: arrays, spot: arrays, cell_nodes: arrays,
     start: arrays, weights: arrays, shape: arrays, table: arrays, samples, anchor: arrays, contact: arrays,
-    soa: ti.template(),
+    taken, soa: ti.template(),
 ):  # fmt: skip
     """Adds contact at the surface points of one cell.
 
     A point at depth g feels the normal force N = k g + m, whose part m grows with k g until nothing
     penetrates, and, by a spring of stiffness k from where it stuck, at most the friction mu_f N. `anchor`
     holds five numbers a point: the place where it stuck, in the indenter's frame, whether it touches, and
-    m; `contact` four: its force and depth.
+    m; `contact` four: its force and depth. The indenter drifts from substep to substep.
     """
     at = b * LOAD
     R, origin, size = matrix9(load, at + POSE), vector3(load, at + POSE + 9), vector3(load, at + SIZE)
+    origin += taken * vector3(load, at + DRIFT)
     k = load[at + SPRING]
     for s in range(start[c], start[c + 1]):
         p = surface(b, c, s, cells, nodes, u, spot, cell_nodes, weights, soa)
@@ -264,10 +263,10 @@ def touch(
             for e in ti.static(range(3)):
                 anchor[o + e] = stuck[e]
             f = R @ (push * n - k * slip)
-            for i, j in ti.ndrange(3, 3):
-                wij = weights[s * 9 + i] * weights[s * 9 + 3 + j]
-                for a, e in ti.static(ti.ndrange(3, 3)):
-                    force[slot(b, c, 9 * i + 3 * j + a, e, cells, soa)] += wij * weights[s * 9 + 6 + a] * f[e]
+            for i, j, h in ti.static(ti.ndrange(3, 3, 3)):
+                w = weights[s * 9 + i] * weights[s * 9 + 3 + j] * weights[s * 9 + 6 + h]
+                for e in ti.static(range(3)):
+                    force[slot(b, c, 9 * i + 3 * j + h, e, cells, soa)] += w * f[e]
         anchor[o + 3] = 1.0 if push > 0.0 else 0.0
         anchor[o + 4] = memory
         for e in ti.static(range(3)):
@@ -279,7 +278,7 @@ def touch(
 def gather(b, n, cells, nodes, force: arrays, slots: arrays, soa: ti.template()):
     """Force on node n: the sum of its slots."""
     f = ti.Vector([0.0, 0.0, 0.0])
-    for a in range(27):
+    for a in ti.static(range(27)):  # unrolled: the loads do not wait for each other
         c = pick(slots, n, a, nodes, soa)
         for d in ti.static(range(3)):
             f[d] += force[slot(b, c, a, d, cells, soa)]

@@ -14,13 +14,13 @@ GPU_LANES = 256
 
 @ti.kernel
 def within(
-    substeps: int, bodies: int, cells: int, nodes: int, points: int, hinges: int, carried: int, dx: float,
-    samples: int, soa: ti.template(), touching: ti.template(), load: floats, u: floats, v: floats, total:
-    floats, force: floats, cell_nodes: ints, cell_mask: ints, slots: ints, ghost: ints, role: ints, volume:
-    floats, inertia: floats, rest: floats, start: ints, spot: floats, weights: floats, shape: ints, table:
-    floats, anchor: floats, contact: floats, q: floats, qd: floats, drive: floats, chain: floats, lump:
-    floats, pose: floats, wrench: floats, momentum: floats, work: floats, soft: floats, bound: ints,
-    bound_link: ints, bound_start: ints,
+    taken: int, substeps: int, bodies: int, cells: int, nodes: int, points: int, hinges: int, carried: int,
+    dx: float, samples: int, soa: ti.template(), touching: ti.template(), load: floats, u: floats,
+    v: floats, total: floats, force: floats, cell_nodes: ints, cell_mask: ints, slots: ints, ghost: ints,
+    role: ints, volume: floats, inertia: floats, rest: floats, start: ints, spot: floats, weights: floats,
+    shape: ints, table: floats, anchor: floats, contact: floats, q: floats, qd: floats, drive: floats,
+    chain: floats, lump: floats, pose: floats, wrench: floats, momentum: floats, work: floats, soft: floats,
+    bound: ints, bound_link: ints, bound_start: ints,
 ):  # fmt: skip
     """All substeps of each body by one thread (CPU) or one block (GPU)."""
     spread = kern.SPREAD_CPU
@@ -32,100 +32,73 @@ def within(
     for t in range(bodies * spread):
         b, lane = t // spread, t % spread
         if ti.static(soa) or lane == 0:
-            for _ in range(substeps):
+            for step in range(substeps):
                 c = lane
                 while c < cells:
                     kern.elastic(b, c, cells, nodes, dx, load, u, force, cell_nodes, cell_mask, soa)
                     if ti.static(touching):
                         kern.touch(
                             b, c, cells, nodes, points, load, u, force, spot, cell_nodes, start, weights,
-                            shape, table, samples, anchor, contact, soa,
+                            shape, table, samples, anchor, contact, float(taken + step), soa,
                         )  # fmt: skip
                     c += stride
-                if ti.static(soa):
-                    ti.simt.block.sync()
+                spk.wait(soa)
                 n = lane
                 while n < nodes:
                     kern.move(
-                        b,
-                        n,
-                        cells,
-                        nodes,
-                        load,
-                        u,
-                        v,
-                        total,
-                        force,
-                        slots,
-                        ghost,
-                        role,
-                        volume,
-                        inertia,
+                        b, n, cells, nodes, load, u, v, total, force, slots, ghost, role, volume, inertia,
                         soa,
-                    )
+                    )  # fmt: skip
                     n += stride
-                if ti.static(soa):
-                    ti.simt.block.sync()
+                spk.wait(soa)
                 if hinges > 0:
-                    j = lane
-                    while j < (hinges + 1) * 6:
-                        spk.react(
-                            b, j, nodes, hinges, u, rest, total, bound, bound_start, pose, lump, wrench, soa
-                        )
-                        j += stride
-                    if ti.static(soa):
-                        ti.simt.block.sync()
-                    if lane == 0:
-                        spk.project(
-                            b, hinges, load, q, qd, drive, chain, lump, pose, wrench, momentum, work, soft
-                        )
-                    if ti.static(soa):
-                        ti.simt.block.sync()
-                    k = lane
-                    while k < carried:
-                        spk.carry(b, k, nodes, hinges, u, bound, bound_link, rest, pose, soa)
-                        k += stride
-                    if ti.static(soa):
-                        ti.simt.block.sync()
+                    spk.step(
+                        b, lane, stride, nodes, hinges, carried, load, u, rest, total, q, qd, drive, chain,
+                        lump, pose, wrench, momentum, work, soft, bound, bound_link, bound_start, soa,
+                    )  # fmt: skip
 
 
 @ti.kernel
 def across(
-    bodies: int, cells: int, nodes: int, points: int, hinges: int, carried: int, dx: float, samples: int,
-    soa: ti.template(), touching: ti.template(), load: floats, u: floats, v: floats, total: floats, force:
-    floats, cell_nodes: ints, cell_mask: ints, slots: ints, ghost: ints, role: ints, volume: floats,
-    inertia: floats, rest: floats, start: ints, spot: floats, weights: floats, shape: ints, table: floats,
-    anchor: floats, contact: floats, q: floats, qd: floats, drive: floats, chain: floats, lump: floats,
-    pose: floats, wrench: floats, momentum: floats, work: floats, soft: floats, bound: ints, bound_link:
-    ints, bound_start: ints,
+    taken: int, bodies: int, cells: int, nodes: int, points: int, hinges: int, carried: int, dx: float,
+    samples: int, soa: ti.template(), touching: ti.template(), load: floats, u: floats, v: floats,
+    total: floats, force: floats, cell_nodes: ints, cell_mask: ints, slots: ints, ghost: ints, role: ints,
+    volume: floats, inertia: floats, rest: floats, start: ints, spot: floats, weights: floats, shape: ints,
+    table: floats, anchor: floats, contact: floats, q: floats, qd: floats, drive: floats, chain: floats,
+    lump: floats, pose: floats, wrench: floats, momentum: floats, work: floats, soft: floats, bound: ints,
+    bound_link: ints, bound_start: ints,
 ):  # fmt: skip
-    """One substep, cells and then nodes side by side."""
+    """One substep, cells and then nodes side by side; `taken` counts those since the loads were set."""
+    spread = kern.SPREAD_CPU
+    stride = 1
+    if ti.static(soa):
+        spread = GPU_LANES
+        stride = GPU_LANES
     for t in range(bodies * cells):
         b, c = t // cells, t % cells
         kern.elastic(b, c, cells, nodes, dx, load, u, force, cell_nodes, cell_mask, soa)
         if ti.static(touching):
             kern.touch(
-                b, c, cells, nodes, points, load, u, force, spot, cell_nodes, start, weights,
-                shape, table, samples, anchor, contact, soa,
+                b, c, cells, nodes, points, load, u, force, spot, cell_nodes, start, weights, shape, table,
+                samples, anchor, contact, float(taken), soa,
             )  # fmt: skip
     for t in range(bodies * nodes):
         b, n = t // nodes, t % nodes
         kern.move(b, n, cells, nodes, load, u, v, total, force, slots, ghost, role, volume, inertia, soa)
     if hinges > 0:
-        for t in range(bodies * (hinges + 1) * 6):
-            b, j = t // ((hinges + 1) * 6), t % ((hinges + 1) * 6)
-            spk.react(b, j, nodes, hinges, u, rest, total, bound, bound_start, pose, lump, wrench, soa)
-        for b in range(bodies):
-            spk.project(b, hinges, load, q, qd, drive, chain, lump, pose, wrench, momentum, work, soft)
-        for t in range(bodies * carried):
-            b, k = t // carried, t % carried
-            spk.carry(b, k, nodes, hinges, u, bound, bound_link, rest, pose, soa)
+        for t in range(bodies * spread):
+            b, lane = t // spread, t % spread
+            if ti.static(soa) or lane == 0:
+                spk.step(
+                    b, lane, stride, nodes, hinges, carried, load, u, rest, total, q, qd, drive, chain,
+                    lump, pose, wrench, momentum, work, soft, bound, bound_link, bound_start, soa,
+                )  # fmt: skip
 
 
 @ti.kernel
 def place(
-    bodies: int, cells: int, nodes: int, points: int, hinges: int, carried: int, soa: ti.template(), q:
-    floats, chain: floats, pose: floats, bound: ints, bound_link: ints, rest: floats, u: floats,
+    bodies: int, cells: int, nodes: int, points: int, hinges: int, carried: int, soa: ti.template(),
+    q: floats, chain: floats, pose: floats, bound: ints, bound_link: ints, rest: floats, u: floats,
 ):  # fmt: skip
     """Links, and the nodes that they carry, where the joint angles put them."""
     for b in range(bodies):
@@ -136,9 +109,9 @@ def place(
 
 @ti.kernel
 def measure(
-    bodies: int, cells: int, nodes: int, points: int, hinges: int, carried: int, soa: ti.template(), load:
-    floats, v: floats, total: floats, before: floats, force: floats, role: ints, inertia: floats, sums:
-    floats,
+    bodies: int, cells: int, nodes: int, points: int, hinges: int, carried: int, soa: ti.template(),
+    load: floats, v: floats, total: floats, before: floats, force: floats, role: ints, inertia: floats,
+    sums: floats,
 ):  # fmt: skip
     """Per body: residual force squared, momentum rate, softness, square of all inner forces."""
     for i in range(bodies * 5):
@@ -185,8 +158,8 @@ def overlap(
 
 @ti.kernel
 def particles(
-    bodies: int, cells: int, nodes: int, points: int, hinges: int, carried: int, count: int, dx: float, soa:
-    ti.template(), u: floats, cell_nodes: ints, particle_cell: ints, local: ints, place: floats,
+    bodies: int, cells: int, nodes: int, points: int, hinges: int, carried: int, count: int, dx: float,
+    soa: ti.template(), u: floats, cell_nodes: ints, particle_cell: ints, local: ints, place: floats,
 ):  # fmt: skip
     """Position and deformation gradient of each particle, twelve numbers."""
     for t in range(bodies * count):

@@ -7,9 +7,12 @@ import numpy as np
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm.total_lagrangian import Loads, TotalLagrangian
+from pneutac_sim.mpm.updated_lagrangian import UpdatedLagrangian
+
+Solver = TotalLagrangian | UpdatedLagrangian
 
 CHUNK = 25  # substeps between two looks at the residual
-RAMP = 16  # pieces of the way of an indenter that begins inside the body
+RAMP = 160  # substeps in which an indenter that begins inside the body is driven in
 
 
 class MpmDiverged(RuntimeError):  # noqa: N818
@@ -44,7 +47,7 @@ class Equilibrium:
 
 
 def solve_equilibrium(
-    solver: TotalLagrangian,
+    solver: Solver,
     loads: Loads,
     tolerance: float = 3e-3,
     max_substeps: int = 20_000,
@@ -71,29 +74,27 @@ def solve_equilibrium(
         if solver.spine and loads.q_cmd is not None:
             solver.set_q(loads.q_cmd)
     solver.heavy_edges(True)
-    rate = solver.slowest_rate()
+    rate = _round(solver.slowest_rate())
+    solver.apply(loads, damping=2 * rate, contact_rate=2 * rate)
     taken = 0
-
-    def go(loads: Loads, substeps: int) -> None:
-        nonlocal taken
-        solver.apply(loads, damping=2 * rate, contact_rate=2 * rate)
-        solver.step(substeps)
-        taken += substeps
-
-    go(loads, 0)
     away = _retreat(solver, loads)
-    for i in range(RAMP):
-        if away is None:
-            break
-        go(replace(loads, position_m=loads.position_m + away * (1 - (i + 1) / RAMP)), 10)
+    if away is not None:
+        start = replace(loads, position_m=loads.position_m + away)
+        solver.apply(start, damping=2 * rate, contact_rate=2 * rate, drift_m=-away / RAMP)
+        solver.step(RAMP)
+        taken += RAMP
+        solver.apply(loads, damping=2 * rate, contact_rate=2 * rate)
     try:
         while True:
-            go(loads, CHUNK - 1)
+            solver.step(CHUNK - 1)
             m = solver.measure()
-            taken += 1
+            taken += CHUNK
             _finite(solver, m["residual"], taken)
             # A motion slower than the guess shows once the fast ones have died away.
-            rate = np.where(m["rate"] > 0, np.minimum(rate, m["rate"]), rate)
+            slower = _round(np.where(m["rate"] > 0, np.minimum(rate, m["rate"]), rate))
+            if (slower < rate).any():
+                rate = slower
+                solver.pace(rate)
             left = m["residual"] / np.maximum(m["scale"], solver.least_force())
             if (left < tolerance).all() and _joints_rest(solver, loads, tolerance):
                 break
@@ -146,7 +147,7 @@ class Trajectory:
 
 
 def simulate(
-    solver: TotalLagrangian,
+    solver: Solver,
     loads: Callable[[float], Loads] | Loads,
     duration_s: float,
     frame_s: float,
@@ -189,14 +190,20 @@ def simulate(
         for key, value in zip(out, values, strict=True):
             out[key].append(value)
         if frame < frames:
-            solver.apply(at(frame * frame_s), damping=damping, dt=step, contact_rate=0.05 / step)
+            # Pushing penetration out adds up over time and feeds a motion that is damped more slowly (Routh).
+            solver.apply(at(frame * frame_s), damping=damping, dt=step, contact_rate=0.5 * damping)
             solver.step(substeps)
             _finite(solver, solver.energy(), (frame + 1) * substeps)
     stacked = {k: np.stack(v) if v[0] is not None else None for k, v in out.items()}
     return Trajectory(time_s=np.arange(frames + 1) * frame_s, **stacked)
 
 
-def _outside(solver: TotalLagrangian) -> None:
+def _round(rate: np.ndarray) -> np.ndarray:
+    """To quarter octaves, so that the rounding of a sum does not change what follows."""
+    return 2.0 ** (np.floor(4 * np.log2(rate)) / 4)
+
+
+def _outside(solver: Solver) -> None:
     """Refuses to begin a motion with an indenter well inside a body: it would be shot away."""
     if not solver.touching:
         return
@@ -210,7 +217,7 @@ def _outside(solver: TotalLagrangian) -> None:
         )
 
 
-def _retreat(solver: TotalLagrangian, loads: Loads) -> np.ndarray | None:
+def _retreat(solver: Solver, loads: Loads) -> np.ndarray | None:
     """(B, 3) m by which an indenter that overlaps the body must go back along its axis, or None."""
     if not solver.touching:
         return None
@@ -222,7 +229,7 @@ def _retreat(solver: TotalLagrangian, loads: Loads) -> np.ndarray | None:
     return overlap[:, None] * axis
 
 
-def _joints_rest(solver: TotalLagrangian, loads: Loads, tolerance: float) -> bool:
+def _joints_rest(solver: Solver, loads: Loads, tolerance: float) -> bool:
     if not solver.spine:
         return True
     q, _, soft = solver.angles()
@@ -232,10 +239,11 @@ def _joints_rest(solver: TotalLagrangian, loads: Loads, tolerance: float) -> boo
     return bool((np.abs(torque + soft) < max(tolerance, 1e-3) * scale + 1e-7).all())
 
 
-def _finite(solver: TotalLagrangian, value: np.ndarray, substeps: int) -> None:
+def _finite(solver: Solver, value: np.ndarray, substeps: int) -> None:
     if not np.isfinite(value).all():
         worst = int(np.argmin(np.isfinite(value)))
         raise MpmDiverged(
             f"Body '{solver.body.name}' (number {worst} of the batch) left the finite numbers within "
-            f"{substeps} substeps: a particle was turned inside out; load it more slowly, or use finer particles."
+            f"{substeps} substeps: a particle was turned inside out; load it more slowly, or use finer "
+            "particles."
         )

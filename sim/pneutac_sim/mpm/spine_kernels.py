@@ -55,99 +55,153 @@ def react(
 
 
 @ti.func
-def project(
-    b,
-    hinges,
-    load: arrays,
-    q: arrays,
-    qd: arrays,
-    drive: arrays,
-    chain: arrays,
-    lump: arrays,
-    pose: arrays,
-    wrench: arrays,
-    momentum: arrays,
-    work: arrays,
-    soft: arrays,
-):
-    """Joint velocities and angles one step on; `drive` has rows target, stiffness, damping a hinge.
+def hinge(b, i, links, chain: arrays, pose: arrays):
+    """Axis and origin of hinge i in the world, six numbers."""
+    T = (b * links + i) * POSE_OF
+    R = matrix9(pose, T)
+    axis, origin = R @ vector3(chain, i * CHAIN + 3), R @ vector3(chain, i * CHAIN) + vector3(pose, T + 9)
+    return ti.Vector([axis[0], axis[1], axis[2], origin[0], origin[1], origin[2]])
 
-    `soft` gets the torque of body and gravity about each hinge.
+
+@ti.func
+def centre_of(b, link, links, lump: arrays, pose: arrays):
+    """Centre of a link's mass in the world."""
+    T = (b * links + link) * POSE_OF
+    return matrix9(pose, T) @ vector3(lump, link * LUMP + 1) + vector3(pose, T + 9)
+
+
+@ti.func
+def assemble(
+    b, item, hinges, load: arrays, q: arrays, drive: arrays, chain: arrays, lump: arrays, pose: arrays,
+    wrench: arrays, momentum: arrays, work: arrays, soft: arrays,
+):  # fmt: skip
+    """One entry of (M + dt (Kd + dt Kp)) q' = J^T (momentum + dt wrench) + dt Kp (q_cmd - q).
+
+    Items are the H x H matrix (lower half) and then the right-hand side; `soft` gets the torque of body and
+    gravity about each hinge.
     """
-    at = b * LOAD
+    at, links, o = b * LOAD, hinges + 1, b * hinges * (hinges + 1)
     rho, dt = load[at + RHO], load[at + DT]
-    keep = ti.exp(-load[at + DAMPING] * dt)
-    links = hinges + 1
-    size = hinges * (hinges + 1)  # matrix and right-hand side
-    o = b * size
-    for i in range(size):
-        work[o + i] = 0.0
+    row = b * hinges * 3
+    if item < hinges * hinges:
+        i, j = item // hinges, item % hinges
+        if j <= i:
+            hi, hj = hinge(b, i, links, chain, pose), hinge(b, j, links, chain, pose)
+            ai, aj = ti.Vector([hi[0], hi[1], hi[2]]), ti.Vector([hj[0], hj[1], hj[2]])
+            m = 0.0
+            for link in range(i + 1, links):
+                c = centre_of(b, link, links, lump, pose)
+                R = matrix9(pose, (b * links + link) * POSE_OF)
+                arm_i = ai.cross(c - ti.Vector([hi[3], hi[4], hi[5]]))
+                arm_j = aj.cross(c - ti.Vector([hj[3], hj[4], hj[5]]))
+                turn = (R.transpose() @ ai).dot(matrix9(lump, link * LUMP + 4) @ (R.transpose() @ aj))
+                m += rho * (lump[link * LUMP] * arm_i.dot(arm_j) + turn)
+            if i == j:
+                m += dt * (drive[row + 3 * i + 2] + dt * drive[row + 3 * i + 1])
+            work[o + item] = m
+    else:
+        i = item - hinges * hinges
+        hi = hinge(b, i, links, chain, pose)
+        ai = ti.Vector([hi[0], hi[1], hi[2]])
+        keep = ti.exp(-load[at + DAMPING] * dt)
+        torque, drift = 0.0, 0.0
+        for link in range(i + 1, links):
+            arm = ai.cross(centre_of(b, link, links, lump, pose) - ti.Vector([hi[3], hi[4], hi[5]]))
+            w = (b * links + link) * SIX
+            torque += arm.dot(vector3(wrench, w)) + ai.dot(vector3(wrench, w + 3))
+            drift += arm.dot(vector3(momentum, w)) + ai.dot(vector3(momentum, w + 3))
+        soft[b * hinges + i] = torque
+        push = drive[row + 3 * i + 1] * (drive[row + 3 * i] - q[b * hinges + i])
+        work[o + item] = keep * drift + dt * (torque + push)
+
+
+@ti.func
+def solve(b, hinges, work: arrays, qd: arrays):
+    """Joint velocities: Cholesky and two triangular solves, in place."""
+    o = b * hinges * (hinges + 1)
+    r = o + hinges * hinges
     for i in range(hinges):
-        soft[b * hinges + i] = 0.0
-    for link in range(1, links):
-        R = matrix9(pose, (b * links + link) * POSE_OF)
-        centre = R @ vector3(lump, link * LUMP + 1) + vector3(pose, (b * links + link) * POSE_OF + 9)
-        m = rho * lump[link * LUMP]
-        inertia = rho * (R @ matrix9(lump, link * LUMP + 4) @ R.transpose())
-        w = (b * links + link) * SIX
-        p = keep * vector3(momentum, w) + dt * vector3(wrench, w)
-        a = keep * vector3(momentum, w + 3) + dt * vector3(wrench, w + 3)
-        for i in range(link):
-            Ti = (b * links + i) * POSE_OF
-            axis_i = matrix9(pose, Ti) @ vector3(chain, i * CHAIN + 3)
-            arm_i = axis_i.cross(
-                centre - matrix9(pose, Ti) @ vector3(chain, i * CHAIN) - vector3(pose, Ti + 9)
-            )
-            work[o + hinges * hinges + i] += arm_i.dot(p) + axis_i.dot(a)
-            soft[b * hinges + i] += arm_i.dot(vector3(wrench, w)) + axis_i.dot(vector3(wrench, w + 3))
-            for j in range(i + 1):
-                Tj = (b * links + j) * POSE_OF
-                axis_j = matrix9(pose, Tj) @ vector3(chain, j * CHAIN + 3)
-                arm_j = axis_j.cross(
-                    centre - matrix9(pose, Tj) @ vector3(chain, j * CHAIN) - vector3(pose, Tj + 9)
-                )
-                work[o + i * hinges + j] += m * arm_i.dot(arm_j) + axis_i.dot(inertia @ axis_j)
-    for i in range(hinges):
-        d = (b * hinges + i) * 3
-        stiffness, damping = drive[d + 1], drive[d + 2]
-        work[o + hinges * hinges + i] += dt * stiffness * (drive[d] - q[b * hinges + i])
-        work[o + i * hinges + i] += dt * (damping + dt * stiffness)
-    for i in range(hinges):  # Cholesky, then two triangular solves, in place
         for j in range(i + 1):
             s = work[o + i * hinges + j]
             for k in range(j):
                 s -= work[o + i * hinges + k] * work[o + j * hinges + k]
             work[o + i * hinges + j] = ti.sqrt(ti.max(s, 1e-30)) if i == j else s / work[o + j * hinges + j]
-        s = work[o + hinges * hinges + i]
+        s = work[r + i]
         for k in range(i):
-            s -= work[o + i * hinges + k] * work[o + hinges * hinges + k]
-        work[o + hinges * hinges + i] = s / work[o + i * hinges + i]
-    for r in range(hinges):
-        i = hinges - 1 - r
-        s = work[o + hinges * hinges + i]
+            s -= work[o + i * hinges + k] * work[r + k]
+        work[r + i] = s / work[o + i * hinges + i]
+    for up in range(hinges):
+        i = hinges - 1 - up
+        s = work[r + i]
         for k in range(i + 1, hinges):
-            s -= work[o + k * hinges + i] * work[o + hinges * hinges + k]
-        work[o + hinges * hinges + i] = s / work[o + i * hinges + i]
-        qd[b * hinges + i] = work[o + hinges * hinges + i]
-    # Momentum of each link at the pose in which the velocities were found, then the new pose.
-    for link in range(1, links):
-        R = matrix9(pose, (b * links + link) * POSE_OF)
-        centre = R @ vector3(lump, link * LUMP + 1) + vector3(pose, (b * links + link) * POSE_OF + 9)
-        velocity, spin = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
-        for i in range(link):
-            Ti = (b * links + i) * POSE_OF
-            axis = matrix9(pose, Ti) @ vector3(chain, i * CHAIN + 3)
-            arm = centre - matrix9(pose, Ti) @ vector3(chain, i * CHAIN) - vector3(pose, Ti + 9)
-            velocity += qd[b * hinges + i] * axis.cross(arm)
-            spin += qd[b * hinges + i] * axis
-        p = rho * lump[link * LUMP] * velocity
-        a = rho * (R @ matrix9(lump, link * LUMP + 4) @ R.transpose()) @ spin
-        for d in ti.static(range(3)):
-            momentum[(b * links + link) * SIX + d] = p[d]
-            momentum[(b * links + link) * SIX + 3 + d] = a[d]
-    for i in range(hinges):
-        q[b * hinges + i] += dt * qd[b * hinges + i]
-    bend(b, hinges, q, chain, pose)
+            s -= work[o + k * hinges + i] * work[r + k]
+        work[r + i] = s / work[o + i * hinges + i]
+        qd[b * hinges + i] = work[r + i]
+
+
+@ti.func
+def push_on(
+    b, link, hinges, load: arrays, qd: arrays, chain: arrays, lump: arrays, pose: arrays, momentum: arrays,
+):  # fmt: skip
+    """Momentum of a link at the pose for which the velocities were found."""
+    links = hinges + 1
+    R, c = matrix9(pose, (b * links + link) * POSE_OF), centre_of(b, link, links, lump, pose)
+    velocity, spin = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
+    for i in range(link):
+        h = hinge(b, i, links, chain, pose)
+        axis = ti.Vector([h[0], h[1], h[2]])
+        velocity += qd[b * hinges + i] * axis.cross(c - ti.Vector([h[3], h[4], h[5]]))
+        spin += qd[b * hinges + i] * axis
+    rho = load[b * LOAD + RHO]
+    p = rho * lump[link * LUMP] * velocity
+    a = rho * (R @ (matrix9(lump, link * LUMP + 4) @ (R.transpose() @ spin)))
+    for d in ti.static(range(3)):
+        momentum[(b * links + link) * SIX + d] = p[d]
+        momentum[(b * links + link) * SIX + 3 + d] = a[d]
+
+
+@ti.func
+def step(
+    b, lane, stride, nodes, hinges, carried, load: arrays, u: arrays, rest: arrays, total: arrays,
+    q: arrays, qd: arrays, drive: arrays, chain: arrays, lump: arrays, pose: arrays, wrench: arrays,
+    momentum: arrays, work: arrays, soft: arrays, bound: arrays, bound_link: arrays, bound_start: arrays,
+    soa: ti.template(),
+):  # fmt: skip
+    """One substep of a spine and the nodes that it carries, by the lanes of a block or by one thread."""
+    i = lane
+    while i < (hinges + 1) * SIX:
+        react(b, i, nodes, hinges, u, rest, total, bound, bound_start, pose, lump, wrench, soa)
+        i += stride
+    wait(soa)
+    i = lane
+    while i < hinges * (hinges + 1):
+        assemble(b, i, hinges, load, q, drive, chain, lump, pose, wrench, momentum, work, soft)
+        i += stride
+    wait(soa)
+    if lane == 0:
+        solve(b, hinges, work, qd)
+    wait(soa)
+    i = lane
+    while i < hinges:
+        push_on(b, i + 1, hinges, load, qd, chain, lump, pose, momentum)
+        q[b * hinges + i] += load[b * LOAD + DT] * qd[b * hinges + i]
+        i += stride
+    wait(soa)
+    if lane == 0:
+        bend(b, hinges, q, chain, pose)
+    wait(soa)
+    i = lane
+    while i < carried:
+        carry(b, i, nodes, hinges, u, bound, bound_link, rest, pose, soa)
+        i += stride
+    wait(soa)
+
+
+@ti.func
+def wait(soa: ti.template()):
+    """On a GPU: all lanes of the block meet here."""
+    if ti.static(soa):
+        ti.simt.block.sync()
 
 
 @ti.func

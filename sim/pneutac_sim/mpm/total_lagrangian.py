@@ -159,7 +159,7 @@ class TotalLagrangian:
                 *(a[k] for k in ("q", "chain", "pose", "bound", "bound_link", "rest", "u")),
             )
 
-    def apply(self, loads: Loads, damping=0.0, dt=None, contact_rate=0.0) -> None:
+    def apply(self, loads: Loads, damping=0.0, dt=None, contact_rate=0.0, drift_m=None) -> None:
         """Sets what acts from now on.
 
         Args:
@@ -167,6 +167,7 @@ class TotalLagrangian:
             damping: of the momentum, 1/s, or (B,).
             dt: step in s, or (B,); None for the largest stable one of each body.
             contact_rate: how fast penetration is pushed out, 1/s, or (B,).
+            drift_m: (B, 3) by which the indenter moves in each substep, m.
         """
         k, b = kern, self.batch
         row = self.load
@@ -175,6 +176,7 @@ class TotalLagrangian:
         row[:, k.POSE + 9 : k.POSE + 12] = loads.position_m
         row[:, k.SIZE : k.SIZE + 3] = loads.size_m
         row[:, k.FRICTION] = loads.friction
+        row[:, k.DRIFT : k.DRIFT + 3] = 0.0 if drift_m is None else drift_m
         row[:, k.DAMPING] = damping
         row[:, k.RATE] = contact_rate
         row[:, k.DT] = self.stable_dt if dt is None else dt
@@ -190,7 +192,7 @@ class TotalLagrangian:
         unknown = set(names) - set(shapes.SHAPES)
         if unknown:
             raise InputError(f"There is no indenter '{unknown.pop()}'; there are {', '.join(shapes.SHAPES)}.")
-        self.touching = any(n != "none" for n in names)
+        self.touching, self.taken = any(n != "none" for n in names), 0
         self.arrays["load"].from_numpy(_line(row))
         self.arrays["shape"].from_numpy(np.array([shapes.SHAPES.index(n) for n in names], np.int32))
         if self.spine:
@@ -204,6 +206,11 @@ class TotalLagrangian:
             drive[..., 2] = self.spine.damping_nms_per_rad
             self.arrays["drive"].from_numpy(_line(drive))
 
+    def pace(self, rate: np.ndarray) -> None:
+        """Sets critical damping of motions at `rate` (B,) in rad/s, and contact to settle as fast."""
+        self.load[:, kern.DAMPING] = self.load[:, kern.RATE] = 2 * rate
+        self.arrays["load"].from_numpy(_line(self.load))
+
     def heavy_edges(self, on: bool) -> None:
         """Whether nodes that carry little material get the inertia of more.
 
@@ -214,17 +221,15 @@ class TotalLagrangian:
 
     def step(self, substeps: int) -> None:
         """Goes on by a number of substeps."""
-        a, touching = self.arrays, self.touching
-        args = (*self.counts, self.grid.dx, self.samples, self.soa, touching, *(a[k] for k in _ORDER))
-        if (
-            len(self.grid.cell_mask) >= LARGE
-            and self.batch < 8
-            or (self.soa and self.batch < 8 and not self.spine)
-        ):
-            for _ in range(substeps):
-                steps.across(*args)
+        arrays = (self.arrays[k] for k in _ORDER)
+        args = (*self.counts, self.grid.dx, self.samples, self.soa, self.touching, *arrays)
+        large = len(self.grid.cell_mask) >= LARGE and self.batch < 8
+        if large or (self.soa and self.batch < 8 and not self.spine):
+            for i in range(substeps):
+                steps.across(self.taken + i, *args)
         else:
-            steps.within(substeps, *args)
+            steps.within(self.taken, substeps, *args)
+        self.taken += substeps
 
     def measure(self) -> dict[str, np.ndarray]:
         """Takes one substep and tells, a body (B,): `residual`, `scale` (both N), `rate` (rad/s).
