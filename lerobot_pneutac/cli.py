@@ -12,7 +12,7 @@ VERBS: dict[str, tuple[str | None, str]] = {
     "diagnose": ("lerobot_pneutac.diagnose", "which physical effect is missing"),
     "add": ("lerobot_pneutac.add", "switch an effect on, re-fit, show the error before and after"),
     "surrogate": (None, "train the fast networks from full simulations"),
-    "render": (None, "pictures and videos of a twin"),
+    "render": ("lerobot_pneutac.render", "pictures and a film of a twin under pressure or an indenter"),
     "augment": (None, "demonstrations in, more demonstrations out"),
     "benchmark": ("lerobot_pneutac.benchmark", "tables of speed and accuracy"),
     "doctor": ("lerobot_pneutac.doctor", "what is installed, which GPU, which ports and cameras answer"),

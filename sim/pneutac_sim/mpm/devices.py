@@ -10,17 +10,19 @@ too; one that cannot is refused by name. Effects of the observation (camera, bas
 from collections.abc import Mapping
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger.inputs import CHAMBERS, Inputs, pressure_columns
 from pneutac_sim.finger.pipeline import Pipeline
+from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.probe import COLS, ROWS
 from pneutac_sim.mpm.body import Body, Material
 from pneutac_sim.mpm.shapes import arm_mesh, finger_mesh
 from pneutac_sim.mpm.spine import Spine
-from pneutac_sim.mpm.total_lagrangian import TotalLagrangian
+from pneutac_sim.mpm.total_lagrangian import Loads, TotalLagrangian
 from pneutac_sim.twin import PAPER_FINGER, Twin
 
 # What a twin's parameters are where it does not tell. Moduli of the finger: the paper's calibrated ones;
@@ -232,3 +234,36 @@ def _refuse(twin: Twin) -> None:
                 f"The twin's effect '{name}' does not act in the material point model yet, since its spine "
                 "keeps its length; take the effect out to go on without it."
             )
+
+
+def press_loads(press: Press) -> Loads:
+    """Loads of an indenter on a gel, the same as `Press.shapes` puts onto the probe grid.
+
+    Args:
+        press: where and how deep, gel frame.
+    """
+    s = 1e-3 * press.size_mm
+    shape, size, turn = {
+        "sphere": ("sphere", (s, s, s), 0.0),
+        "cylinder": ("cylinder", (s, 0.01, s), 0.0),
+        "cone": ("cone", (s, s, s), 0.0),
+        "cube": ("cube", (s / 2, s / 2, s / 2), 0.0),
+        "edge": ("edge", (s, s / 2, s / np.sqrt(2)), np.pi / 2),  # its ridge lies along its own y
+    }[press.indenter]
+    return Loads(
+        indenter=shape,
+        size_m=np.array(size),
+        position_m=1e-3 * np.array([press.x_mm, press.y_mm, -press.depth_mm]),
+        rotation=Rotation.from_euler("z", press.yaw_rad + turn).as_matrix(),
+    )
+
+
+def spine_points(solver: TotalLagrangian, q: np.ndarray) -> np.ndarray:
+    """(B, N + 2, 3) m: base, joints and tip of the spine at joint angles `q` (B, H)."""
+    spine = solver.spine
+    poses = spine.poses(q)[:, :: spine.axes]
+    places = np.array([0.0, *spine.joint_positions_m, spine.length_m])
+    rest = np.stack([places, np.full_like(places, spine.y_m), np.full_like(places, spine.z_m)], 1)
+    link = np.array([0, *range(len(places) - 1)])  # a joint belongs to the link before it
+    own = poses[:, link]
+    return np.einsum("bkij,kj->bki", own[..., :3], rest) + own[..., 3]

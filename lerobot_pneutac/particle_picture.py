@@ -1,0 +1,158 @@
+"""Pictures of particles: lit balls sorted by depth, seen from one side, without a graphics library."""
+
+import cv2
+import numpy as np
+
+STOPS = np.array([[38.0, 150, 155], [238, 200, 110], [226, 74, 51]])  # RGB: calm, half way, most
+PAPER, INK = (246, 248, 250), (27, 36, 48)
+
+
+def colours(value: np.ndarray, top: float) -> np.ndarray:
+    """(P, 3) RGB from calm to warm for values from 0 to `top`."""
+    share = np.clip(value / top, 0, 1) * (len(STOPS) - 1)
+    return np.stack([np.interp(share, range(len(STOPS)), stop) for stop in STOPS.T], -1)
+
+
+def strain(gradients: np.ndarray) -> np.ndarray:
+    """(...,) largest principal stretch less one of deformation gradients (..., 3, 3)."""
+    return np.linalg.svd(np.asarray(gradients, float), compute_uv=False)[..., 0] - 1
+
+
+def draw_particles(
+    image: np.ndarray,
+    points: np.ndarray,
+    rgb: np.ndarray,
+    radius: float,
+    view: tuple[np.ndarray, np.ndarray],
+    scale: float,
+    origin: tuple[float, float],
+) -> None:
+    """Draws balls into `image`, the farthest first.
+
+    Args:
+        image: uint8 (H, W, 3), changed in place.
+        points: (P, 3) m.
+        rgb: (P, 3) colours.
+        radius: of a ball, m.
+        view: unit vectors (3,) in the scene that point right and up in the picture; one looks from the third
+            side, against their cross product.
+        scale: px per m.
+        origin: where the scene's origin is, px right and down.
+    """
+    right, up = (np.asarray(v, float) for v in view)
+    at = points @ np.stack([right, -up, np.cross(right, up)], 1)  # the last grows towards the eye
+    x, y = origin[0] + scale * at[:, 0], origin[1] + scale * at[:, 1]
+    nearness = (at[:, 2] - at[:, 2].min()) / max(np.ptp(at[:, 2]), 1e-9)
+    r = max(1, round(scale * radius))
+    for i in np.argsort(at[:, 2]):
+        shade = 0.55 + 0.45 * nearness[i]
+        centre = (round(x[i]), round(y[i]))
+        cv2.circle(image, centre, r, (0.78 * shade * rgb[i]).tolist(), -1, cv2.LINE_AA)
+        light, bright = (centre[0] - r // 3, centre[1] - r // 3), np.minimum(1.08 * shade * rgb[i], 255)
+        cv2.circle(image, light, max(1, r // 2), bright.tolist(), -1, cv2.LINE_AA)
+
+
+def blank(width: int, height: int) -> np.ndarray:
+    """An empty picture, uint8 (height, width, 3)."""
+    return np.full((height, width, 3), PAPER, np.uint8)
+
+
+def write(image: np.ndarray, text: str, x: int, y: int, size: float = 0.5) -> None:
+    """Writes a line of text with its left end at (x, y)."""
+    cv2.putText(image, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, size, INK, 1, cv2.LINE_AA)
+
+
+def body_picture(
+    positions: np.ndarray,
+    gradients: np.ndarray,
+    spine: np.ndarray,
+    length_m: float,
+    radius: float,
+    caption: str,
+    top_strain: float,
+    turns: tuple[float, ...] = (24.0,),
+    width: int = 640,
+    height: int = 480,
+) -> np.ndarray:
+    """A bending body from its side (x down, so that it hangs; z to the right), its spine drawn over it.
+
+    Args:
+        positions: (P, 3) m.
+        gradients: (P, 3, 3), for the colour.
+        spine: (K, 3) base, joints and tip, m.
+        length_m: of the straight body; sets the scale.
+        radius: of a particle, m.
+        caption: written below.
+        top_strain: strain of the warmest colour.
+        turns: one view for each angle, degrees about the body's length; a little, so that one sees its depth.
+        width: px.
+        height: px.
+    """
+    image = blank(width, height)
+    rgb = colours(strain(gradients), top_strain)
+    scale = 0.74 * height / length_m
+    for k, degrees in enumerate(turns):
+        tilt = np.radians(degrees)
+        view = (np.array([0.0, np.sin(tilt), np.cos(tilt)]), np.array([-1.0, 0.0, 0.0]))
+        origin = ((k + 0.36) * width / len(turns), 0.09 * height)
+        draw_particles(image, positions, rgb, 0.62 * radius, view, scale, origin)
+        x, y = int(origin[0]), int(origin[1])
+        cv2.rectangle(image, (x - 60, y - 16), (x + 60, y - 2), (90, 100, 112), -1)  # what holds the base
+        at = np.stack([origin[0] + scale * spine @ view[0], origin[1] - scale * spine @ view[1]], 1)
+        xy = at.round().astype(int)
+        cv2.polylines(image, [xy], False, INK, 2, cv2.LINE_AA)
+        for p in xy[1:-1]:
+            cv2.circle(image, tuple(p.tolist()), 5, (255, 214, 102), -1, cv2.LINE_AA)
+            cv2.circle(image, tuple(p.tolist()), 5, INK, 1, cv2.LINE_AA)
+    write(image, caption, 16, height - 18, 0.55)
+    return image
+
+
+def gel_picture(
+    moved_mm: np.ndarray,
+    particles_mm: np.ndarray,
+    strains: np.ndarray,
+    spacing_mm: float,
+    window_mm: tuple[float, float],
+    top_mm: float,
+    top_strain: float,
+    caption: str,
+    width: int = 800,
+    height: int = 480,
+) -> np.ndarray:
+    """The face of a gel from above, lit from one side, and a cut along its deepest row.
+
+    Args:
+        moved_mm: (rows, columns) how far the face has moved into the gel.
+        particles_mm: (K, 3) particles of the lattice's cut, mm in the gel frame.
+        strains: (K,) of these.
+        spacing_mm: between particles.
+        window_mm: width and height of the face.
+        top_mm: depth of the warmest colour.
+        top_strain: strain of the warmest colour in the cut.
+        caption: written below.
+        width: px.
+        height: px.
+    """
+    image = blank(width, height)
+    face_height = height - 90
+    face_width = round(face_height * window_mm[0] / window_mm[1])
+    rows, cols = moved_mm.shape
+    slope_y, slope_x = np.gradient(-moved_mm, window_mm[1] / rows, window_mm[0] / cols)
+    normal = np.stack([-slope_x, -slope_y, np.ones_like(slope_x)], -1)
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    light = np.array([-0.45, -0.55, 0.70])
+    shade = np.clip(normal @ light / 0.70, 0.25, 1.35)[..., None]
+    face = np.clip(colours(moved_mm, top_mm) * shade, 0, 255).astype(np.uint8)
+    face = cv2.resize(face, (face_width, face_height), interpolation=cv2.INTER_CUBIC)
+    image[24 : 24 + face_height, 16 : 16 + face_width] = face
+    line = 24 + round((np.unravel_index(moved_mm.argmax(), moved_mm.shape)[0] + 0.5) / rows * face_height)
+    cv2.line(image, (16, line), (16 + face_width, line), (255, 255, 255), 1, cv2.LINE_AA)
+    left = 16 + face_width + 36
+    scale = (width - left - 16) / (1.06 * window_mm[0])
+    origin = (left + 0.53 * window_mm[0] * scale, 0.5 * height)
+    view = (np.array([1.0, 0, 0]), np.array([0, 0, 1.0]))
+    draw_particles(image, particles_mm, colours(strains, top_strain), 0.55 * spacing_mm, view, scale, origin)
+    write(image, "cut along the white line", left, 40)
+    write(image, caption, 16, height - 22, 0.55)
+    return image

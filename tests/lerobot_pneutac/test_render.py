@@ -1,0 +1,115 @@
+"""`pneutac render`: pictures of material points, a film, and what is kept when it is interrupted."""
+
+import json
+from functools import partial
+
+import av
+import numpy as np
+import pytest
+from PIL import Image
+
+from lerobot_pneutac import particle_picture, render
+from pneutac_sim.errors import InputError
+from pneutac_sim.gel.model import GelModel
+from pneutac_sim.mpm import devices
+from pneutac_sim.twin import PAPER_FINGER, Twin, Value
+
+
+@pytest.fixture
+def finger(tmp_path):
+    return Twin.builtin().save(tmp_path / "finger")
+
+
+def inked(path) -> np.ndarray:
+    """(H, W) where a picture is not paper, without the caption below."""
+    image = np.asarray(Image.open(path)).astype(int)
+    return (np.abs(image - particle_picture.PAPER).sum(-1) > 60)[:-50]
+
+
+def test_finger_is_seen_bending(finger, tmp_path):
+    out = tmp_path / "out"
+    render.main(
+        [f"--twin={finger}", "--pressure_kpa=[0,15]", "--seconds=0.4", "--particles=600", f"--out={out}"]
+    )
+    result = json.loads((out / "result.json").read_text())
+    assert result["complete"] and result["frames"] == 7
+    still = result["stills"]
+    bend = 4 * PAPER_FINGER["gain_rad_per_kpa"] * (np.array([0, 15]) + PAPER_FINGER["rest_pressure_kpa"])
+    assert [r["pressure_kpa"] for r in still] == [0, 15]
+    assert np.array([r["tip_z_mm"] for r in still]) == pytest.approx(110 * bend / 2, rel=0.15)  # small arcs
+    # the drawn body goes to the right, where +z is, and up
+    a, b = (inked(out / r["picture"]) for r in still)
+    assert np.flatnonzero(b.any(0)).max() > np.flatnonzero(a.any(0)).max() + 50
+    assert np.flatnonzero(b.any(1)).max() < np.flatnonzero(a.any(1)).max() - 20
+    with av.open(str(out / "film.mp4")) as film:
+        assert sum(1 for _ in film.decode(video=0)) == 7 + render.FPS
+    assert "data:video/mp4" in (out / "report.html").read_text()
+
+
+def test_gel_shows_the_imprint_where_it_is(tmp_path, monkeypatch):
+    twin = Twin("gel", 16.0)
+    GelModel.builtin().into_twin(twin)
+    twin.save(tmp_path / "gel")
+    monkeypatch.setattr(devices, "gel", partial(devices.gel, counts=(30, 41, 7)))
+    monkeypatch.setattr(render, "PRESS_FRAMES", 2)
+    out = tmp_path / "out"
+    render.main([f"--twin={tmp_path / 'gel'}", "--depth_mm=1.0", "--x_mm=2", "--y_mm=-3", f"--out={out}"])
+    still = json.loads((out / "result.json").read_text())["stills"]
+    assert [r["depth_mm"] for r in still] == [0.5, 1.0]
+    assert still[1]["face_mm"] == pytest.approx(1.0, abs=0.06)
+    assert still[1]["force_n"] > 2 * still[0]["force_n"] > 0
+    # the white line of the cut lies at the row of the press: y = -3 of 16 mm
+    image = np.asarray(Image.open(out / still[1]["picture"])).astype(int)
+    line = np.flatnonzero((image[24:-66, 20:40] > 225).all((1, 2)))
+    assert len(line) and line.mean() / (480 - 90) == pytest.approx(0.5 - 3 / 16, abs=0.03)
+
+
+def test_what_is_finished_is_kept_when_interrupted(tmp_path):
+    def frames():
+        picture = particle_picture.blank(64, 48)
+        yield render.Frame(picture, {"pressure_kpa": 0.0})
+        yield render.Frame(picture)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        render.render("finger", frames(), 9, tmp_path)
+    result = json.loads((tmp_path / "result.json").read_text())
+    assert not result["complete"] and result["frames"] == 2 and len(result["stills"]) == 1
+    assert (tmp_path / "finger_1.png").is_file() and (tmp_path / "film.mp4").is_file()
+
+
+def test_nearer_balls_hide_farther_ones():
+    image = particle_picture.blank(40, 40)
+    view = (np.array([1.0, 0, 0]), np.array([0, 1.0, 0]))  # seen from +z
+    points = np.array([[0, 0, 1.0], [0, 0, -1.0]])
+    red_near = np.array([[200.0, 0, 0], [0, 0, 200.0]])
+    particle_picture.draw_particles(image, points, red_near, 0.5, view, 20.0, (20.0, 20.0))
+    r, _, b = image[20, 20].astype(int)
+    assert r > 100 > b
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--pressure_kpa=[]"], "finite numbers"),
+        (["--seconds=0"], "at least"),
+        (["--particles=3"], "at least 100"),
+    ],
+)
+def test_bad_options_are_named(finger, options, said):
+    with pytest.raises(InputError, match=said):
+        render.main([f"--twin={finger}", *options])
+
+
+def test_an_effect_without_its_condition_is_named(tmp_path):
+    twin = Twin.builtin()
+    twin.effects["payload"] = {"share": Value(1.0)}
+    folder = twin.save(tmp_path / "twin")
+    with pytest.raises(InputError, match="payload.*payload_g"):
+        render.main([f"--twin={folder}", f"--out={tmp_path / 'out'}"])
+
+
+def test_too_deep_a_press_is_refused(tmp_path):
+    folder = Twin("gel", 16.0).save(tmp_path / "gel")
+    with pytest.raises(InputError, match="2.5 mm thick"):
+        render.main([f"--twin={folder}", "--depth_mm=2.4"])
