@@ -80,18 +80,9 @@ def spline(f):
 
 @ti.func
 def touch(
-    b,
-    s,
-    points,
-    taken,
-    x,
-    load: arrays,
-    shape: arrays,
-    table: arrays,
-    samples,
-    anchor: arrays,
-    contact: arrays,
-):
+    b, s, points, taken, x, load: arrays, shape: arrays, table: arrays, samples, anchor: arrays, contact:
+    arrays,
+):  # fmt: skip
     """Force of the indenter on surface point s at x; law and memory as in `lagrangian_kernels.touch`."""
     at, o = b * LOAD, (b * points + s) * 5
     R, k = matrix9(load, at + rows.POSE), load[at + rows.SPRING]
@@ -122,12 +113,12 @@ def touch(
 
 @ti.kernel
 def substep(
-    bodies: int, particles: int, nodes: int, points: int, hinges: int, samples: int, clamp: int, taken: int, dx:
-    ti.f64, origin: ti.types.vector(3, ti.f64), low: box, size: box, alone: ti.template(), touching: ti.template(),
-    load: floats, x: vectors, v: vectors, C: matrices, F: matrices, side: ints, m: reals, u: vectors, f:
-    vectors, tag: ints, start: ints, normal: vectors, shape: ints, table: floats, anchor: floats, contact:
-    floats, q: reals, qd: reals, drive: floats, chain: reals, strip: reals, pose: reals, M: reals, soft:
-    reals, momentum: reals,
+    bodies: int, particles: int, nodes: int, points: int, hinges: int, samples: int, clamp: int, taken:
+    int, dx: ti.f64, origin: ti.types.vector(3, ti.f64), low: box, size: box, alone: ti.template(),
+    touching: ti.template(), load: floats, x: vectors, v: vectors, C: matrices, F: matrices, side: ints,
+    m: reals, u: vectors, f: vectors, tag: ints, start: ints, normal: vectors, shape: ints, table:
+    floats, anchor: floats, contact: floats, q: reals, qd: reals, drive: floats, chain: reals, strip:
+    reals, pose: reals, M: reals, soft: reals, momentum: reals,
 ):  # fmt: skip
     """One substep; u holds the nodes' momentum, then their velocity."""
     links = hinges + 1

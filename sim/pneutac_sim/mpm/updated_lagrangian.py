@@ -25,6 +25,7 @@ from pneutac_sim.mpm.rest_grid import RestGrid
 from pneutac_sim.mpm.runtime import start, ti
 from pneutac_sim.mpm.spine import Spine
 from pneutac_sim.mpm.total_lagrangian import CFL, TotalLagrangian
+from pneutac_sim.mpm.updated_links import skin_gradient, strips
 
 MARGIN = 3  # cells of the box round the body
 STRIDE = 50  # substeps until the box is laid anew
@@ -83,31 +84,28 @@ class UpdatedLagrangian:
                 "shape": np.zeros(b, i4), "table": table.astype(f4), "anchor": np.zeros((b, s, 5), f4),
                 "contact": np.zeros((b, s, 4), f4), "q": np.zeros(b * h), "qd": np.zeros(b * h),
                 "drive": np.zeros((b, h, 3), f4), "chain": spine.chain if spine else np.zeros(6),
-                "strip": _strips(spine) if spine else np.zeros(5), "pose": np.zeros((b, h + 1, 12)),
+                "strip": strips(spine) if spine else np.zeros(5), "pose": np.zeros((b, h + 1, 12)),
                 "M": np.zeros((b, h, h)), "soft": np.zeros((b, h)), "momentum": np.zeros((b, h)),
             }.items()
         }  # fmt: skip
-        self.arrays |= {"x": _vectors(b * p), "v": _vectors(b * p), "normal": _vectors(max(s, 1))}
+        self.arrays |= {"x": _vectors(b * p), "v": _vectors(b * p), "normal": _vectors(s)}
         self.arrays |= {name: ti.Matrix.ndarray(3, 3, ti.f64, shape=(b * p,)) for name in "CF"}
-        if s:
-            self.arrays["normal"].from_numpy(normal)
+        self.arrays["normal"].from_numpy(normal)
         self.nodes, self.low, self.size = 0, np.zeros(3, int), np.zeros(3, int)
         self.touching = False
         self.reset()
 
     def reset(self) -> None:
         """Every body at rest, straight, untouched."""
-        for name in ("anchor", "contact"):
-            self.arrays[name].fill(0)
-        self._put(
-            np.tile(self.rest, (self.batch, 1, 1)), np.tile(np.eye(3), (self.batch, len(self.rest), 1, 1))
-        )
+        self.arrays["anchor"].fill(0)
+        self.arrays["contact"].fill(0)
+        self._put(self.rest, np.eye(3))
         self._set_q(np.zeros((self.batch, self.hinges)))
 
     def set_q(self, q: np.ndarray) -> None:
         """Puts the spine at angles (B, H) in rad, at rest, and carries the body along smoothly."""
         q = np.broadcast_to(np.asarray(q, float), (self.batch, self.hinges))
-        self._put(self.spine.skin(q, self.rest), self._skin_gradient(q))
+        self._put(self.spine.skin(q, self.rest), skin_gradient(self.spine, q, self.rest))
         self._set_q(q)
 
     def shift_q(self, q: np.ndarray) -> None:
@@ -115,19 +113,14 @@ class UpdatedLagrangian:
         now = self.angles()[0].astype(float)
         x, F = self.particles()
         x = x + self.spine.skin(q, self.rest) - self.spine.skin(now, self.rest)
-        self._put(x, self._skin_gradient(q) @ np.linalg.inv(self._skin_gradient(now)) @ F)
+        after, before = (skin_gradient(self.spine, a, self.rest) for a in (q, now))
+        self._put(x, after @ np.linalg.inv(before) @ F)
         self._set_q(q)
 
-    def _skin_gradient(self, q: np.ndarray) -> np.ndarray:
-        """(B, P, 3, 3) by central differences."""
-        step = 1e-3 * self.grid.dx * np.eye(3)
-        ends = [self.spine.skin(q, self.rest + e) - self.spine.skin(q, self.rest - e) for e in step]
-        return np.stack(ends, -1) / (2e-3 * self.grid.dx)
-
     def _put(self, x: np.ndarray, F: np.ndarray) -> None:
-        a = self.arrays
-        a["x"].from_numpy(np.ascontiguousarray(x.reshape(-1, 3)))
-        a["F"].from_numpy(np.ascontiguousarray(F.reshape(-1, 3, 3)))
+        a, shape = self.arrays, (self.batch, len(self.rest))
+        a["x"].from_numpy(np.broadcast_to(x, (*shape, 3)).reshape(-1, 3).copy())
+        a["F"].from_numpy(np.broadcast_to(F, (*shape, 3, 3)).reshape(-1, 3, 3).copy())
         a["v"].fill(0)
         a["C"].fill(0)
 
@@ -168,22 +161,31 @@ class UpdatedLagrangian:
         self.arrays["tag"].fill(0)
 
     def _go(self, substeps: int, done: int = 0) -> None:
-        a, clamp = self.arrays, "xyz".index(self.body.clamp[0]) if self.body.clamp else -1
+        clamp = "xyz".index(self.body.clamp[0]) if self.body.clamp else -1
+        counts = (
+            self.batch,
+            len(self.rest),
+            int(self.size.prod()),
+            len(self.owner),
+            self.hinges,
+            self.samples,
+        )
+        places = (ti.Vector(a.tolist()) for a in (self.body.origin_m, self.low, self.size))
+        fixed = (
+            self.grid.dx,
+            *places,
+            self.device == "cpu",
+            self.touching,
+            *(self.arrays[k] for k in _ORDER),
+        )
         for taken in range(done, done + substeps):
-            kern.substep(
-                self.batch, len(self.rest), int(self.size.prod()), len(self.owner), self.hinges, self.samples,
-                clamp, taken, self.grid.dx, ti.Vector(self.body.origin_m.tolist()), ti.Vector(self.low.tolist()),
-                ti.Vector(self.size.tolist()), self.device == "cpu", self.touching,
-                *(a[k] for k in _ORDER),
-            )  # fmt: skip
+            kern.substep(*counts, clamp, taken, *fixed)
 
     def measure(self) -> dict[str, np.ndarray]:
         """Takes one substep and tells, a body (B,): `residual`, `scale` (both N), `rate` (rad/s).
 
-        `residual` is the norm of the forces on free nodes, `rate` the frequency of the present motion by
-        Rayleigh's quotient. `scale` is that of the forces between cells of eight particles and nodes, taken
-        as if the stress in a cell were the same everywhere: the factor is the sum of squares of the 27 nodes'
-        slopes for it.
+        As for `TotalLagrangian`, but for `scale` the stress in a cell of eight particles is taken to be the
+        same everywhere: the factor is then the sum of squares of the slopes of its 27 nodes.
         """
         before = self._layer("f")
         self._go(1)
@@ -222,17 +224,6 @@ class UpdatedLagrangian:
         """(B, P, 3) positions in m and (B, P, 3, 3) deformation gradients."""
         x, F = self.arrays["x"].to_numpy(), self.arrays["F"].to_numpy()
         return x.reshape(self.batch, -1, 3), F.reshape(self.batch, -1, 3, 3)
-
-
-def _strips(spine: Spine) -> np.ndarray:
-    """(H + 1, 5) first x, last x, y, z, half width of each link at rest, m; see `updated_kernels.side_of`.
-
-    Between the two hinges of a joint lies a link without length.
-    """
-    joints = np.repeat(spine.joint_positions_m, spine.axes)
-    ends = np.concatenate([[0.0], joints, [spine.length_m]])
-    across = np.tile([spine.y_m, spine.z_m, spine.radius_m], (len(ends) - 1, 1))
-    return np.column_stack([ends[:-1], ends[1:], across])
 
 
 def _faces(body: Body) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

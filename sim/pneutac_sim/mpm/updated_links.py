@@ -4,11 +4,32 @@
 cross it, so the hinges have the inertia of just this material.
 """
 
+import numpy as np
+
 from pneutac_sim.mpm.lagrangian_kernels import DAMPING, DT, LOAD, arrays, matrix9, vector3
 from pneutac_sim.mpm.runtime import ti
+from pneutac_sim.mpm.spine import Spine
 from pneutac_sim.mpm.spine_kernels import CHAIN, POSE_OF
 
 NEAR = 0.02  # grid spacings
+
+
+def strips(spine: Spine) -> np.ndarray:
+    """(H + 1, 5) first x, last x, y, z, half width of each link at rest, m; see `side_of`.
+
+    Between the two hinges of a joint lies a link without length.
+    """
+    joints = np.repeat(spine.joint_positions_m, spine.axes)
+    ends = np.concatenate([[0.0], joints, [spine.length_m]])
+    across = np.tile([spine.y_m, spine.z_m, spine.radius_m], (len(ends) - 1, 1))
+    return np.column_stack([ends[:-1], ends[1:], across])
+
+
+def skin_gradient(spine: Spine, q: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """(B, P, 3, 3) of `Spine.skin`, by central differences."""
+    step = 1e-4 * spine.length_m * np.eye(3)
+    ends = [spine.skin(q, points + e) - spine.skin(q, points - e) for e in step]
+    return np.stack(ends, -1) / (2 * step[0, 0])
 
 
 @ti.func
