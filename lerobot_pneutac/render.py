@@ -154,7 +154,7 @@ def _show(console: Console, result: dict, out: Path) -> None:
         for row in result["stills"]:
             table.add_row(*(f"{v:.3g}" if isinstance(v, float) else str(v) for v in row.values()))
         console.print(table)
-    end = "" if result["complete"] else f" (interrupted after {result['frames']} pictures of the film)"
+    end = "" if result["complete"] else f" (stopped after {result['frames']} pictures of the film)"
     console.print(f"{out / (result['film'] or 'result.json')}{end}", highlight=False)
 
 

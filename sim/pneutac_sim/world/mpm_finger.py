@@ -1,9 +1,9 @@
 """The full material point finger in the world: bends the joints that the skeleton bends by a formula.
 
 Each control step the body is brought to rest, starting from the step before: 25 substeps while the pressure
-stands, about 650 while it moves. Moving it through the same 1/15 s in true time takes 2,200, always; what
-that would add, the slow motion of the finger with the mass of its sensor, is the world's own already, by the
-joint springs and dampers of the twin.
+stands, about 650 (0.25 s) while it moves. Moving it through the same 1/15 s in true time takes 2,200, always;
+what that would add, the slow motion of the finger with the mass of its sensor, is the world's own already, by
+the joint springs and dampers of the twin.
 
 Contact and weight come in as torques about the spine's joints. They bend it as far as the twin's
 `joint_stiffness_nm_per_rad` says, since the spine's controller is a stiff servo. What is missing: the soft
