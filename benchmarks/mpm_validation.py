@@ -32,7 +32,7 @@ def marks(low, high, log) -> np.ndarray:
 
 def chart(path, title, across, up, curves, log=False) -> None:
     """Draws curves (name, x, y, style `line` or `dots`) into a PNG."""
-    w, h, left, top, right, low = 900, 560, 100, 60, 870, 480
+    w, h, left, top, right, low = 900, 560, 100, 90, 870, 480
     image = np.full((h, w, 3), 255, np.uint8)
     move = np.log10 if log else np.asarray
     xs = move(np.concatenate([c[1] for c in curves]).astype(float))
@@ -52,7 +52,14 @@ def chart(path, title, across, up, curves, log=False) -> None:
         cv2.line(image, at(x0, y), at(x1, y), GRID, 1, cv2.LINE_AA)
         for value, place in ((x, (at(x, y0)[0] - 20, low + 24)), (y, (left - 74, at(x0, y)[1] + 5))):
             cv2.putText(
-                image, f"{10**value if log else round(value, 9):.3g}", place, FONT, 0.5, INK, 1, cv2.LINE_AA
+                image,
+                f"{10**value if log else round(value, 9) + 0.0:.3g}",
+                place,
+                FONT,
+                0.5,
+                INK,
+                1,
+                cv2.LINE_AA,
             )
     for k, (name, x, y, style) in enumerate(curves):
         points = [
@@ -63,8 +70,9 @@ def chart(path, title, across, up, curves, log=False) -> None:
             cv2.polylines(image, [np.array(points)], False, colour, 2, cv2.LINE_AA)
         for p in points if style == "dots" else []:
             cv2.circle(image, p, 6, colour, -1, cv2.LINE_AA)
-        cv2.rectangle(image, (left + 20, top + 14 + 26 * k), (left + 40, top + 22 + 26 * k), colour, -1)
-        cv2.putText(image, name, (left + 50, top + 24 + 26 * k), FONT, 0.55, INK, 1, cv2.LINE_AA)
+        x = left + 250 * k
+        cv2.rectangle(image, (x, 62), (x + 20, 70), colour, -1)
+        cv2.putText(image, name, (x + 30, 72), FONT, 0.5, INK, 1, cv2.LINE_AA)
     cv2.putText(image, title, (left, 36), FONT, 0.75, INK, 1, cv2.LINE_AA)
     cv2.putText(
         image, across, ((left + right) // 2 - 6 * len(across), h - 24), FONT, 0.6, INK, 1, cv2.LINE_AA

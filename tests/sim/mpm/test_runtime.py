@@ -59,6 +59,7 @@ def same(a, b, tolerance):
     assert np.abs(np.array(a["force"])).max() > 1e-3  # it touched
 
 
+@pytest.mark.slow
 def test_quadrants_gives_what_taichi_gives(tmp_path):
     pytest.importorskip("quadrants", reason="quadrants, Taichi's fork, is not installed")
     pytest.importorskip("taichi", reason="taichi is not installed: nothing to compare quadrants with")
