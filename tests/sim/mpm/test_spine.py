@@ -66,16 +66,12 @@ def skeleton(solver, q_cmd, gravity, times, coriolis=1.0):
     def mass(q):
         j = jacobians(q)
         spin = np.tril(np.ones((h, h)))
-        return sum(
-            rows[i, 0] * j[i].T @ j[i] + rows[i, 2] * np.outer(spin[i], spin[i]) for i in range(h)
-        )
+        return sum(rows[i, 0] * j[i].T @ j[i] + rows[i, 2] * np.outer(spin[i], spin[i]) for i in range(h))
 
     def slope(_, y):
         q, v = y[:h], y[h:]
         eps = 1e-6
-        dm = [
-            (mass(q + eps * np.eye(h)[k]) - mass(q - eps * np.eye(h)[k])) / (2 * eps) for k in range(h)
-        ]
+        dm = [(mass(q + eps * np.eye(h)[k]) - mass(q - eps * np.eye(h)[k])) / (2 * eps) for k in range(h)]
         pull = sum(dm[k] * v[k] for k in range(h)) @ v - 0.5 * np.array([v @ d @ v for d in dm])
         weight = sum(rows[i, 0] * jacobians(q)[i].T @ gravity[[0, 2]] for i in range(h))
         torque = s.stiffness_nm_per_rad * (q_cmd - q) - s.damping_nms_per_rad * v + weight
