@@ -14,9 +14,10 @@ from pneutac_sim.mpm import indenter
 from pneutac_sim.mpm.rest_grid import SLOPE, WEIGHT
 from pneutac_sim.mpm.runtime import ti
 
-# Columns of `load`, one row a body.
-MU, LAM, RHO, DT, DAMPING, GRAVITY, POSE = 0, 1, 2, 3, 4, 5, 8
+# Columns of `load`, one row a body. KEEP is the share of momentum that a substep leaves.
+MU, LAM, RHO, DT, KEEP, GRAVITY, POSE = 0, 1, 2, 3, 4, 5, 8
 SIZE, FRICTION, SPRING, RATE, DRIFT, LOAD = 20, 23, 24, 25, 26, 29
+LEAST_J = 0.2
 SPREAD_CPU = 512  # loops of up to so many iterations run on one thread
 
 W = tuple(tuple(float(x) for x in row) for row in WEIGHT)
@@ -60,20 +61,28 @@ def slot(b, c, a, d, cells, soa: ti.template()):
 
 
 @ti.func
-def first_piola(F, mu, lam):
-    """Neo-Hookean stress mu (F - F^-T) + lambda ln(J) F^-T.
+def first_piola(G, mu, lam):
+    """Neo-Hookean stress mu (F - F^-T) + lambda ln(J) F^-T of the displacement gradient G = F - 1.
 
-    Between J = 1/2 and 2 the logarithm is its series in z = (J - 1) / (J + 1), exact to float32 and several
-    times faster.
+    With the cofactors C of F and j = J - 1, J F - C = G + G^T + (j - tr G) + j G - cof G has no difference
+    of large numbers in it, so that small strains keep their digits. Between J = 1/2 and 2 the logarithm is
+    its series in z = j / (2 + j), exact to float32 and several times faster. Below J = 1/5 the law goes on
+    straight, so that a particle which is turned inside out for a moment finds back; no equilibrium with one
+    is accepted.
     """
-    C = ti.Matrix.cols([F[:, 1].cross(F[:, 2]), F[:, 2].cross(F[:, 0]), F[:, 0].cross(F[:, 1])])
-    J = F[0, 0] * C[0, 0] + F[1, 0] * C[1, 0] + F[2, 0] * C[2, 0]
-    z = (J - 1.0) / (J + 1.0)
+    cof = ti.Matrix.cols([G[:, 1].cross(G[:, 2]), G[:, 2].cross(G[:, 0]), G[:, 0].cross(G[:, 1])])
+    one = ti.Matrix.identity(ti.f32, 3)
+    tr = G.trace()
+    beyond = cof.trace() + G[0, 0] * cof[0, 0] + G[1, 0] * cof[1, 0] + G[2, 0] * cof[2, 0]
+    j = tr + beyond
+    k = ti.max(j, LEAST_J - 1.0)
+    z = k / (2.0 + k)
     y = z * z
     ln = 2.0 * z * (1.0 + y * (1 / 3 + y * (1 / 5 + y * (1 / 7 + y * (1 / 9 + y * (1 / 11))))))
-    if not (J > 0.5 and J < 2.0):
-        ln = ti.log(J)
-    return mu * F + C * ((lam * ln - mu) / J)
+    if not (k > -0.5 and k < 1.0):
+        ln = ti.log(1.0 + k) + (j - k) / (1.0 + k)
+    shear = G + G.transpose() + beyond * one + j * G - cof + (k - j) * (one + G)
+    return (mu * shear + (lam * ln) * ((1.0 + tr) * one - G.transpose() + cof)) * (1.0 / (1.0 + k))
 
 
 @ti.func
@@ -119,72 +128,99 @@ def adjoint_signs(a):
 
 
 @ti.func
-def elastic(
-    b, c, cells, nodes, dx, load: arrays, u: arrays, force: arrays, cell_nodes: arrays, cell_mask: arrays,
-    soa: ti.template(),
-):  # fmt: skip
-    """Writes the elastic forces of one cell on its nodes, f_i = - sum_p V_p P_p grad w_ip.
+def inner(b, c, d, e, cells, soa: ti.template()):
+    """Index of number e of 24, component d, cell c: gradient, then stress, along x, y, z at 8 particles."""
+    at = ((b * cells + c) * 3 + d) * 24 + e
+    if ti.static(soa):
+        at = ((b * 3 + d) * 24 + e) * cells + c
+    return at
 
-    The 8 particles lie symmetric about the cell's middle, so along each axis three nodes give an even and an
-    odd part (`split`), and the 8 gradients are sums of products of these with all signs (`signs`): 0.6 of the
-    operations of summing splines.
+
+@ti.func
+def strain(b, c, d, cells, nodes, dx, u: arrays, tensor: arrays, cell_nodes: arrays, soa: ti.template()):
+    """Writes the gradient of displacement component d at the 8 particles of cell c.
+
+    The particles lie symmetric about the cell's middle, so along each axis three nodes give an even and an
+    odd part (`split`), and the 8 gradients are sums of products of these with all signs (`signs`): 0.6 of
+    the operations of summing splines.
     """
-    Fx, Fy, Fz = ti.Matrix.zero(ti.f32, 3, 8), ti.Matrix.zero(ti.f32, 3, 8), ti.Matrix.zero(ti.f32, 3, 8)
-    for d in range(3):
-        z, y, a = ti.Matrix.zero(ti.f32, 9, 3), ti.Matrix.zero(ti.f32, 3, 9), ti.Matrix.zero(ti.f32, 3, 9)
-        for r in ti.static(range(9)):
-            row = ti.Vector(
-                [
-                    u[place(b, pick(cell_nodes, c, 3 * r + k, cells, soa), d, nodes, soa)]
-                    for k in ti.static(range(3))
-                ]
-            )
-            line = split(row[0], row[1], row[2], 4.0 / dx)
-            for e in ti.static(range(3)):
-                z[r, e] = line[e]
-        for i, e in ti.static(ti.ndrange(3, 3)):
-            line = split(z[3 * i, e], z[3 * i + 1, e], z[3 * i + 2, e], 1.0)
-            for g in ti.static(range(3)):
-                y[i, 3 * g + e] = line[g]
-        for r in ti.static(range(9)):
-            line = split(y[0, r], y[1, r], y[2, r], 1.0)
-            for g in ti.static(range(3)):
-                a[g, r] = line[g]
-        # along the axis of the slope T, Q; along the others P, T
-        gx = signs(ti.Vector([a[1 + i, 3 * j + k] for i, j, k in ti.static(ti.ndrange(2, 2, 2))]))
-        gy = signs(ti.Vector([a[i, 3 * (1 + j) + k] for i, j, k in ti.static(ti.ndrange(2, 2, 2))]))
-        gz = signs(ti.Vector([a[i, 3 * j + 1 + k] for i, j, k in ti.static(ti.ndrange(2, 2, 2))]))
-        for p in ti.static(range(8)):
-            Fx[d, p], Fy[d, p], Fz[d, p] = gx[p], gy[p], gz[p]
-    mu, lam, mask = load[b * LOAD + MU], load[b * LOAD + LAM], cell_mask[c]
-    for p in range(8):
-        F = ti.Matrix.identity(ti.f32, 3)
-        F += ti.Matrix([[Fx[d, p], Fy[d, p], Fz[d, p]] for d in ti.static(range(3))])
-        # volume dx^3 / 8, slopes 4 / dx
-        P = first_piola(F, mu, lam) * (-0.5 * dx * dx * ti.cast((mask >> p) & 1, ti.f32))
-        for d in ti.static(range(3)):
-            Fx[d, p], Fy[d, p], Fz[d, p] = P[d, 0], P[d, 1], P[d, 2]
-    for d in range(3):
-        gx = adjoint_signs(ti.Vector([Fx[d, p] for p in ti.static(range(8))]))
-        gy = adjoint_signs(ti.Vector([Fy[d, p] for p in ti.static(range(8))]))
-        gz = adjoint_signs(ti.Vector([Fz[d, p] for p in ti.static(range(8))]))
-        z, y, a = ti.Matrix.zero(ti.f32, 9, 3), ti.Matrix.zero(ti.f32, 3, 9), ti.Matrix.zero(ti.f32, 3, 9)
-        for i, j, k in ti.static(ti.ndrange(2, 2, 2)):
-            a[1 + i, 3 * j + k] += gx[4 * i + 2 * j + k]
-            a[i, 3 * (1 + j) + k] += gy[4 * i + 2 * j + k]
-            a[i, 3 * j + 1 + k] += gz[4 * i + 2 * j + k]
-        for r in ti.static(range(9)):
-            line = join(a[0, r], a[1, r], a[2, r])
-            for i in ti.static(range(3)):
-                y[i, r] = line[i]
-        for i, e in ti.static(ti.ndrange(3, 3)):
-            line = join(y[i, e], y[i, 3 + e], y[i, 6 + e])
-            for j in ti.static(range(3)):
-                z[3 * i + j, e] = line[j]
-        for r in ti.static(range(9)):
-            line = join(z[r, 0], z[r, 1], z[r, 2])
-            for k in ti.static(range(3)):
-                force[slot(b, c, 3 * r + k, d, cells, soa)] = line[k]
+    z, y, a = ti.Matrix.zero(ti.f32, 9, 3), ti.Matrix.zero(ti.f32, 3, 9), ti.Matrix.zero(ti.f32, 3, 9)
+    for r in ti.static(range(9)):
+        row = ti.Vector(
+            [
+                u[place(b, pick(cell_nodes, c, 3 * r + k, cells, soa), d, nodes, soa)]
+                for k in ti.static(range(3))
+            ]
+        )
+        line = split(row[0], row[1], row[2], 4.0 / dx)
+        for e in ti.static(range(3)):
+            z[r, e] = line[e]
+    for i, e in ti.static(ti.ndrange(3, 3)):
+        line = split(z[3 * i, e], z[3 * i + 1, e], z[3 * i + 2, e], 1.0)
+        for g in ti.static(range(3)):
+            y[i, 3 * g + e] = line[g]
+    for r in ti.static(range(9)):
+        line = split(y[0, r], y[1, r], y[2, r], 1.0)
+        for g in ti.static(range(3)):
+            a[g, r] = line[g]
+    # along the axis of the slope T, Q; along the others P, T
+    gx = signs(ti.Vector([a[1 + i, 3 * j + k] for i, j, k in ti.static(ti.ndrange(2, 2, 2))]))
+    gy = signs(ti.Vector([a[i, 3 * (1 + j) + k] for i, j, k in ti.static(ti.ndrange(2, 2, 2))]))
+    gz = signs(ti.Vector([a[i, 3 * j + 1 + k] for i, j, k in ti.static(ti.ndrange(2, 2, 2))]))
+    for p in ti.static(range(8)):
+        tensor[inner(b, c, d, p, cells, soa)] = gx[p]
+        tensor[inner(b, c, d, 8 + p, cells, soa)] = gy[p]
+        tensor[inner(b, c, d, 16 + p, cells, soa)] = gz[p]
+
+
+@ti.func
+def stress(b, c, p, cells, dx, load: arrays, tensor: arrays, cell_mask: arrays, soa: ti.template()):
+    """Replaces the gradient at particle p of cell c by its stress, times what `spread` needs."""
+    G = ti.Matrix.zero(ti.f32, 3, 3)
+    for d, e in ti.static(ti.ndrange(3, 3)):
+        G[d, e] = tensor[inner(b, c, d, 8 * e + p, cells, soa)]
+    # volume dx^3 / 8, slopes 4 / dx
+    scale = -0.5 * dx * dx * ti.cast((cell_mask[c] >> p) & 1, ti.f32)
+    P = first_piola(G, load[b * LOAD + MU], load[b * LOAD + LAM])
+    for d, e in ti.static(ti.ndrange(3, 3)):
+        tensor[inner(b, c, d, 8 * e + p, cells, soa)] = scale * P[d, e]
+
+
+@ti.func
+def spread(
+    b, c, d, cells, points, tensor: arrays, force: arrays, start: arrays, weights: arrays,
+    contact: arrays, touching: ti.template(), soa: ti.template(),
+):  # fmt: skip
+    """Writes component d of the forces of cell c on its nodes, - sum_p V_p P_p grad w_ip plus contact."""
+    z, y, a = ti.Matrix.zero(ti.f32, 9, 3), ti.Matrix.zero(ti.f32, 3, 9), ti.Matrix.zero(ti.f32, 3, 9)
+    gx = adjoint_signs(ti.Vector([tensor[inner(b, c, d, p, cells, soa)] for p in ti.static(range(8))]))
+    gy = adjoint_signs(ti.Vector([tensor[inner(b, c, d, 8 + p, cells, soa)] for p in ti.static(range(8))]))
+    gz = adjoint_signs(ti.Vector([tensor[inner(b, c, d, 16 + p, cells, soa)] for p in ti.static(range(8))]))
+    for i, j, k in ti.static(ti.ndrange(2, 2, 2)):
+        a[1 + i, 3 * j + k] += gx[4 * i + 2 * j + k]
+        a[i, 3 * (1 + j) + k] += gy[4 * i + 2 * j + k]
+        a[i, 3 * j + 1 + k] += gz[4 * i + 2 * j + k]
+    for r in ti.static(range(9)):
+        line = join(a[0, r], a[1, r], a[2, r])
+        for i in ti.static(range(3)):
+            y[i, r] = line[i]
+    for i, e in ti.static(ti.ndrange(3, 3)):
+        line = join(y[i, e], y[i, 3 + e], y[i, 6 + e])
+        for j in ti.static(range(3)):
+            z[3 * i + j, e] = line[j]
+    for r in ti.static(range(9)):
+        line = join(z[r, 0], z[r, 1], z[r, 2])
+        for k in ti.static(range(3)):
+            z[r, k] = line[k]
+    if ti.static(touching):
+        for s in range(start[c], start[c + 1]):
+            f = contact[(b * points + s) * 4 + d]
+            if f != 0.0:
+                for i, j, k in ti.static(ti.ndrange(3, 3, 3)):
+                    w = weights[s * 9 + i] * weights[s * 9 + 3 + j] * weights[s * 9 + 6 + k]
+                    z[3 * i + j, k] += w * f
+    for r, k in ti.static(ti.ndrange(9, 3)):
+        force[slot(b, c, 3 * r + k, d, cells, soa)] = z[r, k]
 
 
 @ti.func
@@ -201,7 +237,8 @@ def vector3(array: arrays, at):
 
 @ti.func
 def surface(
-    b, c, s, cells, nodes, u: arrays, spot: arrays, cell_nodes: arrays, weights: arrays, soa: ti.template(),
+    b, c, s, cells, nodes, u: arrays, spot: arrays, cell_nodes: arrays, weights: arrays,
+    soa: ti.template(),
 ):  # fmt: skip
     """Where surface point s of cell c is."""
     p = vector3(spot, s * 3)
@@ -225,23 +262,25 @@ def depth(
 
 @ti.func
 def touch(
-    b, c, cells, nodes, points, load: arrays, u: arrays, force: arrays, spot: arrays, cell_nodes: arrays,
-    start: arrays, weights: arrays, shape: arrays, table: arrays, samples, anchor: arrays, contact: arrays,
-    taken, soa: ti.template(),
+    b, s, cells, nodes, points, dx, load: arrays, u: arrays, spot: arrays, cell_nodes: arrays,
+    spot_cell: arrays, weights: arrays, shape: arrays, table: arrays, samples, anchor: arrays,
+    contact: arrays, taken, soa: ti.template(),
 ):  # fmt: skip
-    """Adds contact at the surface points of one cell.
+    """Contact of surface point s.
 
-    A point at depth g feels the normal force N = k g + m, whose part m grows with k g until nothing
-    penetrates, and, by a spring of stiffness k from where it stuck, at most the friction mu_f N. `anchor`
-    holds five numbers a point: the place where it stuck, in the indenter's frame, whether it touches, and
-    m; `contact` four: its force and depth. The indenter drifts from substep to substep.
+    At depth g it feels the normal force N = k g + m, whose part m grows with k g until nothing penetrates,
+    and, by a spring of stiffness k from where it stuck, at most the friction mu_f N. `anchor` holds five
+    numbers a point: the place where it stuck, in the indenter's frame, whether it touches, and m; `contact`
+    four: its force and depth. The indenter drifts from substep to substep; a point further than two cells
+    from it is looked at every eighth substep.
     """
-    at = b * LOAD
-    R, origin, size = matrix9(load, at + POSE), vector3(load, at + POSE + 9), vector3(load, at + SIZE)
-    origin += taken * vector3(load, at + DRIFT)
-    k = load[at + SPRING]
-    for s in range(start[c], start[c + 1]):
-        p = surface(b, c, s, cells, nodes, u, spot, cell_nodes, weights, soa)
+    here = (b * points + s) * 4
+    if contact[here + 3] > -2.0 * dx or (taken + s) % 8 == 0:
+        at = b * LOAD
+        R, origin, size = matrix9(load, at + POSE), vector3(load, at + POSE + 9), vector3(load, at + SIZE)
+        origin += ti.cast(taken, ti.f32) * vector3(load, at + DRIFT)
+        k = load[at + SPRING]
+        p = surface(b, spot_cell[s], s, cells, nodes, u, spot, cell_nodes, weights, soa)
         local = R.transpose() @ (p - origin)
         n4 = indenter.probe(shape[b], size, local, table, samples, 1e-5)
         d = n4[3]
@@ -263,15 +302,11 @@ def touch(
             for e in ti.static(range(3)):
                 anchor[o + e] = stuck[e]
             f = R @ (push * n - k * slip)
-            for i, j, h in ti.static(ti.ndrange(3, 3, 3)):
-                w = weights[s * 9 + i] * weights[s * 9 + 3 + j] * weights[s * 9 + 6 + h]
-                for e in ti.static(range(3)):
-                    force[slot(b, c, 9 * i + 3 * j + h, e, cells, soa)] += w * f[e]
         anchor[o + 3] = 1.0 if push > 0.0 else 0.0
         anchor[o + 4] = memory
         for e in ti.static(range(3)):
-            contact[(b * points + s) * 4 + e] = f[e]
-        contact[(b * points + s) * 4 + 3] = -d
+            contact[here + e] = f[e]
+        contact[here + 3] = -d
 
 
 @ti.func
@@ -287,24 +322,26 @@ def gather(b, n, cells, nodes, force: arrays, slots: arrays, soa: ti.template())
 
 @ti.func
 def move(
-    b, n, cells, nodes, load: arrays, u: arrays, v: arrays, total: arrays, force: arrays, slots: arrays,
-    ghost: arrays, role: arrays, volume: arrays, inertia: arrays, soa: ti.template(),
+    b, n, cells, nodes, load: arrays, u: arrays, v: arrays, total: arrays, before: arrays, force: arrays,
+    slots: arrays, ghost: arrays, role: arrays, volume: arrays, inertia: arrays, soa: ti.template(),
 ):  # fmt: skip
     """One step of one node, symplectic Euler; `role`: -1 free, -2 a ghost, else the link that carries it."""
     if role[n] > -2:
         at = b * LOAD
         rho, dt = load[at + RHO], load[at + DT]
-        f = gather(b, n, cells, nodes, force, slots, soa)
-        m, weight = rho * inertia[n], rho * volume[n]
         g = ghost[n]
-        if g >= 0:
-            f -= gather(b, g, cells, nodes, force, slots, soa)
-            weight -= rho * volume[g]
-            m += rho * inertia[g]
+        f, m, weight = ti.Vector([0.0, 0.0, 0.0]), 0.0, 0.0
+        for side in range(2 if g >= 0 else 1):
+            at_node = n if side == 0 else g
+            sign = 1.0 - 2.0 * side
+            f += sign * gather(b, at_node, cells, nodes, force, slots, soa)
+            weight += sign * rho * volume[at_node]
+            m += rho * inertia[at_node]
         f += weight * vector3(load, at + GRAVITY)
-        keep = ti.exp(-load[at + DAMPING] * dt)
+        keep = load[at + KEEP]
         for d in ti.static(range(3)):
             i = place(b, n, d, nodes, soa)
+            before[i] = total[i]
             total[i] = f[d]
             if role[n] == -1:
                 v[i] = keep * v[i] + dt * f[d] / m

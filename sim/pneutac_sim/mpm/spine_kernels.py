@@ -6,7 +6,7 @@ is kept a link and projected onto the joints at the new pose (Gauss' principle),
 Coriolis in it; the controller's spring and damper are taken implicitly.
 """
 
-from pneutac_sim.mpm.lagrangian_kernels import DAMPING, DT, LOAD, RHO, arrays, matrix9, place, vector, vector3
+from pneutac_sim.mpm.lagrangian_kernels import DT, KEEP, LOAD, RHO, arrays, matrix9, place, vector, vector3
 from pneutac_sim.mpm.runtime import ti
 
 # Rows of `chain`, a hinge: origin, axis at rest. Rows of `lump`, a link: mass, centre, inertia about it, all
@@ -103,7 +103,7 @@ def assemble(
         i = item - hinges * hinges
         hi = hinge(b, i, links, chain, pose)
         ai = ti.Vector([hi[0], hi[1], hi[2]])
-        keep = ti.exp(-load[at + DAMPING] * dt)
+        keep = load[at + KEEP]
         torque, drift = 0.0, 0.0
         for link in range(i + 1, links):
             arm = ai.cross(centre_of(b, link, links, lump, pose) - ti.Vector([hi[3], hi[4], hi[5]]))
@@ -141,7 +141,8 @@ def solve(b, hinges, work: arrays, qd: arrays):
 
 @ti.func
 def push_on(
-    b, link, hinges, load: arrays, qd: arrays, chain: arrays, lump: arrays, pose: arrays, momentum: arrays,
+    b, link, hinges, load: arrays, qd: arrays, chain: arrays, lump: arrays, pose: arrays,
+    momentum: arrays,
 ):  # fmt: skip
     """Momentum of a link at the pose for which the velocities were found."""
     links = hinges + 1
@@ -202,6 +203,24 @@ def wait(soa: ti.template()):
     """On a GPU: all lanes of the block meet here."""
     if ti.static(soa):
         ti.simt.block.sync()
+
+
+@ti.func
+def meet(b, first, blocks, turn, gate: arrays, soa: ti.template()):
+    """On a GPU: all blocks of body b meet here for the `turn`-th time; `first` is true on one lane a block.
+
+    All blocks of a launch are resident at once, so none waits for one that has not begun.
+    """
+    if ti.static(soa):
+        ti.simt.block.sync()
+        if blocks > 1:
+            if first:
+                ti.simt.grid.memfence()
+                ti.atomic_add(gate[b], 1)
+                while ti.atomic_add(gate[b], 0) < turn * blocks:
+                    pass
+                ti.simt.grid.memfence()
+            ti.simt.block.sync()
 
 
 @ti.func

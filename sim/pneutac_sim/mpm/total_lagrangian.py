@@ -15,7 +15,8 @@ from pneutac_sim.mpm.runtime import start, ti
 from pneutac_sim.mpm.spine import Spine
 
 CFL = 0.45
-LARGE = 3000  # cells from which on one body is worth more than one thread or block
+LARGE = 3000  # cells from which on one body is worth more than one thread
+GPU_BLOCKS = 64  # of 256 lanes that any card since 2017 holds at once
 
 
 @dataclass
@@ -69,6 +70,12 @@ class TotalLagrangian:
             raise InputError(f"Body '{body.name}': {len(self.materials)} materials for a batch of {batch}.")
         self.grid = g = RestGrid.of(body)
         self.soa = self.device == "cuda"
+        self.blocks = 1
+        if self.soa:
+            # As many as have work for their lanes, and as can be resident at once over all bodies.
+            self.blocks = int(
+                np.clip(len(g.cell_mask) * 8 // steps.GPU_LANES, 1, max(GPU_BLOCKS // batch, 1))
+            )
         self.hinges = spine.hinges if spine else 0
         n = len(g.nodes)
         self.role = np.where(g.mirrored, -2, -1).astype(np.int32)
@@ -97,7 +104,9 @@ class TotalLagrangian:
             name: _send(a)
             for name, a in {
                 "load": self.load, "u": z((b, n, 3)), "v": z((b, n, 3)), "total": z((b, n, 3)),
-                "force": z((b, c + 1, 27, 3)), "cell_nodes": two(g.cell_nodes), "cell_mask": g.cell_mask,
+                "force": z((b, c + 1, 27, 3)),
+                "tensor": z((b, c, 3, 24)), "spot_cell": g.surface_cell,
+                "cell_nodes": two(g.cell_nodes), "cell_mask": g.cell_mask,
                 "slots": two(g.slots), "ghost": g.ghost, "role": self.role, "volume": g.volume,
                 "inertia": g.volume, "before": z((b, n, 3)), "soft": z((b, max(self.hinges, 1))),
                 "rest": g.nodes, "start": g.surface_start, "spot": g.surface_points,
@@ -109,11 +118,12 @@ class TotalLagrangian:
                 "work": z((b, max(self.hinges, 1), self.hinges + 1)), "bound": self.bound.astype(np.int32),
                 "bound_link": link[self.bound].astype(np.int32),
                 "bound_start": np.searchsorted(link[self.bound], np.arange(links + 1)).astype(np.int32),
-                "sums": z((b, 5)),
+                "sums": z((b, 4)), "gate": z(b, np.int32),
             }.items()
         }  # fmt: skip
         self.counts = (b, c, n, s, self.hinges, len(self.bound))
         self.reset()
+        self.apply(Loads())
 
     def reset(self) -> None:
         """Every body at rest, straight, untouched."""
@@ -177,9 +187,9 @@ class TotalLagrangian:
         row[:, k.SIZE : k.SIZE + 3] = loads.size_m
         row[:, k.FRICTION] = loads.friction
         row[:, k.DRIFT : k.DRIFT + 3] = 0.0 if drift_m is None else drift_m
-        row[:, k.DAMPING] = damping
         row[:, k.RATE] = contact_rate
         row[:, k.DT] = self.stable_dt if dt is None else dt
+        row[:, k.KEEP] = np.exp(-np.asarray(damping) * row[:, k.DT])
         if not np.isfinite(row).all():
             raise InputError(f"Body '{self.body.name}': a load is not a finite number.")
         if (row[:, k.DT] > 1.01 * self.stable_dt).any():
@@ -208,7 +218,8 @@ class TotalLagrangian:
 
     def pace(self, rate: np.ndarray) -> None:
         """Sets critical damping of motions at `rate` (B,) in rad/s, and contact to settle as fast."""
-        self.load[:, kern.DAMPING] = self.load[:, kern.RATE] = 2 * rate
+        self.load[:, kern.RATE] = 2 * rate
+        self.load[:, kern.KEEP] = np.exp(-2 * rate * self.load[:, kern.DT])
         self.arrays["load"].from_numpy(_line(self.load))
 
     def heavy_edges(self, on: bool) -> None:
@@ -223,30 +234,28 @@ class TotalLagrangian:
         """Goes on by a number of substeps."""
         arrays = (self.arrays[k] for k in _ORDER)
         args = (*self.counts, self.grid.dx, self.samples, self.soa, self.touching, *arrays)
-        large = len(self.grid.cell_mask) >= LARGE and self.batch < 8
-        if large or (self.soa and self.batch < 8 and not self.spine):
+        if not self.soa and len(self.grid.cell_mask) >= LARGE and self.batch < 8:
             for i in range(substeps):
                 steps.across(self.taken + i, *args)
         else:
-            steps.within(self.taken, substeps, *args)
+            self.arrays["gate"].fill(0)
+            steps.within(self.taken, substeps, self.blocks, self.arrays["gate"], *args)
         self.taken += substeps
 
     def measure(self) -> dict[str, np.ndarray]:
-        """Takes one substep and tells, a body (B,): `residual`, `scale` (both N), `rate` (rad/s).
+        """Tells, a body (B,): `residual`, `scale` (both N), `rate` (rad/s).
 
-        `residual` is the norm of the forces on free nodes, `scale` that of the forces between cells and
-        nodes, `rate` the frequency of the present motion by Rayleigh's quotient.
+        `residual` is the norm of the forces on free nodes, `scale` that of the forces from outside (weight,
+        contact, links of the spine), `rate` the frequency of the present motion by Rayleigh's quotient.
         """
         a = self.arrays
-        a["before"].copy_from(a["total"])
-        self.step(1)
-        names = ("load", "v", "total", "before", "force", "role", "inertia", "sums")
+        names = ("load", "v", "total", "before", "contact", "role", "volume", "inertia", "sums")
         steps.measure(*self.counts, self.soa, *(a[k] for k in names))
-        f2, kinetic, stiffness, inner = a["sums"].to_numpy().reshape(self.batch, 5).T[:4].astype(float)
+        f2, kinetic, stiffness, outer = a["sums"].to_numpy().reshape(self.batch, 4).T.astype(float)
         dt = self.load[:, kern.DT]
         with np.errstate(invalid="ignore", divide="ignore"):
             rate = np.sqrt(np.maximum(stiffness / (dt * kinetic), 0.0))
-        return {"residual": np.sqrt(f2), "scale": np.sqrt(inner), "rate": np.nan_to_num(rate)}
+        return {"residual": np.sqrt(f2), "scale": np.sqrt(outer), "rate": np.nan_to_num(rate)}
 
     def slowest_rate(self) -> np.ndarray:
         """(B,) rad/s: a guess of the lowest frequency, a shear wave over the furthest way to a hold."""
@@ -259,9 +268,9 @@ class TotalLagrangian:
         return 0.5 * np.pi * shear / far
 
     def least_force(self) -> np.ndarray:
-        """(B,) N: inner forces below this count as none, being those of a strain of 3e-4 in every cell."""
+        """(B,) N: forces from outside below this count as none, like those of a strain of 1e-5 everywhere."""
         youngs = np.array([m.youngs_modulus_pa for m in self.materials])
-        return 3e-4 * youngs * self.grid.dx**2 * np.sqrt(len(self.grid.cell_mask))
+        return 1e-5 * youngs * self.grid.dx**2 * np.sqrt(len(self.grid.cell_mask))
 
     def energy(self) -> np.ndarray:
         """(B,) kinetic energy of the nodes, J."""
@@ -322,6 +331,7 @@ def _send(a: np.ndarray):
 
 
 _ORDER = (
-    "load u v total force cell_nodes cell_mask slots ghost role volume inertia rest start spot weights shape "
+    "load u v total before force tensor spot_cell "
+    "cell_nodes cell_mask slots ghost role volume inertia rest start spot weights shape "
     "table anchor contact q qd drive chain lump pose wrench momentum work soft bound bound_link bound_start"
 ).split()

@@ -144,7 +144,13 @@ def substep(
         mass = load[b * LOAD + rows.RHO] * V
         force = mass * vector3(load, b * LOAD + rows.GRAVITY)
         # Moment of the stress; times w (x_i - x_p) 4 / dx^2 it is the force on a node, [M] equation 16.
-        Q = -V * first_piola(F[t], load[b * LOAD + rows.MU], load[b * LOAD + rows.LAM]) @ F[t].transpose()
+        Q = (
+            -V
+            * first_piola(
+                F[t] - ti.Matrix.identity(ti.f64, 3), load[b * LOAD + rows.MU], load[b * LOAD + rows.LAM]
+            )
+            @ F[t].transpose()
+        )
         if ti.static(touching):
             for s in range(start[p], start[p + 1]):
                 r = F[t] @ normal[s] * (0.25 * dx)
@@ -173,7 +179,7 @@ def substep(
             f[2 * t] -= f[g]
             f[g] = ti.Vector([0.0, 0.0, 0.0])
         if ghost >= 0 and m[2 * t] > 0.0:
-            keep = ti.exp(-load[b * LOAD + rows.DAMPING] * dt)
+            keep = load[b * LOAD + rows.KEEP]
             u[2 * t] = (keep * u[2 * t] + dt * f[2 * t]) / m[2 * t]
             if ghost != n:
                 u[2 * (b * nodes + ghost)] = -u[2 * t]

@@ -6,7 +6,7 @@ cross it, so the hinges have the inertia of just this material.
 
 import numpy as np
 
-from pneutac_sim.mpm.lagrangian_kernels import DAMPING, DT, LOAD, arrays, matrix9, vector3
+from pneutac_sim.mpm.lagrangian_kernels import DT, KEEP, LOAD, arrays, matrix9, vector3
 from pneutac_sim.mpm.runtime import ti
 from pneutac_sim.mpm.spine import Spine
 from pneutac_sim.mpm.spine_kernels import CHAIN, POSE_OF
@@ -83,7 +83,7 @@ def hinges_move(
     dt = load[at + DT]
     for i in range(hinges):
         K, D = drive[(B + i) * 3 + 1], drive[(B + i) * 3 + 2]
-        qd[B + i] = momentum[B + i] * ti.exp(-load[at + DAMPING] * dt)
+        qd[B + i] = momentum[B + i] * load[at + KEEP]
         qd[B + i] += dt * (Q[B + i] + K * (drive[(B + i) * 3] - q[B + i]))
         M[o + i * hinges + i] += dt * (D + dt * K)
     for i in range(hinges):  # elimination without pivots: M is positive definite
