@@ -4,6 +4,8 @@ Taichi compiles the kernels; where only its maintained fork `quadrants` is insta
 import `ti` from here and keep to what both can do.
 """
 
+import contextlib
+import io
 import multiprocessing
 import os
 
@@ -45,6 +47,7 @@ def start(device: str = "auto", threads: int = 0) -> str:
         if device not in ("auto", running):
             raise InputError(f"The MPM runtime runs on {running} already; {device} needs a new process.")
         return running
+    ti.set_logging_level(ti.ERROR)  # without a GPU the search for one would warn
     if device == "auto":
         device = "cuda" if _has_cuda() else "cpu"
     elif device == "cuda" and not _has_cuda():
@@ -52,10 +55,11 @@ def start(device: str = "auto", threads: int = 0) -> str:
             "CUDA is not available: `nvidia-smi` must list a GPU, with a driver of version 450 or newer; "
             "use --device=cpu."
         )
-    options = {"default_fp": ti.f32, "offline_cache": True, "log_level": ti.WARN}
+    options = {"default_fp": ti.f32, "offline_cache": True, "log_level": ti.ERROR}
     if device == "cpu":
         options["cpu_max_num_threads"] = threads or multiprocessing.cpu_count()
-    ti.init(arch=ti.cuda if device == "cuda" else ti.cpu, **options)
+    with contextlib.redirect_stdout(io.StringIO()):  # a greeting has no place among results
+        ti.init(arch=ti.cuda if device == "cuda" else ti.cpu, **options)
     _started = (device, os.getpid())
     return device
 
