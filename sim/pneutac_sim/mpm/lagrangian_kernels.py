@@ -128,16 +128,22 @@ def adjoint_signs(a):
 
 
 @ti.func
-def inner(b, c, d, e, cells, soa: ti.template()):
-    """Index of number e of 24, component d, cell c: gradient, then stress, along x, y, z at 8 particles."""
-    at = ((b * cells + c) * 3 + d) * 24 + e
+def inner(b, t, d, e, room, soa: ti.template()):
+    """Index of number e of 24 of component d: gradient, then stress, along x, y, z at 8 particles.
+
+    A GPU has room for every cell, t being its number; the CPU, which does one cell after another, for one a
+    thread, so that it stays in the cache.
+    """
+    at = ((b * room + t) * 3 + d) * 24 + e
     if ti.static(soa):
-        at = ((b * 3 + d) * 24 + e) * cells + c
+        at = ((b * 3 + d) * 24 + e) * room + t
     return at
 
 
 @ti.func
-def strain(b, c, d, cells, nodes, dx, u: arrays, tensor: arrays, cell_nodes: arrays, soa: ti.template()):
+def strain(
+    b, c, t, d, room, cells, nodes, dx, u: arrays, tensor: arrays, cell_nodes: arrays, soa: ti.template()
+):
     """Writes the gradient of displacement component d at the 8 particles of cell c.
 
     The particles lie symmetric about the cell's middle, so along each axis three nodes give an even and an
@@ -168,34 +174,34 @@ def strain(b, c, d, cells, nodes, dx, u: arrays, tensor: arrays, cell_nodes: arr
     gy = signs(ti.Vector([a[i, 3 * (1 + j) + k] for i, j, k in ti.static(ti.ndrange(2, 2, 2))]))
     gz = signs(ti.Vector([a[i, 3 * j + 1 + k] for i, j, k in ti.static(ti.ndrange(2, 2, 2))]))
     for p in ti.static(range(8)):
-        tensor[inner(b, c, d, p, cells, soa)] = gx[p]
-        tensor[inner(b, c, d, 8 + p, cells, soa)] = gy[p]
-        tensor[inner(b, c, d, 16 + p, cells, soa)] = gz[p]
+        tensor[inner(b, t, d, p, room, soa)] = gx[p]
+        tensor[inner(b, t, d, 8 + p, room, soa)] = gy[p]
+        tensor[inner(b, t, d, 16 + p, room, soa)] = gz[p]
 
 
 @ti.func
-def stress(b, c, p, cells, dx, load: arrays, tensor: arrays, cell_mask: arrays, soa: ti.template()):
+def stress(b, c, t, p, room, dx, load: arrays, tensor: arrays, cell_mask: arrays, soa: ti.template()):
     """Replaces the gradient at particle p of cell c by its stress, times what `spread` needs."""
     G = ti.Matrix.zero(ti.f32, 3, 3)
     for d, e in ti.static(ti.ndrange(3, 3)):
-        G[d, e] = tensor[inner(b, c, d, 8 * e + p, cells, soa)]
+        G[d, e] = tensor[inner(b, t, d, 8 * e + p, room, soa)]
     # volume dx^3 / 8, slopes 4 / dx
     scale = -0.5 * dx * dx * ti.cast((cell_mask[c] >> p) & 1, ti.f32)
     P = first_piola(G, load[b * LOAD + MU], load[b * LOAD + LAM])
     for d, e in ti.static(ti.ndrange(3, 3)):
-        tensor[inner(b, c, d, 8 * e + p, cells, soa)] = scale * P[d, e]
+        tensor[inner(b, t, d, 8 * e + p, room, soa)] = scale * P[d, e]
 
 
 @ti.func
 def spread(
-    b, c, d, cells, points, tensor: arrays, force: arrays, start: arrays, weights: arrays,
+    b, c, t, d, room, cells, points, tensor: arrays, force: arrays, start: arrays, weights: arrays,
     contact: arrays, touching: ti.template(), soa: ti.template(),
 ):  # fmt: skip
     """Writes component d of the forces of cell c on its nodes, - sum_p V_p P_p grad w_ip plus contact."""
     z, y, a = ti.Matrix.zero(ti.f32, 9, 3), ti.Matrix.zero(ti.f32, 3, 9), ti.Matrix.zero(ti.f32, 3, 9)
-    gx = adjoint_signs(ti.Vector([tensor[inner(b, c, d, p, cells, soa)] for p in ti.static(range(8))]))
-    gy = adjoint_signs(ti.Vector([tensor[inner(b, c, d, 8 + p, cells, soa)] for p in ti.static(range(8))]))
-    gz = adjoint_signs(ti.Vector([tensor[inner(b, c, d, 16 + p, cells, soa)] for p in ti.static(range(8))]))
+    gx = adjoint_signs(ti.Vector([tensor[inner(b, t, d, p, room, soa)] for p in ti.static(range(8))]))
+    gy = adjoint_signs(ti.Vector([tensor[inner(b, t, d, 8 + p, room, soa)] for p in ti.static(range(8))]))
+    gz = adjoint_signs(ti.Vector([tensor[inner(b, t, d, 16 + p, room, soa)] for p in ti.static(range(8))]))
     for i, j, k in ti.static(ti.ndrange(2, 2, 2)):
         a[1 + i, 3 * j + k] += gx[4 * i + 2 * j + k]
         a[i, 3 * (1 + j) + k] += gy[4 * i + 2 * j + k]

@@ -10,21 +10,22 @@ from pneutac_sim.mpm.lagrangian_kernels import arrays, floats, ints
 from pneutac_sim.mpm.runtime import ti
 
 GPU_LANES = 256
+ROOM = 64  # pieces into which the CPU cuts a large body
 
 
 @ti.func
 def cell(
-    b, c, cells, nodes, points, dx, load: arrays, u: arrays, tensor: arrays, force: arrays,
+    b, c, t, room, cells, nodes, points, dx, load: arrays, u: arrays, tensor: arrays, force: arrays,
     cell_nodes: arrays, cell_mask: arrays, start: arrays, weights: arrays, contact: arrays,
     touching: ti.template(), soa: ti.template(),
 ):  # fmt: skip
     """All of one cell by one thread."""
     for d in range(3):
-        kern.strain(b, c, d, cells, nodes, dx, u, tensor, cell_nodes, soa)
+        kern.strain(b, c, t, d, room, cells, nodes, dx, u, tensor, cell_nodes, soa)
     for p in range(8):
-        kern.stress(b, c, p, cells, dx, load, tensor, cell_mask, soa)
+        kern.stress(b, c, t, p, room, dx, load, tensor, cell_mask, soa)
     for d in range(3):
-        kern.spread(b, c, d, cells, points, tensor, force, start, weights, contact, touching, soa)
+        kern.spread(b, c, t, d, room, cells, points, tensor, force, start, weights, contact, touching, soa)
 
 
 @ti.kernel
@@ -63,21 +64,36 @@ def within(
                 if ti.static(soa):
                     i = lane
                     while i < 3 * cells:
-                        kern.strain(b, i % cells, i // cells, cells, nodes, dx, u, tensor, cell_nodes, soa)
+                        kern.strain(
+                            b,
+                            i % cells,
+                            i % cells,
+                            i // cells,
+                            cells,
+                            cells,
+                            nodes,
+                            dx,
+                            u,
+                            tensor,
+                            cell_nodes,
+                            soa,
+                        )
                         i += stride
                     turn += 1
                     spk.meet(b, first, blocks, turn, gate, soa)
                     i = lane
                     while i < 8 * cells:
-                        kern.stress(b, i % cells, i // cells, cells, dx, load, tensor, cell_mask, soa)
+                        kern.stress(
+                            b, i % cells, i % cells, i // cells, cells, dx, load, tensor, cell_mask, soa
+                        )
                         i += stride
                     turn += 1
                     spk.meet(b, first, blocks, turn, gate, soa)
                     i = lane
                     while i < 3 * cells:
                         kern.spread(
-                            b, i % cells, i // cells, cells, points, tensor, force, start, weights,
-                            contact, touching, soa,
+                            b, i % cells, i % cells, i // cells, cells, cells, points, tensor, force,
+                            start, weights, contact, touching, soa,
                         )  # fmt: skip
                         i += stride
                     turn += 1
@@ -85,7 +101,7 @@ def within(
                 else:
                     for c in range(cells):
                         cell(
-                            b, c, cells, nodes, points, dx, load, u, tensor, force, cell_nodes,
+                            b, c, 0, ROOM, cells, nodes, points, dx, load, u, tensor, force, cell_nodes,
                             cell_mask, start, weights, contact, touching, soa,
                         )  # fmt: skip
                 n = lane
@@ -134,22 +150,27 @@ def across(
     if ti.static(soa):
         for t in range(bodies * 3 * cells):
             b, i = t // (3 * cells), t % (3 * cells)
-            kern.strain(b, i % cells, i // cells, cells, nodes, dx, u, tensor, cell_nodes, soa)
+            kern.strain(
+                b, i % cells, i % cells, i // cells, cells, cells, nodes, dx, u, tensor, cell_nodes, soa
+            )
         for t in range(bodies * 8 * cells):
             b, i = t // (8 * cells), t % (8 * cells)
-            kern.stress(b, i % cells, i // cells, cells, dx, load, tensor, cell_mask, soa)
+            kern.stress(b, i % cells, i % cells, i // cells, cells, dx, load, tensor, cell_mask, soa)
         for t in range(bodies * 3 * cells):
             b, i = t // (3 * cells), t % (3 * cells)
             kern.spread(
-                b, i % cells, i // cells, cells, points, tensor, force, start, weights, contact, touching,
-                soa,
+                b, i % cells, i % cells, i // cells, cells, cells, points, tensor, force, start, weights,
+                contact, touching, soa,
             )  # fmt: skip
     else:
-        for t in range(bodies * cells):
-            cell(
-                t // cells, t % cells, cells, nodes, points, dx, load, u, tensor, force, cell_nodes,
-                cell_mask, start, weights, contact, touching, soa,
-            )  # fmt: skip
+        for task in range(ROOM * kern.SPREAD_CPU):
+            if task % kern.SPREAD_CPU == 0:
+                t = task // kern.SPREAD_CPU
+                for i in range(t * bodies * cells // ROOM, (t + 1) * bodies * cells // ROOM):
+                    cell(
+                        i // cells, i % cells, t, ROOM, cells, nodes, points, dx, load, u, tensor,
+                        force, cell_nodes, cell_mask, start, weights, contact, touching, soa,
+                    )  # fmt: skip
     for t in range(bodies * nodes):
         b, n = t // nodes, t % nodes
         kern.move(

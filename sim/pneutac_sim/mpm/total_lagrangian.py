@@ -105,7 +105,7 @@ class TotalLagrangian:
             for name, a in {
                 "load": self.load, "u": z((b, n, 3)), "v": z((b, n, 3)), "total": z((b, n, 3)),
                 "force": z((b, c + 1, 27, 3)),
-                "tensor": z((b, c, 3, 24)), "spot_cell": g.surface_cell,
+                "tensor": z((b, c if self.soa else steps.ROOM, 3, 24)), "spot_cell": g.surface_cell,
                 "cell_nodes": two(g.cell_nodes), "cell_mask": g.cell_mask,
                 "slots": two(g.slots), "ghost": g.ghost, "role": self.role, "volume": g.volume,
                 "inertia": g.volume, "before": z((b, n, 3)), "soft": z((b, max(self.hinges, 1))),
