@@ -51,14 +51,12 @@ def body(twin: Twin) -> str:
     D = twin.parameter("joint_damping_nms_per_rad")
     ends = np.append(s, length)
 
-    # The plain twin's q_cmd holds the sag of the pose in which it was calibrated (the paper's p0 absorbs it),
-    # so weight acts only where the twin has the effect `gravity`.
-    weight = f'gravcomp="{0 if "gravity" in twin.effects else 1}"'
-
-    xml = _digit(length - s[-1], weight)
+    float_in_air = 1 - _weights(twin, ends)
+    xml = _digit(length - s[-1], 'gravcomp="1"')
     for n in reversed(range(len(s))):
         xml = (
-            f'<body name="spine_{n + 1}" pos="{s[n] - (s[n - 1] if n else 0.0)} 0 0" {weight}>'
+            f'<body name="spine_{n + 1}" pos="{s[n] - (s[n - 1] if n else 0.0)} 0 0"'
+            f' gravcomp="{float_in_air[n]}">'
             f'<joint name="spine_{n + 1}" axis="0 -1 0" stiffness="{K}" damping="{D}"/>'
             f"{_segment(ends[n + 1] - ends[n], tip=n == len(s) - 1)}{xml}</body>"
         )
@@ -79,6 +77,24 @@ def actuators(twin: Twin) -> str:
         f'<motor name="spine_{n + 1}" joint="spine_{n + 1}"/>'
         for n in range(len(twin.spine_joint_positions_mm))
     )
+
+
+def _weights(twin: Twin, ends: np.ndarray) -> np.ndarray:
+    """Weight of each link over that of its mass here; the gel's is counted with the last link's.
+
+    The plain twin's q_cmd holds the sag of the pose in which it was calibrated (the paper's p0 absorbs it),
+    so weight acts only where the twin has the effect `gravity`, and then with the masses that were fitted. They
+    are right as far as the joints' stiffness is, so inertia stays that of the material.
+    """
+    if "gravity" not in twin.effects:
+        return np.zeros(len(ends) - 1)
+    fitted = {k: 1e-3 * v.value for k, v in twin.effects["gravity"].items()}
+    lengths = np.diff(ends)
+    mass = DENSITY * SECTION_M**2 * lengths
+    weight = fitted["body_mass_g"] * lengths / ends[-1]
+    mass[-1] += DIGIT_MASS
+    weight[-1] += fitted["tip_mass_g"]
+    return weight / mass
 
 
 def _box_inertia(length: float, digit_at: float | None = None) -> str:

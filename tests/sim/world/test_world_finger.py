@@ -71,14 +71,19 @@ def test_payload_at_the_tip_balances_the_springs(world):
 
 
 def test_weight_acts_where_the_twin_has_gravity():
-    twin = Twin.builtin()
-    twin.effects["gravity"] = {"body_mass_g": Value(40.0), "tip_mass_g": Value(20.0)}
-    heavy = World("switch", twin, touch="none")
-    heavy.reset(0)
-    hold(heavy, 6.0)
-    sag = heavy.spine_target_rad - heavy.spine_rad
-    assert np.all(sag > 1e-3)  # a hanging, curled finger is pulled straight
-    assert sag[0] == max(sag)
+    def sag(body_mass_g, tip_mass_g):
+        twin = Twin.builtin()
+        twin.effects["gravity"] = {"body_mass_g": Value(body_mass_g), "tip_mass_g": Value(tip_mass_g)}
+        heavy = World("switch", twin, touch="none")
+        heavy.reset(0)
+        hold(heavy, 6.0)
+        return heavy.spine_target_rad - heavy.spine_rad
+
+    light, heavy = sag(20.0, 10.0), sag(40.0, 20.0)
+    assert np.all(light > 1e-3)  # a hanging, curled finger is pulled straight
+    assert light[0] == max(light)
+    # The heavier finger curls a little less, so its arms shorten.
+    np.testing.assert_allclose(heavy / light, 2.0, rtol=0.1)
 
 
 def press_on_a_fixed_bar(push_m):
