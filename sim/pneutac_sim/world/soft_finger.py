@@ -83,8 +83,8 @@ def _weights(twin: Twin, ends: np.ndarray) -> np.ndarray:
     """Weight of each link over that of its mass here; the gel's is counted with the last link's.
 
     The plain twin's q_cmd holds the sag of the pose in which it was calibrated (the paper's p0 absorbs it),
-    so weight acts only where the twin has the effect `gravity`, and then with the masses that were fitted. They
-    are right as far as the joints' stiffness is, so inertia stays that of the material.
+    so weight acts only where the twin has the effect `gravity`, and then with the masses that were fitted.
+    They are right as far as the joints' stiffness is, so inertia stays that of the material.
     """
     if "gravity" not in twin.effects:
         return np.zeros(len(ends) - 1)
