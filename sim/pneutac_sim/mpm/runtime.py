@@ -8,14 +8,17 @@ import contextlib
 import io
 import multiprocessing
 import os
+import warnings
 
 from pneutac_sim.errors import InputError
 
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "False")  # it greets on stdout, where results go
-try:
-    import taichi as ti
-except ImportError:
-    import quadrants as ti
+with warnings.catch_warnings():  # of an escape in one of Taichi's own docstrings
+    warnings.simplefilter("ignore", SyntaxWarning)
+    try:
+        import taichi as ti
+    except ImportError:
+        import quadrants as ti
 
 _started: tuple[str, int] | None = None  # device and process
 
