@@ -1,5 +1,8 @@
 """`pneutac benchmark speed`: what a substep and an equilibrium of the material point solvers cost here."""
 
+import importlib.util
+import subprocess
+import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -90,6 +93,16 @@ def substep_s(solver: TotalLagrangian, loads: Loads, repeats: int, least: int = 
     return timed(work, repeats) / least
 
 
+def genesis_substep_s(device: str) -> float:
+    """Seconds of one substep of Genesis' MPM on a beam of 4,050 particles, in a process of its own."""
+    command = [sys.executable, "-W", "ignore", "-m", "lerobot_pneutac.genesis_substep", device]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600)
+    found = [line for line in done.stdout.splitlines() if line.startswith("SUBSTEP ")]
+    if not found:
+        raise InputError(f"Genesis is installed but did not run: {done.stderr.strip()[-300:]}")
+    return float(found[0].split()[1])
+
+
 def measure(device: str, repeats: int, tell=lambda text: None) -> list[dict]:
     """Rows `work`, `value`, `unit`, `note`."""
     rows = []
@@ -144,6 +157,17 @@ def measure(device: str, repeats: int, tell=lambda text: None) -> list[dict]:
         other = finger(1, device, scale)
         count = len(other.body.cells)
         add(f"finger substep, {count:,} particles", 1e6 * substep_s(other, bent(0.3), repeats), "us")
+    if importlib.util.find_spec("genesis"):
+        from lerobot_pneutac.genesis_substep import COUNTS, DT, SPACING_M
+
+        tell("the same beam by Genesis")
+        beam = TotalLagrangian(Body.box("beam", COUNTS, SPACING_M, SILICONE), device=device)
+        ours = substep_s(beam, Loads(gravity=np.array([0.0, 0.0, -1.0])), repeats)
+        theirs = genesis_substep_s(one.device)
+        note = (
+            f"Genesis {1e6 * theirs:.0f} us, ours {1e6 * ours:.0f} us; same spacing, grid, step of {DT:g} s"
+        )
+        add("beam substep, Genesis over ours", theirs / ours, "times", note)
     return rows
 
 
