@@ -17,7 +17,7 @@ from pneutac_sim.mpm.runtime import ti
 # Columns of `load`, one row a body. KEEP is the share of momentum that a substep leaves.
 MU, LAM, RHO, DT, KEEP, GRAVITY, POSE = 0, 1, 2, 3, 4, 5, 8
 SIZE, FRICTION, SPRING, RATE, DRIFT, LOAD = 20, 23, 24, 25, 26, 29
-LEAST_J = 0.2
+LEAST_J = 0.2  # volume of a particle over that at rest, below which the material law is left
 SPREAD_CPU = 512  # loops of up to so many iterations run on one thread
 
 W = tuple(tuple(float(x) for x in row) for row in WEIGHT)
@@ -87,9 +87,11 @@ def first_piola(G, mu, lam):
 
 @ti.func
 def split(u0, u1, u2, k):
-    """Of three nodes in a row, times k: mean (P) and half difference (T) of the spline at the row's two
-    particles, and half the difference of its slopes over 4 (Q); half their sum over 4 is T again.
-    """  # noqa: D205
+    """Even and odd part of the spline over three nodes in a row, times k.
+
+    P is the mean and T half the difference of its values at the row's two particles, Q half the difference of
+    its slopes over 4; half their sum over 4 is T again.
+    """
     s = u0 + u2
     return ti.Vector([k * (0.6875 * u1 + 0.15625 * s), k * 0.125 * (u2 - u0), k * (0.0625 * s - 0.125 * u1)])
 
@@ -103,7 +105,7 @@ def join(P, T, Q):
 
 @ti.func
 def signs(a):
-    """(8,) sums of the 8 numbers, entry 4 i + 2 j + k, with all products of signs; its own adjoint."""
+    """(8,) sums of the 8 numbers, entry 4 i + 2 j + k, with all products of signs."""
     b, c, d = ti.Vector.zero(ti.f32, 8), ti.Vector.zero(ti.f32, 8), ti.Vector.zero(ti.f32, 8)
     for i in ti.static(range(4)):
         b[2 * i], b[2 * i + 1] = a[2 * i] - a[2 * i + 1], a[2 * i] + a[2 * i + 1]

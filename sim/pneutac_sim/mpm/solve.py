@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pneutac_sim.errors import InputError
+from pneutac_sim.mpm.lagrangian_kernels import LEAST_J
 from pneutac_sim.mpm.total_lagrangian import Loads, TotalLagrangian
 from pneutac_sim.mpm.updated_lagrangian import UpdatedLagrangian
 
 Solver = TotalLagrangian | UpdatedLagrangian
 
-LEAST_J = 0.2  # volume of a particle over that at rest, below which the material law is left
 CHUNK = {"cpu": 25, "cuda": 50}  # substeps between two looks at the residual
 RAMP = 160  # substeps in which an indenter that begins inside the body is driven in
 
