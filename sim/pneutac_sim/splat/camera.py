@@ -1,0 +1,113 @@
+"""Pinhole camera with OpenCV's lens distortion."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.splat.kernels import project_points
+
+
+@dataclass(frozen=True)
+class Camera:
+    """One camera. Pixel (row i, column j) has its centre at (x, y) = (j + 0.5, i + 0.5).
+
+    Attributes:
+        intrinsics: (3, 3) pixels, [[fx, 0, cx], [0, fy, cy], [0, 0, 1]].
+        extrinsics: (4, 4) world to camera in OpenCV's axes (x right, y down, z forward), metres.
+        width: of the image, pixels.
+        height: of the image, pixels.
+        distortion: OpenCV's k1, k2, p1, p2, k3, or fewer of them; empty for a pure pinhole.
+        largest_r2: squared distance from the axis, at unit depth, up to which the distortion is one-to-one;
+            what lies farther out is never visible. Found from `distortion`.
+    """
+
+    intrinsics: np.ndarray
+    extrinsics: np.ndarray
+    width: int
+    height: int
+    distortion: tuple[float, ...] = ()
+    largest_r2: float = field(init=False, repr=False)
+
+    def __post_init__(self):
+        for name, shape in (("intrinsics", (3, 3)), ("extrinsics", (4, 4))):
+            object.__setattr__(self, name, _matrix(name, getattr(self, name), shape))
+        K, E = self.intrinsics, self.extrinsics
+        if min(K[0, 0], K[1, 1]) <= 0 or K[0, 1] or K[1, 0] or not np.array_equal(K[2], [0, 0, 1]):
+            raise InputError(
+                "The camera's intrinsics must read [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with fx, fy > 0."
+            )
+        R = E[:3, :3]
+        if np.abs(R @ R.T - np.eye(3)).max() > 1e-4 or np.linalg.det(R) < 0 or any(E[3] != [0, 0, 0, 1]):
+            raise InputError("The camera's extrinsics must be a rotation and a shift, with 0 0 0 1 below.")
+        for name in ("width", "height"):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int | np.integer) or not 1 <= value <= 16384:
+                raise InputError(f"The camera's {name} is {value!r}; it must be 1 to 16384 whole pixels.")
+        try:
+            lens = np.array(self.distortion, np.float64)
+        except (TypeError, ValueError):
+            lens = np.full(1, np.nan)
+        if lens.ndim != 1 or len(lens) not in (0, 4, 5) or not np.isfinite(lens).all():
+            raise InputError("The camera's distortion must be k1, k2, p1, p2 and perhaps k3: finite numbers.")
+        object.__setattr__(self, "distortion", tuple(lens.tolist()))
+        k1, k2, _, _, k3 = self.lens
+        # d/dr of r (1 + k1 r^2 + k2 r^4 + k3 r^6) falls to zero at the first positive root
+        roots = np.roots([7 * k3, 5 * k2, 3 * k1, 1])
+        positive = roots.real[(np.abs(roots.imag) < 1e-12) & (roots.real > 0)]
+        object.__setattr__(self, "largest_r2", float(positive.min(initial=np.inf)))
+
+    @property
+    def lens(self) -> np.ndarray:
+        """k1, k2, p1, p2, k3, float64 (5,)."""
+        full = np.zeros(5)
+        full[: len(self.distortion)] = self.distortion
+        return full
+
+    @classmethod
+    def look_at(cls, eye, target, up, fov_y_deg: float, width: int, height: int) -> "Camera":
+        """A camera at `eye` (3,) m that sees `target` (3,) m in the middle, with `up` (3,) upwards.
+
+        Raises:
+            InputError: `eye` is `target`, `up` lies along the view, or the angle is not in 0 to 180 degrees.
+        """
+        eye, target, up = (np.asarray(v, np.float64) for v in (eye, target, up))
+        if not 0 < fov_y_deg < 180:
+            raise InputError(f"The camera's fov_y_deg is {fov_y_deg}; it must lie between 0 and 180.")
+        forward = target - eye
+        right = np.cross(forward, up)
+        if not np.linalg.norm(right) > 1e-9 * np.linalg.norm(forward) * np.linalg.norm(up):
+            raise InputError("The camera's eye, target and up must not lie on one line.")
+        forward /= np.linalg.norm(forward)
+        right /= np.linalg.norm(right)
+        E = np.eye(4)
+        E[:3, :3] = right, np.cross(forward, right), forward
+        E[:3, 3] = -E[:3, :3] @ eye
+        f = height / 2 / np.tan(np.radians(fov_y_deg) / 2)
+        return cls(np.array([[f, 0, width / 2], [0, f, height / 2], [0, 0, 1]]), E, width, height)
+
+    def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Pixels (n, 2) as (x, y) and depths (n,) in metres of points (n, 3) in metres, float64.
+
+        Pixels of points with a depth of 0 or less mean nothing.
+
+        Raises:
+            InputError: `points` has another shape or is not finite.
+        """
+        points = np.ascontiguousarray(points, np.float64)
+        if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
+            raise InputError("Points to project must be finite numbers of shape (n, 3).")
+        pixels, depth = np.empty((len(points), 2)), np.empty(len(points))
+        project_points(points, self.intrinsics, self.extrinsics, self.lens, pixels, depth)
+        return pixels, depth
+
+
+def _matrix(name: str, value, shape: tuple[int, int]) -> np.ndarray:
+    try:
+        matrix = np.array(value, np.float64)
+    except (TypeError, ValueError):
+        matrix = np.full(1, np.nan)
+    if matrix.shape != shape or not np.isfinite(matrix).all():
+        raise InputError(f"The camera's {name} must be finite numbers of shape {shape}.")
+    matrix.flags.writeable = False
+    return matrix

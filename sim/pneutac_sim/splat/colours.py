@@ -1,0 +1,165 @@
+"""Gives Gaussians the looks of one picture: colours by one linear solve, then colours and opacities by Adam."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.splat.camera import Camera
+from pneutac_sim.splat.rasteriser import Rendering, Splats, numbers
+
+RIDGE = 1e-3  # weight of one colour's prior against one fully covered pixel
+LEARNING_RATE = 0.01  # of the paper
+
+
+class Adam:
+    """Adam (Kingma and Ba 2015) on one array, changed in place.
+
+    Args:
+        values: what to optimise, float32 or float64.
+        rate: learning rate.
+    """
+
+    def __init__(self, values: np.ndarray, rate: float = LEARNING_RATE):
+        self.values, self._rate, self._steps = values, rate, 0
+        self._mean, self._square = np.zeros_like(values), np.zeros_like(values)
+
+    def step(self, gradient: np.ndarray) -> None:
+        """One step down a gradient of the values' shape."""
+        self._steps += 1
+        self._mean += 0.1 * (gradient - self._mean)
+        self._square += 1e-3 * (gradient**2 - self._square)
+        rate = self._rate * np.sqrt(1 - 0.999**self._steps) / (1 - 0.9**self._steps)
+        self.values -= rate * self._mean / (np.sqrt(self._square) + 1e-8)
+
+
+def solve_colours(
+    splats: Splats,
+    target: np.ndarray,
+    background=(0.0, 0.0, 0.0),
+    iterations: int = 30,
+    ridge: float = RIDGE,
+    mask: np.ndarray | None = None,
+    clip: bool = True,
+) -> np.ndarray:
+    """Colours that render best as a picture, opacities fixed.
+
+    Minimises |M (W c + (1 - alpha) background - target)|^2 + ridge |c - prior|^2 by conjugate gradients on
+    the normal equations, scaled by the weight that each Gaussian has in the picture. The prior is the
+    picture's colour at each Gaussian's centre, so that Gaussians hidden behind others get a likely colour.
+
+    Args:
+        splats: projected Gaussians.
+        target: the picture, (H, W, 3), 0 to 1.
+        background: (3,).
+        iterations: of conjugate gradients; 5 get most of the way.
+        ridge: weight of the prior.
+        mask: M, (H, W), pixels to fit, 0 to 1; all where None.
+        clip: whether to limit colours to 0 to 1 at the end.
+
+    Returns:
+        (n, 3) float32.
+
+    Raises:
+        InputError: a shape is wrong or a number not finite.
+    """
+    camera = splats.camera
+    target = numbers("target", target, (camera.height, camera.width, 3))
+    weight = _weight(mask, camera)
+    pixels = (
+        np.floor(camera.project(splats.means)[0]).clip(0, (camera.width - 1, camera.height - 1)).astype(int)
+    )
+    colours = target[pixels[:, 1], pixels[:, 0]]
+
+    def normal(c):
+        return splats.transpose(weight * splats.render(c).image) + ridge * c
+
+    scale = 1 / (splats.transpose(weight * splats.render(np.ones_like(colours)).image) + ridge)
+    residual = splats.transpose(weight * (target - splats.render(colours, background).image))
+    direction = step = scale * residual
+    energy = np.sum(residual * step, 0, np.float64)
+    for _ in range(iterations):
+        if not energy.any():
+            break
+        bent = normal(direction)
+        length = energy / np.maximum(np.sum(direction * bent, 0, np.float64), 1e-30)
+        colours = colours + length.astype(np.float32) * direction
+        residual = residual - length.astype(np.float32) * bent
+        step = scale * residual
+        energy, before = np.sum(residual * step, 0, np.float64), energy
+        direction = step + (energy / np.maximum(before, 1e-30)).astype(np.float32) * direction
+    return np.clip(colours, 0, 1) if clip else colours
+
+
+def fit_looks(
+    camera: Camera,
+    means,
+    covariances,
+    opacities,
+    target: np.ndarray,
+    background=(0.0, 0.0, 0.0),
+    mask: np.ndarray | None = None,
+    iterations: int = 100,
+    coverage: np.ndarray | None = None,
+    tell: Callable[[int, float], None] = lambda iteration, rmse: None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Colours and opacities that render best as a picture: `solve_colours`, then Adam on both.
+
+    Args:
+        camera: from where the picture was taken.
+        means: (n, 3) m.
+        covariances: (n, 3, 3) m^2.
+        opacities: (n,) to start from, 0 to 1; kept within 0.01 to 0.99.
+        target: the picture, (H, W, 3), 0 to 1.
+        background: (3,).
+        mask: pixels to fit, (H, W), 0 to 1; all where None.
+        iterations: of Adam, at the paper's rate on colours and on logits of opacities; 0 for colours alone.
+        coverage: wanted coverage, (H, W), 0 to 1, such as a silhouette; free where None.
+        tell: called with each iteration and its root mean square error, 0 to 1.
+
+    Returns:
+        Colours (n, 3) and opacities (n,) of the best iteration, float32.
+
+    Raises:
+        InputError: a shape is wrong or a number not finite.
+    """
+    target = numbers("target", target, (camera.height, camera.width, 3))
+    weight = _weight(mask, camera)
+    if coverage is not None:
+        coverage = numbers("coverage", coverage, (camera.height, camera.width))
+    opacities = np.clip(numbers("opacities", opacities, (len(means),)), 0.01, 0.99)
+    splats = Splats(camera, means, covariances, opacities)
+    colours = Adam(solve_colours(splats, target, background, mask=mask))
+    logits = Adam(np.log(opacities / (1 - opacities)))
+    best = (np.inf, colours.values.copy(), opacities)
+    for iteration in range(iterations + 1):
+        rendering: Rendering = splats.render(colours.values, background)
+        grad_image = weight * (rendering.image - target)
+        loss = float(np.vdot(grad_image, rendering.image - target))
+        grad_alpha = None
+        if coverage is not None:
+            grad_alpha = weight[..., 0] * (rendering.alpha - coverage)
+            loss += float(np.vdot(grad_alpha, rendering.alpha - coverage))
+        tell(iteration, float(np.sqrt(loss / max(3 * weight.sum(), 1e-12))))
+        if loss < best[0]:
+            best = (loss, colours.values.copy(), opacities)
+        if iteration == iterations:
+            break
+        by_colours, by_opacities = splats.gradients(
+            colours.values, background, grad_image, grad_alpha, rendering
+        )
+        colours.step(by_colours)
+        np.clip(colours.values, 0, 1, out=colours.values)
+        logits.step(by_opacities * opacities * (1 - opacities))
+        opacities = np.clip(1 / (1 + np.exp(-logits.values)), 0.01, 0.99)
+        splats = Splats(camera, means, covariances, opacities)
+    return best[1:]
+
+
+def _weight(mask, camera: Camera) -> np.ndarray:
+    """Weights of pixels, (H, W, 1) float32."""
+    shape = (camera.height, camera.width)
+    weight = np.ones(shape, np.float32) if mask is None else numbers("mask", mask, shape)
+    if weight.min() < 0 or weight.max() > 1:
+        raise InputError("A mask's values must lie between 0 and 1.")
+    return weight[..., None]

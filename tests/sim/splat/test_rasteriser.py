@@ -1,0 +1,238 @@
+import multiprocessing
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.splat.camera import Camera
+from pneutac_sim.splat.gaussians import Gaussians
+from pneutac_sim.splat.rasteriser import Splats, rasterise
+
+sys.path.insert(0, str(Path(__file__).parent))
+from reference import render as reference  # noqa: E402
+
+BACKGROUND = (0.2, 0.5, 0.9)
+LENS = (-0.2, 0.05, 0.003, -0.002, 0.01)
+
+
+def scene(seed: int, n: int, size: float = 0.01, opacity=(0.02, 1.0)) -> Gaussians:
+    """Gaussians in a box of 0.2 m about the origin."""
+    rng = np.random.default_rng(seed)
+    return Gaussians(
+        means=rng.uniform(-0.1, 0.1, (n, 3)),
+        scales=size * rng.uniform(0.1, 2.0, (n, 3)),
+        rotations=Rotation.random(n, random_state=seed).as_matrix(),
+        colours=rng.random((n, 3)),
+        opacities=rng.uniform(*opacity, n),
+    )
+
+
+def view(distortion=(), width=70, height=51) -> Camera:
+    plain = Camera.look_at([0.1, -0.3, 0.12], [0, 0, 0], [0, 0, 1], 40, width, height)
+    return Camera(plain.intrinsics, plain.extrinsics, width, height, distortion)
+
+
+def splats_of(g: Gaussians, camera: Camera) -> Splats:
+    return Splats(camera, g.means, g.covariances(), g.opacities)
+
+
+def reference_of(g: Gaussians, camera: Camera, background):
+    colours, opacities = (
+        torch.tensor(v.astype(np.float64), requires_grad=True) for v in (g.colours, g.opacities)
+    )
+    image, alpha = reference(camera, g.means, g.covariances(), colours, opacities, background)
+    return image, alpha, colours, opacities
+
+
+@pytest.mark.parametrize("distortion", [(), LENS])
+@pytest.mark.parametrize("seed", range(3))
+def test_picture_agrees_with_the_dense_reference(seed, distortion):
+    g, camera = scene(seed, 400), view(distortion)
+    ours = rasterise(g, camera, BACKGROUND)
+    image, alpha, *_ = reference_of(g, camera, BACKGROUND)
+    assert 0.1 < ours.alpha.mean() < 0.95
+    assert np.abs(ours.image - image.detach().numpy()).max() < 1e-3
+    assert np.abs(ours.alpha - alpha.detach().numpy()).max() < 1e-3
+
+
+def test_a_thin_slab_seen_head_on_is_ordered_exactly():
+    """Layers 1e-6 of the viewing distance apart, shuffled: coarse depth keys would mix them up."""
+    rng = np.random.default_rng(0)
+    grid = np.stack(np.meshgrid(np.arange(12), np.arange(9), np.arange(6), indexing="ij"), -1).reshape(-1, 3)
+    grid = rng.permutation(grid)
+    means = grid * [2e-3, 2e-3, 1e-6] + [0.0, 0.0, 0.5]
+    n = len(means)
+    g = Gaussians(
+        means, np.full((n, 3), 1e-3), np.tile(np.eye(3), (n, 1, 1)), rng.random((n, 3)), np.full(n, 0.8)
+    )
+    camera = Camera(np.array([[1000.0, 0, 4], [0, 1000.0, 4], [0, 0, 1]]), np.eye(4), 48, 37)
+    image, *_ = reference_of(g, camera, BACKGROUND)
+    assert np.abs(rasterise(g, camera, BACKGROUND).image - image.detach().numpy()).max() < 1e-3
+
+
+@pytest.mark.parametrize("distortion", [(), LENS])
+def test_gradients_agree_with_autograd(distortion):
+    g, camera = scene(7, 150), view(distortion)
+    rng = np.random.default_rng(1)
+    by_image = rng.normal(size=(51, 70, 3))
+    by_alpha = rng.normal(size=(51, 70))
+    image, alpha, colours, opacities = reference_of(g, camera, BACKGROUND)
+    ((image * torch.tensor(by_image)).sum() + (alpha * torch.tensor(by_alpha)).sum()).backward()
+    grad_colours, grad_opacities = splats_of(g, camera).gradients(g.colours, BACKGROUND, by_image, by_alpha)
+    for ours, theirs in ((grad_colours, colours.grad.numpy()), (grad_opacities, opacities.grad.numpy())):
+        assert np.abs(theirs).max() > 1
+        assert np.abs(ours - theirs).max() < 1e-3 * np.abs(theirs).max()
+
+
+def test_gradients_agree_with_finite_differences():
+    # large and few: the cut at alpha = 1/255 and the end at a transmittance of 1e-4 lie off the image
+    g, camera = scene(3, 12, size=0.3, opacity=(0.1, 0.6)), view()
+    target = np.random.default_rng(2).random((51, 70, 3))
+
+    def loss(colours, opacities):
+        image = Splats(camera, g.means, g.covariances(), opacities).render(colours, BACKGROUND).image
+        return 0.5 * np.sum((image.astype(np.float64) - target) ** 2)
+
+    splats = splats_of(g, camera)
+    rendering = splats.render(g.colours, BACKGROUND)
+    grad_colours, grad_opacities = splats.gradients(
+        g.colours, BACKGROUND, rendering.image - target, rendering=rendering
+    )
+    rng = np.random.default_rng(4)
+    step = 2e-3
+    for grad, which in ((grad_colours, 0), (grad_opacities, 1)):
+        direction = rng.normal(size=grad.shape)
+        at = [g.colours.astype(float), g.opacities.astype(float)]
+        ends = []
+        for sign in (1, -1):
+            moved = list(at)
+            moved[which] = at[which] + sign * step * direction
+            ends.append(loss(*moved))
+        assert (ends[0] - ends[1]) / (2 * step) == pytest.approx(np.sum(grad * direction), rel=5e-3)
+
+
+def test_transpose_is_the_transpose():
+    g, camera = scene(5, 300), view(LENS)
+    splats = splats_of(g, camera)
+    rng = np.random.default_rng(0)
+    colours, image = rng.normal(size=(300, 3)), rng.normal(size=(51, 70, 3))
+    forward = np.sum(splats.render(colours).image * image)
+    assert np.sum(colours * splats.transpose(image)) == pytest.approx(forward, rel=1e-4)
+    assert np.allclose(splats.transpose(image), splats.gradients(colours, BACKGROUND, image)[0], atol=1e-4)
+
+
+def test_one_gaussian_has_the_analytic_profile():
+    f, z, s = 200.0, 0.4, 0.01
+    camera = Camera(np.array([[f, 0, 30.5], [0, f, 20.5], [0, 0, 1]]), np.eye(4), 61, 41)
+    g = Gaussians([[0, 0, z]], [[s, s, s]], [np.eye(3)], [[1, 0.5, 0.25]], [0.9])
+    image, alpha = rasterise(g, camera)
+    y, x = np.mgrid[:41, :61] - np.array([20.0, 30.0])[:, None, None]
+    expected = 0.9 * np.exp(-0.5 * (x**2 + y**2) / ((f * s / z) ** 2 + 0.3))
+    expected[expected < 1 / 255] = 0
+    assert np.abs(alpha - expected).max() < 1e-5
+    assert np.abs(image - expected[..., None] * [1, 0.5, 0.25]).max() < 1e-5
+
+
+def test_what_is_behind_or_beside_the_camera_is_not_drawn():
+    camera = view()
+    back = np.linalg.inv(camera.extrinsics) @ [[0, 0, 5], [0, 0, 0], [-0.2, 1e-5, 0.1], [1, 1, 1]]
+    n = back.shape[1]
+    g = Gaussians(
+        back[:3].T, np.full((n, 3), 0.01), np.tile(np.eye(3), (n, 1, 1)), np.ones((n, 3)), np.ones(n)
+    )
+    rendering = rasterise(g, camera, BACKGROUND)
+    assert not rendering.alpha.any()
+    assert np.allclose(rendering.image, BACKGROUND)
+
+
+def test_a_folding_lens_does_not_bring_far_points_back_into_the_picture():
+    camera = Camera(np.array([[50.0, 0, 35], [0, 50.0, 25], [0, 0, 1]]), np.eye(4), 70, 51, (-0.3, 0, 0, 0))
+    pixels, _ = camera.project([[0.18, 0, 0.1]])
+    assert 0 < pixels[0, 0] < 70  # the polynomial has folded over
+    g = Gaussians([[0.18, 0, 0.1]], [[0.001] * 3], [np.eye(3)], [[1, 1, 1]], [1])
+    assert not rasterise(g, camera).alpha.any()
+
+
+def test_an_empty_scene_is_background():
+    none = Gaussians(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros(0))
+    rendering = rasterise(none, view(), BACKGROUND)
+    assert np.allclose(rendering.image, BACKGROUND)
+    assert not rendering.alpha.any()
+    assert splats_of(none, view()).transpose(np.ones((51, 70, 3))).shape == (0, 3)
+
+
+def test_a_body_turned_with_its_camera_looks_the_same():
+    g, camera = scene(11, 200), view()
+    turn, shift = Rotation.from_rotvec([0.5, -1.0, 2.0]).as_matrix(), np.array([0.3, -0.2, 0.1])
+    stretch = np.diag([1.2, 0.9, 1.0])  # does not turn
+    moved = g.moved(g.means @ turn.T + shift, np.tile(turn @ stretch, (200, 1, 1)))
+    motion = np.eye(4)
+    motion[:3, :3], motion[:3, 3] = turn, shift
+    along = Camera(camera.intrinsics, camera.extrinsics @ np.linalg.inv(motion), 70, 51)
+    there, here = rasterise(moved, along).image, rasterise(g, camera).image
+    # rounding may lift single pixels over the alpha threshold of 1/255
+    assert np.quantile(np.abs(there - here), 0.999) < 1e-4
+    assert np.abs(there - here).max() < 5e-3
+
+
+def test_moved_without_gradients_keeps_rotations():
+    g = scene(1, 10)
+    moved = g.moved(g.means + 0.01)
+    assert np.array_equal(moved.rotations, g.rotations)
+    assert np.allclose(moved.means - g.means, 0.01, atol=1e-6)
+
+
+@pytest.mark.parametrize("field", ["means", "scales", "rotations", "colours", "opacities"])
+def test_nan_is_refused(field):
+    g = scene(0, 5)
+    values = {
+        name: np.array(getattr(g, name)) for name in ("means", "scales", "rotations", "colours", "opacities")
+    }
+    values[field][2] = np.nan
+    with pytest.raises(InputError, match=field):
+        Gaussians(**values)
+
+
+def test_bad_input_is_refused():
+    g, camera = scene(0, 5), view()
+    splats = splats_of(g, camera)
+    with pytest.raises(InputError, match="colours"):
+        splats.render(g.colours[:3])
+    with pytest.raises(InputError, match="background"):
+        splats.render(g.colours, (0, np.nan, 0))
+    with pytest.raises(InputError, match="image"):
+        splats.transpose(np.zeros((51, 71, 3)))
+    with pytest.raises(InputError, match="between 0 and 1"):
+        Splats(camera, g.means, g.covariances(), g.opacities + 1)
+    with pytest.raises(InputError, match="covariances"):
+        Splats(camera, g.means, np.full((5, 3, 3), np.inf), g.opacities)
+    with pytest.raises(InputError, match="inside out"):
+        g.moved(g.means, np.tile(np.diag([1.0, 1.0, -1.0]), (5, 1, 1)))
+    with pytest.raises(InputError, match="'cpu' or 'cuda'"):
+        rasterise(g, camera, device="tpu")
+
+
+def _mean(seed):
+    return float(rasterise(scene(seed, 50), view()).image.mean())
+
+
+def test_works_in_a_forked_process_and_on_one_thread():
+    expected = _mean(0)
+    with multiprocessing.get_context("fork").Pool(1) as pool:
+        assert pool.apply_async(_mean, (0,)).get(timeout=20) == expected
+    code = "import test_rasteriser as t; print(t._mean(0))"
+    paths = os.pathsep.join([str(Path(__file__).parent), *sys.path])
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**os.environ, "NUMBA_NUM_THREADS": "1", "PYTHONPATH": paths},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert float(done.stdout or "nan") == pytest.approx(expected, rel=1e-6), done.stderr
