@@ -1,0 +1,7 @@
+"""Other people's tactile renderers, written anew and fitted to the same single pair of images.
+
+Each is a class with a `NAME`, a classmethod `fit(rest, indentation, press, px_per_mm, thickness_mm)` and
+`image(press)`, so that the gel of `pneutac_sim.gel` and these are compared on equal terms: one rest image,
+one indentation image and what pressed it. Where one image leaves a method a choice, the stronger one was
+taken; each module says which, and why.
+"""

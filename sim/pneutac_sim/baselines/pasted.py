@@ -1,0 +1,85 @@
+"""The two rows that keep a comparison honest: nothing but the rest image, and the calibration pasted."""
+
+import numpy as np
+
+from pneutac_sim.gel.fit import check_pair, press_px
+from pneutac_sim.gel.indenter import Press
+from pneutac_sim.gel.probe import THICKNESS_MM
+
+
+class RestAlone:
+    """Predicts that no contact shows."""
+
+    NAME = "rest image"
+
+    def __init__(self, rest: np.ndarray):
+        self._rest = rest
+
+    @classmethod
+    def fit(
+        cls,
+        rest: np.ndarray,
+        indentation: np.ndarray,
+        press: Press,
+        px_per_mm: float,
+        thickness_mm: float = THICKNESS_MM,
+    ) -> "RestAlone":
+        """Keeps the rest image, uint8 (H, W, 3); the rest is checked and not used.
+
+        Raises:
+            InputError: the pair cannot be what it is said to be, see `pneutac_sim.gel.fit.check_pair`.
+        """
+        check_pair(rest, indentation, press, px_per_mm)
+        return cls(rest)
+
+    def image(self, press: Press) -> np.ndarray:
+        """The rest image, uint8 (H, W, 3), whatever presses."""
+        return self._rest.copy()
+
+
+class Pasted:
+    """Predicts the calibration's difference to rest, moved to the contact by whole pixels.
+
+    It knows nothing of the indenter, its depth or where the light comes from, so a model worth having beats
+    it wherever the test's contact differs from the calibration's.
+    """
+
+    NAME = "difference pasted"
+
+    def __init__(self, rest: np.ndarray, difference: np.ndarray, press: Press, px_per_mm: float):
+        self._rest, self._difference = rest, difference
+        self._press, self._px_per_mm = press, px_per_mm
+
+    @classmethod
+    def fit(
+        cls,
+        rest: np.ndarray,
+        indentation: np.ndarray,
+        press: Press,
+        px_per_mm: float,
+        thickness_mm: float = THICKNESS_MM,
+    ) -> "Pasted":
+        """Keeps indentation - rest, both uint8 (H, W, 3), and where the contact was.
+
+        Raises:
+            InputError: the pair cannot be what it is said to be, see `pneutac_sim.gel.fit.check_pair`.
+        """
+        check_pair(rest, indentation, press, px_per_mm)
+        return cls(rest, indentation.astype(np.int16) - rest, press, px_per_mm)
+
+    def image(self, press: Press) -> np.ndarray:
+        """Tactile image, uint8 (H, W, 3)."""
+        here, there = (press_px(p, self._rest.shape, self._px_per_mm) for p in (press, self._press))
+        moved = shift(self._difference, round(here[0] - there[0]), round(here[1] - there[1]))
+        return np.clip(self._rest + moved, 0, 255).astype(np.uint8)
+
+
+def shift(image: np.ndarray, dx: int, dy: int) -> np.ndarray:
+    """Moves an image (H, W, C) by whole pixels, right and down; zeros come in."""
+    h, w = image.shape[:2]
+    out = np.zeros_like(image)
+    if abs(dx) < w and abs(dy) < h:
+        out[max(dy, 0) : h + min(dy, 0), max(dx, 0) : w + min(dx, 0)] = image[
+            max(-dy, 0) : h + min(-dy, 0), max(-dx, 0) : w + min(-dx, 0)
+        ]
+    return out
