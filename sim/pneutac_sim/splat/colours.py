@@ -1,4 +1,4 @@
-"""Gives Gaussians the looks of one picture: colours by one linear solve, then colours and opacities by Adam."""
+"""Gives Gaussians the looks of a picture: colours by one linear solve, then colours and opacities by Adam."""
 
 from collections.abc import Callable
 

@@ -64,56 +64,63 @@ def rasterise_tensors(means, covariances, colours, opacities, camera: Camera, ba
         Image (H, W, 3) and coverage (H, W).
     """
     import torch
-    from gsplat.cuda._wrapper import isect_offset_encode, isect_tiles, rasterize_to_pixels
+    from gsplat import isect_offset_encode, isect_tiles, rasterization, rasterize_to_pixels
 
-    pixels, conics, depth, radii = _project(means, covariances, opacities, camera)
+    size = (camera.width, camera.height)
+    view, K = (
+        torch.tensor(m, dtype=torch.float32, device=means.device)
+        for m in (camera.extrinsics, camera.intrinsics)
+    )
+    behind = background[None]
+    if not camera.distortion:
+        image, alpha, _ = rasterization(
+            means,
+            None,
+            None,
+            opacities,
+            colours,
+            view[None],
+            K[None],
+            *size,
+            near_plane=NEAR_M,
+            eps2d=BLUR_PX2,
+            packed=False,
+            backgrounds=behind,
+            covars=covariances,
+        )
+        return image[0], alpha[0, ..., 0]
+    pixels, conics, depth, radii = _project(means, covariances, opacities, camera, view)
     across, down = -(-camera.width // TILE), -(-camera.height // TILE)
     with torch.no_grad():
         _, lists, ids = isect_tiles(pixels[None], radii[None], depth[None], TILE, across, down)
         starts = isect_offset_encode(lists, 1, across, down)
     image, alpha = rasterize_to_pixels(
-        pixels[None],
-        conics[None],
-        colours[None],
-        opacities[None],
-        camera.width,
-        camera.height,
-        TILE,
-        starts,
-        ids,
-        backgrounds=background[None],
+        pixels[None], conics[None], colours[None], opacities[None], *size, TILE, starts, ids, behind
     )
     return image[0], alpha[0, ..., 0]
 
 
-def _project(means, covariances, opacities, camera: Camera):
+def _project(means, covariances, opacities, camera: Camera, view):
     """`kernels.project` in torch: pixels (n, 2), conics (n, 3), depth (n,), radii (n, 2), 0 where unseen.
 
-    gsplat's own projection knows the pinhole alone.
+    gsplat's own projection beside these kernels knows no lens.
     """
     import torch
 
-    # Python numbers, so that the camera costs no copy to the device
-    E = camera.extrinsics.tolist()
+    # Python numbers, so that the lens costs no copies to the device
     (fx, _, cx), (_, fy, cy), _ = camera.intrinsics.tolist()
     k1, k2, p1, p2, k3 = camera.lens.tolist()
     width, height = camera.width, camera.height
-    rotation = torch.as_tensor(camera.extrinsics[:3, :3], dtype=torch.float32).to(
-        means.device, non_blocking=True
-    )
-    x, y, z = (means @ rotation.T).unbind(-1)
-    x, y, z = x + E[0][3], y + E[1][3], z + E[2][3]
+    rotation = view[:3, :3]
+    x, y, z = (means @ rotation.T + view[:3, 3]).unbind(-1)
     seen = z >= NEAR_M
     near = torch.where(seen, z, 1.0)
     u, v = x / near, y / near
     r2 = u * u + v * v
-    if camera.distortion:
-        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        px = fx * (u * radial + 2 * p1 * u * v + p2 * (r2 + 2 * u * u)) + cx
-        py = fy * (v * radial + p1 * (r2 + 2 * v * v) + 2 * p2 * u * v) + cy
-        seen = seen & (r2 <= camera.largest_r2)
-    else:
-        px, py = fx * u + cx, fy * v + cy
+    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    px = fx * (u * radial + 2 * p1 * u * v + p2 * (r2 + 2 * u * u)) + cx
+    py = fy * (v * radial + p1 * (r2 + 2 * v * v) + 2 * p2 * u * v) + cy
+    seen = seen & (r2 <= camera.largest_r2)
     u = u.clamp(-(cx + 0.15 * width) / fx, (1.15 * width - cx) / fx)
     v = v.clamp(-(cy + 0.15 * height) / fy, (1.15 * height - cy) / fy)
     # rows of the Jacobian of the pixel by the point, times the world-to-camera rotation
