@@ -1,42 +1,64 @@
 """Surface displacement at image resolution, for baselines whose own mechanics is a slow particle simulation.
 
-Tacchi and DOT-Sim press their elastomer with the material point method. Here the same surface stands in for
-it that `pneutac_sim.gel` renders, with the decay length calibrated on the same pair, so that a comparison
-tells the light models apart and none is held back by its geometry.
+Tacchi and DOT-Sim press their elastomer with the material point method. Here `pneutac_sim.gel.surface` stands
+in for it, with the decay length that fits the pair best, so that a comparison tells the light models apart
+and none is held back by its geometry.
 """
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
-from pneutac_sim.gel.fit import fit_gel, press_depth
+from pneutac_sim.gel.fit import check_pair
 from pneutac_sim.gel.indenter import Press
-from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.optics import gradient, upsample
-from pneutac_sim.gel.probe import COLS, ROWS
+from pneutac_sim.gel.probe import COLS, ROWS, probe_grid
 from pneutac_sim.gel.surface import surface
+
+DECAY_RANGE_MM = (0.3, 4.0)
 
 
 class Displacement:
-    """Displacement and slopes of a calibrated gel, pixel by pixel.
+    """Displacement and slopes of a gel, pixel by pixel.
 
     Args:
-        gel: whose size, thickness and decay length count; its light does not.
+        shape: height and width of the images.
+        px_per_mm: their scale.
+        thickness_mm: gel thickness.
+        decay_mm: length over which the surface recovers around a contact.
     """
 
-    def __init__(self, gel: GelModel):
-        self._gel = gel
+    def __init__(self, shape: tuple[int, int], px_per_mm: float, thickness_mm: float, decay_mm: float = 1.2):
+        self._shape, self._thickness_mm, self.decay_mm = shape, thickness_mm, decay_mm
+        self._window_mm = shape[1] / px_per_mm, shape[0] / px_per_mm
 
     @classmethod
     def fit(
         cls, rest: np.ndarray, indentation: np.ndarray, press: Press, px_per_mm: float, thickness_mm: float
     ) -> "Displacement":
-        """Calibrates the decay length, see `pneutac_sim.gel.fit.fit_gel`, whose errors it raises."""
-        gel, _ = fit_gel(rest, indentation, press, px_per_mm, thickness_mm=thickness_mm)
-        return cls(gel)
+        """Searches the decay length under which slopes and depth explain most of indentation - rest.
+
+        Raises:
+            InputError: the pair cannot be what it is said to be, see `pneutac_sim.gel.fit.check_pair`.
+        """
+        check_pair(rest, indentation, press, px_per_mm)
+        model = cls(rest.shape[:2], px_per_mm, thickness_mm)
+        difference = (indentation.astype(np.float32) - rest).reshape(-1, 3)
+
+        def error(log_decay: float) -> float:
+            model.decay_mm = float(np.exp(log_decay))
+            features = model.fields(press).reshape(3, -1).T
+            FF, Fd = features.T @ features, features.T @ difference
+            return -float(np.sum(Fd * np.linalg.lstsq(FF, Fd, rcond=None)[0]))  # less |difference|^2
+
+        bounds = np.log(DECAY_RANGE_MM)
+        model.decay_mm = float(
+            np.exp(minimize_scalar(error, bounds=bounds, method="bounded", options={"xatol": 0.03}).x)
+        )
+        return model
 
     def fields(self, press: Press) -> np.ndarray:
         """Slopes du/dx and du/dy, and u in mm (into the gel), float32 (3, H, W)."""
-        gel = self._gel
-        cell = gel.window_mm[0] / COLS, gel.window_mm[1] / ROWS
-        u = surface(press_depth(press, gel), cell, gel.decay_mm)
-        h, w = gel.rest_image.shape[:2]
-        return np.stack([upsample(f, h, w) for f in (*gradient(u, cell), u)])
+        depth = probe_grid(*press.shapes(), window_mm=self._window_mm, thickness_mm=self._thickness_mm)
+        cell = self._window_mm[0] / COLS, self._window_mm[1] / ROWS
+        u = surface(depth, cell, self.decay_mm)
+        return np.stack([upsample(f, *self._shape) for f in (*gradient(u, cell), u)])

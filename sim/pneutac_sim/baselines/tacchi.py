@@ -23,7 +23,7 @@ from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.probe import THICKNESS_MM
 
 LIGHTS = 3
-FIT_PIXELS = 6000
+FIT_PIXELS = 2500
 # Starts: elevation of the lights above the gel, rad, and exponent of their highlights.
 STARTS = ((0.3, 5.0), (0.8, 5.0), (0.3, 30.0))
 
@@ -79,7 +79,7 @@ class Tacchi:
 
         bounds = np.array(_LOWEST * LIGHTS + [-1.0]), np.array(_HIGHEST * LIGHTS + [1.0])
         fits = [
-            least_squares(residual, _start(slope_light, *start), bounds=bounds, x_scale=_scale(), max_nfev=60)
+            least_squares(residual, _start(slope_light, *start), bounds=bounds, x_scale=_scale(), max_nfev=40)
             for start in STARTS
         ]
         best = min(fits, key=lambda f: f.cost)
