@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 import trimesh
 
+from pneutac_datasets.photo_print import printed_texture
 from pneutac_sim.errors import InputError
 from pneutac_sim.splat.camera import Camera
 
@@ -79,53 +80,11 @@ class Studio:
         ]
         grey = rng.uniform(0.62, 0.80)
         cloth = np.stack([np.full(3, grey), np.full(3, grey - 0.03)]) + rng.normal(0, 0.01, 3)
-        return cls(_print(rng, length_m, width_m), np.array(lamps), cloth, 0.7 * width_m, length_m)
-
-
-def _print(rng: np.random.Generator, length_m: float, width_m: float) -> np.ndarray:
-    """Texture of a printed body: layers, dirty folds, a label, a tape, and a sensor's housing at its tip."""
-    rows, columns = 512, 1536
-    hue = rng.uniform(0, 180)
-    base = cv2.cvtColor(np.uint8([[[hue, rng.uniform(70, 150), rng.uniform(90, 150)]]]), cv2.COLOR_HSV2RGB)
-    x = (np.arange(columns) + 0.5) / columns  # along
-    angle = 2 * np.pi * (np.arange(rows) + 0.5) / rows
-
-    def cloud(scale):
-        seeds = rng.normal(size=(rows // scale + 2, columns // scale + 2))
-        return cv2.resize(seeds, (columns, rows), interpolation=cv2.INTER_CUBIC)
-
-    rings = max(1, round(length_m / 0.0095))
-    fold = 0.5 + 0.5 * np.cos(2 * np.pi * rings * x)
-    light = 1 + 0.10 * cloud(128) + 0.05 * cloud(24) + 0.03 * rng.normal(size=(rows, columns))
-    light += 0.035 * np.sin(2 * np.pi * x * length_m / 0.0006)  # layers of the printer
-    light *= 1 - 0.30 * np.clip(0.6 + np.sin(angle), 0, 1)[:, None] * fold**3  # dirt in the folds
-    picture = base[0, 0] * light[..., None]
-    picture += cloud(64)[..., None] * rng.normal(0, 7, 3)  # uneven dye
-    back = np.sin(angle) < -0.55  # the spine at the flat side is of a stiffer, paler rubber
-    picture[back] = 0.55 * picture[back] + 0.45 * rng.uniform(90, 170)
-
-    def patch(at, along, round_from, round_to, colour):
-        i = (angle > round_from) & (angle < round_to)
-        j = np.abs(x - at) < along / 2
-        picture[np.ix_(i, j)] = colour
-
-    front = 1.5 * np.pi, np.pi  # the side towards -y lies at the angle pi
-    at = rng.uniform(0.18, 0.34)
-    paper, ink = rng.uniform(205, 235, 3), rng.uniform(20, 60, 3)
-    patch(at, 0.13, 0.90 * front[1], 1.12 * front[1], paper)
-    for k in range(5):
-        patch(at - 0.045 + 0.022 * k, 0.009, 0.94 * front[1], (1.0 + 0.015 * k) * front[1], ink)
-    stripe = cv2.cvtColor(np.uint8([[[(hue + 90) % 180, 190, 200]]]), cv2.COLOR_HSV2RGB)[0, 0]
-    patch(rng.uniform(0.52, 0.68), 0.025, 0, 2 * np.pi, stripe)  # a band of tape all round
-    housing = cv2.cvtColor(np.uint8([[[(hue + 60) % 180, 120, rng.uniform(50, 90)]]]), cv2.COLOR_HSV2RGB)
-    tip = x > 1 - 0.021 / length_m
-    picture[:, tip] = housing[0, 0] * (1 + 0.04 * cloud(64)[:, tip, None])
-    patch(1 - 0.007 / length_m, 0.008 / length_m, 0.15 * np.pi, 0.85 * np.pi, rng.uniform(180, 230, 3))  # gel
-    return np.clip(picture, 4, 250).astype(np.uint8)
+        return cls(printed_texture(rng, length_m), np.array(lamps), cloth, 0.7 * width_m, length_m)
 
 
 def photograph(
-    mesh: trimesh.Trimesh,
+    mesh: trimesh.Trimesh | None,
     rest: np.ndarray,
     studio: Studio,
     camera: Camera,
@@ -134,7 +93,7 @@ def photograph(
     """Photographs a body, with a backdrop behind it as seen from the camera.
 
     Args:
-        mesh: of the deformed body, m, in the base frame.
+        mesh: of the deformed body, m, in the base frame; None for the empty studio.
         rest: (V, 3) its vertices when it is straight; they say which part of the texture is where.
         studio: lamps and texture.
         camera: in the base frame, with square pixels, its axis in the middle, and no distortion.
@@ -145,7 +104,8 @@ def photograph(
     """
     size = camera.width, camera.height
     spec = mujoco.MjSpec.from_string(_studio_xml(studio, FINE * camera.width, FINE * camera.height))
-    _add_body(spec, mesh, rest, studio)
+    if mesh is not None:
+        _add_body(spec, mesh, rest, studio)
     turn = camera.extrinsics[:3, :3].T
     eye = -turn @ camera.extrinsics[:3, 3]
     seer = spec.camera("eye")
@@ -161,6 +121,16 @@ def photograph(
     small += rng.normal(size=small.shape) * np.sqrt(dark**2 + full**2 * small / 255)
     share = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA)
     return np.clip(np.round(small), 0, 255).astype(np.uint8), share >= 0.5
+
+
+def ragged(mask: np.ndarray, size_px: float, rng: np.random.Generator) -> np.ndarray:
+    """The mask with an edge that wanders by `size_px`, over some 10 pixels along it."""
+    if not size_px:
+        return mask
+    inside = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5)
+    outside = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 5)
+    wander = cv2.resize(rng.normal(size=[n // 10 for n in mask.shape]), mask.shape[::-1])
+    return inside - outside + size_px * wander / wander.std() > 0
 
 
 def _studio_xml(studio: Studio, width: int, height: int) -> str:
@@ -235,8 +205,9 @@ def _render(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
     finally:
         mjr.free()
         context.free()
-    body = next(g.segid for g in scene.geoms[: scene.ngeom] if g.objid == model.geom("body").id)
-    return image[::-1], ids[::-1, :, 0] == body + 1
+    names = [model.geom(g).name for g in range(model.ngeom)]
+    body = [g.segid + 1 for g in scene.geoms[: scene.ngeom] if names[g.objid] == "body"]
+    return image[::-1], np.isin(ids[::-1, :, 0], body)
 
 
 def _quaternion(rotation: np.ndarray) -> np.ndarray:

@@ -11,14 +11,13 @@ import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pandas as pd
 import trimesh
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from pneutac_datasets.photo_scene import Studio, photograph
+from pneutac_datasets.photo_scene import Studio, photograph, ragged
 from pneutac_datasets.recording import BenchRecording
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
@@ -116,7 +115,8 @@ def write_photographs(
         particles: of the hidden body, about; not those of a twin, whose lattice would be the same.
 
     Returns:
-        The recording: `image_front`, `mask_front` and so on, `tip_x_mm, tip_y_mm, tip_z_mm` with noise.
+        The recording: `image_front`, `mask_front` and so on, `tip_x_mm, tip_y_mm, tip_z_mm` with noise; each
+        camera's `background` is a photograph without the body.
 
     Raises:
         InputError: another device, or pressures that are no finite numbers.
@@ -139,6 +139,8 @@ def write_photographs(
     true = {name: _knocked(camera, wrong, rng) for name, camera in told.items()}
     folder = Path(folder)
     (folder / "images").mkdir(parents=True, exist_ok=True)
+    for name, camera in true.items():
+        Image.fromarray(photograph(None, rest, studio, camera, rng)[0]).save(folder / _empty(name))
     rows = []
     for i, mesh in enumerate(meshes):
         mesh.vertices = mesh.vertices @ tilt.T
@@ -146,7 +148,7 @@ def write_photographs(
         row |= dict(zip(pressure_columns(device)[0], pressure[i], strict=True))
         for name, camera in true.items():
             image, mask = photograph(mesh, rest, studio, camera, rng)
-            mask = _ragged(mask, wrong.mask_px, rng)
+            mask = ragged(mask, wrong.mask_px, rng)
             for kind, picture in (("image", image), ("mask", np.uint8(255) * mask)):
                 row[f"{kind}_{name}"] = f"images/{i:03d}_{kind}_{name}.png"
                 Image.fromarray(picture).save(folder / row[f"{kind}_{name}"])
@@ -159,7 +161,11 @@ def write_photographs(
         "samples": "samples.csv",
         "noise": {f"tip_{a}_mm": MARKER_NOISE_MM for a in "xyz"},
         "cameras": {
-            name: {"intrinsics": c.intrinsics.tolist(), "extrinsics": c.extrinsics.tolist()}
+            name: {
+                "intrinsics": c.intrinsics.tolist(),
+                "extrinsics": c.extrinsics.tolist(),
+                "background": _empty(name),
+            }
             for name, c in told.items()
         },
         "notes": "Generated.",
@@ -176,6 +182,10 @@ def write_photographs(
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_text(json.dumps(truth, indent=1) + "\n")
     return BenchRecording.load(folder)
+
+
+def _empty(camera: str) -> str:
+    return f"images/empty_{camera}.png"
 
 
 def bent_meshes(
@@ -232,13 +242,3 @@ def _knocked(camera: Camera, wrong: Disturbances, rng: np.random.Generator) -> C
     extrinsics[:3, :3] = Rotation.from_rotvec(np.radians(way(wrong.camera_deg))).as_matrix() @ told[:3, :3]
     extrinsics[:3, 3] = -extrinsics[:3, :3] @ eye
     return Camera(camera.intrinsics, extrinsics, camera.width, camera.height)
-
-
-def _ragged(mask: np.ndarray, size_px: float, rng: np.random.Generator) -> np.ndarray:
-    """The mask with an edge that wanders by `size_px`, over some 10 pixels along it."""
-    if not size_px:
-        return mask
-    inside = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5)
-    outside = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 5)
-    wander = cv2.resize(rng.normal(size=(HEIGHT // 10, WIDTH // 10)), mask.shape[::-1])
-    return inside - outside + size_px * wander / wander.std() > 0

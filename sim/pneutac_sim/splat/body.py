@@ -1,0 +1,154 @@
+"""The looks of a finger or an arm: one Gaussian a particle, coloured by one segmented photograph.
+
+    looks = fit_body_looks(solver.body, rest.positions[0], rest.gradients[0], image, mask, camera)
+    picture = rasterise(looks.moved(bent.positions[0], bent.gradients[0]), other_camera)
+    looks_into_twin(twin, looks)
+
+Gaussians lie on the straight body's particles, so they follow any state of the same body.
+"""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.mpm.body import Body
+from pneutac_sim.splat.camera import Camera
+from pneutac_sim.splat.colours import fit_looks
+from pneutac_sim.splat.gaussians import Gaussians
+from pneutac_sim.splat.rasteriser import Splats
+from pneutac_sim.twin import Twin
+
+SCALE = 0.4  # standard deviation over the particles' spacing: neighbours overlap without gaps
+OPACITY = 0.9  # to start from; particles that the photograph does not show keep it
+SEEN = 0.1  # a particle counts as seen from this share of its own footprint on
+ARRAYS = {f"body_{name}": name for name in ("means", "scales", "colours", "opacities")}
+
+
+def fit_body_looks(
+    body: Body,
+    positions: np.ndarray,
+    gradients: np.ndarray,
+    image: np.ndarray,
+    mask: np.ndarray,
+    camera: Camera,
+    iterations: int = 300,
+) -> Gaussians:
+    """Colours and opacities of a body's Gaussians from one photograph; scales stay fixed.
+
+    Colours start from the linear solution and go on, with opacities, by Adam at the paper's rate. A particle
+    that the photograph does not show takes the photograph's colour in front of it, smoothed over its
+    surroundings: the far side is thought to look as the near one does, without its details.
+
+    Args:
+        body: its particles, straight.
+        positions: (P, 3) of the particles when the photograph was taken, m.
+        gradients: (P, 3, 3) deformation gradients then.
+        image: RGB uint8 (H, W, 3).
+        mask: bool (H, W), where the body is.
+        camera: from where, in the frame of `positions`.
+        iterations: of Adam.
+
+    Returns:
+        Gaussians of the straight body; `moved` carries them to other states.
+
+    Raises:
+        InputError: image, mask, camera and particles do not fit together.
+    """
+    check_photograph(positions, image, mask, camera)
+    n = len(body.positions)
+    looks = Gaussians(
+        body.positions,
+        np.full((n, 3), SCALE * body.spacing_m),
+        np.broadcast_to(np.eye(3), (n, 3, 3)),
+        np.zeros((n, 3)),
+        np.full(n, OPACITY),
+    )
+    now = looks.moved(positions, gradients)
+    inside = mask.astype(np.float32)
+    target = image.astype(np.float32) / 255 * inside[..., None]
+    colours, opacities = fit_looks(
+        camera, now.means, now.covariances(), now.opacities, target, coverage=inside, iterations=iterations
+    )
+    pixels, depth = camera.project(now.means)
+    radius = SCALE * body.spacing_m * camera.intrinsics[0, 0] / depth  # px
+    weight = Splats(camera, now.means, now.covariances(), opacities).transpose(np.ones_like(target))[:, 0]
+    unseen = weight < SEEN * 2 * np.pi * radius**2
+    near = _smooth(target, inside, 2 * float(np.median(radius)))
+    at = np.floor(pixels).clip(0, (camera.width - 1, camera.height - 1)).astype(int)[unseen]
+    colours[unseen] = near[at[:, 1], at[:, 0]]
+    return replace(looks, colours=colours, opacities=opacities)
+
+
+def check_photograph(positions: np.ndarray, image: np.ndarray, mask: np.ndarray, camera: Camera) -> None:
+    """Raises InputError where a photograph is none of this body from this camera."""
+    size = (camera.height, camera.width)
+    image, mask = np.asarray(image), np.asarray(mask)
+    if image.dtype != np.uint8 or image.shape != (*size, 3):
+        raise InputError(
+            f"The photograph is {image.dtype} of shape {image.shape}; the camera takes RGB uint8 of shape "
+            f"{(*size, 3)}."
+        )
+    if mask.dtype != bool or mask.shape != size:
+        raise InputError(f"The mask is {mask.dtype} of shape {mask.shape}; it must be bool of shape {size}.")
+    if not 1e-4 < mask.mean() < 0.95:
+        raise InputError(
+            f"The mask covers {mask.mean():.1%} of the photograph; mark the body and nothing else."
+        )
+    if not np.isfinite(positions).all():
+        raise InputError("The particles' positions are not all finite; bring the body to rest first.")
+    pixels, depth = camera.project(positions)
+    inside = (depth > 0) & (pixels >= 0).all(1) & (pixels < (camera.width, camera.height)).all(1)
+    if not inside.any():
+        raise InputError(
+            "The camera does not see the body; check that its extrinsics lead from base to camera, in metres."
+        )
+    at = pixels[inside].astype(int)
+    share = mask[at[:, 1], at[:, 0]].mean()
+    if share < 0.3:
+        raise InputError(
+            f"Only {share:.0%} of the body's particles lie inside the mask; the camera's place or the body's "
+            "shape is wrong, or the mask marks something else."
+        )
+
+
+def looks_into_twin(twin: Twin, looks: Gaussians) -> None:
+    """Keeps the looks of a straight body in the twin's arrays."""
+    twin.arrays |= {array: getattr(looks, name) for array, name in ARRAYS.items()}
+
+
+def looks_from_twin(twin: Twin, body: Body) -> Gaussians:
+    """Looks that `looks_into_twin` kept.
+
+    Args:
+        twin: a finger's or an arm's.
+        body: the particles that they shall follow.
+
+    Raises:
+        InputError: the twin has no looks, or they are of other particles than this body's.
+    """
+    if missing := [a for a in ARRAYS if a not in twin.arrays]:
+        raise InputError(
+            f"The twin has no looks (array '{missing[0]}' is missing); calibrate it with photographs first."
+        )
+    looks = Gaussians(
+        rotations=np.broadcast_to(np.eye(3), (len(twin.arrays["body_means"]), 3, 3)),
+        **{name: twin.arrays[array] for array, name in ARRAYS.items()},
+    )
+    same = looks.means.shape == body.positions.shape
+    if not (same and np.abs(looks.means - body.positions).max() < 0.1 * body.spacing_m):
+        raise InputError(
+            f"The twin's looks are those of {len(looks)} particles, the body has {len(body.positions)} in "
+            "other places; use as many as in the calibration, or calibrate with photographs again."
+        )
+    return looks
+
+
+def _smooth(image: np.ndarray, inside: np.ndarray, sigma_px: float) -> np.ndarray:
+    """Mean colour (H, W, 3) round each pixel of what lies inside the mask."""
+    share = cv2.GaussianBlur(inside, (0, 0), sigma_px)
+    near = cv2.GaussianBlur(image, (0, 0), sigma_px) / np.maximum(share, 1e-6)[..., None]
+    far = share < 1e-3  # too far outside to have surroundings
+    near[far] = image[inside > 0].mean(0)
+    return near.clip(0, 1)

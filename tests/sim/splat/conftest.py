@@ -1,0 +1,44 @@
+"""A finger whose truth is known, photographed from both sides, and its particles in the same states."""
+
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from pneutac_datasets.photo_reading import read_camera, read_photograph
+from pneutac_datasets.photographs import write_photographs
+from pneutac_sim.mpm import devices
+from pneutac_sim.mpm.solve import solve_equilibrium
+from pneutac_sim.mpm.total_lagrangian import Loads
+from pneutac_sim.twin import Twin, Value
+
+
+@pytest.fixture(scope="session")
+def photographed(tmp_path_factory):
+    """Recording, body, states at 0 and 12 kPa, cameras and photographs by view."""
+    folder = tmp_path_factory.mktemp("photographs") / "finger"
+    recording = write_photographs(folder, seed=2, pressures_kpa=[0, 12], particles=3000)
+    truth = json.loads((folder.parent / "truth" / "finger.json").read_text())
+    twin = Twin("finger", 110.0, parameters={k: Value(v) for k, v in truth["parameters"].items()})
+    solver = devices.finger(twin, batch=2, device="cpu")
+    state = solve_equilibrium(solver, Loads(q_cmd=devices.joint_targets(twin, [0.0, 12.0])))
+    views = ("front", "back")
+    return SimpleNamespace(
+        recording=recording,
+        twin=twin,
+        body=solver.body,
+        positions=state.positions,
+        gradients=state.gradients,
+        cameras={v: read_camera(recording, v) for v in views},
+        pictures={v: [read_photograph(recording, i, v) for i in range(2)] for v in views},
+        background={v: recording.image(recording.meta["cameras"][v]["background"]) for v in views},
+        rmse=rmse,
+    )
+
+
+def rmse(rendering, image, mask):
+    """Of 8-bit levels inside the union of both silhouettes, on black."""
+    union = mask | (rendering.alpha > 0.5)
+    wanted = np.where(mask[..., None], image, 0).astype(float)
+    return float(np.sqrt(np.mean((255 * rendering.image - wanted)[union] ** 2)))
