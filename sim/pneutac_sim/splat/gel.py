@@ -1,0 +1,237 @@
+"""A touch sensor's gel as splats: one Gaussian a particle, moving with it and taking the light of contact.
+
+Geometry of the paper (Sec. III-A, III-B): a regular grid of particles, 59 x 80 x 13 for a DIGIT, seen through
+the gel by a camera below it. The gel is clear and its outer coating is what the camera sees, so Gaussians of
+the inner layers start nearly transparent; colours and opacities are then fitted to the one rest image.
+"""
+
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+from numba import njit
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.gel.model import GelModel
+from pneutac_sim.gel.optics import light
+from pneutac_sim.gel.probe import COLS, ROWS
+from pneutac_sim.splat.camera import Camera
+from pneutac_sim.splat.colours import fit_looks
+from pneutac_sim.splat.rasteriser import Splats, numbers
+
+CAMERA_MM = 22.0  # a DIGIT's camera before its gel surface
+LAYERS = 13
+SCALE_CELLS = (
+    0.5  # standard deviation of a Gaussian over the spacing of particles: neighbours close the surface
+)
+COATING, INSIDE = 0.95, 0.012  # opacities to start from
+ITERATIONS = 30
+
+
+class SplatSensor:
+    """Renders a gel's surface displacements as splats.
+
+    Layers compress linearly from the surface to the bonded window, and take a share of the light in the same
+    proportion, scaled so that at rest the picture takes the whole of it. What splats of a cell's size cannot
+    show of the rest image, such as noise, stays where it is, so that no contact gives the rest image.
+
+    Args:
+        model: the gel's sizes, rest image and light.
+        layers: of particles, from the window to the surface, 2 or more.
+        distortion: of the camera's lens, OpenCV's k1, k2, p1, p2, k3.
+        looks: colours (n, 3) and opacities (n,) of an earlier sensor with the same model and layers; fitted
+            to the rest image where None (seconds).
+        increment: from a displacement (80, 59) in mm to what contact adds to the picture, (H, W, 3) levels;
+            the model's own light where None.
+
+    Attributes:
+        camera: the gel's camera, in the gel's frame.
+        looks: colours and opacities.
+
+    Raises:
+        InputError: `layers` or `looks` do not fit.
+    """
+
+    def __init__(
+        self,
+        model: GelModel,
+        layers: int = LAYERS,
+        distortion: tuple[float, ...] = (),
+        looks: tuple[np.ndarray, np.ndarray] | None = None,
+        increment: Callable[[np.ndarray], np.ndarray] | None = None,
+    ):
+        if isinstance(layers, bool) or not isinstance(layers, int) or layers < 2:
+            raise InputError(f"A gel of splats has {layers!r} layers; it needs 2 or more.")
+        self.model = model
+        self.increment = increment or self._light
+        self._model_weight, self._coefficients = model.weight, model.coefficients
+        height, width = model.rest_image.shape[:2]
+        focal_px = model.px_per_mm * CAMERA_MM
+        view = np.eye(4)
+        view[2, 3] = CAMERA_MM * 1e-3
+        K = np.array([[focal_px, 0, width / 2], [0, focal_px, height / 2], [0, 0, 1]])
+        self.camera = Camera(K, view, width, height, distortion)
+        self._means, self._fraction = particles(model, layers)
+        n = len(self._means)
+        scale = SCALE_CELLS * model.window_mm[0] / COLS * 1e-3
+        self._covariances = np.tile(scale**2 * np.eye(3, dtype=np.float32), (n, 1, 1))
+        rest = model.rest_image.astype(np.float32) / 255
+        self._background = rest.mean((0, 1))
+        if looks is None:
+            start = np.where(self._fraction == 1, COATING, INSIDE)
+            looks = fit_looks(
+                self.camera,
+                self._means,
+                self._covariances,
+                start,
+                rest,
+                self._background,
+                iterations=ITERATIONS,
+            )
+        self.looks = numbers("gel colours", looks[0], (n, 3)), numbers("gel opacities", looks[1], (n,))
+        splats = Splats(self.camera, self._means, self._covariances, self.looks[1])
+        self._residual = rest - splats.render(self.looks[0], self._background).image
+        self._spots = self.camera.project(self._means)[0].astype(np.float32)
+        shown = splats.render(np.repeat(self._fraction[:, None], 3, 1)).image
+        one = np.empty((n, 3), np.float32)
+        _sample(shown, self._spots, one)
+        self._weights = self._fraction[:, None] / np.maximum(one, 0.2)
+
+    @property
+    def rest_error_levels(self) -> float:
+        """Root mean square of what splats do not show of the rest image."""
+        return float(255 * np.sqrt(np.mean(np.square(self._residual))))
+
+    def image(self, displacement_mm: np.ndarray) -> np.ndarray:
+        """Tactile image, uint8 (H, W, 3), of a displacement (80, 59) in mm.
+
+        Raises:
+            InputError: a shape is wrong, a number not finite or a displacement too large.
+        """
+        displacement_mm = self._checked(displacement_mm)
+        return self.render(displacement_mm, self.increment(displacement_mm))
+
+    def render(self, displacement_mm: np.ndarray, increment: np.ndarray) -> np.ndarray:
+        """Tactile image of a displacement with any light.
+
+        Args:
+            displacement_mm: (80, 59), positive into the gel, less than its thickness.
+            increment: what contact adds to the picture, (H, W, 3) levels; each Gaussian takes what there is
+                where it rests.
+
+        Returns:
+            uint8 (H, W, 3).
+
+        Raises:
+            InputError: a shape is wrong, a number not finite or a displacement too large.
+        """
+        increment = numbers("increment", increment, self.model.rest_image.shape)
+        splats = self.splats(displacement_mm)
+        colours = self.looks[0] + self.take(increment) / np.float32(255)
+        out = np.empty(self.model.rest_image.shape, np.uint8)
+        _levels(splats.render(colours, self._background).image, self._residual, out)
+        return out
+
+    def splats(self, displacement_mm: np.ndarray) -> Splats:
+        """The gel's Gaussians under a displacement, ready to render.
+
+        Raises:
+            InputError: a shape is wrong, a number not finite or a displacement too large.
+        """
+        u = self._checked(displacement_mm)
+        means = self._means.copy()
+        moved = means.reshape(-1, ROWS * COLS, 3)
+        moved[..., 2] -= np.float32(1e-3) * self._fraction.reshape(-1, ROWS * COLS) * u.ravel()
+        return Splats(self.camera, means, self._covariances, self.looks[1])
+
+    def take(self, picture: np.ndarray) -> np.ndarray:
+        """Each Gaussian's weight times a picture (H, W, 3) float32 where it rests, (n, 3)."""
+        out = np.empty((len(self._spots), 3), np.float32)
+        _sample(picture, self._spots, out)
+        out *= self._weights
+        return out
+
+    def _checked(self, displacement_mm) -> np.ndarray:
+        u = numbers("displacement_mm", displacement_mm, (ROWS, COLS))
+        if u.max() >= self.model.thickness_mm:
+            raise InputError(
+                f"The gel's surface moves by {u.max():.2f} mm, through its thickness of "
+                f"{self.model.thickness_mm} mm."
+            )
+        return u
+
+    def _light(self, displacement_mm: np.ndarray) -> np.ndarray:
+        model = self.model
+        cell_mm = model.window_mm[0] / COLS, model.window_mm[1] / ROWS
+        grid = light(displacement_mm, cell_mm, self._coefficients).transpose(1, 2, 0)
+        height, width = model.rest_image.shape[:2]
+        return self._model_weight * cv2.resize(
+            np.ascontiguousarray(grid), (width, height)
+        )  # bilinear, by centres
+
+
+def particles(model: GelModel, layers: int) -> tuple[np.ndarray, np.ndarray]:
+    """Particles at rest, in the gel's frame (see `gel.probe`), layer by layer from the window to the surface.
+
+    Returns:
+        Means, (layers * 80 * 59, 3) float32 m, and the share of the surface's displacement that each takes.
+    """
+    width, height = model.window_mm
+    z, y, x = np.meshgrid(
+        np.linspace(-model.thickness_mm, 0, layers),
+        ((np.arange(ROWS) + 0.5) / ROWS - 0.5) * height,
+        ((np.arange(COLS) + 0.5) / COLS - 0.5) * width,
+        indexing="ij",
+    )
+    means = np.stack([x, y, z], -1).reshape(-1, 3)
+    return (means * 1e-3).astype(np.float32), (1 + means[:, 2] / model.thickness_mm).astype(np.float32)
+
+
+def refine(sensor: SplatSensor, displacement_mm, basis: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Coefficients of a contact's light that render best as one photograph.
+
+    The picture is linear in them, so that the minimum of the paper's photometric loss (Sec. III-B) needs no
+    descent: each basis picture is rendered once on the moved gel, then least squares.
+
+    Args:
+        sensor: the gel.
+        displacement_mm: (80, 59) of the contact.
+        basis: (K, H, W, 3) levels; the light is their sum, weighted by the coefficients.
+        target: the photograph, uint8 (H, W, 3).
+
+    Returns:
+        Coefficients, (K,).
+
+    Raises:
+        InputError: a shape is wrong or a number not finite.
+    """
+    shape = sensor.model.rest_image.shape
+    target = numbers("target", target, shape)
+    splats = sensor.splats(displacement_mm)
+    dark = sensor.render(displacement_mm, np.zeros(shape, np.float32))
+    columns = [splats.render(sensor.take(numbers("basis", b, shape))).image.ravel() for b in basis]
+    return np.linalg.lstsq(np.stack(columns, 1), (target - dark).ravel(), rcond=None)[0]
+
+
+@njit(cache=True, nogil=True)
+def _sample(picture, spots, out):
+    """Bilinear values of a picture (H, W, 3) at pixels (n, 2), the rim's beyond it."""
+    h, w, channels = picture.shape
+    for i in range(len(spots)):
+        x = min(max(spots[i, 0] - np.float32(0.5), np.float32(0)), np.float32(w - 1))
+        y = min(max(spots[i, 1] - np.float32(0.5), np.float32(0)), np.float32(h - 1))
+        p, q = min(int(y), h - 2), min(int(x), w - 2)
+        fy, fx = y - np.float32(p), x - np.float32(q)
+        for k in range(channels):
+            above = picture[p, q, k] + fx * (picture[p, q + 1, k] - picture[p, q, k])
+            below = picture[p + 1, q, k] + fx * (picture[p + 1, q + 1, k] - picture[p + 1, q, k])
+            out[i, k] = above + fy * (below - above)
+
+
+@njit(cache=True, nogil=True)
+def _levels(image, residual, out):
+    """Image plus residual, 0 to 1, rounded to 8 bits."""
+    a, b, c = image.ravel(), residual.ravel(), out.ravel()
+    for i in range(len(a)):
+        level = (a[i] + b[i]) * np.float32(255) + np.float32(0.5)
+        c[i] = np.uint8(min(max(level, np.float32(0)), np.float32(255)))

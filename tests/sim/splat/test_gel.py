@@ -1,0 +1,119 @@
+import numpy as np
+import pytest
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.gel.model import GelModel
+from pneutac_sim.gel.optics import gradient, upsample
+from pneutac_sim.gel.sensor import TactileSensor
+from pneutac_sim.splat.gel import CAMERA_MM, SplatSensor, particles, refine
+
+REST = np.zeros((80, 59), np.float32)
+
+
+@pytest.fixture(scope="module")
+def sensor():
+    return SplatSensor(GelModel.builtin())
+
+
+@pytest.fixture(scope="module")
+def pixelwise():
+    return TactileSensor(GelModel.builtin())
+
+
+def press(pixelwise, x_mm, y_mm, depth_mm, radius_mm=3.0):
+    """Displacement under a ball."""
+    centre = [[1e-3 * x_mm, 1e-3 * y_mm, 1e-3 * (radius_mm - depth_mm)]]
+    return pixelwise.displacement(pixelwise.probe([2], [[1e-3 * radius_mm, 0, 0]], centre, [np.eye(3)]))
+
+
+def rmse(a, b):
+    return float(np.sqrt(np.mean(np.square(a.astype(float) - b))))
+
+
+def test_particles_fill_the_window_and_compress_towards_it():
+    model = GelModel.builtin()
+    means, fraction = particles(model, 13)
+    assert means.shape == (59 * 80 * 13, 3)
+    surface, window = means[fraction == 1], means[fraction == 0]
+    assert len(surface) == len(window) == 59 * 80
+    assert np.allclose(surface[:, 2], 0) and np.allclose(window[:, 2], -1e-3 * model.thickness_mm)
+    # cell centres, row by row from the upper left
+    width, height = model.window_mm
+    assert np.allclose(surface[0, :2], [-0.5e-3 * width * 58 / 59, -0.5e-3 * height * 79 / 80], atol=1e-7)
+    assert np.allclose(surface[:59, 1], surface[0, 1]) and np.all(np.diff(surface[:59, 0]) > 0)
+
+
+def test_the_surface_fills_the_image(sensor):
+    width, height = sensor.model.window_mm
+    corners = 0.5e-3 * np.array([[-width, -height, 0], [width, height, 0]])
+    pixels, depth = sensor.camera.project(corners)
+    assert np.allclose(pixels, [[0, 0], [240, 320]])
+    assert np.allclose(depth, CAMERA_MM * 1e-3)
+
+
+def test_splats_alone_show_the_rest_image(sensor):
+    assert sensor.rest_error_levels < 1.0
+
+
+def test_no_contact_is_the_rest_image(sensor):
+    assert np.array_equal(sensor.image(REST), sensor.model.rest_image)
+
+
+def test_an_earlier_sensors_looks_give_the_same_pictures(sensor, pixelwise):
+    u = press(pixelwise, 1, 1, 0.5)
+    assert np.array_equal(SplatSensor(sensor.model, looks=sensor.looks).image(u), sensor.image(u))
+
+
+@pytest.mark.parametrize(("x", "y", "depth"), [(0, 0, 0.5), (0, 0, 1.0), (2, 3, 1.0)])
+def test_contact_agrees_with_the_image_plane_renderer(sensor, pixelwise, x, y, depth):
+    u = press(pixelwise, x, y, depth)
+    by_pixel = pixelwise._renderer.image(u)
+    assert rmse(by_pixel, sensor.model.rest_image) > 4
+    assert rmse(sensor.image(u), by_pixel) < 0.2 * rmse(by_pixel, sensor.model.rest_image)
+
+
+def test_a_pressed_surface_comes_nearer_and_is_seen_larger():
+    y, x = np.mgrid[:320, :240] + 0.5
+    spots = np.exp(-((x - 190) ** 2 + (y - 90) ** 2) / (2 * 12.0**2))
+    model = GelModel.builtin()
+    model.rest_image = np.uint8(40 + 150 * np.repeat(spots[..., None], 3, 2))
+    moved = SplatSensor(model).render(REST + 1.0, np.zeros((320, 240, 3)))[..., 1] - 40.0
+    centre = np.sum(moved * x) / moved.sum(), np.sum(moved * y) / moved.sum()
+    larger = CAMERA_MM / (CAMERA_MM - 1)
+    assert centre[0] - 190 == pytest.approx((190 - 120) * (larger - 1), abs=1)
+    assert centre[1] - 90 == pytest.approx((90 - 160) * (larger - 1), abs=1)
+
+
+def test_light_is_taken_where_it_falls(sensor):
+    light = np.zeros((320, 240, 3), np.float32)
+    light[:, 120:, 0] = 20
+    added = sensor.render(REST, light).astype(float) - sensor.model.rest_image
+    assert np.abs(added[20:-20, 140:-20, 0] - 20).mean() < 1.5
+    assert np.abs(added[:, :100, 0]).max() <= 1
+    assert np.abs(added[..., 1:]).max() <= 1
+
+
+def test_refine_recovers_the_light(sensor, pixelwise):
+    model = sensor.model
+    u = press(pixelwise, 1, -2, 0.6)
+    cell_mm = model.window_mm[0] / 59, model.window_mm[1] / 80
+    fields = [upsample(f, 320, 240) for f in (*gradient(u, cell_mm), u)]
+    basis = np.zeros((9, 320, 240, 3), np.float32)
+    for k in range(9):
+        basis[k, ..., k // 3] = model.weight[..., k // 3] * fields[k % 3]
+    known = np.array([20.0, -10, 5, -15, 12, -6, 8, 18, 10])
+    photograph = sensor.render(u, np.tensordot(known, basis, 1))
+    assert np.allclose(refine(sensor, u, basis, photograph), known, atol=0.5)
+
+
+def test_bad_input_is_refused(sensor):
+    with pytest.raises(InputError, match="layers"):
+        SplatSensor(sensor.model, layers=1)
+    with pytest.raises(InputError, match="colours"):
+        SplatSensor(sensor.model, layers=4, looks=sensor.looks)
+    with pytest.raises(InputError, match="displacement_mm"):
+        sensor.image(REST[:5] + np.nan)
+    with pytest.raises(InputError, match="thickness"):
+        sensor.image(REST + 3.0)
+    with pytest.raises(InputError, match="increment"):
+        sensor.render(REST, np.zeros((320, 241, 3)))
