@@ -22,15 +22,15 @@ class CalibrateConfig:
         recording: folder of the bench recording. Without it a gel is calibrated from the DIGIT photographs in
             $PNEUTAC_DATA, or from generated images where that is unset.
         out: folder for `result.json`, `report.html` and pictures.
-        multiply: gel only: multiply its light by the rest colour of the pixel; on real DIGITs this predicts
-            held-out images better than adding it.
+        effects: gel only: optics effects to fit, with commas between, or `none` for the paper's linear model;
+            those that the twin has, if it has been calibrated, else all that one pair of images can tell.
         seed: decides every random choice.
     """
 
     twin: Path | None = None
     recording: Path | None = None
     out: Path | None = None
-    multiply: bool = True
+    effects: str | None = None
     seed: int = 0
 
     def __post_init__(self):

@@ -7,15 +7,15 @@ import numpy as np
 from PIL import Image
 from rich.console import Console
 
-from lerobot_pneutac.fit_gel import picture_grid
+from lerobot_pneutac.fit_gel import picture_grid, predict, scores_of
 from lerobot_pneutac.report import Report, write_result
 from pneutac_datasets.gel_recording import GelRecording
 from pneutac_datasets.recording import BenchRecording
 from pneutac_sim.errors import InputError
-from pneutac_sim.gel.fit import press_depth
-from pneutac_sim.gel.metrics import ImageScores, disc, score
+from pneutac_sim.gel.fit import slope_light
+from pneutac_sim.gel.layout import Layout, Orientation, recognise
+from pneutac_sim.gel.metrics import ImageScores, disc
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.twin import Twin
 
 QUIET_RADII = 3.0  # beyond so many contact radii the image should equal the rest image
@@ -25,8 +25,8 @@ WORST = 5
 def compare_gel(twin: Twin, recording: BenchRecording, out: Path | None, console: Console) -> dict:
     """Renders every image's indentation with the twin, scores and reports.
 
-    The recording's own rest image and scale are used: illumination drifts between sessions, and that is no
-    fault of the gel's model.
+    The recording's own rest images, scale and, if it has a row of role `calibration`, half of the drift of
+    light seen there are used: illumination changes between sessions, and that is no fault of the gel's model.
 
     Returns:
         The content of `result.json`.
@@ -36,16 +36,10 @@ def compare_gel(twin: Twin, recording: BenchRecording, out: Path | None, console
         raise InputError(
             "The twin has no gel; calibrate it with `pneutac calibrate` on a recording of a gel."
         )
-    own = {"rest_image": data.rest, "px_per_mm": data.px_per_mm, "thickness_mm": data.thickness_mm}
-    gel = replace(GelModel.from_twin(twin), **own)
-    sensor = TactileSensor(gel)
-    ours = [sensor.image(press_depth(s.press, gel)) for s in data.samples]
-
-    def rate(images):
-        pairs = zip(images, data.samples, strict=True)
-        return [score(p, s.image, data.rest, s.x_px, s.y_px, s.radius_px) for p, s in pairs]
-
-    scores, rest = rate(ours), rate([data.rest] * len(ours))
+    gel = seen_by(GelModel.from_twin(twin), data)
+    data.warnings += turned(gel, data)
+    ours = predict(gel, data)
+    scores, rest = scores_of(data, ours), scores_of(data, [s.rest for s in data.samples])
     train = np.array([s.role == "calibration" for s in data.samples])
     held = [i for i in range(len(scores)) if not train[i]]
     result = {
@@ -90,6 +84,30 @@ def compare_gel(twin: Twin, recording: BenchRecording, out: Path | None, console
     return result
 
 
+def seen_by(gel: GelModel, data: GelRecording) -> GelModel:
+    """The same gel in a recording's images: their rest image, scale and thickness."""
+    own = {"rest_image": data.rest, "px_per_mm": data.px_per_mm, "thickness_mm": data.thickness_mm}
+    return replace(gel, **own)
+
+
+def turned(gel: GelModel, data: GelRecording) -> list[str]:
+    """A note where the recording's images are mirrored, or have their channels in another order."""
+    pair = next((s.photograph for s in data.samples if s.role == "calibration"), None)
+    if pair is None:
+        return []
+    far = -1e3 * gel.light / np.maximum(np.linalg.norm(gel.light, axis=1), 1e-9)[:, None]
+    height, width = data.rest.shape[:2]
+    own = Layout("twin", tuple(map(tuple, far)), (0.0, 0.0, 0.0), width / height)
+    light = slope_light(replace(gel, effects={}), pair)
+    orientation = recognise(light, pair.press.x_mm, pair.press.y_mm, (width, height), own)
+    if orientation is None or orientation == Orientation():
+        return []
+    return [
+        f"against the twin the recording's images are {orientation}; turn them, or calibrate a twin of "
+        "their own."
+    ]
+
+
 def _image(scores: list[ImageScores], rest: list[ImageScores], held: list[int]) -> dict | None:
     if not held:
         return None
@@ -118,9 +136,9 @@ def _floor(data: GelRecording) -> float:
     """What the picture changes where nothing touches, levels: light, noise and compression."""
     squares = []
     for s in data.samples:
-        quiet = ~disc(data.rest.shape, s.x_px, s.y_px, QUIET_RADII * s.radius_px)
+        quiet = ~disc(s.rest.shape, s.x_px, s.y_px, QUIET_RADII * s.radius_px)
         if quiet.any():
-            squares.append(np.mean((s.image[quiet].astype(float) - data.rest[quiet]) ** 2))
+            squares.append(np.mean((s.image[quiet].astype(float) - s.rest[quiet]) ** 2))
     return float(np.sqrt(np.mean(squares))) if squares else 0.0
 
 

@@ -5,18 +5,19 @@ import time
 import numpy as np
 from PIL import Image
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 
 from lerobot_pneutac.report import Report, write_result
 from pneutac_datasets.gel_recording import GelRecording, GelSample
 from pneutac_datasets.recording import BenchRecording
+from pneutac_sim.baselines.pasted import Pasted
+from pneutac_sim.effects.optics import OPTICS, SENSOR
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import IMAGE_SHAPE
-from pneutac_sim.gel.fit import fit_gel, press_depth
+from pneutac_sim.gel.fit import fit_gel
 from pneutac_sim.gel.metrics import ImageScores, score
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.gel.sensor import TactileSensor
+from pneutac_sim.gel.photograph import Predictor
 from pneutac_sim.twin import Twin
 
 OURS, PASTED, REST = "this model", "difference pasted", "rest image"
@@ -41,17 +42,22 @@ def calibrate_gel(twin: Twin, recording: BenchRecording, cfg, console: Console) 
     sample = data.calibration
     start = time.monotonic()
     try:
-        gel, evaluations = fit_gel(
-            data.rest, sample.image, sample.press, data.px_per_mm, cfg.multiply, data.thickness_mm
+        fit = fit_gel(
+            sample.rest,
+            sample.image,
+            sample.press,
+            data.px_per_mm,
+            wanted(cfg.effects, twin),
+            data.thickness_mm,
         )
-        carried = _for_twin(gel, twin)
+        gel, carried = fit.gel, _for_twin(fit.gel, twin)
     except InputError as e:
         names = f"rest image '{recording.meta['rest_image']}', indentation '{sample.name}'"
         raise InputError(f"{recording.folder} ({names}): {e}") from e
     seconds = time.monotonic() - start
 
-    images = render(gel, data, console)
-    scores = {name: _scores(data, predicted) for name, predicted in images.items()}
+    images = render(gel, data)
+    scores = {name: scores_of(data, predicted) for name, predicted in images.items()}
     heldout = [i for i, s in enumerate(data.samples) if s.role != "calibration"]
     trained = scores[OURS][data.samples.index(sample)]
     mean = (
@@ -73,7 +79,9 @@ def calibrate_gel(twin: Twin, recording: BenchRecording, cfg, console: Console) 
     result = {
         "parameters": _parameters(carried),
         "error": error,
-        "evaluations": evaluations,
+        "evaluations": fit.evaluations,
+        "make": fit.make,
+        "orientation": str(fit.orientation) if fit.make else "",
         "seconds": seconds,
         "image": (_finite(mean[OURS]) | {"rest_rmse": mean[REST].rmse, "n": len(heldout)})
         if heldout
@@ -86,6 +94,8 @@ def calibrate_gel(twin: Twin, recording: BenchRecording, cfg, console: Console) 
     }
     rows = _table(data, scores)
     _print(rows, console)
+    if fit.make:
+        console.print(f"The light is that of a {fit.make}, {fit.orientation}.", highlight=False)
     console.print(
         f"Fitted to one rest and one indentation image in {seconds:.1f} s; "
         f"the twin at {cfg.twin} is now version {result['version']}.",
@@ -111,32 +121,45 @@ def _for_twin(gel: GelModel, twin: Twin) -> GelModel:
     return gel.resized(*IMAGE_SHAPE[:2])
 
 
-def render(gel: GelModel, data: GelRecording, console: Console) -> dict[str, list[np.ndarray]]:
+def wanted(effects: str | None, twin: Twin) -> list[str]:
+    """Optics effects to fit: those asked for, else those of the twin, else those of a sensor.
+
+    Raises:
+        InputError: a name is no optics effect, or acts on a session and not on one pair.
+    """
+    if effects is None:
+        return [e for e in twin.effects if e in OPTICS] if twin.gel else list(SENSOR)
+    names = [] if effects == "none" else effects.split(",")
+    for name in names:
+        if name not in SENSOR:
+            raise InputError(
+                f"--effects={effects}: '{name}' cannot be fitted to one pair of images; give some of "
+                f"{','.join(SENSOR)}, or none for the linear model."
+            )
+    return names
+
+
+def predict(gel: GelModel, data: GelRecording) -> list[np.ndarray]:
+    """Predicted image of every sample; the calibration pair tells how the light drifts."""
+    pair = next((s.photograph for s in data.samples if s.role == "calibration"), None)
+    predictor = Predictor(gel, pair)
+    return [predictor.image(s.press, s.rest, s.clock) for s in data.samples]
+
+
+def render(gel: GelModel, data: GelRecording) -> dict[str, list[np.ndarray]]:
     """Predictions of every sample by the model and by the two rows that keep one honest."""
-    sensor, sample = TactileSensor(gel), data.calibration
-    difference = sample.image.astype(np.int16) - data.rest
-    images: dict[str, list[np.ndarray]] = {OURS: [], PASTED: [], REST: []}
-    for s in track(data.samples, "rendering", console=console, transient=True):
-        images[OURS].append(sensor.image(press_depth(s.press, gel)))
-        moved = shift(difference, round(s.x_px - sample.x_px), round(s.y_px - sample.y_px))
-        images[PASTED].append(np.clip(data.rest + moved, 0, 255).astype(np.uint8))
-        images[REST].append(data.rest)
-    return images
+    pasted = Pasted.fit(data.calibration.rest, data.calibration.image, data.calibration.press, data.px_per_mm)
+    return {
+        OURS: predict(gel, data),
+        PASTED: [pasted.image(s.press) for s in data.samples],
+        REST: [s.rest for s in data.samples],
+    }
 
 
-def shift(image: np.ndarray, dx: int, dy: int) -> np.ndarray:
-    """Moves an image (H, W, C) by whole pixels, right and down; zeros come in."""
-    h, w = image.shape[:2]
-    out = np.zeros_like(image)
-    out[max(dy, 0) : h + min(dy, 0), max(dx, 0) : w + min(dx, 0)] = image[
-        max(-dy, 0) : h + min(-dy, 0), max(-dx, 0) : w + min(-dx, 0)
-    ]
-    return out
-
-
-def _scores(data: GelRecording, predicted: list[np.ndarray]) -> list[ImageScores]:
+def scores_of(data: GelRecording, predicted: list[np.ndarray]) -> list[ImageScores]:
+    """Each sample's prediction against its photograph."""
     return [
-        score(p, s.image, data.rest, s.x_px, s.y_px, s.radius_px)
+        score(p, s.image, s.rest, s.x_px, s.y_px, s.radius_px)
         for p, s in zip(predicted, data.samples, strict=True)
     ]
 
@@ -154,6 +177,10 @@ def _parameters(gel: GelModel) -> dict:
             out[f"light_{channel}_{'xy'[axis]}"] = {"value": gel.light[k, axis], "unit": "levels"}
         out[f"depth_light_{channel}"] = {"value": gel.depth_light[k], "unit": "levels/mm"}
     out["decay_mm"] = {"value": gel.decay_mm, "unit": "mm"}
+    out["depth_scale"] = {"value": gel.depth_scale, "unit": ""}
+    for effect, values in gel.effects.items():
+        units = {p.name: p.unit for p in OPTICS[effect].parameters}
+        out |= {f"{effect}.{k}": {"value": v, "unit": units[k]} for k, v in values.items()}
     out["threshold_levels"] = {"value": gel.threshold_levels, "unit": "levels"}
     return out
 
@@ -238,6 +265,11 @@ def _report(cfg, result: dict, rows: list[dict], picture: np.ndarray):
         "Light per unit slope along x (columns) and y (rows) and per millimetre of depth",
     )
     report.heading("Do it again")
-    command = f"pneutac calibrate --twin={cfg.twin} --multiply={str(cfg.multiply).lower()} --seed={cfg.seed}"
-    report.code(command + (f" --recording={cfg.recording}" if cfg.recording else "") + f" --out={cfg.out}")
+    command = f"pneutac calibrate --twin={cfg.twin} --seed={cfg.seed}"
+    report.code(
+        command
+        + (f" --effects={cfg.effects}" if cfg.effects else "")
+        + (f" --recording={cfg.recording}" if cfg.recording else "")
+        + f" --out={cfg.out}"
+    )
     return report.write(cfg.out)

@@ -10,6 +10,7 @@ from PIL import Image
 from pneutac_datasets.recording import BenchRecording
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.indenter import INDENTERS, Press
+from pneutac_sim.gel.photograph import Photograph
 from pneutac_sim.gel.probe import THICKNESS_MM
 
 ASSUMED_RADIUS_MM = 3.0  # of a ball that the recording does not tell: the scale of the light takes it up
@@ -23,6 +24,8 @@ class GelSample:
         name: the image's path as the recording names it.
         role: `calibration`, `heldout`, `known_depth` or another label.
         image: uint8 (H, W, 3).
+        rest: image without contact of the same session: the row's `rest_image`, else the recording's.
+        clock: when in the recording, 0 to 1: by `time_s` where it changes, else by the order of the rows.
         press: what pressed where.
         x_px: column of the contact centre.
         y_px: row of the contact centre.
@@ -32,10 +35,17 @@ class GelSample:
     name: str
     role: str
     image: np.ndarray
+    rest: np.ndarray
+    clock: float
     press: Press
     x_px: float
     y_px: float
     radius_px: float
+
+    @property
+    def photograph(self) -> Photograph:
+        """What a fit needs of it."""
+        return Photograph(self.press, self.image, self.rest, self.clock)
 
 
 @dataclass
@@ -74,8 +84,14 @@ class GelRecording:
         size = meta.get("gel_size_mm")
         thickness = float(size[2]) if isinstance(size, list) and len(size) == 3 else THICKNESS_MM
         out = cls(_rgb(recording, meta["rest_image"]), float(scale), thickness, [], list(recording.warnings))
-        for i, row in recording.samples.iterrows():
-            out.samples.append(_sample(recording, row, f"{recording.folder}, row {i + 1}", out))
+        clocks, rests = _clock(recording.samples), {meta["rest_image"]: out.rest}
+        for (i, row), clock in zip(recording.samples.iterrows(), clocks, strict=True):
+            where, name = f"{recording.folder}, row {i + 1}", row.get("rest_image")
+            name = name if isinstance(name, str) and name else meta["rest_image"]
+            if name not in rests:
+                rests[name] = _rgb(recording, name)
+                _same_size(rests[name], out.rest, f"{where}: rest image '{name}'")
+            out.samples.append(_sample(recording, row, where, out, rests[name], clock))
         return out
 
     @property
@@ -87,6 +103,26 @@ class GelRecording:
         raise InputError(
             "The recording has no row with role 'calibration'; "
             "add a column 'role' and mark one indentation with it."
+        )
+
+
+def _clock(samples: pd.DataFrame) -> np.ndarray:
+    """When each image was taken, 0 to 1: by `time_s` where it changes, else by trial, else by row."""
+    for time in (
+        samples["time_s"].to_numpy(float),
+        samples["trial"].to_numpy(float),
+        np.arange(len(samples)),
+    ):
+        if np.ptp(time) > 0:
+            return (time - time.min()) / np.ptp(time)
+    return np.zeros(len(samples))
+
+
+def _same_size(image: np.ndarray, rest: np.ndarray, what: str) -> None:
+    if image.shape != rest.shape:
+        raise InputError(
+            f"{what} is {image.shape[1]} x {image.shape[0]} pixels but the rest image is "
+            f"{rest.shape[1]} x {rest.shape[0]}; give images of one size."
         )
 
 
@@ -108,13 +144,16 @@ def _rgb(recording: BenchRecording, value) -> np.ndarray:
     return image
 
 
-def _sample(recording: BenchRecording, row: pd.Series, where: str, gel: GelRecording) -> GelSample:
+def _sample(
+    recording: BenchRecording,
+    row: pd.Series,
+    where: str,
+    gel: GelRecording,
+    rest: np.ndarray,
+    clock: float,
+) -> GelSample:
     image = _rgb(recording, row["image"])
-    if image.shape != gel.rest.shape:
-        raise InputError(
-            f"{where}: image '{row['image']}' is {image.shape[1]} x {image.shape[0]} pixels but the rest "
-            f"image is {gel.rest.shape[1]} x {gel.rest.shape[0]}; give images of one size."
-        )
+    _same_size(image, rest, f"{where}: image '{row['image']}'")
 
     def value(name: str) -> float | None:
         return float(row[name]) if name in row and pd.notna(row[name]) else None
@@ -156,4 +195,5 @@ def _sample(recording: BenchRecording, row: pd.Series, where: str, gel: GelRecor
         raise InputError(f"{where}: {e}") from e
     if radius_px is None:
         radius_px = press.contact_radius_mm * gel.px_per_mm
-    return GelSample(str(row["image"]), str(row.get("role", "")), image, press, x_px, y_px, radius_px)
+    role = str(row.get("role", ""))
+    return GelSample(str(row["image"]), role, image, rest, float(clock), press, x_px, y_px, radius_px)

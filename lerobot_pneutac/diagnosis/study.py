@@ -24,7 +24,7 @@ from lerobot_pneutac.pair import enough_rows
 from pneutac_datasets.check import check
 from pneutac_datasets.noise import headline, noise_floor
 from pneutac_datasets.recording import BenchRecording
-from pneutac_sim.effects.registry import get_effect
+from pneutac_sim.effects.registry import get_effect, of_body
 from pneutac_sim.finger.bench import Bench
 from pneutac_sim.twin import Twin
 
@@ -54,7 +54,7 @@ def diagnose(
     recording, findings = check(recording)
     parts = deal(recording, seed)
     names, untested = sort_candidates(recording, twin)
-    own = tuple(sorted(twin.effects))
+    own = tuple(sorted(of_body(twin.effects)))
     largest = max(names, key=lambda e: len(get_effect(e).parameters), default=None)
     enough_rows(twin, recording, [*own, *([largest] if largest else [])], parts.train)
     recording, said = on_one_mount(recording, twin, parts.train)

@@ -8,9 +8,9 @@ and none is held back by its geometry.
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from pneutac_sim.gel.fit import check_pair
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.optics import gradient, upsample
+from pneutac_sim.gel.pair import check_pair
 from pneutac_sim.gel.probe import COLS, ROWS, probe_grid
 from pneutac_sim.gel.surface import surface
 
@@ -38,7 +38,7 @@ class Displacement:
         """Searches the decay length under which slopes and depth explain most of indentation - rest.
 
         Raises:
-            InputError: the pair cannot be what it is said to be, see `pneutac_sim.gel.fit.check_pair`.
+            InputError: the pair cannot be what it is said to be, see `pneutac_sim.gel.pair.check_pair`.
         """
         check_pair(rest, indentation, press, px_per_mm)
         model = cls(rest.shape[:2], px_per_mm, thickness_mm)

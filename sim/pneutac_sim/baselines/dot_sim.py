@@ -58,7 +58,7 @@ class DotSim:
             thickness_mm: gel thickness.
 
         Raises:
-            InputError: the pair cannot be what it is said to be, see `pneutac_sim.gel.fit.check_pair`.
+            InputError: the pair cannot be what it is said to be, see `pneutac_sim.gel.pair.check_pair`.
         """
         displacement = Displacement.fit(rest, indentation, press, px_per_mm, thickness_mm)
         residual = _small((indentation.astype(np.float32) - rest).transpose(2, 0, 1)) / LEVELS

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from pneutac_sim.gel.fit import check_pair, press_px
 from pneutac_sim.gel.indenter import Press
+from pneutac_sim.gel.pair import check_pair, press_px
 from pneutac_sim.gel.probe import THICKNESS_MM
 
 
@@ -27,7 +27,7 @@ class RestAlone:
         """Keeps the rest image, uint8 (H, W, 3); the rest is checked and not used.
 
         Raises:
-            InputError: the pair cannot be what it is said to be, see `pneutac_sim.gel.fit.check_pair`.
+            InputError: the pair cannot be what it is said to be, see `pneutac_sim.gel.pair.check_pair`.
         """
         check_pair(rest, indentation, press, px_per_mm)
         return cls(rest)
@@ -62,7 +62,7 @@ class Pasted:
         """Keeps indentation - rest, both uint8 (H, W, 3), and where the contact was.
 
         Raises:
-            InputError: the pair cannot be what it is said to be, see `pneutac_sim.gel.fit.check_pair`.
+            InputError: the pair cannot be what it is said to be, see `pneutac_sim.gel.pair.check_pair`.
         """
         check_pair(rest, indentation, press, px_per_mm)
         return cls(rest, indentation.astype(np.int16) - rest, press, px_per_mm)

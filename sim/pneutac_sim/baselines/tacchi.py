@@ -63,7 +63,7 @@ class Tacchi:
             thickness_mm: gel thickness.
 
         Raises:
-            InputError: the pair cannot be what it is said to be, see `pneutac_sim.gel.fit.check_pair`.
+            InputError: the pair cannot be what it is said to be, see `pneutac_sim.gel.pair.check_pair`.
         """
         displacement = Displacement.fit(rest, indentation, press, px_per_mm, thickness_mm)
         fields = displacement.fields(press)

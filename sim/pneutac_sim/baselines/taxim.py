@@ -21,8 +21,8 @@ import cv2
 import numpy as np
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
-from pneutac_sim.gel.fit import check_pair
 from pneutac_sim.gel.indenter import Press
+from pneutac_sim.gel.pair import check_pair
 from pneutac_sim.gel.probe import THICKNESS_MM, probe_grid
 
 BINS = 125  # of slope, 0 to 90 degrees, and of direction, all round
@@ -71,7 +71,7 @@ class Taxim:
             thickness_mm: gel thickness.
 
         Raises:
-            InputError: the pair cannot be what it is said to be, see `pneutac_sim.gel.fit.check_pair`.
+            InputError: the pair cannot be what it is said to be, see `pneutac_sim.gel.pair.check_pair`.
         """
         check_pair(rest, indentation, press, px_per_mm)
         model = cls(rest, px_per_mm, thickness_mm)

@@ -12,10 +12,12 @@ Effects of other packages come last in their stage, in alphabetical order.
 """
 
 import importlib
+from collections.abc import Iterable
 from functools import cache
 from importlib.metadata import entry_points
 
 from pneutac_sim.effects.effect import STAGES, Effect
+from pneutac_sim.effects.optics import OPTICS, OpticsEffect
 from pneutac_sim.errors import InputError
 
 ENTRY_POINT_GROUP = "pneutac.effects"
@@ -44,7 +46,7 @@ BUILTIN = (
 
 @cache
 def all_effects() -> dict[str, Effect]:
-    """Name to effect, in the order in which they act.
+    """Name to effect of a finger or an arm, in the order in which they act.
 
     Raises:
         InputError: another package offers something that is no effect, or a name twice.
@@ -54,17 +56,23 @@ def all_effects() -> dict[str, Effect]:
         effect = point.load()
         if not isinstance(effect, Effect):
             raise InputError(f"Entry point '{point.name}' of {ENTRY_POINT_GROUP} must be an Effect.")
-        if effect.name in {e.name for e in found}:
+        if effect.name in {e.name for e in found} | set(OPTICS):
             raise InputError(f"Two packages offer an effect named '{effect.name}'; rename one of them.")
         found.append(effect)
     return {e.name: e for stage in STAGES for e in found if e.stage == stage}
 
 
-def get_effect(name: str) -> Effect:
-    """One effect; raises InputError naming those that exist."""
-    if name not in all_effects():
-        raise InputError(f"There is no effect '{name}'; there are {', '.join(all_effects())}.")
-    return all_effects()[name]
+def get_effect(name: str) -> Effect | OpticsEffect:
+    """One effect, of a body or of a gel's optics; raises InputError naming those that exist."""
+    known = all_effects() | OPTICS
+    if name not in known:
+        raise InputError(f"There is no effect '{name}'; there are {', '.join(known)}.")
+    return known[name]
+
+
+def of_body(names: Iterable[str]) -> list[str]:
+    """Those effects that act on a finger or an arm, not on the gel that it may carry."""
+    return [n for n in names if n not in OPTICS]
 
 
 def in_order(names: list[str]) -> list[Effect]:

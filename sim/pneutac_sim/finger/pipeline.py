@@ -31,7 +31,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pneutac_sim.effects.effect import Parameter
-from pneutac_sim.effects.registry import get_effect, in_order
+from pneutac_sim.effects.registry import get_effect, in_order, of_body
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger.inputs import Inputs
 from pneutac_sim.finger.stages import BodyLink, Drive, EffectLink, Geometry, Loads, Markers, base_parameters
@@ -85,7 +85,7 @@ class Pipeline:
         columns: set[str] | None = None,
     ):
         self.geometry = geometry
-        self.effects = in_order(list(effects))
+        self.effects = in_order(of_body(effects))
         self.names: list[str] = [p.name for p in base_parameters(geometry)]
         self.specs: list[Parameter] = list(base_parameters(geometry))
         self.left_out: dict[str, str] = {}
@@ -162,7 +162,7 @@ class Pipeline:
     ) -> Twin:
         """A copy of the twin with these parameters and exactly this pipeline's effects."""
         new = twin.copy()
-        new.effects = {}
+        new.effects = {k: v for k, v in new.effects.items() if k not in of_body(new.effects)}
         for name, value in zip(self.names, theta, strict=True):
             effect, _, parameter = name.rpartition(".")
             held = new.effects.setdefault(effect, {}) if effect else new.parameters

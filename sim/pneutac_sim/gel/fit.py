@@ -1,27 +1,58 @@
-"""Calibrates a gel from one rest and one indentation image: light by least squares, decay by a search."""
+"""Calibrates a gel: light, optics effects and mechanics, from one rest and one indentation image or more.
+
+Given the surface, each channel is a least-squares problem of its own with up to nine unknowns, held to the
+priors of `effects.optics` where the images cannot tell. Around that, a search finds how far the surface
+recovers around a contact and how much of an imprint shows. All of it works on the probe grid, to which the
+photographs are averaged: the light varies no faster, and noise drops out.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.ndimage import gaussian_filter, gaussian_laplace
-from scipy.optimize import minimize_scalar
+from scipy.optimize import minimize
 
-from pneutac_sim.errors import InputError
-from pneutac_sim.gel import metrics
+from pneutac_sim.effects.optics import OPTICS, SENSOR
+from pneutac_sim.gel.channel import Channel, effects_of, priors, row
 from pneutac_sim.gel.contact import quiet_threshold
 from pneutac_sim.gel.indenter import Press
+from pneutac_sim.gel.layout import DIGIT, Layout, Orientation, recognise
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.gel.optics import gradient, upsample
-from pneutac_sim.gel.probe import COLS, ROWS, THICKNESS_MM, probe_grid
-from pneutac_sim.gel.surface import surface
+from pneutac_sim.gel.optics import gradient
+from pneutac_sim.gel.pair import check_pair
+from pneutac_sim.gel.photograph import Photograph, gains, press_depth, registered, session_light, to_grid
+from pneutac_sim.gel.probe import COLS, ROWS, THICKNESS_MM
+from pneutac_sim.gel.session import fit_drift, fit_registration, unregistered
+from pneutac_sim.gel.surface import DECAY_MM, surface
 
 DECAY_RANGE_MM = (0.3, 4.0)  # from a skin-thin layer to nearly Hertz' half-space on a 16 mm window
+DEPTH_SCALE_RANGE = (0.5, 1.0)
+DEPTH_SCALE_SD = 0.2  # of the logarithm: stated depths are mostly estimates
 MIN_THRESHOLD_LEVELS = 4.0  # below this, rounding and image compression alone would count as contact
+REGISTRATION_ROUNDS = 4
 
-# Of 66 photographs of three real sensors, an indentation has at least 2.5 times the rest image's relief at
-# the contact, its blurred difference is at least 3 times that elsewhere, and away from the contact it
-# correlates with the rest image above 0.96, but by only 0.73 with that of another DIGIT. The limits leave
-# room for weaker contacts and noisier cameras.
-MIN_CONTRAST = 1.5
-MIN_LIKENESS = 0.85
+# A make's light is held to even at several times the cost: what a single pair says against it is mostly the
+# model's own error, and on two real DIGITs holding to it predicts other images better.
+TRUST_IN_MAKE = 3.0
+
+
+@dataclass
+class GelFit:
+    """What a fit found.
+
+    Attributes:
+        gel: the calibrated gel at the images' own resolution.
+        cost: half the sum of squares, with priors, that the fit made least.
+        evaluations: how many surfaces were tried.
+        make: the sensor's make, where its light was recognised.
+        orientation: which way round its images are against the make's.
+    """
+
+    gel: GelModel
+    cost: float
+    evaluations: int
+    make: str = ""
+    orientation: Orientation = field(default_factory=Orientation)
 
 
 def fit_gel(
@@ -29,141 +60,149 @@ def fit_gel(
     indentation: np.ndarray,
     press: Press,
     px_per_mm: float,
-    multiply: bool = True,
+    effects: Sequence[str] = SENSOR,
     thickness_mm: float = THICKNESS_MM,
-) -> tuple[GelModel, int]:
-    """Fits L, c_d, the decay length and the contact threshold.
+    makes: Sequence[Layout] = (DIGIT,),
+) -> GelFit:
+    """Fits a gel to one pair of images.
 
     Args:
         rest: image without contact, uint8 (H, W, 3).
         indentation: image under the indenter, uint8, same shape.
         press: which indenter, where and how deep.
         px_per_mm: scale of the images.
-        multiply: whether light is multiplied by the rest colour of the pixel, see `GelModel`.
+        effects: optics effects to fit; with none this is the paper's linear model.
         thickness_mm: gel thickness.
-
-    Returns:
-        The calibrated gel at the images' own resolution, and how many decay lengths were tried.
+        makes: sensors whose lights are known.
 
     Raises:
         InputError: the pair cannot be what it is said to be, see `check_pair`.
     """
     check_pair(rest, indentation, press, px_per_mm)
-    gel = GelModel(rest, np.zeros((3, 2)), np.zeros(3), px_per_mm, thickness_mm, multiply=multiply)
-    difference = indentation.astype(np.float32) - rest
-    weight = gel.weight
-    depth = press_depth(press, gel)
-
-    def solve(decay_mm: float):
-        gel.decay_mm = float(decay_mm)
-        features, touched = _features(gel, depth)
-        error, coefficients = 0.0, []
-        for k in range(3):
-            A = features * weight[touched, k, None]
-            AA, Ab = A.T @ A, A.T @ difference[touched, k]  # normal equations, 3 x 3 and well conditioned
-            c, *_ = np.linalg.lstsq(AA, Ab, rcond=None)
-            coefficients.append(c)
-            error += c @ AA @ c - 2 * c @ Ab  # less the constant |difference|^2 of the whole image
-        return error, np.array(coefficients)
-
-    search = minimize_scalar(
-        lambda log: solve(np.exp(log))[0],
-        bounds=np.log(DECAY_RANGE_MM),
-        method="bounded",
-        options={"xatol": 0.03},
-    )
-    _, coefficients = solve(np.exp(search.x))
-    gel.light, gel.depth_light = coefficients[:, :2].astype(float), coefficients[:, 2].astype(float)
-    quiet = ~_disc(rest, press, px_per_mm, 3.0)
-    if quiet.any():
-        gel.threshold_levels = max(MIN_THRESHOLD_LEVELS, quiet_threshold(difference, quiet))
-    return gel, int(search.nfev) + 1
+    gel = GelModel(rest, np.zeros((3, 2)), np.zeros(3), px_per_mm, thickness_mm)
+    return fit_photographs(gel, [Photograph(press, indentation, rest)], effects, makes)
 
 
-def press_depth(press: Press, gel: GelModel) -> np.ndarray:
-    """Probe grid (80, 59) in mm of a bench indenter on this gel."""
-    return probe_grid(*press.shapes(), window_mm=gel.window_mm, thickness_mm=gel.thickness_mm)
+def fit_photographs(
+    gel: GelModel,
+    photographs: Sequence[Photograph],
+    effects: Sequence[str],
+    makes: Sequence[Layout] = (DIGIT,),
+    near: GelModel | None = None,
+) -> GelFit:
+    """Fits light, mechanics and these effects anew.
 
-
-def _features(gel: GelModel, depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Slopes and displacement (n, 3) at the pixels (H, W) that the press moves noticeably."""
-    h, w = gel.rest_image.shape[:2]
-    cell = gel.window_mm[0] / COLS, gel.window_mm[1] / ROWS
-    u = surface(depth, cell, gel.decay_mm)
-    fields = [upsample(f, h, w) for f in (*gradient(u, cell), u)]
-    touched = fields[2] > 0.02 * u.max()
-    return np.stack([f[touched] for f in fields], -1).astype(np.float64), touched
-
-
-def _disc(image: np.ndarray, press: Press, px_per_mm: float, radii: float) -> np.ndarray:
-    """Pixels within so many contact radii of the press."""
-    x, y = press_px(press, image.shape, px_per_mm)
-    return metrics.disc(image.shape, x, y, radii * press.contact_radius_mm * px_per_mm)
-
-
-def press_px(press: Press, shape: tuple[int, ...], px_per_mm: float) -> tuple[float, float]:
-    """Column and row of a press in an image of `shape`."""
-    return shape[1] / 2 + press.x_mm * px_per_mm, shape[0] / 2 + press.y_mm * px_per_mm
-
-
-def check_pair(rest: np.ndarray, indentation: np.ndarray, press: Press, px_per_mm: float) -> None:
-    """Raises InputError, in one sentence, where the pair is not a rest and an indentation image."""
-    if rest.shape != indentation.shape:
-        raise InputError(
-            f"the indentation image is {_size(indentation)} but the rest image is {_size(rest)} pixels; "
-            "give two images of one sensor at one size."
-        )
-    x, y = press_px(press, rest.shape, px_per_mm)
-    if not (0 <= x < rest.shape[1] and 0 <= y < rest.shape[0]):
-        raise InputError(
-            f"the contact at ({x:.0f}, {y:.0f}) px lies outside the image of {_size(rest)} pixels; "
-            "correct x_mm, y_mm (measured from the image's centre) or contact_x_px, contact_y_px."
-        )
-    if np.array_equal(rest, indentation):
-        raise InputError(
-            "the rest image and the indentation image are the same picture; "
-            "give one without and one with contact."
-        )
-    near, far = _disc(rest, press, px_per_mm, 1.2), ~_disc(rest, press, px_per_mm, 3.0)
-    if not near.any():
-        raise InputError(
-            f"the contact is only {2 * press.contact_radius_mm * px_per_mm:.1f} pixels wide; "
-            "correct depth_mm or px_per_mm."
-        )
-    if far.mean() > 0.1:
-        likeness = metrics.ncc(rest[far], indentation[far])
-        if likeness < MIN_LIKENESS:
-            raise InputError(
-                f"away from the contact the rest image and the indentation image correlate by only "
-                f"{likeness:.2f}; the rest image seems to be of another sensor or session."
+    Args:
+        gel: gives size, scale and thickness.
+        photographs: checked pairs of images.
+        effects: optics effects to fit.
+        makes: sensors whose lights are known.
+        near: a fit with almost the same effects; the search stays around its mechanics.
+    """
+    names = [e for e in OPTICS if e in effects]
+    gel = replace(gel, effects={})
+    if "illumination_drift" in names:
+        gel.effects["illumination_drift"] = fit_drift(gel, photographs)
+    rounds = 1
+    if "registration_shift" in names:
+        gel.effects["registration_shift"], rounds = unregistered(), REGISTRATION_ROUNDS
+    for left in reversed(range(rounds)):
+        problem = _Problem(gel, photographs, names)
+        best = problem.best(makes, near, quick=left > 0)
+        if left:
+            gel.effects["registration_shift"] = fit_registration(
+                best.gel, photographs, problem.masks, problem.seen, problem.rests
             )
-    scale = press.contact_radius_mm * px_per_mm / 3
-    rows, cols = (np.flatnonzero(near.any(axis)) for axis in (1, 0))
-    margin = int(4 * scale)
-    around = (
-        slice(max(rows[0] - margin, 0), rows[-1] + margin),
-        slice(max(cols[0] - margin, 0), cols[-1] + margin),
-    )
+            near = best.gel
+    quiet = [(p.image - p.rest.astype(np.float32), ~p.near(gel.px_per_mm)) for p in photographs]
+    levels = [quiet_threshold(difference, far) for difference, far in quiet if far.any()]
+    if levels:
+        best.gel.threshold_levels = max(MIN_THRESHOLD_LEVELS, float(np.median(levels)))
+    return best
 
-    def relief(image):  # bumps of the size of the contact; a rest image varies more slowly
-        bumps = [gaussian_laplace(image[..., k][around].astype(np.float32), scale) for k in range(3)]
-        return float(np.sqrt(np.mean(np.square(np.stack(bumps, -1)[near[around]]))))
 
-    blur = 0.15 * px_per_mm  # averages noise within a grid cell
-    difference = gaussian_filter(indentation.astype(np.float32) - rest, (blur, blur, 0))
-    there = float(np.sqrt(np.mean(np.square(difference[near]))))
-    elsewhere = float(np.sqrt(np.mean(np.square(difference[far])))) if far.any() else 0.0
-    if there < max(MIN_CONTRAST * elsewhere, 1.0):
-        raise InputError(
-            f"the indentation image shows no contact at ({x:.0f}, {y:.0f}) px: its difference to rest is "
-            f"{there:.1f} levels there and {elsewhere:.1f} elsewhere; press harder or correct the position."
+def slope_light(gel: GelModel, pair: Photograph) -> np.ndarray:
+    """L (3, 2) of the paper's linear model fitted to one pair, levels per unit slope."""
+    return _Problem(gel, [pair], []).linear()
+
+
+class _Problem:
+    """The least-squares problem of some photographs and effects."""
+
+    def __init__(self, gel: GelModel, photographs: Sequence[Photograph], effects: list[str]):
+        self.gel, self.effects, self.photographs = gel, effects, photographs
+        self.cell = gel.window_mm[0] / COLS, gel.window_mm[1] / ROWS
+        self.depths = [press_depth(registered(p.press, gel), gel) for p in photographs]
+        self.masks = [to_grid(p.near(gel.px_per_mm)) > 0.5 for p in photographs]
+        self.rests = [to_grid(p.rest) for p in photographs]
+        self.seen = []
+        for p, rest in zip(photographs, self.rests, strict=True):
+            if "illumination_drift" in effects:
+                drift = rest * (gains(gel, p.clock) - 1)
+            else:
+                drift = session_light(p, gel.px_per_mm)
+            self.seen.append(to_grid(p.image.astype(np.float32) - p.rest) - drift)
+        self.evaluations = 0
+
+    def surfaces(self, decay_mm: float, depth_scale: float) -> list[np.ndarray]:
+        gel = replace(self.gel, depth_scale=depth_scale)
+        return [surface(gel.imprint(d), self.cell, decay_mm) for d in self.depths]
+
+    def linear(self) -> np.ndarray:
+        """L (3, 2) of the paper's model, with the depth term, by linear least squares."""
+        us = self.surfaces(DECAY_MM, 1.0)
+        rows = [np.stack([*gradient(u, self.cell), u], -1)[m] for u, m in zip(us, self.masks, strict=True)]
+        seen = np.concatenate([s[m] for s, m in zip(self.seen, self.masks, strict=True)])
+        return np.linalg.lstsq(np.concatenate(rows), seen, rcond=None)[0].T[:, :2]
+
+    def best(self, makes: Sequence[Layout], near: GelModel | None, quick: bool) -> GelFit:
+        light, first = self.linear(), self.photographs[0].press
+        best = self.search(light, None, near, quick)
+        for make in makes if {"near_light", "rest_colour"} <= set(self.effects) else ():
+            orientation = recognise(light, first.x_mm, first.y_mm, self.gel.rest_image.shape[1::-1], make)
+            if orientation is not None:
+                held = self.search(light, orientation.of(make), near or best.gel, quick)
+                if held.cost < TRUST_IN_MAKE * best.cost:
+                    held.make, held.orientation, best = make.name, orientation, held
+        best.evaluations = self.evaluations
+        return best
+
+    def search(self, light: np.ndarray, layout: Layout | None, near: GelModel | None, quick: bool) -> GelFit:
+        """Nelder-Mead over decay and depth scale, the channels solved at each."""
+        prior = [priors(k, light[k], layout, self.effects) for k in range(3)]
+        channels = [Channel(k, p, self.cell, self.masks, self.seen, self.rests) for k, p in enumerate(prior)]
+        low, high = np.log(np.transpose([DECAY_RANGE_MM, DEPTH_SCALE_RANGE]))
+
+        def solve(x: np.ndarray) -> float:
+            self.evaluations += 1
+            inside = np.clip(x, low, high)
+            surfaces = self.surfaces(*np.exp(inside))
+            outside = 1e3 * np.square(x - inside).sum()
+            return (
+                outside + 0.5 * (inside[1] / DEPTH_SCALE_SD) ** 2 + sum(c.solve(surfaces) for c in channels)
+            )
+
+        start = np.log([DECAY_MM, 0.9] if near is None else [near.decay_mm, min(near.depth_scale, 0.98)])
+        size = np.array([0.4, -0.15]) * (1.0 if near is None else 0.3)
+        options = {
+            "initial_simplex": start + np.array([[0, 0], [size[0], 0], [0, size[1]]]),
+            "xatol": 0.02,
+            "fatol": 0.02,
+            "maxfev": 40 if near is None else 6 if quick else 15,
+        }
+        found = minimize(solve, start, method="Nelder-Mead", options=options).x
+        cost = solve(found)
+        decay, scale = np.exp(np.clip(found, low, high))
+        values = [c.values for c in channels]
+        g = self.gel
+        gel = GelModel(
+            g.rest_image,
+            np.array([row(v)[:2] for v in values]),
+            np.array([v["depth_light"] for v in values]),
+            g.px_per_mm,
+            g.thickness_mm,
+            float(decay),
+            float(scale),
+            effects=g.effects | effects_of(values, self.effects),
         )
-    if relief(indentation) < relief(rest):
-        raise InputError(
-            f"the rest image has more relief at ({x:.0f}, {y:.0f}) px than the indentation image; "
-            "they seem to be swapped."
-        )
-
-
-def _size(image: np.ndarray) -> str:
-    return f"{image.shape[1]} x {image.shape[0]}"
+        return GelFit(gel, float(cost), self.evaluations)

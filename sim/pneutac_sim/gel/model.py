@@ -1,23 +1,27 @@
 """The gel as its twin keeps it: sizes, mechanics and light of one camera-based touch sensor."""
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 from PIL import Image
 
+from pneutac_sim.effects.optics import CHANNELS, OPTICS
+from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import IMAGE_SHAPE
 from pneutac_sim.gel import builtin
 from pneutac_sim.gel.contact import THRESHOLD_LEVELS
 from pneutac_sim.gel.probe import THICKNESS_MM
 from pneutac_sim.gel.surface import DECAY_MM
-from pneutac_sim.twin import Twin
+from pneutac_sim.twin import Twin, Value
 
 
 @dataclass
 class GelModel:
-    """One sensor: c = c0 + w (L grad u + c_d u), with u the surface displacement (paper, Sec. III-B).
+    """One sensor: c = c0 + w s, s = L grad u + c_d u, with u the surface displacement (paper, Sec. III-B).
+
+    Optics effects bend that, see `gel.optics`.
 
     Attributes:
         rest_image: c0, the image without contact, uint8 (H, W, 3).
@@ -26,8 +30,9 @@ class GelModel:
         px_per_mm: scale of the rest image.
         thickness_mm: gel thickness, the largest depth.
         decay_mm: length over which the surface recovers around a contact.
-        multiply: whether w is the rest colour of the pixel over its mean (a gel lights up where light falls)
-            instead of 1.
+        depth_scale: how deep an imprint the camera sees is over how deep the object lies below the resting
+            surface, up to 1; the skin over a gel bridges the edge of a contact.
+        effects: optics effect to its parameters; without any this is the paper's linear model.
         threshold_levels: difference to the rest image above which a pixel counts as contact.
     """
 
@@ -37,8 +42,9 @@ class GelModel:
     px_per_mm: float = 20.0
     thickness_mm: float = THICKNESS_MM
     decay_mm: float = DECAY_MM
-    multiply: bool = True
+    depth_scale: float = 1.0
     threshold_levels: float = THRESHOLD_LEVELS
+    effects: dict[str, dict[str, float]] = field(default_factory=dict)
 
     def __post_init__(self):
         image = self.rest_image
@@ -52,10 +58,19 @@ class GelModel:
             if value.shape != shape or not np.isfinite(value).all():
                 raise InputError(f"The gel's {name} must be finite numbers of shape {shape}.")
             setattr(self, name, value)
-        for name in ("px_per_mm", "thickness_mm", "decay_mm", "threshold_levels"):
+        for name in ("px_per_mm", "thickness_mm", "decay_mm", "depth_scale", "threshold_levels"):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
                 raise InputError(f"The gel's {name} is {value!r}; it must be a positive number.")
+
+        if self.depth_scale > 1:
+            raise InputError(f"The gel's depth_scale is {self.depth_scale!r}; it must not exceed 1.")
+        for name, values in self.effects.items():
+            known = {p.name for p in get_effect(name).parameters}
+            if set(values) != known or not np.isfinite(list(values.values())).all():
+                raise InputError(
+                    f"The gel's effect '{name}' needs finite numbers for {', '.join(sorted(known))}."
+                )
 
     @property
     def window_mm(self) -> tuple[float, float]:
@@ -66,9 +81,36 @@ class GelModel:
     @property
     def weight(self) -> np.ndarray:
         """The surface weight w, (H, W, 3) float32."""
-        if not self.multiply:
+        if "rest_colour" not in self.effects:
             return np.ones(self.rest_image.shape, np.float32)
-        return (self.rest_image / self.rest_image.mean((0, 1))).astype(np.float32)
+        return rest_weight(self.rest_image, self._each("rest_colour", "exponent_{}"))
+
+    @property
+    def coefficients(self) -> np.ndarray:
+        """What `optics.light` takes, (3, 9)."""
+        out = np.column_stack(
+            [self.light, self.depth_light, *np.tile([np.nan, np.nan, np.inf, 0.0, 0.0, 1.0], (3, 1)).T]
+        )
+        if "near_light" in self.effects:
+            distance = self._each("near_light", "distance_{}_mm")
+            direction = -self.light / np.maximum(np.linalg.norm(self.light, axis=1), 1e-9)[:, None]
+            out[:, 3:5] = distance[:, None] * direction
+        if "photometric_nonlinearity" in self.effects:
+            out[:, 5] = self._each("photometric_nonlinearity", "direct_{}_levels")
+        if "shadow" in self.effects:
+            out[:, 6] = self._each("shadow", "shadow_{}_levels")
+            out[:, 7] = self._each("shadow", "elevation_{}")
+            out[:, 8] = self.effects["shadow"]["edge_mm"]
+        return out
+
+    def _each(self, effect: str, name: str) -> np.ndarray:
+        return np.array([self.effects[effect][name.format(c)] for c in CHANNELS], np.float64)
+
+    def imprint(self, depth_mm: np.ndarray) -> np.ndarray:
+        """Probe grid of what the camera sees pressed in, float32: the object drawn back by the skin."""
+        if self.depth_scale == 1 or not depth_mm.any():
+            return np.asarray(depth_mm, np.float32)
+        return np.maximum(depth_mm - np.float32((1 - self.depth_scale) * depth_mm.max()), 0)
 
     def resized(self, height: int, width: int) -> "GelModel":
         """The same gel seen by an image of another size but the same proportions (within 2 %).
@@ -88,7 +130,12 @@ class GelModel:
     @classmethod
     def builtin(cls) -> "GelModel":
         """A generated DIGIT."""
-        return cls(builtin.rest_image(IMAGE_SHAPE), builtin.LIGHT, builtin.DEPTH_LIGHT)
+        return cls(
+            builtin.rest_image(IMAGE_SHAPE),
+            builtin.LIGHT,
+            builtin.DEPTH_LIGHT,
+            effects={"rest_colour": dict.fromkeys((f"exponent_{c}" for c in CHANNELS), 1.0)},
+        )
 
     @classmethod
     def from_twin(cls, twin: Twin | None) -> "GelModel":
@@ -102,12 +149,25 @@ class GelModel:
         if "rest_image" not in twin.arrays:
             raise InputError("The twin's gel has no array 'rest_image'; calibrate the gel anew.")
         try:
-            return cls(rest_image=twin.arrays["rest_image"], **twin.gel)
+            effects = {
+                n: {k: v.value for k, v in values.items()}
+                for n, values in twin.effects.items()
+                if n in OPTICS
+            }
+            return cls(rest_image=twin.arrays["rest_image"], **twin.gel, effects=effects)
         except TypeError as e:
             raise InputError(f"The twin's gel has a field too many or too few: {e}.") from e
 
     def into_twin(self, twin: Twin) -> None:
         """Writes this gel into a twin (of a gel, or of a finger that carries one)."""
-        fields = {k: v for k, v in asdict(self).items() if k != "rest_image"}
+        fields = {k: v for k, v in asdict(self).items() if k not in ("rest_image", "effects")}
+        twin.effects = {k: v for k, v in twin.effects.items() if k not in OPTICS}
+        twin.effects |= {n: {k: Value(float(v)) for k, v in e.items()} for n, e in self.effects.items()}
         twin.gel = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in fields.items()}
         twin.arrays["rest_image"] = self.rest_image.copy()
+
+
+def rest_weight(rest: np.ndarray, exponents: np.ndarray) -> np.ndarray:
+    """(rest / mean) ^ exponent of each channel, float32; black pixels count as one level."""
+    rest = np.maximum(rest, 1.0)
+    return ((rest / rest.mean((0, 1))) ** exponents).astype(np.float32)

@@ -1,11 +1,26 @@
-"""Photometric contact model in the image plane: c = c0 + w (L grad u + c_d u) (paper, Sec. III-B).
+"""Light of a touch sensor in the image plane: image = rest + w s, with s from the gel's surface.
 
-u is the surface displacement in mm, into the gel; the paper's normalised depth is u over 1 mm. Everything but
-w is linear in u, so the light is computed on the displacement's own grid and interpolated to pixels.
+The paper's photometric model (Sec. III-B) is s = L grad u + c_d u with w = 1; u is the surface displacement
+in mm into the gel, that is towards the camera. Optics effects bend it where they are on (`effects.optics`):
+
+- `near_light`: the light of a channel comes from a point p at a finite distance, so the direction of L turns
+  over the image: t = -|L| e . grad u with e = (p - x) / |p - x|; p lies against L from the window's centre.
+- `photometric_nonlinearity`: Lambert's cosine. t -> phi (max(0, 1 + t / phi) / sqrt(1 + |grad u|^2) - 1):
+  a side turned away from the light goes dark and no darker, phi being the direct light in levels.
+- `shadow`: what rises between a point and the light takes the level lambda from it. The shadow's height over
+  the surface is the largest u(x + r e) - r tan(elevation) along the ray, less u(x).
+- `rest_colour`: w = (rest / mean) ^ gamma: a gel lights up where light falls.
+
+s is computed on the displacement's own grid and interpolated to pixels, where w acts.
 """
+
+import math
 
 import numpy as np
 from numba import njit
+
+# A row a channel: L x, L y, c_d, p x, p y (NaN: far away), phi (inf: linear), lambda, tan(elevation), edge mm
+_NO_SHADOW = np.zeros((1, 1), np.float32)
 
 
 def gradient(displacement_mm: np.ndarray, cell_mm: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
@@ -15,10 +30,11 @@ def gradient(displacement_mm: np.ndarray, cell_mm: tuple[float, float]) -> tuple
 
 
 def upsample(grid: np.ndarray, height: int, width: int) -> np.ndarray:
-    """Bilinear interpolation of cell values (rows, columns) to pixels (height, width), float32."""
+    """Bilinear interpolation of cell values (rows, columns, ...) to pixels (height, width, ...), float32."""
     i, fy = _cells(height, grid.shape[0])
     j, fx = _cells(width, grid.shape[1])
-    rows = grid[i] + fy[:, None] * (grid[i + 1] - grid[i])
+    fy, fx = (f.reshape(-1, *(1,) * (grid.ndim - 1 - axis)) for axis, f in enumerate((fy, fx)))
+    rows = grid[i] + fy * (grid[i + 1] - grid[i])
     return (rows[:, j] + fx * (rows[:, j + 1] - rows[:, j])).astype(np.float32)
 
 
@@ -29,55 +45,140 @@ def _cells(pixels: int, cells: int) -> tuple[np.ndarray, np.ndarray]:
     return i, (t - i).astype(np.float32)
 
 
+def light(displacement_mm: np.ndarray, cell_mm: tuple[float, float], coefficients: np.ndarray) -> np.ndarray:
+    """What the surface adds to each channel, before the weight w.
+
+    Args:
+        displacement_mm: (rows, columns), positive into the gel.
+        cell_mm: grid spacing along x and y.
+        coefficients: (3, 9), see the top of this module; lengths in mm from the window's centre.
+
+    Returns:
+        s in levels, float32 (3, rows, columns).
+    """
+    u = np.ascontiguousarray(displacement_mm, np.float32)
+    return np.stack([channel(u, cell_mm, c) for c in coefficients])
+
+
+def channel(
+    displacement_mm: np.ndarray, cell_mm: tuple[float, float], coefficients: np.ndarray
+) -> np.ndarray:
+    """One channel of `light`: (rows, columns) from a float32 displacement and coefficients (9,)."""
+    u, c = displacement_mm, coefficients
+    out = np.empty_like(u)
+    shadow = _shadow(u, cell_mm[0], cell_mm[1], c) if c[6] > 0 else _NO_SHADOW
+    _light(u, cell_mm[0], cell_mm[1], c, shadow, out)
+    return out
+
+
 class Renderer:
     """Renders displacement grids of one shape onto one rest image.
 
     Args:
         rest_image: uint8 (H, W, 3).
         weight: w, (H, W, 3).
-        light: L, (3, 2).
-        depth_light: c_d, (3,).
+        coefficients: of the light, (3, 9).
         cell_mm: grid spacing along x and y.
         shape: rows and columns of the displacement grid.
     """
 
-    def __init__(self, rest_image, weight, light, depth_light, cell_mm, shape):
+    def __init__(self, rest_image, weight, coefficients, cell_mm, shape):
         self._rest = np.ascontiguousarray(rest_image)
         self._weight = np.ascontiguousarray(weight, np.float32)
         self._top_weight = self._weight.max((0, 1))
-        self._coefficients = np.column_stack([light, depth_light]).astype(np.float32)
-        self._slope = np.float32(0.5 / cell_mm[0]), np.float32(0.5 / cell_mm[1])
+        self._coefficients, self._cell_mm = coefficients, cell_mm
         h, w = rest_image.shape[:2]
         self._cells = (*_cells(h, shape[0]), *_cells(w, shape[1]))
 
     def image(self, displacement_mm: np.ndarray) -> np.ndarray:
         """Tactile image, uint8 (H, W, 3), of a displacement (rows, columns)."""
         out = np.empty_like(self._rest)
-        light = _light(displacement_mm, *self._slope, self._coefficients)
-        _render(light, self._rest, self._weight, *self._cells, out)
+        s = light(displacement_mm, self._cell_mm, self._coefficients)
+        _render(s, self._rest, self._weight, *self._cells, out)
         return out
 
     def contact_pixels(self, displacement_mm: np.ndarray, sum_limit: int) -> int:
         """How many pixels of `image` differ from rest by more than `sum_limit` in R + G + B."""
-        light = _light(displacement_mm, *self._slope, self._coefficients)
-        return _count(light, self._rest, self._weight, *self._cells, sum_limit, self._top_weight)
+        s = light(displacement_mm, self._cell_mm, self._coefficients)
+        return _count(s, self._rest, self._weight, *self._cells, sum_limit, self._top_weight)
 
 
-@njit(cache=True, fastmath=True)
-def _light(u, sx, sy, c):
-    """L grad u + c_d u on the grid, (3, rows, columns) levels; one-sided differences at the rim."""
+@njit(cache=True)
+def _towards(c, x, y):
+    """Unit vector from (x, y) to the light of a channel."""
+    if math.isnan(c[3]):
+        ex, ey = -c[0], -c[1]
+    else:
+        ex, ey = c[3] - x, c[4] - y
+    r = max(math.hypot(ex, ey), 1e-9)
+    return ex / r, ey / r
+
+
+@njit(cache=True)
+def _light(u, hx, hy, c, shadow, out):
+    """One channel of `light`; one-sided differences at the rim."""
     n, m = u.shape
-    out = np.empty((3, n, m), np.float32)
+    strength = math.hypot(c[0], c[1])
     for i in range(n):
         up, down = max(i - 1, 0), min(i + 1, n - 1)
-        ky = sy * np.float32(2.0 / (down - up))
+        y = (i + 0.5 - n / 2) * hy
         for j in range(m):
             left, right = max(j - 1, 0), min(j + 1, m - 1)
-            gx = (u[i, right] - u[i, left]) * sx * np.float32(2.0 / (right - left))
-            gy = (u[down, j] - u[up, j]) * ky
-            for k in range(3):
-                out[k, i, j] = c[k, 0] * gx + c[k, 1] * gy + c[k, 2] * u[i, j]
-    return out
+            gx = (u[i, right] - u[i, left]) / (hx * (right - left))
+            gy = (u[down, j] - u[up, j]) / (hy * (down - up))
+            if math.isnan(c[3]):
+                s = c[0] * gx + c[1] * gy
+            elif gx != 0.0 or gy != 0.0:
+                ex, ey = _towards(c, (j + 0.5 - m / 2) * hx, y)
+                s = -strength * (ex * gx + ey * gy)
+            else:
+                s = 0.0
+            if not math.isinf(c[5]):
+                s = c[5] * (max(0.0, 1.0 + s / c[5]) / math.sqrt(1.0 + gx * gx + gy * gy) - 1.0)
+            if c[6] > 0.0 and shadow[i, j] > 0.0:
+                dark = min(shadow[i, j] / c[8], 1.0)
+                dark *= dark * (3.0 - 2.0 * dark)
+                s -= dark * (s + c[6])
+            out[i, j] = s + c[2] * u[i, j]
+
+
+@njit(cache=True)
+def _shadow(u, hx, hy, c):
+    """Height in mm of the shadow over the surface of one channel, zero where the light arrives.
+
+    The shadow's height S(x) = max(u(x), S(x + e h) - h tan(elevation)) is passed on from cell to cell, in
+    four sweeps, each for the cells whose light comes from that side.
+    """
+    n, m = u.shape
+    S = u.copy()
+    for side in range(4):
+        di, dj = 1 - 2 * (side // 2), 1 - 2 * (side % 2)  # where the light comes from
+        for a in range(n):
+            i = n - 1 - a if di > 0 else a
+            y = (i + 0.5 - n / 2) * hy
+            for b in range(m):
+                j = m - 1 - b if dj > 0 else b
+                ex, ey = _towards(c, (j + 0.5 - m / 2) * hx, y)
+                if (ex > 0) != (dj > 0) or (ey > 0) != (di > 0):
+                    continue
+                px, py = abs(ex) / hx, abs(ey) / hy  # cells per mm of the ray
+                if px >= py:  # the ray leaves through the column beside
+                    if not 0 <= j + dj < m:
+                        continue
+                    f = py / px
+                    other = S[i + di, j + dj] if 0 <= i + di < n else S[i, j + dj]
+                    S_in = S[i, j + dj] * (1 - f) + other * f - c[7] / px
+                else:
+                    if not 0 <= i + di < n:
+                        continue
+                    f = px / py
+                    other = S[i + di, j + dj] if 0 <= j + dj < m else S[i + di, j]
+                    S_in = S[i + di, j] * (1 - f) + other * f - c[7] / py
+                S[i, j] = max(S[i, j], S_in)
+    for i in range(n):
+        for j in range(m):
+            S[i, j] -= u[i, j]
+    return S
 
 
 @njit(inline="always")

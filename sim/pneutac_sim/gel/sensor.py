@@ -27,7 +27,7 @@ class TactileSensor:
         width, height = self.model.window_mm
         self._cell_mm = (width / COLS, height / ROWS)
         m = self.model
-        self._renderer = Renderer(m.rest_image, m.weight, m.light, m.depth_light, self._cell_mm, (ROWS, COLS))
+        self._renderer = Renderer(m.rest_image, m.weight, m.coefficients, self._cell_mm, (ROWS, COLS))
 
     def probe(
         self, kinds, sizes, positions, rotations, gel_position=np.zeros(3), gel_rotation=np.eye(3)
@@ -50,7 +50,7 @@ class TactileSensor:
             raise ValueError(f"a probe grid has shape {(ROWS, COLS)}; got {depth_mm.shape}")
         if not depth_mm.any():
             return np.zeros((ROWS, COLS), np.float32)
-        return surface(depth_mm, self._cell_mm, self.model.decay_mm)
+        return surface(self.model.imprint(depth_mm), self._cell_mm, self.model.decay_mm)
 
     def image(self, depth_mm: np.ndarray) -> np.ndarray:
         """Tactile image of a probe grid (80, 59) in mm: uint8 (H, W, 3)."""

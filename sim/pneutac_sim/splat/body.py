@@ -57,28 +57,28 @@ def fit_body_looks(
         InputError: image, mask, camera and particles do not fit together.
     """
     check_photograph(positions, image, mask, camera)
-    n = len(body.positions)
-    looks = Gaussians(
-        body.positions,
-        np.full((n, 3), SCALE * body.spacing_m),
-        np.broadcast_to(np.eye(3), (n, 3, 3)),
-        np.zeros((n, 3)),
-        np.full(n, OPACITY),
-    )
+    looks = blank_looks(body)
     now = looks.moved(positions, gradients)
     inside = mask.astype(np.float32)
     target = image.astype(np.float32) / 255 * inside[..., None]
     colours, opacities = fit_looks(
         camera, now.means, now.covariances(), now.opacities, target, coverage=inside, iterations=iterations
     )
-    pixels, depth = camera.project(now.means)
-    radius = SCALE * body.spacing_m * camera.intrinsics[0, 0] / depth  # px
-    weight = Splats(camera, now.means, now.covariances(), opacities).transpose(np.ones_like(target))[:, 0]
-    unseen = weight < SEEN * 2 * np.pi * radius**2
-    near = _smooth(target, inside, 2 * float(np.median(radius)))
-    at = np.floor(pixels).clip(0, (camera.width - 1, camera.height - 1)).astype(int)[unseen]
-    colours[unseen] = near[at[:, 1], at[:, 0]]
+    hidden = unseen(replace(now, opacities=opacities), camera)
+    colours[hidden] = surroundings(now, image, mask, camera, 2.0)[hidden]
     return replace(looks, colours=colours, opacities=opacities)
+
+
+def blank_looks(body: Body) -> Gaussians:
+    """Black Gaussians on the particles of a straight body."""
+    n = len(body.positions)
+    return Gaussians(
+        body.positions,
+        np.full((n, 3), SCALE * body.spacing_m),
+        np.broadcast_to(np.eye(3), (n, 3, 3)),
+        np.zeros((n, 3)),
+        np.full(n, OPACITY),
+    )
 
 
 def check_photograph(positions: np.ndarray, image: np.ndarray, mask: np.ndarray, camera: Camera) -> None:
@@ -145,10 +145,32 @@ def looks_from_twin(twin: Twin, body: Body) -> Gaussians:
     return looks
 
 
-def _smooth(image: np.ndarray, inside: np.ndarray, sigma_px: float) -> np.ndarray:
-    """Mean colour (H, W, 3) round each pixel of what lies inside the mask."""
-    share = cv2.GaussianBlur(inside, (0, 0), sigma_px)
-    near = cv2.GaussianBlur(image, (0, 0), sigma_px) / np.maximum(share, 1e-6)[..., None]
-    far = share < 1e-3  # too far outside to have surroundings
-    near[far] = image[inside > 0].mean(0)
-    return near.clip(0, 1)
+def unseen(looks: Gaussians, camera: Camera) -> np.ndarray:
+    """(n,) bool: Gaussians that others hide from the camera."""
+    depth = camera.project(looks.means)[1]
+    footprint = 2 * np.pi * (looks.scales.mean(1) * camera.intrinsics[0, 0] / depth) ** 2  # px
+    splats = Splats(camera, looks.means, looks.covariances(), looks.opacities)
+    return splats.transpose(np.ones((camera.height, camera.width, 3)))[:, 0] < SEEN * footprint
+
+
+def surroundings(
+    looks: Gaussians, image: np.ndarray, mask: np.ndarray, camera: Camera, width: float
+) -> np.ndarray:
+    """(n, 3) mean colour of the photograph round each Gaussian, 0 to 1, of pixels inside the mask.
+
+    Args:
+        looks: where; colours do not matter.
+        image: RGB uint8 (H, W, 3).
+        mask: bool (H, W).
+        camera: of the photograph.
+        width: of the surroundings (a normal distribution) over the Gaussians' own.
+    """
+    pixels, depth = camera.project(looks.means)
+    sigma = width * float(np.median(looks.scales.mean(1) * camera.intrinsics[0, 0] / depth))
+    inside = mask.astype(np.float32)
+    share = cv2.GaussianBlur(inside, (0, 0), sigma)
+    near = cv2.GaussianBlur(image / np.float32(255) * inside[..., None], (0, 0), sigma)
+    near /= np.maximum(share, 1e-6)[..., None]
+    near[share < 1e-3] = image[mask].mean(0) / 255  # too far outside to have surroundings
+    at = np.floor(pixels).clip(0, (camera.width - 1, camera.height - 1)).astype(int)
+    return near[at[:, 1], at[:, 0]].clip(0, 1)

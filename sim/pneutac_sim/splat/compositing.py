@@ -74,6 +74,10 @@ def composite(share, shares, starts, ids, splats, colours, background, tiles_x, 
     state = np.empty((TILE, 4 * TILE), np.float32)  # transmittance, red, green, blue
     for tile in range(share, len(starts) - 1, shares):
         x0, y0 = tile % tiles_x * TILE, tile // tiles_x * TILE
+        if starts[tile] == starts[tile + 1]:
+            image[y0 : y0 + TILE, x0 : x0 + TILE] = background
+            alpha[y0 : y0 + TILE, x0 : x0 + TILE] = _ZERO
+            continue
         _begin(state, x0, y0, width, height)
         for k in range(starts[tile], starts[tile + 1]):
             if (k & 15) == 0 and _finished(state):
@@ -110,6 +114,8 @@ def pull_back(share, shares, starts, ids, splats, grad_image, tiles_x, out):
     state = np.empty((TILE, 4 * TILE), np.float32)  # transmittance, gradient by red, green, blue
     sums = np.empty(3 * TILE, np.float32)
     for tile in range(share, len(starts) - 1, shares):
+        if starts[tile] == starts[tile + 1]:
+            continue
         x0, y0 = tile % tiles_x * TILE, tile // tiles_x * TILE
         _begin(state, x0, y0, width, height)
         for row in range(min(TILE, height - y0)):
@@ -145,11 +151,11 @@ def pull_back(share, shares, starts, ids, splats, grad_image, tiles_x, out):
 
 
 @njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
-def replay(share, shares, starts, ids, splats, colours, grad_image, whole, tiles_x, out):
+def replay(share, shares, starts, ids, splats, colours, image, alpha, grad_image, grad_alpha, tiles_x, out):
     """Gradients by colour and opacity: composites once more, near to far.
 
     With r = g . (what lies behind a Gaussian, background included), g the gradient by the pixel,
-    dL/dalpha = T g . c - r / (1 - alpha).
+    dL/dalpha = T g . c - r / (1 - alpha); a gradient by coverage acts as a background of its negative.
 
     Args:
         share: which share of the tiles to do.
@@ -158,22 +164,29 @@ def replay(share, shares, starts, ids, splats, colours, grad_image, whole, tiles
         ids: the lists.
         splats: (n, 8), from `kernels.project`.
         colours: (n, 3) float32.
+        image: what `composite` gave, (H, W, 3) float32.
+        alpha: coverage that it gave, (H, W) float32.
         grad_image: g, (H, W, 3) float32.
-        whole: g . image - (gradient by coverage) x transmittance, (H, W) float32.
+        grad_alpha: gradient by the coverage, (H, W) float32.
         tiles_x: tiles in a row.
         out: (n, 4) float32, added to: gradients by red, green, blue, opacity.
     """
-    height, width = whole.shape
+    height, width = alpha.shape
     state = np.empty((TILE, 5 * TILE), np.float32)  # transmittance, g, r
     sums = np.empty(4 * TILE, np.float32)
     for tile in range(share, len(starts) - 1, shares):
+        if starts[tile] == starts[tile + 1]:
+            continue
         x0, y0 = tile % tiles_x * TILE, tile // tiles_x * TILE
         _begin(state, x0, y0, width, height)
         for row in range(min(TILE, height - y0)):
             for lane in range(min(TILE, width - x0)):
+                p, q = y0 + row, x0 + lane
+                behind = -grad_alpha[p, q] * (_ONE - alpha[p, q])
                 for k in range(3):
-                    state[row, lane + 16 * (k + 1)] = grad_image[y0 + row, x0 + lane, k]
-                state[row, lane + 64] = whole[y0 + row, x0 + lane]
+                    state[row, lane + 16 * (k + 1)] = grad_image[p, q, k]
+                    behind += grad_image[p, q, k] * image[p, q, k]
+                state[row, lane + 64] = behind
         for k in range(starts[tile], starts[tile + 1]):
             if (k & 15) == 0 and _finished(state):
                 break
@@ -188,9 +201,9 @@ def replay(share, shares, starts, ids, splats, colours, grad_image, whole, tiles
                 bdy, cdy2, line = b * dy, c * dy * dy, state[row]
                 for lane in range(TILE):
                     raw, e = _alpha(lane, x, bdy, cdy2, a, opacity)
-                    alpha = _cut(raw)
+                    cut = _cut(raw)
                     before = line[lane]
-                    w = alpha * before
+                    w = cut * before
                     left = before - w
                     goes_on = left > LEAST_TRANSMITTANCE
                     w = w if goes_on else _ZERO
@@ -198,7 +211,7 @@ def replay(share, shares, starts, ids, splats, colours, grad_image, whole, tiles
                     g_colour = line[lane + 16] * red + line[lane + 32] * green + line[lane + 48] * blue
                     behind = line[lane + 64] - w * g_colour
                     line[lane + 64] = behind
-                    slope = (before * g_colour - behind / (_ONE - alpha)) * e
+                    slope = (before * g_colour - behind / (_ONE - cut)) * e
                     slope = slope if goes_on else _ZERO
                     slope = slope if raw >= LEAST_ALPHA else _ZERO
                     slope = slope if raw <= MOST_ALPHA else _ZERO

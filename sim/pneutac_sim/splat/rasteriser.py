@@ -137,10 +137,10 @@ class Splats:
         colours = numbers("colours", colours, (len(self), 3))
         grad_image = numbers("grad_image", grad_image, (h, w, 3))
         image, alpha = rendering or self.render(colours, background)
-        whole = np.einsum("hwc,hwc->hw", image, grad_image)
-        if grad_alpha is not None:
-            whole -= numbers("grad_alpha", grad_alpha, (h, w)) * (1 - alpha)
-        out = self._gather(compositing.replay, 4, colours, grad_image, whole)
+        if grad_alpha is None:
+            grad_alpha = np.zeros((h, w), np.float32)
+        grad_alpha = numbers("grad_alpha", grad_alpha, (h, w))
+        out = self._gather(compositing.replay, 4, colours, image, alpha, grad_image, grad_alpha)
         return out[:, :3], out[:, 3]
 
     def _gather(self, kernel, columns: int, *inputs) -> np.ndarray:

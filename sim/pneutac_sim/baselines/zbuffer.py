@@ -1,0 +1,102 @@
+"""Draws triangles and disks, the nearest on top: the renderer of the baselines, without lights or blending."""
+
+import cv2
+import numpy as np
+from numba import njit
+
+from pneutac_sim.splat.camera import Camera
+from pneutac_sim.splat.rasteriser import Rendering
+
+FINE = 2  # pixels drawn a pixel of the picture, each way; their mean smooths edges
+
+
+def draw_triangles(camera: Camera, vertices: np.ndarray, faces: np.ndarray, colours: np.ndarray) -> Rendering:
+    """Triangles with colours between those of their vertices, on black.
+
+    Args:
+        camera: from where.
+        vertices: (V, 3) m.
+        faces: (F, 3) int.
+        colours: (V, 3), 0 to 1.
+    """
+    pixels, depth = camera.project(vertices)
+    seen = faces[(depth[faces] > 0).all(1)]
+    image, nearest = _canvas(camera)
+    _triangles(FINE * pixels, 1 / depth, seen, np.asarray(colours, float), image, nearest)
+    return _picture(camera, image, nearest)
+
+
+def draw_disks(camera: Camera, centres: np.ndarray, radius_m: float, colours: np.ndarray) -> Rendering:
+    """Disks of one radius in space that face the camera, on black.
+
+    Args:
+        camera: from where.
+        centres: (P, 3) m.
+        radius_m: of each.
+        colours: (P, 3), 0 to 1.
+    """
+    pixels, depth = camera.project(centres)
+    seen = depth > 0
+    radius = FINE * radius_m * camera.intrinsics[0, 0] / np.where(seen, depth, 1)
+    image, nearest = _canvas(camera)
+    _disks(
+        FINE * pixels[seen], 1 / depth[seen], radius[seen], np.asarray(colours, float)[seen], image, nearest
+    )
+    return _picture(camera, image, nearest)
+
+
+def _canvas(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    size = FINE * camera.height, FINE * camera.width
+    return np.zeros((*size, 3), np.float32), np.zeros(size)
+
+
+def _picture(camera: Camera, image: np.ndarray, nearest: np.ndarray) -> Rendering:
+    size = camera.width, camera.height
+    return Rendering(
+        cv2.resize(image, size, interpolation=cv2.INTER_AREA),
+        cv2.resize((nearest > 0).astype(np.float32), size, interpolation=cv2.INTER_AREA),
+    )
+
+
+@njit(cache=True)
+def _triangles(pixels, nearness, faces, colours, image, nearest):
+    """Pixel (i, j) is sampled at its centre (j + 0.5, i + 0.5); colours are linear in space (1/z)."""
+    height, width = nearest.shape
+    for f in range(len(faces)):
+        a, b, c = faces[f]
+        ax, ay = pixels[a]
+        bx, by = pixels[b]
+        cx, cy = pixels[c]
+        area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+        if area == 0:
+            continue
+        left, right = max(0, int(min(ax, bx, cx))), min(width - 1, int(max(ax, bx, cx)))
+        top, bottom = max(0, int(min(ay, by, cy))), min(height - 1, int(max(ay, by, cy)))
+        for i in range(top, bottom + 1):
+            for j in range(left, right + 1):
+                x, y = j + 0.5, i + 0.5
+                u = ((x - ax) * (cy - ay) - (y - ay) * (cx - ax)) / area
+                v = ((bx - ax) * (y - ay) - (by - ay) * (x - ax)) / area
+                if u < 0 or v < 0 or u + v > 1:
+                    continue
+                wa, wb, wc = (1 - u - v) * nearness[a], u * nearness[b], v * nearness[c]
+                total = wa + wb + wc
+                if total > nearest[i, j]:
+                    nearest[i, j] = total
+                    for k in range(3):
+                        image[i, j, k] = (
+                            wa * colours[a, k] + wb * colours[b, k] + wc * colours[c, k]
+                        ) / total
+
+
+@njit(cache=True)
+def _disks(pixels, nearness, radius, colours, image, nearest):
+    height, width = nearest.shape
+    for p in range(len(pixels)):
+        x, y = pixels[p]
+        r = radius[p]
+        for i in range(max(0, int(y - r)), min(height - 1, int(y + r)) + 1):
+            for j in range(max(0, int(x - r)), min(width - 1, int(x + r)) + 1):
+                if (j + 0.5 - x) ** 2 + (i + 0.5 - y) ** 2 <= r * r and nearness[p] > nearest[i, j]:
+                    nearest[i, j] = nearness[p]
+                    image[i, j] = colours[p]

@@ -1,0 +1,134 @@
+"""The least-squares problem of one colour channel, given the gel's surface under each photograph."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from pneutac_sim.effects.optics import CHANNELS, OPTICS
+from pneutac_sim.gel import optics
+from pneutac_sim.gel.layout import Layout
+
+# What the model leaves over is smooth over a contact, so that a photograph counts as so many independent
+# pixels of this error.
+INDEPENDENT, ERROR_LEVELS = 100, 5.0
+
+# Unknowns of a channel: light per unit slope and from where it comes, then those of the effects.
+BASE = {"strength": (120.0, 120.0, 0.0, 2000.0), "direction": (), "depth_light": (0.0, 6.0, -60.0, 60.0)}
+OF_EFFECT = {
+    "exponent": ("rest_colour", "exponent_{}"),
+    "distance": ("near_light", "distance_{}_mm"),
+    "direct": ("photometric_nonlinearity", "direct_{}_levels"),
+    "shadow": ("shadow", "shadow_{}_levels"),
+    "elevation": ("shadow", "elevation_{}"),
+    "edge": ("shadow", "edge_mm"),
+}
+NEUTRAL = {
+    "exponent": 0.0,
+    "distance": np.nan,
+    "direct": np.inf,
+    "shadow": 0.0,
+    "elevation": 0.1,
+    "edge": 0.1,
+}
+MAKE_SD = {"direction": 0.05, "distance": 2.0, "exponent": 0.05}  # how alike sensors of one make are
+
+
+def priors(k: int, light: np.ndarray, layout: Layout | None, effects: Sequence[str]) -> dict[str, tuple]:
+    """Unknown to its default, prior standard deviation (infinite for none), lower and upper bound.
+
+    Args:
+        k: channel.
+        light: L of this channel (2,), roughly.
+        layout: the make's lights, where it is known.
+        effects: those that are fitted.
+    """
+    angle = np.arctan2(-light[1], -light[0])
+    out = {"strength": BASE["strength"], "direction": (angle, np.inf), "depth_light": BASE["depth_light"]}
+    for name, (effect, parameter) in OF_EFFECT.items():
+        if effect in effects:
+            i = [p.name for p in OPTICS[effect].parameters].index(parameter.format(CHANNELS[k]))
+            p = OPTICS[effect].parameters[i]
+            out[name] = (p.default, OPTICS[effect].prior_sd[i], p.lower, p.upper)
+    if layout is not None:
+        x, y = layout.positions_mm[k]
+        out["direction"] = (np.arctan2(y, x), MAKE_SD["direction"])
+        out["distance"] = (np.hypot(x, y), MAKE_SD["distance"], *out["distance"][2:])
+        out["exponent"] = (layout.exponents[k], MAKE_SD["exponent"], *out["exponent"][2:])
+    angle, sd = out["direction"]
+    return out | {"direction": (angle, sd, angle - 3.2, angle + 3.2)}
+
+
+def row(v: dict[str, float]) -> np.ndarray:
+    """One channel's row of the coefficients of `optics.light`."""
+    x, y, a, r = np.cos(v["direction"]), np.sin(v["direction"]), v["strength"], v["distance"]
+    tail = v["direct"], v["shadow"], v["elevation"], v["edge"]
+    return np.array([-a * x, -a * y, v["depth_light"], r * x, r * y, *tail])
+
+
+def effects_of(values: Sequence[dict[str, float]], effects: Sequence[str]) -> dict[str, dict[str, float]]:
+    """Effect to its parameters, from the unknowns of the three channels; a shadow's edge is their mean."""
+    out: dict[str, dict[str, float]] = {}
+    for name, (effect, parameter) in OF_EFFECT.items():
+        if effect in effects:
+            each = {parameter.format(c): float(v[name]) for c, v in zip(CHANNELS, values, strict=True)}
+            out.setdefault(effect, {}).update(each)
+    if "shadow" in out:
+        out["shadow"]["edge_mm"] = float(np.mean([v["edge"] for v in values]))
+    return out
+
+
+class Channel:
+    """One channel of some photographs on the probe grid; keeps its last solution as the next start.
+
+    Args:
+        k: channel.
+        prior: see `priors`.
+        cell_mm: grid spacing.
+        masks: one (rows, columns) a photograph, where it is fitted.
+        seen: (rows, columns, 3) what the contact changes, levels.
+        rests: (rows, columns, 3) rest image.
+    """
+
+    def __init__(self, k: int, prior: dict, cell_mm, masks, seen, rests):
+        self._prior, self._cell = prior, cell_mm
+        self._default, self._sd, self._lower, self._upper = (
+            np.array([p[i] for p in prior.values()], float) for i in range(4)
+        )
+        self._held = np.isfinite(self._sd)
+        self._parts = []
+        for mask, difference, rest in zip(masks, seen, rests, strict=True):
+            bright = np.maximum(rest[..., k], 1.0)
+            scale = np.sqrt(INDEPENDENT / max(mask.sum(), 1)) / ERROR_LEVELS
+            self._parts.append((mask, difference[..., k][mask], np.log(bright / bright.mean())[mask], scale))
+        self._x = self._default
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The unknowns by name, those of absent effects at neutral."""
+        return NEUTRAL | dict(zip(self._prior, self._x.tolist(), strict=True))
+
+    def solve(self, surfaces: Sequence[np.ndarray]) -> float:
+        """Fits to surfaces (rows, columns) in mm, one a photograph; returns the cost."""
+
+        def residual(x: np.ndarray) -> np.ndarray:
+            v = NEUTRAL | dict(zip(self._prior, x, strict=True))
+            c, out = row(v), [((x - self._default) / self._sd)[self._held]]
+            for u, (mask, seen, bright, scale) in zip(surfaces, self._parts, strict=True):
+                s = optics.channel(u, self._cell, c)[mask]
+                out.append(scale * (np.exp(v["exponent"] * bright) * s - seen))
+            return np.concatenate(out)
+
+        start = np.clip(self._x, self._lower + 1e-6, self._upper - 1e-6)
+        step = np.where(self._held, self._sd, 0.3)
+        done = least_squares(
+            residual,
+            start,
+            bounds=(self._lower, self._upper),
+            x_scale=step,
+            diff_step=1e-3,
+            xtol=1e-4,
+            ftol=1e-4,
+        )
+        self._x = done.x
+        return float(done.cost)

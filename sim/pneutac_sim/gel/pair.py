@@ -1,0 +1,89 @@
+"""Whether a rest and an indentation image can be what they are said to be."""
+
+import numpy as np
+from scipy.ndimage import gaussian_filter, gaussian_laplace
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.gel import metrics
+from pneutac_sim.gel.indenter import Press
+
+# Of 66 photographs of three real sensors, an indentation has at least 2.5 times the rest image's relief at
+# the contact, its blurred difference is at least 3 times that elsewhere, and away from the contact it
+# correlates with the rest image above 0.96, but by only 0.73 with that of another DIGIT. The limits leave
+# room for weaker contacts and noisier cameras.
+MIN_CONTRAST = 1.5
+MIN_LIKENESS = 0.85
+
+
+def _disc(image: np.ndarray, press: Press, px_per_mm: float, radii: float) -> np.ndarray:
+    """Pixels within so many contact radii of the press."""
+    x, y = press_px(press, image.shape, px_per_mm)
+    return metrics.disc(image.shape, x, y, radii * press.contact_radius_mm * px_per_mm)
+
+
+def press_px(press: Press, shape: tuple[int, ...], px_per_mm: float) -> tuple[float, float]:
+    """Column and row of a press in an image of `shape`."""
+    return shape[1] / 2 + press.x_mm * px_per_mm, shape[0] / 2 + press.y_mm * px_per_mm
+
+
+def check_pair(rest: np.ndarray, indentation: np.ndarray, press: Press, px_per_mm: float) -> None:
+    """Raises InputError, in one sentence, where the pair is not a rest and an indentation image."""
+    if rest.shape != indentation.shape:
+        raise InputError(
+            f"the indentation image is {_size(indentation)} but the rest image is {_size(rest)} pixels; "
+            "give two images of one sensor at one size."
+        )
+    x, y = press_px(press, rest.shape, px_per_mm)
+    if not (0 <= x < rest.shape[1] and 0 <= y < rest.shape[0]):
+        raise InputError(
+            f"the contact at ({x:.0f}, {y:.0f}) px lies outside the image of {_size(rest)} pixels; "
+            "correct x_mm, y_mm (measured from the image's centre) or contact_x_px, contact_y_px."
+        )
+    if np.array_equal(rest, indentation):
+        raise InputError(
+            "the rest image and the indentation image are the same picture; "
+            "give one without and one with contact."
+        )
+    near, far = _disc(rest, press, px_per_mm, 1.2), ~_disc(rest, press, px_per_mm, 3.0)
+    if not near.any():
+        raise InputError(
+            f"the contact is only {2 * press.contact_radius_mm * px_per_mm:.1f} pixels wide; "
+            "correct depth_mm or px_per_mm."
+        )
+    if far.mean() > 0.1:
+        likeness = metrics.ncc(rest[far], indentation[far])
+        if likeness < MIN_LIKENESS:
+            raise InputError(
+                f"away from the contact the rest image and the indentation image correlate by only "
+                f"{likeness:.2f}; the rest image seems to be of another sensor or session."
+            )
+    scale = press.contact_radius_mm * px_per_mm / 3
+    rows, cols = (np.flatnonzero(near.any(axis)) for axis in (1, 0))
+    margin = int(4 * scale)
+    around = (
+        slice(max(rows[0] - margin, 0), rows[-1] + margin),
+        slice(max(cols[0] - margin, 0), cols[-1] + margin),
+    )
+
+    def relief(image):  # bumps of the size of the contact; a rest image varies more slowly
+        bumps = [gaussian_laplace(image[..., k][around].astype(np.float32), scale) for k in range(3)]
+        return float(np.sqrt(np.mean(np.square(np.stack(bumps, -1)[near[around]]))))
+
+    blur = 0.15 * px_per_mm  # averages noise within a grid cell
+    difference = gaussian_filter(indentation.astype(np.float32) - rest, (blur, blur, 0))
+    there = float(np.sqrt(np.mean(np.square(difference[near]))))
+    elsewhere = float(np.sqrt(np.mean(np.square(difference[far])))) if far.any() else 0.0
+    if there < max(MIN_CONTRAST * elsewhere, 1.0):
+        raise InputError(
+            f"the indentation image shows no contact at ({x:.0f}, {y:.0f}) px: its difference to rest is "
+            f"{there:.1f} levels there and {elsewhere:.1f} elsewhere; press harder or correct the position."
+        )
+    if relief(indentation) < relief(rest):
+        raise InputError(
+            f"the rest image has more relief at ({x:.0f}, {y:.0f}) px than the indentation image; "
+            "they seem to be swapped."
+        )
+
+
+def _size(image: np.ndarray) -> str:
+    return f"{image.shape[1]} x {image.shape[0]}"

@@ -1,0 +1,125 @@
+"""A photograph of an indentation: what was pressed where, and what the light did since the rest image.
+
+Light and exposure drift between a rest image and the photographs of a session. One pair of images shows how
+far, away from its contact, but not whether that is the session's or its own: half of it is expected of the
+session's other photographs, which is right where both are alike.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from pneutac_sim.effects.optics import CHANNELS
+from pneutac_sim.gel import metrics, optics
+from pneutac_sim.gel.indenter import Press
+from pneutac_sim.gel.model import GelModel
+from pneutac_sim.gel.pair import press_px
+from pneutac_sim.gel.probe import COLS, ROWS, probe_grid
+from pneutac_sim.gel.sensor import TactileSensor
+
+NEAR_RADII = 3.0  # pixels within so many contact radii tell about the gel, those beyond about the session
+KEPT = 0.5  # share of a pair's drift that the session's other photographs are expected to have
+
+
+@dataclass
+class Photograph:
+    """One indentation.
+
+    Attributes:
+        press: which indenter, where and how deep, as the recording states it.
+        image: uint8 (H, W, 3).
+        rest: the image without contact of the same session, uint8 (H, W, 3).
+        clock: when in the session, from 0 to 1.
+    """
+
+    press: Press
+    image: np.ndarray
+    rest: np.ndarray
+    clock: float = 0.0
+
+    def near(self, px_per_mm: float, radii: float = NEAR_RADII) -> np.ndarray:
+        """Pixels (H, W) within so many contact radii of the press."""
+        x, y = press_px(self.press, self.rest.shape, px_per_mm)
+        return metrics.disc(self.rest.shape, x, y, radii * self.press.contact_radius_mm * px_per_mm)
+
+    def far(self, px_per_mm: float) -> np.ndarray:
+        """Probe grid cells (80, 59) whose pixels all lie away from the contact."""
+        return to_grid(~self.near(px_per_mm)) > 0.99
+
+
+def to_grid(image: np.ndarray) -> np.ndarray:
+    """Mean of an image (H, W) or (H, W, C) over each cell of the probe grid, float32."""
+    return cv2.resize(image.astype(np.float32), (COLS, ROWS), interpolation=cv2.INTER_AREA)
+
+
+def press_depth(press: Press, gel: GelModel) -> np.ndarray:
+    """Probe grid (80, 59) in mm of a bench indenter on this gel."""
+    return probe_grid(*press.shapes(), window_mm=gel.window_mm, thickness_mm=gel.thickness_mm)
+
+
+def registered(press: Press, gel: GelModel) -> Press:
+    """The press where the gel's effect `registration_shift` says it truly is."""
+    v = gel.effects.get("registration_shift")
+    if v is None:
+        return press
+    c, s = v["scale"] * math.cos(v["turn_rad"]), v["scale"] * math.sin(v["turn_rad"])
+    x, y = (
+        c * press.x_mm - s * press.y_mm + v["shift_x_mm"],
+        s * press.x_mm + c * press.y_mm + v["shift_y_mm"],
+    )
+    return replace(press, x_mm=x, y_mm=y, yaw_rad=press.yaw_rad + v["turn_rad"])
+
+
+def session_light(pair: Photograph, px_per_mm: float) -> np.ndarray:
+    """Change of the light since the rest image, smooth over the image, (80, 59, 3) levels.
+
+    A gain and a quadratic in x and y for each channel, fitted away from the contact; zero where hardly
+    anything lies away from it.
+    """
+    far = pair.far(px_per_mm)
+    y, x = np.meshgrid(np.linspace(-1, 1, ROWS), np.linspace(-1, 1, COLS), indexing="ij")
+    rest, difference = to_grid(pair.rest), to_grid(pair.image.astype(np.float32) - pair.rest)
+    out = np.zeros((ROWS, COLS, 3))
+    if far.mean() > 0.1:
+        for k in range(3):
+            basis = np.stack([rest[..., k], np.ones_like(x), x, y, x * x, y * y, x * y], -1)
+            out[..., k] = basis @ np.linalg.lstsq(basis[far], difference[..., k][far], rcond=None)[0]
+    return out
+
+
+def gains(gel: GelModel, clock: float) -> np.ndarray:
+    """Brightness over the rest image (3,) at a time of the session, by the gel's `illumination_drift`."""
+    v = gel.effects.get("illumination_drift")
+    if v is None:
+        return np.ones(3)
+    return np.array([v[f"gain_{c}"] + v[f"drift_{c}"] * clock for c in CHANNELS])
+
+
+class Predictor:
+    """Predicts the photographs of one session.
+
+    Args:
+        gel: the sensor.
+        pair: a photograph of the session whose drift of light is known, None for no drift.
+    """
+
+    def __init__(self, gel: GelModel, pair: Photograph | None = None):
+        self._gel, self._pair = gel, pair
+        self._sensors: dict[int, tuple] = {}
+        self._drift = None
+        if pair is not None and "illumination_drift" not in gel.effects:
+            height, width = pair.rest.shape[:2]
+            self._drift = KEPT * optics.upsample(session_light(pair, gel.px_per_mm), height, width)
+
+    def image(self, press: Press, rest: np.ndarray, clock: float = 0.0) -> np.ndarray:
+        """Predicted photograph, uint8 (H, W, 3), of a press as stated and its session's rest image."""
+        if id(rest) not in self._sensors:
+            self._sensors[id(rest)] = rest, TactileSensor(replace(self._gel, rest_image=rest))
+        image = self._sensors[id(rest)][1].image(press_depth(registered(press, self._gel), self._gel))
+        if "illumination_drift" in self._gel.effects:
+            image = image * gains(self._gel, clock)
+        elif self._drift is not None and rest is self._pair.rest:
+            image = image + self._drift
+        return np.clip(np.round(image), 0, 255).astype(np.uint8)
