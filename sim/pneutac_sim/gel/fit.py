@@ -136,12 +136,12 @@ class _Problem:
         self.masks = [to_grid(p.near(gel.px_per_mm)) > 0.5 for p in photographs]
         self.rests = [to_grid(p.rest) for p in photographs]
         self.seen = []
-        for p, rest in zip(photographs, self.rests, strict=True):
+        for p in photographs:
             if "illumination_drift" in effects:
-                drift = rest * (gains(gel, p.clock) - 1)
+                self.seen.append(to_grid(p.image / gains(gel, p.clock) - p.rest))
             else:
                 drift = session_light(p, gel.px_per_mm)
-            self.seen.append(to_grid(p.image.astype(np.float32) - p.rest) - drift)
+                self.seen.append(to_grid(p.image.astype(np.float32) - p.rest) - drift)
         self.evaluations = 0
 
     def surfaces(self, decay_mm: float, depth_scale: float) -> list[np.ndarray]:

@@ -82,8 +82,8 @@ def recognise(
 
     Returns:
         The make's own orientation where it fits, since mirrored images with two channels swapped may fit
-        about as well; else the one that fits best; None where the directions or the proportions of the images are
-        not the make's.
+        about as well; else the one that fits best; None where the directions or the proportions of the images
+        are not the make's.
     """
     if abs(image_size[0] / image_size[1] / layout.proportions - 1) > 0.05:
         return None

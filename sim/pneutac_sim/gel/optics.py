@@ -159,7 +159,7 @@ def _shadow(u, hx, hy, c):
             for b in range(m):
                 j = m - 1 - b if dj > 0 else b
                 ex, ey = _towards(c, (j + 0.5 - m / 2) * hx, y)
-                if (ex > 0) != (dj > 0) or (ey > 0) != (di > 0):
+                if (ex > 0) != (dj > 0) or (ey > 0) != (di > 0) or ex == ey == 0:
                     continue
                 px, py = abs(ex) / hx, abs(ey) / hy  # cells per mm of the ray
                 if px >= py:  # the ray leaves through the column beside

@@ -1,0 +1,225 @@
+"""Light of the gel: slopes, Lambert's cosine, near lights, cast shadows and the colour at rest."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import binary_dilation
+
+from pneutac_sim.gel import optics
+from pneutac_sim.gel.model import GelModel, rest_weight
+from pneutac_sim.gel.sensor import TactileSensor
+
+CELL = (0.2, 0.2)
+FAR = (np.nan, np.nan)
+DIRECTIONS = np.radians([0, 30, 45, 80, 90, 150, 200, 270, 315, 340])
+
+
+def grid(rows=81, cols=61):
+    """x and y (rows, columns) in mm from the window's centre."""
+    x, y = ((np.arange(n) + 0.5 - n / 2) * h for n, h in ((cols, CELL[0]), (rows, CELL[1])))
+    return np.meshgrid(x, y)
+
+
+def coefficients(
+    light=(0.0, 0.0), depth=0.0, place=FAR, direct=np.inf, shadow=0.0, elevation=0.25, edge=0.02
+):
+    return np.array([*light, depth, *place, direct, shadow, elevation, edge])
+
+
+def bump(x0=0.0, y0=0.0, width=1.2, height=0.8):
+    x, y = grid()
+    return (height * np.exp(-((x - x0) ** 2 + (y - y0) ** 2) / width**2)).astype(np.float32)
+
+
+def pillar(height, x0=0.0, y0=0.0, radius=0.5):
+    x, y = grid()
+    return np.where(np.hypot(x - x0, y - y0) < radius, height, 0.0).astype(np.float32)
+
+
+def beside(u):
+    """The figure and the cells that touch it."""
+    return binary_dilation(u > 0, np.ones((3, 3)))
+
+
+def dark(u, towards, elevation, place=FAR):
+    """Where a light from direction `towards` (2,), or from a place, is shadowed: bool (rows, columns)."""
+    c = coefficients(-1e-6 * np.asarray(towards), 0.0, place, np.inf, 50.0, elevation)
+    return optics.channel(u, CELL, c) < -1.0
+
+
+# ---------------------------------------------------------------- slopes
+
+
+def test_far_light_is_the_slope_towards_it():
+    x, y = grid()
+    u = (0.1 * x - 0.2 * y).astype(np.float32)
+    s = optics.channel(u, CELL, coefficients((30.0, -40.0), 5.0))
+    np.testing.assert_allclose(s, 30 * 0.1 + 40 * 0.2 + 5 * u, atol=1e-3)
+
+
+@pytest.mark.parametrize("effects", [{}, {"shadow": 30.0, "direct": 60.0}])
+@pytest.mark.parametrize("angle", DIRECTIONS)
+def test_a_near_light_far_away_is_a_far_light(effects, angle):
+    towards = np.array([np.cos(angle), np.sin(angle)])
+    near = optics.channel(bump(), CELL, coefficients(-80 * towards, 2.0, 1e5 * towards, **effects))
+    far = optics.channel(bump(), CELL, coefficients(-80 * towards, 2.0, **effects))
+    np.testing.assert_allclose(near, far, atol=0.05)
+
+
+def test_a_near_light_shines_from_its_place_and_as_far_away_at_the_centre():
+    """On a plane that slopes along one axis the light is that axis of the direction to the lamp."""
+    x, y = grid()
+    place, strength = np.array([6.0, -8.0]), 50.0
+    light = -strength * place / 10
+    e = [
+        -optics.channel((0.1 * axis).astype(np.float32), CELL, coefficients(light, 0.0, place)) / (0.1 * 50)
+        for axis in (x, y)
+    ]
+    r = np.hypot(place[0] - x, place[1] - y)
+    far = r > 0.5
+    np.testing.assert_allclose(e[0][far], (place[0] - x)[far] / r[far], atol=1e-4)
+    np.testing.assert_allclose(e[1][far], (place[1] - y)[far] / r[far], atol=1e-4)
+    centre = (40, 30)
+    np.testing.assert_allclose([e[0][centre], e[1][centre]], -light / strength, atol=1e-5)
+
+
+def test_a_near_light_at_the_centre_equals_the_far_model_for_any_surface_there():
+    light, place = np.array([-30.0, 40.0]), 12 * np.array([0.6, -0.8])
+    u = bump(0.4, -0.3)
+    near, far = (optics.channel(u, CELL, coefficients(light, 3.0, p))[40, 30] for p in (place, FAR))
+    assert abs(near) > 5 and near == pytest.approx(far, abs=1e-3)
+
+
+# ---------------------------------------------------------------- Lambert's cosine
+
+
+def test_lamberts_cosine_is_linear_to_first_order_in_the_slope():
+    """Halving the slope quarters the difference to the linear model."""
+    light, direct = (-40.0, 25.0), 60.0
+
+    def error(scale):
+        u = bump(height=scale)
+        bent = optics.channel(u, CELL, coefficients(light, 3.0, direct=direct)).astype(np.float64)
+        return np.abs(bent - optics.channel(u, CELL, coefficients(light, 3.0))).max()
+
+    errors = np.array([error(s) for s in (0.2, 0.1, 0.05)])
+    np.testing.assert_allclose(errors[:-1] / errors[1:], 4, rtol=0.05)
+
+
+@pytest.mark.parametrize("place", [FAR, (3.0, -4.0)])
+def test_a_side_that_turns_away_goes_dark_and_no_darker(place):
+    direct = 35.0
+    u = bump(width=0.6, height=2.0)
+    s = optics.channel(u, CELL, coefficients((-90.0, 120.0), 0.0, place, direct))
+    assert s.min() >= -direct - 1e-4 and s.min() == pytest.approx(-direct, abs=1e-3)
+    assert optics.channel(u, CELL, coefficients((-90.0, 120.0), 0.0, place)).min() < -3 * direct
+
+
+@pytest.mark.parametrize("depth", [0.0, -6.0])
+def test_a_flat_displaced_surface_changes_only_by_its_depth(depth):
+    u = np.full((81, 61), 0.7, np.float32)
+    c = coefficients((-90.0, 120.0), depth, (3.0, -4.0), 35.0, 40.0)
+    np.testing.assert_allclose(optics.channel(u, CELL, c), depth * 0.7, atol=1e-5)
+
+
+# ---------------------------------------------------------------- shadows
+
+
+@pytest.mark.parametrize("angle", DIRECTIONS)
+def test_a_pillar_casts_a_shadow_of_its_height_over_the_lights_slope(angle):
+    """On the side away from the light, as wide as itself, and none on the near side."""
+    x, y = grid()
+    towards, elevation, radius = np.array([np.cos(angle), np.sin(angle)]), 0.25, 1.2
+    along, across = -(x * towards[0] + y * towards[1]), -x * towards[1] + y * towards[0]
+    beam = np.abs(across) < 0.11
+    u = pillar(0.8, radius=radius)
+    shade = dark(u, towards, elevation)
+    start = along[beam & (u > 0)].max()
+    end = start + 0.8 / elevation - CELL[0] / 2  # cells beyond the tip are lit: half a cell on average
+    assert along[shade & beam].max() == pytest.approx(end, abs=CELL[0])
+    assert shade[beam & (along > start) & (along < end - CELL[0])].all()
+    assert not shade[(along < 0) & ~beside(u)].any()
+    assert np.abs(across[shade]).max() < radius + 1.2 * CELL[0]
+
+
+@pytest.mark.parametrize("angle", DIRECTIONS)
+def test_what_is_narrower_than_a_contact_never_casts_too_long_a_shadow(angle):
+    """Passing from cell to cell rounds off narrow tips: the shadow of 5 cells may lose a fifth."""
+    x, y = grid()
+    towards = np.array([np.cos(angle), np.sin(angle)])
+    shade = dark(pillar(0.8), towards, 0.25)
+    length = (-(x * towards[0] + y * towards[1]))[shade].max() - 0.5
+    assert 0.75 * 0.8 / 0.25 < length < 0.8 / 0.25 + CELL[0]
+
+
+def test_shadows_get_shorter_with_the_height_and_vanish_under_a_steep_light():
+    x, _ = grid()
+    ends = [x[dark(pillar(h), (-1, 0), 0.25)].max() for h in (0.3, 0.6, 0.9)]
+    np.testing.assert_allclose(np.diff(ends), 0.3 / 0.25, atol=CELL[0])
+    u = bump(height=0.5, width=1.5)  # nowhere steeper than 0.5 sqrt(2 / e) / 1.5 = 0.29
+    assert dark(u, (-1, 0), 0.15).any() and not dark(u, (-1, 0), 0.3).any()
+
+
+@pytest.mark.parametrize("place", [(4.0, 5.0), (-5.0, 1.0), (9.0, -12.0), (-11.0, -3.0)])
+def test_shadows_of_a_near_light_point_away_from_it(place):
+    x, y = grid()
+    x0, y0, radius = 1.0, -2.0, 1.2
+    away = np.array([x0, y0]) - place
+    r0 = np.hypot(*away)
+    away /= r0
+    u = pillar(0.5, x0, y0, radius)
+    shade = dark(u, -away, 0.25, place)
+    dx, dy = x - place[0], y - place[1]
+    r = np.hypot(dx, dy)
+    angle = np.arctan2(np.abs(dx * away[1] - dy * away[0]), dx * away[0] + dy * away[1])
+    assert not shade[(r < r0) & ~beside(u)].any(), "nothing is dark between the light and the pillar"
+    assert angle[shade].max() < np.arcsin((radius + 1.2 * CELL[0]) / r0)
+    beam = angle < 0.11 / r0
+    end = r[beam & (u > 0)].max() + 0.5 / 0.25 - CELL[0] / 2
+    assert r[shade & beam].max() == pytest.approx(end, abs=CELL[0])
+
+
+def test_a_light_straight_above_or_without_strength_casts_no_shadow():
+    for place in (FAR, (0.0, 0.0)):  # the grid's middle cell lies at the window's centre
+        s = optics.channel(pillar(0.5), CELL, coefficients((0.0, 0.0), 0.0, place, shadow=40.0))
+        assert np.isfinite(s).all() and s[40, 30] == 0
+
+
+def test_a_shadow_takes_its_level_and_the_slopes_light():
+    """Deep in the shadow everything that the light adds is gone, whatever the slope; depth light stays."""
+    x, _ = grid()
+    u = pillar(2.0) + np.where(x > 1.0, 0.1 * (x - 1.0), 0).astype(np.float32)
+    s = optics.channel(u, CELL, coefficients((60.0, 0.0), 4.0, shadow=30.0, elevation=0.3, edge=0.1))
+    inside = (40, slice(37, 44))
+    np.testing.assert_allclose(s[inside], -30 + 4 * u[inside], atol=1e-3)
+
+
+def test_the_shadows_edge_is_as_soft_as_it_says():
+    x, _ = grid()
+    u = np.where(np.abs(x) < 0.5, 1.0, 0.0).astype(np.float32)  # a wall across the window
+    for edge, cells in ((0.02, (0, 2)), (0.4, (5, 12))):
+        s = optics.channel(u, CELL, coefficients((1e-6, 0.0), shadow=50.0, elevation=0.25, edge=edge))[40]
+        between = ((s < -0.5) & (s > -49.5) & (x[40] > 1.0)).sum()
+        assert cells[0] <= between <= cells[1]
+
+
+# ---------------------------------------------------------------- colour at rest, whole images
+
+
+def test_the_exponent_of_the_rest_colour_is_none_linear_or_a_power():
+    rest = np.random.default_rng(0).integers(10, 250, (32, 24, 3)).astype(np.uint8)
+    relative = rest / rest.mean((0, 1))
+    np.testing.assert_allclose(rest_weight(rest, np.zeros(3)), 1)
+    np.testing.assert_allclose(rest_weight(rest, np.ones(3)), relative, rtol=1e-5)
+    np.testing.assert_allclose(rest_weight(rest, np.array([2, 0.5, 0])), relative ** [2, 0.5, 0], rtol=1e-5)
+    assert np.isfinite(rest_weight(np.zeros((4, 4, 3), np.uint8), np.full(3, -1.0))).all()
+
+
+def test_an_exponent_of_zero_renders_the_linear_model():
+    linear, zero = GelModel.builtin(), GelModel.builtin()
+    linear.effects = {}
+    zero.effects = {"rest_colour": dict.fromkeys(zero.effects["rest_colour"], 0.0)}
+    depth = np.zeros((80, 59), np.float32)
+    depth[30:40, 20:35] = 0.6
+    images = [TactileSensor(g).image(depth).astype(int) for g in (linear, zero, GelModel.builtin())]
+    np.testing.assert_array_equal(images[0], images[1])
+    assert np.abs(images[2] - images[0]).max() > 10
