@@ -8,6 +8,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from lerobot_pneutac import add_gel
 from lerobot_pneutac.diagnose import progress
 from lerobot_pneutac.diagnosis import pneumatics
 from lerobot_pneutac.diagnosis.bootstrap import Resampler
@@ -103,6 +104,9 @@ def main(argv: list[str]) -> None:
     get_effect(cfg.effect)
     twin, recording = load_pair(cfg.twin, cfg.recording)
     console = Console()
+    if recording.device == "gel":
+        add_gel.run(twin, recording, cfg, console)
+        return
     with progress(console) as (tell, done):
         tell(f"fitting with and without {cfg.effect}", 2)
         added = add(twin, recording, cfg.effect, cfg.seed, done)

@@ -17,6 +17,7 @@ from rich.progress import (
 )
 from rich.table import Table
 
+from lerobot_pneutac import diagnose_gel
 from lerobot_pneutac.diagnosis.engine import cores
 from lerobot_pneutac.diagnosis.result import Diagnosis, Tested
 from lerobot_pneutac.diagnosis.sentences import caveats, lead, next_experiment, percent
@@ -35,7 +36,7 @@ class DiagnoseConfig:
 
     Attributes:
         twin: the twin's folder; it is not changed.
-        recording: a bench recording of the same finger or arm.
+        recording: a bench recording of the same finger, arm or gel.
         out: folder for `result.json` and `report.html`.
         jobs: processes; 0 for all cores.
         seed: decides which blocks of time are held out, and every bootstrap.
@@ -60,6 +61,9 @@ def main(argv: list[str]) -> None:
     cfg = parse_options(DiagnoseConfig, argv)
     twin, recording = load_pair(cfg.twin, cfg.recording)
     console = Console()
+    if recording.device == "gel":
+        diagnose_gel.run(twin, recording, cfg, console)
+        return
     with progress(console) as (tell, done):
         d = diagnose(twin, recording, cfg.seed, cfg.jobs or cores(), tell, done)
     advice, separation = next_experiment(d)

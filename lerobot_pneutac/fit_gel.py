@@ -50,7 +50,7 @@ def calibrate_gel(twin: Twin, recording: BenchRecording, cfg, console: Console) 
             wanted(cfg.effects, twin),
             data.thickness_mm,
         )
-        gel, carried = fit.gel, _for_twin(fit.gel, twin)
+        gel, carried = fit.gel, for_twin(fit.gel, twin)
     except InputError as e:
         names = f"rest image '{recording.meta['rest_image']}', indentation '{sample.name}'"
         raise InputError(f"{recording.folder} ({names}): {e}") from e
@@ -113,7 +113,7 @@ def calibrate_gel(twin: Twin, recording: BenchRecording, cfg, console: Console) 
     return result
 
 
-def _for_twin(gel: GelModel, twin: Twin) -> GelModel:
+def for_twin(gel: GelModel, twin: Twin) -> GelModel:
     """The gel at the size in which the twin keeps it: 240 x 320, other proportions for a lone gel only."""
     h, w = gel.rest_image.shape[:2]
     if twin.device == "gel" and abs(w / h / (IMAGE_SHAPE[1] / IMAGE_SHAPE[0]) - 1) > 0.02:

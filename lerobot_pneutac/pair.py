@@ -34,9 +34,9 @@ def load_pair(twin_path: Path, recording_path: Path) -> tuple[Twin, BenchRecordi
     """The twin and a recording that may be diagnosed; raises InputError where they do not fit together."""
     twin, recording = Twin.load(twin_path), BenchRecording.load(recording_path)
     if recording.device == "gel":
-        raise InputError(
-            f"{recording_path} is of a gel; effects are sought in recordings of a finger or an arm."
-        )
+        if twin.device != "gel" and not twin.gel:
+            same_device(twin, recording, twin_path, "diagnose")
+        return twin, recording
     same_device(twin, recording, twin_path, "diagnose")
     if recording.length_mm is not None and abs(recording.length_mm - twin.length_mm) > 0.02 * twin.length_mm:
         raise InputError(

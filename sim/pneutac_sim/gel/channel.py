@@ -100,7 +100,17 @@ class Channel:
         for mask, difference, rest in zip(masks, seen, rests, strict=True):
             bright = np.maximum(rest[..., k], 1.0)
             scale = np.sqrt(INDEPENDENT / max(mask.sum(), 1)) / ERROR_LEVELS
-            self._parts.append((mask, difference[..., k][mask], np.log(bright / bright.mean())[mask], scale))
+            box, centre = _box(mask, cell_mm)
+            self._parts.append(
+                (
+                    box,
+                    centre,
+                    mask[box],
+                    difference[..., k][mask],
+                    np.log(bright / bright.mean())[mask],
+                    scale,
+                )
+            )
         self._x = self._default
 
     @property
@@ -110,12 +120,13 @@ class Channel:
 
     def solve(self, surfaces: Sequence[np.ndarray]) -> float:
         """Fits to surfaces (rows, columns) in mm, one a photograph; returns the cost."""
+        cropped = [np.ascontiguousarray(u[part[0]]) for u, part in zip(surfaces, self._parts, strict=True)]
 
         def residual(x: np.ndarray) -> np.ndarray:
             v = NEUTRAL | dict(zip(self._prior, x, strict=True))
             c, out = row(v), [((x - self._default) / self._sd)[self._held]]
-            for u, (mask, seen, bright, scale) in zip(surfaces, self._parts, strict=True):
-                s = optics.channel(u, self._cell, c)[mask]
+            for u, (_, centre, mask, seen, bright, scale) in zip(cropped, self._parts, strict=True):
+                s = optics.channel(u, self._cell, c - centre)[mask]
                 out.append(scale * (np.exp(v["exponent"] * bright) * s - seen))
             return np.concatenate(out)
 
@@ -132,3 +143,16 @@ class Channel:
         )
         self._x = done.x
         return float(done.cost)
+
+
+def _box(mask: np.ndarray, cell_mm) -> tuple[tuple[slice, slice], np.ndarray]:
+    """The part of the grid around a mask, and what to take from a row of coefficients to work in it alone."""
+    rows, cols = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+    centre = np.zeros(9)
+    if not len(rows):
+        return (slice(0, 2), slice(0, 2)), centre
+    i0, i1 = max(rows[0] - 1, 0), min(rows[-1] + 2, mask.shape[0])
+    j0, j1 = max(cols[0] - 1, 0), min(cols[-1] + 2, mask.shape[1])
+    centre[3] = ((j0 + j1) / 2 - mask.shape[1] / 2) * cell_mm[0]
+    centre[4] = ((i0 + i1) / 2 - mask.shape[0] / 2) * cell_mm[1]
+    return (slice(i0, i1), slice(j0, j1)), centre

@@ -151,30 +151,37 @@ def _shadow(u, hx, hy, c):
     """
     n, m = u.shape
     S = u.copy()
+    far = math.isnan(c[3])
     for side in range(4):
         di, dj = 1 - 2 * (side // 2), 1 - 2 * (side % 2)  # where the light comes from
+        if far and ((-c[0] > 0) != (dj > 0) or (-c[1] > 0) != (di > 0)):
+            continue
         for a in range(n):
             i = n - 1 - a if di > 0 else a
             y = (i + 0.5 - n / 2) * hy
             for b in range(m):
                 j = m - 1 - b if dj > 0 else b
-                ex, ey = _towards(c, (j + 0.5 - m / 2) * hx, y)
-                if (ex > 0) != (dj > 0) or (ey > 0) != (di > 0) or ex == ey == 0:
+                ex = -c[0] if far else c[3] - (j + 0.5 - m / 2) * hx
+                ey = -c[1] if far else c[4] - y
+                if (ex > 0) != (dj > 0) or (ey > 0) != (di > 0):
                     continue
-                px, py = abs(ex) / hx, abs(ey) / hy  # cells per mm of the ray
-                if px >= py:  # the ray leaves through the column beside
+                px, py = abs(ex) / hx, abs(ey) / hy  # cells that the ray crosses on the way to the light
+                if px >= py:  # it leaves through the column beside
                     if not 0 <= j + dj < m:
                         continue
-                    f = py / px
-                    other = S[i + di, j + dj] if 0 <= i + di < n else S[i, j + dj]
-                    S_in = S[i, j + dj] * (1 - f) + other * f - c[7] / px
+                    near = S[i, j + dj]
+                    other = S[i + di, j + dj] if 0 <= i + di < n else near
+                    f = py / max(px, 1e-9)
                 else:
                     if not 0 <= i + di < n:
                         continue
+                    near = S[i + di, j]
+                    other = S[i + di, j + dj] if 0 <= j + dj < m else near
                     f = px / py
-                    other = S[i + di, j + dj] if 0 <= j + dj < m else S[i + di, j]
-                    S_in = S[i + di, j] * (1 - f) + other * f - c[7] / py
-                S[i, j] = max(S[i, j], S_in)
+                S_in = near + f * (other - near)
+                if S_in > S[i, j]:
+                    S_in -= c[7] * math.sqrt(ex * ex + ey * ey) / max(px, py, 1e-9)
+                    S[i, j] = max(S[i, j], S_in)
     for i in range(n):
         for j in range(m):
             S[i, j] -= u[i, j]
