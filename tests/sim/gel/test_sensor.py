@@ -1,7 +1,10 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from pneutac_sim.effects.optics import OPTICS, SENSOR
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.contact import contact_area
 from pneutac_sim.gel.model import GelModel
@@ -41,18 +44,27 @@ def test_contact_readout_is_what_the_policy_reads(sensor):
     assert c.log_pixels == pytest.approx(np.log(1 + c.pixels))
 
 
-def test_fast_path_equals_the_image_exactly():
+@pytest.mark.parametrize("effects", [(), ("rest_colour",), SENSOR])
+def test_fast_path_equals_the_image_exactly(effects):
     rng = np.random.default_rng(0)
     model = GelModel.builtin()
     model.rest_image = rng.integers(0, 256, (320, 240, 3), dtype=np.uint8)  # saturates and rounds everywhere
-    for multiply in (True, False):
-        model.multiply = multiply
-        sensor = TactileSensor(model)
-        for i in range(20):
-            kind = (SPHERE, CAPSULE, BOX)[i % 3]
-            euler, x, y = rng.uniform(-1, 1, 3), rng.uniform(-5, 5), rng.uniform(-7, 7)
-            depth = press(sensor, kind, rng.uniform(1, 3), euler, x, y)
-            assert sensor.contact_from_depth(depth) == sensor.contact(sensor.image(depth))
+    model.effects = {e: {p.name: p.default for p in OPTICS[e].parameters} for e in effects}
+    sensor = TactileSensor(model)
+    for i in range(12):
+        kind = (SPHERE, CAPSULE, BOX)[i % 3]
+        euler, x, y = rng.uniform(-1, 1, 3), rng.uniform(-5, 5), rng.uniform(-7, 7)
+        depth = press(sensor, kind, rng.uniform(1, 3), euler, x, y)
+        assert sensor.contact_from_depth(depth) == sensor.contact(sensor.image(depth))
+
+
+def test_skin_draws_the_imprint_back_but_never_below_rest(sensor):
+    gel = replace(sensor.model, depth_scale=0.6)
+    depth = press(sensor)
+    np.testing.assert_allclose(gel.imprint(depth), np.maximum(depth - 0.4 * depth.max(), 0), atol=1e-6)
+    assert not gel.imprint(np.zeros_like(depth)).any()
+    shallow, deep = (TactileSensor(g).image(depth).astype(int) for g in (gel, sensor.model))
+    assert 0 < np.abs(shallow - gel.rest_image).sum() < np.abs(deep - gel.rest_image).sum()
 
 
 def test_image_is_the_photometric_formula(sensor):
@@ -107,6 +119,8 @@ def test_a_gel_survives_the_twins_file(tmp_path):
         ("depth_light", [1.0, 2.0, float("nan")], "depth_light"),
         ("px_per_mm", -3.0, "px_per_mm"),
         ("decay_mm", "long", "decay_mm"),
+        ("depth_scale", 1.2, "depth_scale"),
+        ("multiply", True, "multiply"),
         ("colour", 3.0, "colour"),
     ],
 )

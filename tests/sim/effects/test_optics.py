@@ -1,0 +1,124 @@
+"""Optics effects beside those of a body: known by name, kept in a twin, and no business of the finger's."""
+
+import numpy as np
+import pytest
+
+from pneutac_sim.effects import all_effects, get_effect
+from pneutac_sim.effects.optics import OPTICS, SENSOR
+from pneutac_sim.effects.registry import of_body
+from pneutac_sim.errors import InputError
+from pneutac_sim.finger import Pipeline
+from pneutac_sim.gel.model import GelModel
+from pneutac_sim.gel.sensor import TactileSensor
+from pneutac_sim.twin import Twin, Value
+
+DEPTH = np.pad(np.full((20, 15), 0.6, np.float32), ((30, 30), (22, 22)))
+
+
+def lit(effects=SENSOR):
+    """A gel with these effects, each parameter a little above its least."""
+    gel = GelModel.builtin()
+    gel.effects = {
+        e: {p.name: p.lower + 0.02 * (p.upper - p.lower) for p in OPTICS[e].parameters} for e in effects
+    }
+    return gel
+
+
+def crept():
+    twin = Twin.builtin()
+    twin.effects["creep"] = {
+        k: Value(v.value, (0.0, 1.0)) for k, v in get_effect("creep").start(15.0).items()
+    }
+    return twin
+
+
+@pytest.mark.parametrize("effect", OPTICS.values(), ids=lambda e: e.name)
+def test_tells_a_newcomer_what_it_is(effect):
+    text = effect.describe({k: v.value for k, v in effect.start().items()}, "DIGIT")
+    assert text.endswith(".") and "{" not in text and "nan" not in text and "DIGIT" in text
+    assert effect.experiment.endswith(".") and effect.stage == "optics"
+
+
+@pytest.mark.parametrize("effect", OPTICS.values(), ids=lambda e: e.name)
+def test_every_parameter_has_a_prior_within_its_bounds(effect):
+    assert len(effect.prior_sd) == len(effect.parameters) and min(effect.prior_sd) > 0
+    for p, sd in zip(effect.parameters, effect.prior_sd, strict=True):
+        assert p.lower <= p.default <= p.upper and sd < p.upper - p.lower
+
+
+def test_optics_are_found_by_name_and_are_no_effects_of_a_body():
+    for name, effect in OPTICS.items():
+        assert get_effect(name) is effect
+    assert not set(OPTICS) & set(all_effects()) and set(SENSOR) < set(OPTICS)
+    assert of_body(["creep", *OPTICS, "leak"]) == ["creep", "leak"]
+    with pytest.raises(InputError, match="near_light"):
+        get_effect("near_lights")
+
+
+@pytest.mark.parametrize("name", SENSOR)
+def test_every_effect_of_a_sensor_changes_the_image(name):
+    plain = TactileSensor(lit(())).image(DEPTH).astype(int)
+    assert np.abs(TactileSensor(lit((name,))).image(DEPTH) - plain).max() > 5
+
+
+@pytest.mark.parametrize("name", SENSOR)
+def test_every_effect_of_a_sensor_leaves_a_gel_at_rest_alone(name):
+    sensor = TactileSensor(lit((name,)))
+    np.testing.assert_array_equal(sensor.image(np.zeros_like(DEPTH)), sensor.rest_image)
+
+
+def test_a_gels_effects_go_into_a_twins_file_and_come_back(tmp_path):
+    gel, twin = lit(OPTICS), Twin(device="gel", length_mm=16.0)
+    gel.into_twin(twin)
+    assert set(twin.effects) == set(OPTICS) and "effects" not in twin.gel
+    twin.save(tmp_path)
+    read = GelModel.from_twin(Twin.load(tmp_path))
+    assert read.effects == gel.effects
+    np.testing.assert_array_equal(TactileSensor(read).image(DEPTH), TactileSensor(gel).image(DEPTH))
+
+
+def test_a_finger_keeps_its_bodys_effects_when_it_gets_another_gel():
+    twin = crept()
+    lit().into_twin(twin)
+    assert list(twin.effects) == ["creep", *SENSOR]
+    lit(("rest_colour",)).into_twin(twin)
+    assert list(twin.effects) == ["creep", "rest_colour"]
+    assert twin.effects["creep"] == crept().effects["creep"], "with its confidence intervals"
+    assert GelModel.from_twin(twin).effects == lit(("rest_colour",)).effects
+
+
+def test_the_fingers_pipeline_knows_nothing_of_light():
+    twin, carrying = crept(), crept()
+    lit(OPTICS).into_twin(carrying)
+    plain, pipeline = Pipeline.of(twin), Pipeline.of(carrying)
+    assert pipeline.names == plain.names and [e.name for e in pipeline.effects] == ["creep"]
+    theta = pipeline.theta(carrying)
+    np.testing.assert_array_equal(theta, plain.theta(twin))
+    updated = pipeline.update(carrying, 1.01 * theta)
+    assert set(updated.effects) == {"creep", *OPTICS}
+    assert GelModel.from_twin(updated).effects == lit(OPTICS).effects
+
+
+@pytest.mark.parametrize(
+    "effect, values, says",
+    [
+        ("rest_colour", {"exponent_pink": Value(1.0)}, "rest_colour.*exponent_red"),
+        ("rest_colour", {"exponent_red": Value(1.0)}, "rest_colour"),
+        ("near_light", {f"distance_{c}_mm": Value(np.nan) for c in ("red", "green", "blue")}, "near_light"),
+    ],
+)
+def test_broken_parameters_of_an_effect_are_named(effect, values, says):
+    twin = Twin(device="gel", length_mm=16.0)
+    lit().into_twin(twin)
+    twin.effects[effect] = values
+    with pytest.raises(InputError, match=says) as e:
+        GelModel.from_twin(twin)
+    assert "\n" not in str(e.value)
+
+
+def test_a_fingers_pipeline_refuses_an_unknown_parameter_of_its_gel_too():
+    twin = crept()
+    lit().into_twin(twin)
+    twin.effects["shadow"]["length_mm"] = Value(1.0)
+    with pytest.raises(InputError, match="shadow.*length_mm"):
+        Pipeline.of(twin).theta(twin)

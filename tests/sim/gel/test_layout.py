@@ -1,0 +1,91 @@
+"""Which way round a sensor's images are, told by the directions of its light."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from pneutac_sim.gel.layout import DIGIT, MATCH_DEG, Layout, Orientation, recognise
+
+EVERY = [
+    Orientation(c, x, y)
+    for c in itertools.permutations(range(3))
+    for x, y in itertools.product((False, True), repeat=2)
+]
+PLACES = [(0.0, 0.0), (0.6, -1.0), (-2.0, 3.0), (2.0, 4.0)]
+SIZE = (240, 320)
+
+
+def light_of(layout, x_mm, y_mm):
+    """L (3, 2) of a layout's lights at a place, of unlike strengths."""
+    away = np.array([x_mm, y_mm]) - layout.positions_mm
+    return away / np.linalg.norm(away, axis=1)[:, None] * np.array([[120.0], [80.0], [40.0]])
+
+
+def mismatch_deg(layout, light, x_mm, y_mm):
+    """Largest angle between the layout's directions and the light's."""
+    a, b = light_of(layout, x_mm, y_mm), light
+    cosine = (a * b).sum(1) / np.linalg.norm(a, axis=1) / np.linalg.norm(b, axis=1)
+    return np.degrees(np.arccos(np.clip(cosine, -1, 1))).max()
+
+
+@pytest.mark.parametrize("x_mm, y_mm", PLACES)
+def test_a_digits_own_directions_are_recognised(x_mm, y_mm):
+    assert recognise(light_of(DIGIT, x_mm, y_mm), x_mm, y_mm, SIZE) == Orientation()
+
+
+@pytest.mark.parametrize("orientation", EVERY, ids=str)
+@pytest.mark.parametrize("x_mm, y_mm", PLACES)
+def test_every_order_of_channels_and_mirroring_is_found(orientation, x_mm, y_mm):
+    """Or upright, where the make's own orientation fits within the limit as well."""
+    light = light_of(orientation.of(DIGIT), x_mm, y_mm)
+    found = recognise(light, x_mm, y_mm, SIZE)
+    if mismatch_deg(DIGIT, light, x_mm, y_mm) < MATCH_DEG:
+        assert found == Orientation()
+    else:
+        assert found is not None and found == orientation
+
+
+def test_few_orientations_are_taken_for_upright():
+    upright = [o for o in EVERY if recognise(light_of(o.of(DIGIT), 0, 0), 0, 0, SIZE) == Orientation()]
+    assert len(upright) <= 2 and Orientation() in upright
+    assert Orientation((2, 1, 0)) not in upright, "BGR is told from RGB"
+    assert Orientation(mirror_x=True) not in upright and Orientation(mirror_y=True) not in upright
+
+
+def test_the_directions_may_be_off_by_less_than_the_limit():
+    for degrees, expected in ((MATCH_DEG - 5, Orientation()), (-MATCH_DEG + 5, Orientation())):
+        c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+        turned = light_of(DIGIT, 0, 0) @ np.array([[c, s], [-s, c]])
+        assert recognise(turned, 0, 0, SIZE) == expected
+
+
+@pytest.mark.parametrize("size", [(320, 320), (320, 240), (200, 320)])
+def test_images_of_other_proportions_are_of_no_digit(size):
+    assert recognise(light_of(DIGIT, 0, 0), 0, 0, size) is None
+
+
+def test_other_directions_are_of_no_digit():
+    assert recognise(np.full((3, 2), 50.0), 0, 0, SIZE) is None, "all lights on one side"
+    a = np.radians([0, 180, 200])
+    assert recognise(80 * np.stack([np.cos(a), np.sin(a)], -1), 0, 0, SIZE) is None, "two opposite"
+    rng = np.random.default_rng(0)
+    found = [recognise(rng.normal(size=(3, 2)), 0, 0, SIZE) for _ in range(400)]
+    assert np.mean([f is not None for f in found]) < 0.1
+
+
+def test_another_make_is_known_by_its_own_lights():
+    make = Layout("other", ((0.0, -20.0), (17.0, 10.0), (-17.0, 10.0)), (1.0, 1.0, 1.0), 1.0)
+    light = light_of(make, 1.0, 1.0)
+    assert recognise(light, 1.0, 1.0, (100, 100), make) == Orientation()
+    assert recognise(light, 1.0, 1.0, (100, 100)) is None
+
+
+def test_an_orientation_says_what_it_is_and_undoes_itself():
+    assert str(Orientation()) == "upright RGB"
+    assert str(Orientation((2, 1, 0))) == "channels BGR instead of RGB"
+    assert str(Orientation(mirror_x=True)) == "mirrored left to right"
+    both = Orientation((2, 1, 0), True, True)
+    assert str(both) == "channels BGR instead of RGB and turned upside down"
+    assert both.of(both.of(DIGIT)) == DIGIT
+    assert both.of(DIGIT).positions_mm[0] == (-22.0, -107.0) and both.of(DIGIT).exponents[0] == 0.4

@@ -1,0 +1,71 @@
+"""Pairs of images that cannot be what they are said to be, and impossible indenters."""
+
+import numpy as np
+import pytest
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.gel.fit import fit_gel
+from pneutac_sim.gel.indenter import Press
+from pneutac_sim.gel.model import GelModel
+from pneutac_sim.gel.pair import check_pair, press_px
+
+BALL = Press("sphere", 3.0, 0.6, -1.0, 0.9)
+NOTHING = Press("sphere", 3.0, 0, 0, 1e-6)
+
+
+@pytest.mark.parametrize(
+    "press", [BALL, Press("cube", 4.0, -1, 2, 0.5, 0.3), Press("edge", 6.0, 0, 0, 0.6, 1.0)]
+)
+def test_a_pair_is_refused_when_swapped_and_taken_when_not(press, photograph):
+    gel = GelModel.builtin()
+    rest, image = photograph(gel, NOTHING, noise=3, seed=1), photograph(gel, press, noise=3)
+    check_pair(rest, image, press, 20.0)
+    with pytest.raises(InputError, match="swapped"):
+        check_pair(image, rest, press, 20.0)
+
+
+def wrong(says, rest, image):
+    """The pair and press that deserve this sentence."""
+    return {
+        "the same picture": (rest, rest.copy(), BALL),
+        "shows no contact": (rest, image, Press("sphere", 3.0, -3, 5, 0.9)),
+        "lies outside the image": (rest, image, Press("sphere", 3.0, 0, 30, 0.9)),
+        "another sensor": (np.ascontiguousarray(rest[::-1, ::-1]), image, BALL),
+        "one size": (rest[:200], image, BALL),
+        "pixels wide": (rest, image, Press("sphere", 3.0, 0, 0, 1e-8)),
+    }[says]
+
+
+@pytest.mark.parametrize(
+    "says",
+    [
+        "the same picture",
+        "shows no contact",
+        "lies outside the image",
+        "another sensor",
+        "one size",
+        "pixels wide",
+    ],
+)
+def test_bad_pairs_get_one_sentence(says, photograph):
+    gel = GelModel.builtin()
+    rest, image, press = wrong(says, gel.rest_image, photograph(gel, BALL, noise=2))
+    with pytest.raises(InputError, match=says) as e:
+        fit_gel(rest, image, press, 20.0)
+    assert "\n" not in str(e.value)
+
+
+def test_noise_alone_is_no_contact(photograph):
+    gel = GelModel.builtin()
+    with pytest.raises(InputError, match="shows no contact"):
+        check_pair(gel.rest_image, photograph(gel, NOTHING, noise=2), BALL, 20.0)
+
+
+def test_a_press_is_measured_from_the_images_centre():
+    assert press_px(Press("sphere", 3.0, 1.0, -2.0, 0.5), (320, 240, 3), 20.0) == (140.0, 120.0)
+
+
+@pytest.mark.parametrize("bad", [{"indenter": "thumb"}, {"depth_mm": 0.0}, {"size_mm": float("nan")}])
+def test_impossible_indenters_are_refused(bad):
+    with pytest.raises(InputError):
+        Press(**{"indenter": "sphere", "size_mm": 3.0, "x_mm": 0, "y_mm": 0, "depth_mm": 0.5} | bad)

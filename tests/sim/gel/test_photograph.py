@@ -1,0 +1,137 @@
+"""Photographs: where an indenter touches, what the light did since the rest image, and predictions."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.gel.indenter import INDENTERS, Press
+from pneutac_sim.gel.model import GelModel
+from pneutac_sim.gel.photograph import (
+    Photograph,
+    Predictor,
+    gains,
+    press_depth,
+    registered,
+    session_light,
+    to_grid,
+)
+
+BALL = Press("sphere", 3.0, 0.6, -1.0, 0.9)
+OTHER = Press("sphere", 3.0, -2.0, 4.0, 0.7)
+
+
+def lit(image, levels):
+    return np.clip(image + np.array(levels, float), 0, 255).round().astype(np.uint8)
+
+
+@pytest.fixture
+def drifted(linear, photograph):
+    """A photograph of a contact since whose rest image the light has changed by known levels."""
+    image = photograph(linear, BALL)
+    return Photograph(BALL, lit(image, [10, -6, 4]), linear.rest_image)
+
+
+# ---------------------------------------------------------------- where it touches
+
+
+@pytest.mark.parametrize("kind", INDENTERS)
+def test_every_indenter_touches_at_its_place_and_depth(kind):
+    gel = GelModel.builtin()
+    depth = press_depth(Press(kind, 3.0, 1.0, -2.0, 0.7, yaw_rad=0.4), gel)
+    assert 0.5 < depth.max() <= 0.7 + 1e-5
+    i, j = np.nonzero(depth > 0.9 * depth.max())
+    assert np.mean((j + 0.5) * 12 / 59 - 6) == pytest.approx(1.0, abs=0.15)
+    assert np.mean((i + 0.5) * 0.2 - 8) == pytest.approx(-2.0, abs=0.15)
+
+
+def test_an_edge_lies_along_its_yaw():
+    depth = press_depth(Press("edge", 6.0, 0, 0, 0.7, yaw_rad=0.5), GelModel.builtin())
+    i, j = np.nonzero(depth > 0.5)
+    slope = np.polyfit((j + 0.5) * 12 / 59 - 6, (i + 0.5) * 0.2 - 8, 1)[0]
+    assert np.arctan(slope) == pytest.approx(0.5, abs=0.05)
+
+
+def test_a_registration_shift_turns_scales_and_moves_a_press(linear):
+    assert registered(OTHER, linear) is OTHER
+    v = {"shift_x_mm": 0.5, "shift_y_mm": -1.0, "turn_rad": np.pi / 2, "scale": 2.0}
+    true = registered(replace(OTHER, yaw_rad=0.1), replace(linear, effects={"registration_shift": v}))
+    assert (true.x_mm, true.y_mm) == pytest.approx((-8 + 0.5, -4 - 1))
+    assert true.yaw_rad == pytest.approx(0.1 + np.pi / 2)
+    assert (true.depth_mm, true.size_mm) == (OTHER.depth_mm, OTHER.size_mm)
+
+
+def test_near_and_far_pixels_part_the_image(drifted):
+    near, far = to_grid(drifted.near(20.0)), drifted.far(20.0)
+    assert near.max() == 1 and 0.1 < far.mean() < 0.9
+    assert near[far].max() < 0.011
+    radius = np.sqrt(drifted.near(20.0).sum() / np.pi) / 20.0
+    assert radius == pytest.approx(3 * np.sqrt(3 * 0.9), rel=0.25), "cut off by the image's rim"
+
+
+# ---------------------------------------------------------------- light of the session
+
+
+def test_the_sessions_light_is_read_away_from_the_contact_and_filled_in_under_it(drifted):
+    drift = session_light(drifted, 20.0)
+    assert drift.shape == (80, 59, 3)
+    np.testing.assert_allclose(drift.mean((0, 1)), [10, -6, 4], atol=0.3)
+    np.testing.assert_allclose(drift, np.broadcast_to([10, -6, 4], drift.shape), atol=1.5)
+
+
+def test_a_gain_of_the_light_is_a_gain_of_the_rest_image(linear, photograph):
+    pair = Photograph(BALL, photograph(linear, BALL, gain=1.06), linear.rest_image)
+    drift, rest = session_light(pair, 20.0), to_grid(linear.rest_image)
+    np.testing.assert_allclose(drift, 0.06 * rest, atol=2.0)
+
+
+def test_nothing_is_told_where_the_contact_fills_the_image(linear, photograph):
+    press = Press("sphere", 20.0, 0, 0, 1.5)
+    pair = Photograph(press, lit(photograph(linear, press), [20, 20, 20]), linear.rest_image)
+    assert not session_light(pair, 20.0).any()
+
+
+def test_gains_go_with_the_clock(linear):
+    assert gains(linear, 0.5).tolist() == [1, 1, 1]
+    v = {"gain_red": 1.1, "gain_green": 1.0, "gain_blue": 0.9}
+    v |= {"drift_red": 0.0, "drift_green": 0.2, "drift_blue": -0.1}
+    linear.effects = {"illumination_drift": v}
+    np.testing.assert_allclose(gains(linear, 0.5), [1.1, 1.1, 0.85])
+
+
+def test_half_of_a_pairs_drift_is_expected_of_the_session_and_none_of_another(linear, drifted):
+    steady, predictor = Predictor(linear), Predictor(linear, drifted)
+    session = predictor.image(OTHER, drifted.rest).astype(float) - steady.image(OTHER, drifted.rest)
+    np.testing.assert_allclose(session.mean((0, 1)), [5, -3, 2], atol=0.3)
+    other = drifted.rest.copy()
+    np.testing.assert_array_equal(predictor.image(OTHER, other), steady.image(OTHER, other))
+
+
+def test_a_gel_that_knows_the_drift_needs_no_pair(linear, drifted):
+    v = {f"{kind}_{c}": float(kind == "gain") for kind in ("gain", "drift") for c in ("red", "green", "blue")}
+    linear.effects = {"illumination_drift": v | {"gain_red": 1.1, "drift_red": -0.2}}
+    predictor = Predictor(linear, drifted)
+    for clock, gain in ((0.0, 1.1), (0.5, 1.0), (1.0, 0.9)):
+        image = predictor.image(OTHER, drifted.rest, clock).astype(float)
+        bright = drifted.rest[..., 0] < 200
+        far = ~Photograph(OTHER, drifted.image, drifted.rest).near(20.0) & bright
+        assert np.median(image[far, 0] / drifted.rest[far, 0]) == pytest.approx(gain, abs=0.01)
+        np.testing.assert_allclose(image[far, 1], drifted.rest[far, 1], atol=2)
+
+
+def test_each_photograph_is_predicted_on_its_own_rest_image(linear):
+    predictor = Predictor(linear)
+    first, second = linear.rest_image, np.full_like(linear.rest_image, 90)
+    far = ~Photograph(OTHER, first, first).near(20.0)
+    for rest in (first, second, first):
+        np.testing.assert_allclose(predictor.image(OTHER, rest)[far], rest[far].astype(float), atol=3)
+
+
+def test_resizing_keeps_the_physics(photograph):
+    gel = GelModel.builtin().resized(640, 480)
+    assert gel.window_mm == pytest.approx((12, 16)) and gel.px_per_mm == 40
+    large = photograph(gel, BALL).reshape(320, 2, 240, 2, 3).mean((1, 3))
+    assert np.abs(large - photograph(GelModel.builtin(), BALL)).max() < 3
+    with pytest.raises(InputError, match="crop"):
+        gel.resized(320, 320)
