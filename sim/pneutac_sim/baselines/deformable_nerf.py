@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 import torch
 from scipy.ndimage import map_coordinates
@@ -14,7 +15,7 @@ from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.carry import carry
 from pneutac_sim.splat.rasteriser import Rendering
 
-SAMPLES = 48  # of a ray between the nearest and the farthest particle
+SAMPLES = 32  # of a ray between the nearest and the farthest particle
 REACH = 1.0  # over the particles' spacing: beyond it from every particle there is nothing
 UNIT_M = 0.01  # of the encoding
 WAVES = 2.0 ** np.arange(-2, 5)  # angular frequencies of the encoding, 1/unit; the shortest wave is 4 mm
@@ -69,7 +70,7 @@ class DeformableNerf:
         image: np.ndarray,
         mask: np.ndarray,
         camera: Camera,
-        iterations: int = 1500,
+        iterations: int = 1000,
         seed: int = 0,
     ) -> "DeformableNerf":
         """From one photograph: colours and coverage of rays chosen at random, by Adam.
@@ -123,39 +124,45 @@ class DeformableNerf:
         weight = through * (1 - torch.exp(-depth))
         return torch.cat([(weight[..., None] * colour).sum(1), weight.sum(1, keepdim=True)], 1)
 
-    def _rays(self, positions, gradients, camera: Camera):
-        """Pixels (rows, columns) that may see the body, their samples (R, S, 3) brought back into the straight
-        body's space, which of them can hold matter (R, S), and the step between them, m.
-        """  # noqa: D205
+    def _rays(self, positions: np.ndarray, gradients: np.ndarray, camera: Camera):
+        """Rays that may meet the body.
+
+        Returns:
+            Rows and columns of their pixels (R,), samples brought back to where the body is straight
+            (R, S, 3), which of these can hold matter (R, S), and the step between them, m.
+        """
         h = self.body.spacing_m
-        covered = draw_disks(camera, positions, 1.5 * h, np.zeros_like(positions)).alpha > 0
-        rows, columns = np.nonzero(covered)
-        K, E = camera.intrinsics, camera.extrinsics
-        pixels = np.stack([columns + 0.5, rows + 0.5, np.ones(len(rows))], 1)
-        directions = pixels @ np.linalg.inv(K).T  # depth 1; the paper's cameras have no distortion to speak of
+        rows, columns = np.nonzero(draw_disks(camera, positions, 1.5 * h, np.zeros_like(positions)).alpha)
+        pixels = np.stack([columns, rows], 1) + 0.5
+        flat = cv2.undistortPoints(pixels[:, None], camera.intrinsics, camera.lens)[:, 0]
         depth = camera.project(positions)[1]
         edges = np.linspace(depth.min() - h, depth.max() + h, SAMPLES + 1)
         middle = (edges[:-1] + edges[1:]) / 2
-        seen = directions[:, None] * middle[:, None]  # (R, S, 3) in the camera's frame
-        world = (seen - E[:3, 3]) @ E[:3, :3]
+        seen = np.concatenate([flat, np.ones((len(flat), 1))], 1)[:, None] * middle[:, None]
+        world = (seen - camera.extrinsics[:3, 3]) @ camera.extrinsics[:3, :3]
         places = self._straighten(world.reshape(-1, 3), positions, gradients)
-        low = self.body.origin_m - 2 * h
-        grid = np.stack(np.meshgrid(*(np.arange(n + 4) for n in self.body.cells.max(0) + 1), indexing="ij"), -1)
-        distance = cKDTree(self.body.positions).query(low + (grid.reshape(-1, 3) + 0.5) * h)[0]
-        near = _interpolate(distance.reshape(grid.shape[:3]), (places - low) / h - 0.5)
-        inside = (near < REACH * h).reshape(len(rows), SAMPLES)
-        return rows, columns, places.reshape(len(rows), SAMPLES, 3).astype(np.float32), inside, float(middle[1] - middle[0])
+        low = self.body.origin_m - 1.5 * h
+        nodes = _lattice(self.body.cells.max(0) + 5)
+        distance = cKDTree(self.body.positions).query(low + h * nodes.reshape(-1, 3))[0]
+        near = _interpolate(distance.reshape(nodes.shape[:3]), (places - low) / h)
+        shape = len(rows), SAMPLES
+        inside = (near < REACH * h).reshape(shape)
+        step = float(middle[1] - middle[0])
+        return rows, columns, places.reshape(*shape, 3).astype(np.float32), inside, step
 
     def _straighten(self, points: np.ndarray, positions: np.ndarray, gradients: np.ndarray) -> np.ndarray:
         """(K, 3) where points of the bent body's space lie in that of the straight one."""
         h = self.body.spacing_m
         low = np.minimum(positions.min(0), points.min(0)) - h
         shape = np.ceil((np.maximum(positions.max(0), points.max(0)) + h - low) / h).astype(int) + 1
-        grid = np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), -1)
-        nodes = low + grid.reshape(-1, 3) * h
+        nodes = low + h * _lattice(shape).reshape(-1, 3)
         back = carry(nodes, positions, self.body.positions, np.linalg.inv(gradients)) - nodes
         at = (points - low) / h
         return points + np.stack([_interpolate(back[:, k].reshape(shape), at) for k in range(3)], 1)
+
+
+def _lattice(shape) -> np.ndarray:
+    return np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), -1)
 
 
 def _interpolate(values: np.ndarray, at: np.ndarray) -> np.ndarray:

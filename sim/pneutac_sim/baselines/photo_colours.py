@@ -3,8 +3,9 @@
 import numpy as np
 
 from pneutac_sim.mpm.body import Body
-from pneutac_sim.splat.body import blank_looks, check_photograph, surroundings, unseen
+from pneutac_sim.splat.body import FAR_SIDE, check_photograph, surroundings, unseen
 from pneutac_sim.splat.camera import Camera
+from pneutac_sim.splat.follow import SCALE, blank_looks
 
 
 def photo_colours(
@@ -27,6 +28,6 @@ def photo_colours(
     """
     check_photograph(positions, image, mask, camera)
     now = blank_looks(body).moved(positions, gradients)
-    seen = surroundings(now, image, mask, camera, 1.0)
-    hidden = surroundings(now, image, mask, camera, 2.0)
+    seen = surroundings(now, image, mask, camera, SCALE * body.spacing_m)
+    hidden = surroundings(now, image, mask, camera, FAR_SIDE * body.spacing_m)
     return np.where(unseen(now, camera)[:, None], hidden, seen)

@@ -1,4 +1,4 @@
-"""Draws triangles and disks, the nearest on top: the renderer of the baselines, without lights or blending."""
+"""Draws triangles and disks, the nearest on top, without lights or blending."""
 
 import cv2
 import numpy as np

@@ -1,10 +1,9 @@
-"""The looks of a finger or an arm: one Gaussian a particle, coloured by one segmented photograph.
+"""The looks of a finger or an arm: Gaussians on its particles, coloured by one segmented photograph.
 
-    looks = fit_body_looks(solver.body, rest.positions[0], rest.gradients[0], image, mask, camera)
-    picture = rasterise(looks.moved(bent.positions[0], bent.gradients[0]), other_camera)
-    looks_into_twin(twin, looks)
-
-Gaussians lie on the straight body's particles, so they follow any state of the same body.
+looks = fit_body_looks(solver.body, rest.positions[0], rest.gradients[0], image, mask, camera)
+now = carried(looks, solver.body, bent.positions[0], bent.gradients[0])
+picture = rasterise(now, other_camera)
+looks_into_twin(twin, looks)
 """
 
 from dataclasses import replace
@@ -16,13 +15,14 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.mpm.body import Body
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.colours import fit_looks
+from pneutac_sim.splat.follow import blank_looks, carried
 from pneutac_sim.splat.gaussians import Gaussians
 from pneutac_sim.splat.rasteriser import Splats
 from pneutac_sim.twin import Twin
 
-SCALE = 0.4  # standard deviation over the particles' spacing: neighbours overlap without gaps
-OPACITY = 0.9  # to start from; particles that the photograph does not show keep it
 SEEN = 0.1  # a particle counts as seen from this share of its own footprint on
+OUTSIDE = 0.02  # opacity to start from where the mask says that there is nothing, on the far side too
+FAR_SIDE = 1.6  # blur of what the far side takes from the near one, over the particles' spacing
 ARRAYS = {f"body_{name}": name for name in ("means", "scales", "colours", "opacities")}
 
 
@@ -34,6 +34,7 @@ def fit_body_looks(
     mask: np.ndarray,
     camera: Camera,
     iterations: int = 300,
+    detail: int = 1,
 ) -> Gaussians:
     """Colours and opacities of a body's Gaussians from one photograph; scales stay fixed.
 
@@ -49,36 +50,29 @@ def fit_body_looks(
         mask: bool (H, W), where the body is.
         camera: from where, in the frame of `positions`.
         iterations: of Adam.
+        detail: Gaussians along each edge of a particle at the surface. 1, one a particle, is the paper's and
+            fast; 3 resolves what is smaller than a particle and wants twice the iterations.
 
     Returns:
-        Gaussians of the straight body; `moved` carries them to other states.
+        Gaussians of the straight body; `follow.carried` brings them to other states.
 
     Raises:
         InputError: image, mask, camera and particles do not fit together.
     """
     check_photograph(positions, image, mask, camera)
-    looks = blank_looks(body)
-    now = looks.moved(positions, gradients)
+    looks = blank_looks(body, detail)
+    now = carried(looks, body, positions, gradients)
     inside = mask.astype(np.float32)
-    target = image.astype(np.float32) / 255 * inside[..., None]
+    # On the body's own mean colour a Gaussian across its outline is told apart by coverage, not by darkness.
+    behind = image[mask].mean(0) / 255
+    target = np.where(mask[..., None], image / 255, behind)
+    start = np.where(_there(now, inside, camera) > 0.5, now.opacities, OUTSIDE)
     colours, opacities = fit_looks(
-        camera, now.means, now.covariances(), now.opacities, target, coverage=inside, iterations=iterations
+        camera, now.means, now.covariances(), start, target, behind, coverage=inside, iterations=iterations
     )
     hidden = unseen(replace(now, opacities=opacities), camera)
-    colours[hidden] = surroundings(now, image, mask, camera, 2.0)[hidden]
+    colours[hidden] = surroundings(now, image, mask, camera, FAR_SIDE * body.spacing_m)[hidden]
     return replace(looks, colours=colours, opacities=opacities)
-
-
-def blank_looks(body: Body) -> Gaussians:
-    """Black Gaussians on the particles of a straight body."""
-    n = len(body.positions)
-    return Gaussians(
-        body.positions,
-        np.full((n, 3), SCALE * body.spacing_m),
-        np.broadcast_to(np.eye(3), (n, 3, 3)),
-        np.zeros((n, 3)),
-        np.full(n, OPACITY),
-    )
 
 
 def check_photograph(positions: np.ndarray, image: np.ndarray, mask: np.ndarray, camera: Camera) -> None:
@@ -118,31 +112,17 @@ def looks_into_twin(twin: Twin, looks: Gaussians) -> None:
     twin.arrays |= {array: getattr(looks, name) for array, name in ARRAYS.items()}
 
 
-def looks_from_twin(twin: Twin, body: Body) -> Gaussians:
-    """Looks that `looks_into_twin` kept.
-
-    Args:
-        twin: a finger's or an arm's.
-        body: the particles that they shall follow.
-
-    Raises:
-        InputError: the twin has no looks, or they are of other particles than this body's.
-    """
+def looks_from_twin(twin: Twin) -> Gaussians:
+    """Looks that `looks_into_twin` kept; raises InputError where the twin has none."""
     if missing := [a for a in ARRAYS if a not in twin.arrays]:
         raise InputError(
             f"The twin has no looks (array '{missing[0]}' is missing); calibrate it with photographs first."
         )
-    looks = Gaussians(
-        rotations=np.broadcast_to(np.eye(3), (len(twin.arrays["body_means"]), 3, 3)),
+    n = len(twin.arrays["body_means"])
+    return Gaussians(
+        rotations=np.broadcast_to(np.eye(3), (n, 3, 3)),
         **{name: twin.arrays[array] for array, name in ARRAYS.items()},
     )
-    same = looks.means.shape == body.positions.shape
-    if not (same and np.abs(looks.means - body.positions).max() < 0.1 * body.spacing_m):
-        raise InputError(
-            f"The twin's looks are those of {len(looks)} particles, the body has {len(body.positions)} in "
-            "other places; use as many as in the calibration, or calibrate with photographs again."
-        )
-    return looks
 
 
 def unseen(looks: Gaussians, camera: Camera) -> np.ndarray:
@@ -154,7 +134,7 @@ def unseen(looks: Gaussians, camera: Camera) -> np.ndarray:
 
 
 def surroundings(
-    looks: Gaussians, image: np.ndarray, mask: np.ndarray, camera: Camera, width: float
+    looks: Gaussians, image: np.ndarray, mask: np.ndarray, camera: Camera, sigma_m: float
 ) -> np.ndarray:
     """(n, 3) mean colour of the photograph round each Gaussian, 0 to 1, of pixels inside the mask.
 
@@ -163,14 +143,20 @@ def surroundings(
         image: RGB uint8 (H, W, 3).
         mask: bool (H, W).
         camera: of the photograph.
-        width: of the surroundings (a normal distribution) over the Gaussians' own.
+        sigma_m: standard deviation of the surroundings, m in the body's plane.
     """
-    pixels, depth = camera.project(looks.means)
-    sigma = width * float(np.median(looks.scales.mean(1) * camera.intrinsics[0, 0] / depth))
+    depth = camera.project(looks.means)[1]
+    sigma = sigma_m * camera.intrinsics[0, 0] / float(np.median(depth))
     inside = mask.astype(np.float32)
     share = cv2.GaussianBlur(inside, (0, 0), sigma)
     near = cv2.GaussianBlur(image / np.float32(255) * inside[..., None], (0, 0), sigma)
     near /= np.maximum(share, 1e-6)[..., None]
     near[share < 1e-3] = image[mask].mean(0) / 255  # too far outside to have surroundings
+    return _there(looks, near, camera).clip(0, 1)
+
+
+def _there(looks: Gaussians, picture: np.ndarray, camera: Camera) -> np.ndarray:
+    """(n, ...) what a picture (H, W, ...) shows where the centres of Gaussians are."""
+    pixels, _ = camera.project(looks.means)
     at = np.floor(pixels).clip(0, (camera.width - 1, camera.height - 1)).astype(int)
-    return near[at[:, 1], at[:, 0]].clip(0, 1)
+    return picture[at[:, 1], at[:, 0]]

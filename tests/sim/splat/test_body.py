@@ -6,9 +6,13 @@ import numpy as np
 import pytest
 
 from pneutac_sim.errors import InputError
+from pneutac_sim.mpm import devices
 from pneutac_sim.mpm.body import Body, Material
+from pneutac_sim.mpm.solve import solve_equilibrium
+from pneutac_sim.mpm.total_lagrangian import Loads
 from pneutac_sim.splat.body import fit_body_looks, looks_from_twin, looks_into_twin
 from pneutac_sim.splat.camera import Camera
+from pneutac_sim.splat.follow import carried
 from pneutac_sim.splat.rasteriser import Splats, rasterise
 from pneutac_sim.twin import Twin
 
@@ -24,7 +28,8 @@ def looks(photographed):
 
 
 def error(p, looks, view, state):
-    picture = rasterise(looks.moved(p.positions[state], p.gradients[state]), p.cameras[view])
+    now = carried(looks, p.body, p.positions[state], p.gradients[state])
+    picture = rasterise(now, p.cameras[view])
     return p.rmse(picture, *p.pictures[view][state])
 
 
@@ -91,14 +96,34 @@ def test_far_side_of_a_two_coloured_bar_is_two_coloured():
 def test_twin_keeps_looks(photographed, looks, tmp_path):
     twin = Twin.builtin()
     looks_into_twin(twin, looks)
-    back = looks_from_twin(Twin.load(twin.save(tmp_path / "twin")), photographed.body)
+    back = looks_from_twin(Twin.load(twin.save(tmp_path / "twin")))
     for name in ("means", "scales", "rotations", "colours", "opacities"):
         np.testing.assert_array_equal(getattr(back, name), getattr(looks, name))
     with pytest.raises(InputError, match="'body_means' is missing"):
-        looks_from_twin(Twin.builtin(), photographed.body)
-    other = replace(photographed.body, cells=photographed.body.cells[:-1])
-    with pytest.raises(InputError, match="other places"):
-        looks_from_twin(twin, other)
+        looks_from_twin(Twin.builtin())
+
+
+def test_looks_follow_particles_of_another_lattice(photographed, looks):
+    """The same finger with fewer particles shows nearly the same picture."""
+    p = photographed
+    solver = devices.finger(p.twin, batch=1, particles=1500, device="cpu")
+    state = solve_equilibrium(solver, Loads(q_cmd=devices.joint_targets(p.twin, [12.0])))
+    now = carried(looks, solver.body, state.positions[0], state.gradients[0])
+    picture = rasterise(now, p.cameras["front"])
+    assert p.rmse(picture, *p.pictures["front"][1]) < 1.15 * error(p, looks, "front", 1)
+    other = replace(solver.body, origin_m=solver.body.origin_m + [0.02, 0, 0])
+    with pytest.raises(InputError, match="those of another body"):
+        carried(looks, other, state.positions[0], state.gradients[0])
+
+
+def test_detail_resolves_what_is_smaller_than_a_particle(photographed, looks):
+    p = photographed
+    fine = fit(p, detail=2, iterations=150)
+    assert len(fine) > 3 * len(looks)
+    for state in (0, 1):
+        assert error(p, fine, "front", state) < 0.92 * error(p, looks, "front", state)
+    with pytest.raises(InputError, match="detail is 0"):
+        fit(p, detail=0)
 
 
 @pytest.mark.parametrize(

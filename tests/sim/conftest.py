@@ -6,17 +6,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pneutac_datasets.photo_reading import read_camera, read_photograph
-from pneutac_datasets.photographs import write_photographs
-from pneutac_sim.mpm import devices
-from pneutac_sim.mpm.solve import solve_equilibrium
-from pneutac_sim.mpm.total_lagrangian import Loads
-from pneutac_sim.twin import Twin, Value
-
 
 @pytest.fixture(scope="session")
 def photographed(tmp_path_factory):
     """Recording, body, states at 0 and 12 kPa, cameras and photographs by view."""
+    from pneutac_datasets.photo_reading import read_camera, read_photograph
+    from pneutac_datasets.photographs import write_photographs
+    from pneutac_sim.mpm import devices
+    from pneutac_sim.mpm.solve import solve_equilibrium
+    from pneutac_sim.mpm.total_lagrangian import Loads
+    from pneutac_sim.twin import Twin, Value
+
     folder = tmp_path_factory.mktemp("photographs") / "finger"
     recording = write_photographs(folder, seed=2, pressures_kpa=[0, 12], particles=3000)
     truth = json.loads((folder.parent / "truth" / "finger.json").read_text())

@@ -1,0 +1,71 @@
+"""Gaussians on the particles of a body, and how they follow them."""
+
+import numpy as np
+from scipy.ndimage import binary_erosion
+from scipy.spatial import cKDTree
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.mpm.body import Body
+from pneutac_sim.splat.gaussians import Gaussians
+
+SCALE = 0.4  # standard deviation over the distance of neighbours: these overlap without gaps
+OPACITY = 0.9  # to start from; what a photograph does not show keeps it
+MOST_DETAIL = 6
+
+
+def blank_looks(body: Body, detail: int = 1) -> Gaussians:
+    """Black Gaussians of a straight body.
+
+    Args:
+        body: its particles.
+        detail: Gaussians along each edge of a particle at the surface; 1 for one a particle.
+
+    Raises:
+        InputError: `detail` is no whole number from 1 to `MOST_DETAIL`.
+    """
+    if isinstance(detail, bool) or not isinstance(detail, int) or not 1 <= detail <= MOST_DETAIL:
+        raise InputError(f"detail is {detail!r}; it must be a whole number from 1 to {MOST_DETAIL}.")
+    h = body.spacing_m
+    filled = np.zeros(body.cells.max(0) + 3, bool)
+    at = tuple((body.cells + 1).T)
+    filled[at] = True
+    outer = ~binary_erosion(filled, np.ones((3, 3, 3)))[at]
+    place = ((np.arange(detail) + 0.5) / detail - 0.5) * h
+    offsets = np.stack(np.meshgrid(place, place, place, indexing="ij"), -1).reshape(-1, 3)
+    fine = (body.positions[outer][:, None] + offsets).reshape(-1, 3)
+    if detail == 1:  # in the particles' order
+        points, scale = body.positions, np.full(len(body.positions), SCALE * h)
+    else:
+        points = np.concatenate([fine, body.positions[~outer]])
+        scale = SCALE * h * np.where(np.arange(len(points)) < len(fine), 1 / detail, 1.0)
+    n = len(points)
+    return Gaussians(
+        points,
+        np.repeat(scale[:, None], 3, 1),
+        np.broadcast_to(np.eye(3), (n, 3, 3)),
+        np.zeros((n, 3)),
+        np.full(n, OPACITY),
+    )
+
+
+def carried(looks: Gaussians, body: Body, positions: np.ndarray, gradients: np.ndarray) -> Gaussians:
+    """Gaussians of a straight body in another state of it, each carried by the nearest particle.
+
+    Args:
+        looks: of the straight body.
+        body: particles, perhaps of another lattice than the one that `looks` were made for.
+        positions: (P, 3) now, m.
+        gradients: (P, 3, 3) deformation gradients now.
+
+    Raises:
+        InputError: a Gaussian is far from all particles: the looks are those of another body.
+    """
+    distance, owner = cKDTree(body.positions).query(looks.means)
+    if distance.max() > 3 * body.spacing_m:
+        raise InputError(
+            f"These looks reach {1e3 * distance.max():.3g} mm beyond the body's particles; they are those of "
+            "another body, so calibrate with photographs again."
+        )
+    F = gradients[owner]
+    means = positions[owner] + np.einsum("nij,nj->ni", F, looks.means - body.positions[owner])
+    return looks.moved(means, F)
