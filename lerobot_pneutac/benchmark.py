@@ -7,8 +7,8 @@ from pneutac_sim.errors import InputError
 # name -> module with `main(argv)`; None where the table is not there yet
 TABLES: dict[str, str | None] = {
     "diagnosis": "lerobot_pneutac.benchmark_diagnosis",
-    "body": None,
-    "tactile": None,
+    "body": "lerobot_pneutac.benchmark_body",
+    "tactile": "lerobot_pneutac.benchmark_tactile",
     "surrogate": None,
     "augment": None,
     "policy": None,

@@ -1,4 +1,4 @@
-"""`pneutac benchmark speed`: what a substep and an equilibrium of the material point solvers cost here."""
+"""`pneutac benchmark speed`: what material points and Gaussian splats cost here."""
 
 import importlib.util
 import subprocess
@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lerobot_pneutac import splat_speed
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm.body import Body, Material
 from pneutac_sim.mpm.solve import solve_equilibrium
@@ -195,7 +196,8 @@ def main(argv: list[str]) -> None:
     with console.status("") as status:
         rows = measure(device, config.repeats, lambda text: status.update(text))
     console.print(Markdown(table(rows)))
+    splats = splat_speed.run(console)
     if config.out is not None:
-        write_result(config.out, {"device": device, "rows": rows})
+        write_result(config.out, {"device": device, "rows": rows, "splats": splats})
         (config.out / "table.md").write_text(table(rows))
         console.print(f"table: {config.out / 'table.md'}", highlight=False)

@@ -156,3 +156,13 @@ def gel_picture(
     write(image, "cut along the white line", left, 40)
     write(image, caption, 16, height - 22, 0.55)
     return image
+
+
+def beside(picture: np.ndarray, tactile: np.ndarray) -> np.ndarray:
+    """A gel's picture with a tactile image (H, W, 3) uint8 to its right, as high as the face."""
+    height = len(picture) - 90
+    width = round(height * tactile.shape[1] / tactile.shape[0])
+    panel = blank(width + 16 + width % 2, len(picture))
+    panel[24 : 24 + height, :width] = cv2.resize(tactile, (width, height), interpolation=cv2.INTER_AREA)
+    write(panel, "tactile image", 0, len(picture) - 22, 0.55)
+    return np.concatenate([picture, panel], 1)

@@ -136,7 +136,8 @@ def _write(device: str, pictures: list, rows: list[dict], count: int, seconds: f
         write_video(out / "film.mp4", pictures + [pictures[-1]] * FPS, FPS)
         result["film"] = "film.mp4"
         report = Report(f"A {device} of material points")
-        report.lead("Colour is the largest stretch of the material, from calm to warm.")
+        what = " Right: the tactile image, by Gaussian splats on the particles." if device == "gel" else ""
+        report.lead(f"Colour is the largest stretch of the material, from calm to warm.{what}")
         report.video(out / "film.mp4")
         report.table(rows)
         for row in rows:
@@ -232,9 +233,11 @@ def _gel(twin: Twin, config: RenderConfig) -> tuple[Iterator[Frame], int]:
 def _gel_frames(twin: Twin, config: RenderConfig, press: Press) -> Iterator[Frame]:
     from pneutac_sim.mpm import devices
     from pneutac_sim.mpm.solve import solve_equilibrium
+    from pneutac_sim.splat.gel import SplatSensor
 
     solver = devices.gel(twin, device=config.device)
-    window = GelModel.from_twin(twin).window_mm
+    model = GelModel.from_twin(twin)
+    window, sensor = model.window_mm, SplatSensor(model)
     cells = solver.body.cells
     spent = 0.0
     for k in range(PRESS_FRAMES):
@@ -256,6 +259,7 @@ def _gel_frames(twin: Twin, config: RenderConfig, press: Press) -> Iterator[Fram
             GEL_STRAIN,
             f"{press.indenter} {press.size_mm:g} mm   depth {depth:.2f} mm   force {force:.2f} N",
         )
+        picture = draw.beside(picture, sensor.image(moved))
         last = k == PRESS_FRAMES - 1
         values = {
             "depth_mm": depth,

@@ -1,0 +1,45 @@
+"""Times a picture of Gaussians on a GPU through gsplat, by device events: needs CUDA and the extra `cuda`."""
+
+import numpy as np
+import torch
+
+from lerobot_pneutac.splat_speed import OPACITY, finger, gel
+from pneutac_sim.splat.cuda import rasterise_tensors
+
+REPEATS = 200
+
+
+def main() -> None:
+    for name, scene in (("finger, 480 x 640", finger), ("gel, 320 x 240", gel)):
+        camera, means, scale = scene()
+        n = len(means)
+        rng = np.random.default_rng(0)
+        arrays = (means, np.tile(scale**2 * np.eye(3), (n, 1, 1)), rng.random((n, 3)), np.full(n, OPACITY))
+        means, covariances, colours, opacities = (
+            torch.tensor(np.asarray(a), dtype=torch.float32, device="cuda") for a in arrays
+        )
+
+        def forward(c=colours, o=opacities, camera=camera, means=means, covariances=covariances):
+            return rasterise_tensors(means, covariances, c, o, camera, torch.zeros(3, device="cuda"))
+
+        def both(c=colours, o=opacities, forward=forward):
+            c, o = c.clone().requires_grad_(), o.clone().requires_grad_()
+            image, alpha = forward(c, o)
+            image.square().sum().backward()
+
+        for what, work in (("forward", forward), ("forward and backward", both)):
+            for _ in range(10):
+                work()
+            times = []
+            for _ in range(REPEATS):
+                a, b = (torch.cuda.Event(enable_timing=True) for _ in range(2))
+                a.record()
+                work()
+                b.record()
+                torch.cuda.synchronize()
+                times.append(a.elapsed_time(b))
+            print(f"{name}, {n:,} Gaussians, {what}: {np.median(times):.3f} ms")
+
+
+if __name__ == "__main__":
+    main()
