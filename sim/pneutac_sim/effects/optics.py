@@ -58,7 +58,8 @@ NEAR_LIGHT = OpticsEffect(
     _each("distance_{}_mm", "mm", 200.0, 8.0, 1000.0),
     (100.0,) * 3,
     "The lights of your {device} are near: {distance_red_mm:.3g} mm (red), {distance_green_mm:.3g} mm "
-    "(green) and {distance_blue_mm:.3g} mm (blue) from the window's centre, so their direction turns over the image.",
+    "(green) and {distance_blue_mm:.3g} mm (blue) from the window's centre, so their direction turns over "
+    "the image.",
     "Press the same ball to the same depth near all four edges.",
 )
 PHOTOMETRIC_NONLINEARITY = OpticsEffect(
