@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pneutac_sim.effects.optics import CHANNELS
+from pneutac_sim.effects.optics import CHANNELS, OPTICS
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.photograph import Photograph, gains, press_depth, registered
@@ -43,6 +43,10 @@ def each(name, values):
     return dict(zip((name.format(c) for c in CHANNELS), values, strict=True))
 
 
+def neutral(effect):
+    return {p.name: p.neutral for p in OPTICS[effect].parameters}
+
+
 @pytest.fixture
 def linear():
     """The generated DIGIT under the paper's linear model."""
@@ -57,7 +61,8 @@ def bent(linear):
     linear.depth_scale = 0.85
     linear.effects = {
         "near_light": each("distance_{}_mm", (14.0, 20.0, 60.0)),
-        "photometric_nonlinearity": each("direct_{}_levels", (50.0, 70.0, 90.0)),
+        "photometric_nonlinearity": neutral("photometric_nonlinearity")
+        | each("direct_{}_levels", (50.0, 70.0, 90.0)),
         "shadow": each("shadow_{}_levels", (30.0, 40.0, 25.0))
         | each("elevation_{}", (0.2, 0.25, 0.3))
         | {"edge_mm": 0.15},

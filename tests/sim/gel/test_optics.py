@@ -5,6 +5,7 @@ import pytest
 from scipy.ndimage import binary_dilation
 
 from pneutac_sim.gel import optics
+from pneutac_sim.gel.channel import NEUTRAL, row
 from pneutac_sim.gel.model import GelModel, rest_weight
 from pneutac_sim.gel.sensor import TactileSensor
 
@@ -22,7 +23,15 @@ def grid(rows=81, cols=61):
 def coefficients(
     light=(0.0, 0.0), depth=0.0, place=FAR, direct=np.inf, shadow=0.0, elevation=0.25, edge=0.02
 ):
-    return np.array([*light, depth, *place, direct, shadow, elevation, edge])
+    """A channel's row, what is not given at neutral."""
+    away = {"strength": np.hypot(*light), "direction": np.arctan2(-light[1], -light[0])}
+    c = row(
+        NEUTRAL
+        | away
+        | {"depth_light": depth, "direct": direct, "shadow": shadow, "elevation": elevation, "edge": edge}
+    )
+    c[:2], c[3:5] = light, place
+    return c
 
 
 def bump(x0=0.0, y0=0.0, width=1.2, height=0.8):
