@@ -49,10 +49,10 @@ def write_hidden_gel(
             raise InputError(f"'{name}' is no optics effect; give one of {', '.join(OPTICS)}.")
     truth = {}
     for name in hidden:
-        specs = {p.name: p for p in OPTICS[name].parameters}
+        sizes = SIZES[name]
         truth[name] = {
-            k: float(specs[k].neutral + (v - specs[k].neutral) * rng.uniform(0.8, 1.2))
-            for k, v in SIZES[name].items()
+            p.name: p.neutral + (sizes.get(p.name, p.neutral) - p.neutral) * rng.uniform(0.8, 1.2)
+            for p in OPTICS[name].parameters
         }
     gel = GelModel.builtin()
     gel.effects = truth

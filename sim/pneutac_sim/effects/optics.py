@@ -45,6 +45,9 @@ def _each(name: str, unit: str, default: float, lower: float, upper: float, neut
     return tuple(Parameter(name.format(c), unit, default, lower, upper, neutral) for c in CHANNELS)
 
 
+# Levels for a slope of one along the light, across it, and for a millimetre of depth, all squared.
+QUADRATIC = ("along_{}_levels", "across_{}_levels", "deep_{}_levels")
+
 REST_COLOUR = OpticsEffect(
     "rest_colour",
     _each("exponent_{}", "", 0.7, -1.0, 4.0),
@@ -64,8 +67,9 @@ NEAR_LIGHT = OpticsEffect(
 )
 PHOTOMETRIC_NONLINEARITY = OpticsEffect(
     "photometric_nonlinearity",
-    _each("direct_{}_levels", "levels", 60.0, 3.0, 400.0),
-    (40.0,) * 3,
+    _each("direct_{}_levels", "levels", 60.0, 3.0, 400.0)
+    + tuple(p for name in QUADRATIC for p in _each(name, "levels", 0.0, -400.0, 400.0)),
+    (40.0,) * 3 + (30.0,) * 9,
     "The light of your {device} follows Lambert's cosine, not the slope: sides that face away go dark and no "
     "darker, by {direct_red_levels:.3g}, {direct_green_levels:.3g} and {direct_blue_levels:.3g} levels.",
     "Press balls of several radii to several depths at one place.",

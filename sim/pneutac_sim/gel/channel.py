@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import least_squares
 
-from pneutac_sim.effects.optics import CHANNELS, OPTICS
+from pneutac_sim.effects.optics import CHANNELS, OPTICS, QUADRATIC
 from pneutac_sim.gel import optics
 from pneutac_sim.gel.layout import Layout
 
@@ -22,6 +22,9 @@ OF_EFFECT = {
     "shadow": ("shadow", "shadow_{}_levels"),
     "elevation": ("shadow", "elevation_{}"),
     "edge": ("shadow", "edge_mm"),
+    "along": ("photometric_nonlinearity", QUADRATIC[0]),
+    "across": ("photometric_nonlinearity", QUADRATIC[1]),
+    "deep": ("photometric_nonlinearity", QUADRATIC[2]),
 }
 NEUTRAL = {
     "exponent": 0.0,
@@ -31,6 +34,7 @@ NEUTRAL = {
     "elevation": 0.1,
     "edge": 0.1,
 }
+NEUTRAL |= {"along": 0.0, "across": 0.0, "deep": 0.0}
 MAKE_SD = {"direction": 0.05, "distance": 2.0, "exponent": 0.05}  # how alike sensors of one make are
 
 
@@ -62,7 +66,7 @@ def priors(k: int, light: np.ndarray, layout: Layout | None, effects: Sequence[s
 def row(v: dict[str, float]) -> np.ndarray:
     """One channel's row of the coefficients of `optics.light`."""
     x, y, a, r = np.cos(v["direction"]), np.sin(v["direction"]), v["strength"], v["distance"]
-    tail = v["direct"], v["shadow"], v["elevation"], v["edge"]
+    tail = [v[n] for n in ("direct", "shadow", "elevation", "edge", "along", "across", "deep")]
     return np.array([-a * x, -a * y, v["depth_light"], r * x, r * y, *tail])
 
 
@@ -148,7 +152,7 @@ class Channel:
 def _box(mask: np.ndarray, cell_mm) -> tuple[tuple[slice, slice], np.ndarray]:
     """The part of the grid around a mask, and what to take from a row of coefficients to work in it alone."""
     rows, cols = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
-    centre = np.zeros(9)
+    centre = np.zeros(12)
     if not len(rows):
         return (slice(0, 2), slice(0, 2)), centre
     i0, i1 = max(rows[0] - 1, 0), min(rows[-1] + 2, mask.shape[0])

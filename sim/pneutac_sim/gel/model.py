@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, field, replace
 import numpy as np
 from PIL import Image
 
-from pneutac_sim.effects.optics import CHANNELS, OPTICS
+from pneutac_sim.effects.optics import CHANNELS, OPTICS, QUADRATIC
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import IMAGE_SHAPE
@@ -87,16 +87,21 @@ class GelModel:
 
     @property
     def coefficients(self) -> np.ndarray:
-        """What `optics.light` takes, (3, 9)."""
+        """What `optics.light` takes, (3, 12)."""
         out = np.column_stack(
-            [self.light, self.depth_light, *np.tile([np.nan, np.nan, np.inf, 0.0, 0.0, 1.0], (3, 1)).T]
+            [
+                self.light,
+                self.depth_light,
+                *np.tile([np.nan, np.nan, np.inf, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (3, 1)).T,
+            ]
         )
         if "near_light" in self.effects:
             distance = self._each("near_light", "distance_{}_mm")
             direction = -self.light / np.maximum(np.linalg.norm(self.light, axis=1), 1e-9)[:, None]
             out[:, 3:5] = distance[:, None] * direction
         if "photometric_nonlinearity" in self.effects:
-            out[:, 5] = self._each("photometric_nonlinearity", "direct_{}_levels")
+            for column, name in ((5, "direct_{}_levels"), *zip((9, 10, 11), QUADRATIC, strict=True)):
+                out[:, column] = self._each("photometric_nonlinearity", name)
         if "shadow" in self.effects:
             out[:, 6] = self._each("shadow", "shadow_{}_levels")
             out[:, 7] = self._each("shadow", "elevation_{}")

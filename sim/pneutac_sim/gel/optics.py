@@ -6,7 +6,8 @@ in mm into the gel, that is towards the camera. Optics effects bend it where the
 - `near_light`: the light of a channel comes from a point p at a finite distance, so the direction of L turns
   over the image: t = -|L| e . grad u with e = (p - x) / |p - x|; p lies against L from the window's centre.
 - `photometric_nonlinearity`: Lambert's cosine. t -> phi (max(0, 1 + t / phi) / sqrt(1 + |grad u|^2) - 1):
-  a side turned away from the light goes dark and no darker, phi being the direct light in levels.
+  a side turned away from the light goes dark and no darker, phi being the direct light in levels. Quadratic
+  terms in the slopes along and across the light and in the depth take up what Lambert's surface is not.
 - `shadow`: what rises between a point and the light takes the level lambda from it. The shadow's height over
   the surface is the largest u(x + r e) - r tan(elevation) along the ray, less u(x).
 - `rest_colour`: w = (rest / mean) ^ gamma: a gel lights up where light falls.
@@ -19,7 +20,8 @@ import math
 import numpy as np
 from numba import njit
 
-# A row a channel: L x, L y, c_d, p x, p y (NaN: far away), phi (inf: linear), lambda, tan(elevation), edge mm
+# A row a channel: L x, L y, c_d, p x, p y (NaN: far away), phi (inf: linear), lambda, tan(elevation), edge;
+# then the quadratic terms along the light, across it and in depth
 _NO_SHADOW = np.zeros((1, 1), np.float32)
 
 
@@ -51,7 +53,7 @@ def light(displacement_mm: np.ndarray, cell_mm: tuple[float, float], coefficient
     Args:
         displacement_mm: (rows, columns), positive into the gel.
         cell_mm: grid spacing along x and y.
-        coefficients: (3, 9), see the top of this module; lengths in mm from the window's centre.
+        coefficients: (3, 12), see the top of this module; lengths in mm from the window's centre.
 
     Returns:
         s in levels, float32 (3, rows, columns).
@@ -63,7 +65,7 @@ def light(displacement_mm: np.ndarray, cell_mm: tuple[float, float], coefficient
 def channel(
     displacement_mm: np.ndarray, cell_mm: tuple[float, float], coefficients: np.ndarray
 ) -> np.ndarray:
-    """One channel of `light`: (rows, columns) from a float32 displacement and coefficients (9,)."""
+    """One channel of `light`: (rows, columns) from a float32 displacement and coefficients (12,)."""
     u, c = displacement_mm, coefficients
     out = np.empty_like(u)
     shadow = _shadow(u, cell_mm[0], cell_mm[1], c) if c[6] > 0 else _NO_SHADOW
@@ -77,7 +79,7 @@ class Renderer:
     Args:
         rest_image: uint8 (H, W, 3).
         weight: w, (H, W, 3).
-        coefficients: of the light, (3, 9).
+        coefficients: of the light, (3, 12).
         cell_mm: grid spacing along x and y.
         shape: rows and columns of the displacement grid.
     """
@@ -126,20 +128,16 @@ def _light(u, hx, hy, c, shadow, out):
             left, right = max(j - 1, 0), min(j + 1, m - 1)
             gx = (u[i, right] - u[i, left]) / (hx * (right - left))
             gy = (u[down, j] - u[up, j]) / (hy * (down - up))
-            if math.isnan(c[3]):
-                s = c[0] * gx + c[1] * gy
-            elif gx != 0.0 or gy != 0.0:
-                ex, ey = _towards(c, (j + 0.5 - m / 2) * hx, y)
-                s = -strength * (ex * gx + ey * gy)
-            else:
-                s = 0.0
+            ex, ey = _towards(c, (j + 0.5 - m / 2) * hx, y)
+            along, across = ex * gx + ey * gy, ex * gy - ey * gx
+            s = -strength * along
             if not math.isinf(c[5]):
                 s = c[5] * (max(0.0, 1.0 + s / c[5]) / math.sqrt(1.0 + gx * gx + gy * gy) - 1.0)
             if c[6] > 0.0 and shadow[i, j] > 0.0:
                 dark = min(shadow[i, j] / c[8], 1.0)
                 dark *= dark * (3.0 - 2.0 * dark)
                 s -= dark * (s + c[6])
-            out[i, j] = s + c[2] * u[i, j]
+            out[i, j] = s + c[2] * u[i, j] + c[9] * along**2 + c[10] * across**2 + c[11] * u[i, j] ** 2
 
 
 @njit(cache=True)
