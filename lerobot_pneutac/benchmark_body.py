@@ -23,6 +23,9 @@ from lerobot_pneutac.report import write_result
 from pneutac_datasets.photo_reading import read_camera, read_photograph
 from pneutac_datasets.recording import BenchRecording
 from pneutac_sim.errors import InputError
+from pneutac_sim.splat.body import fit_body_looks
+from pneutac_sim.splat.follow import carried
+from pneutac_sim.splat.rasteriser import rasterise
 from pneutac_sim.twin import Twin, Value
 
 VIEWS = ("front", "back")
@@ -90,15 +93,10 @@ class Splatted:
     @classmethod
     def fit(cls, body, positions, gradients, image, mask, camera, **options) -> "Splatted":
         """From one photograph."""
-        from pneutac_sim.splat.body import fit_body_looks
-
         return cls(body, fit_body_looks(body, positions, gradients, image, mask, camera, **options))
 
     def image(self, positions, gradients, camera):
         """The body in another state."""
-        from pneutac_sim.splat.follow import carried
-        from pneutac_sim.splat.rasteriser import rasterise
-
         return rasterise(carried(self.looks, self.body, positions, gradients), camera)
 
 
@@ -123,8 +121,7 @@ def run(cfg: BenchmarkBodyConfig) -> dict:
         What `result.json` holds: `rows`, one a method, body, view and pressure; `table`, mean and SEM over
         bodies and pressures, without the pressure that was trained on from the front.
     """
-    console = Console()
-    rows, strips = [], []
+    console, rows, strips = Console(), [], []
     fits = methods(cfg.fast)
     with Progress(console=console, transient=True) as bar:
         task = bar.add_task("photographs", total=cfg.bodies * len(fits))
@@ -137,7 +134,7 @@ def run(cfg: BenchmarkBodyConfig) -> dict:
                     rows.append({"body": seed} | row)
                     strip.append(picture)
                 bar.advance(task)
-            strips.append(grid(strip, scene[3]))
+            strips.append(grid(list(fits), strip, scene[3]))
     result = {
         "unit": "8-bit levels, root mean square over the union of silhouettes, on black",
         "trained_on": "front view at 0 kPa",
@@ -199,17 +196,15 @@ def score(name, fit, body, state, cameras, shots, pressures) -> Iterator[tuple[d
 
 
 def summary(rows: list[dict]) -> list[dict]:
-    """One row a method: mean and SEM over bodies and pressures of each view, and how often it is the best."""
+    """One row a method: mean and SEM over bodies and pressures of each view."""
     out = []
     for name in dict.fromkeys(r["method"] for r in rows):
         line = {"method": name}
-        for view in VIEWS:
-            values = [
-                r["rmse"] for r in rows if r["method"] == name and r["view"] == view and not r["trained"]
-            ]
-            line[view] = float(np.mean(values))
-            line[f"{view}_sem"] = float(np.std(values, ddof=1) / np.sqrt(len(values)))
         mine = [r for r in rows if r["method"] == name]
+        for view in VIEWS:
+            values = [r["rmse"] for r in mine if r["view"] == view and not r["trained"]]
+            line[view] = float(np.mean(values))
+            line[f"{view}_sem"] = float(np.std(values, ddof=len(values) > 1) / np.sqrt(len(values)))
         line["fit_s"] = float(np.median([r["fit_s"] for r in mine]))
         line["render_s"] = float(np.median([r["render_s"] for r in mine]))
         out.append(line)
@@ -239,15 +234,14 @@ def write_table(result: dict, out: Path, console: Console) -> None:
     console.print(f"table: {out / 'table.md'}, pictures: {out / 'pictures.png'}", highlight=False)
 
 
-def grid(pictures: list[np.ndarray], shots: dict) -> np.ndarray:
+def grid(names: list[str], pictures: list[np.ndarray], shots: dict) -> np.ndarray:
     """Rows: photograph, then each method; columns: lowest, middle and highest pressure, front and back."""
     real = [np.where(mask[..., None], image, 255).astype(np.uint8) for v in VIEWS for image, mask in shots[v]]
     count = len(shots["front"])
     columns = [k + c for k in (0, count) for c in (0, count // 2, count - 1)]
     all_pictures = np.stack(real + pictures).reshape(-1, 2 * count, *real[0].shape)[:, columns]
-    names = ("photograph", *OURS, *BASELINES)
     lines = []
-    for name, line in zip(names, all_pictures, strict=True):
+    for name, line in zip(["photograph", *names], all_pictures, strict=True):
         small = [cv2.resize(p[:, 80:560], (240, 240), interpolation=cv2.INTER_AREA) for p in line]
         strip = np.concatenate(small, 1)
         cv2.putText(strip, name, (6, 232), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (27, 36, 48), 1, cv2.LINE_AA)

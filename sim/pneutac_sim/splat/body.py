@@ -21,7 +21,7 @@ from pneutac_sim.splat.rasteriser import Splats
 from pneutac_sim.twin import Twin
 
 SEEN = 0.1  # a particle counts as seen from this share of its own footprint on
-OUTSIDE = 0.02  # opacity to start from where the mask says that there is nothing, on the far side too
+OUTSIDE = 0.1  # opacity to start from where the mask says that there is nothing, on the far side too
 FAR_SIDE = 1.6  # blur of what the far side takes from the near one, over the particles' spacing
 ARRAYS = {f"body_{name}": name for name in ("means", "scales", "colours", "opacities")}
 

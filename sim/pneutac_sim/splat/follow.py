@@ -9,7 +9,7 @@ from pneutac_sim.mpm.body import Body
 from pneutac_sim.splat.gaussians import Gaussians
 
 SCALE = 0.4  # standard deviation over the distance of neighbours: these overlap without gaps
-OPACITY = 0.9  # to start from; what a photograph does not show keeps it
+OPACITY = 0.8  # to start from; what a photograph does not show keeps it
 MOST_DETAIL = 6
 
 

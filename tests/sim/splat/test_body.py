@@ -118,10 +118,10 @@ def test_looks_follow_particles_of_another_lattice(photographed, looks):
 
 def test_detail_resolves_what_is_smaller_than_a_particle(photographed, looks):
     p = photographed
-    fine = fit(p, detail=2, iterations=150)
+    fine = fit(p, detail=2)
     assert len(fine) > 3 * len(looks)
     for state in (0, 1):
-        assert error(p, fine, "front", state) < 0.92 * error(p, looks, "front", state)
+        assert error(p, fine, "front", state) < 0.85 * error(p, looks, "front", state)
     with pytest.raises(InputError, match="detail is 0"):
         fit(p, detail=0)
 
