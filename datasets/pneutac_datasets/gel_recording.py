@@ -25,7 +25,7 @@ class GelSample:
         role: `calibration`, `heldout`, `known_depth` or another label.
         image: uint8 (H, W, 3).
         rest: image without contact of the same session: the row's `rest_image`, else the recording's.
-        clock: when in the recording, 0 to 1: by `time_s` where it changes, else by the order of the rows.
+        clock: when in the recording, 0 to 1: by `time_s` where it runs on, else by trial, else by row.
         press: what pressed where.
         x_px: column of the contact centre.
         y_px: row of the contact centre.
@@ -86,10 +86,11 @@ class GelRecording:
         out = cls(_rgb(recording, meta["rest_image"]), float(scale), thickness, [], list(recording.warnings))
         clocks, rests = _clock(recording.samples), {meta["rest_image"]: out.rest}
         for (i, row), clock in zip(recording.samples.iterrows(), clocks, strict=True):
-            where, name = f"{recording.folder}, row {i + 1}", row.get("rest_image")
-            name = name if isinstance(name, str) and name else meta["rest_image"]
+            where, own = f"{recording.folder}, row {i + 1}", row.get("rest_image")
+            own = own if isinstance(own, dict) or (isinstance(own, str) and own) else meta["rest_image"]
+            name = own if isinstance(own, str) else where
             if name not in rests:
-                rests[name] = _rgb(recording, name)
+                rests[name] = _rgb(recording, own)
                 _same_size(rests[name], out.rest, f"{where}: rest image '{name}'")
             out.samples.append(_sample(recording, row, where, out, rests[name], clock))
         return out
@@ -107,15 +108,12 @@ class GelRecording:
 
 
 def _clock(samples: pd.DataFrame) -> np.ndarray:
-    """When each image was taken, 0 to 1: by `time_s` where it changes, else by trial, else by row."""
-    for time in (
-        samples["time_s"].to_numpy(float),
-        samples["trial"].to_numpy(float),
-        np.arange(len(samples)),
-    ):
-        if np.ptp(time) > 0:
-            return (time - time.min()) / np.ptp(time)
-    return np.zeros(len(samples))
+    """When each image was taken, 0 to 1: by `time_s` where it runs on, else by trial, else by row."""
+    for name in ("time_s", "trial"):
+        time = samples[name].to_numpy(float)
+        if np.ptp(time) > 0 and (np.diff(time) >= 0).all():
+            return (time - time[0]) / np.ptp(time)
+    return np.arange(len(samples)) / max(len(samples) - 1, 1)
 
 
 def _same_size(image: np.ndarray, rest: np.ndarray, what: str) -> None:

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from PIL import Image
 
-from pneutac_datasets.gel_recording import ASSUMED_RADIUS_MM, GelRecording
+from pneutac_datasets.gel_recording import ASSUMED_RADIUS_MM, GelRecording, _clock
 from pneutac_datasets.recording import BenchRecording
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.probe import THICKNESS_MM
@@ -159,3 +159,8 @@ def test_a_photograph_of_another_size_is_refused(write, tmp_path):
     Image.new("RGB", (60, 60)).save(tmp_path / "c.png")
     with pytest.raises(InputError, match="row 3: image 'c.png' is 60 x 60 pixels .* 60 x 80"):
         GelRecording.load(BenchRecording.load(tmp_path))
+
+
+def test_a_clock_that_restarts_with_each_trial_gives_way_to_the_trials():
+    table = pd.DataFrame({"trial": [0, 0, 1, 1, 2], "time_s": [0.0, 1.0, 0.0, 1.0, 0.0]})
+    np.testing.assert_allclose(_clock(table), [0, 0, 0.5, 0.5, 1])

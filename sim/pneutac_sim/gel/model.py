@@ -66,10 +66,17 @@ class GelModel:
         if self.depth_scale > 1:
             raise InputError(f"The gel's depth_scale is {self.depth_scale!r}; it must not exceed 1.")
         for name, values in self.effects.items():
-            known = {p.name for p in get_effect(name).parameters}
-            if set(values) != known or not np.isfinite(list(values.values())).all():
+            specs = {p.name: p for p in get_effect(name).parameters}
+            for parameter, value in values.items():
+                p = specs.get(parameter)
+                if p is not None and not p.lower <= value <= p.upper:
+                    raise InputError(
+                        f"The gel's effect '{name}' has {parameter} = {value!r}; it must lie between "
+                        f"{p.lower:g} and {p.upper:g}."
+                    )
+            if set(values) != set(specs):
                 raise InputError(
-                    f"The gel's effect '{name}' needs finite numbers for {', '.join(sorted(known))}."
+                    f"The gel's effect '{name}' needs finite numbers for {', '.join(sorted(specs))}."
                 )
 
     @property

@@ -59,6 +59,10 @@ def light(displacement_mm: np.ndarray, cell_mm: tuple[float, float], coefficient
         s in levels, float32 (3, rows, columns).
     """
     u = np.ascontiguousarray(displacement_mm, np.float32)
+    if np.shape(coefficients) != (3, 12):
+        raise ValueError(
+            f"the light of three channels has coefficients (3, 12); got {np.shape(coefficients)}"
+        )
     return np.stack([channel(u, cell_mm, c) for c in coefficients])
 
 

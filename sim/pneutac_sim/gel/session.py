@@ -32,7 +32,8 @@ def fit_drift(gel: GelModel, photographs: Sequence[Photograph]) -> dict[str, flo
                 b.append([((image * rest).sum() / max((rest * rest).sum(), 1e-9) - 1) / GAIN_SD])
         x = np.linalg.lstsq(np.concatenate(A), np.concatenate(b), rcond=None)[0]
         gain[f"gain_{c}"], drift[f"drift_{c}"] = 1 + float(x[0]), float(x[1])
-    return gain | drift
+    found = gain | drift
+    return {p.name: min(max(found[p.name], p.lower), p.upper) for p in effect.parameters}
 
 
 def unregistered() -> dict[str, float]:

@@ -55,10 +55,11 @@ def test_an_edge_lies_along_its_yaw():
 
 def test_a_registration_shift_turns_scales_and_moves_a_press(linear):
     assert registered(OTHER, linear) is OTHER
-    v = {"shift_x_mm": 0.5, "shift_y_mm": -1.0, "turn_rad": np.pi / 2, "scale": 2.0}
+    v = {"shift_x_mm": 0.5, "shift_y_mm": -1.0, "turn_rad": 0.3, "scale": 1.25}
     true = registered(replace(OTHER, yaw_rad=0.1), replace(linear, effects={"registration_shift": v}))
-    assert (true.x_mm, true.y_mm) == pytest.approx((-8 + 0.5, -4 - 1))
-    assert true.yaw_rad == pytest.approx(0.1 + np.pi / 2)
+    expected = 1.25 * np.exp(0.3j) * complex(OTHER.x_mm, OTHER.y_mm) + complex(0.5, -1.0)
+    assert complex(true.x_mm, true.y_mm) == pytest.approx(expected)
+    assert true.yaw_rad == pytest.approx(0.4)
     assert (true.depth_mm, true.size_mm) == (OTHER.depth_mm, OTHER.size_mm)
 
 

@@ -137,3 +137,10 @@ def test_wrong_sizes_are_refused(sensor):
         sensor.image(np.zeros((40, 30), np.float32))
     with pytest.raises(ValueError, match="one shape"):
         contact_area(np.zeros((10, 10, 3), np.uint8), sensor.rest_image)
+
+
+@pytest.mark.parametrize("value", [0.0, -20.0, 1e6, float("nan")])
+def test_an_effect_outside_its_bounds_is_refused(value):
+    effects = {"near_light": {"distance_red_mm": value, "distance_green_mm": 20.0, "distance_blue_mm": 20.0}}
+    with pytest.raises(InputError, match="distance_red_mm = .* between 8 and 1000"):
+        replace(GelModel.builtin(), effects=effects)
