@@ -7,8 +7,9 @@ UV := $(shell uv --version >/dev/null 2>&1 && echo uv || echo .uv/bin/uv)
 demo: .venv/ready
 	.venv/bin/pneutac demo
 
+# A file of tests stays in one process; each process computes on one thread, so that they share the cores.
 test: .venv/ready
-	.venv/bin/python -m pytest
+	OMP_NUM_THREADS=1 .venv/bin/python -m pytest --numprocesses=auto --maxprocesses=4 --dist=loadfile
 
 lint: .venv/ready
 	.venv/bin/ruff check .
