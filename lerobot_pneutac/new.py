@@ -1,4 +1,4 @@
-"""`pneutac new`: a new twin, from the parametric device or with the geometry of a recording."""
+"""`pneutac new`: a new twin, from the parametric device, a mesh or with the geometry of a recording."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,8 +11,11 @@ from pneutac_datasets.rules import an
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import Pipeline
 from pneutac_sim.gel.model import GelModel
+from pneutac_sim.mpm.shapes import WIDTH_MM, body_mesh, digit_mount_mesh
+from pneutac_sim.mpm.user_mesh import UserMesh, read_mesh, store_mesh, stored_mesh
 from pneutac_sim.twin import DEVICES, Twin
 
+SAME_LENGTH = 0.02  # within which a mesh and a recording are of one device
 USUAL_RANGE_KPA = 50.0  # scales a body's first guess where no recording tells its pressures
 
 
@@ -24,13 +27,28 @@ class NewConfig:
         twin: folder to write; it must not hold a twin yet.
         device: finger, arm or gel; left out, the recording's own, else a finger.
         recording: geometry is taken from its recording.json.
-        length_mm: of the straight device, where neither a recording nor the paper's finger tells it.
+        mesh: STL, OBJ or PLY of the soft body of a finger or an arm.
+        mesh_unit: of its coordinates, mm or m.
+        mesh_axis: x, y or z, along which it lies, base first; left out, its longest side. Axes are renamed in
+            cyclic order: along z it bends towards the file's y, along y towards x, along x towards z.
+        length_mm: of the straight device, where no mesh, recording or the paper's finger tells it.
     """
 
     twin: Path
     device: str | None = None
     recording: Path | None = None
+    mesh: Path | None = None
+    mesh_unit: str = "mm"
+    mesh_axis: str | None = None
     length_mm: float | None = None
+
+    def __post_init__(self):
+        if self.mesh is None:
+            return
+        if self.device == "gel":
+            raise InputError("--mesh is of a finger or an arm; a gel's shape is its window, omit one.")
+        if self.length_mm is not None:
+            raise InputError("--length_mm is the mesh's own where --mesh is given; omit one.")
 
 
 def main(argv: list[str]) -> None:
@@ -45,25 +63,59 @@ def main(argv: list[str]) -> None:
         raise InputError(
             f"--device is '{config.device}', but {config.recording} is of {an(recording.device)}; omit one."
         )
-    twin = new_twin(
-        config.device or (recording.device if recording else "finger"), recording, config.length_mm
-    )
-    twin.save(config.twin)
+    device = config.device or (recording.device if recording else "finger")
+    body = _read_body(config, device, recording)
+    twin = new_twin(device, recording, config.length_mm, body)
+    write_geometry(twin, twin.save(config.twin))
+    for note in body.notes if body else ():
+        Console().print(f"[yellow]{config.mesh}:[/] {note}", highlight=False)
     joints = len(twin.spine_joint_positions_mm)
     shape = f", {twin.length_mm:g} mm long with {joints} spine joints" if joints else ""
     Console().print(
-        f"{config.twin} holds a new {twin.device}{shape}; fit it to measurements with "
+        f"{config.twin} holds a new {twin.device}{shape} (geometry.stl, in mm); fit it to measurements with "
         f"`pneutac calibrate --twin={config.twin} --recording={config.recording or 'DIR'}`."
     )
 
 
-def new_twin(device: str, recording: BenchRecording | None = None, length_mm: float | None = None) -> Twin:
+def _read_body(config: NewConfig, device: str, recording: BenchRecording | None) -> UserMesh | None:
+    if config.mesh is None:
+        return None
+    if device == "gel":
+        raise InputError(f"--mesh is of a finger or an arm, but {config.recording} is of a gel; omit one.")
+    body = read_mesh(config.mesh, config.mesh_unit, config.mesh_axis)
+    told = recording.length_mm if recording else None
+    if told is not None and abs(body.length_mm - told) > SAME_LENGTH * told:
+        raise InputError(
+            f"{config.mesh} is {body.length_mm:g} mm long, but length_mm is {told:g} in "
+            f"{config.recording}/recording.json; give the mesh of the device that was recorded."
+        )
+    return body
+
+
+def write_geometry(twin: Twin, folder: Path) -> None:
+    """Writes `geometry.stl` (mm), the soft body that is filled, and the `mount.stl` of a parametric finger.
+
+    They are to look at, print or edit; an edited one comes back with `pneutac new --mesh`.
+    """
+    body_mesh(twin).apply_scale(1000.0).export(folder / "geometry.stl")
+    if twin.device == "finger" and stored_mesh(twin) is None:
+        mount = digit_mount_mesh(1e-3 * twin.length_mm, 1e-3 * WIDTH_MM["finger"])
+        mount.apply_scale(1000.0).export(folder / "mount.stl")
+
+
+def new_twin(
+    device: str,
+    recording: BenchRecording | None = None,
+    length_mm: float | None = None,
+    body: UserMesh | None = None,
+) -> Twin:
     """A twin with starting values.
 
     Args:
         device: `finger` (the paper's), `arm`, or `gel` (a generated DIGIT).
         recording: of the same device; gives length, joints and pressure range, or the gel's rest image.
         length_mm: overrides the length.
+        body: of a finger or an arm; gives the length.
     """
     if device == "gel":
         twin = Twin(device="gel", length_mm=16.0)
@@ -77,10 +129,12 @@ def new_twin(device: str, recording: BenchRecording | None = None, length_mm: fl
             gel = replace(gel, rest_image=recording.image(meta["rest_image"]), px_per_mm=meta["px_per_mm"])
         gel.into_twin(twin)
         return twin
-    length = length_mm or (recording.length_mm if recording else None) or 110.0
+    length = (body.length_mm if body else length_mm) or (recording.length_mm if recording else None) or 110.0
     joints = (recording.spine_joint_positions_mm if recording and not length_mm else None) or []
     start = Twin.builtin() if device == "finger" and recording is None else Twin(device=device)
     twin = Twin(device, length, list(joints), parameters=start.parameters)
+    if body is not None:
+        store_mesh(twin, body.mesh)
     if start.parameters:
         return twin
     top = USUAL_RANGE_KPA

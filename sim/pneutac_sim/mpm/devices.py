@@ -20,9 +20,11 @@ from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.probe import COLS, ROWS
 from pneutac_sim.mpm.body import Body, Material
-from pneutac_sim.mpm.shapes import arm_mesh, finger_mesh
+from pneutac_sim.mpm.lattice import filled_body
+from pneutac_sim.mpm.shapes import WIDTH_MM, arm_mesh, finger_mesh
 from pneutac_sim.mpm.spine import Spine
 from pneutac_sim.mpm.total_lagrangian import Loads, TotalLagrangian
+from pneutac_sim.mpm.user_mesh import stored_mesh
 from pneutac_sim.twin import PAPER_FINGER, Twin
 
 # What a twin's parameters are where it does not tell. Moduli of the finger: the paper's calibrated ones;
@@ -39,7 +41,7 @@ DEFAULTS = {
 # The controller is stiff against the body (0.07 to 0.29 N m/rad a joint of the finger), which takes back
 # 1.6 % of its bend; with a soft one the search for rest takes far longer.
 BY_DEVICE = {
-    "width_mm": {"finger": 20.0, "arm": 40.0},
+    "width_mm": WIDTH_MM,
     "spine_stiffness_nm_per_rad": {"finger": 20.0, "arm": 200.0},
 }
 SHAPES = {"finger": finger_mesh, "arm": arm_mesh}
@@ -61,7 +63,7 @@ def finger(twin: Twin, batch: int = 1, particles: int = 4000, mesh=None, device:
         batch: how many.
         particles: of each, about.
         mesh: closed `trimesh.Trimesh` in m, x along the finger from its base, the neutral axis at y = z = 0;
-            None for bellows with a flat back, `width_mm` wide.
+            None for the twin's own, or bellows with a flat back, `width_mm` wide, where it has none.
         device: see `runtime.start`.
 
     Returns:
@@ -83,14 +85,18 @@ def _bending(kind, twin, batch, particles, mesh, device) -> TotalLagrangian:
         raise InputError(f"The twin is of a {twin.device}; this model is of a {kind}.")
     _refuse(twin)
     length = 1e-3 * twin.length_mm
-    if mesh is None:
-        mesh = SHAPES[kind](length, 1e-3 * parameter(twin, "width_mm"))
     material = Material(
         1e6 * parameter(twin, "youngs_modulus_mpa"),
         parameter(twin, "poissons_ratio"),
         parameter(twin, "density_kg_m3"),
     )
-    body = Body.from_mesh(kind, mesh, material, particles=particles, clamp="x-")
+    own = stored_mesh(twin) if mesh is None else None
+    if own is not None:
+        body = filled_body(kind, own, material, particles)
+    else:
+        if mesh is None:
+            mesh = SHAPES[kind](length, 1e-3 * parameter(twin, "width_mm"))
+        body = Body.from_mesh(kind, mesh, material, particles=particles, clamp="x-")
     end = float(body.positions[:, 0].max())
     joints = 1e-3 * np.asarray(twin.spine_joint_positions_mm)
     if not joints[-1] < end < 1.1 * length:

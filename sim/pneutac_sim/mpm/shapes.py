@@ -1,11 +1,32 @@
-"""Closed meshes of the parametric finger and arm, in m: x along the straight device, axis at y = z = 0."""
+"""Closed meshes of devices, in m: x along the straight device, axis at y = z = 0; a gel in its own frame."""
 
 import numpy as np
 import trimesh
 
+from pneutac_sim.gel.model import GelModel
+from pneutac_sim.mpm.user_mesh import stored_mesh
+from pneutac_sim.twin import Twin
+
+WIDTH_MM = {"finger": 20.0, "arm": 40.0}
+# DIGIT's housing is 27 x 20 x 18 mm (Lambeta et al. 2020); it lies beyond the tip, back against the mount.
+DIGIT_LENGTH_M, DIGIT_HALF_HEIGHT_M = 0.027, 0.009
+MOUNT_OVERLAP_M, MOUNT_WALL_M, MOUNT_PLAY_M = 0.012, 0.003, 0.0002
 PITCH_M = 0.0095  # of the bellows
 STATIONS_A_RING = 4
 ANGLES = 24
+
+
+def body_mesh(twin: Twin) -> trimesh.Trimesh:
+    """The closed mesh of a twin's soft body: its own where it holds one, else the parametric device's."""
+    own = stored_mesh(twin)
+    if own is not None:
+        return own
+    if twin.device == "gel":
+        model = GelModel.from_twin(twin)
+        return gel_mesh(*(1e-3 * side for side in model.window_mm), 1e-3 * model.thickness_mm)
+    width = twin.parameters["width_mm"].value if "width_mm" in twin.parameters else WIDTH_MM[twin.device]
+    shape = finger_mesh if twin.device == "finger" else arm_mesh
+    return shape(1e-3 * twin.length_mm, 1e-3 * width)
 
 
 def finger_mesh(length_m: float, width_m: float) -> trimesh.Trimesh:
@@ -33,6 +54,37 @@ def arm_mesh(length_m: float, width_m: float) -> trimesh.Trimesh:
     lobes = np.cos(3 * (angle - np.pi / 2))
     section = 0.5 * width_m * (0.9 + 0.1 * lobes)[:, None] * np.stack([np.cos(angle), np.sin(angle)], 1)
     return _tube(length_m, section, 0.15 * np.ones(ANGLES))
+
+
+def gel_mesh(width_m: float, height_m: float, thickness_m: float) -> trimesh.Trimesh:
+    """A block under its window, in the gel frame of `gel.probe`: the resting surface is at z = 0."""
+    block = trimesh.creation.box((width_m, height_m, thickness_m))
+    return block.apply_translation((0, 0, -thickness_m / 2))
+
+
+def digit_mount_mesh(length_m: float, width_m: float) -> trimesh.Trimesh:
+    """A rigid channel under the last 12 mm of a finger's flat spine and a DIGIT's housing beyond its tip.
+
+    Args:
+        length_m: of the straight finger.
+        width_m: of the finger.
+    """
+    inner = width_m / 2 + MOUNT_PLAY_M
+    outer = inner + MOUNT_WALL_M
+    floor, top = -inner, DIGIT_HALF_HEIGHT_M - inner
+    section = [(-outer, floor - MOUNT_WALL_M), (outer, floor - MOUNT_WALL_M), (outer, top), (inner, top)]
+    section += [(inner, floor), (-inner, floor), (-inner, top), (-outer, top)]
+    x = np.repeat([length_m - MOUNT_OVERLAP_M, length_m + DIGIT_LENGTH_M], len(section))
+    vertices = np.column_stack([x, np.tile(section, (2, 1))])
+    here = np.arange(len(section))
+    beside = np.roll(here, -1)
+    far, far_beside = here + len(section), beside + len(section)
+    sides = np.concatenate([np.stack([here, beside, far_beside], 1), np.stack([here, far_beside, far], 1)])
+    end = np.array([(0, 1, 4), (0, 4, 5), (1, 2, 3), (1, 3, 4), (0, 5, 6), (0, 6, 7)])
+    mesh = trimesh.Trimesh(vertices, np.concatenate([sides, end[:, ::-1], end + len(section)]), process=False)
+    if mesh.volume < 0:
+        mesh.invert()
+    return mesh
 
 
 def _tube(length_m: float, section: np.ndarray, depth: np.ndarray) -> trimesh.Trimesh:

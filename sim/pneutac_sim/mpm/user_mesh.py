@@ -1,0 +1,225 @@
+"""A user's mesh of a finger or an arm: read, repaired, placed and kept in the twin.
+
+body = read_mesh("finger.stl")   # mm, x along the device from its base, neutral axis at y = z = 0
+store_mesh(twin, body.mesh)      # travels with the twin's arrays
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.mpm.sections import is_inside, lattice_inside, neutral_axis
+from pneutac_sim.twin import Twin
+
+FORMATS = (".stl", ".obj", ".ply")
+UNITS = {"mm": 1.0, "m": 1000.0}  # in mm
+AXES = ("x", "y", "z")
+SHORTEST_MM, LONGEST_MM = 5.0, 2000.0  # of a soft finger or arm
+MOST_FACES = 200_000  # finer than particles can tell, and a twin has to travel
+MAIN_SHARE = 0.95  # of all volume, from which on the rest is scraps
+USUAL_PARTICLES = 4000
+CROOKED = 0.1  # of the height, how far the neutral axis may leave a straight line unmentioned
+VERTICES, FACES = "mesh_vertices_mm", "mesh_faces"
+
+
+@dataclass(frozen=True)
+class UserMesh:
+    """A closed mesh in the base frame.
+
+    Attributes:
+        mesh: mm, from x = 0, its neutral axis at y = z = 0.
+        notes: what was repaired or should be known, a sentence each.
+    """
+
+    mesh: trimesh.Trimesh
+    notes: tuple[str, ...] = ()
+
+    @property
+    def length_mm(self) -> float:
+        """From base to tip."""
+        return round(float(self.mesh.bounds[1, 0]), 4)
+
+
+def read_mesh(file: str | Path, unit: str = "mm", axis: str | None = None) -> UserMesh:
+    """Reads a mesh, repairs it and places it.
+
+    Args:
+        file: STL, OBJ or PLY.
+        unit: of its coordinates, mm or m.
+        axis: x, y or z, along which it lies in the file, base first; None for the longest side. Axes are
+            renamed in cyclic order: with z it bends towards the file's y, with y towards x, with x towards z.
+
+    Raises:
+        InputError: not a mesh, no closed body, several bodies, an implausible size, or a hollow one.
+    """
+    if unit not in UNITS:
+        raise InputError(f"--mesh_unit is '{unit}'; it must be mm or m.")
+    if axis not in (None, *AXES):
+        raise InputError(f"--mesh_axis is '{axis}'; it must be x, y or z.")
+    mesh = _load(Path(file))
+    mesh.apply_scale(UNITS[unit])
+    _check_size(mesh, file, unit)
+    notes = _close(mesh, file)
+    mesh = _one_body(mesh, file, notes)
+    _place(mesh, file, axis, notes)
+    return UserMesh(mesh, tuple(notes))
+
+
+def store_mesh(twin: Twin, mesh: trimesh.Trimesh) -> None:
+    """Puts a placed mesh in mm into the twin's arrays."""
+    twin.arrays[VERTICES] = np.asarray(mesh.vertices, np.float32)
+    twin.arrays[FACES] = np.asarray(mesh.faces, np.int32)
+
+
+def stored_mesh(twin: Twin) -> trimesh.Trimesh | None:
+    """The twin's own mesh in m, or None where it is parametric.
+
+    Raises:
+        InputError: one array without the other, or of a wrong shape.
+    """
+    if VERTICES not in twin.arrays and FACES not in twin.arrays:
+        return None
+    vertices, faces = (np.asarray(twin.arrays.get(name, [])) for name in (VERTICES, FACES))
+    shaped = all(a.ndim == 2 and a.shape[1] == 3 and len(a) for a in (vertices, faces))
+    if not shaped or not np.isfinite(vertices).all() or faces.min() < 0 or faces.max() >= len(vertices):
+        raise InputError(
+            f"The twin's arrays '{VERTICES}' (V, 3) and '{FACES}' (F, 3) hold no mesh; restore them, or make "
+            "the twin anew with `pneutac new --mesh=FILE`."
+        )
+    return trimesh.Trimesh(1e-3 * vertices.astype(float), faces, process=False)
+
+
+# ---------------------------------------------------------------- reading
+
+
+def _load(file: Path) -> trimesh.Trimesh:
+    if not file.is_file():
+        raise InputError(f"There is no mesh '{file}'; give an STL, OBJ or PLY file with --mesh=FILE.")
+    if file.suffix.lower() not in FORMATS:
+        raise InputError(f"{file} is no mesh that can be read here; export it as STL, OBJ or PLY.")
+    try:
+        mesh = trimesh.load_mesh(file, process=False)
+    except Exception as e:
+        raise InputError(f"{file} cannot be read as a mesh ({e}); export it anew as STL, OBJ or PLY.") from e
+    if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
+        raise InputError(f"{file} is empty: it holds no triangles.")
+    if not np.isfinite(mesh.vertices).all():
+        raise InputError(f"{file} has vertices that are not finite numbers; export it anew.")
+    if len(mesh.faces) > MOST_FACES:
+        raise InputError(f"{file} has {len(mesh.faces)} triangles; simplify it to at most {MOST_FACES}.")
+    return trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+
+
+def _check_size(mesh: trimesh.Trimesh, file, unit: str) -> None:
+    longest = float(mesh.extents.max())
+    if longest == 0:
+        raise InputError(f"{file} is empty: all its vertices are in one place.")
+    if longest < SHORTEST_MM and unit == "mm":
+        likely = "if it is in metres, add --mesh_unit=m (or scale it by 1000)"
+    elif longest < SHORTEST_MM:
+        likely = "scale it up"
+    elif longest > LONGEST_MM and unit == "m":
+        likely = "if it is in millimetres, omit --mesh_unit=m"
+    elif longest > LONGEST_MM:
+        likely = "if it is in micrometres, scale it by 0.001"
+    else:
+        return
+    raise InputError(
+        f"{file} read in {unit} is {longest:.4g} mm long, and a finger or arm is {SHORTEST_MM:g} to "
+        f"{LONGEST_MM:g} mm: {likely}."
+    )
+
+
+def _close(mesh: trimesh.Trimesh, file) -> list[str]:
+    mesh.merge_vertices()
+    mesh.update_faces(mesh.nondegenerate_faces() & mesh.unique_faces())
+    mesh.remove_unreferenced_vertices()
+    notes = []
+    if len(mesh.faces) and not mesh.is_watertight:
+        before = len(mesh.faces)
+        trimesh.repair.fill_holes(mesh, use_fan=True)
+        notes.append(f"Holes were closed with {len(mesh.faces) - before} triangles: look at geometry.stl.")
+    if not len(mesh.faces) or not mesh.is_watertight:
+        edges = np.bincount(np.unique(mesh.edges_sorted, axis=0, return_inverse=True)[1].ravel())
+        raise InputError(
+            f"{file} is not closed: {(edges != 2).sum()} edges do not join exactly two triangles, also after "
+            "filling its holes; repair it where it was drawn."
+        )
+    return notes
+
+
+def _one_body(mesh: trimesh.Trimesh, file, notes: list[str]) -> trimesh.Trimesh:
+    """The one outer body, its normals outward; chambers inside it are filled."""
+    parts = list(mesh.split(only_watertight=False))
+    for part in parts:
+        trimesh.repair.fix_normals(part)
+        if part.volume < 0:
+            part.invert()
+    parts.sort(key=lambda part: -part.volume)
+    main = parts[0]
+    if not main.volume > 1e-6 * main.extents.max() ** 3:
+        raise InputError(f"{file} is flat: it encloses no volume.")
+    outer = [part for part in parts[1:] if not is_inside(_some(part.vertices), main.triangles).all()]
+    share = main.volume / (main.volume + sum(part.volume for part in outer))
+    if share <= MAIN_SHARE:
+        raise InputError(
+            f"{file} holds {1 + len(outer)} separate bodies, the largest with {share:.0%} of the volume; "
+            "join them, or export the soft body alone."
+        )
+    if outer:
+        notes.append(f"Left out {len(outer)} small separate bodies, {1 - share:.1%} of the volume.")
+    if chambers := len(parts) - 1 - len(outer):
+        notes.append(f"Filled {chambers} closed chamber(s): the spine stands for what is in them.")
+    return main
+
+
+def _some(vertices: np.ndarray) -> np.ndarray:
+    return vertices[:: max(1, len(vertices) // 20)]
+
+
+def _place(mesh: trimesh.Trimesh, file, axis: str | None, notes: list[str]) -> None:
+    """Turns the long axis to x by the cyclic order of axes, base to x = 0, neutral axis to y = z = 0."""
+    if axis is None:
+        extents = mesh.extents
+        order = np.argsort(-extents)
+        if extents[order[1]] > 0.95 * extents[order[0]]:
+            raise InputError(
+                f"{file} is about as long along {AXES[order[0]]} as along {AXES[order[1]]}; tell which is "
+                "its length with --mesh_axis=x, y or z."
+            )
+        axis = AXES[order[0]]
+    turn = AXES.index(axis)
+    mesh.vertices = np.roll(mesh.vertices, -turn, axis=1)
+    if turn:
+        notes.append(f"The file's {axis} became x, its {AXES[turn - 1]} z, towards which pressure bends.")
+    x, centres, areas = neutral_axis(mesh)
+    middle = np.average(centres, axis=0, weights=areas)
+    start = mesh.bounds[0, 0]
+    mesh.apply_translation((-start, *-middle))
+    away = np.linalg.norm(centres - middle, axis=1)
+    inner = np.abs(x - start - mesh.extents[0] / 2) < 0.45 * mesh.extents[0]
+    height = float(mesh.extents[2])
+    if away[inner].max() > CROOKED * height:
+        notes.append(
+            f"The neutral axis leaves a straight line by {away[inner].max():.3g} mm (height {height:.3g} "
+            "mm), but the spine is straight: expect a bend that is off there."
+        )
+    if _solid_at_axis(mesh) < 0.8:
+        raise InputError(
+            f"{file} has no material along its neutral axis, where the spine lies; close the openings of its "
+            "chamber, so that it is filled, or export it solid."
+        )
+
+
+def _solid_at_axis(mesh: trimesh.Trimesh) -> float:
+    """Share of the length where a usual lattice has a particle so near the axis that a spine can hold it."""
+    h = (mesh.volume / USUAL_PARTICLES) ** (1 / 3)
+    low, high = mesh.bounds
+    counts = np.maximum(np.round((high - low) / h).astype(int), 1)
+    origin = (low + high) / 2 - counts * h / 2
+    y, z = (origin[k] + (np.arange(counts[k]) + 0.5) * h for k in (1, 2))
+    near = np.hypot(y[:, None], z) <= 1.5 * h
+    return float((lattice_inside(mesh.triangles, origin, counts, h) & near).any((1, 2)).mean())

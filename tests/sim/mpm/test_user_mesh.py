@@ -1,0 +1,270 @@
+"""A user's mesh: measures, placing, filling, bending, and what is refused."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.mpm import devices, shapes
+from pneutac_sim.mpm.body import Body, Material
+from pneutac_sim.mpm.lattice import filled_body
+from pneutac_sim.mpm.sections import is_inside, lattice_inside, neutral_axis
+from pneutac_sim.mpm.solve import solve_equilibrium
+from pneutac_sim.mpm.total_lagrangian import Loads
+from pneutac_sim.mpm.user_mesh import read_mesh, store_mesh, stored_mesh
+from pneutac_sim.twin import Twin
+
+RUBBER = Material(1e6, 0.45)
+L_SHAPE = np.array([(0, 0), (12, 0), (12, 4), (4, 4), (4, 16), (0, 16)], float)  # mm, in y and z
+
+
+def prism(section: np.ndarray, length: float, shift=lambda x: np.zeros((len(x), 2))) -> trimesh.Trimesh:
+    """A bar along x of an L-shaped section (6, 2), its stations moved by `shift`."""
+    n, stations = len(section), 41
+    x = np.repeat(np.linspace(0, length, stations), n)
+    vertices = np.column_stack([x, np.tile(section, (stations, 1)) + shift(x)])
+    a = np.arange(n)
+    b = np.roll(a, -1)
+    sides = np.concatenate([np.stack([a, b, b + n], 1), np.stack([a, b + n, a + n], 1)])
+    faces = [sides + k * n for k in range(stations - 1)]
+    end = np.array([(0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5)])
+    mesh = trimesh.Trimesh(vertices, np.concatenate([*faces, end[:, ::-1], end + (stations - 1) * n]))
+    assert mesh.is_watertight and mesh.volume > 0
+    return mesh
+
+
+def capsule(length: float, radius: float) -> trimesh.Trimesh:
+    """Along z, from z = 0, mm."""
+    mesh = trimesh.creation.capsule(height=length - 2 * radius, radius=radius, count=(24, 24))
+    return mesh.apply_translation((0, 0, -mesh.bounds[0, 2]))
+
+
+def saved(mesh: trimesh.Trimesh, path, name="body.stl"):
+    mesh.export(path / name)
+    return path / name
+
+
+# ---------------------------------------------------------------- measures
+
+
+def test_neutral_axis_of_an_l_is_its_areas_centroid():
+    x, centres, areas = neutral_axis(prism(L_SHAPE, 90.0))
+    # two rectangles: 12 x 4 about (6, 2), 4 x 12 about (2, 10)
+    np.testing.assert_allclose(areas, 96.0, rtol=1e-9)
+    np.testing.assert_allclose(centres, np.tile([4.0, 6.0], (len(x), 1)), rtol=1e-9)
+
+
+def test_neutral_axis_of_a_hollow_bar_leaves_the_hole_out():
+    outer = trimesh.creation.box((60, 10, 10))
+    hole = trimesh.creation.box((50, 4, 4)).apply_translation((0, 0, 2))
+    hole.invert()
+    x, centres, areas = neutral_axis(trimesh.util.concatenate([outer, hole]))
+    middle = np.abs(x) < 24
+    np.testing.assert_allclose(areas[middle], 84.0, rtol=1e-9)
+    np.testing.assert_allclose(centres[middle, 1], -2 * 16 / 84, rtol=1e-9)
+
+
+def test_inside_agrees_with_a_ball_and_with_the_other_test():
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=1.0)
+    counts, h = np.array([9, 10, 11]), 0.23
+    origin = -counts * h / 2
+    found = lattice_inside(ball.triangles, origin, counts, h)
+    points = origin + (np.argwhere(np.ones(counts)) + 0.5) * h
+    far = np.abs(np.linalg.norm(points, axis=1) - 1) > 0.02
+    np.testing.assert_array_equal(found.ravel()[far], np.linalg.norm(points[far], axis=1) < 1)
+    np.testing.assert_array_equal(found.ravel(), is_inside(points, ball.triangles))
+
+
+# ---------------------------------------------------------------- placing
+
+
+def test_axis_base_and_neutral_axis_are_where_the_spine_expects_them(tmp_path):
+    body = read_mesh(saved(prism(L_SHAPE + [30, -70], 90.0).apply_translation((-12, 0, 0)), tmp_path))
+    assert body.notes == () and body.length_mm == 90.0
+    np.testing.assert_allclose(body.mesh.bounds, [[0, -4, -6], [90, 8, 10]], atol=1e-4)
+
+
+@pytest.mark.parametrize("turn", [1, 2])
+def test_axes_keep_their_order_when_the_long_one_becomes_x(tmp_path, turn):
+    mesh = prism(L_SHAPE, 90.0)
+    mesh.vertices = np.roll(mesh.vertices, turn, axis=1)
+    axis = "xyz"[turn]
+    for told in (None, axis):
+        body = read_mesh(saved(mesh, tmp_path), axis=told)
+        np.testing.assert_allclose(body.mesh.bounds, [[0, -4, -6], [90, 8, 10]], atol=1e-4)
+        assert body.mesh.volume == pytest.approx(90 * 96, rel=1e-6)
+    assert f"{axis} became x, its {'xyz'[turn - 1]} z" in body.notes[0]
+
+
+def test_metres_and_millimetres_give_the_same_body(tmp_path):
+    mesh = prism(L_SHAPE, 90.0)
+    mm = read_mesh(saved(mesh, tmp_path, "mm.ply"))
+    m = read_mesh(saved(mesh.copy().apply_scale(1e-3), tmp_path, "m.ply"), unit="m")
+    np.testing.assert_allclose(m.mesh.bounds, mm.mesh.bounds, atol=1e-4)
+    with pytest.raises(InputError, match=r"read in mm is 0.09 mm long.*--mesh_unit=m \(or scale it by 1000"):
+        read_mesh(tmp_path / "m.ply")
+    with pytest.raises(InputError, match="read in m is 9e.04 mm long.*omit --mesh_unit=m"):
+        read_mesh(tmp_path / "mm.ply", unit="m")
+
+
+def test_holes_and_turned_faces_are_repaired(tmp_path):
+    mesh = capsule(90.0, 9.0)
+    mesh.faces[5:40] = mesh.faces[5:40, ::-1]
+    mesh.update_faces(~np.isin(np.arange(len(mesh.faces)), [200, 201, 300]))
+    body = read_mesh(saved(mesh, tmp_path))
+    assert body.mesh.is_watertight and "Holes were closed" in body.notes[0]
+    assert body.mesh.volume == pytest.approx(capsule(90.0, 9.0).volume, rel=1e-3)
+
+
+def test_chambers_are_filled_and_scraps_left_out(tmp_path):
+    outer, chamber = capsule(90.0, 9.0), capsule(70.0, 4.0).apply_translation((0, 0, 10))
+    chamber.invert()
+    scrap = trimesh.creation.box((2, 2, 2)).apply_translation((30, 0, 0))
+    body = read_mesh(saved(trimesh.util.concatenate([scrap, outer, chamber]), tmp_path))
+    assert body.mesh.volume == pytest.approx(outer.volume, rel=1e-6)
+    assert any("1 small separate" in n for n in body.notes) and any(
+        "1 closed chamber" in n for n in body.notes
+    )
+
+
+def test_a_crooked_neutral_axis_is_told(tmp_path):
+    def bent(x):
+        return np.column_stack([0 * x, 8 * np.sin(np.pi * x / 90)])
+
+    body = read_mesh(saved(prism(L_SHAPE, 90.0, bent), tmp_path))
+    assert any("neutral axis leaves a straight line by" in n for n in body.notes)
+    slightly = read_mesh(saved(prism(L_SHAPE, 90.0, lambda x: 0.2 * bent(x)), tmp_path))
+    assert slightly.notes == ()
+
+
+# ---------------------------------------------------------------- bad input
+
+
+def cut(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """Three triangles at one edge: no hole to fill."""
+    fin = [[*mesh.faces[0][:2], len(mesh.vertices)]]
+    return trimesh.Trimesh(
+        np.vstack([mesh.vertices, [50, 50, 50]]), np.vstack([mesh.faces, fin]), process=False
+    )
+
+
+def two(gap: float) -> trimesh.Trimesh:
+    return trimesh.util.concatenate([capsule(90.0, 9.0), capsule(90.0, 9.0).apply_translation((gap, 0, 0))])
+
+
+TUBE = trimesh.creation.annulus(r_min=7, r_max=9, height=90)
+
+
+@pytest.mark.parametrize(
+    ("mesh", "words"),
+    [
+        (cut(capsule(90, 9)), "is not closed: [0-9]+ edges do not join exactly two triangles"),
+        (two(40.0), "holds 2 separate bodies, the largest with 50% of the volume"),
+        (two(10.0), "holds 2 separate bodies"),
+        (trimesh.creation.box((20, 20, 20)), "as long along . as along .*--mesh_axis"),
+        (TUBE, "no material along its neutral axis.*chamber"),
+        (
+            trimesh.Trimesh([[0, 0, 0], [90, 0, 0], [0, 9, 0]], [[0, 1, 2], [0, 2, 1]], process=False),
+            "mesh.stl",
+        ),
+        (capsule(3000, 90), "is 3000 mm long.*scale it by 0.001"),
+    ],
+)
+def test_meshes_that_are_no_device_are_refused(tmp_path, mesh, words):
+    with pytest.raises(InputError, match=words) as refused:
+        read_mesh(saved(mesh, tmp_path, "mesh.stl"))
+    assert str(refused.value).count(". ") == 0 and str(refused.value).endswith(".")  # one sentence
+
+
+def test_files_that_are_no_mesh_are_refused(tmp_path):
+    with pytest.raises(InputError, match="There is no mesh"):
+        read_mesh(tmp_path / "none.stl")
+    (tmp_path / "part.step").write_text("ISO-10303-21;")
+    with pytest.raises(InputError, match="export it as STL, OBJ or PLY"):
+        read_mesh(tmp_path / "part.step")
+    for name, text in (
+        ("a.stl", b"not a mesh"),
+        ("b.ply", b"ply\n"),
+        ("c.obj", b"v 0 0 0\n"),
+        ("d.stl", b""),
+    ):
+        (tmp_path / name).write_bytes(text)
+        with pytest.raises(InputError, match=name):
+            read_mesh(tmp_path / name)
+    for option, value in (("unit", "inch"), ("axis", "w")):
+        with pytest.raises(InputError, match=f"--mesh_{option} is '{value}'"):
+            read_mesh(tmp_path / "a.stl", **{option: value})
+
+
+def test_a_broken_stored_mesh_is_named():
+    twin = Twin.builtin()
+    store_mesh(twin, capsule(90, 9))
+    twin.arrays["mesh_faces"] = twin.arrays["mesh_faces"] + 1
+    with pytest.raises(InputError, match="'mesh_vertices_mm'.*hold no mesh"):
+        stored_mesh(twin)
+    del twin.arrays["mesh_faces"]
+    with pytest.raises(InputError, match="hold no mesh"):
+        devices.finger(twin)
+
+
+# ---------------------------------------------------------------- filling and bending
+
+
+@pytest.mark.parametrize("particles", [1000, 4000])
+@pytest.mark.parametrize(
+    "mesh",
+    [
+        shapes.finger_mesh(0.11, 0.02),
+        shapes.arm_mesh(0.2, 0.04),
+        capsule(90, 9).apply_scale(1e-3),
+        prism(L_SHAPE, 90.0).apply_scale(1e-3),
+        trimesh.creation.box((0.1, 0.02, 0.012)),
+    ],
+    ids=["finger", "arm", "capsule", "l", "bar"],
+)
+def test_particles_meet_number_and_volume(mesh, particles):
+    body = filled_body("body", mesh, RUBBER, particles)
+    assert len(body.cells) == pytest.approx(particles, rel=0.05)
+    assert body.volume_m3 == pytest.approx(mesh.volume, rel=0.05)
+    assert body.positions.mean(0) == pytest.approx(mesh.center_mass, abs=0.5 * body.spacing_m)
+
+
+def test_filling_puts_particles_where_bodies_do():
+    mesh = prism(L_SHAPE, 90.0).apply_scale(1e-3)
+    body = filled_body("body", mesh, RUBBER, 2000)
+    inside = is_inside(body.positions[::7], mesh.triangles)
+    assert inside.all()
+    usual = Body.from_mesh("body", mesh, RUBBER, particles=2000)
+    assert np.abs(body.positions.mean(0) - usual.positions.mean(0)).max() < body.spacing_m
+
+
+def test_a_users_finger_bends_towards_z_about_its_own_axis(tmp_path):
+    """Joints and length are the mesh's, and its far end goes where the spine's does."""
+    body = read_mesh(saved(capsule(80.0, 8.0), tmp_path))
+    twin = Twin("finger", body.length_mm, parameters=Twin.builtin().parameters)
+    store_mesh(twin, body.mesh)
+    solver = devices.finger(twin, batch=2, particles=800, device="cpu")
+    assert solver.spine.joint_positions_m == pytest.approx([0.01, 0.03, 0.05, 0.07])
+    assert len(solver.body.cells) == pytest.approx(800, rel=0.05)
+    q_cmd = devices.joint_targets(twin, [0.0, 12.0])
+    rest = solve_equilibrium(solver, Loads(q_cmd=q_cmd))
+    assert (rest.q > 0).all() and (rest.q[1] > 2 * rest.q[0]).all()
+    np.testing.assert_allclose(rest.q, q_cmd, rtol=0.03)
+    tip = rest.positions[:, np.argmax(solver.body.positions[:, 0])]
+    assert tip[1, 2] > tip[0, 2] + 0.01
+    spine_tip = devices.spine_points(solver, rest.q)[:, -1]
+    assert np.abs(tip - spine_tip).max() < 2 * solver.body.spacing_m
+
+
+def test_an_l_shaped_finger_bends_about_its_neutral_axis():
+    """The axis runs along the inner edge of the L, half of it in air; the spine still holds."""
+    twin = Twin("finger", 90.0, parameters=Twin.builtin().parameters)
+    store_mesh(twin, prism(L_SHAPE - [4, 6], 90.0))
+    solver = devices.finger(twin, particles=1500, device="cpu")
+    rest = solve_equilibrium(solver, Loads(q_cmd=(q_cmd := devices.joint_targets(twin, [12.0]))))
+    np.testing.assert_allclose(rest.q, q_cmd, rtol=0.03)
+    # the inner side, above the axis, is pressed together, the outer one stretched
+    x, z = solver.body.positions[:, 0], solver.body.positions[:, 2]
+    middle = (x > 0.03) & (x < 0.07)
+    along = np.linalg.norm(rest.gradients[0, :, :, 0], axis=1)
+    assert along[middle & (z > 3e-3)].mean() < 0.99 and along[middle & (z < -3e-3)].mean() > 1.01
