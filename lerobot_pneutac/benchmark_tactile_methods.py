@@ -15,6 +15,7 @@ from pneutac_sim.gel import optics
 from pneutac_sim.gel.fit import fit_gel
 from pneutac_sim.gel.layout import DIGIT, Layout
 from pneutac_sim.gel.model import GelModel
+from pneutac_sim.gel.pair import Pair
 from pneutac_sim.gel.photograph import KEPT, Predictor, press_depth, registered, session_light
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.splat.gel import SplatSensor
@@ -81,7 +82,7 @@ def _baseline(kind: type):
 
     def fit(name: str, data: GelRecording) -> Predict:
         c = data.calibration
-        fitted = kind.fit(c.rest, c.image, c.press, data.px_per_mm, data.thickness_mm)
+        fitted = kind.fit(Pair(c.rest, c.image, c.press, data.px_per_mm, data.thickness_mm))
 
         def predict(s: GelSample) -> np.ndarray:
             image = fitted.image(s.press)

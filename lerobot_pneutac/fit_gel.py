@@ -17,6 +17,7 @@ from pneutac_sim.features import IMAGE_SHAPE
 from pneutac_sim.gel.fit import fit_gel
 from pneutac_sim.gel.metrics import ImageScores, score
 from pneutac_sim.gel.model import GelModel
+from pneutac_sim.gel.pair import Pair
 from pneutac_sim.gel.photograph import Predictor
 from pneutac_sim.twin import Twin
 
@@ -148,7 +149,8 @@ def predict(gel: GelModel, data: GelRecording) -> list[np.ndarray]:
 
 def render(gel: GelModel, data: GelRecording) -> dict[str, list[np.ndarray]]:
     """Predictions of every sample by the model and by the two rows that keep one honest."""
-    pasted = Pasted.fit(data.calibration.rest, data.calibration.image, data.calibration.press, data.px_per_mm)
+    c = data.calibration
+    pasted = Pasted.fit(Pair(c.rest, c.image, c.press, data.px_per_mm))
     return {
         OURS: predict(gel, data),
         PASTED: [pasted.image(s.press) for s in data.samples],

@@ -10,7 +10,7 @@ from scipy.optimize import minimize_scalar
 
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.optics import gradient, upsample
-from pneutac_sim.gel.pair import check_pair
+from pneutac_sim.gel.pair import Pair
 from pneutac_sim.gel.probe import COLS, ROWS, probe_grid
 from pneutac_sim.gel.surface import surface
 
@@ -32,21 +32,14 @@ class Displacement:
         self._window_mm = shape[1] / px_per_mm, shape[0] / px_per_mm
 
     @classmethod
-    def fit(
-        cls, rest: np.ndarray, indentation: np.ndarray, press: Press, px_per_mm: float, thickness_mm: float
-    ) -> "Displacement":
-        """Searches the decay length under which slopes and depth explain most of indentation - rest.
-
-        Raises:
-            InputError: the pair cannot be what it is said to be, see `pneutac_sim.gel.pair.check_pair`.
-        """
-        check_pair(rest, indentation, press, px_per_mm)
-        model = cls(rest.shape[:2], px_per_mm, thickness_mm)
-        difference = (indentation.astype(np.float32) - rest).reshape(-1, 3)
+    def fit(cls, pair: Pair) -> "Displacement":
+        """Searches the decay length under which slopes and depth explain most of indentation - rest."""
+        model = cls(pair.rest.shape[:2], pair.px_per_mm, pair.thickness_mm)
+        difference = (pair.indentation.astype(np.float32) - pair.rest).reshape(-1, 3)
 
         def error(log_decay: float) -> float:
             model.decay_mm = float(np.exp(log_decay))
-            features = model.fields(press).reshape(3, -1).T
+            features = model.fields(pair.press).reshape(3, -1).T
             FF, Fd = features.T @ features, features.T @ difference
             return -float(np.sum(Fd * np.linalg.lstsq(FF, Fd, rcond=None)[0]))  # less |difference|^2
 

@@ -19,7 +19,7 @@ from torch.nn import functional as F
 
 from pneutac_sim.baselines.displacement import Displacement
 from pneutac_sim.gel.indenter import Press
-from pneutac_sim.gel.probe import THICKNESS_MM
+from pneutac_sim.gel.pair import Pair
 
 WIDTH_PX = 120
 CHANNELS = 16  # of the finest level, doubled at each coarser one
@@ -40,33 +40,15 @@ class DotSim:
         self._rest, self._displacement, self._network = rest, displacement, network
 
     @classmethod
-    def fit(
-        cls,
-        rest: np.ndarray,
-        indentation: np.ndarray,
-        press: Press,
-        px_per_mm: float,
-        thickness_mm: float = THICKNESS_MM,
-    ) -> "DotSim":
-        """Trains the network; always from the same seed.
-
-        Args:
-            rest: image without contact, uint8 (H, W, 3).
-            indentation: image under the indenter, uint8, same shape.
-            press: which indenter, where and how deep.
-            px_per_mm: scale of the images.
-            thickness_mm: gel thickness.
-
-        Raises:
-            InputError: the pair cannot be what it is said to be, see `pneutac_sim.gel.pair.check_pair`.
-        """
-        displacement = Displacement.fit(rest, indentation, press, px_per_mm, thickness_mm)
-        residual = _small((indentation.astype(np.float32) - rest).transpose(2, 0, 1)) / LEVELS
+    def fit(cls, pair: Pair) -> "DotSim":
+        """Trains the network; always from the same seed."""
+        displacement = Displacement.fit(pair)
+        residual = _small((pair.indentation.astype(np.float32) - pair.rest).transpose(2, 0, 1)) / LEVELS
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(SEED)
             network = _UNet()
-        _train(network, _network_input(displacement, press), torch.from_numpy(residual))
-        return cls(rest, displacement, network)
+        _train(network, _network_input(displacement, pair.press), torch.from_numpy(residual))
+        return cls(pair.rest, displacement, network)
 
     @torch.no_grad()
     def image(self, press: Press) -> np.ndarray:

@@ -3,8 +3,7 @@
 import numpy as np
 
 from pneutac_sim.gel.indenter import Press
-from pneutac_sim.gel.pair import check_pair, press_px
-from pneutac_sim.gel.probe import THICKNESS_MM
+from pneutac_sim.gel.pair import Pair, press_px
 
 
 class RestAlone:
@@ -16,21 +15,9 @@ class RestAlone:
         self._rest = rest
 
     @classmethod
-    def fit(
-        cls,
-        rest: np.ndarray,
-        indentation: np.ndarray,
-        press: Press,
-        px_per_mm: float,
-        thickness_mm: float = THICKNESS_MM,
-    ) -> "RestAlone":
-        """Keeps the rest image, uint8 (H, W, 3); the rest is checked and not used.
-
-        Raises:
-            InputError: the pair cannot be what it is said to be, see `pneutac_sim.gel.pair.check_pair`.
-        """
-        check_pair(rest, indentation, press, px_per_mm)
-        return cls(rest)
+    def fit(cls, pair: Pair) -> "RestAlone":
+        """Keeps the rest image, uint8 (H, W, 3); the rest is checked and not used."""
+        return cls(pair.rest)
 
     def image(self, press: Press) -> np.ndarray:
         """The rest image, uint8 (H, W, 3), whatever presses."""
@@ -51,21 +38,9 @@ class Pasted:
         self._press, self._px_per_mm = press, px_per_mm
 
     @classmethod
-    def fit(
-        cls,
-        rest: np.ndarray,
-        indentation: np.ndarray,
-        press: Press,
-        px_per_mm: float,
-        thickness_mm: float = THICKNESS_MM,
-    ) -> "Pasted":
-        """Keeps indentation - rest, both uint8 (H, W, 3), and where the contact was.
-
-        Raises:
-            InputError: the pair cannot be what it is said to be, see `pneutac_sim.gel.pair.check_pair`.
-        """
-        check_pair(rest, indentation, press, px_per_mm)
-        return cls(rest, indentation.astype(np.int16) - rest, press, px_per_mm)
+    def fit(cls, pair: Pair) -> "Pasted":
+        """Keeps indentation - rest, both uint8 (H, W, 3), and where the contact was."""
+        return cls(pair.rest, pair.indentation.astype(np.int16) - pair.rest, pair.press, pair.px_per_mm)
 
     def image(self, press: Press) -> np.ndarray:
         """Tactile image, uint8 (H, W, 3)."""

@@ -20,7 +20,7 @@ from scipy.optimize import least_squares
 
 from pneutac_sim.baselines.displacement import Displacement
 from pneutac_sim.gel.indenter import Press
-from pneutac_sim.gel.probe import THICKNESS_MM
+from pneutac_sim.gel.pair import Pair
 
 LIGHTS = 3
 FIT_PIXELS = 2500
@@ -45,37 +45,19 @@ class Tacchi:
         self._thickness_mm, self._parameters = thickness_mm, parameters
 
     @classmethod
-    def fit(
-        cls,
-        rest: np.ndarray,
-        indentation: np.ndarray,
-        press: Press,
-        px_per_mm: float,
-        thickness_mm: float = THICKNESS_MM,
-    ) -> "Tacchi":
-        """Fits the lights from a few starts and keeps the best.
-
-        Args:
-            rest: image without contact, uint8 (H, W, 3).
-            indentation: image under the indenter, uint8, same shape.
-            press: which indenter, where and how deep.
-            px_per_mm: scale of the images.
-            thickness_mm: gel thickness.
-
-        Raises:
-            InputError: the pair cannot be what it is said to be, see `pneutac_sim.gel.pair.check_pair`.
-        """
-        displacement = Displacement.fit(rest, indentation, press, px_per_mm, thickness_mm)
-        fields = displacement.fields(press)
+    def fit(cls, pair: Pair) -> "Tacchi":
+        """Fits the lights from a few starts and keeps the best."""
+        displacement = Displacement.fit(pair)
+        fields = displacement.fields(pair.press)
         touched = np.flatnonzero(fields[2] > 0.02 * fields[2].max())
         touched = touched[:: max(1, len(touched) // FIT_PIXELS)]
         fields = fields.reshape(3, -1)[:, touched].astype(np.float64)
-        background = rest.reshape(-1, 3)[touched].astype(np.float64)
-        target = indentation.reshape(-1, 3)[touched] - background
+        background = pair.rest.reshape(-1, 3)[touched].astype(np.float64)
+        target = pair.indentation.reshape(-1, 3)[touched] - background
         slope_light = np.linalg.lstsq(fields[:2].T, target, rcond=None)[0].T  # (3, 2) levels per unit slope
 
         def residual(parameters):
-            return (_change(parameters, fields, background, thickness_mm) - target).ravel()
+            return (_change(parameters, fields, background, pair.thickness_mm) - target).ravel()
 
         bounds = np.array(_LOWEST * LIGHTS + [-1.0]), np.array(_HIGHEST * LIGHTS + [1.0])
         fits = [
@@ -83,7 +65,7 @@ class Tacchi:
             for start in STARTS
         ]
         best = min(fits, key=lambda f: f.cost)
-        return cls(rest, displacement, thickness_mm, best.x)
+        return cls(pair.rest, displacement, pair.thickness_mm, best.x)
 
     def image(self, press: Press) -> np.ndarray:
         """Tactile image, uint8 (H, W, 3)."""

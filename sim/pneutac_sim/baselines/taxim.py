@@ -22,8 +22,8 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from pneutac_sim.gel.indenter import Press
-from pneutac_sim.gel.pair import check_pair
-from pneutac_sim.gel.probe import THICKNESS_MM, probe_grid
+from pneutac_sim.gel.pair import Pair
+from pneutac_sim.gel.probe import probe_grid
 
 BINS = 125  # of slope, 0 to 90 degrees, and of direction, all round
 PYRAMID_PX = (201, 101, 51, 21, 11, 5)  # blur kernels, at the scale of the released sensor
@@ -53,35 +53,16 @@ class Taxim:
         self._positions = _positions(*rest.shape[:2])
 
     @classmethod
-    def fit(
-        cls,
-        rest: np.ndarray,
-        indentation: np.ndarray,
-        press: Press,
-        px_per_mm: float,
-        thickness_mm: float = THICKNESS_MM,
-    ) -> "Taxim":
-        """Fills both tables.
-
-        Args:
-            rest: image without contact, uint8 (H, W, 3).
-            indentation: image under the indenter, uint8, same shape.
-            press: which indenter, where and how deep.
-            px_per_mm: scale of the images.
-            thickness_mm: gel thickness.
-
-        Raises:
-            InputError: the pair cannot be what it is said to be, see `pneutac_sim.gel.pair.check_pair`.
-        """
-        check_pair(rest, indentation, press, px_per_mm)
-        model = cls(rest, px_per_mm, thickness_mm)
-        height, contact = model._surface(press)
-        change = indentation.astype(np.float64) - rest
-        model._table = _fit_table(_bins(height, px_per_mm), model._positions, change)
+    def fit(cls, pair: Pair) -> "Taxim":
+        """Fills both tables."""
+        model = cls(pair.rest, pair.px_per_mm, pair.thickness_mm)
+        height, contact = model._surface(pair.press)
+        change = pair.indentation.astype(np.float64) - pair.rest
+        model._table = _fit_table(_bins(height, pair.px_per_mm), model._positions, change)
         darker = gaussian_filter(change - model._looked_up(height), (model._smooth_px, model._smooth_px, 0))
         rays = _Rays(height, contact)
-        model._shadows = rays.profiles(darker, int(SHADOW_REACH_MM * px_per_mm / SHADOW_STEP_PX))
-        model._shadow_depth_mm = press.depth_mm
+        model._shadows = rays.profiles(darker, int(SHADOW_REACH_MM * pair.px_per_mm / SHADOW_STEP_PX))
+        model._shadow_depth_mm = pair.press.depth_mm
         return model
 
     def image(self, press: Press) -> np.ndarray:

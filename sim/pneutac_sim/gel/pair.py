@@ -1,11 +1,14 @@
 """Whether a rest and an indentation image can be what they are said to be."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.ndimage import gaussian_filter, gaussian_laplace
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel import metrics
 from pneutac_sim.gel.indenter import Press
+from pneutac_sim.gel.probe import THICKNESS_MM
 
 # Of 66 photographs of three real sensors, an indentation has at least 2.5 times the rest image's relief at
 # the contact, its blurred difference is at least 3 times that elsewhere, and away from the contact it
@@ -24,6 +27,31 @@ def _disc(image: np.ndarray, press: Press, px_per_mm: float, radii: float) -> np
 def press_px(press: Press, shape: tuple[int, ...], px_per_mm: float) -> tuple[float, float]:
     """Column and row of a press in an image of `shape`."""
     return shape[1] / 2 + press.x_mm * px_per_mm, shape[0] / 2 + press.y_mm * px_per_mm
+
+
+@dataclass(frozen=True)
+class Pair:
+    """One rest and one indentation image of a gel, checked.
+
+    Attributes:
+        rest: image without contact, uint8 (H, W, 3).
+        indentation: image under the indenter, uint8, same shape.
+        press: which indenter, where and how deep.
+        px_per_mm: scale of the images.
+        thickness_mm: gel thickness.
+
+    Raises:
+        InputError: the pair cannot be what it is said to be.
+    """
+
+    rest: np.ndarray
+    indentation: np.ndarray
+    press: Press
+    px_per_mm: float
+    thickness_mm: float = THICKNESS_MM
+
+    def __post_init__(self):
+        check_pair(self.rest, self.indentation, self.press, self.px_per_mm)
 
 
 def check_pair(rest: np.ndarray, indentation: np.ndarray, press: Press, px_per_mm: float) -> None:

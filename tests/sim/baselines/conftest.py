@@ -9,6 +9,7 @@ from pneutac_datasets.gel_generator import write_gel_recording
 from pneutac_datasets.gel_recording import GelRecording
 from pneutac_datasets.recording import BenchRecording
 from pneutac_sim.gel.metrics import ImageScores, score
+from pneutac_sim.gel.pair import Pair
 
 
 @pytest.fixture(scope="session")
@@ -31,7 +32,7 @@ def photographs():
 def fit():
     def fit(baseline, data):
         c = data.calibration
-        return baseline.fit(data.rest, c.image, c.press, data.px_per_mm, data.thickness_mm)
+        return baseline.fit(Pair(data.rest, c.image, c.press, data.px_per_mm, data.thickness_mm))
 
     return fit
 

@@ -7,6 +7,7 @@ from pneutac_sim.baselines.dot_sim import DotSim
 from pneutac_sim.baselines.pasted import RestAlone
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.indenter import Press
+from pneutac_sim.gel.pair import Pair
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +53,7 @@ def test_other_indenters_show_where_they_press(generated, briefly_trained):
 def test_images_of_two_sizes_are_refused(generated):
     c = generated.calibration
     with pytest.raises(InputError, match="one size"):
-        DotSim.fit(generated.rest[:-1], c.image, c.press, generated.px_per_mm)
+        DotSim.fit(Pair(generated.rest[:-1], c.image, c.press, generated.px_per_mm))
 
 
 @pytest.mark.slow

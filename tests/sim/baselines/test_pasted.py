@@ -5,6 +5,7 @@ import pytest
 
 from pneutac_sim.baselines.pasted import Pasted, RestAlone, shift
 from pneutac_sim.errors import InputError
+from pneutac_sim.gel.pair import Pair
 
 
 def test_the_calibration_pasted_at_its_own_place_is_the_calibration(generated, fit):
@@ -34,4 +35,4 @@ def test_a_pair_of_two_sizes_is_refused(generated):
     c = generated.calibration
     for baseline in (Pasted, RestAlone):
         with pytest.raises(InputError, match="one size"):
-            baseline.fit(generated.rest[:-1], c.image, c.press, 20.0)
+            baseline.fit(Pair(generated.rest[:-1], c.image, c.press, 20.0))

@@ -5,6 +5,7 @@ from pneutac_sim.baselines.pasted import RestAlone
 from pneutac_sim.baselines.tacchi import Tacchi, _change, _start
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.indenter import Press
+from pneutac_sim.gel.pair import Pair
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +49,7 @@ def test_other_indenters_show_where_they_press_and_nowhere_else(generated, tacch
 def test_an_image_without_contact_is_refused(generated):
     c = generated.calibration
     with pytest.raises(InputError, match="same picture"):
-        Tacchi.fit(c.image, c.image, c.press, generated.px_per_mm)
+        Tacchi.fit(Pair(c.image, c.image, c.press, generated.px_per_mm))
 
 
 @pytest.mark.parametrize(

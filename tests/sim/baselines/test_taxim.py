@@ -5,6 +5,7 @@ from pneutac_sim.baselines.pasted import RestAlone
 from pneutac_sim.baselines.taxim import BINS, Taxim, _bins
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.indenter import Press
+from pneutac_sim.gel.pair import Pair
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +54,7 @@ def test_shadows_darken_outside_the_contact_alone(generated, fit):
     r, angle = np.hypot(x - c.x_px, y - c.y_px), np.arctan2(y - c.y_px, x - c.x_px)
     wedge = (np.abs(angle) < 0.4) & (r < 80) & (r > 1.1 * c.radius_px)
     dark = np.where(wedge[..., None], c.image - np.minimum(c.image, 60), c.image).astype(np.uint8)
-    shadowed = Taxim.fit(generated.rest, dark, c.press, generated.px_per_mm)
+    shadowed = Taxim.fit(Pair(generated.rest, dark, c.press, generated.px_per_mm))
     plain = fit(Taxim, generated)
     press = Press("sphere", 3.0, -2.0, -3.0, c.press.depth_mm)
     darker = (shadowed.image(press).astype(int) - plain.image(press)).mean(2)
@@ -65,7 +66,7 @@ def test_shadows_darken_outside_the_contact_alone(generated, fit):
 def test_swapped_images_are_refused(generated):
     c = generated.calibration
     with pytest.raises(InputError, match="swapped"):
-        Taxim.fit(c.image, generated.rest, c.press, generated.px_per_mm)
+        Taxim.fit(Pair(c.image, generated.rest, c.press, generated.px_per_mm))
 
 
 @pytest.mark.parametrize(
