@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pneutac_sim.errors import InputError
+from pneutac_sim.mpm.sections import lattice_inside
 
 
 @dataclass(frozen=True)
@@ -123,36 +124,13 @@ class Body:
         counts = np.maximum(np.round((high - low) / h).astype(int), 1)
         origin = (low + high) / 2 - counts * h / 2
         grid = np.stack(np.meshgrid(*(np.arange(n) for n in counts), indexing="ij"), -1).reshape(-1, 3)
-        inside = _inside(mesh.triangles, origin, counts, h)[*grid.T]
+        inside = lattice_inside(mesh.triangles, origin, counts, h)[*grid.T]
         if not inside.any():
             raise InputError(
                 f"Body '{name}': no particle lies inside the mesh; it is {high - low} m large and the "
                 f"spacing {h:.3g} m: use a smaller spacing, and metres."
             )
         return _make(name, grid[inside], h, origin, material, clamp)
-
-
-def _inside(triangles: np.ndarray, origin: np.ndarray, counts: np.ndarray, h: float) -> np.ndarray:
-    """(nx, ny, nz) bool: which points of a lattice lie inside a closed mesh.
-
-    A point is inside where the line through it along z crosses the surface an odd number of times below it.
-    """
-    # Lines a little beside the lattice's own meet no vertex or edge of a mesh with round numbers.
-    start = origin + 0.5 * h + np.array([1.7e-5, 2.3e-5, 0.0]) * h
-    crossings = np.zeros((counts[0], counts[1], counts[2] + 1), np.int32)
-    for a, b, c in (triangles - start) / h:
-        low = np.maximum(np.ceil(np.minimum(np.minimum(a, b), c)[:2]).astype(int), 0)
-        high = np.minimum(np.floor(np.maximum(np.maximum(a, b), c)[:2]).astype(int), counts[:2] - 1)
-        area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-        if (low > high).any() or area == 0:
-            continue
-        x, y = np.meshgrid(*(np.arange(i, j + 1) for i, j in zip(low, high, strict=True)), indexing="ij")
-        u = ((x - a[0]) * (c[1] - a[1]) - (y - a[1]) * (c[0] - a[0])) / area
-        v = ((b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])) / area
-        hit = (u >= 0) & (v >= 0) & (u + v <= 1)
-        z = a[2] + u * (b[2] - a[2]) + v * (c[2] - a[2])
-        crossings[x[hit], y[hit], np.clip(np.ceil(z[hit]).astype(int), 0, counts[2])] += 1
-    return np.cumsum(crossings, 2)[..., :-1] % 2 == 1
 
 
 def _make(name, cells, spacing_m, origin_m, material, clamp) -> Body:
