@@ -1,6 +1,6 @@
 """Whether a rest and an indentation image can be what they are said to be."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import gaussian_filter, gaussian_laplace
@@ -16,6 +16,8 @@ from pneutac_sim.gel.probe import THICKNESS_MM
 # room for weaker contacts and noisier cameras.
 MIN_CONTRAST = 1.5
 MIN_LIKENESS = 0.85
+
+MIRRORED = (("mirrored left to right", -1, 1), ("mirrored top to bottom", 1, -1), ("turned by half", -1, -1))
 
 
 def _disc(image: np.ndarray, press: Press, px_per_mm: float, radii: float) -> np.ndarray:
@@ -78,6 +80,20 @@ def check_pair(rest: np.ndarray, indentation: np.ndarray, press: Press, px_per_m
             f"the contact is only {2 * press.contact_radius_mm * px_per_mm:.1f} pixels wide; "
             "correct depth_mm or px_per_mm."
         )
+    blur = 0.15 * px_per_mm  # averages noise within a grid cell
+    difference = gaussian_filter(indentation.astype(np.float32) - rest, (blur, blur, 0))
+    there, elsewhere = _contrast(difference, press, px_per_mm)
+    found = there >= max(MIN_CONTRAST * elsewhere, 1.0)
+    if not found:
+        for how, sx, sy in MIRRORED:
+            turned = replace(press, x_mm=sx * press.x_mm, y_mm=sy * press.y_mm)
+            a, b = _contrast(difference, turned, px_per_mm)
+            if a >= max(2 * MIN_CONTRAST * b, 1.0):
+                u, v = press_px(turned, rest.shape, px_per_mm)
+                raise InputError(
+                    f"the indentation image shows no contact at ({x:.0f}, {y:.0f}) px but one at ({u:.0f}, "
+                    f"{v:.0f}) px: the images are {how} against x_mm, y_mm; turn them, or change the signs."
+                )
     if far.mean() > 0.1:
         likeness = metrics.ncc(rest[far], indentation[far])
         if likeness < MIN_LIKENESS:
@@ -97,11 +113,7 @@ def check_pair(rest: np.ndarray, indentation: np.ndarray, press: Press, px_per_m
         bumps = [gaussian_laplace(image[..., k][around].astype(np.float32), scale) for k in range(3)]
         return float(np.sqrt(np.mean(np.square(np.stack(bumps, -1)[near[around]]))))
 
-    blur = 0.15 * px_per_mm  # averages noise within a grid cell
-    difference = gaussian_filter(indentation.astype(np.float32) - rest, (blur, blur, 0))
-    there = float(np.sqrt(np.mean(np.square(difference[near]))))
-    elsewhere = float(np.sqrt(np.mean(np.square(difference[far])))) if far.any() else 0.0
-    if there < max(MIN_CONTRAST * elsewhere, 1.0):
+    if not found:
         raise InputError(
             f"the indentation image shows no contact at ({x:.0f}, {y:.0f}) px: its difference to rest is "
             f"{there:.1f} levels there and {elsewhere:.1f} elsewhere; press harder or correct the position."
@@ -111,6 +123,13 @@ def check_pair(rest: np.ndarray, indentation: np.ndarray, press: Press, px_per_m
             f"the rest image has more relief at ({x:.0f}, {y:.0f}) px than the indentation image; "
             "they seem to be swapped."
         )
+
+
+def _contrast(difference: np.ndarray, press: Press, px_per_mm: float) -> tuple[float, float]:
+    """Root mean square of a difference at the contact, and far from it (0 where all is near), levels."""
+    near, far = (_disc(difference, press, px_per_mm, radii) for radii in (1.2, 3.0))
+    squared = np.square(difference).mean(2)
+    return tuple(float(np.sqrt(squared[m].mean())) if m.any() else 0.0 for m in (near, ~far))
 
 
 def _size(image: np.ndarray) -> str:

@@ -8,6 +8,7 @@ from pneutac_sim.gel.fit import fit_gel
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.pair import check_pair, press_px
+from pneutac_sim.gel.photograph import Predictor
 
 BALL = Press("sphere", 3.0, 0.6, -1.0, 0.9)
 NOTHING = Press("sphere", 3.0, 0, 0, 1e-6)
@@ -69,3 +70,15 @@ def test_a_press_is_measured_from_the_images_centre():
 def test_impossible_indenters_are_refused(bad):
     with pytest.raises(InputError):
         Press(**{"indenter": "sphere", "size_mm": 3.0, "x_mm": 0, "y_mm": 0, "depth_mm": 0.5} | bad)
+
+
+@pytest.mark.parametrize(
+    ("flip", "said"),
+    [((slice(None), slice(None, None, -1)), "left to right"), (slice(None, None, -1), "top to bottom")],
+)
+def test_mirrored_images_are_told_from_a_missing_contact(flip, said):
+    gel, press = GelModel.builtin(), Press("sphere", 3.0, 2.5, -3.0, 0.9)
+    image = Predictor(gel).image(press, gel.rest_image)
+    check_pair(gel.rest_image, image, press, 20.0)
+    with pytest.raises(InputError, match=f"but one at .* mirrored {said}"):
+        check_pair(gel.rest_image[flip], image[flip], press, 20.0)
