@@ -1,6 +1,5 @@
 """`pneutac calibrate`: fits a twin to a bench recording, in place, as its next version."""
 
-import importlib.util
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +23,11 @@ class CalibrateConfig:
         out: folder for `result.json`, `report.html` and pictures.
         effects: gel only: optics effects to fit, with commas between, or `none` for the paper's linear model;
             those that the twin has, if it has been calibrated, else all that one pair of images can tell.
+        by: body only: `images` (photographs with masks) or `markers` (markers and angles); by markers where
+            the recording has them, else by images.
+        train_kpa: body by images: pressures to fit, with commas between; all others are held out.
+        evaluations: body by images: of the search.
+        particles: body by images: of the body, about.
         seed: decides every random choice.
     """
 
@@ -31,6 +35,10 @@ class CalibrateConfig:
     recording: Path | None = None
     out: Path | None = None
     effects: str | None = None
+    by: str | None = None
+    train_kpa: str = "0,3,6,9,12,15"
+    evaluations: int = 84
+    particles: int = 4000
     seed: int = 0
 
     def __post_init__(self):
@@ -38,6 +46,10 @@ class CalibrateConfig:
             raise InputError("Give the twin's folder with --twin=DIR.")
         if self.out is not None and self.out.exists() and not self.out.is_dir():
             raise InputError(f"--out={self.out} is a file; give a folder.")
+        if self.by not in (None, "images", "markers"):
+            raise InputError(f"--by={self.by} is unknown; choose images or markers.")
+        if self.particles < 500 or self.evaluations < 7:
+            raise InputError("--particles must be 500 or more, --evaluations 7 or more.")
 
 
 def main(argv: list[str]) -> None:
@@ -65,11 +77,13 @@ def calibrate(cfg: CalibrateConfig, scratch: Path, console: Console) -> dict:
         from lerobot_pneutac.fit_gel import calibrate_gel
 
         return calibrate_gel(twin, recording, cfg, console)
-    if importlib.util.find_spec("lerobot_pneutac.fit_body") is None:
-        raise InputError(
-            f"{recording.folder} is a recording of a body ('{recording.device}'), and calibrating bodies is "
-            "not there yet; the README's status table says what is."
-        )
+    from lerobot_pneutac.photo_session import masked_cameras
+
+    markers = [c for c in recording.observations if not c.startswith("image")]
+    if cfg.by == "images" or (cfg.by is None and not markers and masked_cameras(recording)):
+        from lerobot_pneutac.fit_photographs import calibrate_photographs
+
+        return calibrate_photographs(twin, recording, cfg, console)
     from lerobot_pneutac.fit_body import calibrate_body
 
     return calibrate_body(twin, recording, cfg, console)

@@ -1,0 +1,278 @@
+"""Calibrates a finger or an arm to photographs alone (paper, Sec. III-B): silhouettes, then CMA-ES."""
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from lerobot_pneutac.photo_report import photo_report, strip
+from lerobot_pneutac.photo_session import PhotoSession, read_session
+from lerobot_pneutac.report import write_result
+from pneutac_sim.errors import InputError
+from pneutac_sim.photo_fit.coarse import Coarse, coarse_fit
+from pneutac_sim.photo_fit.confidence import Confidence, confidence
+from pneutac_sim.photo_fit.equilibria import Bodies, Equilibria
+from pneutac_sim.photo_fit.objective import Objective, Scores
+from pneutac_sim.photo_fit.parameters import BodyParameters, body_parameters
+from pneutac_sim.photo_fit.search import EVALUATIONS, Search, search
+from pneutac_sim.splat.body import check_photograph, fit_body_looks, looks_into_twin
+from pneutac_sim.splat.gaussians import Gaussians
+from pneutac_sim.twin import Twin
+
+TRAIN_KPA = (0.0, 3.0, 6.0, 9.0, 12.0, 15.0)
+PARTICLES = 4000
+UNIT = "8-bit levels"
+
+
+@dataclass(frozen=True)
+class PhotoFit:
+    """A body calibrated to photographs.
+
+    Attributes:
+        twin: the next version, not yet written.
+        parameters: what was fitted.
+        session: the photographs.
+        start: from silhouettes alone.
+        search: all that was tried.
+        confidence: of each parameter.
+        objective: of all photographs, fitted and held out.
+        bodies: at rest at every pressure, with the best parameters.
+        scores: of the bodies on all photographs, (1, n).
+        tip_error_mm: (T,) distance to the markers, or None where the recording has none.
+        seconds: wall time.
+    """
+
+    twin: Twin
+    parameters: BodyParameters
+    session: PhotoSession
+    start: Coarse
+    search: Search
+    confidence: Confidence
+    objective: Objective
+    bodies: Bodies
+    scores: Scores
+    tip_error_mm: np.ndarray | None
+    seconds: float
+
+    def mean(self, values: np.ndarray, train: bool) -> float | None:
+        """Mean of (n,) values over fitted or held-out photographs, None where there are none."""
+        chosen = [
+            v
+            for p, v in zip(self.session.photographs, values, strict=True)
+            if self.session.train[p.state] == train
+        ]
+        return float(np.mean(chosen)) if chosen else None
+
+
+def fit_photographs(
+    twin: Twin,
+    recording,
+    levels_kpa: tuple[float, ...] = TRAIN_KPA,
+    evaluations: int = EVALUATIONS,
+    particles: int = PARTICLES,
+    seed: int = 0,
+    file: Path | None = None,
+    tell=lambda done, objective, value: None,
+    device: str = "auto",
+) -> PhotoFit:
+    """Fits actuation and material to the photographs at the training levels.
+
+    Args:
+        twin: of the recording's device; what is not fitted stays.
+        recording: with `image_<camera>` and `mask_<camera>` columns.
+        levels_kpa: to fit; all other pressures are held out.
+        evaluations: of the objective.
+        particles: of the body, about.
+        seed: decides the search.
+        file: keeps the search so that an interrupted one goes on; None for nowhere.
+        tell: called after each generation with the evaluations so far, the objective and its least value.
+        device: of the material points, see `mpm.runtime.start`.
+
+    Raises:
+        InputError: photographs, masks, cameras or pressures do not serve.
+    """
+    began = time.perf_counter()
+    session = read_session(recording, levels_kpa)
+    span = float(np.abs(session.pressures).max())
+    first = body_parameters(twin, span)
+    pressures, photographs = session.pressures[session.train], session.of(session.train)
+    start = coarse_fit(first, pressures, photographs, session.conditions, device)
+    parameters = body_parameters(first.twin_at(start.x), span)
+    equilibria = Equilibria(parameters, start.x, pressures, session.conditions, particles, device)
+    _check(recording, session, photographs, equilibria)
+    looks = _looks(session, equilibria)
+    objective = Objective(equilibria, photographs, looks)
+    key = f"{recording.folder.resolve()} {pressures.tolist()} {particles} {len(twin.history)}"
+    found = search(
+        objective,
+        parameters,
+        start,
+        evaluations,
+        seed=seed,
+        file=file,
+        key=key,
+        tell=lambda done, best, value: tell(done, objective, value),
+    )
+    sure = confidence(objective, found.x)
+    everywhere = Equilibria(parameters, found.x, session.pressures, session.conditions, particles, device)
+    whole = Objective(everywhere, session.photographs, looks)
+    tips = None
+    if session.markers_mm is not None:
+        tips = np.linalg.norm(1e3 * everywhere.first.tips[0] - session.markers_mm, axis=1)
+    new = parameters.twin_at(found.x, sure.ci95)
+    looks_into_twin(new, looks)
+    return PhotoFit(
+        twin=new,
+        parameters=parameters,
+        session=session,
+        start=start,
+        search=found,
+        confidence=sure,
+        objective=whole,
+        bodies=everywhere.first,
+        scores=whole.scores(everywhere.first),
+        tip_error_mm=tips,
+        seconds=time.perf_counter() - began,
+    )
+
+
+def _check(recording, session: PhotoSession, photographs, equilibria: Equilibria) -> None:
+    rows = [r for r, p in zip(session.rows, session.photographs, strict=True) if session.train[p.state]]
+    for row, p in zip(rows, photographs, strict=True):
+        try:
+            check_photograph(equilibria.first.positions[0, p.state], p.image, p.mask, p.camera)
+        except InputError as e:
+            raise InputError(f"{recording.folder}, photograph of row {row + 1}: {e}") from e
+
+
+def _looks(session: PhotoSession, equilibria: Equilibria) -> Gaussians:
+    """Fitted once, on the photograph nearest to no pressure."""
+    p, first = session.rest, equilibria.first
+    state = int(np.cumsum(session.train)[p.state]) - 1
+    return fit_body_looks(
+        equilibria.body, first.positions[0, state], first.gradients[0, state], p.image, p.mask, p.camera
+    )
+
+
+def calibrate_photographs(twin: Twin, recording, cfg, console: Console) -> dict:
+    """Fits, saves the twin's next version, prints the table, writes result, report and pictures.
+
+    Args:
+        twin: of the recording's device.
+        recording: of a finger or an arm, with photographs.
+        cfg: `CalibrateConfig`.
+        console: where the table goes.
+
+    Returns:
+        The content of `result.json`.
+    """
+    file = (cfg.out or cfg.twin) / "evaluations.json"
+    levels = training_levels(cfg.train_kpa)
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total}"))
+    with Progress(*columns, TimeRemainingColumn(), console=console, transient=True) as bar:
+        task = bar.add_task("silhouettes and looks", total=cfg.evaluations)
+
+        def tell(done, objective, value):
+            bar.update(task, completed=done, description=f"best objective {value:.4f}")
+            if cfg.out is not None and objective.best is not None:
+                picture = strip(objective, objective.best, objective.photographs)
+                Image.fromarray(picture).save(cfg.out / "best.png")
+
+        found = fit_photographs(twin, recording, levels, cfg.evaluations, cfg.particles, cfg.seed, file, tell)
+    result = outcome(found)
+    found.twin.save_version(
+        cfg.twin,
+        "calibrated by images",
+        str(recording.folder),
+        {**result["error"], "unit": UNIT, "seed": cfg.seed},
+    )
+    result |= {
+        "recording": str(recording.folder),
+        "twin": str(cfg.twin),
+        "version": found.twin.history[-1]["version"],
+    }
+    if cfg.out is None:
+        file.unlink()
+    _print(found, result, console)
+    if cfg.out is not None:
+        write_result(cfg.out, result)
+        console.print(f"report: {photo_report(found, result).write(cfg.out)}", highlight=False)
+    return result
+
+
+def training_levels(text: str) -> tuple[float, ...]:
+    """Pressures of `--train_kpa`, with commas between; raises InputError where one is no number."""
+    try:
+        levels = tuple(float(v) for v in text.split(","))
+    except ValueError:
+        levels = ()
+    if len(levels) < 2 or not np.isfinite(levels).all():
+        raise InputError(f"--train_kpa={text} must be at least two pressures in kPa, such as 0,3,6,9,12,15.")
+    return levels
+
+
+def outcome(found: PhotoFit) -> dict:
+    """What `result.json` tells of a fit."""
+    sure, scores = found.confidence, found.scores
+    loss = scores.appearance[0] + 2 * (1 - scores.iou[0])
+    rows = {}
+    for name, unit, value in zip(
+        found.parameters.names, found.parameters.units, found.parameters.values(found.search.x), strict=True
+    ):
+        unclear = name in sure.not_identified
+        note = "not identified: the photographs hardly narrow it down" if unclear else ""
+        rows[name] = {"value": float(value), "ci95": list(sure.ci95[name]), "unit": unit, "note": note}
+
+    def parts(values):
+        return {"train": found.mean(values, True), "heldout": found.mean(values, False)}
+
+    result = {
+        "parameters": rows,
+        "error": parts(scores.rmse[0]),
+        "unit": UNIT,
+        "objective": parts(loss),
+        "iou": parts(scores.iou[0]),
+        "not_identified": sure.not_identified,
+        "coarse": dict(
+            zip(found.parameters.names, found.parameters.values(found.start.x).tolist(), strict=True)
+        ),
+        "cameras": found.session.cameras[: found.session.fitted],
+        "train_kpa": found.session.pressures[found.session.train].tolist(),
+        "evaluations": len(found.search.objectives),
+        "resumed": found.search.resumed,
+        "seconds": found.seconds,
+    }
+    if found.tip_error_mm is not None:
+        square = found.tip_error_mm**2
+        kept = {"train": found.session.train, "heldout": ~found.session.train}
+        result["tip_error_mm"] = {
+            k: float(np.sqrt(square[m].mean())) if m.any() else None for k, m in kept.items()
+        }
+    return result
+
+
+def _print(found: PhotoFit, result: dict, console: Console) -> None:
+    table = Table("parameter", "value", "95 % interval", "unit", "note")
+    for name, r in result["parameters"].items():
+        interval = f"{r['ci95'][0]:.4g} to {r['ci95'][1]:.4g}"
+        table.add_row(
+            name, f"{r['value']:.4g}", interval, r["unit"], r["note"], style="yellow" if r["note"] else None
+        )
+    console.print(table)
+    iou, tip = result["iou"], result.get("tip_error_mm")
+    held = "nothing was held out" if iou["heldout"] is None else f"held-out IoU {iou['heldout']:.4f}"
+    if tip is not None and tip["heldout"] is not None:
+        length = found.twin.length_mm
+        held += (
+            f", held-out tip error {tip['heldout']:.3g} mm ({100 * tip['heldout'] / length:.2g} % of length)"
+        )
+    console.print(
+        f"IoU {iou['train']:.4f} where it was fitted, {held}; {result['evaluations']} evaluations in "
+        f"{found.seconds:.0f} s; the twin at {result['twin']} is now version {result['version']}",
+        highlight=False,
+    )

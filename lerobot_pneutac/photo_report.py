@@ -1,0 +1,93 @@
+"""The report of a calibration by images: photographs beside renderings, and how the objective fell."""
+
+import cv2
+import numpy as np
+
+from lerobot_pneutac.report import Report
+from pneutac_sim.photo_fit.objective import Objective, Photograph
+
+HEIGHT = 220  # px of a picture
+
+
+def strip(objective: Objective, positions: np.ndarray, photographs: list[Photograph]) -> np.ndarray:
+    """Photographs above, renderings below and differing silhouettes last, uint8 (H, W, 3).
+
+    Args:
+        objective: draws.
+        positions: (T, P, 3) of the particles at each pressure, m.
+        photographs: their `state` counts `positions`.
+    """
+    columns = []
+    low, high = _crop(photographs)
+    for p in photographs:
+        drawn = objective.render(positions[p.state], p.camera)
+        white = drawn.image.clip(0, 1) + (1 - drawn.alpha.clip(0, 1))[..., None]
+        solid = drawn.alpha > 0.5
+        edges = np.full(p.image.shape, 255, np.uint8)
+        edges[p.mask & solid] = (222, 226, 230)
+        edges[p.mask & ~solid] = (194, 65, 12)
+        edges[~p.mask & solid] = (11, 110, 153)
+        real = np.where(p.mask[..., None], p.image, 255)
+        stack = [a[low[0] : high[0], low[1] : high[1]] for a in (real, 255 * white.clip(0, 1), edges)]
+        size = (round(HEIGHT * (high[1] - low[1]) / (high[0] - low[0])), HEIGHT)
+        columns.append(
+            np.concatenate(
+                [cv2.resize(a.astype(np.uint8), size, interpolation=cv2.INTER_AREA) for a in stack]
+            )
+        )
+    return np.concatenate(columns, 1)
+
+
+def _crop(photographs: list[Photograph]) -> tuple[np.ndarray, np.ndarray]:
+    """Corners (row, column) of a window round all masks."""
+    corners = [np.argwhere(p.mask) for p in photographs]
+    size = np.array(photographs[0].mask.shape)
+    low = np.min([c.min(0) for c in corners], 0) - 12
+    high = np.max([c.max(0) for c in corners], 0) + 12
+    return np.maximum(low, 0), np.minimum(high, size)
+
+
+def photo_report(found, result: dict) -> Report:
+    """The page of a `PhotoFit` and its `result.json`."""
+    import plotly.graph_objects as go
+
+    page = Report(f"Calibrated {found.twin.device} by images")
+    iou, tip = result["iou"], result.get("tip_error_mm")
+    lead = f"Silhouettes overlap by {iou['train']:.1%} where the twin was fitted"
+    if iou["heldout"] is not None:
+        lead += f" and by {iou['heldout']:.1%} at pressures that it has not seen"
+    if tip is not None and tip["heldout"] is not None:
+        lead += f"; there its tip misses the marker, which was not fitted, by {tip['heldout']:.2g} mm"
+    page.lead(lead + ".")
+    page.table(
+        [
+            {"parameter": n, "value": r["value"], "95 % interval": "{:.4g} to {:.4g}".format(*r["ci95"])}
+            | {"unit": r["unit"], "note": r["note"]}
+            for n, r in result["parameters"].items()
+        ],
+        "Intervals tell how sharply the silhouettes fix each parameter. A body whose shape or neutral axis "
+        "is not the twin's shifts all of them together, by more than that.",
+    )
+    session = found.session
+    page.heading("Photographs and renderings")
+    page.text(
+        "Above the photograph, below the twin; then red where only the photograph, blue where only the twin."
+    )
+    shown = sorted(range(len(session.photographs)), key=lambda i: session.photographs[i].state)
+    for i in range(0, len(shown), 6):
+        some = [session.photographs[k] for k in shown[i : i + 6]]
+        if len({p.mask.shape for p in some}) > 1:
+            continue
+        kind = [
+            f"{'/'.join(f'{v:g}' for v in session.pressures[p.state])} kPa"
+            f"{'' if session.train[p.state] else ' (held out)'}"
+            for p in some
+        ]
+        page.image(strip(found.objective, found.bodies.positions[0], some), ", ".join(kind))
+    page.heading("How the objective fell")
+    tried = found.search.objectives
+    figure = go.Figure()
+    figure.add_scatter(y=tried, mode="markers", name="candidates", marker={"color": "#9aa5b1"})
+    figure.add_scatter(y=np.minimum.accumulate(tried), mode="lines", name="best", line={"color": "#0b6e99"})
+    page.figure(figure.update_xaxes(title="evaluation").update_yaxes(title="L1 + 2 (1 - IoU)", type="log"))
+    return page

@@ -1,0 +1,150 @@
+"""What a calibration takes from a recording with photographs: pressures, photographs, which are held out."""
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from pneutac_datasets.photo_reading import read_camera, read_photograph
+from pneutac_datasets.recording import BenchRecording
+from pneutac_sim.errors import InputError
+from pneutac_sim.photo_fit.objective import Photograph
+from pneutac_sim.splat.camera import Camera
+
+NEAR_KPA = 0.25  # of a training level
+MOST_KPA = 500.0  # no soft finger or arm holds more
+LIKE = 0.9  # cosine from which two cameras look along the same line and tell the same
+
+
+@dataclass(frozen=True)
+class PhotoSession:
+    """Photographs of a body at rest under T pressures.
+
+    Attributes:
+        pressures: (T, chambers) kPa, without repetition.
+        train: (T,) bool; the others are held out.
+        cameras: names of those that are fitted, then of the others.
+        fitted: how many.
+        photographs: of all rows and fitted cameras; `state` counts `pressures`.
+        rows: (n,) row of the recording that each photograph comes from.
+        markers_mm: (T, 3) mean tip at each pressure where the recording tells it: to judge, never to fit.
+        conditions: means of the other columns that are numbers.
+    """
+
+    pressures: np.ndarray
+    train: np.ndarray
+    cameras: list[str]
+    fitted: int
+    photographs: list[Photograph]
+    rows: list[int]
+    markers_mm: np.ndarray | None
+    conditions: dict[str, float]
+
+    def of(self, states: np.ndarray) -> list[Photograph]:
+        """Photographs at the pressures where `states` (T,) is true, counted among these alone."""
+        index = np.cumsum(states) - 1
+        return [
+            Photograph(int(index[p.state]), p.camera, p.image, p.mask)
+            for p in self.photographs
+            if states[p.state]
+        ]
+
+    @property
+    def rest(self) -> Photograph:
+        """The photograph nearest to no pressure, from the first camera."""
+        least = np.argsort(np.abs(self.pressures).sum(1), kind="stable")
+        by_state = {p.state: p for p in reversed(self.photographs)}
+        return by_state[int(next(s for s in least if self.train[s]))]
+
+
+def masked_cameras(recording: BenchRecording) -> list[str]:
+    """Names of cameras that have an image and a mask column."""
+    names = [c.removeprefix("image_") for c in recording.samples if c.startswith("image_")]
+    return [n for n in names if recording.has(f"mask_{n}")]
+
+
+def read_session(recording: BenchRecording, levels_kpa: tuple[float, ...]) -> PhotoSession:
+    """Photographs of a finger or an arm.
+
+    Of each hold of a pressure the last photograph counts, taken to be at rest. Cameras that look along the
+    same line as an earlier one, from the front or from behind, are not fitted.
+
+    Args:
+        recording: of a finger or an arm.
+        levels_kpa: pressures to fit, of an arm those of each chamber; all others are held out.
+
+    Raises:
+        InputError: no masks, a bad mask, a pressure that is missing or in other units, too few levels.
+    """
+    names = masked_cameras(recording)
+    if not names:
+        raise InputError(
+            f"{recording.folder}: no camera has both an image_<camera> and a mask_<camera> column; add masks "
+            "(white where the body is) to calibrate by images."
+        )
+    pressure = np.stack([recording.column(c).astype(float) for c in recording.pressure_columns], 1)
+    if not np.isfinite(pressure).all():
+        row = int(np.argmin(np.isfinite(pressure).all(1)))
+        raise InputError(
+            f"{recording.folder}: row {row + 1} has no pressure; every photograph needs one, in kPa."
+        )
+    if np.abs(pressure).max() > MOST_KPA:
+        raise InputError(
+            f"{recording.folder}: {recording.pressure_columns[0]} reaches {np.abs(pressure).max():g}; "
+            "it must be in kPa (divide pascals by 1000)."
+        )
+    rows = _holds(recording, pressure)
+    levels, state = np.unique(pressure[rows].round(6), axis=0, return_inverse=True)
+    train = (np.abs(levels[..., None] - np.asarray(levels_kpa)).min(-1) < NEAR_KPA).all(1)
+    if train.sum() < 2:
+        told = ", ".join(f"{v:g}" for v in np.unique(levels)[:12])
+        raise InputError(
+            f"{recording.folder}: {train.sum()} of its pressures ({told} kPa) are training levels "
+            f"({', '.join(f'{v:g}' for v in levels_kpa)}); choose at least two with --train_kpa."
+        )
+    cameras = {name: read_camera(recording, name) for name in names}
+    chosen = _crossing(cameras)
+    photographs, origin = [], []
+    for name in chosen:
+        for row, s in zip(rows, state.ravel(), strict=True):
+            image, mask = read_photograph(recording, row, name)
+            _check_mask(recording, row, name, mask)
+            photographs.append(Photograph(int(s), cameras[name], image, mask))
+            origin.append(int(row))
+    tips = [f"tip_{a}_mm" for a in "xyz"]
+    markers = None
+    if all(recording.has(c) for c in tips):
+        seen = np.stack([recording.column(c).astype(float)[rows] for c in tips], 1)
+        markers = np.stack([seen[state.ravel() == s].mean(0) for s in range(len(levels))])
+    conditions = {}
+    for name in recording.conditions:
+        column = recording.samples[name]
+        if column.dtype.kind in "fi" and not re.match(r"pressure|camera", name) and np.isfinite(column).all():
+            conditions[name] = float(column.mean())
+    others = [n for n in names if n not in chosen]
+    return PhotoSession(levels, train, chosen + others, len(chosen), photographs, origin, markers, conditions)
+
+
+def _holds(recording: BenchRecording, pressure: np.ndarray) -> np.ndarray:
+    """Rows that end a hold of one pressure within a trial."""
+    trial = recording.column("trial")
+    goes_on = (trial[1:] == trial[:-1]) & (np.abs(np.diff(pressure, axis=0)) < 1e-6).all(1)
+    return np.flatnonzero(np.append(~goes_on, True))
+
+
+def _crossing(cameras: dict[str, Camera]) -> list[str]:
+    """The first camera, and those whose line of sight crosses that of all before."""
+    out: list[str] = []
+    for name, camera in cameras.items():
+        axis = camera.extrinsics[2, :3]
+        if all(abs(axis @ cameras[o].extrinsics[2, :3]) < LIKE for o in out):
+            out.append(name)
+    return out
+
+
+def _check_mask(recording: BenchRecording, row: int, camera: str, mask: np.ndarray) -> None:
+    if not 1e-3 < mask.mean() < 0.9:
+        raise InputError(
+            f"{recording.folder}: mask_{camera} of row {row + 1} covers {mask.mean():.1%} of the picture; it "
+            "must be white where the body is and black elsewhere."
+        )

@@ -1,0 +1,197 @@
+"""A first fit to silhouettes alone: the body bends as its spine does, without material points.
+
+Particles are carried along by the links, drawn as splats, and their coverage is compared with the masks,
+both blurred: widely first, so that silhouettes that do not overlap attract each other, then less. Bounded
+least squares do the rest, since the difference is smooth in the joint angles. What the links leave out is
+then taken from material points at rest at the parameters found, and the last fit repeated.
+"""
+
+from dataclasses import dataclass, replace
+from itertools import product
+
+import cv2
+import numpy as np
+from scipy.optimize import least_squares
+
+from pneutac_sim.photo_fit.equilibria import BUILD, Equilibria, joint_targets
+from pneutac_sim.photo_fit.objective import Photograph
+from pneutac_sim.photo_fit.parameters import BodyParameters
+from pneutac_sim.splat.camera import Camera
+from pneutac_sim.splat.follow import blank_looks
+from pneutac_sim.splat.rasteriser import Splats
+
+BLURS = (0.12, 0.03, 0.01)  # standard deviations over the square root of the mask's area times 3
+BENDS_RAD = np.linspace(-1.2, 2.4, 7)  # of a whole finger, tried at the lowest and the highest pressure
+PARTICLES = 1500
+PIXELS = 160  # of a body's length, to which photographs are reduced
+CORRECTIONS = 2  # rounds of material points
+SMALL = 0.05  # of the first step, for differences
+
+
+@dataclass(frozen=True)
+class Coarse:
+    """What silhouettes tell.
+
+    Attributes:
+        x: (P,) coordinates; the material's are those of the twin.
+        hessian: (P, P) of half the squared difference at the least blur, coordinates; material's rows are 0.
+    """
+
+    x: np.ndarray
+    hessian: np.ndarray
+
+
+class Skinned:
+    """A body that is carried along by its spine's links.
+
+    Args:
+        parameters: what candidates differ in.
+        pressures: (T, chambers) kPa.
+        photographs: masks to compare with.
+        conditions: what effects of the twin ask for.
+        device: see `mpm.runtime.start`.
+    """
+
+    def __init__(
+        self,
+        parameters: BodyParameters,
+        pressures: np.ndarray,
+        photographs: list[Photograph],
+        conditions: dict | None = None,
+        device: str = "auto",
+    ):
+        self.parameters, self.pressures, self.conditions = parameters, pressures, conditions
+        self.device = device
+        self.photographs = [reduced(p) for p in photographs]
+        one = BUILD[parameters.twin.device](parameters.twin, particles=PARTICLES, device=device)
+        self.body, self.spine = one.body, one.spine
+        self._looks = blank_looks(self.body)
+        self._covariances = self._looks.covariances()
+        self._left_out = 0.0
+
+    def correct(self, x: np.ndarray) -> None:
+        """Takes what the links leave out from material points at rest at `x` (P,)."""
+        self._left_out = 0.0
+        rest = Equilibria(self.parameters, x, self.pressures, self.conditions, PARTICLES, self.device)
+        self._left_out = rest.first.positions[0] - self.positions(x)
+
+    def positions(self, x: np.ndarray) -> np.ndarray:
+        """(T, particles, 3) m of one candidate (P,)."""
+        twin = self.parameters.twin_at(x)
+        q = joint_targets(twin, self.pressures, self.conditions)
+        return self.spine.skin(q, self.body.positions) + self._left_out
+
+    def differences(self, x: np.ndarray, blur: float) -> np.ndarray:
+        """Coverage less mask of every photograph, blurred and thinned, one long vector.
+
+        Args:
+            x: (P,) coordinates.
+            blur: see `BLURS`.
+        """
+        at = self.positions(x)
+        n = len(self._looks)
+        parts = []
+        for p in self.photographs:
+            splats = Splats(p.camera, at[p.state], self._covariances, self._looks.opacities)
+            alpha = splats.render(np.zeros((n, 3))).alpha
+            sigma = blur * reach(p.mask)
+            parts.append(thin(alpha - p.mask, sigma).ravel())
+        return np.concatenate(parts)
+
+
+def reduced(photograph: Photograph) -> Photograph:
+    """The photograph with fewer pixels, where the body is longer than `PIXELS`."""
+    camera, factor = photograph.camera, max(1.0, reach(photograph.mask) / PIXELS)
+    size = (round(camera.width / factor), round(camera.height / factor))
+    scale = np.diag([size[0] / camera.width, size[1] / camera.height, 1.0])
+    small = Camera(scale @ camera.intrinsics, camera.extrinsics, *size, camera.distortion)
+    mask = cv2.resize(photograph.mask.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    return replace(photograph, camera=small, mask=mask)
+
+
+def reach(mask: np.ndarray) -> float:
+    """Roughly the length of a body in pixels: three times the square root of its area."""
+    return 3 * float(np.sqrt(mask.sum()))
+
+
+def thin(picture: np.ndarray, sigma: float) -> np.ndarray:
+    """A picture (H, W) blurred by `sigma` px and sampled about once a `sigma`, of the same sum of squares."""
+    stride = max(1, int(sigma))
+    return stride * cv2.GaussianBlur(picture, (0, 0), sigma)[stride // 2 :: stride, stride // 2 :: stride]
+
+
+def coarse_fit(
+    parameters: BodyParameters,
+    pressures: np.ndarray,
+    photographs: list[Photograph],
+    conditions: dict | None = None,
+    device: str = "auto",
+) -> Coarse:
+    """Actuation parameters from silhouettes alone.
+
+    Args:
+        parameters: what to find, and the twin whose material stays.
+        pressures: (T, chambers) kPa.
+        photographs: with masks.
+        conditions: what effects of the twin ask for.
+        device: see `mpm.runtime.start`.
+    """
+    model = Skinned(parameters, pressures, photographs, conditions, device)
+    tried = [np.clip(x, parameters.lower, parameters.upper) for x in _starts(parameters, pressures)]
+    x = min(tried, key=lambda x: np.square(model.differences(x, BLURS[0])).sum())
+    free = parameters.of_pose
+    scale = parameters.step[free]
+
+    def whole(y):
+        out = x.copy()
+        out[free] = y
+        return np.clip(out, parameters.lower, parameters.upper)
+
+    def jacobian(y, blur):
+        here = model.differences(whole(y), blur)
+        step = SMALL * np.where(y + SMALL * scale < parameters.upper[free], scale, -scale)
+        there = [model.differences(whole(z), blur) for z in y + np.diag(step)]
+        return (np.stack(there, 1) - here[:, None]) / step
+
+    for round_, blur in enumerate((*BLURS, *BLURS[-1:] * CORRECTIONS)):
+        if round_ >= len(BLURS):
+            model.correct(x)
+        found = least_squares(
+            lambda y, blur=blur: model.differences(whole(y), blur),
+            x[free],
+            jac=lambda y, blur=blur: jacobian(y, blur),
+            bounds=(parameters.lower[free], parameters.upper[free]),
+            x_scale=scale,
+            xtol=1e-4,
+            ftol=1e-4,
+            max_nfev=25,
+        )
+        x = whole(found.x)
+    hessian = np.zeros((len(x), len(x)))
+    hessian[np.ix_(free, free)] = found.jac.T @ found.jac
+    return Coarse(x, hessian)
+
+
+def _starts(parameters: BodyParameters, pressures: np.ndarray) -> list[np.ndarray]:
+    """The twin's own parameters, and a grid of bends (finger) or of gains and directions (arm)."""
+    own = parameters.coordinates(parameters.twin)
+    names = list(parameters.names)
+    joints = len(parameters.twin.spine_joint_positions_mm)
+    out = [own]
+    if "rest_pressure_kpa" in names:
+        low, high = pressures.min(), pressures.max()
+        for first, last in product(BENDS_RAD, BENDS_RAD):
+            if first == last:
+                continue
+            x = own.copy()
+            gain = (last - first) / (joints * (high - low))
+            x[names.index("gain_rad_per_kpa")] = gain
+            x[names.index("rest_pressure_kpa")] = first / (joints * gain) - low
+            out.append(x)
+    else:
+        for bend, angle in product((0.5, 1.2, 2.0), np.arange(6) * np.pi / 3):
+            x = own.copy()
+            x[names.index("gain_rad_per_kpa")] = bend / (joints * pressures.max())
+            x[names.index("chamber_angle_rad")] = angle
+            out.append(x)
+    return out

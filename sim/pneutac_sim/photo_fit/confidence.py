@@ -1,0 +1,75 @@
+"""How well photographs tell each parameter."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pneutac_sim.photo_fit.coarse import thin
+from pneutac_sim.photo_fit.objective import Objective
+
+BLUR_PX = 2.0
+BLOCK = 32  # thinned pixels along an edge that count as one observation
+MOVE = 0.5  # of a first step, for differences
+TELLING = 0.5  # of the prior's standard deviation: what is left above tells nothing
+
+
+@dataclass(frozen=True)
+class Confidence:
+    """Of P parameters.
+
+    Attributes:
+        sd: (P,) posterior standard deviation, coordinates.
+        ci95: name to interval, physical values, inside the bounds.
+        not_identified: names of those whose posterior is not much narrower than their bounds.
+    """
+
+    sd: np.ndarray
+    ci95: dict[str, tuple[float, float]]
+    not_identified: list[str]
+
+
+def confidence(objective: Objective, x: np.ndarray) -> Confidence:
+    """Posterior of the parameters at the optimum, from how silhouettes move with each.
+
+    Linearised: residual r is blurred coverage less mask, J its derivative by central differences through all
+    of material points and renderer. Pixels of a block err together, so information is Godambe's
+    H M^-1 H with H = J^T J, M = sum over blocks of (J_b^T r_b)(J_b^T r_b)^T. What is wrong with the body's
+    shape is so in all photographs: n of them tell no more about it than one, and M counts n times. The
+    uniform prior between the bounds adds the inverse of its variance.
+
+    Args:
+        objective: of the photographs that were fitted.
+        x: (P,) coordinates of the optimum.
+    """
+    parameters = objective.equilibria.parameters
+    n = len(parameters)
+    step = MOVE * parameters.step
+    ends = [np.clip(x + s * np.diag(step), parameters.lower, parameters.upper) for s in (1, -1)]
+    bodies = objective.equilibria.solve(np.concatenate([x[None], *ends]))
+    width = np.diag(ends[0] - ends[1])
+    H, M = np.zeros((n, n)), np.zeros((n, n))
+    for p in objective.photographs:
+        mask = p.mask.astype(np.float32)
+        pictures = np.stack(
+            [thin(objective.render(at[p.state], p.camera).alpha - mask, BLUR_PX) for at in bodies.positions]
+        ).astype(float)
+        J = (pictures[1 : n + 1] - pictures[n + 1 :]) / width[:, None, None]
+        H += np.einsum("ihw,jhw->ij", J, J)
+        pull = J * pictures[0]
+        h, w = (-(-s // BLOCK) * BLOCK for s in pull.shape[1:])
+        whole = np.zeros((n, h, w))
+        whole[:, : pull.shape[1], : pull.shape[2]] = pull
+        blocks = whole.reshape(n, h // BLOCK, BLOCK, w // BLOCK, BLOCK).sum((2, 4)).reshape(n, -1)
+        M += blocks @ blocks.T
+    scale = parameters.prior_sd
+    H, M = H * np.outer(scale, scale), M * np.outer(scale, scale)
+    M *= len(objective.photographs)
+    # No photograph is known better than to a thousandth of a pixel's coverage.
+    M += 1e-6 * H + 1e-12 * np.trace(H) / n * np.eye(n)
+    information = H @ np.linalg.solve(M, H)
+    sd = scale * np.sqrt(np.diag(np.linalg.inv(information + np.eye(n))))
+    low, high = (np.clip(x + s * 1.96 * sd, parameters.lower, parameters.upper) for s in (-1, 1))
+    ends = zip(parameters.values(low), parameters.values(high), strict=True)
+    ci95 = {name: (float(a), float(b)) for name, (a, b) in zip(parameters.names, ends, strict=True)}
+    unclear = [name for name, a, b in zip(parameters.names, sd, scale, strict=True) if a > TELLING * b]
+    return Confidence(sd, ci95, unclear)

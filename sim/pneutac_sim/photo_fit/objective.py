@@ -1,0 +1,107 @@
+"""How far renderings are from photographs: masked L1 difference and silhouettes' overlap (paper, Sec. IV)."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from pneutac_sim.photo_fit.equilibria import Bodies, Equilibria
+from pneutac_sim.splat.camera import Camera
+from pneutac_sim.splat.gaussians import Gaussians
+from pneutac_sim.splat.rasteriser import Rendering, Splats
+
+SILHOUETTE = 2.0  # lambda_s
+SOLID = 0.5  # coverage from which a pixel belongs to the silhouette
+
+
+@dataclass(frozen=True)
+class Photograph:
+    """One segmented photograph of a body at rest under a pressure.
+
+    Attributes:
+        state: index of the pressure.
+        camera: from where, base frame.
+        image: RGB uint8 (H, W, 3).
+        mask: bool (H, W), where the body is.
+    """
+
+    state: int
+    camera: Camera
+    image: np.ndarray
+    mask: np.ndarray
+
+
+class Scores(NamedTuple):
+    """Of K candidates on n photographs.
+
+    Attributes:
+        appearance: (K, n) mean absolute difference inside the mask, 0 to 1.
+        iou: (K, n) overlap of the silhouettes over their union.
+        rmse: (K, n) root mean square difference over the union of both silhouettes, on black, 8-bit levels.
+    """
+
+    appearance: np.ndarray
+    iou: np.ndarray
+    rmse: np.ndarray
+
+    @property
+    def objective(self) -> np.ndarray:
+        """(K,) mean over photographs of appearance + 2 (1 - IoU)."""
+        return (self.appearance + SILHOUETTE * (1 - self.iou)).mean(-1)
+
+
+def score(rendering: Rendering, image: np.ndarray, mask: np.ndarray) -> tuple[float, float, float]:
+    """Appearance, IoU and RMSE of one rendering on black.
+
+    Args:
+        rendering: image (H, W, 3), 0 to 1, and coverage.
+        image: the photograph, RGB uint8 (H, W, 3).
+        mask: where its body is, bool (H, W), not empty.
+    """
+    drawn = rendering.alpha > SOLID
+    union = mask | drawn
+    level = rendering.image.clip(0, 1)[union] - np.where(
+        mask[union][:, None], image[union] / np.float32(255), 0
+    )
+    appearance = float(np.abs(level[mask[union]]).mean())
+    iou = float((mask & drawn).sum() / union.sum())
+    return appearance, iou, float(255 * np.sqrt((level.astype(float) ** 2).mean()))
+
+
+class Objective:
+    """Scores candidates by full material points and splats.
+
+    Args:
+        equilibria: of the pressures that the photographs' `state` counts.
+        photographs: to compare with.
+        looks: a Gaussian for each particle, in the particles' order.
+
+    Attributes:
+        best: (T, P, 3) particles of the best candidate so far, m; None before the first.
+    """
+
+    def __init__(self, equilibria: Equilibria, photographs: list[Photograph], looks: Gaussians):
+        self.equilibria, self.photographs, self.looks = equilibria, photographs, looks
+        # A round Gaussian stays the same however it turns.
+        self._covariances = looks.covariances()
+        self.best, self._least = None, np.inf
+
+    def __call__(self, x: np.ndarray) -> np.ndarray:
+        """(K,) objective of candidates (K, P) in coordinates."""
+        bodies = self.equilibria.solve(x)
+        values = self.scores(bodies).objective
+        if values.min() < self._least:
+            self.best, self._least = bodies.positions[values.argmin()], values.min()
+        return values
+
+    def scores(self, bodies: Bodies) -> Scores:
+        """Of bodies at rest."""
+        rows = [
+            [score(self.render(positions[p.state], p.camera), p.image, p.mask) for p in self.photographs]
+            for positions in bodies.positions
+        ]
+        return Scores(*np.moveaxis(np.array(rows), 2, 0))
+
+    def render(self, positions: np.ndarray, camera: Camera) -> Rendering:
+        """One body, particles at (P, 3) m, on black."""
+        return Splats(camera, positions, self._covariances, self.looks.opacities).render(self.looks.colours)

@@ -1,0 +1,157 @@
+"""CMA-ES (Hansen and Ostermeier 2001) over a body's parameters, a whole generation at a time, resumable."""
+
+import hashlib
+import json
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.photo_fit.coarse import Coarse
+from pneutac_sim.photo_fit.parameters import BodyParameters
+
+POPULATION = 7
+EVALUATIONS = 84
+FINEST = 30.0  # by which the first steps are shorter along what silhouettes tell best
+OUTSIDE = 1.0  # objective that a candidate pays for each first step beyond a bound, squared
+
+
+@dataclass(frozen=True)
+class Search:
+    """All that a search has tried.
+
+    Attributes:
+        x: (P,) the best candidate, coordinates.
+        objective: its.
+        tried: (n, P) candidates in the order of evaluation, coordinates.
+        objectives: (n,).
+        resumed: how many of them came from the file.
+    """
+
+    x: np.ndarray
+    objective: float
+    tried: np.ndarray
+    objectives: np.ndarray
+    resumed: int
+
+
+def search(
+    objective: Callable[[np.ndarray], np.ndarray],
+    parameters: BodyParameters,
+    start: Coarse,
+    evaluations: int = EVALUATIONS,
+    population: int = POPULATION,
+    seed: int = 0,
+    file: Path | None = None,
+    key: str = "",
+    tell: Callable[[int, np.ndarray, float], None] = lambda done, best, value: None,
+) -> Search:
+    """Minimises an objective from a warm start.
+
+    A file of all candidates and their objectives is kept after each generation. Where one of the same `key`,
+    seed and start is there, its generations are told again instead of evaluated, after which the search goes
+    on as if it had never stopped.
+
+    Args:
+        objective: (K, P) coordinates to (K,).
+        parameters: bounds and first steps.
+        start: where to begin, and what silhouettes tell about it.
+        evaluations: rounded up to whole generations.
+        population: of a generation.
+        seed: decides all candidates.
+        file: where to keep them; None for nowhere.
+        key: what the objective depends on; a file of another key is begun anew.
+        tell: called after each generation with the evaluations so far, the best candidate and its objective.
+
+    Raises:
+        InputError: the population or the number of evaluations makes no sense, or the objective is no number.
+    """
+    if population < 4 or evaluations < population:
+        raise InputError(
+            f"A search of {evaluations} evaluations by {population} a generation makes no sense; give at "
+            "least 4 a generation and at least one generation."
+        )
+    axes = first_axes(parameters, start.hessian)
+    strategy = _strategy(len(parameters), population, seed)
+    key = hashlib.sha256(repr((key, seed, population, parameters.names)).encode()).hexdigest()
+    kept = _read(file, key)
+    tried, values, resumed = [], [], 0
+    while len(values) < evaluations:
+        z = np.array(strategy.ask())
+        if not values:
+            z[0] = 0.0  # the warm start itself
+        wanted = start.x + z @ axes.T
+        x = np.clip(wanted, parameters.lower, parameters.upper)
+        old = kept[len(values) : len(values) + population]
+        if len(old) == population and np.allclose([o["x"] for o in old], x, rtol=1e-9, atol=1e-12):
+            found, resumed = np.array([o["objective"] for o in old]), resumed + population
+        else:
+            kept, found = [], np.asarray(objective(x), float)
+        if not np.isfinite(found).all():
+            raise InputError(
+                "The objective is not a finite number; check masks and cameras of the recording."
+            )
+        strategy.tell(list(z), found + OUTSIDE * np.square((wanted - x) / parameters.step).sum(1))
+        tried += list(x)
+        values += found.tolist()
+        _write(file, key, tried, values)
+        best = int(np.argmin(values))
+        tell(len(values), tried[best], values[best])
+    return Search(tried[best], values[best], np.array(tried), np.array(values), resumed)
+
+
+def first_axes(parameters: BodyParameters, hessian: np.ndarray) -> np.ndarray:
+    """(P, P) square root A of the first covariance A A^T.
+
+    No parameter's standard deviation exceeds its first step; along what silhouettes tell best, where the warm
+    start is already near, it is `FINEST` times less.
+
+    Args:
+        parameters: first steps.
+        hessian: (P, P) of the silhouettes' difference, coordinates.
+    """
+    scaled = hessian * np.outer(parameters.step, parameters.step)
+    value, vector = np.linalg.eigh(scaled)
+    share = value.clip(0) / max(value[-1], 1e-300)
+    return parameters.step[:, None] * vector / np.sqrt(1 + (FINEST**2 - 1) * share)
+
+
+def _strategy(size: int, population: int, seed: int):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # it misses a library for plots
+        import cma
+    rng = np.random.default_rng(seed)
+    return cma.CMAEvolutionStrategy(
+        np.zeros(size),
+        1.0,
+        {
+            "popsize": population,
+            "seed": np.nan,  # its own generator would be NumPy's global one
+            "randn": lambda *shape: rng.standard_normal(shape),
+            "verbose": -9,
+        },
+    )
+
+
+def _read(file: Path | None, key: str) -> list[dict]:
+    if file is None or not file.is_file():
+        return []
+    try:
+        kept = json.loads(file.read_text())
+        rows = kept["evaluations"] if kept["key"] == key else []
+        return [{"x": np.array(r["x"], float), "objective": float(r["objective"])} for r in rows]
+    except (ValueError, KeyError, TypeError) as e:
+        raise InputError(f"{file} is no record of a search ({e!r}); delete it to begin anew.") from e
+
+
+def _write(file: Path | None, key: str, tried: list, values: list) -> None:
+    if file is None:
+        return
+    rows = [{"x": x.tolist(), "objective": v} for x, v in zip(tried, values, strict=True)]
+    file.parent.mkdir(parents=True, exist_ok=True)
+    part = file.with_suffix(".tmp")
+    part.write_text(json.dumps({"key": key, "evaluations": rows}))
+    part.replace(file)
