@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from lerobot_pneutac.photo_report import photo_report, strip
+from lerobot_pneutac.photo_report import UNIT, outcome, photo_report, strip
 from lerobot_pneutac.photo_session import PhotoSession, read_session
 from lerobot_pneutac.report import write_result
 from pneutac_sim.errors import InputError
@@ -20,13 +20,12 @@ from pneutac_sim.photo_fit.equilibria import Bodies, Equilibria
 from pneutac_sim.photo_fit.objective import Objective, Scores
 from pneutac_sim.photo_fit.parameters import BodyParameters, body_parameters
 from pneutac_sim.photo_fit.search import EVALUATIONS, Search, search
-from pneutac_sim.splat.body import check_photograph, fit_body_looks, looks_into_twin
+from pneutac_sim.splat.body import fit_body_looks, looks_into_twin
 from pneutac_sim.splat.gaussians import Gaussians
 from pneutac_sim.twin import Twin
 
 TRAIN_KPA = (0.0, 3.0, 6.0, 9.0, 12.0, 15.0)
 PARTICLES = 4000
-UNIT = "8-bit levels"
 
 
 @dataclass(frozen=True)
@@ -104,7 +103,6 @@ def fit_photographs(
     start = coarse_fit(first, pressures, photographs, session.conditions, device)
     parameters = body_parameters(first.twin_at(start.x), span)
     equilibria = Equilibria(parameters, start.x, pressures, session.conditions, particles, device)
-    _check(recording, session, photographs, equilibria)
     looks = _looks(session, equilibria)
     objective = Objective(equilibria, photographs, looks)
     key = f"{recording.folder.resolve()} {pressures.tolist()} {particles} {len(twin.history)}"
@@ -139,15 +137,6 @@ def fit_photographs(
         tip_error_mm=tips,
         seconds=time.perf_counter() - began,
     )
-
-
-def _check(recording, session: PhotoSession, photographs, equilibria: Equilibria) -> None:
-    rows = [r for r, p in zip(session.rows, session.photographs, strict=True) if session.train[p.state]]
-    for row, p in zip(rows, photographs, strict=True):
-        try:
-            check_photograph(equilibria.first.positions[0, p.state], p.image, p.mask, p.camera)
-        except InputError as e:
-            raise InputError(f"{recording.folder}, photograph of row {row + 1}: {e}") from e
 
 
 def _looks(session: PhotoSession, equilibria: Equilibria) -> Gaussians:
@@ -214,46 +203,6 @@ def training_levels(text: str) -> tuple[float, ...]:
     if len(levels) < 2 or not np.isfinite(levels).all():
         raise InputError(f"--train_kpa={text} must be at least two pressures in kPa, such as 0,3,6,9,12,15.")
     return levels
-
-
-def outcome(found: PhotoFit) -> dict:
-    """What `result.json` tells of a fit."""
-    sure, scores = found.confidence, found.scores
-    loss = scores.appearance[0] + 2 * (1 - scores.iou[0])
-    rows = {}
-    for name, unit, value in zip(
-        found.parameters.names, found.parameters.units, found.parameters.values(found.search.x), strict=True
-    ):
-        unclear = name in sure.not_identified
-        note = "not identified: the photographs hardly narrow it down" if unclear else ""
-        rows[name] = {"value": float(value), "ci95": list(sure.ci95[name]), "unit": unit, "note": note}
-
-    def parts(values):
-        return {"train": found.mean(values, True), "heldout": found.mean(values, False)}
-
-    result = {
-        "parameters": rows,
-        "error": parts(scores.rmse[0]),
-        "unit": UNIT,
-        "objective": parts(loss),
-        "iou": parts(scores.iou[0]),
-        "not_identified": sure.not_identified,
-        "coarse": dict(
-            zip(found.parameters.names, found.parameters.values(found.start.x).tolist(), strict=True)
-        ),
-        "cameras": found.session.cameras[: found.session.fitted],
-        "train_kpa": found.session.pressures[found.session.train].tolist(),
-        "evaluations": len(found.search.objectives),
-        "resumed": found.search.resumed,
-        "seconds": found.seconds,
-    }
-    if found.tip_error_mm is not None:
-        square = found.tip_error_mm**2
-        kept = {"train": found.session.train, "heldout": ~found.session.train}
-        result["tip_error_mm"] = {
-            k: float(np.sqrt(square[m].mean())) if m.any() else None for k, m in kept.items()
-        }
-    return result
 
 
 def _print(found: PhotoFit, result: dict, console: Console) -> None:

@@ -4,9 +4,50 @@ import cv2
 import numpy as np
 
 from lerobot_pneutac.report import Report
-from pneutac_sim.photo_fit.objective import Objective, Photograph
+from pneutac_sim.photo_fit.objective import SILHOUETTE, Objective, Photograph
 
+UNIT = "8-bit levels"
 HEIGHT = 220  # px of a picture
+
+
+def outcome(found) -> dict:
+    """What `result.json` tells of a `PhotoFit`."""
+    sure, scores = found.confidence, found.scores
+    loss = scores.appearance[0] + SILHOUETTE * (1 - scores.iou[0])
+    rows = {}
+    for name, unit, value in zip(
+        found.parameters.names, found.parameters.units, found.parameters.values(found.search.x), strict=True
+    ):
+        unclear = name in sure.not_identified
+        note = "not identified: the photographs hardly narrow it down" if unclear else ""
+        rows[name] = {"value": float(value), "ci95": list(sure.ci95[name]), "unit": unit, "note": note}
+
+    def parts(values):
+        return {"train": found.mean(values, True), "heldout": found.mean(values, False)}
+
+    result = {
+        "parameters": rows,
+        "error": parts(scores.rmse[0]),
+        "unit": UNIT,
+        "objective": parts(loss),
+        "iou": parts(scores.iou[0]),
+        "not_identified": sure.not_identified,
+        "coarse": dict(
+            zip(found.parameters.names, found.parameters.values(found.start.x).tolist(), strict=True)
+        ),
+        "cameras": found.session.cameras[: found.session.fitted],
+        "train_kpa": found.session.pressures[found.session.train].tolist(),
+        "evaluations": len(found.search.objectives),
+        "resumed": found.search.resumed,
+        "seconds": found.seconds,
+    }
+    if found.tip_error_mm is not None:
+        square = found.tip_error_mm**2
+        kept = {"train": found.session.train, "heldout": ~found.session.train}
+        result["tip_error_mm"] = {
+            k: float(np.sqrt(square[m].mean())) if m.any() else None for k, m in kept.items()
+        }
+    return result
 
 
 def strip(objective: Objective, positions: np.ndarray, photographs: list[Photograph]) -> np.ndarray:

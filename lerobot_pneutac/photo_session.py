@@ -1,7 +1,7 @@
 """What a calibration takes from a recording with photographs: pressures, photographs, which are held out."""
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,7 +12,6 @@ from pneutac_sim.photo_fit.objective import Photograph
 from pneutac_sim.splat.camera import Camera
 
 NEAR_KPA = 0.25  # of a training level
-MOST_KPA = 500.0  # no soft finger or arm holds more
 LIKE = 0.9  # cosine from which two cameras look along the same line and tell the same
 
 
@@ -26,7 +25,6 @@ class PhotoSession:
         cameras: names of those that are fitted, then of the others.
         fitted: how many.
         photographs: of all rows and fitted cameras; `state` counts `pressures`.
-        rows: (n,) row of the recording that each photograph comes from.
         markers_mm: (T, 3) mean tip at each pressure where the recording tells it: to judge, never to fit.
         conditions: means of the other columns that are numbers.
     """
@@ -36,18 +34,13 @@ class PhotoSession:
     cameras: list[str]
     fitted: int
     photographs: list[Photograph]
-    rows: list[int]
     markers_mm: np.ndarray | None
     conditions: dict[str, float]
 
     def of(self, states: np.ndarray) -> list[Photograph]:
         """Photographs at the pressures where `states` (T,) is true, counted among these alone."""
         index = np.cumsum(states) - 1
-        return [
-            Photograph(int(index[p.state]), p.camera, p.image, p.mask)
-            for p in self.photographs
-            if states[p.state]
-        ]
+        return [replace(p, state=int(index[p.state])) for p in self.photographs if states[p.state]]
 
     @property
     def rest(self) -> Photograph:
@@ -88,11 +81,6 @@ def read_session(recording: BenchRecording, levels_kpa: tuple[float, ...]) -> Ph
         raise InputError(
             f"{recording.folder}: row {row + 1} has no pressure; every photograph needs one, in kPa."
         )
-    if np.abs(pressure).max() > MOST_KPA:
-        raise InputError(
-            f"{recording.folder}: {recording.pressure_columns[0]} reaches {np.abs(pressure).max():g}; "
-            "it must be in kPa (divide pascals by 1000)."
-        )
     rows = _holds(recording, pressure)
     levels, state = np.unique(pressure[rows].round(6), axis=0, return_inverse=True)
     train = (np.abs(levels[..., None] - np.asarray(levels_kpa)).min(-1) < NEAR_KPA).all(1)
@@ -104,13 +92,13 @@ def read_session(recording: BenchRecording, levels_kpa: tuple[float, ...]) -> Ph
         )
     cameras = {name: read_camera(recording, name) for name in names}
     chosen = _crossing(cameras)
-    photographs, origin = [], []
+    photographs = []
     for name in chosen:
         for row, s in zip(rows, state.ravel(), strict=True):
             image, mask = read_photograph(recording, row, name)
             _check_mask(recording, row, name, mask)
-            photographs.append(Photograph(int(s), cameras[name], image, mask))
-            origin.append(int(row))
+            told = f"{recording.folder}, image_{name} of row {row + 1}"
+            photographs.append(Photograph(int(s), cameras[name], image, mask, told))
     tips = [f"tip_{a}_mm" for a in "xyz"]
     markers = None
     if all(recording.has(c) for c in tips):
@@ -122,7 +110,7 @@ def read_session(recording: BenchRecording, levels_kpa: tuple[float, ...]) -> Ph
         if column.dtype.kind in "fi" and not re.match(r"pressure|camera", name) and np.isfinite(column).all():
             conditions[name] = float(column.mean())
     others = [n for n in names if n not in chosen]
-    return PhotoSession(levels, train, chosen + others, len(chosen), photographs, origin, markers, conditions)
+    return PhotoSession(levels, train, chosen + others, len(chosen), photographs, markers, conditions)
 
 
 def _holds(recording: BenchRecording, pressure: np.ndarray) -> np.ndarray:

@@ -13,9 +13,11 @@ import cv2
 import numpy as np
 from scipy.optimize import least_squares
 
+from pneutac_sim.errors import InputError
 from pneutac_sim.photo_fit.equilibria import BUILD, Equilibria, joint_targets
 from pneutac_sim.photo_fit.objective import Photograph
 from pneutac_sim.photo_fit.parameters import BodyParameters
+from pneutac_sim.splat.body import check_photograph
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.follow import blank_looks
 from pneutac_sim.splat.rasteriser import Splats
@@ -24,6 +26,7 @@ BLURS = (0.12, 0.03, 0.01)  # standard deviations over the square root of the ma
 BENDS_RAD = np.linspace(-1.2, 2.4, 7)  # of a whole finger, tried at the lowest and the highest pressure
 PARTICLES = 1500
 PIXELS = 160  # of a body's length, to which photographs are reduced
+LEAST_IOU = 0.4  # of silhouettes; with less in common the photograph is of something else
 CORRECTIONS = 2  # rounds of material points
 SMALL = 0.05  # of the first step, for differences
 
@@ -81,6 +84,12 @@ class Skinned:
         q = joint_targets(twin, self.pressures, self.conditions)
         return self.spine.skin(q, self.body.positions) + self._left_out
 
+    def coverage(self, at: np.ndarray, photograph: Photograph) -> np.ndarray:
+        """(H, W) of particles at (T, particles, 3) m as this reduced photograph's camera sees them."""
+        looks = self._looks
+        splats = Splats(photograph.camera, at[photograph.state], self._covariances, looks.opacities)
+        return splats.render(looks.colours).alpha
+
     def differences(self, x: np.ndarray, blur: float) -> np.ndarray:
         """Coverage less mask of every photograph, blurred and thinned, one long vector.
 
@@ -89,11 +98,9 @@ class Skinned:
             blur: see `BLURS`.
         """
         at = self.positions(x)
-        n = len(self._looks)
         parts = []
         for p in self.photographs:
-            splats = Splats(p.camera, at[p.state], self._covariances, self._looks.opacities)
-            alpha = splats.render(np.zeros((n, 3))).alpha
+            alpha = self.coverage(at, p)
             sigma = blur * reach(p.mask)
             parts.append(thin(alpha - p.mask, sigma).ravel())
         return np.concatenate(parts)
@@ -135,6 +142,9 @@ def coarse_fit(
         photographs: with masks.
         conditions: what effects of the twin ask for.
         device: see `mpm.runtime.start`.
+
+    Raises:
+        InputError: a photograph shows no such body.
     """
     model = Skinned(parameters, pressures, photographs, conditions, device)
     tried = [np.clip(x, parameters.lower, parameters.upper) for x in _starts(parameters, pressures)]
@@ -155,6 +165,7 @@ def coarse_fit(
 
     for round_, blur in enumerate((*BLURS, *BLURS[-1:] * CORRECTIONS)):
         if round_ >= len(BLURS):
+            _check(model, x, photographs)
             model.correct(x)
         found = least_squares(
             lambda y, blur=blur: model.differences(whole(y), blur),
@@ -170,6 +181,23 @@ def coarse_fit(
     hessian = np.zeros((len(x), len(x)))
     hessian[np.ix_(free, free)] = found.jac.T @ found.jac
     return Coarse(x, hessian)
+
+
+def _check(model: Skinned, x: np.ndarray, photographs: list[Photograph]) -> None:
+    """Raises InputError where a photograph shows no such body in any pose that was found."""
+    at = model.positions(x)
+    for p, small in zip(photographs, model.photographs, strict=True):
+        try:
+            check_photograph(at[p.state], p.image, p.mask, p.camera)
+        except InputError as e:
+            raise InputError(f"{p.name}: {e}") from e
+        drawn, mask = model.coverage(at, small) > 0.5, small.mask > 0.5
+        iou = (drawn & mask).sum() / max((drawn | mask).sum(), 1)
+        if iou < LEAST_IOU:
+            raise InputError(
+                f"{p.name}: the twin's silhouette overlaps the mask by {iou:.0%} at best; check the camera "
+                "(extrinsics from base to camera, in metres), the twin's length and mesh, and the mask."
+            )
 
 
 def _starts(parameters: BodyParameters, pressures: np.ndarray) -> list[np.ndarray]:

@@ -5,12 +5,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pneutac_sim.mpm.solve import MpmDiverged
 from pneutac_sim.photo_fit.equilibria import Bodies, Equilibria
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.gaussians import Gaussians
 from pneutac_sim.splat.rasteriser import Rendering, Splats
 
 SILHOUETTE = 2.0  # lambda_s
+WORST = 1.0 + SILHOUETTE  # of a body that finds no rest
 SOLID = 0.5  # coverage from which a pixel belongs to the silhouette
 
 
@@ -23,12 +25,14 @@ class Photograph:
         camera: from where, base frame.
         image: RGB uint8 (H, W, 3).
         mask: bool (H, W), where the body is.
+        name: shown in errors.
     """
 
     state: int
     camera: Camera
     image: np.ndarray
     mask: np.ndarray
+    name: str = "a photograph"
 
 
 class Scores(NamedTuple):
@@ -87,8 +91,11 @@ class Objective:
         self.best, self._least = None, np.inf
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
-        """(K,) objective of candidates (K, P) in coordinates."""
-        bodies = self.equilibria.solve(x)
+        """(K,) objective of candidates (K, P) in coordinates; `WORST` of one that finds no rest."""
+        try:
+            bodies = self.equilibria.solve(x)
+        except MpmDiverged:
+            return np.concatenate([self(one[None]) for one in x]) if len(x) > 1 else np.array([WORST])
         values = self.scores(bodies).objective
         if values.min() < self._least:
             self.best, self._least = bodies.positions[values.argmin()], values.min()

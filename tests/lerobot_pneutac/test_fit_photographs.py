@@ -1,0 +1,181 @@
+"""`pneutac calibrate --by=images`: a twin from photographs alone, its result and report, bad recordings."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from PIL import Image
+from rich.console import Console
+
+from lerobot_pneutac.calibrate import CalibrateConfig, calibrate
+from lerobot_pneutac.fit_photographs import training_levels
+from lerobot_pneutac.photo_session import read_session
+from pneutac_datasets.recording import BenchRecording
+from pneutac_sim.errors import InputError
+from pneutac_sim.splat.body import looks_from_twin
+from pneutac_sim.twin import Twin
+
+LEVELS = (0.0, 7.0, 14.0)
+PRESSURES = np.array([[0.0], [4.0], [7.0], [14.0]])
+
+
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory):
+    """A recording of four photographs by the renderer, from the front and from behind, with markers."""
+    from pneutac_sim.photo_fit.equilibria import Equilibria
+    from pneutac_sim.photo_fit.objective import Objective
+    from pneutac_sim.photo_fit.parameters import body_parameters
+    from pneutac_sim.splat.camera import Camera
+    from pneutac_sim.splat.follow import blank_looks
+
+    folder = tmp_path_factory.mktemp("photographs") / "finger"
+    twin = Twin.builtin()
+    parameters = body_parameters(twin, 14.0)
+    truth = parameters.coordinates(twin)
+    rest = Equilibria(parameters, truth, PRESSURES, particles=1000, device="cpu")
+    looks = blank_looks(rest.body)
+    looks.colours[:] = np.random.default_rng(0).uniform(0.2, 0.8, looks.colours.shape)
+    draw = Objective(rest, [], looks).render
+    eyes = {"front": -0.4, "back": 0.4}
+    cameras = {
+        n: Camera.look_at((0.055, y, 0.02), (0.055, 0, 0.02), (-1, 0, 0), 22.0, 240, 240)
+        for n, y in eyes.items()
+    }
+    rows = []
+    folder.mkdir(parents=True)
+    for i, (positions, tip) in enumerate(zip(rest.first.positions[0], rest.first.tips[0], strict=True)):
+        row = {"trial": i, "time_s": 0.0, "pressure_cmd_kpa": PRESSURES[i, 0]}
+        for name, camera in cameras.items():
+            picture = draw(positions, camera)
+            row |= {f"{kind}_{name}": f"{i}_{kind}_{name}.png" for kind in ("image", "mask")}
+            image = (255 * picture.image.clip(0, 1)).round().astype(np.uint8)
+            Image.fromarray(image).save(folder / row[f"image_{name}"])
+            Image.fromarray(np.uint8(255) * (picture.alpha > 0.5)).save(folder / row[f"mask_{name}"])
+        rows.append(row | {f"tip_{a}_mm": 1e3 * v for a, v in zip("xyz", tip, strict=True)})
+    told = {
+        n: {"intrinsics": c.intrinsics.tolist(), "extrinsics": c.extrinsics.tolist()}
+        for n, c in cameras.items()
+    }
+    joints = list(twin.spine_joint_positions_mm)
+    meta = {"device": "finger", "length_mm": 110.0, "spine_joint_positions_mm": joints, "cameras": told}
+    BenchRecording(folder, meta, pd.DataFrame(rows), "finger").write(folder)
+    return BenchRecording.load(folder)
+
+
+def config(tmp_path, recording, **options):
+    twin = tmp_path / "twin"
+    if not twin.exists():
+        Twin("finger", 110.0).save(twin)
+    options = {"by": "images", "train_kpa": "0,7,14", "evaluations": 7, "particles": 1000} | options
+    return CalibrateConfig(twin=twin, recording=recording.folder, **options)
+
+
+def altered(recording, folder, **changes):
+    """A copy in another folder with columns changed, or removed where None."""
+    samples = recording.samples.copy()
+    for name, values in changes.items():
+        samples = samples.drop(columns=name) if values is None else samples.assign(**{name: values})
+    BenchRecording(folder, recording.meta, samples, "finger").write(folder)
+    for file in recording.folder.glob("*.png"):
+        (folder / file.name).write_bytes(file.read_bytes())
+    return BenchRecording.load(folder)
+
+
+@pytest.fixture(scope="module")
+def calibrated(drawn, tmp_path_factory):
+    """Folder of twin and report, and the result."""
+    folder = tmp_path_factory.mktemp("calibrated")
+    return folder, calibrate(config(folder, drawn, out=folder / "out"), folder, Console(quiet=True))
+
+
+def test_a_finger_is_calibrated_and_told(calibrated):
+    folder, result = calibrated
+    out = folder / "out"
+    assert json.loads((out / "result.json").read_text())["parameters"] == result["parameters"]
+    assert result["tip_error_mm"]["heldout"] < 0.015 * 110
+    assert result["iou"]["heldout"] > 0.95 and result["iou"]["train"] > 0.95
+    assert result["cameras"] == ["front"] and result["evaluations"] == 7
+    assert "youngs_modulus_mpa" in result["not_identified"]
+    assert "gain_rad_per_kpa" not in result["not_identified"]
+    for row in result["parameters"].values():
+        assert row["ci95"][0] <= row["value"] <= row["ci95"][1]
+    twin = Twin.load(folder / "twin")
+    assert twin.history[-1]["change"] == "calibrated by images" and twin.history[-1]["unit"] == "8-bit levels"
+    assert len(looks_from_twin(twin)) > 900
+    assert "Photographs and renderings" in (out / "report.html").read_text()
+    assert (out / "best.png").is_file()
+
+
+def test_markers_are_never_fitted(drawn, calibrated, tmp_path):
+    moved = altered(drawn, tmp_path / "moved", **{f"tip_{a}_mm": 0.0 for a in "xyz"})
+    cfg = config(tmp_path, moved)
+    result = calibrate(cfg, tmp_path, Console(quiet=True))
+    assert result["parameters"] == calibrated[1]["parameters"]
+    assert result["tip_error_mm"]["heldout"] > 50
+    assert not (cfg.twin / "evaluations.json").exists()
+
+
+def test_without_markers_photographs_are_fitted(drawn, tmp_path, monkeypatch):
+    without = altered(drawn, tmp_path / "without", **{f"tip_{a}_mm": None for a in "xyz"})
+    monkeypatch.setattr("lerobot_pneutac.fit_photographs.calibrate_photographs", lambda *a: {"by": "images"})
+    monkeypatch.setattr("lerobot_pneutac.fit_body.calibrate_body", lambda *a: {"by": "markers"})
+    for recording, by, used in (
+        (without, None, "images"),
+        (drawn, None, "markers"),
+        (drawn, "images", "images"),
+    ):
+        cfg = config(tmp_path, recording, by=by)
+        assert calibrate(cfg, tmp_path, Console(quiet=True))["by"] == used
+
+
+def test_levels_and_holds(drawn, tmp_path):
+    session = read_session(drawn, LEVELS)
+    assert session.train.tolist() == [True, False, True, True]
+    assert [p.state for p in session.of(session.train)] == [0, 1, 2]
+    assert session.rest.state == 0 and session.fitted == 1
+    held = altered(drawn, tmp_path / "held", trial=0, time_s=np.arange(4.0), pressure_cmd_kpa=[0, 0, 7, 14])
+    session = read_session(held, LEVELS)
+    assert [p.name.rpartition(" ")[2] for p in session.photographs] == ["2", "3", "4"]
+
+
+def test_bad_recordings_are_told_in_a_sentence(drawn, tmp_path):
+    shape = (240, 240)
+
+    def refused(match, recording, levels=LEVELS):
+        with pytest.raises(InputError, match=match):
+            read_session(recording, levels)
+
+    for name, value, match in (("empty", 0, "covers 0.0%"), ("full", 255, "covers 100.0%")):
+        bad = altered(drawn, tmp_path / name)
+        Image.fromarray(np.full(shape, value, np.uint8)).save(bad.folder / "2_mask_front.png")
+        refused(f"mask_front of row 3 {match}", bad)
+    refused("choose at least two with --train_kpa", drawn, (0.0, 3.0))
+    refused("mask_<camera>", altered(drawn, tmp_path / "none", mask_front=None, mask_back=None))
+    nothing = replace(drawn, samples=drawn.samples.assign(pressure_cmd_kpa=[0, np.nan, 7, 14]))
+    refused("row 2 has no pressure", nothing)
+    for text in ("3", "a,b", "0,nan"):
+        with pytest.raises(InputError, match="at least two pressures"):
+            training_levels(text)
+
+
+def test_a_camera_that_looks_elsewhere_is_told(drawn, tmp_path):
+    meta = json.loads(json.dumps(drawn.meta))
+    extrinsics = np.array(meta["cameras"]["front"]["extrinsics"])
+    extrinsics[:3, 3] *= 1000  # millimetres
+    meta["cameras"]["front"]["extrinsics"] = extrinsics.tolist()
+    bad = altered(replace(drawn, meta=meta), tmp_path / "mm")
+    with pytest.raises(InputError, match="row 1: the twin's silhouette overlaps the mask by 0%"):
+        calibrate(config(tmp_path, bad), tmp_path, Console(quiet=True))
+
+
+@pytest.mark.slow
+def test_a_hidden_finger_is_found(tmp_path):
+    from pneutac_datasets.photographs import write_photographs
+
+    recording = write_photographs(tmp_path / "hidden", seed=5, pressures_kpa=[0, 3, 5, 6, 9, 10, 12, 15])
+    cfg = config(tmp_path, recording, train_kpa="0,3,6,9,12,15", evaluations=21, particles=2000)
+    result = calibrate(cfg, tmp_path, Console(quiet=True))
+    assert result["tip_error_mm"]["heldout"] < 0.015 * 110
+    assert result["iou"]["heldout"] > 0.96

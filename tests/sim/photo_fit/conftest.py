@@ -1,0 +1,40 @@
+"""A small finger photographed by the twin's own renderer, so that the truth fits exactly."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+
+@pytest.fixture(scope="session")
+def drawn():
+    """Parameters, coordinates of the truth, bodies at 0, 7 and 14 kPa, looks and photographs."""
+    from pneutac_sim.photo_fit.equilibria import Equilibria
+    from pneutac_sim.photo_fit.objective import Objective, Photograph
+    from pneutac_sim.photo_fit.parameters import body_parameters
+    from pneutac_sim.splat.camera import Camera
+    from pneutac_sim.splat.follow import blank_looks
+    from pneutac_sim.twin import Twin
+
+    twin = Twin.builtin()
+    parameters = body_parameters(twin, 14.0)
+    truth = parameters.coordinates(twin)
+    pressures = np.array([[0.0], [7.0], [14.0]])
+    equilibria = Equilibria(parameters, truth, pressures, particles=800, device="cpu")
+    looks = blank_looks(equilibria.body)
+    looks.colours[:] = np.random.default_rng(0).uniform(0.2, 0.8, looks.colours.shape)
+    camera = Camera.look_at((0.055, -0.4, 0.02), (0.055, 0, 0.02), (-1, 0, 0), 22.0, 240, 240)
+    blank = Objective(equilibria, [], looks)
+    photographs = []
+    for state, positions in enumerate(equilibria.first.positions[0]):
+        picture = blank.render(positions, camera)
+        image = (255 * picture.image.clip(0, 1)).round().astype(np.uint8)
+        photographs.append(Photograph(state, camera, image, picture.alpha > 0.5))
+    return SimpleNamespace(
+        parameters=parameters,
+        truth=truth,
+        pressures=pressures,
+        equilibria=equilibria,
+        looks=looks,
+        photographs=photographs,
+    )
