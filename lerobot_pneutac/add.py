@@ -34,7 +34,7 @@ class AddConfig:
 
     Attributes:
         twin: the twin's folder; its next version is written there if the error falls.
-        recording: a bench recording of the same finger or arm.
+        recording: a bench recording of the same finger, arm or gel.
         effect: name of the effect to switch on.
         out: folder for `result.json` and `report.html`.
         seed: decides which blocks of time are held out, and the bootstrap.
@@ -102,7 +102,7 @@ def main(argv: list[str]) -> None:
     """Runs the verb."""
     cfg = parse_options(AddConfig, argv)
     get_effect(cfg.effect)
-    twin, recording = load_pair(cfg.twin, cfg.recording)
+    twin, recording = load_pair(cfg.twin, cfg.recording, "add to")
     console = Console()
     if recording.device == "gel":
         add_gel.run(twin, recording, cfg, console)

@@ -52,7 +52,7 @@ def compare_gel(twin: Twin, recording: BenchRecording, out: Path | None, console
         "image": _image(scores, rest, held),
         "by": {
             "role": _by(scores, [s.role or "others" for s in data.samples]),
-            "indenter": _by(scores, [s.press.indenter for s in data.samples]),
+            "indenter": _by([scores[i] for i in held], [data.samples[i].press.indenter for i in held]),
         },
         "worst": [
             {"image": data.samples[i].name, "error": scores[i].rmse, "contact_rmse": scores[i].contact_rmse}

@@ -75,12 +75,14 @@ def _result(s: GelStudy, seconds: float) -> dict:
         effects.append(
             {"name": name, **errors(trial), "reduction": None, "tested_by": "taken out of the twin"}
         )
+    stored = None if s.stored is None else float(np.sqrt(s.judge.value(s.stored)))
     return {
         "verdict": s.verdict,
         "sentence": lead(s),
         "unit": "levels",
         "noise_floor": s.noise,
         "noise_floor_how": "images away from contacts, less each image's own smooth drift of light",
+        "stored": stored,
         "baseline": errors(base),
         "selected": s.selected,
         "after": errors(final),
@@ -107,12 +109,20 @@ def lead(s: GelStudy) -> str:
     before, after = s.heldout(s.base), s.heldout(s.ladder[-1])
     if s.verdict == "ambiguous":
         if s.evidence.poor:
-            return f"This recording cannot tell: it leaves {s.judge.units} images to judge by; record ten."
+            return f"This recording cannot tell: the images left to judge by are {s.judge.units}; record ten."
         helpful = ", ".join(s.evidence.near_miss)
         return f"This recording cannot tell: {helpful} would help, but perhaps by chance."
     if not s.selected:
         if s.verdict == "adequate":
-            return f"Nothing is missing that these images could show: {after:.3g} levels are their noise."
+            return (
+                f"Nothing is missing that these images could show: {after:.3g} levels stay, about as many as "
+                "where nothing touches."
+            )
+        if s.verdict == "insufficient_form":
+            return (
+                f"What the twin has explains {100 * s.explained:.0f} % of what a contact changes, and no "
+                f"other effect of the library more: {after:.3g} levels stay where the noise is {s.noise:.3g}."
+            )
         return (
             f"Something that no optics effect of the library describes is in these images: {after:.3g} "
             f"levels stay where their noise is {s.noise:.3g}."
@@ -142,9 +152,19 @@ def advice(s: GelStudy) -> str:
     )
 
 
+def refitted(s: GelStudy, result: dict) -> str:
+    """What was fitted to what."""
+    stored = "" if result["stored"] is None else f"As stored it is {result['stored']:.3g} levels off. "
+    return (
+        f"{stored}All that follows is re-fitted to {s.train.sum()} of the {len(s.train)} images and judged "
+        f"on the other {s.judge.units}."
+    )
+
+
 def show(s: GelStudy, result: dict, console: Console) -> None:
     """The short table on the terminal."""
     console.print(f"\n[bold]{result['sentence']}[/]\n", highlight=False)
+    console.print(refitted(s, result), highlight=False)
     table = Table(title=f"held-out error, levels (noise {s.noise:.3g})")
     for head in ("effect", "whole image", "contact", "avoidable error removed", ""):
         table.add_column(head)
@@ -167,9 +187,10 @@ def write_page(s: GelStudy, result: dict, out: Path) -> Path:
     """Writes `report.html`: the sentence, the ladder, and where in the image the twin fails."""
     page = Report("What is missing in the light")
     page.lead(result["sentence"])
+    page.text(f"Verdict: {s.verdict}. {refitted(s, result)} The images' noise is {s.noise:.3g} levels.")
     page.text(f"**Next experiment.** {result['next_experiment']}")
     page.heading("How the error falls")
-    page.table(result["ladder"], "Images that nothing was fitted to; levels of 8 bits.")
+    page.table(result["ladder"], "Levels of 8 bits; train: the images fitted to, heldout: all others.")
     page.heading("Where it fails")
     tries = [s.base, s.ladder[-1]] if s.selected else [s.base]
     pictures = [maps(s, t) for t in tries]
@@ -194,8 +215,9 @@ def write_page(s: GelStudy, result: dict, out: Path) -> Path:
                 if e["reduction"] is not None
                 else "-",
                 "tested": e["tested_by"],
+                "": "found" if e["name"] in s.selected else "",
             }
-            for e in result["effects"]
+            for e in sorted(result["effects"], key=lambda e: e["heldout"])
         ]
     )
     page.heading("What was fitted")

@@ -7,6 +7,7 @@ from PIL import Image
 from rich.console import Console
 from rich.table import Table
 
+from lerobot_pneutac.diagnosis.gel import at_bound
 from lerobot_pneutac.report import Report, write_result
 from pneutac_datasets.gel_recording import GelRecording, GelSample
 from pneutac_datasets.recording import BenchRecording
@@ -41,14 +42,14 @@ def calibrate_gel(twin: Twin, recording: BenchRecording, cfg, console: Console) 
     for warning in data.warnings[len(recording.warnings) :]:
         console.print(f"[yellow]note:[/] {warning}", highlight=False)
     sample = data.calibration
-    start = time.monotonic()
+    start, effects = time.monotonic(), wanted(cfg.effects, twin)
     try:
         fit = fit_gel(
             sample.rest,
             sample.image,
             sample.press,
             data.px_per_mm,
-            wanted(cfg.effects, twin),
+            effects,
             data.thickness_mm,
         )
         gel, carried = fit.gel, for_twin(fit.gel, twin)
@@ -102,6 +103,13 @@ def calibrate_gel(twin: Twin, recording: BenchRecording, cfg, console: Console) 
         f"the twin at {cfg.twin} is now version {result['version']}.",
         highlight=False,
     )
+    if heldout and mean[OURS].rmse > mean[REST].rmse:
+        console.print(
+            "[yellow]note:[/] on held-out images the model is worse than the rest image alone: check where "
+            "and how deep the rows say that the indenter pressed."
+        )
+    for name in at_bound(carried, list(carried.effects)):
+        console.print(f"[yellow]note:[/] {name} lies at its bound.", highlight=False)
     if not heldout:
         console.print(
             "[yellow]note:[/] there is no held-out image, so nothing tells how well this generalises."
@@ -130,14 +138,15 @@ def wanted(effects: str | None, twin: Twin) -> list[str]:
     """
     if effects is None:
         return [e for e in twin.effects if e in OPTICS] if twin.gel else list(SENSOR)
-    names = [] if effects == "none" else effects.split(",")
+    names = [] if effects == "none" else [name.strip() for name in effects.split(",")]
     for name in names:
         if name not in SENSOR:
+            why = "needs more than one pair of images" if name in OPTICS else "is no optics effect"
             raise InputError(
-                f"--effects={effects}: '{name}' cannot be fitted to one pair of images; give some of "
-                f"{','.join(SENSOR)}, or none for the linear model."
+                f"--effects={effects}: '{name}' {why}; give some of {','.join(SENSOR)}, or none for the "
+                "paper's linear model."
             )
-    return names
+    return list(dict.fromkeys(names))
 
 
 def predict(gel: GelModel, data: GelRecording) -> list[np.ndarray]:
@@ -182,7 +191,7 @@ def _parameters(gel: GelModel) -> dict:
     out["depth_scale"] = {"value": gel.depth_scale, "unit": ""}
     for effect, values in gel.effects.items():
         units = {p.name: p.unit for p in OPTICS[effect].parameters}
-        out |= {f"{effect}.{k}": {"value": v, "unit": units[k]} for k, v in values.items()}
+        out |= {f"{effect}.{k}": {"value": round(v, 6), "unit": units[k]} for k, v in values.items()}
     out["threshold_levels"] = {"value": gel.threshold_levels, "unit": "levels"}
     return out
 
@@ -253,7 +262,8 @@ def _report(cfg, result: dict, rows: list[dict], picture: np.ndarray):
     report.text(f"Recording: `{result['recording']}`. {result['notes']}")
     report.image(
         picture,
-        "Above the recording, in the middle ours, below ours minus recording (four times; grey is no error). "
+        "Above the recording, in the middle the model, below model minus recording (four times; grey is no "
+        "error). "
         "Columns: rest, the calibration image, held-out images.",
     )
     report.table(

@@ -30,14 +30,14 @@ def same_device(twin: Twin, recording: BenchRecording, twin_path: Path, verb: st
         )
 
 
-def load_pair(twin_path: Path, recording_path: Path) -> tuple[Twin, BenchRecording]:
+def load_pair(twin_path: Path, recording_path: Path, verb: str = "diagnose") -> tuple[Twin, BenchRecording]:
     """The twin and a recording that may be diagnosed; raises InputError where they do not fit together."""
     twin, recording = Twin.load(twin_path), BenchRecording.load(recording_path)
     if recording.device == "gel":
         if twin.device != "gel" and not twin.gel:
-            same_device(twin, recording, twin_path, "diagnose")
+            same_device(twin, recording, twin_path, verb)
         return twin, recording
-    same_device(twin, recording, twin_path, "diagnose")
+    same_device(twin, recording, twin_path, verb)
     if recording.length_mm is not None and abs(recording.length_mm - twin.length_mm) > 0.02 * twin.length_mm:
         raise InputError(
             f"{recording_path}/recording.json: length_mm is {recording.length_mm:g}, the twin's is "

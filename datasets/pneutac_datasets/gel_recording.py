@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass, field
 
+import cv2
 import numpy as np
 import pandas as pd
 from PIL import Image
@@ -13,6 +14,9 @@ from pneutac_sim.gel.indenter import INDENTERS, Press
 from pneutac_sim.gel.photograph import Photograph
 from pneutac_sim.gel.probe import THICKNESS_MM
 
+MIRROR_SAMPLES = 4  # photographs from which a mirrored axis can be told
+AGREE_MM = 0.5  # by which a contact's place in pixels and in millimetres may differ
+WINDOW_MM = (3.0, 200.0)  # smallest and largest width of a gel's image
 ASSUMED_RADIUS_MM = 3.0  # of a ball that the recording does not tell: the scale of the light takes it up
 
 
@@ -84,6 +88,12 @@ class GelRecording:
         size = meta.get("gel_size_mm")
         thickness = float(size[2]) if isinstance(size, list) and len(size) == 3 else THICKNESS_MM
         out = cls(_rgb(recording, meta["rest_image"]), float(scale), thickness, [], list(recording.warnings))
+        width_mm = out.rest.shape[1] / out.px_per_mm
+        if not WINDOW_MM[0] <= width_mm <= WINDOW_MM[1]:
+            raise InputError(
+                f"{file}: px_per_mm is {out.px_per_mm:g}, so that the image would be {width_mm:.3g} mm wide; "
+                f"a gel's is {WINDOW_MM[0]:g} to {WINDOW_MM[1]:g} mm."
+            )
         clocks, rests = _clock(recording.samples), {meta["rest_image"]: out.rest}
         for (i, row), clock in zip(recording.samples.iterrows(), clocks, strict=True):
             where, own = f"{recording.folder}, row {i + 1}", row.get("rest_image")
@@ -93,6 +103,10 @@ class GelRecording:
                 rests[name] = _rgb(recording, own)
                 _same_size(rests[name], out.rest, f"{where}: rest image '{name}'")
             out.samples.append(_sample(recording, row, where, out, rests[name], clock))
+        presses = [s.name for s in out.samples if s.role == "calibration"]
+        if len(presses) > 1:
+            out.warnings.append(f"{len(presses)} rows have the role calibration; the first is used.")
+        out.warnings += _misplaced(out)
         return out
 
     @property
@@ -116,6 +130,30 @@ def _clock(samples: pd.DataFrame) -> np.ndarray:
     return np.arange(len(samples)) / max(len(samples) - 1, 1)
 
 
+def _misplaced(data: "GelRecording") -> list[str]:
+    """A note for each axis along which the images show contacts opposite to where the rows put them."""
+    if len(data.samples) < MIRROR_SAMPLES:
+        return []
+    shown, stated = [], []
+    for s in data.samples:
+        if np.array_equal(s.image, s.rest):
+            continue
+        squared = np.square(
+            cv2.GaussianBlur(s.image.astype(np.float32) - s.rest, (0, 0), s.radius_px / 3)
+        ).sum(2)
+        squared[squared < 0.25 * squared.max()] = 0
+        y, x = np.indices(squared.shape)
+        shown.append([(x * squared).sum() / squared.sum(), (y * squared).sum() / squared.sum()])
+        stated.append([s.x_px, s.y_px])
+    shown, stated = (np.array(a) - np.mean(a, 0) for a in (shown, stated))
+    out = []
+    for axis, name in enumerate("xy"):
+        norm = np.sqrt(np.square(shown[:, axis]).sum() * np.square(stated[:, axis]).sum())
+        if norm > 0 and (shown[:, axis] * stated[:, axis]).sum() < -0.8 * norm:
+            out.append(f"the images show contacts opposite to {name}_mm: it, or they, are mirrored.")
+    return out
+
+
 def _same_size(image: np.ndarray, rest: np.ndarray, what: str) -> None:
     if image.shape != rest.shape:
         raise InputError(
@@ -133,7 +171,13 @@ def _rgb(recording: BenchRecording, value) -> np.ndarray:
             what = {"L": "grey", "1": "black and white", "P": "a palette", "I": "grey with 32 bits"}.get(
                 im.mode
             )
-            what = "16 bits a channel" if deep else "with an alpha channel" if "A" in im.mode else what
+            what = (
+                "of 16 bits a channel"
+                if deep
+                else "with an alpha channel, so not opaque"
+                if "A" in im.mode
+                else what
+            )
             if what or im.mode not in ("RGB", "YCbCr"):
                 raise InputError(
                     f"{recording.folder / value} is {what or im.mode}; "
@@ -169,6 +213,12 @@ def _sample(
         raise InputError(
             f"{where}: the contact's place is empty; fill x_mm and y_mm, or contact_x_px, contact_y_px."
         )
+    for axis, px, mm, size in (("x", x_px, x_mm, w), ("y", y_px, y_mm, h)):
+        if px is not None and mm is not None and abs((px - size / 2) / gel.px_per_mm - mm) > AGREE_MM:
+            raise InputError(
+                f"{where}: {axis}_mm is {mm:g} but contact_{axis}_px, {px:g}, lies at "
+                f"{(px - size / 2) / gel.px_per_mm:.3g} mm from the image's centre; correct one of them."
+            )
     x_px = w / 2 + x_mm * gel.px_per_mm if x_px is None else x_px
     y_px = h / 2 + y_mm * gel.px_per_mm if y_px is None else y_px
     size = one("indenter_radius_mm", "indenter_size_mm")
@@ -186,6 +236,11 @@ def _sample(
         depth = (radius_px / gel.px_per_mm) ** 2 / size  # Hertz: a^2 = R d
     if depth is None:
         raise InputError(f"{where}: depth_mm is empty; give it, or contact_radius_px of a sphere.")
+    if depth > gel.thickness_mm:
+        raise InputError(
+            f"{where}: depth_mm is {depth:g} but the gel is {gel.thickness_mm:g} mm thick; give millimetres, "
+            "or gel_size_mm in recording.json."
+        )
     try:
         x, y = (x_px - w / 2) / gel.px_per_mm, (y_px - h / 2) / gel.px_per_mm
         press = Press(kind, size, x, y, depth, value("yaw_rad") or 0.0)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lerobot_pneutac.diagnosis.bootstrap import Resampler
-from lerobot_pneutac.diagnosis.verdict import FEW_UNITS, Evidence, decide
+from lerobot_pneutac.diagnosis.verdict import FEW_UNITS, MOST, Evidence, decide
 from pneutac_datasets.gel_recording import GelRecording
 from pneutac_sim.effects.optics import OPTICS
 from pneutac_sim.errors import InputError
@@ -60,6 +60,8 @@ class GelStudy:
         ladder: from `base` to the end, one effect more each.
         selected: effects found, in the order found.
         rivals: (effect, rival) that the held-out photographs cannot tell apart.
+        rest: (n,) mean square error of the rest image alone, levels^2.
+        stored: (n,) the same of the twin as it is stored, nothing fitted; None where it has no gel yet.
         evidence: numbers behind the verdict; its noise counts the light's drift from image to image too.
     """
 
@@ -73,12 +75,20 @@ class GelStudy:
     ladder: list[Trial]
     selected: list[str]
     rivals: list[tuple[str, str]]
+    rest: np.ndarray
+    stored: np.ndarray | None
     evidence: Evidence
 
     @property
     def verdict(self) -> str:
-        """One of five, see `verdict`."""
-        return decide(self.evidence)
+        """One of five, see `verdict`; what the twin's own effects explain counts too."""
+        found = decide(self.evidence)
+        return "insufficient_form" if found == "unknown_effect" and self.explained >= MOST else found
+
+    @property
+    def explained(self) -> float:
+        """Share of what a contact changes that the final model predicts on held-out photographs."""
+        return self.judge.reduction(self.rest, self.ladder[-1].squares, self.noise)[0]
 
     def heldout(self, trial: Trial) -> float:
         """Root mean square error over held-out photographs, levels."""
@@ -103,15 +113,19 @@ class Bench:
         """Fits these effects to the training photographs and predicts all."""
         chosen = [p for p, t in zip(self.photographs, self.train, strict=True) if t]
         fit = fit_photographs(self._gel, chosen, effects, near=near)
-        predictor = Predictor(fit.gel, self._pair)
-        residuals = [
-            predictor.image(p.press, p.rest, p.clock).astype(np.int16) - p.image for p in self.photographs
-        ]
-        squares = np.array([np.mean(np.square(r.astype(np.float64))) for r in residuals])
+        residuals = self.residuals(fit.gel)
+        squares = _squares(residuals)
         contact = np.array(
             [np.mean(np.square(r[m].astype(float))) for r, m in zip(residuals, self._regions, strict=True)]
         )
         return Trial(tuple(e for e in OPTICS if e in effects), fit, squares, contact, residuals)
+
+    def residuals(self, gel: GelModel) -> list[np.ndarray]:
+        """Predicted - photographed of every photograph, int16 (H, W, 3)."""
+        predictor = Predictor(gel, self._pair)
+        return [
+            predictor.image(p.press, p.rest, p.clock).astype(np.int16) - p.image for p in self.photographs
+        ]
 
     def far(self, trial: Trial) -> float:
         """Error of a trial away from contacts on held-out photographs, where no gel moves, levels."""
@@ -131,6 +145,10 @@ class Bench:
                 drift = optics.upsample(session_light(p, self.data.px_per_mm), *p.rest.shape[:2])
                 out.append(np.mean(np.square((p.image.astype(float) - p.rest - drift)[far])))
         return float(np.sqrt(np.mean(out))) if out else 0.0
+
+
+def _squares(residuals: Sequence[np.ndarray]) -> np.ndarray:
+    return np.array([np.mean(np.square(r.astype(np.float64))) for r in residuals])
 
 
 def deal(data: GelRecording, seed: int) -> np.ndarray:
@@ -160,7 +178,7 @@ def study(
     """Looks for what the effects of a twin leave unexplained.
 
     Args:
-        gel: gives size, scale and thickness.
+        gel: the twin's, as the recording's images show it.
         data: the recording.
         effects: that the twin has.
         seed: decides which photographs train, and the bootstrap.
@@ -224,7 +242,21 @@ def study(
         at_bound=at_bound(final.fit.gel, selected),
         near_miss=[] if selected else near_miss,
     )
-    return GelStudy(data, bench.train, noise, judge, base, alone, present, ladder, selected, rivals, evidence)
+    return GelStudy(
+        data=data,
+        train=bench.train,
+        noise=noise,
+        judge=judge,
+        base=base,
+        alone=alone,
+        present=present,
+        ladder=ladder,
+        selected=selected,
+        rivals=rivals,
+        rest=np.array([np.mean(np.square(p.image.astype(float) - p.rest)) for p in bench.photographs]),
+        stored=_squares(bench.residuals(gel)) if gel.light.any() else None,
+        evidence=evidence,
+    )
 
 
 def at_bound(gel: GelModel, effects: Sequence[str]) -> list[str]:

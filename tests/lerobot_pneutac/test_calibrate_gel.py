@@ -205,11 +205,14 @@ def test_a_twin_of_another_device_and_a_folder_of_other_things_are_refused(gener
 def test_bad_options_get_one_sentence(generated, tmp_path):
     for argv, says in [
         ([f"--recording={generated}"], "--twin=DIR"),
-        ([f"--twin={tmp_path}", f"--recording={generated}", "--effects=glow"], "'glow' cannot be fitted"),
-        ([f"--twin={tmp_path}", f"--recording={generated}", "--effects=creep"], "none for the linear"),
+        ([f"--twin={tmp_path}", f"--recording={generated}", "--effects=glow"], "'glow' is no optics effect"),
+        (
+            [f"--twin={tmp_path}", f"--recording={generated}", "--effects=creep"],
+            "'creep' is no optics effect",
+        ),
         (
             [f"--twin={tmp_path}", f"--recording={generated}", "--effects=shadow,illumination_drift"],
-            "'illumination_drift' cannot be fitted to one pair",
+            "'illumination_drift' needs more than one pair",
         ),
         ([f"--twin={tmp_path}", f"--out={generated / 'rest.png'}"], "is a file"),
     ]:

@@ -66,7 +66,7 @@ def test_too_few_images_are_no_verdict(tmp_path, capsys):
     recording = write_hidden_gel(tmp_path / "recording", ["shadow"], images=5)
     twin = linear_twin(tmp_path / "twin", recording)
     assert run(diagnose, tmp_path / "d", twin, recording)["verdict"] == "ambiguous"
-    assert "it leaves" in capsys.readouterr().out
+    assert "left to judge by" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -48,8 +48,12 @@ def test_written_geometry_comes_back_as_the_same_body(tmp_path, device):
 
 def test_a_mesh_travels_with_its_twin_and_bends(tmp_path, capsule, capsys):
     new.main([f"--twin={tmp_path / 'twin'}", f"--mesh={capsule}", "--mesh_unit=m", "--mesh_axis=y"])
-    said = capsys.readouterr().out
+    said = " ".join(capsys.readouterr().out.split())
     assert "70 mm long with 4 spine joints" in said and "y became x" in said
+    # the file's y begins at 0.1 - 0.035 m, its z (here y) is at -0.2, its x (here z) at 0.3
+    volume = 1e6 * trimesh.load_mesh(capsule).volume
+    assert f"70 x 16 x 16 mm along x, y and z, {volume:.4g} cm³" in said
+    assert "moved by (-65.00, 200.00, -300.00) mm" in said
     twin = Twin.load(tmp_path / "twin")
     assert twin.device == "finger" and twin.length_mm == pytest.approx(70, abs=1e-3)
     # what a calibration writes elsewhere keeps the mesh
@@ -81,6 +85,18 @@ def test_bad_options_are_named_and_write_nothing(tmp_path, capsule, options, sai
     with pytest.raises(InputError, match=said):
         new.main([f"--twin={tmp_path / 'twin'}", f"--mesh={capsule}", *options])
     assert not (tmp_path / "twin").exists()
+
+
+def test_a_mesh_inside_out_makes_the_same_twin(tmp_path, capsys):
+    new.main([f"--twin={tmp_path / 'a'}"])
+    stl = trimesh.load_mesh(tmp_path / "a" / "geometry.stl")
+    trimesh.Trimesh(stl.vertices, stl.faces[:, ::-1], process=False).export(tmp_path / "out.stl")
+    capsys.readouterr()
+    new.main([f"--twin={tmp_path / 'b'}", f"--mesh={tmp_path / 'out.stl'}"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "whose normals pointed inward" in said and "as it lay in the file" in said
+    again = trimesh.load_mesh(tmp_path / "b" / "geometry.stl")
+    assert again.volume == pytest.approx(stl.volume, rel=1e-5) and again.volume > 0
 
 
 def recorded(folder, length_mm: float):

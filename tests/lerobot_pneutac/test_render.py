@@ -9,9 +9,12 @@ import pytest
 from PIL import Image
 
 from lerobot_pneutac import particle_picture, render
+from lerobot_pneutac.render_options import RenderConfig
+from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.mpm import devices
+from pneutac_sim.gel.probe import BOX, CONE, CYLINDER, SPHERE
+from pneutac_sim.mpm import devices, solve
 from pneutac_sim.twin import PAPER_FINGER, Twin, Value
 
 
@@ -94,11 +97,109 @@ def test_nearer_balls_hide_farther_ones():
         (["--pressure_kpa=[]"], "finite numbers"),
         (["--seconds=0"], "at least"),
         (["--particles=3"], "at least 100"),
+        (["--conditions={gravity_z: .nan}"], "gravity_z: nan; give a finite number"),
+        (["--conditions={temperature_c: 30}"], "'temperature_c', which .* its effects ask for none"),
+        (["--indenter=cube"], "--indenter is of a gel, but the twin at .* is of a finger; omit it"),
+        (["--size_mm=4"], "--size_mm is of a gel"),
+        (["--depth_mm=1.4"], "--depth_mm is of a gel"),
+        (["--x_mm=0"], "--x_mm is of a gel"),
+        (["--y_mm=0"], "--y_mm is of a gel"),
     ],
 )
-def test_bad_options_are_named(finger, options, said):
+def test_bad_options_are_named_and_write_nothing(finger, tmp_path, options, said):
     with pytest.raises(InputError, match=said):
-        render.main([f"--twin={finger}", *options])
+        render.main([f"--twin={finger}", f"--out={tmp_path / 'out'}", *options])
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_missing_twin_is_asked_for():
+    with pytest.raises(InputError, match=r"^Give the twin's folder with --twin=DIR\.$"):
+        render.main(["--pressure_kpa=[0,5]"])
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--pressure_kpa=[0,5]"], "--pressure_kpa is of a finger or an arm, but the twin at .* is of a gel"),
+        (["--particles=4000"], "--particles is of a finger or an arm"),
+        (["--seconds=1"], "--seconds is of a finger or an arm"),
+        (["--conditions={temperature_c: 30}"], "'temperature_c'.*ask for none"),
+        (["--x_mm=50"], "--x_mm is 50, where the sphere misses the gel's window; give a place between -"),
+        (["--y_mm=-50"], "--y_mm is -50, where the sphere misses"),
+        (["--y_mm=.nan"], "--y_mm is nan"),
+    ],
+)
+def test_what_a_gel_has_no_use_for_is_refused(tmp_path, options, said):
+    folder = Twin("gel", 16.0).save(tmp_path / "gel")
+    with pytest.raises(InputError, match=said):
+        render.main([f"--twin={folder}", f"--out={tmp_path / 'out'}", *options])
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("indenter", ["sphere", "cylinder", "cube", "edge", "cone"])
+def test_a_press_is_refused_just_where_the_indenter_leaves_the_window(indenter):
+    """Against the lowest points of the indenter's own surface, as the probe grid sees it."""
+    gel = GelModel.builtin()
+    given = partial(RenderConfig, "twin", indenter=indenter, size_mm=3.0, depth_mm=1.0)
+    press = given(x_mm=0.0, y_mm=0.0).press(gel)
+    reach = np.abs(below_surface(press)).max(0)
+    for axis, name in enumerate(("x_mm", "y_mm")):
+        edge = gel.window_mm[axis] / 2 + reach[axis]
+        at = {"x_mm": 0.0, "y_mm": 0.0}
+        given(**at | {name: edge - 0.1}).press(gel)
+        with pytest.raises(InputError, match=f"--{name} is .*{indenter} misses"):
+            given(**at | {name: edge + 0.1}).press(gel)
+
+
+def below_surface(press) -> np.ndarray:
+    """(P, 2) places in mm, near the press, where the indenter reaches below z = 0."""
+    kinds, sizes, positions, rotations = press.shapes()
+    x = np.linspace(-5, 5, 201)
+    grid = np.stack(np.meshgrid(x, x, np.linspace(-press.depth_mm, 0, 51)), -1).reshape(-1, 3)
+    local = (grid - 1e3 * positions[0]) @ rotations[0]
+    size = 1e3 * sizes[0]
+    across, z = np.hypot(local[:, 0], local[:, 1]), local[:, 2]
+    inside = {
+        SPHERE: np.linalg.norm(local, axis=1) <= size[0],
+        CYLINDER: (across <= size[0]) & (np.abs(z) <= size[1]),
+        CONE: (across <= z + size[1]) & (z <= size[1]),
+        BOX: (np.abs(local) <= size + 1e-9).all(1),
+    }[kinds[0]]
+    return grid[inside, :2]
+
+
+def test_conditions_that_effects_ask_for_are_taken_and_others_named(tmp_path):
+    twin = Twin.builtin()
+    twin.effects["thermal"] = {p.name: Value(p.default) for p in get_effect("thermal").parameters}
+    folder = twin.save(tmp_path / "twin")
+    config = RenderConfig(folder, conditions={"temperature_c": 30.0})
+    assert config.filled(twin).conditions == {"temperature_c": 30.0}
+    with pytest.raises(InputError, match="'temperatur', which .* ask for temperature_c"):
+        RenderConfig(folder, conditions={"temperatur": 30.0}).filled(twin)
+
+
+def test_every_device_has_defaults_that_it_takes(tmp_path):
+    for device in ("finger", "arm", "gel"):
+        twin = Twin(device)
+        config = RenderConfig(tmp_path).filled(twin)
+        assert (config.pressure_kpa is None) == (device == "gel") == (config.indenter is not None)
+        if device == "arm":
+            assert np.reshape(config.pressure_kpa, (-1, 3)).any(0).all()
+
+
+@pytest.mark.parametrize(
+    ("device", "said"),
+    [("finger", "lower --pressure_kpa, more --particles, or a thicker mesh"), ("gel", "--depth_mm")],
+)
+def test_where_no_rest_is_found_the_options_that_help_are_named(tmp_path, monkeypatch, device, said):
+    twin = Twin.builtin() if device == "finger" else Twin("gel", 16.0)
+    folder = twin.save(tmp_path / "twin")
+    monkeypatch.setattr(devices, "gel", partial(devices.gel, counts=(30, 41, 7)))
+    monkeypatch.setattr(solve, "solve_equilibrium", partial(solve.solve_equilibrium, max_substeps=25))
+    few = ["--particles=600"] if device == "finger" else []
+    with pytest.raises(InputError, match=f"is not at rest after .* was asked; .*{said}") as refused:
+        render.main([f"--twin={folder}", "--device=cpu", f"--out={tmp_path / 'out'}", *few])
+    assert "warm" not in str(refused.value) and "substeps, or" not in str(refused.value)
 
 
 def test_an_effect_without_its_condition_is_named(tmp_path):

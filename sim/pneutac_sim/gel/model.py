@@ -75,9 +75,11 @@ class GelModel:
                         f"{p.lower:g} and {p.upper:g}."
                     )
             if set(values) != set(specs):
-                raise InputError(
-                    f"The gel's effect '{name}' needs finite numbers for {', '.join(sorted(specs))}."
+                missing, extra = set(specs) - set(values), set(values) - set(specs)
+                what = (
+                    f"lacks {', '.join(sorted(missing))}" if missing else f"has no {', '.join(sorted(extra))}"
                 )
+                raise InputError(f"The gel's effect '{name}' {what}; it takes {', '.join(specs)}.")
 
     @property
     def window_mm(self) -> tuple[float, float]:
@@ -160,6 +162,11 @@ class GelModel:
             return cls.builtin()
         if "rest_image" not in twin.arrays:
             raise InputError("The twin's gel has no array 'rest_image'; calibrate the gel anew.")
+        for name in twin.effects:
+            if twin.device == "gel" and name not in OPTICS:
+                raise InputError(
+                    f"The twin is of a gel, on which its effect '{name}' does not act; take it out."
+                )
         try:
             effects = {
                 n: {k: v.value for k, v in values.items()}

@@ -81,6 +81,7 @@ def test_inside_agrees_with_a_ball_and_with_the_other_test():
 def test_axis_base_and_neutral_axis_are_where_the_spine_expects_them(tmp_path):
     body = read_mesh(saved(prism(L_SHAPE + [30, -70], 90.0).apply_translation((-12, 0, 0)), tmp_path))
     assert body.notes == () and body.length_mm == 90.0
+    np.testing.assert_allclose(body.shift_mm, [12, -34, 64], atol=1e-4)  # the centroid was at (34, -64)
     np.testing.assert_allclose(body.mesh.bounds, [[0, -4, -6], [90, 8, 10]], atol=1e-4)
 
 
@@ -101,10 +102,55 @@ def test_metres_and_millimetres_give_the_same_body(tmp_path):
     mm = read_mesh(saved(mesh, tmp_path, "mm.ply"))
     m = read_mesh(saved(mesh.copy().apply_scale(1e-3), tmp_path, "m.ply"), unit="m")
     np.testing.assert_allclose(m.mesh.bounds, mm.mesh.bounds, atol=1e-4)
-    with pytest.raises(InputError, match=r"read in mm is 0.09 mm long.*--mesh_unit=m \(or scale it by 1000"):
+    with pytest.raises(
+        InputError, match=r"read in mm is 0.09 mm long.*: if it is in metres, add --mesh_unit=m\.$"
+    ):
         read_mesh(tmp_path / "m.ply")
     with pytest.raises(InputError, match="read in m is 9e.04 mm long.*omit --mesh_unit=m"):
         read_mesh(tmp_path / "mm.ply", unit="m")
+
+
+@pytest.mark.parametrize(
+    ("length", "unit", "ways"),
+    [
+        (4.33, "mm", "if it is in inches, scale it by 25.4"),
+        (4.33, "m", "if it is in inches, scale it by 0.0254"),
+        (0.11, "mm", "if it is in metres, add --mesh_unit=m"),
+        (0.5, "mm", "if it is in metres, add --mesh_unit=m, or if it is in inches, scale it by 25.4"),
+        (1e-6, "mm", "scale it"),
+        (1e-6, "m", "scale it"),
+        (2e5, "m", "scale it"),
+    ],
+)
+def test_only_units_that_lead_to_an_accepted_size_are_named(tmp_path, length, unit, ways):
+    file = saved(trimesh.creation.box((length, 0.2 * length, 0.2 * length)), tmp_path, "body.ply")
+    with pytest.raises(InputError, match=f"only lengths of 5 to 2000 mm are taken: {ways}\\.$"):
+        read_mesh(file, unit)
+
+
+def test_an_unusual_length_is_told(tmp_path):
+    usual, unusual = (saved(prism(L_SHAPE, x), tmp_path, f"{x}.stl") for x in (390.0, 410.0))
+    assert read_mesh(usual).notes == ()
+    assert "410 mm long, unusually long" in read_mesh(unusual).notes[0]
+
+
+@pytest.mark.parametrize(
+    "mesh",
+    [trimesh.creation.box((100, 20, 20)), shapes.finger_mesh(0.11, 0.02).apply_scale(1000.0)],
+    ids=["box", "finger"],
+)
+def test_an_inside_out_mesh_is_turned(tmp_path, mesh):
+    flipped = trimesh.Trimesh(mesh.vertices, mesh.faces[:, ::-1], process=False)
+    assert flipped.volume < 0
+    right, turned = (read_mesh(saved(m, tmp_path, "m.stl")) for m in (mesh, flipped))
+    n = len(turned.mesh.faces)
+    assert right.notes == () and turned.notes == (
+        f"Turned {n} of {n} triangles, whose normals pointed inward.",
+    )
+    assert turned.mesh.volume == pytest.approx(mesh.volume, rel=1e-6)
+    np.testing.assert_allclose(turned.mesh.bounds, right.mesh.bounds, atol=1e-9)
+    centre = trimesh.triangles.mass_properties(turned.mesh.triangles).center_mass  # from the faces alone
+    np.testing.assert_allclose(centre, right.mesh.center_mass, atol=1e-6)
 
 
 def test_holes_and_turned_faces_are_repaired(tmp_path):
@@ -113,6 +159,7 @@ def test_holes_and_turned_faces_are_repaired(tmp_path):
     mesh.update_faces(~np.isin(np.arange(len(mesh.faces)), [200, 201, 300]))
     body = read_mesh(saved(mesh, tmp_path))
     assert body.mesh.is_watertight and "Holes were closed" in body.notes[0]
+    assert "Turned 35 of" in body.notes[1]
     assert body.mesh.volume == pytest.approx(capsule(90.0, 9.0).volume, rel=1e-3)
 
 
@@ -167,7 +214,7 @@ TUBE = trimesh.creation.annulus(r_min=7, r_max=9, height=90)
             trimesh.Trimesh([[0, 0, 0], [90, 0, 0], [0, 9, 0]], [[0, 1, 2], [0, 2, 1]], process=False),
             "mesh.stl",
         ),
-        (capsule(3000, 90), "is 3000 mm long.*scale it by 0.001"),
+        (capsule(3000, 90), "is 3000 mm long, but only lengths of 5 to 2000 mm are taken: scale it"),
     ],
 )
 def test_meshes_that_are_no_device_are_refused(tmp_path, mesh, words):
