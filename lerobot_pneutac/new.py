@@ -3,7 +3,9 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
 from rich.console import Console
+from rich.markup import escape
 
 from lerobot_pneutac.options import parse_options
 from pneutac_datasets.recording import BenchRecording
@@ -67,8 +69,8 @@ def main(argv: list[str]) -> None:
     body = _read_body(config, device, recording)
     twin = new_twin(device, recording, config.length_mm, body)
     write_geometry(twin, twin.save(config.twin))
-    for note in body.notes if body else ():
-        Console().print(f"[yellow]{config.mesh}:[/] {note}", highlight=False)
+    if body is not None:
+        _tell(config.mesh, body)
     joints = len(twin.spine_joint_positions_mm)
     shape = f", {twin.length_mm:g} mm long with {joints} spine joints" if joints else ""
     Console().print(
@@ -90,6 +92,24 @@ def _read_body(config: NewConfig, device: str, recording: BenchRecording | None)
             f"{config.recording}/recording.json; give the mesh of the device that was recorded."
         )
     return body
+
+
+def _tell(file: Path, body: UserMesh) -> None:
+    """Prints what a mesh became, so that a wrong unit or axis is seen at once."""
+    size = " x ".join(f"{side:.4g}" for side in body.mesh.extents)
+    moved = "as it lay in the file"
+    if np.abs(body.shift_mm).max() >= 0.01:
+        moved = (
+            "moved by ({})".format(", ".join(f"{s:.2f}" for s in np.round(body.shift_mm, 2) + 0.0)) + " mm"
+        )
+    Console().print(
+        f"{file}: {size} mm along x, y and z, {1e-3 * body.mesh.volume:.4g} cm³, {moved}: base at x = 0, "
+        "neutral axis at y = z = 0.",
+        highlight=False,
+        markup=False,
+    )
+    for note in body.notes:
+        Console().print(f"[yellow]{escape(str(file))}:[/] {note}", highlight=False)
 
 
 def write_geometry(twin: Twin, folder: Path) -> None:

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ from rich.table import Table
 
 from lerobot_pneutac import particle_picture as draw
 from lerobot_pneutac.options import parse_options
+from lerobot_pneutac.render_options import FPS, RenderConfig
 from lerobot_pneutac.report import Report, write_result
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger.inputs import CHAMBERS
@@ -20,50 +21,12 @@ from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.twin import Twin
 
-FPS = 15
 PRESS_FRAMES = 8  # depths on the way down
 BODY_STRAIN, GEL_STRAIN = 0.15, 0.8  # of the warmest colour
-
-
-@dataclass
-class RenderConfig:
-    """Options of `pneutac render`.
-
-    Attributes:
-        twin: folder of the twin.
-        pressure_kpa: finger: pressures, one after the other; arm: three numbers for each pose.
-        seconds: that each pressure takes in the film: half the time to get there, half to stay.
-        conditions: what the twin's effects ask for, such as {temperature_c: 30}.
-        indenter: for a gel: sphere, cylinder, cube, edge or cone.
-        size_mm: of the indenter: radius, or side of cube and edge.
-        depth_mm: how deep it is pressed into the gel.
-        x_mm: where, along image columns from the middle.
-        y_mm: where, along image rows.
-        particles: of a finger or an arm, about.
-        device: auto, cpu or cuda.
-        out: folder for pictures, film.mp4, report.html and result.json.
-    """
-
-    twin: Path
-    pressure_kpa: list[float] = field(default_factory=lambda: [0.0, 5.0, 10.0, 15.0])
-    seconds: float = 1.0
-    conditions: dict[str, float] = field(default_factory=dict)
-    indenter: str = "sphere"
-    size_mm: float = 4.0
-    depth_mm: float = 1.4
-    x_mm: float = 0.0
-    y_mm: float = 0.0
-    particles: int = 4000
-    device: str = "auto"
-    out: Path = Path("outputs/render")
-
-    def __post_init__(self):
-        if not self.pressure_kpa or not np.isfinite(self.pressure_kpa).all():
-            raise InputError(f"--pressure_kpa is {self.pressure_kpa}; give finite numbers, as in [0,5,10].")
-        if not (np.isfinite(self.seconds) and self.seconds >= 2 / FPS):
-            raise InputError(f"--seconds is {self.seconds}; a pressure needs at least {2 / FPS:.2f} s.")
-        if self.particles < 100:
-            raise InputError(f"--particles is {self.particles}; a body needs at least 100.")
+SIZE = {"cube": "side", "edge": "side"}  # what size_mm is; of the round indenters the radius
+# What helps where no equilibrium is found.
+BODY_REMEDY = "give lower --pressure_kpa, more --particles, or a thicker mesh where the twin has its own"
+GEL_REMEDY = "press less deep with --depth_mm, or give a larger indenter with --size_mm"
 
 
 @dataclass
@@ -78,13 +41,15 @@ def main(argv: list[str]) -> None:
     """Runs the verb."""
     config = parse_options(RenderConfig, argv)
     twin = Twin.load(config.twin)
+    config = config.filled(twin)
     frames, count = _gel(twin, config) if twin.device == "gel" else _body(twin, config)
     from pneutac_sim.mpm.solve import MpmDiverged
 
     try:
         render(twin.device, frames, count, config.out)
     except MpmDiverged as e:
-        raise InputError(str(e)) from e
+        remedy = GEL_REMEDY if twin.device == "gel" else BODY_REMEDY
+        raise InputError(f"{e.finding}; {remedy}.") from e
 
 
 def render(device: str, frames: Iterator[Frame], count: int, out: Path) -> dict:
@@ -220,14 +185,7 @@ def _body_frames(twin: Twin, config: RenderConfig, program: np.ndarray, each: in
 
 
 def _gel(twin: Twin, config: RenderConfig) -> tuple[Iterator[Frame], int]:
-    press = Press(config.indenter, config.size_mm, config.x_mm, config.y_mm, config.depth_mm)
-    thickness = GelModel.from_twin(twin).thickness_mm
-    if config.depth_mm >= 0.8 * thickness:
-        raise InputError(
-            f"--depth_mm is {config.depth_mm}; the gel is {thickness:g} mm thick: press less than "
-            f"{0.8 * thickness:.2g} mm."
-        )
-    return _gel_frames(twin, config, press), PRESS_FRAMES
+    return _gel_frames(twin, config, config.press(GelModel.from_twin(twin))), PRESS_FRAMES
 
 
 def _gel_frames(twin: Twin, config: RenderConfig, press: Press) -> Iterator[Frame]:
@@ -239,6 +197,7 @@ def _gel_frames(twin: Twin, config: RenderConfig, press: Press) -> Iterator[Fram
     model = GelModel.from_twin(twin)
     window, sensor = model.window_mm, SplatSensor(model)
     cells = solver.body.cells
+    named = f"{press.indenter}, {SIZE.get(press.indenter, 'radius')} {press.size_mm:g} mm"
     spent = 0.0
     for k in range(PRESS_FRAMES):
         depth = config.depth_mm * (k + 1) / PRESS_FRAMES
@@ -257,7 +216,7 @@ def _gel_frames(twin: Twin, config: RenderConfig, press: Press) -> Iterator[Fram
             window,
             config.depth_mm,
             GEL_STRAIN,
-            f"{press.indenter} {press.size_mm:g} mm   depth {depth:.2f} mm   force {force:.2f} N",
+            f"{named}   depth {depth:.2f} mm   force {force:.2f} N",
         )
         picture = draw.beside(picture, sensor.image(moved))
         last = k == PRESS_FRAMES - 1

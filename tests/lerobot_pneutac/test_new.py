@@ -94,9 +94,12 @@ def test_a_mesh_inside_out_makes_the_same_twin(tmp_path, capsys):
     capsys.readouterr()
     new.main([f"--twin={tmp_path / 'b'}", f"--mesh={tmp_path / 'out.stl'}"])
     said = " ".join(capsys.readouterr().out.split())
-    assert "whose normals pointed inward" in said and "as it lay in the file" in said
+    assert "whose normals pointed inward" in said and "moved by (0.00, 0.00, 0." in said
     again = trimesh.load_mesh(tmp_path / "b" / "geometry.stl")
     assert again.volume == pytest.approx(stl.volume, rel=1e-5) and again.volume > 0
+    new.main([f"--twin={tmp_path / 'c'}", f"--mesh={tmp_path / 'b' / 'geometry.stl'}"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "as it lay in the file: base at x = 0" in said and "pointed inward" not in said
 
 
 def recorded(folder, length_mm: float):

@@ -17,7 +17,15 @@ RAMP = 160  # substeps in which an indenter that begins inside the body is drive
 
 
 class MpmDiverged(RuntimeError):  # noqa: N818
-    """The material points found no equilibrium, or left the finite numbers."""
+    """The material points found no equilibrium, or left the finite numbers.
+
+    Attributes:
+        finding: which body and what became of it, without what a caller of this module can change.
+    """
+
+    def __init__(self, finding: str, remedy: str):
+        super().__init__(f"{finding}; {remedy}.")
+        self.finding = finding
 
 
 @dataclass(frozen=True)
@@ -105,8 +113,8 @@ def solve_equilibrium(
                 raise MpmDiverged(
                     f"Body '{solver.body.name}' (number {worst} of the batch) is not at rest after {taken} "
                     f"substeps: unbalanced forces are {left[worst]:.2g} of those from outside, "
-                    f"{tolerance:.2g} was asked; allow more substeps, or approach the load in steps with "
-                    "warm=True."
+                    f"{tolerance:.2g} was asked",
+                    "allow more substeps, or approach the load in steps with warm=True",
                 )
     finally:
         solver.heavy_edges(False)
@@ -116,8 +124,8 @@ def solve_equilibrium(
         worst = int(least.argmin())
         raise MpmDiverged(
             f"Body '{solver.body.name}' (number {worst} of the batch) has a particle squeezed to "
-            f"{least[worst]:.2g} of its volume, which this law is not made for; load it less, or use finer "
-            "particles."
+            f"{least[worst]:.2g} of its volume, which this law is not made for",
+            "load it less, or use finer particles",
         )
     force, depth = solver.contact()
     q, _, soft = solver.angles()
@@ -255,6 +263,6 @@ def _finite(solver: Solver, value: np.ndarray, substeps: int) -> None:
         worst = int(np.argmin(np.isfinite(value)))
         raise MpmDiverged(
             f"Body '{solver.body.name}' (number {worst} of the batch) left the finite numbers within "
-            f"{substeps} substeps: a particle was turned inside out; load it more slowly, or use finer "
-            "particles."
+            f"{substeps} substeps: a particle was turned inside out",
+            "load it more slowly, or use finer particles",
         )

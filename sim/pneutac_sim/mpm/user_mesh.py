@@ -18,6 +18,7 @@ FORMATS = (".stl", ".obj", ".ply")
 UNITS = {"mm": 1.0, "m": 1000.0}  # in mm
 AXES = ("x", "y", "z")
 SHORTEST_MM, LONGEST_MM = 5.0, 2000.0  # of a soft finger or arm
+UNUSUAL_MM = 400.0  # the length from which on the unit is doubted
 MOST_FACES = 200_000  # finer than particles can tell, and a twin has to travel
 MAIN_SHARE = 0.95  # of all volume, from which on the rest is scraps
 USUAL_PARTICLES = 4000
@@ -32,10 +33,12 @@ class UserMesh:
     Attributes:
         mesh: mm, from x = 0, its neutral axis at y = z = 0.
         notes: what was repaired or should be known, a sentence each.
+        shift_mm: (3,) by which it was moved once its axes had been renamed.
     """
 
     mesh: trimesh.Trimesh
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...]
+    shift_mm: np.ndarray
 
     @property
     def length_mm(self) -> float:
@@ -64,8 +67,12 @@ def read_mesh(file: str | Path, unit: str = "mm", axis: str | None = None) -> Us
     _check_size(mesh, file, unit)
     notes = _close(mesh, file)
     mesh = _one_body(mesh, file, notes)
-    _place(mesh, file, axis, notes)
-    return UserMesh(mesh, tuple(notes))
+    shift = _place(mesh, file, axis, notes)
+    if mesh.extents[0] > UNUSUAL_MM:
+        notes.append(
+            f"It is {mesh.extents[0]:.4g} mm long, unusually long for a finger or an arm: check --mesh_unit."
+        )
+    return UserMesh(mesh, tuple(notes), shift)
 
 
 def store_mesh(twin: Twin, mesh: trimesh.Trimesh) -> None:
@@ -117,19 +124,18 @@ def _check_size(mesh: trimesh.Trimesh, file, unit: str) -> None:
     longest = float(mesh.extents.max())
     if longest == 0:
         raise InputError(f"{file} is empty: all its vertices are in one place.")
-    if longest < SHORTEST_MM and unit == "mm":
-        likely = "if it is in metres, add --mesh_unit=m (or scale it by 1000)"
-    elif longest < SHORTEST_MM:
-        likely = "scale it up"
-    elif longest > LONGEST_MM and unit == "m":
-        likely = "if it is in millimetres, omit --mesh_unit=m"
-    elif longest > LONGEST_MM:
-        likely = "if it is in micrometres, scale it by 0.001"
-    else:
+    if SHORTEST_MM <= longest <= LONGEST_MM:
         return
+    drawn = longest / UNITS[unit]
+    ways = [
+        ("metres", 1000.0, "add --mesh_unit=m"),
+        ("millimetres", 1.0, "omit --mesh_unit=m"),
+        ("inches", 25.4, f"scale it by {25.4 / UNITS[unit]:g}"),
+    ]
+    likely = [f"if it is in {u}, {how}" for u, mm, how in ways if SHORTEST_MM <= mm * drawn <= LONGEST_MM]
     raise InputError(
-        f"{file} read in {unit} is {longest:.4g} mm long, and a finger or arm is {SHORTEST_MM:g} to "
-        f"{LONGEST_MM:g} mm: {likely}."
+        f"{file} read in {unit} is {longest:.4g} mm long, but only lengths of {SHORTEST_MM:g} to "
+        f"{LONGEST_MM:g} mm are taken: {', or '.join(likely) or 'scale it'}."
     )
 
 
@@ -153,13 +159,10 @@ def _close(mesh: trimesh.Trimesh, file) -> list[str]:
 
 def _one_body(mesh: trimesh.Trimesh, file, notes: list[str]) -> trimesh.Trimesh:
     """The one outer body, its normals outward; chambers inside it are filled."""
-    parts = list(mesh.split(only_watertight=False))
-    for part in parts:
-        trimesh.repair.fix_normals(part)
-        if part.volume < 0:
-            part.invert()
-    parts.sort(key=lambda part: -part.volume)
-    main = parts[0]
+    parts = [_outward(part) for part in mesh.split(only_watertight=False)]
+    parts.sort(key=lambda turned: -turned[0].volume)
+    main, turned = parts[0]
+    parts = [part for part, _ in parts]
     if not main.volume > 1e-6 * main.extents.max() ** 3:
         raise InputError(f"{file} is flat: it encloses no volume.")
     outer = [part for part in parts[1:] if not is_inside(_some(part.vertices), main.triangles).all()]
@@ -169,6 +172,8 @@ def _one_body(mesh: trimesh.Trimesh, file, notes: list[str]) -> trimesh.Trimesh:
             f"{file} holds {1 + len(outer)} separate bodies, the largest with {share:.0%} of the volume; "
             "join them, or export the soft body alone."
         )
+    if turned:
+        notes.append(f"Turned {turned} of {len(main.faces)} triangles, whose normals pointed inward.")
     if outer:
         notes.append(f"Left out {len(outer)} small separate bodies, {1 - share:.1%} of the volume.")
     if chambers := len(parts) - 1 - len(outer):
@@ -176,12 +181,26 @@ def _one_body(mesh: trimesh.Trimesh, file, notes: list[str]) -> trimesh.Trimesh:
     return main
 
 
+def _outward(part: trimesh.Trimesh) -> tuple[trimesh.Trimesh, int]:
+    """A closed part with its normals outward, and how many triangles had to be turned for it."""
+    before = part.triangles_cross
+    trimesh.repair.fix_winding(part)
+    inward = trimesh.triangles.mass_properties(part.triangles, skip_inertia=True).volume < 0
+    # A new mesh: one that is turned in place may keep the normals that it had cached.
+    part = trimesh.Trimesh(part.vertices, part.faces[:, ::-1] if inward else part.faces, process=False)
+    return part, int((np.einsum("ij,ij->i", before, part.triangles_cross) < 0).sum())
+
+
 def _some(vertices: np.ndarray) -> np.ndarray:
     return vertices[:: max(1, len(vertices) // 20)]
 
 
-def _place(mesh: trimesh.Trimesh, file, axis: str | None, notes: list[str]) -> None:
-    """Turns the long axis to x by the cyclic order of axes, base to x = 0, neutral axis to y = z = 0."""
+def _place(mesh: trimesh.Trimesh, file, axis: str | None, notes: list[str]) -> np.ndarray:
+    """Turns the long axis to x by the cyclic order of axes, base to x = 0, neutral axis to y = z = 0.
+
+    Returns:
+        (3,) shift in mm after the turn.
+    """
     if axis is None:
         extents = mesh.extents
         order = np.argsort(-extents)
@@ -198,7 +217,8 @@ def _place(mesh: trimesh.Trimesh, file, axis: str | None, notes: list[str]) -> N
     x, centres, areas = neutral_axis(mesh)
     middle = np.average(centres, axis=0, weights=areas)
     start = mesh.bounds[0, 0]
-    mesh.apply_translation((-start, *-middle))
+    shift = np.array([-start, *-middle])
+    mesh.apply_translation(shift)
     away = np.linalg.norm(centres - middle, axis=1)
     inner = np.abs(x - start - mesh.extents[0] / 2) < 0.45 * mesh.extents[0]
     height = float(mesh.extents[2])
@@ -212,6 +232,7 @@ def _place(mesh: trimesh.Trimesh, file, axis: str | None, notes: list[str]) -> N
             f"{file} has no material along its neutral axis, where the spine lies; close the openings of its "
             "chamber, so that it is filled, or export it solid."
         )
+    return shift
 
 
 def _solid_at_axis(mesh: trimesh.Trimesh) -> float:
