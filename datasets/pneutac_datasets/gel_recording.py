@@ -132,8 +132,6 @@ def _clock(samples: pd.DataFrame) -> np.ndarray:
 
 def _misplaced(data: "GelRecording") -> list[str]:
     """A note for each axis along which the images show contacts opposite to where the rows put them."""
-    if len(data.samples) < MIRROR_SAMPLES:
-        return []
     shown, stated = [], []
     for s in data.samples:
         if np.array_equal(s.image, s.rest):
@@ -145,6 +143,8 @@ def _misplaced(data: "GelRecording") -> list[str]:
         y, x = np.indices(squared.shape)
         shown.append([(x * squared).sum() / squared.sum(), (y * squared).sum() / squared.sum()])
         stated.append([s.x_px, s.y_px])
+    if len(shown) < MIRROR_SAMPLES:
+        return []
     shown, stated = (np.array(a) - np.mean(a, 0) for a in (shown, stated))
     out = []
     for axis, name in enumerate("xy"):

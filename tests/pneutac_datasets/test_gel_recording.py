@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 from PIL import Image
 
+from pneutac_datasets.gel_hidden import write_hidden_gel
 from pneutac_datasets.gel_recording import ASSUMED_RADIUS_MM, GelRecording, _clock
 from pneutac_datasets.recording import BenchRecording
 from pneutac_sim.errors import InputError
@@ -164,3 +165,36 @@ def test_a_photograph_of_another_size_is_refused(write, tmp_path):
 def test_a_clock_that_restarts_with_each_trial_gives_way_to_the_trials():
     table = pd.DataFrame({"trial": [0, 0, 1, 1, 2], "time_s": [0.0, 1.0, 0.0, 1.0, 0.0]})
     np.testing.assert_allclose(_clock(table), [0, 0, 0.5, 0.5, 1])
+
+
+# ---------------------------------------------------------------- labels that cannot be
+
+
+def test_labels_that_run_against_the_images_are_noted(tmp_path):
+    recording = write_hidden_gel(tmp_path / "presses", [], images=6)
+    assert GelRecording.load(recording).warnings == []
+    recording.samples["x_mm"] *= -1
+    assert GelRecording.load(recording).warnings == [
+        "the images show contacts opposite to x_mm: it, or they, are mirrored."
+    ]
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "said"),
+    [
+        ("contact_x_px", 10.0, "row 1: x_mm is 0.4 but contact_x_px, 10, lies at -5.5 mm"),
+        ("depth_mm", 800.0, "row 1: depth_mm is 800 but the gel is 2.5 mm thick"),
+    ],
+)
+def test_impossible_labels_get_one_sentence(column, value, said, tmp_path):
+    recording = write_hidden_gel(tmp_path / "presses", [], images=2)
+    recording.samples.loc[0, column] = value
+    with pytest.raises(InputError, match=said):
+        GelRecording.load(recording)
+
+
+def test_a_scale_that_makes_no_gel_gets_one_sentence(tmp_path):
+    recording = write_hidden_gel(tmp_path / "presses", [], images=2)
+    recording.meta["px_per_mm"] = 2000.0
+    with pytest.raises(InputError, match="px_per_mm is 2000, so that the image would be 0.12 mm wide"):
+        GelRecording.load(recording)
