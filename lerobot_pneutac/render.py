@@ -13,7 +13,7 @@ from rich.table import Table
 
 from lerobot_pneutac import particle_picture as draw
 from lerobot_pneutac.options import parse_options
-from lerobot_pneutac.render_options import FPS, RenderConfig
+from lerobot_pneutac.render_options import FPS, RenderConfig, deepest_press, filled
 from lerobot_pneutac.report import Report, write_result
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger.inputs import CHAMBERS
@@ -41,7 +41,7 @@ def main(argv: list[str]) -> None:
     """Runs the verb."""
     config = parse_options(RenderConfig, argv)
     twin = Twin.load(config.twin)
-    config = config.filled(twin)
+    config = filled(config, twin)
     frames, count = _gel(twin, config) if twin.device == "gel" else _body(twin, config)
     from pneutac_sim.mpm.solve import MpmDiverged
 
@@ -185,7 +185,7 @@ def _body_frames(twin: Twin, config: RenderConfig, program: np.ndarray, each: in
 
 
 def _gel(twin: Twin, config: RenderConfig) -> tuple[Iterator[Frame], int]:
-    return _gel_frames(twin, config, config.press(GelModel.from_twin(twin))), PRESS_FRAMES
+    return _gel_frames(twin, config, deepest_press(config, GelModel.from_twin(twin))), PRESS_FRAMES
 
 
 def _gel_frames(twin: Twin, config: RenderConfig, press: Press) -> Iterator[Frame]:

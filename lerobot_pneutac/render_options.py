@@ -67,43 +67,45 @@ class RenderConfig:
             if not np.isfinite(value):
                 raise InputError(f"--conditions has {name}: {value}; give a finite number.")
 
-    def filled(self, twin: Twin) -> "RenderConfig":
-        """With the defaults of the twin's device.
 
-        Raises:
-            InputError: an option or a condition is given that this twin has no use for.
-        """
-        own = {"finger": FINGER, "arm": ARM, "gel": GEL}[twin.device]
-        for name in FINGER if own is GEL else GEL:
-            if getattr(self, name) is not None:
-                raise InputError(
-                    f"--{name} is of {'a finger or an arm' if own is GEL else 'a gel'}, but the twin at "
-                    f"{self.twin} is of {an(twin.device)}; omit it."
-                )
-        _check_conditions(self, twin)
-        return replace(self, **{name: value for name, value in own.items() if getattr(self, name) is None})
+def filled(config: RenderConfig, twin: Twin) -> RenderConfig:
+    """Options with the defaults of the twin's device.
 
-    def press(self, gel: GelModel) -> Press:
-        """The indenter where it is deepest.
-
-        Raises:
-            InputError: it goes too deep, or nothing of it touches the gel's window.
-        """
-        press = Press(self.indenter, self.size_mm, self.x_mm, self.y_mm, self.depth_mm)
-        deepest = 0.8 * gel.thickness_mm
-        if self.depth_mm >= deepest:
+    Raises:
+        InputError: an option or a condition is given that this twin has no use for.
+    """
+    own = {"finger": FINGER, "arm": ARM, "gel": GEL}[twin.device]
+    for name in FINGER if own is GEL else GEL:
+        if getattr(config, name) is not None:
             raise InputError(
-                f"--depth_mm is {self.depth_mm}; the gel is {gel.thickness_mm:g} mm thick: press less than "
-                f"{deepest:.2g} mm."
+                f"--{name} is of {'a finger or an arm' if own is GEL else 'a gel'}, but the twin at "
+                f"{config.twin} is of {an(twin.device)}; omit it."
             )
-        for name, side, reach in zip(("x_mm", "y_mm"), gel.window_mm, _footprint_mm(press), strict=True):
-            place, most = getattr(self, name), side / 2 + reach
-            if not abs(place) < most:
-                raise InputError(
-                    f"--{name} is {place:g}, where the {self.indenter} misses the gel's window; give a place "
-                    f"between {-most:.3g} and {most:.3g}."
-                )
-        return press
+    _check_conditions(config, twin)
+    return replace(config, **{name: value for name, value in own.items() if getattr(config, name) is None})
+
+
+def deepest_press(config: RenderConfig, gel: GelModel) -> Press:
+    """The indenter where it is deepest.
+
+    Raises:
+        InputError: it goes too deep, or nothing of it touches the gel's window.
+    """
+    press = Press(config.indenter, config.size_mm, config.x_mm, config.y_mm, config.depth_mm)
+    deepest = 0.8 * gel.thickness_mm
+    if config.depth_mm >= deepest:
+        raise InputError(
+            f"--depth_mm is {config.depth_mm}; the gel is {gel.thickness_mm:g} mm thick: press less than "
+            f"{deepest:.2g} mm."
+        )
+    for name, side, reach in zip(("x_mm", "y_mm"), gel.window_mm, _footprint_mm(press), strict=True):
+        place, most = getattr(config, name), side / 2 + reach
+        if not abs(place) < most:
+            raise InputError(
+                f"--{name} is {place:g}, where the {config.indenter} misses the gel's window; give a place "
+                f"between {-most:.3g} and {most:.3g}."
+            )
+    return press
 
 
 def _check_conditions(config: RenderConfig, twin: Twin) -> None:

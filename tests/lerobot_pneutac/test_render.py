@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from lerobot_pneutac import particle_picture, render
-from lerobot_pneutac.render_options import RenderConfig
+from lerobot_pneutac.render_options import RenderConfig, deepest_press, filled
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.model import GelModel
@@ -141,14 +141,14 @@ def test_a_press_is_refused_just_where_the_indenter_leaves_the_window(indenter):
     """Against the lowest points of the indenter's own surface, as the probe grid sees it."""
     gel = GelModel.builtin()
     given = partial(RenderConfig, "twin", indenter=indenter, size_mm=3.0, depth_mm=1.0)
-    press = given(x_mm=0.0, y_mm=0.0).press(gel)
+    press = deepest_press(given(x_mm=0.0, y_mm=0.0), gel)
     reach = np.abs(below_surface(press)).max(0)
     for axis, name in enumerate(("x_mm", "y_mm")):
         edge = gel.window_mm[axis] / 2 + reach[axis]
         at = {"x_mm": 0.0, "y_mm": 0.0}
-        given(**at | {name: edge - 0.1}).press(gel)
+        deepest_press(given(**at | {name: edge - 0.1}), gel)
         with pytest.raises(InputError, match=f"--{name} is .*{indenter} misses"):
-            given(**at | {name: edge + 0.1}).press(gel)
+            deepest_press(given(**at | {name: edge + 0.1}), gel)
 
 
 def below_surface(press) -> np.ndarray:
@@ -173,15 +173,15 @@ def test_conditions_that_effects_ask_for_are_taken_and_others_named(tmp_path):
     twin.effects["thermal"] = {p.name: Value(p.default) for p in get_effect("thermal").parameters}
     folder = twin.save(tmp_path / "twin")
     config = RenderConfig(folder, conditions={"temperature_c": 30.0})
-    assert config.filled(twin).conditions == {"temperature_c": 30.0}
+    assert filled(config, twin).conditions == {"temperature_c": 30.0}
     with pytest.raises(InputError, match="'temperatur', which .* ask for temperature_c"):
-        RenderConfig(folder, conditions={"temperatur": 30.0}).filled(twin)
+        filled(RenderConfig(folder, conditions={"temperatur": 30.0}), twin)
 
 
 def test_every_device_has_defaults_that_it_takes(tmp_path):
     for device in ("finger", "arm", "gel"):
         twin = Twin(device)
-        config = RenderConfig(tmp_path).filled(twin)
+        config = filled(RenderConfig(tmp_path), twin)
         assert (config.pressure_kpa is None) == (device == "gel") == (config.indenter is not None)
         if device == "arm":
             assert np.reshape(config.pressure_kpa, (-1, 3)).any(0).all()
