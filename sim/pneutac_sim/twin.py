@@ -146,15 +146,17 @@ class Twin:
                 device=d["device"],
                 length_mm=float(d["length_mm"]),
                 spine_joint_positions_mm=[float(x) for x in d["spine_joint_positions_mm"]],
-                parameters={k: _value(v) for k, v in d["parameters"].items()},
-                effects={n: {k: _value(v) for k, v in e.items()} for n, e in d["effects"].items()},
+                parameters=_values(d["parameters"], "parameters"),
+                effects={n: _values(e, f"effects.{n}") for n, e in _mapping(d["effects"], "effects").items()},
                 gel=d["gel"],
                 history=d["history"],
             )
-        except (KeyError, TypeError, ValueError, AttributeError) as e:
-            if isinstance(e, InputError):
-                raise InputError(f"{file}: {e}") from e
-            raise InputError(f"{file}: a field is missing or malformed: {e!r}.") from e
+        except InputError as e:
+            raise InputError(f"{file}: {e}") from e
+        except KeyError as e:
+            raise InputError(f"{file}: field {e} is missing.") from e
+        except (TypeError, ValueError) as e:
+            raise InputError(f"{file}: a field is malformed ({e}).") from e
         arrays = Path(path) / "arrays.safetensors"
         if arrays.is_file():
             try:
@@ -201,5 +203,18 @@ def _plain(v: Value) -> dict:
     return {"value": float(v.value)} | ({"ci95": [float(x) for x in v.ci95]} if v.ci95 else {})
 
 
-def _value(d: dict) -> Value:
-    return Value(float(d["value"]), tuple(float(x) for x in d["ci95"]) if d.get("ci95") else None)
+def _mapping(d, where: str) -> dict:
+    if not isinstance(d, dict):
+        raise InputError(f"field '{where}' is {d!r}; it must hold names and what they are.")
+    return d
+
+
+def _values(d, where: str) -> dict[str, Value]:
+    """Numbers with their intervals, as `_plain` writes them."""
+    out = {}
+    for name, v in _mapping(d, where).items():
+        if not isinstance(v, dict) or "value" not in v:
+            raise InputError(f"field '{where}.{name}' is {v!r}; it must hold 'value', a number.")
+        ci95 = tuple(float(x) for x in v["ci95"]) if v.get("ci95") else None
+        out[name] = Value(float(v["value"]), ci95)
+    return out

@@ -58,3 +58,19 @@ def test_missing_and_corrupted_files(tmp_path):
     (tmp_path / "arrays.safetensors").write_bytes(b"not a tensor file")
     with pytest.raises(InputError, match="arrays.safetensors is corrupted"):
         Twin.load(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("effects: {}", "effects: none", "field 'effects' is 'none'"),
+        ("effects: {}", "effects:\n  shadow: 3", "field 'effects.shadow' is 3"),
+        ("effects: {}", "effects:\n  creep:\n    weight_1s: 0.1", "field 'effects.creep.weight_1s' is 0.1"),
+        ("effects: {}", "", "field 'effects' is missing"),
+    ],
+)
+def test_a_malformed_twin_names_file_and_field(old, new, said, tmp_path):
+    file = Twin.builtin().save(tmp_path) / "twin.yaml"
+    file.write_text(file.read_text().replace(old, new))
+    with pytest.raises(InputError, match=f"twin.yaml: {said}"):
+        Twin.load(tmp_path)

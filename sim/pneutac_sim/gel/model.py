@@ -1,7 +1,7 @@
 """The gel as its twin keeps it: sizes, mechanics and light of one camera-based touch sensor."""
 
 import math
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 
 import numpy as np
 from PIL import Image
@@ -167,22 +167,22 @@ class GelModel:
                 raise InputError(
                     f"The twin is of a gel, on which its effect '{name}' does not act; take it out."
                 )
-        try:
-            effects = {
-                n: {k: v.value for k, v in values.items()}
-                for n, values in twin.effects.items()
-                if n in OPTICS
-            }
-            return cls(rest_image=twin.arrays["rest_image"], **twin.gel, effects=effects)
-        except TypeError as e:
-            raise InputError(f"The twin's gel has a field too many or too few: {e}.") from e
+        known = [f.name for f in fields(cls) if f.name not in ("rest_image", "effects")]
+        for name in [*twin.gel, "light", "depth_light"]:
+            if name not in known or name not in twin.gel:
+                what = "lacks" if name in known else "has an unknown field"
+                raise InputError(f"The twin's gel {what} '{name}'; it has {', '.join(known)}.")
+        effects = {
+            n: {k: v.value for k, v in values.items()} for n, values in twin.effects.items() if n in OPTICS
+        }
+        return cls(rest_image=twin.arrays["rest_image"], **twin.gel, effects=effects)
 
     def into_twin(self, twin: Twin) -> None:
         """Writes this gel into a twin (of a gel, or of a finger that carries one)."""
-        fields = {k: v for k, v in asdict(self).items() if k not in ("rest_image", "effects")}
+        own = {k: v for k, v in asdict(self).items() if k not in ("rest_image", "effects")}
         twin.effects = {k: v for k, v in twin.effects.items() if k not in OPTICS}
         twin.effects |= {n: {k: Value(float(v)) for k, v in e.items()} for n, e in self.effects.items()}
-        twin.gel = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in fields.items()}
+        twin.gel = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in own.items()}
         twin.arrays["rest_image"] = self.rest_image.copy()
 
 
