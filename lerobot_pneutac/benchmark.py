@@ -19,11 +19,10 @@ TABLES: dict[str, str | None] = {
 def main(argv: list[str]) -> None:
     """Runs one table."""
     name = argv[0] if argv else ""
+    there = ", ".join(k for k, v in TABLES.items() if v)
     if name not in TABLES:
-        raise InputError(f"'{name}' is no benchmark; give one of {', '.join(TABLES)}.")
+        raise InputError(f"'{name}' is no benchmark; give one of {there}.")
     module = TABLES[name]
     if module is None:
-        raise InputError(
-            f"The benchmark '{name}' is not there yet; {', '.join(k for k, v in TABLES.items() if v)} is."
-        )
+        raise InputError(f"The benchmark '{name}' is not there yet; there are {there}.")
     importlib.import_module(module).main(argv[1:])
