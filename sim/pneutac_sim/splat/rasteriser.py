@@ -1,5 +1,6 @@
 """Renders Gaussians on the CPU: `rasterise` for one picture, `Splats` for many colours of one geometry."""
 
+import gc
 from threading import Thread
 from typing import NamedTuple
 
@@ -175,12 +176,19 @@ def _shares() -> int:
 def _share(kernel, *inputs) -> None:
     """Runs kernel(share, shares, *inputs) for every share at once.
 
-    Threads live for one call: no pool to break when a process forks or when two threads render.
+    Threads live for one call: no pool to break when a process forks or when two threads render. Garbage is
+    not collected meanwhile: what a material point solver left on a GPU only the thread that made it may free.
     """
     n = _shares()
     others = [Thread(target=kernel, args=(k, n, *inputs)) for k in range(1, n)]
-    for thread in others:
-        thread.start()
-    kernel(0, n, *inputs)
-    for thread in others:
-        thread.join()
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        for thread in others:
+            thread.start()
+        kernel(0, n, *inputs)
+        for thread in others:
+            thread.join()
+    finally:
+        if collects:
+            gc.enable()

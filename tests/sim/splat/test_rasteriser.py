@@ -1,7 +1,9 @@
+import gc
 import multiprocessing
 import os
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from pneutac_sim.errors import InputError
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.gaussians import Gaussians
-from pneutac_sim.splat.rasteriser import Splats, rasterise
+from pneutac_sim.splat.rasteriser import Splats, _share, _shares, rasterise
 
 sys.path.insert(0, str(Path(__file__).parent))
 from reference import render as reference  # noqa: E402
@@ -236,3 +238,26 @@ def test_works_in_a_forked_process_and_on_one_thread():
         timeout=60,
     )
     assert float(done.stdout or "nan") == pytest.approx(expected, rel=1e-6), done.stderr
+
+
+def test_no_garbage_is_collected_in_a_rendering_thread():
+    """A solver's arrays on a GPU may be freed by their own thread alone."""
+
+    class Watched:
+        def __init__(self):
+            self.me = self  # only the collector frees it
+
+        def __del__(self):
+            freed.append(threading.current_thread())
+
+    freed, seen = [], []
+
+    def kernel(share, shares):
+        Watched()
+        seen.append(threading.current_thread())
+        [[] for _ in range(200_000)]  # far beyond the collector's threshold
+
+    _share(kernel)
+    gc.collect()
+    assert len(seen) == _shares() and gc.isenabled()
+    assert set(freed) == {threading.main_thread()}
