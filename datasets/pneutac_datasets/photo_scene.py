@@ -4,8 +4,6 @@ Nothing in it is shared with the splats that a twin draws itself with, so that a
 lights, shadows, highlights, textures and sensor noise that it has no words for.
 """
 
-import os
-import sys
 from dataclasses import dataclass
 
 import cv2
@@ -16,6 +14,7 @@ import trimesh
 from pneutac_datasets.photo_print import printed_texture
 from pneutac_sim.errors import InputError
 from pneutac_sim.splat.camera import Camera
+from pneutac_sim.world.view import gl_context
 
 FINE = 2  # pixels of the renderer a pixel of the photograph, each way
 
@@ -172,16 +171,11 @@ def _add_body(spec: mujoco.MjSpec, mesh: trimesh.Trimesh, rest: np.ndarray, stud
 
 def _render(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
     """Picture (H, W, 3) at the renderer's resolution, and which of its pixels show the body."""
-    if sys.platform == "linux" and not os.environ.get("MUJOCO_GL") and not os.environ.get("DISPLAY"):
-        from mujoco.egl import GLContext
-    else:
-        from mujoco.gl_context import GLContext
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     w, h = model.vis.global_.offwidth, model.vis.global_.offheight
     try:
-        context = GLContext(w, h)
-        context.make_current()
+        context = gl_context(model)
     except Exception as e:  # every platform and driver fails in its own way
         raise InputError(
             f"Photographs need OpenGL, which does not start here ({e}); install Mesa's EGL."

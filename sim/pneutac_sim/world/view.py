@@ -53,20 +53,27 @@ class View:
             self._gl = None
 
 
-class _Renderer:
-    """MuJoCo's renderer on a GL context chosen here: EGL where there is no display.
+def gl_context(model: mujoco.MjModel):
+    """A current GL context of the model's offscreen size, freed by its owner; EGL without a display.
 
     `mujoco.Renderer` takes its backend from MUJOCO_GL when mujoco is imported, which is too early for a
-    library; this one decides at the first picture and sets no variable unless the backend itself does.
+    library; this decides at the first picture and sets no variable unless the backend itself does. Every
+    platform and driver fails in its own way.
     """
+    if sys.platform == "linux" and not os.environ.get("MUJOCO_GL") and not os.environ.get("DISPLAY"):
+        from mujoco.egl import GLContext
+    else:
+        from mujoco.gl_context import GLContext
+    context = GLContext(model.vis.global_.offwidth, model.vis.global_.offheight)
+    context.make_current()
+    return context
+
+
+class _Renderer:
+    """MuJoCo's renderer on a GL context of its own."""
 
     def __init__(self, model: mujoco.MjModel):
-        if sys.platform == "linux" and not os.environ.get("MUJOCO_GL") and not os.environ.get("DISPLAY"):
-            from mujoco.egl import GLContext
-        else:
-            from mujoco.gl_context import GLContext
-        self._context = GLContext(model.vis.global_.offwidth, model.vis.global_.offheight)
-        self._context.make_current()
+        self._context = gl_context(model)
         self._mjr = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._mjr)
         self._model = model
