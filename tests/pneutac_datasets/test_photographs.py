@@ -6,9 +6,11 @@ import cv2
 import numpy as np
 import pytest
 
+from pneutac_datasets.photo_plan import joints_of, session
 from pneutac_datasets.photo_reading import read_camera, read_photograph
 from pneutac_datasets.photographs import (
     CAMERAS,
+    MARKER_NOISE_MM,
     Disturbances,
     bent_meshes,
     default_pressures,
@@ -19,6 +21,7 @@ from pneutac_datasets.recording import BenchRecording
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger.kinematics import forward_kinematics
 from pneutac_sim.mpm import devices
+from pneutac_sim.twin import Value
 
 PRESSURES = [0.0, 7.0, 15.0]
 FEW = 1500
@@ -52,7 +55,8 @@ def test_recording_is_a_bench_recording(finger):
 
 
 def test_masks_are_where_the_told_cameras_project_the_body(finger):
-    meshes, _, _ = bent_meshes(hidden_twin(4, "finger"), np.array(PRESSURES)[:, None], particles=FEW)
+    twin = hidden_twin(4, "finger")
+    meshes, _, _, _ = bent_meshes(twin, devices.joint_targets(twin, PRESSURES), particles=FEW)
     for name in CAMERAS["finger"]:
         camera = read_camera(finger, name)
         for row, mesh in enumerate(meshes):
@@ -95,6 +99,10 @@ def test_truth_is_kept_apart(finger):
         == hidden_twin(4, "finger").parameters["gain_rad_per_kpa"].value
     )
     assert hidden_twin(5, "finger").parameters != hidden_twin(4, "finger").parameters
+    seen = finger.samples[["tip_x_mm", "tip_y_mm", "tip_z_mm"]].to_numpy()
+    assert 0 < np.abs(seen - truth["tips_mm"]).max() < 5 * MARKER_NOISE_MM
+    q = devices.joint_targets(hidden_twin(4, "finger"), PRESSURES)
+    np.testing.assert_allclose(truth["joints_rad"], q, rtol=0.04)  # the body takes back some
 
 
 def test_a_seed_decides_everything(finger, tmp_path):
@@ -124,7 +132,7 @@ def test_arm_has_a_side_camera_that_sees_it_bend_out_of_plane(arm):
 
 
 def test_disturbances_act_and_stay_secret(finger, tmp_path):
-    wrong = Disturbances(weight_g=40, tilt_deg=3, camera_deg=2, camera_mm=3, mask_px=1)
+    wrong = Disturbances(tilt_deg=3, camera_deg=2, camera_mm=3, mask_px=1)
     bad = write_photographs(
         tmp_path / "bad", seed=4, pressures_kpa=PRESSURES[:1], disturbances=wrong, particles=FEW
     )
@@ -142,12 +150,67 @@ def test_disturbances_act_and_stay_secret(finger, tmp_path):
     assert np.linalg.norm(eyes[0] - eyes[1]) == pytest.approx(3e-3)
 
 
+def with_effect(name, **values):
+    twin = hidden_twin(4, "finger")
+    twin.effects[name] = {k: Value(v) for k, v in values.items()}
+    return twin
+
+
+def test_pressures_of_one_trial_rise_evenly_and_then_stay():
+    table = session(np.array([0.0, 12.0, 6.0]), "finger", (2.0, 60.0), {"gravity_x": [1.0, 0.5, 0.8]})
+    assert table["time_s"].tolist() == [2, 60, 62, 120, 122, 180]
+    assert table["pressure_cmd_kpa"].tolist() == [0, 0, 12, 12, 6, 6]
+    assert table["gravity_x"].tolist() == [1, 1, 0.5, 0.5, 0.8, 0.8]
+    assert table["trial"].nunique() == 1
+
+
+def test_creep_shows_between_two_photographs_of_a_pressure():
+    twin = with_effect("creep", weight_0_4s=0, weight_1_3s=0, weight_4s=0.1, weight_13s=0, weight_40s=0,
+                       weight_130s=0)  # fmt: skip
+    still = devices.joint_targets(hidden_twin(4, "finger"), [0.0, 12.0])
+    early, late = joints_of(twin, session(np.array([0.0, 12.0]), "finger", (2.0, 60.0), {}))[2:]
+    # late part of a ramp of 2 s: s = 1 - tau / T (1 - exp(-T / tau)) of the step
+    left = 1 - 4 / 2 * (1 - np.exp(-2 / 4))
+    share = (1 + 0.1 * left) / 1.1
+    np.testing.assert_allclose(early - still[0], share * (still[1] - still[0]), rtol=1e-6)
+    np.testing.assert_allclose(late, still[1], rtol=1e-5)
+
+
+def test_an_effect_is_hidden_in_the_body(finger, tmp_path):
+    hidden = Disturbances(effects={"stiffening": {"linear_1_per_kpa": 0.02}, "gravity": {"tip_mass_g": 20}})
+    across = {"gravity_x": [1.0, 0.0], "gravity_y": 0.0, "gravity_z": [0.0, -1.0]}
+    made = write_photographs(
+        tmp_path / "made", 4, pressures_kpa=[15, 15], disturbances=hidden, particles=FEW, conditions=across
+    )
+    assert "stiffening" not in (made.folder / "recording.json").read_text()
+    assert made.column("gravity_z").tolist() == [0, -1]
+    truth = json.loads((tmp_path / "truth" / "made.json").read_text())
+    assert truth["disturbances"]["effects"]["stiffening"] == {"linear_1_per_kpa": 0.02}
+    tips, q = np.array(truth["tips_mm"]), np.array(truth["joints_rad"])
+    weight_n = 0.02 * 9.80665
+    arms_mm = [tips[0, 2], tips[1, 0] - finger.spine_joint_positions_mm[0]]  # of the weight, about joint 1
+    turned = 1e-3 * weight_n * np.array(arms_mm) / truth["parameters"]["joint_stiffness_nm_per_rad"]
+    assert q[0, 0] - q[1, 0] == pytest.approx(turned[1] - turned[0], rel=0.15)
+    free = hidden_twin(4, "finger")
+    driven = devices.joint_targets(free, [15 * (1 + 0.02 * 15)])[0, 0]
+    assert q[0, 0] + turned[0] == pytest.approx(driven, rel=0.04)  # the body takes back some
+
+
 def test_bad_input_is_named(finger):
+    with pytest.raises(InputError, match="effect 'base_tilt' does not act on the body; tilt_deg"):
+        Disturbances(effects={"base_tilt": {"pitch_rad": 0.1}})
+    with pytest.raises(InputError, match="no effect 'magic'"):
+        Disturbances(effects={"magic": {}})
+    with pytest.raises(InputError, match="after_s is .60.0, 2.0."):
+        write_photographs(finger.folder.parent / "late", 0, after_s=(60, 2))
+    weight = Disturbances(effects={"gravity": {"body_mass_g": 40}})
+    with pytest.raises(InputError, match="'gravity' cannot act: .* gravity_x"):
+        write_photographs(finger.folder.parent / "none", 0, disturbances=weight)
     with pytest.raises(InputError, match="no photographs of a 'gel'"):
         hidden_twin(0, "gel")
     with pytest.raises(InputError, match="tilt_deg is -1"):
         Disturbances(tilt_deg=-1)
-    with pytest.raises(InputError, match="pressure_kpa"):
+    with pytest.raises(InputError, match="pressures_kpa must be rows of 1 finite"):
         write_photographs(finger.folder.parent / "nan", 0, pressures_kpa=[np.nan])
     with pytest.raises(InputError, match="does not describe 'side'"):
         read_camera(finger, "side")
