@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from lerobot_pneutac.report import Report
-from pneutac_sim.photo_fit.objective import SILHOUETTE, Objective, Photograph
+from pneutac_sim.photo_fit.objective import SILHOUETTE, SOLID, Objective, Photograph
 
 UNIT = "8-bit levels"
 HEIGHT = 220  # px of a picture
@@ -63,11 +63,7 @@ def strip(objective: Objective, positions: np.ndarray, photographs: list[Photogr
     for p in photographs:
         drawn = objective.render(positions[p.state], p.camera)
         white = drawn.image.clip(0, 1) + (1 - drawn.alpha.clip(0, 1))[..., None]
-        solid = drawn.alpha > 0.5
-        edges = np.full(p.image.shape, 255, np.uint8)
-        edges[p.mask & solid] = (222, 226, 230)
-        edges[p.mask & ~solid] = (194, 65, 12)
-        edges[~p.mask & solid] = (11, 110, 153)
+        edges = differing(p.mask, drawn.alpha > SOLID)
         real = np.where(p.mask[..., None], p.image, 255)
         stack = [a[low[0] : high[0], low[1] : high[1]] for a in (real, 255 * white.clip(0, 1), edges)]
         size = (round(HEIGHT * (high[1] - low[1]) / (high[0] - low[0])), HEIGHT)
@@ -77,6 +73,19 @@ def strip(objective: Objective, positions: np.ndarray, photographs: list[Photogr
             )
         )
     return np.concatenate(columns, 1)
+
+
+def differing(photograph: np.ndarray, drawn: np.ndarray) -> np.ndarray:
+    """Two silhouettes, bool (H, W): grey where both are, red where the photograph's alone, blue the other's.
+
+    Returns:
+        uint8 (H, W, 3), on white.
+    """
+    image = np.full((*photograph.shape, 3), 255, np.uint8)
+    image[photograph & drawn] = (222, 226, 230)
+    image[photograph & ~drawn] = (194, 65, 12)
+    image[~photograph & drawn] = (11, 110, 153)
+    return image
 
 
 def _crop(photographs: list[Photograph]) -> tuple[np.ndarray, np.ndarray]:

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,28 +13,20 @@ from rich.table import Table
 
 from lerobot_pneutac import particle_picture as draw
 from lerobot_pneutac.options import parse_options
+from lerobot_pneutac.render_body import STRETCH, Film, Frame, body_film
 from lerobot_pneutac.render_options import FPS, RenderConfig, deepest_press, filled
 from lerobot_pneutac.report import Report, write_result
 from pneutac_sim.errors import InputError
-from pneutac_sim.finger.inputs import CHAMBERS
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.twin import Twin
 
 PRESS_FRAMES = 8  # depths on the way down
-BODY_STRAIN, GEL_STRAIN = 0.15, 0.8  # of the warmest colour
+GEL_STRAIN = 0.8  # of the warmest colour
 SIZE = {"cube": "side", "edge": "side"}  # what size_mm is; of the round indenters the radius
 # What helps where no equilibrium is found.
 BODY_REMEDY = "give lower --pressure_kpa, more --particles, or a thicker mesh where the twin has its own"
 GEL_REMEDY = "press less deep with --depth_mm, or give a larger indenter with --size_mm"
-
-
-@dataclass
-class Frame:
-    """One picture of the film; where `row` is a line of the table, the picture is a still too."""
-
-    picture: np.ndarray
-    row: dict | None = None
 
 
 def main(argv: list[str]) -> None:
@@ -42,23 +34,24 @@ def main(argv: list[str]) -> None:
     config = parse_options(RenderConfig, argv)
     twin = Twin.load(config.twin)
     config = filled(config, twin)
-    frames, count = _gel(twin, config) if twin.device == "gel" else _body(twin, config)
+    console = Console()
+    with console.status("building the body"):
+        film = _gel_film(twin, config) if twin.device == "gel" else body_film(twin, config)
     from pneutac_sim.mpm.solve import MpmDiverged
 
     try:
-        render(twin.device, frames, count, config.out)
+        render(twin.device, film, config.out)
     except MpmDiverged as e:
         remedy = GEL_REMEDY if twin.device == "gel" else BODY_REMEDY
         raise InputError(f"{e.finding}; {remedy}.") from e
 
 
-def render(device: str, frames: Iterator[Frame], count: int, out: Path) -> dict:
+def render(device: str, film: Film, out: Path) -> dict:
     """Draws frames; what is finished is kept where it is interrupted.
 
     Args:
         device: of the twin.
-        frames: made one by one.
-        count: how many there will be.
+        film: its frames are made one by one.
         out: folder to write to.
 
     Returns:
@@ -72,24 +65,24 @@ def render(device: str, frames: Iterator[Frame], count: int, out: Path) -> dict:
     start = time.perf_counter()
     try:
         with Progress(*columns, TimeRemainingColumn(), console=console, transient=True) as bar:
-            task = bar.add_task("building the body", total=count)
-            for frame in frames:
+            task = bar.add_task("bringing it to rest", total=film.count)
+            for frame in film.frames:
                 pictures.append(frame.picture)
                 if frame.row is not None:
                     name = f"{device}_{len(rows) + 1}.png"
                     Image.fromarray(frame.picture).save(out / name)
                     rows.append(frame.row | {"picture": name})
-                bar.update(task, advance=1, description="bringing it to rest")
+                bar.update(task, advance=1)
     finally:
-        result = _write(device, pictures, rows, count, time.perf_counter() - start, out)
+        result = _write(device, film, pictures, rows, time.perf_counter() - start, out)
         _show(console, result, out)
     return result
 
 
-def _write(device: str, pictures: list, rows: list[dict], count: int, seconds: float, out: Path) -> dict:
+def _write(device: str, film: Film, pictures: list, rows: list[dict], seconds: float, out: Path) -> dict:
     result = {
         "device": device,
-        "complete": len(pictures) == count,
+        "complete": len(pictures) == film.count,
         "frames": len(pictures),
         "seconds": seconds,
         "film": None,
@@ -101,9 +94,8 @@ def _write(device: str, pictures: list, rows: list[dict], count: int, seconds: f
         write_video(out / "film.mp4", pictures + [pictures[-1]] * FPS, FPS)
         result["film"] = "film.mp4"
         report = Report(f"A {device} of material points")
-        what = " Right: the tactile image, by Gaussian splats on the particles." if device == "gel" else ""
-        report.lead(f"Colour is the largest stretch of the material, from calm to warm.{what}")
-        report.video(out / "film.mp4")
+        report.lead(film.lead)
+        report.video(out / "film.mp4", width=min(960, pictures[0].shape[1]))
         report.table(rows)
         for row in rows:
             report.image(np.asarray(Image.open(out / row["picture"])), row["picture"])
@@ -124,68 +116,10 @@ def _show(console: Console, result: dict, out: Path) -> None:
     console.print(f"{out / (result['film'] or 'result.json')}{end}", highlight=False)
 
 
-# ---------------------------------------------------------------- finger and arm
-
-
-def _body(twin: Twin, config: RenderConfig) -> tuple[Iterator[Frame], int]:
-    chambers = CHAMBERS[twin.device]
-    if len(config.pressure_kpa) % chambers:
-        raise InputError(
-            f"--pressure_kpa has {len(config.pressure_kpa)} numbers; an arm takes three for each pose."
-        )
-    points = np.reshape(config.pressure_kpa, (-1, chambers))
-    each = max(2, round(config.seconds * FPS))
-    share = np.minimum(np.arange(1, each + 1) / (each // 2), 1.0)[:, None]
-    program = np.concatenate(
-        [points[:1]] + [a + share * (b - a) for a, b in zip(points[:-1], points[1:], strict=True)]
-    )
-    return _body_frames(twin, config, program, each), len(program)
-
-
-def _body_frames(twin: Twin, config: RenderConfig, program: np.ndarray, each: int) -> Iterator[Frame]:
-    from pneutac_sim.mpm import devices
-    from pneutac_sim.mpm.solve import solve_equilibrium
-    from pneutac_sim.mpm.total_lagrangian import Loads
-
-    q_cmd = devices.joint_targets(twin, program, np.arange(len(program)) / FPS, config.conditions)
-    make = devices.finger if twin.device == "finger" else devices.arm
-    solver = make(twin, particles=config.particles, device=config.device)
-    spent = 0.0
-    for k, (pressure, q) in enumerate(zip(program, q_cmd, strict=True)):
-        start = time.perf_counter()
-        rest = solve_equilibrium(solver, Loads(q_cmd=q[None]), warm=k > 0)
-        spent += time.perf_counter() - start
-        spine = devices.spine_points(solver, rest.q)[0]
-        tip = 1e3 * spine[-1]
-        named = ", ".join(f"{p:.1f}" for p in pressure)
-        picture = draw.body_picture(
-            rest.positions[0],
-            rest.gradients[0],
-            spine,
-            1e-3 * twin.length_mm,
-            solver.body.spacing_m,
-            f"{named} kPa   tip x {tip[0]:.1f}  y {tip[1]:.1f}  z {tip[2]:.1f} mm",
-            BODY_STRAIN,
-            turns=(24.0,) if twin.device == "finger" else (24.0, -66.0),  # an arm bends out of the plane
-        )
-        row = None
-        if k % each == 0:
-            row = {
-                "pressure_kpa": named if len(pressure) > 1 else float(pressure[0]),
-                "tip_x_mm": float(tip[0]),
-                "tip_y_mm": float(tip[1]),
-                "tip_z_mm": float(tip[2]),
-                "seconds": spent,
-            }
-            spent = 0.0
-        yield Frame(picture, row)
-
-
-# ---------------------------------------------------------------- gel
-
-
-def _gel(twin: Twin, config: RenderConfig) -> tuple[Iterator[Frame], int]:
-    return _gel_frames(twin, config, deepest_press(config, GelModel.from_twin(twin))), PRESS_FRAMES
+def _gel_film(twin: Twin, config: RenderConfig) -> Film:
+    press = deepest_press(config, GelModel.from_twin(twin))
+    lead = f"{STRETCH} Right: the tactile image, by Gaussian splats on the particles."
+    return Film(_gel_frames(twin, config, press), PRESS_FRAMES, lead)
 
 
 def _gel_frames(twin: Twin, config: RenderConfig, press: Press) -> Iterator[Frame]:

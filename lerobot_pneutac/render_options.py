@@ -16,9 +16,37 @@ FPS = 15
 COMPUTED = ("session_time_s", "length_mm", "bending_pressure_kpa")  # columns of effects that nobody gives
 
 # What a device takes, and what it is where it is not given.
-FINGER = {"pressure_kpa": [0.0, 5.0, 10.0, 15.0], "seconds": 1.0, "particles": 4000}
+SEEN = {"recording": None, "camera": None, "view": None}
+FINGER = {"pressure_kpa": [0.0, 5.0, 10.0, 15.0], "seconds": 1.0, "particles": 4000} | SEEN
 ARM = FINGER | {"pressure_kpa": [0.0, 0.0, 0.0, 10.0, 0.0, 0.0, 0.0, 10.0, 0.0, 0.0, 0.0, 10.0]}
 GEL = {"indenter": "sphere", "size_mm": 4.0, "depth_mm": 1.4, "x_mm": 0.0, "y_mm": 0.0}
+
+
+@dataclass
+class View:
+    """From where a body is seen, hanging from its base.
+
+    Attributes:
+        azimuth_deg: round its length, from the side on which a bend goes to the right towards the bend.
+        elevation_deg: from below (-90) through level to above (90).
+        distance_lengths: from the middle of its motion, in lengths of the body.
+    """
+
+    azimuth_deg: float = 30.0
+    elevation_deg: float = 10.0
+    distance_lengths: float = 4.0
+
+    def __post_init__(self):
+        if not np.isfinite([self.azimuth_deg, self.elevation_deg]).all() or abs(self.elevation_deg) > 90:
+            raise InputError(
+                f"--view.azimuth_deg is {self.azimuth_deg} and --view.elevation_deg {self.elevation_deg}; "
+                "give numbers, the elevation between -90 and 90."
+            )
+        if not 1.5 <= self.distance_lengths <= 100:
+            raise InputError(
+                f"--view.distance_lengths is {self.distance_lengths}; from there the camera does not see the "
+                "body: give 1.5 to 100."
+            )
 
 
 @dataclass
@@ -28,9 +56,13 @@ class RenderConfig:
     Attributes:
         twin: folder of the twin.
         pressure_kpa: finger: pressures, one after the other; arm: three numbers for each pose.
-            Left out: 0, 5, 10, 15; for an arm at rest, then 10 in one chamber after the other.
+            Left out: those of the recording; without one 0, 5, 10, 15, for an arm at rest, then 10 in one
+            chamber after the other.
         seconds: that each pressure takes in the film: half the time to get there, half to stay. Left out: 1.
         conditions: what the twin's effects ask for, such as {temperature_c: 30}.
+        recording: photographs to put beside a finger or an arm, which has to be calibrated by images.
+        camera: which of the recording's; left out: the first.
+        view: without a recording: any other view, in the twin's looks where it has them.
         indenter: for a gel: sphere, cylinder, cube, edge or cone. Left out: sphere.
         size_mm: of the indenter: radius, or side of cube and edge. Left out: 4.
         depth_mm: how deep it is pressed into the gel. Left out: 1.4.
@@ -45,6 +77,9 @@ class RenderConfig:
     pressure_kpa: list[float] | None = None
     seconds: float | None = None
     conditions: dict[str, float] = field(default_factory=dict)
+    recording: Path | None = None
+    camera: str | None = None
+    view: View | None = None
     indenter: str | None = None
     size_mm: float | None = None
     depth_mm: float | None = None
@@ -81,7 +116,16 @@ def filled(config: RenderConfig, twin: Twin) -> RenderConfig:
                 f"--{name} is of {'a finger or an arm' if own is GEL else 'a gel'}, but the twin at "
                 f"{config.twin} is of {an(twin.device)}; omit it."
             )
+    if config.camera is not None and config.recording is None:
+        raise InputError(
+            "--camera is of a recording; give its folder with --recording=DIR, or choose a view with "
+            "--view.azimuth_deg and --view.elevation_deg."
+        )
+    if config.view is not None and config.recording is not None:
+        raise InputError("--view and --recording exclude each other; omit one.")
     _check_conditions(config, twin)
+    if config.recording is not None:
+        own = {name: value for name, value in own.items() if name != "pressure_kpa"}
     return replace(config, **{name: value for name, value in own.items() if getattr(config, name) is None})
 
 
