@@ -1,6 +1,7 @@
 """Calibrates a finger or an arm to photographs alone (paper, Sec. III-B): silhouettes, then CMA-ES."""
 
 import time
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -105,7 +106,8 @@ def fit_photographs(
     equilibria = Equilibria(parameters, start.x, pressures, session.conditions, particles, device)
     looks = _looks(session, equilibria)
     objective = Objective(equilibria, photographs, looks)
-    key = f"{recording.folder.resolve()} {pressures.tolist()} {particles} {len(twin.history)}"
+    pictures = [zlib.crc32(a.tobytes()) for p in photographs for a in (p.image, p.mask)]
+    key = f"{recording.folder.resolve()} {pressures.tolist()} {pictures} {particles} {len(twin.history)}"
     found = search(
         objective,
         parameters,
@@ -163,16 +165,26 @@ def calibrate_photographs(twin: Twin, recording, cfg, console: Console) -> dict:
     file = (cfg.out or cfg.twin) / "evaluations.json"
     levels = training_levels(cfg.train_kpa)
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total}"))
+    evaluated = 0
     with Progress(*columns, TimeRemainingColumn(), console=console, transient=True) as bar:
         task = bar.add_task("silhouettes and looks", total=cfg.evaluations)
 
         def tell(done, objective, value):
+            nonlocal evaluated
+            evaluated = done
             bar.update(task, completed=done, description=f"best objective {value:.4f}")
             if cfg.out is not None and objective.best is not None:
                 picture = strip(objective, objective.best, objective.photographs)
                 Image.fromarray(picture).save(cfg.out / "best.png")
 
-        found = fit_photographs(twin, recording, levels, cfg.evaluations, cfg.particles, cfg.seed, file, tell)
+        try:
+            found = fit_photographs(
+                twin, recording, levels, cfg.evaluations, cfg.particles, cfg.seed, file, tell
+            )
+        except KeyboardInterrupt:
+            bar.stop()
+            console.print(_stopped(evaluated, file), highlight=False, soft_wrap=True)
+            raise
     result = outcome(found)
     found.twin.save_version(
         cfg.twin,
@@ -192,6 +204,15 @@ def calibrate_photographs(twin: Twin, recording, cfg, console: Console) -> dict:
         write_result(cfg.out, result)
         console.print(f"report: {photo_report(found, result).write(cfg.out)}", highlight=False)
     return result
+
+
+def _stopped(evaluated: int, file: Path) -> str:
+    if not evaluated:
+        return "Stopped before the first candidates were evaluated; the twin is as it was."
+    return (
+        f"Stopped after {evaluated} evaluations, kept in {file}; the twin is as it was, and the same command "
+        "goes on from here."
+    )
 
 
 def training_levels(text: str) -> tuple[float, ...]:
@@ -220,8 +241,9 @@ def _print(found: PhotoFit, result: dict, console: Console) -> None:
         held += (
             f", held-out tip error {tip['heldout']:.3g} mm ({100 * tip['heldout'] / length:.2g} % of length)"
         )
+    taken = f" ({result['resumed']} of them from before)" if result["resumed"] else ""
     console.print(
-        f"IoU {iou['train']:.4f} where it was fitted, {held}; {result['evaluations']} evaluations in "
+        f"IoU {iou['train']:.4f} where it was fitted, {held}; {result['evaluations']} evaluations{taken} in "
         f"{found.seconds:.0f} s; the twin at {result['twin']} is now version {result['version']}",
         highlight=False,
     )

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pneutac_datasets.photo_reading import read_camera, read_photograph
+from pneutac_datasets.photo_reading import column_of, masked_cameras, read_camera, read_photograph
 from pneutac_datasets.recording import BenchRecording
 from pneutac_sim.errors import InputError
 from pneutac_sim.photo_fit.objective import Photograph
@@ -50,12 +50,6 @@ class PhotoSession:
         return by_state[int(next(s for s in least if self.train[s]))]
 
 
-def masked_cameras(recording: BenchRecording) -> list[str]:
-    """Names of cameras that have an image and a mask column."""
-    names = [c.removeprefix("image_") for c in recording.samples if c.startswith("image_")]
-    return [n for n in names if recording.has(f"mask_{n}")]
-
-
 def read_session(recording: BenchRecording, levels_kpa: tuple[float, ...]) -> PhotoSession:
     """Photographs of a finger or an arm.
 
@@ -75,14 +69,7 @@ def read_session(recording: BenchRecording, levels_kpa: tuple[float, ...]) -> Ph
             f"{recording.folder}: no camera has both an image_<camera> and a mask_<camera> column; add masks "
             "(white where the body is) to calibrate by images."
         )
-    pressure = np.stack([recording.column(c).astype(float) for c in recording.pressure_columns], 1)
-    if not np.isfinite(pressure).all():
-        row = int(np.argmin(np.isfinite(pressure).all(1)))
-        raise InputError(
-            f"{recording.folder}: row {row + 1} has no pressure; every photograph needs one, in kPa."
-        )
-    rows = _holds(recording, pressure)
-    levels, state = np.unique(pressure[rows].round(6), axis=0, return_inverse=True)
+    levels, rows, state = held_levels(recording)
     train = (np.abs(levels[..., None] - np.asarray(levels_kpa)).min(-1) < NEAR_KPA).all(1)
     if train.sum() < 2:
         told = ", ".join(f"{v:g}" for v in np.unique(levels)[:12])
@@ -92,25 +79,70 @@ def read_session(recording: BenchRecording, levels_kpa: tuple[float, ...]) -> Ph
         )
     cameras = {name: read_camera(recording, name) for name in names}
     chosen = _crossing(cameras)
-    photographs = []
-    for name in chosen:
-        for row, s in zip(rows, state.ravel(), strict=True):
-            image, mask = read_photograph(recording, row, name)
-            _check_mask(recording, row, name, mask)
-            told = f"{recording.folder}, image_{name} of row {row + 1}"
-            photographs.append(Photograph(int(s), cameras[name], image, mask, told))
+    photographs = [
+        read_held(recording, row, s, name, cameras[name])
+        for name in chosen
+        for row, s in zip(rows, state, strict=True)
+    ]
     tips = [f"tip_{a}_mm" for a in "xyz"]
     markers = None
     if all(recording.has(c) for c in tips):
         seen = np.stack([recording.column(c).astype(float)[rows] for c in tips], 1)
-        markers = np.stack([seen[state.ravel() == s].mean(0) for s in range(len(levels))])
+        markers = np.stack([seen[state == s].mean(0) for s in range(len(levels))])
+    others = [n for n in names if n not in chosen]
+    return PhotoSession(
+        levels, train, chosen + others, len(chosen), photographs, markers, mean_conditions(recording)
+    )
+
+
+def held_levels(recording: BenchRecording) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pressures under which a body was photographed at rest.
+
+    Args:
+        recording: of a finger or an arm.
+
+    Returns:
+        Pressures (T, chambers) kPa, rising and without repetition; rows (n,) that end a hold; the pressure of
+        each of these rows (n,), counted in the first.
+
+    Raises:
+        InputError: a row has no pressure.
+    """
+    pressure = np.stack([recording.column(c).astype(float) for c in recording.pressure_columns], 1)
+    if not np.isfinite(pressure).all():
+        row = int(np.argmin(np.isfinite(pressure).all(1)))
+        raise InputError(
+            f"{recording.folder}: row {row + 1} has no pressure; every photograph needs one, in kPa."
+        )
+    rows = _holds(recording, pressure)
+    levels, state = np.unique(pressure[rows].round(6), axis=0, return_inverse=True)
+    return levels, rows, state.ravel()
+
+
+def read_held(recording: BenchRecording, row: int, state: int, name: str, camera: Camera) -> Photograph:
+    """The photograph that a camera took in a row, at pressure number `state`.
+
+    Raises:
+        InputError: an image or a mask is missing or bad.
+    """
+    image, mask = read_photograph(recording, row, name)
+    if not 1e-3 < mask.mean() < 0.9:
+        raise InputError(
+            f"{recording.folder}: {column_of(recording, 'mask', name)} of row {row + 1} covers "
+            f"{mask.mean():.1%} of the picture; it must be white where the body is and black elsewhere."
+        )
+    told = f"{recording.folder}, {column_of(recording, 'image', name)} of row {row + 1}"
+    return Photograph(int(state), camera, image, mask, told)
+
+
+def mean_conditions(recording: BenchRecording) -> dict[str, float]:
+    """Means of the columns that are neither photographs nor pressures nor markers but numbers."""
     conditions = {}
     for name in recording.conditions:
         column = recording.samples[name]
         if column.dtype.kind in "fi" and not re.match(r"pressure|camera", name) and np.isfinite(column).all():
             conditions[name] = float(column.mean())
-    others = [n for n in names if n not in chosen]
-    return PhotoSession(levels, train, chosen + others, len(chosen), photographs, markers, conditions)
+    return conditions
 
 
 def _holds(recording: BenchRecording, pressure: np.ndarray) -> np.ndarray:
@@ -128,11 +160,3 @@ def _crossing(cameras: dict[str, Camera]) -> list[str]:
         if all(abs(axis @ cameras[o].extrinsics[2, :3]) < LIKE for o in out):
             out.append(name)
     return out
-
-
-def _check_mask(recording: BenchRecording, row: int, camera: str, mask: np.ndarray) -> None:
-    if not 1e-3 < mask.mean() < 0.9:
-        raise InputError(
-            f"{recording.folder}: mask_{camera} of row {row + 1} covers {mask.mean():.1%} of the picture; it "
-            "must be white where the body is and black elsewhere."
-        )

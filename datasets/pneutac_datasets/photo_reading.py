@@ -1,10 +1,52 @@
 """Photographs of a bench recording, with their masks and cameras."""
 
+import re
+
 import numpy as np
 
 from pneutac_datasets.recording import BenchRecording
 from pneutac_sim.errors import InputError
 from pneutac_sim.splat.camera import Camera
+
+
+def masked_cameras(recording: BenchRecording) -> list[str]:
+    """Names of cameras that took both images and masks.
+
+    Columns `image` and `mask` are those of the only camera that `recording.json` describes.
+
+    Raises:
+        InputError: there are columns `image` and `mask`, but not one camera only.
+    """
+    names = [str(c).removeprefix("image_") for c in recording.samples if re.match(r"image_\w", str(c))]
+    names = [n for n in names if recording.has(f"mask_{n}")]
+    if names or not (recording.has("image") and recording.has("mask")):
+        return names
+    told = recording.meta.get("cameras")
+    if not isinstance(told, dict) or len(told) != 1:
+        many = isinstance(told, dict) and len(told) > 1
+        wrong = (
+            f"{', '.join(told)}; name the columns image_<camera> and mask_<camera>"
+            if many
+            else "none; describe it"
+        )
+        raise InputError(
+            f"{recording.folder / 'recording.json'}: columns 'image' and 'mask' are those of one camera, but "
+            f"field 'cameras' describes {wrong}."
+        )
+    return list(told)
+
+
+def column_of(recording: BenchRecording, kind: str, camera: str) -> str:
+    """Column of a camera's `image` or `mask`: `image_<camera>`, or `image` where there is no such column.
+
+    Args:
+        recording: with photographs.
+        kind: `image` or `mask`.
+        camera: its name.
+    """
+    own = f"{kind}_{camera}"
+    single = not recording.has(own) and recording.has(kind) and masked_cameras(recording) == [camera]
+    return kind if single else own
 
 
 def read_camera(recording: BenchRecording, name: str) -> Camera:
@@ -19,7 +61,7 @@ def read_camera(recording: BenchRecording, name: str) -> Camera:
             f"{recording.folder / 'recording.json'}: field 'cameras' does not describe '{name}'; give it "
             '{"intrinsics": 3x3 in px, "extrinsics": 4x4 from base to camera in m}.'
         )
-    height, width = recording.image(recording.column(f"image_{name}")[0]).shape[:2]
+    height, width = recording.image(recording.column(column_of(recording, "image", name))[0]).shape[:2]
     lens = told[name].get("distortion", ())
     try:
         return Camera(told[name].get("intrinsics"), told[name].get("extrinsics"), width, height, lens)
@@ -33,13 +75,14 @@ def read_photograph(recording: BenchRecording, row: int, camera: str) -> tuple[n
     Raises:
         InputError: no such camera, or the mask is of another size than the image.
     """
-    image = recording.image(recording.column(f"image_{camera}")[row])
-    mask = recording.image(recording.column(f"mask_{camera}")[row])[..., 0] > 127
+    columns = {kind: column_of(recording, kind, camera) for kind in ("image", "mask")}
+    image = recording.image(recording.column(columns["image"])[row])
+    mask = recording.image(recording.column(columns["mask"])[row])[..., 0] > 127
     if mask.shape != image.shape[:2]:
         sizes = (f"{a.shape[1]} x {a.shape[0]}" for a in (mask, image))
         raise InputError(
-            "{}: mask_{} of row {} has {} pixels, its image {}; give both the same size.".format(
-                recording.folder, camera, row + 1, *sizes
+            "{}: {} of row {} has {} pixels, its image {}; give both the same size.".format(
+                recording.folder, columns["mask"], row + 1, *sizes
             )
         )
     return image, mask
