@@ -1,0 +1,1 @@
+"""Networks in place of full material points: action network (finger) and perception network (gel)."""

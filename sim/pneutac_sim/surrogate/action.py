@@ -1,0 +1,223 @@
+"""Trains the action network on motions of the full finger, and measures it on others.
+
+plan, motions = read_motions(folder, twin)
+network = train_action(twin, folder)
+evaluate_action(twin, network, folder).position_deg
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.mpm import devices
+from pneutac_sim.surrogate.collect import FRAME_S, Motion, read_motions
+from pneutac_sim.surrogate.fingerprint import fingerprint
+from pneutac_sim.surrogate.network import HIDDEN, ActionNetwork
+from pneutac_sim.surrogate.skeleton import Skeleton
+from pneutac_sim.twin import Twin
+
+BATCH = 256
+LEARNING_RATE = 1e-3
+EPOCHS, PATIENCE = 1000, 100
+FEWEST = 6  # trajectories: four to train on, one to stop by, one to measure with
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Motion of the skeleton under the network against that of the full finger, on held-out trajectories.
+
+    Means of absolute errors over joints and time, with the standard error of the mean over trajectories.
+
+    Attributes:
+        position_deg, position_sem: joint angles.
+        velocity_deg_s, velocity_sem: joint rates.
+        torque_nm: root mean square error of f_r on the held-out pairs.
+        bare_position_deg, bare_velocity_deg_s, bare_torque_nm: the same with f_r = 0.
+        in_range: share of frames in the range of training.
+        trajectories: how many.
+    """
+
+    position_deg: float
+    position_sem: float
+    velocity_deg_s: float
+    velocity_sem: float
+    torque_nm: float
+    bare_position_deg: float
+    bare_velocity_deg_s: float
+    bare_torque_nm: float
+    in_range: float
+    trajectories: int
+
+
+def train_action(
+    twin: Twin,
+    data_dir: str | Path,
+    seed: int = 0,
+    epochs: int = EPOCHS,
+    tell: Callable[[str], None] = lambda _: None,
+) -> ActionNetwork:
+    """Fits f_r to the torques of inverse dynamics by mean squared error (Adam, learning rate 1e-3).
+
+    The weights that do best on the trajectories of early stopping are kept.
+
+    Args:
+        twin: of a finger.
+        data_dir: folder of `collect_action`.
+        seed: of weights and batches.
+        epochs: at most.
+        tell: is given a line now and then.
+
+    Raises:
+        InputError: too few trajectories, or those of another twin.
+    """
+    import torch  # takes a second
+
+    plan, motions = read_motions(data_dir, twin)
+    train, stop, _ = split(motions)
+    skeleton = _skeleton(twin, plan.particles)
+    x, y = pairs(skeleton, train)
+    mean, scale = x.mean(0), np.maximum(x.std(0), 1e-6)
+    # One scale for all joints: a torque moves each of them by torque / K.
+    torque_mean, torque_scale = y.mean(0), np.full(y.shape[1], max(float(y.std(0).mean()), 1e-9))
+
+    def tensors(x, y):
+        return (
+            torch.tensor((x - mean) / scale, dtype=torch.float32),
+            torch.tensor((y - torque_mean) / torque_scale, dtype=torch.float32),
+        )
+
+    random = torch.Generator().manual_seed(seed)
+    inputs, wanted = tensors(x, y)
+    stop_inputs, stop_wanted = tensors(*pairs(skeleton, stop))
+    model = _mlp(torch, inputs.shape[1], wanted.shape[1], random)
+    adam = torch.optim.Adam(model.parameters(), lr=LEARNING_RATE)
+    best, kept, since = np.inf, None, 0
+    for epoch in range(epochs):
+        for rows in torch.randperm(len(inputs), generator=random).split(BATCH):
+            adam.zero_grad()
+            torch.nn.functional.mse_loss(model(inputs[rows]), wanted[rows]).backward()
+            adam.step()
+        with torch.no_grad():
+            loss = float(torch.nn.functional.mse_loss(model(stop_inputs), stop_wanted))
+        since += 1
+        if loss < best:
+            best, since = loss, 0
+            kept = [p.detach().clone() for p in model.parameters()]
+        if epoch % 50 == 0 or since == PATIENCE:
+            tell(f"epoch {epoch}: error {np.sqrt(best) * torque_scale[0]:.3g} N m")
+        if since == PATIENCE:
+            break
+    if kept is None:
+        raise InputError(
+            f"The torques of the trajectories in '{data_dir}' are not finite; collect them again."
+        )
+    layers = tuple(np.ascontiguousarray(p.numpy().T) for p in kept)  # torch keeps (out, in)
+    return ActionNetwork(
+        layers=layers,
+        mean=mean,
+        scale=scale,
+        torque_mean=torque_mean,
+        torque_scale=torque_scale,
+        low=x.min(0),
+        high=x.max(0),
+        skeleton=skeleton,
+        fingerprint=fingerprint(twin),
+    )
+
+
+def evaluate_action(twin: Twin, network: ActionNetwork, data_dir: str | Path) -> Evaluation:
+    """Moves the skeleton through the held-out programs, from the full finger's first state on.
+
+    Args:
+        twin: of a finger.
+        network: trained for it.
+        data_dir: folder of `collect_action`.
+    """
+    _, motions = read_motions(data_dir, twin)
+    held_out = split(motions)[2]
+    bare = without_torque(network)
+    errors = np.array([_errors(network, m) for m in held_out])
+    without = np.array([_errors(bare, m) for m in held_out])
+    x, y = pairs(network.skeleton, held_out)
+    n = network.joints
+    left = network.torque(x[:, :n], x[:, n : 2 * n], x[:, -1]) - y
+    position, velocity, in_range = errors.mean(0)
+    sem = errors.std(0, ddof=1) / np.sqrt(len(errors)) if len(errors) > 1 else np.full(3, np.nan)
+    return Evaluation(
+        position_deg=float(position),
+        position_sem=float(sem[0]),
+        velocity_deg_s=float(velocity),
+        velocity_sem=float(sem[1]),
+        torque_nm=float(np.sqrt((left**2).mean())),
+        bare_position_deg=float(without[:, 0].mean()),
+        bare_velocity_deg_s=float(without[:, 1].mean()),
+        bare_torque_nm=float(np.sqrt((y**2).mean())),
+        in_range=float(in_range),
+        trajectories=len(held_out),
+    )
+
+
+def split(motions: list[Motion]) -> tuple[list[Motion], list[Motion], list[Motion]]:
+    """Trajectories to train on, to stop by, and to measure with; a sixth each of the last two.
+
+    Raises:
+        InputError: there are too few.
+    """
+    if len(motions) < FEWEST:
+        raise InputError(
+            f"There are {len(motions)} trajectories; collect at least {FEWEST} with `pneutac surrogate`."
+        )
+    sixth = len(motions) // 6
+    return motions[: -2 * sixth], motions[-2 * sixth : -sixth], motions[-sixth:]
+
+
+def pairs(skeleton: Skeleton, motions: list[Motion]) -> tuple[np.ndarray, np.ndarray]:
+    """States (R, 2 N + 1) and residual torques tau_r* (R, N) in N m by inverse dynamics."""
+    states, torques = [], []
+    for m in motions:
+        q_acc, target = m.accelerations()
+        q, v = m.q[1:-1], m.q_vel[1:-1]
+        p = 0.5 * (m.pressure_kpa[1:-1] + m.pressure_kpa[:-2])
+        states.append(np.column_stack([q, v, p]))
+        torques.append(skeleton.residual_torque(q, v, q_acc, target))
+    return np.concatenate(states), np.concatenate(torques)
+
+
+def without_torque(network: ActionNetwork) -> ActionNetwork:
+    """The same skeleton with f_r = 0."""
+    zero = np.zeros_like(network.torque_mean)
+    return replace(network, torque_mean=zero, torque_scale=zero)
+
+
+def _errors(network: ActionNetwork, m: Motion) -> tuple[float, float, float]:
+    q, v, inside = network.roll(
+        m.q[0], m.q_vel[0], m.target[:-1], m.pressure_kpa[:-1], (len(m.q) - 1) * FRAME_S
+    )
+    return (
+        np.degrees(np.abs(q - m.q[1:]).mean()),
+        np.degrees(np.abs(v - m.q_vel[1:]).mean()),
+        inside.mean(),
+    )
+
+
+def _skeleton(twin: Twin, particles: int) -> Skeleton:
+    solver = devices.finger(twin, particles=particles)
+    return Skeleton.of(solver.body, solver.spine)
+
+
+def _mlp(torch, inputs: int, outputs: int, random):
+    """Two hidden layers, initialised from `random` alone."""
+    nn = torch.nn
+    model = nn.Sequential(
+        nn.Linear(inputs, HIDDEN), nn.Softsign(), nn.Linear(HIDDEN, HIDDEN), nn.Softsign(),
+        nn.Linear(HIDDEN, outputs),
+    )  # fmt: skip
+    with torch.no_grad():
+        for layer in model[::2]:
+            bound = layer.in_features**-0.5
+            for p in (layer.weight, layer.bias):
+                p.copy_((2 * torch.rand(p.shape, generator=random) - 1) * bound)
+    return model

@@ -1,0 +1,247 @@
+"""Collects how the full material-point finger moves: joint angles and rates under pressures and tip loads.
+
+Trajectories are files of their own, `action_000.safetensors` and so on, written at once or not at all: a
+collection that was interrupted goes on where it stopped.
+"""
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import CONTROL_HZ, MAX_PRESSURE_KPA
+from pneutac_sim.mpm import devices, runtime
+from pneutac_sim.mpm.solve import simulate, solve_equilibrium
+from pneutac_sim.mpm.total_lagrangian import Loads
+from pneutac_sim.surrogate import programs
+from pneutac_sim.surrogate.fingerprint import fingerprint
+from pneutac_sim.twin import Twin
+
+FRAME_S = 0.002  # a tenth of the period of the slowest swing of the spine with its body
+FORMAT = "pneutac-action-data/1"
+SIDE_BY_SIDE = {"cpu": 4, "cuda": 64}
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is collected.
+
+    Attributes:
+        trajectories: the last sixth is kept for the evaluation, the sixth before it for early stopping.
+        duration_s: of each; 24 of 1 s give 8,000 state-torque pairs to train on.
+        particles: of the finger, about.
+        damping_per_s: of the body's momentum. A neo-Hookean solid has no losses and would ring on for ever
+            after each step; 60/s is a tenth of critical at its slowest swing, 50 Hz, as is the twin's joint
+            damping in the world.
+        seed: of the programs.
+    """
+
+    trajectories: int = 24
+    duration_s: float = 1.0
+    particles: int = 4000
+    damping_per_s: float = 60.0
+    seed: int = 0
+
+    def __post_init__(self):
+        if self.trajectories < 1 or self.particles < 1:
+            raise InputError(
+                f"trajectories is {self.trajectories} and particles {self.particles}; both must be positive."
+            )
+        if not 0.02 <= self.duration_s <= 600:
+            raise InputError(f"duration_s is {self.duration_s}; it must lie in [0.02, 600] seconds.")
+        if not 0 <= self.damping_per_s < 1e4:
+            raise InputError(f"damping_per_s is {self.damping_per_s}; it must lie in [0, 10000).")
+
+    @property
+    def pairs(self) -> int:
+        """State-torque pairs of one trajectory."""
+        return int(round(self.duration_s / FRAME_S))
+
+
+@dataclass(frozen=True)
+class Motion:
+    """One trajectory of T frames, `FRAME_S` apart.
+
+    Attributes:
+        q: (T, N) rad.
+        q_vel: (T, N) rad/s.
+        target: (T, N) joint targets that act from this frame to the next, rad.
+        pressure_kpa: (T,) bending pressure of that interval.
+    """
+
+    q: np.ndarray
+    q_vel: np.ndarray
+    target: np.ndarray
+    pressure_kpa: np.ndarray
+
+    def accelerations(self) -> tuple[np.ndarray, np.ndarray]:
+        """(T - 2, N) of the frames but the first and last, and (T - 2, N) the mean target around each.
+
+        Angles and rates together give the fourth order:
+        q'' = 2 (q+ - 2 q + q-) / h^2 - (q'+ - q'-) / (2 h).
+        """
+        h, q, v = FRAME_S, self.q, self.q_vel
+        q_acc = 2 * (q[2:] - 2 * q[1:-1] + q[:-2]) / h**2 - (v[2:] - v[:-2]) / (2 * h)
+        return q_acc, 0.5 * (self.target[1:-1] + self.target[:-2])
+
+
+def collect_action(
+    twin: Twin,
+    out_dir: str | Path,
+    plan: Plan | None = None,
+    device: str = "auto",
+    tell: Callable[[str], None] = lambda _: None,
+) -> list[Path]:
+    """Moves the full finger under all programs of the plan and keeps its trajectories.
+
+    Args:
+        twin: of a finger.
+        out_dir: folder; trajectories in it that belong to this twin and plan are not collected again.
+        plan: what to collect; None for the default, 24 trajectories of 1 s.
+        device: see `pneutac_sim.mpm.runtime.start`.
+        tell: is given a line after each batch.
+
+    Returns:
+        The files, all of the plan.
+
+    Raises:
+        InputError: the twin is not a finger's, or the folder holds trajectories of another twin or plan.
+        pneutac_sim.mpm.solve.MpmDiverged: the finger left the finite numbers.
+    """
+    plan = plan or Plan()
+    if twin.device != "finger":
+        raise InputError(f"The action network is of a finger; this twin's device is '{twin.device}'.")
+    folder = Path(out_dir)
+    folder.mkdir(parents=True, exist_ok=True)
+    files = [folder / f"action_{i:03d}.safetensors" for i in range(plan.trajectories)]
+    label = {
+        "format": FORMAT,
+        "fingerprint": fingerprint(twin),
+        "plan": json.dumps(asdict(plan), sort_keys=True),
+    }
+    missing = []
+    for i, file in enumerate(files):
+        if not file.is_file():
+            missing.append(i)
+        elif _label(file) != label:
+            raise InputError(
+                f"{file} was collected for another twin or plan; delete it, or collect into another folder."
+            )
+    if not missing:
+        return files
+    running = runtime.start(device)
+    size = SIDE_BY_SIDE[running]
+    while missing:
+        batch, missing = missing[:size], missing[size:]
+        for i, motion in zip(batch, _move(twin, plan, batch, running), strict=True):
+            _write(files[i], motion, label)
+        tell(f"collected {plan.trajectories - len(missing)} of {plan.trajectories} trajectories")
+    return files
+
+
+def read_motions(out_dir: str | Path, twin: Twin) -> tuple[Plan, list[Motion]]:
+    """Reads what `collect_action` has written.
+
+    Args:
+        out_dir: its folder.
+        twin: for which it must have been collected.
+
+    Raises:
+        InputError: trajectories are missing, corrupted, or of another twin.
+    """
+    first = Path(out_dir) / "action_000.safetensors"
+    if not first.is_file():
+        raise InputError(f"There are no trajectories in '{out_dir}'; collect them with `pneutac surrogate`.")
+    label = _label(first)
+    try:
+        plan = Plan(**json.loads(label["plan"]))
+    except (TypeError, ValueError) as e:
+        raise InputError(f"{first}: 'plan' is malformed ({e}); delete the file and collect it again.") from e
+    if label["fingerprint"] != fingerprint(twin):
+        raise InputError(
+            f"The trajectories in '{out_dir}' are of another twin; collect anew with `pneutac surrogate`."
+        )
+    motions = []
+    for i in range(plan.trajectories):
+        file = Path(out_dir) / f"action_{i:03d}.safetensors"
+        if not file.is_file():
+            raise InputError(
+                f"{file} is missing, {i} of {plan.trajectories} trajectories are there; go on collecting "
+                "with `pneutac surrogate`."
+            )
+        if _label(file) != label:
+            raise InputError(
+                f"{file} was collected for another twin or plan; delete it and collect it again."
+            )
+        motions.append(_read(file, plan, len(twin.spine_joint_positions_mm)))
+    return plan, motions
+
+
+def _move(twin: Twin, plan: Plan, batch: list[int], device: str) -> list[Motion]:
+    solver = devices.finger(twin, batch=len(batch), particles=plan.particles, device=device)
+    frames = plan.pairs + 2
+    middle = (np.arange(frames) + 0.5) * FRAME_S  # targets are held for a frame
+    drawn = [draw(twin, plan, i, middle) for i in batch]
+    target = np.stack([t for t, _ in drawn], 1)
+    start = target[0]
+    solve_equilibrium(solver, Loads(q_cmd=start))
+
+    def loads(time_s: float) -> Loads:
+        return Loads(q_cmd=target[round(time_s / FRAME_S)])
+
+    run = simulate(
+        solver, loads, (frames - 1) * FRAME_S, FRAME_S, damping=plan.damping_per_s, particles=False
+    )
+    return [Motion(run.q[:, b], run.q_vel[:, b], target[:, b], drawn[b][1]) for b in range(len(batch))]
+
+
+def draw(twin: Twin, plan: Plan, index: int, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Joint targets (T, N) in rad and bending pressures (T,) in kPa of one trajectory of the plan.
+
+    Kinds of program take turns, and of each kind every other one is with a tip load.
+    """
+    rng = np.random.default_rng([plan.seed, index])
+    steps = int(np.ceil(plan.duration_s * CONTROL_HZ)) + 1
+    kinds = programs.KINDS
+    low, high = programs.bending_range(twin, MAX_PRESSURE_KPA)
+    pressure = programs.program(kinds[index % len(kinds)], steps, low, high, rng)
+    target = programs.joint_targets(twin, pressure)
+    if (index // len(kinds) + index) % 2:
+        target = target + programs.tip_load(twin, target, rng)
+    knots = np.arange(steps + 1) / CONTROL_HZ
+    along = np.stack([np.interp(time_s, knots, column) for column in target.T], 1)
+    return along, np.interp(time_s, knots, pressure)
+
+
+def _write(file: Path, motion: Motion, label: dict[str, str]) -> None:
+    arrays = {k: np.ascontiguousarray(v, np.float64) for k, v in asdict(motion).items()}
+    tmp = file.with_suffix(".tmp")
+    tmp.write_bytes(save(arrays, label))
+    tmp.replace(file)
+
+
+def _label(file: Path) -> dict[str, str]:
+    try:
+        with safe_open(file, "np") as f:
+            label = f.metadata() or {}
+    except (SafetensorError, OSError) as e:
+        raise InputError(f"{file} is corrupted ({e}); delete it and collect it again.") from e
+    if label.get("format") != FORMAT or not {"fingerprint", "plan"} <= set(label):
+        raise InputError(f"{file} is no trajectory of the format '{FORMAT}'; delete it and collect it again.")
+    return label
+
+
+def _read(file: Path, plan: Plan, joints: int) -> Motion:
+    wanted = dict.fromkeys(("q", "q_vel", "target"), (plan.pairs + 2, joints))
+    wanted["pressure_kpa"] = (plan.pairs + 2,)
+    with safe_open(file, "np") as f:
+        arrays = {k: f.get_tensor(k) for k in f.keys()}  # noqa: SIM118
+    for name, shape in wanted.items():
+        if name not in arrays or arrays[name].shape != shape or not np.isfinite(arrays[name]).all():
+            raise InputError(f"{file}: array '{name}' must be finite numbers of shape {shape}.")
+    return Motion(**{name: arrays[name] for name in wanted})

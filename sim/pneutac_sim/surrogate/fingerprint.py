@@ -1,0 +1,77 @@
+"""Which twin a network was trained for: what its material points depend on, as one hash."""
+
+import hashlib
+import json
+
+import numpy as np
+
+from pneutac_sim.effects.registry import get_effect
+from pneutac_sim.gel.model import GelModel
+from pneutac_sim.mpm import devices
+from pneutac_sim.mpm.user_mesh import FACES, VERTICES
+from pneutac_sim.twin import Twin
+
+BODY = (
+    "youngs_modulus_mpa",
+    "poissons_ratio",
+    "density_kg_m3",
+    "width_mm",
+    "spine_stiffness_nm_per_rad",
+    "spine_damping_nms_per_rad",
+)
+# What the bending pressure is made of, and how loads turn into joint targets.
+DRIVE = ("gain_rad_per_kpa", "gain_alpha", "gain_beta", "rest_pressure_kpa", "joint_stiffness_nm_per_rad")
+GEL = ("gel_youngs_modulus_mpa", "gel_poissons_ratio", "gel_density_kg_m3")
+
+
+def fingerprint(twin: Twin) -> str:
+    """SHA-256 of what the action network of a finger or an arm depends on.
+
+    That is device, geometry, mesh, material and drive, and every effect up to the body. Effects of the
+    camera's view, of the gel's optics and the twin's history are no part of it.
+    """
+    drive = {n: twin.parameters[n].value for n in DRIVE if n in twin.parameters}
+    effects = {
+        name: {k: v.value for k, v in values.items()}
+        for name, values in twin.effects.items()
+        if get_effect(name).stage in ("pneumatics", "actuation", "body")
+    }
+    what = {
+        "device": twin.device,
+        "length_mm": twin.length_mm,
+        "spine_joint_positions_mm": list(twin.spine_joint_positions_mm),
+        "body": {n: devices.parameter(twin, n) for n in BODY},
+        "drive": drive,
+        "effects": effects,
+    }
+    arrays = [np.ascontiguousarray(twin.arrays[n]) for n in (VERTICES, FACES) if n in twin.arrays]
+    return _sha256(what, arrays)
+
+
+def gel_fingerprint(twin: Twin) -> str:
+    """SHA-256 of what the perception network of a gel depends on: material, window, thickness, decay."""
+    gel = GelModel.from_twin(twin)
+    what = {
+        "body": {n: devices.parameter(twin, n) for n in GEL},
+        "window_mm": list(gel.window_mm),
+        "thickness_mm": gel.thickness_mm,
+        "decay_mm": gel.decay_mm,
+    }
+    return _sha256(what, [])
+
+
+def _sha256(what: dict, arrays: list[np.ndarray]) -> str:
+    h = hashlib.sha256(json.dumps(_floats(what), sort_keys=True).encode())
+    for a in arrays:
+        h.update(f"{a.dtype}{a.shape}".encode())
+        h.update(a.tobytes())
+    return h.hexdigest()
+
+
+def _floats(x):
+    """Numbers as floats, so that 110 and 110.0 are one."""
+    if isinstance(x, dict):
+        return {k: _floats(v) for k, v in x.items()}
+    if isinstance(x, list):
+        return [_floats(v) for v in x]
+    return x if isinstance(x, str) else float(x)

@@ -1,0 +1,261 @@
+"""The action network f_r(q, q', p): what the soft body does to the spine's joints, and motion under it.
+
+Two hidden layers of 128 in float32. It is asked up to a thousand times a simulated second, so it is evaluated
+inside the compiled loop over the skeleton's steps, where a call takes about 2 us.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numba import njit
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.surrogate.skeleton import Skeleton, advance
+
+FORMAT = "pneutac-action-network/1"
+HIDDEN = 128
+LAYERS = ("w1", "b1", "w2", "b2", "w3", "b3")
+MARGIN = 0.05  # of the width of what was seen in training, still counted as in range
+STEP_S = 0.001
+REST_STEPS, REST_RAD = 50, 1e-8
+
+
+@dataclass(frozen=True)
+class ActionNetwork:
+    """A trained network with the skeleton that it drives.
+
+    Inputs are q (N), q' (N) and the bending pressure in kPa; outputs torques (N) in N m.
+
+    Attributes:
+        layers: float32 `w1` (2 N + 1, 128), `b1`, `w2` (128, 128), `b2`, `w3` (128, N), `b3`, with softsign
+            between them.
+        mean, scale: (2 N + 1,) that normalise inputs.
+        torque_mean, torque_scale: (N,) that undo the normalisation of outputs, N m.
+        low, high: (2 N + 1,) box of the inputs seen in training.
+        skeleton: of the same finger.
+        fingerprint: of the twin, see `surrogate.fingerprint`.
+    """
+
+    layers: tuple[np.ndarray, ...]
+    mean: np.ndarray
+    scale: np.ndarray
+    torque_mean: np.ndarray
+    torque_scale: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    skeleton: Skeleton
+    fingerprint: str
+
+    @property
+    def joints(self) -> int:
+        """N."""
+        return len(self.torque_mean)
+
+    def torque(self, q: np.ndarray, q_vel: np.ndarray, pressure_kpa: np.ndarray) -> np.ndarray:
+        """f_r (T, N) in N m at states (T, N), (T, N), (T,); outside the box, at its nearest point."""
+        q, q_vel = np.asarray(q, float), np.asarray(q_vel, float)
+        out = np.empty(q.shape)
+        x, f = self._work
+        for t in range(len(q)):
+            _residual(self._numbers, q[t], q_vel[t], float(pressure_kpa[t]), x, f)
+            out[t] = f[2]
+        return out
+
+    def roll(
+        self,
+        q: np.ndarray,
+        q_vel: np.ndarray,
+        targets: np.ndarray,
+        pressure_kpa: np.ndarray,
+        duration_s: float,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Moves the skeleton under M q'' + c + D q' + K q = K q_target + f_r(q, q', p).
+
+        Args:
+            q: (N,) rad, where it begins.
+            q_vel: (N,) rad/s.
+            targets: (S, N) rad, each held for an equal part of the duration.
+            pressure_kpa: (S,) bending pressure.
+            duration_s: of all.
+
+        Returns:
+            q (S, N) and q' (S, N) after each target, and (S,) whether the state was in the range of training.
+        """
+        s = self.skeleton
+        targets = np.ascontiguousarray(targets, float)
+        each = duration_s / len(targets)
+        substeps = max(1, math.ceil(each / STEP_S - 1e-9))
+        out_q, out_v = np.empty(targets.shape), np.empty(targets.shape)
+        inside = np.empty(len(targets), np.bool_)
+        _roll(
+            s.coupling, s.inertia, s.stiffness_nm_per_rad, s.damping_nms_per_rad, self._numbers, *self._work,
+            np.array(q, float), np.array(q_vel, float), targets, np.asarray(pressure_kpa, float), substeps,
+            each / substeps, out_q, out_v, inside,
+        )  # fmt: skip
+        return out_q, out_v, inside
+
+    def rest(self, target: np.ndarray, pressure_kpa: float) -> tuple[np.ndarray, bool]:
+        """Where the skeleton comes to rest, K q = K q_target + f_r(q, 0, p), and whether that is in range.
+
+        Args:
+            target: (N,) rad.
+            pressure_kpa: bending pressure.
+        """
+        q = np.array(target, float)
+        inside = _rest(self.skeleton.stiffness_nm_per_rad, self._numbers, *self._work, q, float(pressure_kpa))
+        return q, inside
+
+    @cached_property
+    def _numbers(self):
+        """What the kernels take."""
+        wide = MARGIN * (self.high - self.low)
+        box = [a.astype(np.float64) for a in (self.low - wide, self.high + wide)]
+        scales = [a.astype(np.float64) for a in (self.mean, self.scale, self.torque_mean, self.torque_scale)]
+        return tuple(np.ascontiguousarray(a, np.float32) for a in self.layers), tuple(scales + box)
+
+    @cached_property
+    def _work(self):
+        n = self.joints
+        h = tuple(np.empty(k, np.float32) for k in (HIDDEN, HIDDEN, n))
+        return np.empty(2 * n + 1, np.float32), h
+
+    # ---------------------------------------------------------------- files
+
+    def save(self, file: str | Path) -> Path:
+        """Writes weights, normalisation, range and skeleton as safetensors; returns the file."""
+        file, s = Path(file), self.skeleton
+        arrays = {n: np.ascontiguousarray(getattr(self, n), np.float64) for n in _VECTORS}
+        arrays |= {n: np.ascontiguousarray(a, np.float32) for n, a in zip(LAYERS, self.layers, strict=True)}
+        arrays |= {
+            "coupling": np.stack([s.coupling.real, s.coupling.imag]),
+            "inertia": s.inertia,
+            "controller": np.array([s.stiffness_nm_per_rad, s.damping_nms_per_rad]),
+        }
+        file.parent.mkdir(parents=True, exist_ok=True)
+        tmp = file.with_suffix(".tmp")
+        tmp.write_bytes(save(arrays, {"format": FORMAT, "fingerprint": self.fingerprint}))
+        tmp.replace(file)
+        return file
+
+    @classmethod
+    def load(cls, file: str | Path) -> "ActionNetwork":
+        """Reads a network.
+
+        Raises:
+            InputError: it is missing, corrupted, or of another format.
+        """
+        file = Path(file)
+        if not file.is_file():
+            raise InputError(f"There is no action network '{file}'; train it with `pneutac surrogate`.")
+        try:
+            with safe_open(file, "np") as f:
+                label = f.metadata() or {}
+                arrays = {k: f.get_tensor(k) for k in f.keys()}  # noqa: SIM118
+        except (SafetensorError, OSError) as e:
+            raise InputError(f"{file} is corrupted ({e}); train it again with `pneutac surrogate`.") from e
+        if label.get("format") != FORMAT or "fingerprint" not in label:
+            raise InputError(f"{file} is no action network of the format '{FORMAT}'.")
+        n = arrays["inertia"].size if "inertia" in arrays else 0
+        for name, shape in _shapes(n).items():
+            if name not in arrays or arrays[name].shape != shape or not np.isfinite(arrays[name]).all():
+                raise InputError(f"{file}: array '{name}' must be finite numbers of shape {shape}.")
+        real, imaginary = arrays["coupling"]
+        K, D = arrays["controller"].tolist()
+        return cls(
+            layers=tuple(arrays[k] for k in LAYERS),
+            **{name: arrays[name] for name in _VECTORS},
+            skeleton=Skeleton(real + 1j * imaginary, arrays["inertia"], K, D),
+            fingerprint=label["fingerprint"],
+        )
+
+
+_VECTORS = ("mean", "scale", "torque_mean", "torque_scale", "low", "high")
+
+
+def _shapes(n: int) -> dict[str, tuple[int, ...]]:
+    inputs = 2 * n + 1
+    layers = ((inputs, HIDDEN), (HIDDEN,), (HIDDEN, HIDDEN), (HIDDEN,), (HIDDEN, n), (n,))
+    vectors = ((inputs,), (inputs,), (n,), (n,), (inputs,), (inputs,))
+    return (
+        dict(zip(LAYERS, layers, strict=True))
+        | dict(zip(_VECTORS, vectors, strict=True))
+        | {"coupling": (2, n, n), "inertia": (n,), "controller": (2,)}
+    )
+
+
+# ---------------------------------------------------------------- kernels
+
+
+@njit(cache=True)
+def _residual(numbers, q, qd, p, x, f):
+    """f_r into f[2] (N,); returns whether the state lies in the box, to which it is clipped."""
+    (w1, b1, w2, b2, w3, b3), (mean, scale, torque_mean, torque_scale, low, high) = numbers
+    n = len(q)
+    h1, h2, out = f
+    inside = True
+    for i in range(2 * n + 1):
+        v = q[i] if i < n else (qd[i - n] if i < 2 * n else p)
+        if not low[i] <= v <= high[i]:
+            inside = False
+            v = min(max(v, low[i]), high[i])
+        x[i] = (v - mean[i]) / scale[i]
+    _layer(x, w1, b1, h1)
+    _softsign(h1)
+    _layer(h1, w2, b2, h2)
+    _softsign(h2)
+    _layer(h2, w3, b3, out)
+    for i in range(n):
+        out[i] = torque_mean[i] + torque_scale[i] * out[i]
+    return inside
+
+
+@njit(cache=True)
+def _layer(x, w, b, y):
+    for i in range(len(y)):
+        y[i] = b[i]
+    for j in range(len(x)):
+        a = x[j]
+        for i in range(len(y)):  # along memory, so that it becomes vector instructions
+            y[i] += a * w[j, i]
+
+
+@njit(cache=True)
+def _softsign(y):
+    for i in range(len(y)):
+        y[i] /= np.float32(1) + abs(y[i])
+
+
+@njit(cache=True)
+def _roll(A, inertia, K, D, numbers, x, f, q, qd, targets, pressure, substeps, h, out_q, out_v, inside):
+    extra = np.empty(len(q))
+    for s in range(len(targets)):
+        inside[s] = True
+        for _ in range(substeps):
+            if not _residual(numbers, q + 0.5 * h * qd, qd, pressure[s], x, f):
+                inside[s] = False
+            for i in range(len(q)):
+                extra[i] = f[2][i]
+            advance(A, inertia, K, D, q, qd, targets[s], extra, h)
+        out_q[s], out_v[s] = q, qd
+
+
+@njit(cache=True)
+def _rest(K, numbers, x, f, q, p):
+    """Fixed-point iteration from the target in `q`: the body gives way by a few percent of the controller."""
+    target, still = q.copy(), np.zeros(len(q))
+    inside = True
+    for _ in range(REST_STEPS):
+        inside = _residual(numbers, q, still, p, x, f)
+        change = 0.0
+        for i in range(len(q)):
+            new = target[i] + f[2][i] / K
+            change = max(change, abs(new - q[i]))
+            q[i] = new
+        if change < REST_RAD:
+            break
+    return inside

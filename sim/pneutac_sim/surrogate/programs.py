@@ -1,0 +1,91 @@
+"""What moves the finger while its network learns: bending pressures and tip loads, drawn at random.
+
+The bending pressure is the one that the joint targets stand for, p = mean(q_cmd) / G - p0. Every effect of the
+twin before the body, from a slow valve to creep, acts on it, so one network serves whatever history led there;
+without effects it is the commanded pressure.
+"""
+
+import numpy as np
+
+from pneutac_sim.features import CONTROL_HZ, MAX_PRESSURE_KPA
+from pneutac_sim.finger.kinematics import gain_profile
+from pneutac_sim.finger.online import PressurePipeline
+from pneutac_sim.twin import Twin
+
+KINDS = ("steps", "ramps", "chirp", "random")
+LOAD_RAD = 0.3  # how far a load bends the joint at the base, at most; tasks reach 0.25
+CHIRP_HZ = (0.3, 3.0)
+
+
+def bending_pressure(twin: Twin, q_cmd: np.ndarray) -> np.ndarray:
+    """Bending pressure (...) in kPa of joint targets `q_cmd` (..., N) in rad."""
+    gain = twin.parameter("gain_rad_per_kpa")
+    return np.asarray(q_cmd).mean(-1) / gain - twin.parameter("rest_pressure_kpa")
+
+
+def joint_targets(twin: Twin, pressure_kpa: np.ndarray) -> np.ndarray:
+    """Joint targets (..., N) in rad at bending pressures (...)."""
+    n = len(twin.spine_joint_positions_mm)
+    profile = gain_profile(n, *(twin.parameters[k].value if k in twin.parameters else 0.0 for k in _SHAPE))
+    drive = np.asarray(pressure_kpa, float) + twin.parameter("rest_pressure_kpa")
+    return twin.parameter("gain_rad_per_kpa") * drive[..., None] * profile
+
+
+_SHAPE = ("gain_alpha", "gain_beta")
+
+
+def bending_range(twin: Twin, most_kpa: float = MAX_PRESSURE_KPA) -> tuple[float, float]:
+    """Least and largest bending pressure that commands up to `most_kpa` lead to within hours."""
+    pipeline = PressurePipeline(twin)
+    seen = [bending_pressure(twin, pipeline.step(0.0, 1 / CONTROL_HZ))]
+    for command in (most_kpa, 0.0):
+        for dt in np.geomspace(1 / CONTROL_HZ, 3600.0, 60):
+            seen.append(bending_pressure(twin, pipeline.step(command, float(dt))))
+    return float(min(seen)), float(max(seen))
+
+
+def program(kind: str, steps: int, low: float, high: float, rng: np.random.Generator) -> np.ndarray:
+    """Bending pressures (steps + 1,) in kPa, one a control step, to be joined by straight lines.
+
+    Args:
+        kind: one of `KINDS`.
+        steps: control steps.
+        low: kPa.
+        high: kPa.
+        rng: draws it.
+    """
+    if kind == "chirp":
+        t = np.arange(steps + 1) / CONTROL_HZ
+        f0, f1 = CHIRP_HZ
+        phase = 2 * np.pi * (f0 * t + (f1 - f0) * t**2 / max(2 * t[-1], 1e-9)) + rng.uniform(0, 2 * np.pi)
+        middle = rng.uniform(0.35, 0.65)
+        return low + (high - low) * (middle + rng.uniform(0.5, 1.0) * min(middle, 1 - middle) * np.sin(phase))
+    shortest, longest = {"steps": (4, 9), "ramps": (3, 8), "random": (1, 3)}[kind]
+    out = []
+    level = rng.uniform(low, high)
+    while len(out) <= steps:
+        length = int(rng.integers(shortest, longest))
+        new = rng.uniform(low, high)
+        out += [level] * length if kind == "steps" else np.linspace(level, new, length + 1)[:-1].tolist()
+        level = new
+    return np.array(out[: steps + 1])
+
+
+def tip_load(twin: Twin, q_cmd: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Deflections (T, N) in rad by a force on the tip that wanders in the plane.
+
+    As in the world, a load's torque about each joint over the twin's `joint_stiffness_nm_per_rad` is added to
+    its target; the largest force bends the joint at the base by `LOAD_RAD`.
+
+    Args:
+        twin: a finger's.
+        q_cmd: (T, N) joint targets, one a control step, rad.
+        rng: draws it.
+    """
+    joints = np.append(twin.spine_joint_positions_mm, twin.length_mm)
+    heading = np.exp(1j * np.cumsum(q_cmd, axis=1))  # x + i z
+    ways = (heading * np.diff(joints))[:, ::-1].cumsum(1)[:, ::-1]  # from each joint to the tip
+    knots = np.arange(0, len(q_cmd) + 4, 4)
+    force = [np.interp(np.arange(len(q_cmd)), knots, rng.uniform(-1, 1, len(knots))) for _ in range(2)]
+    moment = ways.real * force[1][:, None] - ways.imag * force[0][:, None]
+    return LOAD_RAD * moment / (twin.length_mm - joints[0])

@@ -1,0 +1,151 @@
+"""The skeleton: the finger's spine as rigid links with hinges, which carry the mass of its soft body.
+
+    M(q) q'' + c(q, q') + D q' + K q = K q_target + f_r(q, q', p)
+
+K and D are those of the controller of the material points' spine, q_target the joint targets, and c the
+forces of Coriolis and centrifuge. Each particle goes with the link that it lies beside, so M is the inertia
+of the whole body wherever it follows its spine; f_r is then what the soft body does to the joints: the torque
+of its elasticity, its losses, and where it lags behind.
+
+All hinges are parallel. With the absolute angle phi_i of link i and complex numbers x + i z for the plane,
+link k's centre of mass is sum_{j<=k} r_kj exp(i phi_j), where r_kj for j < k is the way from hinge j to the
+next and r_kk the way from hinge k to the centre. With A = sum_k m_k conj(r_k)^T r_k Lagrange's equations are
+M_ij = Re(A_ij e^{i(phi_j - phi_i)}) + I_i delta_ij and c_i = -sum_j Im(A_ij e^{i(phi_j - phi_i)}) phi_j'^2.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.mpm.body import Body
+from pneutac_sim.mpm.spine import Spine
+
+
+@dataclass(frozen=True)
+class Skeleton:
+    """A planar chain of N links.
+
+    Attributes:
+        coupling: (N, N) complex A, kg m2.
+        inertia: (N,) of each link about its centre of mass, kg m2.
+        stiffness_nm_per_rad: K of the controller.
+        damping_nms_per_rad: D of the controller.
+    """
+
+    coupling: np.ndarray
+    inertia: np.ndarray
+    stiffness_nm_per_rad: float
+    damping_nms_per_rad: float
+
+    @classmethod
+    def of(cls, body: Body, spine: Spine) -> "Skeleton":
+        """The skeleton of a finger of material points.
+
+        Args:
+            body: its particles.
+            spine: its hinges and their controller.
+
+        Raises:
+            InputError: the spine bends in two planes, or a link carries no particle.
+        """
+        if spine.axes != 1:
+            raise InputError(
+                f"The skeleton of '{body.name}' would need two axes a joint; it has a finger's one."
+            )
+        joints = np.asarray(spine.joint_positions_m)
+        link = np.searchsorted(joints, body.positions[:, 0]) - 1  # -1 stands still
+        plane = body.positions[:, 0] + 1j * (body.positions[:, 2] - spine.z_m)
+        particle = body.material.density_kg_m3 * body.spacing_m**3
+        n = len(joints)
+        A, inertia = np.zeros((n, n), complex), np.zeros(n)
+        for k in range(n):
+            own = plane[link == k] - joints[k]
+            if not len(own):
+                raise InputError(
+                    f"Body '{body.name}' has no particle beyond spine joint {k + 1}; use more particles."
+                )
+            r = np.append(np.diff(joints[: k + 1]), own.mean())
+            A[: k + 1, : k + 1] += particle * len(own) * np.outer(r.conj(), r)
+            inertia[k] = particle * ((np.abs(own - own.mean()) ** 2).sum() + len(own) * body.spacing_m**2 / 6)
+        return cls(A, inertia, float(spine.stiffness_nm_per_rad), float(spine.damping_nms_per_rad))
+
+    def mass(self, q: np.ndarray) -> np.ndarray:
+        """M (N, N) in kg m2 at joint angles `q` (N,) in rad."""
+        return _dynamics(self.coupling, self.inertia, np.asarray(q, float), np.zeros(len(q)))[0]
+
+    def residual_torque(self, q, q_vel, q_acc, target) -> np.ndarray:
+        """tau_r* = M q'' + c + D q' + K q - tau_mpm, by inverse dynamics.
+
+        Args:
+            q: (T, N) rad.
+            q_vel: (T, N) rad/s.
+            q_acc: (T, N) rad/s2.
+            target: (T, N) joint targets, rad; tau_mpm is K times them.
+
+        Returns:
+            (T, N) N m.
+        """
+        out = np.empty(np.shape(q))
+        for t in range(len(out)):
+            M, c = _dynamics(self.coupling, self.inertia, q[t], q_vel[t])
+            out[t] = M @ q_acc[t] + c
+        return (
+            out
+            + self.damping_nms_per_rad * np.asarray(q_vel)
+            + self.stiffness_nm_per_rad * (np.asarray(q) - target)
+        )
+
+
+@njit(cache=True)
+def _dynamics(A, inertia, q, qd):
+    """M (N, N) and c (N,) in joint angles, from those in absolute angles."""
+    n = len(q)
+    M, c = np.zeros((n, n)), np.zeros(n)
+    phi, rate = np.cumsum(q), np.cumsum(qd)
+    for i in range(n):
+        for j in range(n):
+            s, k = np.sin(phi[j] - phi[i]), np.cos(phi[j] - phi[i])
+            M[i, j] = A[i, j].real * k - A[i, j].imag * s
+            c[i] -= (A[i, j].real * s + A[i, j].imag * k) * rate[j] ** 2
+        M[i, i] += inertia[i]
+    # A joint turns its own link and all beyond it: sums from the tip.
+    for i in range(n - 2, -1, -1):
+        M[i] += M[i + 1]
+        c[i] += c[i + 1]
+    for j in range(n - 2, -1, -1):
+        M[:, j] += M[:, j + 1]
+    return M, c
+
+
+@njit(cache=True)
+def advance(A, inertia, K, D, q, qd, target, extra, h):
+    """One step of `h` seconds by the trapezoidal rule in spring and damper: stable, without losses of its own.
+
+    Inertia and Coriolis are taken in the middle of the step. `q` and `qd` (N,) are changed in place; `target`
+    (N,) is in rad, `extra` (N,) the torque besides the controller's in N m.
+    """
+    n = len(q)
+    M, c = _dynamics(A, inertia, q + 0.5 * h * qd, qd)
+    b = M @ qd
+    for i in range(n):
+        b[i] += h * (extra[i] - c[i] + K * (target[i] - q[i]) - (0.5 * D + 0.25 * h * K) * qd[i])
+        M[i, i] += 0.5 * h * D + 0.25 * h * h * K
+    for i in range(n):  # Cholesky, in the lower half
+        for j in range(i + 1):
+            s = M[i, j]
+            for k in range(j):
+                s -= M[i, k] * M[j, k]
+            M[i, j] = np.sqrt(s) if i == j else s / M[j, j]
+        s = b[i]
+        for k in range(i):
+            s -= M[i, k] * b[k]
+        b[i] = s / M[i, i]
+    for i in range(n - 1, -1, -1):
+        s = b[i]
+        for k in range(i + 1, n):
+            s -= M[k, i] * b[k]
+        b[i] = s / M[i, i]
+        q[i] += 0.5 * h * (qd[i] + b[i])
+        qd[i] = b[i]
