@@ -11,7 +11,7 @@ from lerobot_pneutac.diagnosis.mounts import on_one_mount
 from lerobot_pneutac.options import parse_options
 from lerobot_pneutac.pair import other_unit, require, same_device
 from lerobot_pneutac.report import write_result
-from pneutac_datasets.axes import Axis, axes
+from pneutac_datasets.axes import Axis, axes, is_still, motion
 from pneutac_datasets.check import check
 from pneutac_datasets.noise import NoiseFloor, noise_floor
 from pneutac_datasets.recording import BenchRecording
@@ -23,6 +23,7 @@ from pneutac_sim.twin import Twin
 FEW_ROWS = 50  # below this no place where the error is large says anything
 PASSAGE_S = 2.0
 PASSAGES = 5
+FIDELITIES = ("pipeline", "mpm")
 APART_S = 10.0  # between the starts of two: the next-worst place says more than the same one again
 
 
@@ -34,16 +35,26 @@ class CompareConfig:
         twin: the twin's folder.
         recording: a bench recording of the same device.
         out: folder for `result.json` and `report.html`; nothing is written without it.
-        seed: decides which blocks of time are held out, where the twin was not fitted on this recording.
+        fidelity: `pipeline` (the twin's kinematics, every sample) or `mpm` (of a finger or an arm: the full
+            body of material points, at samples spread over the recording).
+        samples: by mpm: at most so many, 200 where left out.
+        seed: decides which blocks of time are held out, where the twin was not fitted on this recording, and
+            which samples are simulated by mpm.
     """
 
     twin: Path | None = None
     recording: Path | None = None
     out: Path | None = None
+    fidelity: str = "pipeline"
+    samples: int | None = None
     seed: int = 0
 
     def __post_init__(self):
         require(self, "twin", "recording")
+        if self.fidelity not in FIDELITIES:
+            raise InputError(f"--fidelity={self.fidelity} is unknown; choose {' or '.join(FIDELITIES)}.")
+        if self.samples is not None and (self.samples < 2 or self.fidelity != "mpm"):
+            raise InputError(f"--samples={self.samples} must be 2 or more, together with --fidelity=mpm.")
         if self.out is not None and self.out.exists() and not self.out.is_dir():
             raise InputError(f"--out={self.out} is a file; give a folder.")
 
@@ -63,6 +74,11 @@ class Comparison:
         train: (n,) mask; the other samples are held out.
         noise: floor of the error.
         axes: ways to sort the samples.
+        rate: (n,) of the commanded pressure, kPa/s.
+        still: (n,) whether it stands.
+        pressure: (n,) squared error of the measured pressure, kPa^2, or None where none was measured.
+        simulated: by what, in words.
+        fidelity: `pipeline` or `mpm`.
     """
 
     recording: BenchRecording
@@ -75,6 +91,11 @@ class Comparison:
     train: np.ndarray
     noise: NoiseFloor
     axes: list[Axis]
+    rate: np.ndarray
+    still: np.ndarray
+    pressure: np.ndarray | None
+    simulated: str = "by the pipeline, at every sample"
+    fidelity: str = "pipeline"
 
     @property
     def squared(self) -> np.ndarray:
@@ -90,12 +111,16 @@ def main(argv: list[str]) -> None:
     if not (recording.device == "gel" and twin.gel):
         same_device(twin, recording, config.twin, "compare")
     if recording.device == "gel":
+        if config.fidelity != "pipeline":
+            raise InputError(
+                "--fidelity=mpm is of a finger or an arm, but the recording is of a gel; omit it."
+            )
         from lerobot_pneutac.compare_gel import compare_gel
 
         compare_gel(twin, recording, config.out, Console())
         return
     recording.warnings += other_unit(twin, recording)
-    c = compare(twin, recording, config.seed)
+    c = compare(twin, recording, config.seed, config.fidelity, config.samples, Console())
     result = summarize(c, twin)
     _show(c, result)
     if config.out is not None:
@@ -105,13 +130,23 @@ def main(argv: list[str]) -> None:
         Console().print(f"report: {write_report(c, result, config.out)}")
 
 
-def compare(twin: Twin, recording: BenchRecording, seed: int = 0) -> Comparison:
+def compare(
+    twin: Twin,
+    recording: BenchRecording,
+    seed: int = 0,
+    fidelity: str = "pipeline",
+    samples: int | None = None,
+    console: Console | None = None,
+) -> Comparison:
     """Checks the recording, runs the twin from the commanded pressure and sorts the errors.
 
     Args:
         twin: of the same device.
         recording: of a finger or an arm.
         seed: of the split, where the twin's history does not tell another one for this recording.
+        fidelity: `pipeline` or `mpm`.
+        samples: see `CompareConfig`.
+        console: where the progress of material points is shown; None for nowhere.
     """
     clean, said = check(recording)
     train = train_mask(twin, clean, seed)
@@ -120,7 +155,8 @@ def compare(twin: Twin, recording: BenchRecording, seed: int = 0) -> Comparison:
     prediction = simulate(twin, Bench.of(clean, twin, source="command"))
     said += [f"Effect '{name}' could not act: {why}." for name, why in prediction.left_out.items()]
     bench = prediction.bench
-    return Comparison(
+    rate = motion(clean)[0]
+    whole = Comparison(
         recording=clean,
         said=said,
         columns=bench.columns,
@@ -131,7 +167,15 @@ def compare(twin: Twin, recording: BenchRecording, seed: int = 0) -> Comparison:
         train=train,
         noise=noise_floor(clean),
         axes=axes(clean),
+        rate=rate,
+        still=is_still(clean, rate),
+        pressure=_pressure_error(clean, twin),
     )
+    if fidelity == "pipeline":
+        return whole
+    from lerobot_pneutac.compare_mpm import SAMPLES, by_mpm
+
+    return by_mpm(whole, twin, bench, samples or SAMPLES, seed, console)
 
 
 def train_mask(twin: Twin, recording: BenchRecording, seed: int = 0) -> np.ndarray:
@@ -150,8 +194,16 @@ def train_mask(twin: Twin, recording: BenchRecording, seed: int = 0) -> np.ndarr
 def summarize(c: Comparison, twin: Twin) -> dict:
     """The comparison as `result.json` has it; numbers without a sample behind them are null."""
     squared = c.squared
-    pressure = _pressure_error(c, twin)
+    pressure = None
+    if c.pressure is not None:
+        pressure = {
+            "unit": "kPa",
+            "error": {"train": _rms(c.pressure[c.train]), "heldout": _rms(c.pressure[~c.train])},
+            "means": "measured pressure against what the twin makes of the command",
+        }
     return {
+        "fidelity": c.fidelity,
+        "simulated": c.simulated,
         "unit": c.unit,
         "sentence": sentence(c),
         "error": {"all": _rms(squared), "train": _rms(squared[c.train]), "heldout": _rms(squared[~c.train])},
@@ -171,18 +223,12 @@ def summarize(c: Comparison, twin: Twin) -> dict:
     }
 
 
-def _pressure_error(c: Comparison, twin: Twin) -> dict | None:
-    """How far the pneumatics are from the measured pressure, from the command; null without one."""
-    measured = [n.replace("cmd_", "") for n in c.recording.pressure_columns]
-    if not all(map(c.recording.has, measured)):
+def _pressure_error(recording: BenchRecording, twin: Twin) -> np.ndarray | None:
+    """(n,) squared distance of the pneumatics from the measured pressure, from the command."""
+    measured = [n.replace("cmd_", "") for n in recording.pressure_columns]
+    if not all(map(recording.has, measured)):
         return None
-    p = simulate(twin, Bench.of(c.recording, twin, target="pressure"))
-    squared = (p.residual**2).sum(1)
-    return {
-        "unit": "kPa",
-        "error": {"train": _rms(squared[c.train]), "heldout": _rms(squared[~c.train])},
-        "means": "measured pressure against what the twin makes of the command",
-    }
+    return (simulate(twin, Bench.of(recording, twin, target="pressure")).residual ** 2).sum(1)
 
 
 def by_axis(axis: Axis, squared: np.ndarray, train: np.ndarray) -> list[dict]:
@@ -234,7 +280,8 @@ def sentence(c: Comparison) -> str:
     if error is None:
         error, where = _rms(squared), ""
     what = {"mm": "tip", "rad": "bend", "1/m": "curvature"}.get(c.unit, "device")
-    said = f"The twin misses the measured {what} by {error:.3g} {c.unit}{where}"
+    who = "The twin" if c.fidelity == "pipeline" else "The twin's full simulation"
+    said = f"{who} misses the measured {what} by {error:.3g} {c.unit}{where}"
     if not _moves(c):
         return (
             "The commanded pressure never moves in this recording, so nothing about bending can be learnt "
@@ -321,6 +368,8 @@ def _show(c: Comparison, result: dict) -> None:
     def number(x):
         return "-" if x is None else f"{x:.3g} {c.unit}"
 
+    if c.fidelity != "pipeline":
+        table.add_row("simulated", c.simulated)
     table.add_row("held-out error", number(result["error"]["heldout"]))
     table.add_row("train error", number(result["error"]["train"]))
     table.add_row("noise floor", f"{number(c.noise.value)} ({c.noise.how})")

@@ -7,7 +7,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from lerobot_pneutac.report import Report
-from pneutac_datasets.axes import is_still, motion, numbers, unit_of
+from pneutac_datasets.axes import numbers, unit_of
 
 MEASURED, MODEL, TRAIN, HELDOUT, FLOOR = "#1b2430", "#d1495b", "#9bb1c4", "#0b6e99", "#e0a100"
 POINTS = 1500  # a line: more cannot be seen on a screen
@@ -30,8 +30,8 @@ def write_report(c, result: dict, out: str | Path) -> Path:
             for part, key in (("held out", "heldout"), ("train", "train"), ("all", "all"))
         ]
         + [{"part": "noise floor", f"error, {unit}": c.noise.value}],
-        f"Root mean square distance. Noise floor: {c.noise.how}. The held-out part is made of whole blocks "
-        "of time.",
+        f"Root mean square distance, simulated {c.simulated}. Noise floor: {c.noise.how}. The held-out part "
+        "is made of whole blocks of time.",
     )
     if c.said:
         report.heading("What the data check found")
@@ -145,9 +145,8 @@ def loops(c) -> go.Figure:
 def heat_map(c) -> go.Figure:
     """Error over pressure and signed rate."""
     p = c.recording.samples[c.recording.pressure_columns].to_numpy(float).mean(1)
-    rate, _ = motion(c.recording)
     across = numbers("pressure", p, 10)
-    size, still = np.abs(rate), is_still(c.recording, rate)
+    rate, still, size = c.rate, c.still, np.abs(c.rate)
     slow = np.median(size[~still]) if (~still).any() else 0.0
     names = ["falls fast", "falls slowly", "held", "rises slowly", "rises fast"]
     down = np.where(still, 2, np.where(rate < 0, np.where(size > slow, 0, 1), np.where(size > slow, 4, 3)))
