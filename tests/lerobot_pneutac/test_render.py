@@ -75,7 +75,7 @@ def test_what_is_finished_is_kept_when_interrupted(tmp_path):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        render.render("finger", frames(), 9, tmp_path)
+        render.render("finger", render.Film(frames(), 9, "Nothing."), tmp_path)
     result = json.loads((tmp_path / "result.json").read_text())
     assert not result["complete"] and result["frames"] == 2 and len(result["stills"]) == 1
     assert (tmp_path / "finger_1.png").is_file() and (tmp_path / "film.mp4").is_file()
@@ -104,6 +104,11 @@ def test_nearer_balls_hide_farther_ones():
         (["--depth_mm=1.4"], "--depth_mm is of a gel"),
         (["--x_mm=0"], "--x_mm is of a gel"),
         (["--y_mm=0"], "--y_mm is of a gel"),
+        (["--camera=front"], "--camera is of a recording; give its folder with --recording=DIR"),
+        (["--recording=x", "--view.azimuth_deg=3"], "--view and --recording exclude each other"),
+        (["--view.elevation_deg=91"], "between -90 and 90"),
+        (["--view.azimuth_deg=.nan"], "--view.azimuth_deg is nan"),
+        (["--view.distance_lengths=1"], "does not see the body: give 1.5 to 100"),
     ],
 )
 def test_bad_options_are_named_and_write_nothing(finger, tmp_path, options, said):
@@ -123,6 +128,8 @@ def test_a_missing_twin_is_asked_for():
         (["--pressure_kpa=[0,5]"], "--pressure_kpa is of a finger or an arm, but the twin at .* is of a gel"),
         (["--particles=4000"], "--particles is of a finger or an arm"),
         (["--seconds=1"], "--seconds is of a finger or an arm"),
+        (["--view.azimuth_deg=3"], "--view is of a finger or an arm"),
+        (["--recording=x"], "--recording is of a finger or an arm"),
         (["--conditions={temperature_c: 30}"], "'temperature_c'.*ask for none"),
         (["--x_mm=50"], "--x_mm is 50, where the sphere misses the gel's window; give a place between -"),
         (["--y_mm=-50"], "--y_mm is -50, where the sphere misses"),
