@@ -9,16 +9,15 @@ import numpy as np
 from PIL import Image
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
 
-from lerobot_pneutac.photo_report import UNIT, outcome, photo_report, strip
+from lerobot_pneutac.photo_report import UNIT, outcome, photo_report, show, strip
 from lerobot_pneutac.photo_session import PhotoSession, read_session
 from lerobot_pneutac.report import write_result
 from pneutac_sim.errors import InputError
 from pneutac_sim.photo_fit.coarse import Coarse, coarse_fit
 from pneutac_sim.photo_fit.confidence import Confidence, confidence
 from pneutac_sim.photo_fit.equilibria import Bodies, Equilibria
-from pneutac_sim.photo_fit.objective import Objective, Scores
+from pneutac_sim.photo_fit.objective import Objective, Photograph, Scores
 from pneutac_sim.photo_fit.parameters import BodyParameters, body_parameters
 from pneutac_sim.photo_fit.search import EVALUATIONS, Search, search
 from pneutac_sim.splat.body import fit_body_looks, looks_into_twin
@@ -106,8 +105,7 @@ def fit_photographs(
     equilibria = Equilibria(parameters, start.x, pressures, session.conditions, particles, device)
     looks = _looks(session, equilibria)
     objective = Objective(equilibria, photographs, looks)
-    pictures = [zlib.crc32(a.tobytes()) for p in photographs for a in (p.image, p.mask)]
-    key = f"{recording.folder.resolve()} {pressures.tolist()} {pictures} {particles} {len(twin.history)}"
+    key = search_key(recording, twin, photographs, particles)
     found = search(
         objective,
         parameters,
@@ -139,6 +137,19 @@ def fit_photographs(
         tip_error_mm=tips,
         seconds=time.perf_counter() - began,
     )
+
+
+def search_key(recording, twin: Twin, photographs: list[Photograph], particles: int) -> str:
+    """What a search depends on beside where it starts: one of another key does not go on.
+
+    Args:
+        recording: of the photographs.
+        twin: to be fitted.
+        photographs: that are fitted.
+        particles: of the body, about.
+    """
+    pictures = [(p.state, zlib.crc32(p.image.tobytes()), zlib.crc32(p.mask.tobytes())) for p in photographs]
+    return f"{recording.folder.resolve()} {pictures} {particles} {len(twin.history)}"
 
 
 def _looks(session: PhotoSession, equilibria: Equilibria) -> Gaussians:
@@ -199,7 +210,7 @@ def calibrate_photographs(twin: Twin, recording, cfg, console: Console) -> dict:
     }
     if cfg.out is None:
         file.unlink()
-    _print(found, result, console)
+    show(found, result, console)
     if cfg.out is not None:
         write_result(cfg.out, result)
         console.print(f"report: {photo_report(found, result).write(cfg.out)}", highlight=False)
@@ -224,26 +235,3 @@ def training_levels(text: str) -> tuple[float, ...]:
     if len(levels) < 2 or not np.isfinite(levels).all():
         raise InputError(f"--train_kpa={text} must be at least two pressures in kPa, such as 0,3,6,9,12,15.")
     return levels
-
-
-def _print(found: PhotoFit, result: dict, console: Console) -> None:
-    table = Table("parameter", "value", "95 % interval", "unit", "note")
-    for name, r in result["parameters"].items():
-        interval = f"{r['ci95'][0]:.4g} to {r['ci95'][1]:.4g}"
-        table.add_row(
-            name, f"{r['value']:.4g}", interval, r["unit"], r["note"], style="yellow" if r["note"] else None
-        )
-    console.print(table)
-    iou, tip = result["iou"], result.get("tip_error_mm")
-    held = "nothing was held out" if iou["heldout"] is None else f"held-out IoU {iou['heldout']:.4f}"
-    if tip is not None and tip["heldout"] is not None:
-        length = found.twin.length_mm
-        held += (
-            f", held-out tip error {tip['heldout']:.3g} mm ({100 * tip['heldout'] / length:.2g} % of length)"
-        )
-    taken = f" ({result['resumed']} of them from before)" if result["resumed"] else ""
-    console.print(
-        f"IoU {iou['train']:.4f} where it was fitted, {held}; {result['evaluations']} evaluations{taken} in "
-        f"{found.seconds:.0f} s; the twin at {result['twin']} is now version {result['version']}",
-        highlight=False,
-    )

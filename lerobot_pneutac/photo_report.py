@@ -2,6 +2,8 @@
 
 import cv2
 import numpy as np
+from rich.console import Console
+from rich.table import Table
 
 from lerobot_pneutac.report import Report
 from pneutac_sim.photo_fit.objective import SILHOUETTE, SOLID, Objective, Photograph
@@ -141,3 +143,27 @@ def photo_report(found, result: dict) -> Report:
     figure.add_scatter(y=np.minimum.accumulate(tried), mode="lines", name="best", line={"color": "#0b6e99"})
     page.figure(figure.update_xaxes(title="evaluation").update_yaxes(title="L1 + 2 (1 - IoU)", type="log"))
     return page
+
+
+def show(found, result: dict, console: Console) -> None:
+    """Prints a `PhotoFit` and its `result.json` as a table and a sentence."""
+    table = Table("parameter", "value", "95 % interval", "unit", "note")
+    for name, r in result["parameters"].items():
+        interval = f"{r['ci95'][0]:.4g} to {r['ci95'][1]:.4g}"
+        table.add_row(
+            name, f"{r['value']:.4g}", interval, r["unit"], r["note"], style="yellow" if r["note"] else None
+        )
+    console.print(table)
+    iou, tip = result["iou"], result.get("tip_error_mm")
+    held = "nothing was held out" if iou["heldout"] is None else f"held-out IoU {iou['heldout']:.4f}"
+    if tip is not None and tip["heldout"] is not None:
+        length = found.twin.length_mm
+        held += (
+            f", held-out tip error {tip['heldout']:.3g} mm ({100 * tip['heldout'] / length:.2g} % of length)"
+        )
+    taken = f" ({result['resumed']} of them from before)" if result["resumed"] else ""
+    console.print(
+        f"IoU {iou['train']:.4f} where it was fitted, {held}; {result['evaluations']} evaluations{taken} in "
+        f"{found.seconds:.0f} s; the twin at {result['twin']} is now version {result['version']}",
+        highlight=False,
+    )

@@ -1,7 +1,9 @@
 """`pneutac calibrate --by=images`: a twin from photographs alone, its result and report, bad recordings."""
 
+import io
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -10,7 +12,7 @@ from PIL import Image
 from rich.console import Console
 
 from lerobot_pneutac.calibrate import CalibrateConfig, calibrate
-from lerobot_pneutac.fit_photographs import training_levels
+from lerobot_pneutac.fit_photographs import search_key, training_levels
 from lerobot_pneutac.photo_session import read_session
 from pneutac_datasets.recording import BenchRecording
 from pneutac_sim.errors import InputError
@@ -168,6 +170,59 @@ def test_a_camera_that_looks_elsewhere_is_told(drawn, tmp_path):
     bad = altered(replace(drawn, meta=meta), tmp_path / "mm")
     with pytest.raises(InputError, match="row 1: the twin's silhouette overlaps the mask by 0%"):
         calibrate(config(tmp_path, bad), tmp_path, Console(quiet=True))
+
+
+def test_the_only_camera_needs_no_name_in_the_columns(drawn, tmp_path):
+    front = {"image": drawn.column("image_front"), "mask": drawn.column("mask_front")}
+    gone = {f"{kind}_{name}": None for kind in ("image", "mask") for name in ("front", "back")}
+    one = replace(drawn, meta=drawn.meta | {"cameras": {"front": drawn.meta["cameras"]["front"]}})
+    named, plain = (
+        read_session(drawn, LEVELS),
+        read_session(altered(one, tmp_path / "one", **front, **gone), LEVELS),
+    )
+    assert plain.cameras == ["front"] and plain.train.tolist() == named.train.tolist()
+    for a, b in zip(named.photographs, plain.photographs, strict=True):
+        assert np.array_equal(a.image, b.image) and np.array_equal(a.mask, b.mask) and a.state == b.state
+        assert np.array_equal(a.camera.extrinsics, b.camera.extrinsics)
+    several = altered(drawn, tmp_path / "several", **front, **gone)
+    with pytest.raises(InputError, match="describes front, back; name the columns image_<camera> and mask_"):
+        read_session(several, LEVELS)
+    none = altered(replace(drawn, meta=drawn.meta | {"cameras": {}}), tmp_path / "none", **front, **gone)
+    with pytest.raises(InputError, match="describes none; describe it"):
+        read_session(none, LEVELS)
+    Image.fromarray(np.zeros((240, 240), np.uint8)).save(
+        plain_folder := tmp_path / "one" / "2_mask_front.png"
+    )
+    with pytest.raises(InputError, match="mask of row 3 covers 0.0%"):
+        read_session(BenchRecording.load(plain_folder.parent), LEVELS)
+
+
+def test_an_interrupted_search_says_what_is_kept(drawn, tmp_path, monkeypatch):
+    cfg = config(tmp_path, drawn, out=tmp_path / "out")
+    before = (cfg.twin / "twin.yaml").read_bytes()
+    for generations, said in ((0, "Stopped before the first"), (2, "Stopped after 14 evaluations, kept in")):
+
+        def stopped(*options, generations=generations):
+            for k in range(generations):
+                options[-1](7 * (k + 1), SimpleNamespace(best=None), 0.5)
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr("lerobot_pneutac.fit_photographs.fit_photographs", stopped)
+        console = Console(record=True, width=200, file=io.StringIO())
+        with pytest.raises(KeyboardInterrupt):
+            calibrate(cfg, tmp_path, console)
+        assert said in console.export_text()
+    assert (cfg.twin / "twin.yaml").read_bytes() == before
+
+
+def test_a_search_goes_on_only_with_the_same_photographs(drawn):
+    session, twin = read_session(drawn, LEVELS), Twin.builtin()
+    key = search_key(drawn, twin, session.photographs, 1000)
+    assert key == search_key(drawn, twin, read_session(drawn, LEVELS).photographs, 1000)
+    first, *others = session.photographs
+    for other in (replace(first, image=255 - first.image), replace(first, mask=~first.mask)):
+        assert search_key(drawn, twin, [other, *others], 1000) != key
+    assert search_key(drawn, twin, session.photographs, 2000) != key
 
 
 @pytest.mark.slow
