@@ -152,9 +152,15 @@ def first_twin(recording: BenchRecording) -> Twin:
 
 
 def add_effect(twin: Twin, recording: BenchRecording, name: str) -> Twin:
-    """The twin with an effect (empty: without one), all refitted to the markers that may be seen."""
+    """The twin with an effect (empty: without one), fitted to the markers that may be seen.
+
+    Gain and rest pressure go with it. How the bend is spread over the joints stays as photographs told: the
+    tip alone hardly tells it, and a fit of everything would lose it.
+    """
     bench = Bench.of(recording, twin, source="command", start="held")
-    return fit(twin, bench, [*twin.effects, *([name] if name else [])], ~heldout(recording)).twin
+    new = [name] if name else []
+    only = ["gain_rad_per_kpa", "rest_pressure_kpa", *new]
+    return fit(twin, bench, [*twin.effects, *new], ~heldout(recording), only).twin
 
 
 def at_rest(

@@ -114,6 +114,8 @@ def test_an_effect_added_from_markers_lowers_the_error_where_nothing_was_fitted(
 
     plain, with_effect = add_effect(start, recording, ""), add_effect(start, recording, "stiffening")
     assert list(with_effect.effects) == ["stiffening"] and not plain.effects
+    for name in ("gain_alpha", "gain_beta"):  # the tip does not tell them
+        assert with_effect.parameters[name].value == start.parameters[name].value
     assert miss(with_effect) < 0.015 * 110
     assert miss(with_effect) < 0.6 * miss(plain)
 
