@@ -1,5 +1,7 @@
 """A tactile sensor in simulation: probe grid -> gel surface -> light -> image and contact area."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from pneutac_sim.gel.contact import ContactArea, contact_area
@@ -15,13 +17,20 @@ class TactileSensor:
 
     Args:
         twin: a twin with a gel, or its gel alone; the generated DIGIT where it is None or has none.
+        surface: takes a probe grid (80, 59) in mm to the surface's displacement in mm, such as
+            `surrogate.perception.GelSurrogate.displacement`; None for the analytic `gel.surface`.
 
     Attributes:
         model: the gel's sizes, mechanics and light.
         rest_image: the image without contact, uint8 (H, W, 3), 320 x 240 for a DIGIT.
     """
 
-    def __init__(self, twin: Twin | GelModel | None = None):
+    def __init__(
+        self,
+        twin: Twin | GelModel | None = None,
+        surface: Callable[[np.ndarray], np.ndarray] | None = None,
+    ):
+        self._surface = surface
         self.model = twin if isinstance(twin, GelModel) else GelModel.from_twin(twin)
         self.rest_image = self.model.rest_image
         width, height = self.model.window_mm
@@ -50,7 +59,10 @@ class TactileSensor:
             raise ValueError(f"a probe grid has shape {(ROWS, COLS)}; got {depth_mm.shape}")
         if not depth_mm.any():
             return np.zeros((ROWS, COLS), np.float32)
-        return surface(self.model.imprint(depth_mm), self._cell_mm, self.model.decay_mm)
+        imprint = self.model.imprint(depth_mm)
+        if self._surface is not None:
+            return self._surface(imprint)
+        return surface(imprint, self._cell_mm, self.model.decay_mm)
 
     def image(self, depth_mm: np.ndarray) -> np.ndarray:
         """Tactile image of a probe grid (80, 59) in mm: uint8 (H, W, 3)."""

@@ -89,6 +89,15 @@ def test_the_imprint_is_where_the_object_is(sensor):
     assert (weight * y).sum() / weight.sum() == pytest.approx(160 + 4 * 20, abs=5)
 
 
+def test_another_surface_takes_the_place_of_the_analytic_one(sensor):
+    depth = press(sensor)
+    bare = TactileSensor(surface=lambda d: d)
+    np.testing.assert_array_equal(bare.displacement(depth), depth)
+    assert bare.contact_from_depth(depth) == bare.contact(bare.image(depth))
+    assert bare.contact_from_depth(depth).pixels < sensor.contact_from_depth(depth).pixels
+    assert not bare.displacement(np.zeros_like(depth)).any()
+
+
 def test_upsampling_is_exact_on_planes():
     i, j = np.mgrid[:80, :59] + 0.5
     y, x = np.mgrid[:320, :240] + 0.5

@@ -1,0 +1,212 @@
+"""Pairs of probe grid and MPM displacement for the perception network, collected contact by contact.
+
+Each indenter is driven in slowly, step by step, since friction makes the gel remember its way. Every step is
+an equilibrium and so a pair of its own. A folder holds `collection.json`, and for each contact either
+`contact_NNNN.npz` or, where the material points found no equilibrium, `contact_NNNN.diverged`.
+"""
+
+import json
+import os
+import zipfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.gel.indenter import INDENTERS
+from pneutac_sim.gel.model import GelModel
+from pneutac_sim.gel.probe import COLS, ROWS, probe_grid
+from pneutac_sim.mpm import devices
+from pneutac_sim.mpm.solve import MpmDiverged, solve_equilibrium
+from pneutac_sim.surrogate.fingerprint import gel_fingerprint
+from pneutac_sim.surrogate.gel_contact import Contact, random_contact
+from pneutac_sim.twin import Twin
+
+FORMAT = "pneutac-gel-contacts/1"
+STEP_MM = 0.35  # finer ones change the displacement by 2 um
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """One contact, K equilibria on the way to its full depth.
+
+    Attributes:
+        indenter: its name.
+        depth_mm: (K, 80, 59) probe grids, float32.
+        displacement_mm: (K, 80, 59) of the material points' face, float32.
+    """
+
+    indenter: str
+    depth_mm: np.ndarray
+    displacement_mm: np.ndarray
+
+
+@dataclass(frozen=True)
+class Collected:
+    """What a call of `collect_gel` found or made.
+
+    Attributes:
+        contacts: pressed to their full depth.
+        diverged: contacts without an equilibrium, which are left out.
+    """
+
+    contacts: int
+    diverged: int
+
+
+def collect_gel(
+    twin: Twin,
+    folder: str | Path,
+    contacts: int = 100,
+    seed: int = 0,
+    device: str = "auto",
+    tell: Callable[[int, int], None] = lambda done, total: None,
+) -> Collected:
+    """Presses indenters into the gel of a twin; contacts that the folder holds already are kept.
+
+    Args:
+        twin: a gel's, or a finger's.
+        folder: where contacts are stored; made if there is none.
+        contacts: how many.
+        seed: of their shapes, sizes, depths and places.
+        device: see `mpm.runtime.start`.
+        tell: called after each contact with the number of those done and of all.
+
+    Raises:
+        InputError: the number makes no sense, or the folder holds contacts of another gel or seed.
+    """
+    if contacts < 1:
+        raise InputError(f"contacts is {contacts}; give a number of contacts above zero.")
+    folder, model = Path(folder), GelModel.from_twin(twin)
+    _claim(folder, {"format": FORMAT, "fingerprint": gel_fingerprint(twin), "seed": seed})
+    solver = None
+    for number in range(contacts):
+        file = folder / f"contact_{number:04d}.npz"
+        diverged = file.with_suffix(".diverged")
+        if not file.exists() and not diverged.exists():
+            solver = solver or devices.gel(twin, device=device)
+            contact = random_contact(seed, number, model.window_mm)
+            try:
+                pairs = press(solver, contact, model)
+                _store(file, contact, pairs)
+            except MpmDiverged as e:
+                diverged.write_text(f"{contact.press}: {e.finding}.\n")
+        tell(number + 1, contacts)
+    done = [(folder / f"contact_{n:04d}.npz").exists() for n in range(contacts)]
+    return Collected(sum(done), contacts - sum(done))
+
+
+def press(solver, contact: Contact, model: GelModel) -> Pairs:
+    """Drives an indenter in by steps of at most `STEP_MM`.
+
+    Where the explicit steps of the material points turn out too long for the squeezed gel, they are halved
+    once.
+
+    Args:
+        solver: of `devices.gel`, one body.
+        contact: at its full depth.
+        model: the gel's window and thickness.
+
+    Raises:
+        MpmDiverged: no equilibrium was found.
+    """
+    longest = solver.stable_dt
+    try:
+        return _press(solver, contact, model)
+    except MpmDiverged:
+        solver.stable_dt = 0.5 * longest
+        return _press(solver, contact, model)
+    finally:
+        solver.stable_dt = longest
+
+
+def _press(solver, contact: Contact, model: GelModel) -> Pairs:
+    full, probe, mpm = contact.press.depth_mm, [], []
+    count = int(np.ceil(full / STEP_MM))
+    for k in range(count):
+        part = contact.at(full * (k + 1) / count)
+        solve_equilibrium(solver, part.loads(), warm=k > 0)
+        probe.append(probe_grid(*part.shapes(), window_mm=model.window_mm, thickness_mm=model.thickness_mm))
+        mpm.append(devices.surface_displacement(solver, model.window_mm)[0].astype(np.float32))
+    return Pairs(contact.press.indenter, np.stack(probe), np.stack(mpm))
+
+
+def read_contacts(folder: str | Path) -> list[Pairs]:
+    """All contacts of a folder, in order.
+
+    Raises:
+        InputError: the folder is not of `collect_gel`, or a file in it is damaged.
+    """
+    folder = Path(folder)
+    if not (folder / "collection.json").is_file():
+        raise InputError(
+            f"There are no gel contacts in '{folder}' (no collection.json); collect them with "
+            "`pneutac surrogate`."
+        )
+    return [_read(file) for file in sorted(folder.glob("contact_*.npz"))]
+
+
+def _claim(folder: Path, what: dict) -> None:
+    """Writes what a folder's contacts are of, or refuses a folder of others."""
+    file = folder / "collection.json"
+    if not file.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        _replace(file, json.dumps(what, indent=2).encode())
+        return
+    try:
+        found = json.loads(file.read_text())
+    except ValueError:
+        found = None
+    if found != what:
+        raise InputError(
+            f"'{folder}' holds contacts of another gel or another seed; give `pneutac surrogate` an "
+            "empty folder."
+        )
+
+
+def _store(file: Path, contact: Contact, pairs: Pairs) -> None:
+    p = contact.press
+    temporary = file.with_suffix(".tmp")
+    with open(temporary, "wb") as f:
+        np.savez_compressed(
+            f,
+            indenter=np.array(pairs.indenter),
+            size_mm=p.size_mm,
+            place_mm=[p.x_mm, p.y_mm],
+            yaw_rad=p.yaw_rad,
+            tilt_rad=[contact.tilt_rad, contact.tilt_towards_rad],
+            depth_mm=pairs.depth_mm,
+            displacement_mm=pairs.displacement_mm,
+        )
+    os.replace(temporary, file)
+
+
+def _replace(file: Path, content: bytes) -> None:
+    temporary = file.with_suffix(".tmp")
+    temporary.write_bytes(content)
+    os.replace(temporary, file)
+
+
+def _read(file: Path) -> Pairs:
+    try:
+        with np.load(file, allow_pickle=False) as f:
+            pairs = Pairs(str(f["indenter"]), f["depth_mm"], f["displacement_mm"])
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zipfile.zlib.error):
+        pairs = None
+    if pairs is None or not _sound(pairs):
+        raise InputError(
+            f"'{file}' is damaged; delete it and run `pneutac surrogate` again, which collects it anew."
+        )
+    return pairs
+
+
+def _sound(pairs: Pairs) -> bool:
+    grids = (pairs.depth_mm, pairs.displacement_mm)
+    return (
+        pairs.indenter in INDENTERS
+        and grids[0].shape == grids[1].shape == (len(grids[0]), ROWS, COLS)
+        and len(grids[0]) > 0
+        and all(g.dtype == np.float32 and np.isfinite(g).all() for g in grids)
+    )

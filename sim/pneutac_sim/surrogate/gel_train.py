@@ -1,0 +1,121 @@
+"""Training of the perception network on the contacts of `gel_collect`."""
+
+import copy
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.gel.indenter import INDENTERS
+from pneutac_sim.surrogate.gel_collect import Pairs, read_contacts
+from pneutac_sim.surrogate.perception import GelSurrogate, UNet
+
+HELDOUT = ("cylinder", "cone")  # a flat and a pointed indenter
+CHECK_EVERY = 6  # of the contacts of trained indenters one in so many tells when to stop
+LEAST = 5  # contacts
+RATE = 1e-3
+BATCH = 32
+EPOCHS, PATIENCE = 400, 60
+AVERAGE = 0.995  # of the weights over steps: what is checked and kept
+
+
+def split(
+    contacts: Sequence[Pairs], heldout: Sequence[str] = HELDOUT
+) -> tuple[list[Pairs], list[Pairs], list[Pairs]]:
+    """Contacts to train on, those that tell when to stop, and those of indenters that are never trained on.
+
+    Raises:
+        InputError: an indenter is unknown, or too few contacts are left to train on.
+    """
+    for name in heldout:
+        if name not in INDENTERS:
+            raise InputError(f"There is no indenter '{name}' to hold out; there are {', '.join(INDENTERS)}.")
+    seen = [p for p in contacts if p.indenter not in heldout]
+    check = seen[CHECK_EVERY - 1 :: CHECK_EVERY]
+    train = [p for i, p in enumerate(seen) if i % CHECK_EVERY != CHECK_EVERY - 1]
+    if len(train) < LEAST or not check:
+        raise InputError(
+            f"{len(seen)} gel contacts of indenters other than {' and '.join(heldout)} are too few to train "
+            f"on; collect at least {LEAST + 1} with `pneutac surrogate`."
+        )
+    return train, check, [p for p in contacts if p.indenter in heldout]
+
+
+def train_gel(
+    folder: str | Path,
+    fingerprint: str,
+    heldout: Sequence[str] = HELDOUT,
+    seed: int = 0,
+    epochs: int = EPOCHS,
+    device: str = "cpu",
+    tell: Callable[[int, int], None] = lambda done, total: None,
+) -> GelSurrogate:
+    """Trains on the contacts of a folder, and keeps the weights that were best on the contacts for checking.
+
+    Args:
+        folder: of `collect_gel`.
+        fingerprint: of the gel, kept with the weights.
+        heldout: indenters that are not trained on.
+        seed: of weights and batches.
+        epochs: at most.
+        device: of PyTorch.
+        tell: called after each epoch with the number of those done and of all.
+
+    Raises:
+        InputError: no contacts, damaged ones, or too few.
+    """
+    train, check, _ = split(read_contacts(folder), heldout)
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        network = _fit(train, check, seed, epochs, device, tell)
+    deepest = max(float(p.depth_mm.max()) for p in train)
+    share = max(float((p.depth_mm > 0).mean((1, 2)).max()) for p in train)
+    return GelSurrogate(network, fingerprint, deepest, share, heldout)
+
+
+def _fit(train, check, seed, epochs, device, tell) -> UNet:
+    depth, wanted = _tensors(train, device)
+    network = UNet().to(device)
+    average = copy.deepcopy(network)
+    optimizer = torch.optim.Adam(network.parameters(), lr=RATE)
+    generator = np.random.default_rng(seed)
+    best, best_loss, best_epoch = copy.deepcopy(average), np.inf, 0
+    looked = _tensors(check, device)
+    for epoch in range(epochs):
+        order = generator.permutation(len(depth))
+        for i in range(0, len(order), BATCH):
+            pick = order[i : i + BATCH]
+            axes = [axis for axis in (-2, -1) if generator.random() < 0.5]  # the gel is its own mirror image
+            loss = _loss(network, depth[pick].flip(axes), wanted[pick].flip(axes))
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+            with torch.no_grad():
+                for a, w in zip(average.parameters(), network.parameters(), strict=True):
+                    a.lerp_(w, 1 - AVERAGE)
+        with torch.no_grad():
+            now = float(_loss(average, *looked))
+        if now < best_loss:
+            best, best_loss, best_epoch = copy.deepcopy(average), now, epoch
+        tell(epoch + 1, epochs)
+        if epoch - best_epoch >= PATIENCE:
+            break
+    return best
+
+
+def _tensors(contacts: list[Pairs], device: str) -> tuple[torch.Tensor, torch.Tensor]:
+    """(N, 1, 80, 59) depths and displacements of all steps in which something touches."""
+    depth = np.concatenate([p.depth_mm for p in contacts])
+    moved = np.concatenate([p.displacement_mm for p in contacts])
+    touched = depth.any((1, 2))
+    return tuple(torch.from_numpy(a[touched])[:, None].to(device) for a in (depth, moved))
+
+
+def _loss(network: UNet, depth: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
+    """Mean square over the contact region, and over what lies around it with the same weight."""
+    both = network(torch.cat([depth, torch.zeros_like(depth[:1])]))
+    error = (depth + both[:-1] - both[-1:] - wanted) ** 2
+    inside = (depth > 0).float()
+    return (error * inside).sum() / inside.sum() + (error * (1 - inside)).sum() / (1 - inside).sum()
