@@ -13,7 +13,7 @@ import numpy as np
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm import devices
-from pneutac_sim.surrogate.collect import FRAME_S, Motion, read_motions
+from pneutac_sim.surrogate.collect import FRAME_S, Motion, Plan, read_motions
 from pneutac_sim.surrogate.fingerprint import fingerprint
 from pneutac_sim.surrogate.network import HIDDEN, ActionNetwork
 from pneutac_sim.surrogate.skeleton import Skeleton
@@ -21,6 +21,9 @@ from pneutac_sim.twin import Twin
 
 BATCH = 256
 LEARNING_RATE = 1e-3
+# Noise on inputs. Joints move together, so data tell nothing of f_r in other directions; noise makes it flat
+# there, where a steep one would shake the skeleton.
+NOISE_RAD, NOISE_RAD_S, NOISE_KPA = 0.002, 3.0, 0.1
 EPOCHS, PATIENCE = 1000, 100
 FEWEST = 6  # trajectories: four to train on, one to stop by, one to measure with
 
@@ -77,7 +80,7 @@ def train_action(
 
     plan, motions = read_motions(data_dir, twin)
     train, stop, _ = split(motions)
-    skeleton = _skeleton(twin, plan.particles)
+    skeleton = _skeleton(twin, plan)
     x, y = pairs(skeleton, train)
     mean, scale = x.mean(0), np.maximum(x.std(0), 1e-6)
     # One scale for all joints: a torque moves each of them by torque / K.
@@ -91,14 +94,19 @@ def train_action(
 
     random = torch.Generator().manual_seed(seed)
     inputs, wanted = tensors(x, y)
+    n = y.shape[1]
     stop_inputs, stop_wanted = tensors(*pairs(skeleton, stop))
+    noise = torch.tensor(
+        np.repeat([NOISE_RAD, NOISE_RAD_S, NOISE_KPA], [n, n, 1]) / scale, dtype=torch.float32
+    )
     model = _mlp(torch, inputs.shape[1], wanted.shape[1], random)
     adam = torch.optim.Adam(model.parameters(), lr=LEARNING_RATE)
     best, kept, since = np.inf, None, 0
     for epoch in range(epochs):
         for rows in torch.randperm(len(inputs), generator=random).split(BATCH):
             adam.zero_grad()
-            torch.nn.functional.mse_loss(model(inputs[rows]), wanted[rows]).backward()
+            noisy = inputs[rows] + noise * torch.randn(len(rows), inputs.shape[1], generator=random)
+            torch.nn.functional.mse_loss(model(noisy), wanted[rows]).backward()
             adam.step()
         with torch.no_grad():
             loss = float(torch.nn.functional.mse_loss(model(stop_inputs), stop_wanted))
@@ -178,11 +186,9 @@ def pairs(skeleton: Skeleton, motions: list[Motion]) -> tuple[np.ndarray, np.nda
     """States (R, 2 N + 1) and residual torques tau_r* (R, N) in N m by inverse dynamics."""
     states, torques = [], []
     for m in motions:
-        q_acc, target = m.accelerations()
         q, v = m.q[1:-1], m.q_vel[1:-1]
-        p = 0.5 * (m.pressure_kpa[1:-1] + m.pressure_kpa[:-2])
-        states.append(np.column_stack([q, v, p]))
-        torques.append(skeleton.residual_torque(q, v, q_acc, target))
+        states.append(np.column_stack([q, v, m.pressure_kpa[1:-1]]))
+        torques.append(skeleton.residual_torque(q, v, m.accelerations(), m.target[1:-1]))
     return np.concatenate(states), np.concatenate(torques)
 
 
@@ -193,9 +199,7 @@ def without_torque(network: ActionNetwork) -> ActionNetwork:
 
 
 def _errors(network: ActionNetwork, m: Motion) -> tuple[float, float, float]:
-    q, v, inside = network.roll(
-        m.q[0], m.q_vel[0], m.target[:-1], m.pressure_kpa[:-1], (len(m.q) - 1) * FRAME_S
-    )
+    q, v, inside = network.roll(m.q[0], m.q_vel[0], m.target, m.pressure_kpa, (len(m.q) - 1) * FRAME_S)
     return (
         np.degrees(np.abs(q - m.q[1:]).mean()),
         np.degrees(np.abs(v - m.q_vel[1:]).mean()),
@@ -203,9 +207,9 @@ def _errors(network: ActionNetwork, m: Motion) -> tuple[float, float, float]:
     )
 
 
-def _skeleton(twin: Twin, particles: int) -> Skeleton:
-    solver = devices.finger(twin, particles=particles)
-    return Skeleton.of(solver.body, solver.spine)
+def _skeleton(twin: Twin, plan: Plan) -> Skeleton:
+    solver = devices.finger(twin, particles=plan.particles)
+    return Skeleton.of(solver.body, solver.spine, plan.damping_per_s)
 
 
 def _mlp(torch, inputs: int, outputs: int, random):

@@ -23,6 +23,7 @@ from pneutac_sim.surrogate.fingerprint import fingerprint
 from pneutac_sim.twin import Twin
 
 FRAME_S = 0.002  # a tenth of the period of the slowest swing of the spine with its body
+HOLDS = 8  # steps in which the targets follow their straight lines within a frame; a joint settles in 0.5 ms
 FORMAT = "pneutac-action-data/1"
 SIDE_BY_SIDE = {"cpu": 4, "cuda": 64}
 
@@ -70,8 +71,8 @@ class Motion:
     Attributes:
         q: (T, N) rad.
         q_vel: (T, N) rad/s.
-        target: (T, N) joint targets that act from this frame to the next, rad.
-        pressure_kpa: (T,) bending pressure of that interval.
+        target: (T, N) joint targets, rad; straight lines between frames.
+        pressure_kpa: (T,) bending pressure.
     """
 
     q: np.ndarray
@@ -79,15 +80,14 @@ class Motion:
     target: np.ndarray
     pressure_kpa: np.ndarray
 
-    def accelerations(self) -> tuple[np.ndarray, np.ndarray]:
-        """(T - 2, N) of the frames but the first and last, and (T - 2, N) the mean target around each.
+    def accelerations(self) -> np.ndarray:
+        """(T - 2, N) rad/s2 of the frames but the first and last.
 
         Angles and rates together give the fourth order:
         q'' = 2 (q+ - 2 q + q-) / h^2 - (q'+ - q'-) / (2 h).
         """
         h, q, v = FRAME_S, self.q, self.q_vel
-        q_acc = 2 * (q[2:] - 2 * q[1:-1] + q[:-2]) / h**2 - (v[2:] - v[:-2]) / (2 * h)
-        return q_acc, 0.5 * (self.target[1:-1] + self.target[:-2])
+        return 2 * (q[2:] - 2 * q[1:-1] + q[:-2]) / h**2 - (v[2:] - v[:-2]) / (2 * h)
 
 
 def collect_action(
@@ -184,20 +184,21 @@ def read_motions(out_dir: str | Path, twin: Twin) -> tuple[Plan, list[Motion]]:
 
 def _move(twin: Twin, plan: Plan, batch: list[int], device: str) -> list[Motion]:
     solver = devices.finger(twin, batch=len(batch), particles=plan.particles, device=device)
-    frames = plan.pairs + 2
-    middle = (np.arange(frames) + 0.5) * FRAME_S  # targets are held for a frame
-    drawn = [draw(twin, plan, i, middle) for i in batch]
+    frames, hold = plan.pairs + 2, FRAME_S / HOLDS
+    fine = np.arange((frames - 1) * HOLDS + 1) * hold
+    drawn = [draw(twin, plan, i, fine) for i in batch]
     target = np.stack([t for t, _ in drawn], 1)
-    start = target[0]
-    solve_equilibrium(solver, Loads(q_cmd=start))
+    solve_equilibrium(solver, Loads(q_cmd=target[0]))
 
     def loads(time_s: float) -> Loads:
-        return Loads(q_cmd=target[round(time_s / FRAME_S)])
+        k = round(time_s / hold)
+        return Loads(q_cmd=0.5 * (target[k] + target[min(k + 1, len(target) - 1)]))
 
-    run = simulate(
-        solver, loads, (frames - 1) * FRAME_S, FRAME_S, damping=plan.damping_per_s, particles=False
-    )
-    return [Motion(run.q[:, b], run.q_vel[:, b], target[:, b], drawn[b][1]) for b in range(len(batch))]
+    run = simulate(solver, loads, (frames - 1) * FRAME_S, hold, damping=plan.damping_per_s, particles=False)
+    q, q_vel, target = (x[::HOLDS] for x in (run.q, run.q_vel, target))
+    return [
+        Motion(q[:, b], q_vel[:, b], target[:, b], pressure[::HOLDS]) for b, (_, pressure) in enumerate(drawn)
+    ]
 
 
 def draw(twin: Twin, plan: Plan, index: int, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

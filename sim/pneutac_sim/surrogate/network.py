@@ -10,19 +10,18 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numba import njit
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.surrogate.skeleton import Skeleton, advance
+from pneutac_sim.surrogate import network_kernels as kern
+from pneutac_sim.surrogate.skeleton import Skeleton
 
 FORMAT = "pneutac-action-network/1"
 HIDDEN = 128
 LAYERS = ("w1", "b1", "w2", "b2", "w3", "b3")
 MARGIN = 0.05  # of the width of what was seen in training, still counted as in range
 STEP_S = 0.001
-REST_STEPS, REST_RAD = 50, 1e-8
 
 
 @dataclass(frozen=True)
@@ -62,7 +61,7 @@ class ActionNetwork:
         out = np.empty(q.shape)
         x, f = self._work
         for t in range(len(q)):
-            _residual(self._numbers, q[t], q_vel[t], float(pressure_kpa[t]), x, f)
+            kern.residual(self._numbers, q[t], q_vel[t], float(pressure_kpa[t]), x, f)
             out[t] = f[2]
         return out
 
@@ -74,26 +73,28 @@ class ActionNetwork:
         pressure_kpa: np.ndarray,
         duration_s: float,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Moves the skeleton under M q'' + c + D q' + K q = K q_target + f_r(q, q', p).
+        """Moves the skeleton under M (q'' + d q') + c + D q' + K q = K q_target + f_r(q, q', p).
 
         Args:
             q: (N,) rad, where it begins.
             q_vel: (N,) rad/s.
-            targets: (S, N) rad, each held for an equal part of the duration.
-            pressure_kpa: (S,) bending pressure.
+            targets: (S + 1, N) rad, at equal distances over the duration, with straight lines between them.
+            pressure_kpa: (S + 1,) bending pressure, likewise.
             duration_s: of all.
 
         Returns:
-            q (S, N) and q' (S, N) after each target, and (S,) whether the state was in the range of training.
+            q (S, N) and q' (S, N) at the targets from the second on, and (S,) whether those states were in
+            range.
         """
         s = self.skeleton
         targets = np.ascontiguousarray(targets, float)
-        each = duration_s / len(targets)
+        each = duration_s / (len(targets) - 1)
         substeps = max(1, math.ceil(each / STEP_S - 1e-9))
-        out_q, out_v = np.empty(targets.shape), np.empty(targets.shape)
-        inside = np.empty(len(targets), np.bool_)
-        _roll(
-            s.coupling, s.inertia, s.stiffness_nm_per_rad, s.damping_nms_per_rad, self._numbers, *self._work,
+        out_q, out_v = np.empty(targets[1:].shape), np.empty(targets[1:].shape)
+        inside = np.empty(len(out_q), np.bool_)
+        kern.roll(
+            s.coupling, s.inertia, s.stiffness_nm_per_rad, s.damping_nms_per_rad, s.loss_per_s,
+            self._numbers, *self._work,
             np.array(q, float), np.array(q_vel, float), targets, np.asarray(pressure_kpa, float), substeps,
             each / substeps, out_q, out_v, inside,
         )  # fmt: skip
@@ -107,7 +108,9 @@ class ActionNetwork:
             pressure_kpa: bending pressure.
         """
         q = np.array(target, float)
-        inside = _rest(self.skeleton.stiffness_nm_per_rad, self._numbers, *self._work, q, float(pressure_kpa))
+        inside = kern.rest(
+            self.skeleton.stiffness_nm_per_rad, self._numbers, *self._work, q, float(pressure_kpa)
+        )
         return q, inside
 
     @cached_property
@@ -134,7 +137,7 @@ class ActionNetwork:
         arrays |= {
             "coupling": np.stack([s.coupling.real, s.coupling.imag]),
             "inertia": s.inertia,
-            "controller": np.array([s.stiffness_nm_per_rad, s.damping_nms_per_rad]),
+            "controller": np.array([s.stiffness_nm_per_rad, s.damping_nms_per_rad, s.loss_per_s]),
         }
         file.parent.mkdir(parents=True, exist_ok=True)
         tmp = file.with_suffix(".tmp")
@@ -165,11 +168,11 @@ class ActionNetwork:
             if name not in arrays or arrays[name].shape != shape or not np.isfinite(arrays[name]).all():
                 raise InputError(f"{file}: array '{name}' must be finite numbers of shape {shape}.")
         real, imaginary = arrays["coupling"]
-        K, D = arrays["controller"].tolist()
+        controller = arrays["controller"].tolist()
         return cls(
             layers=tuple(arrays[k] for k in LAYERS),
             **{name: arrays[name] for name in _VECTORS},
-            skeleton=Skeleton(real + 1j * imaginary, arrays["inertia"], K, D),
+            skeleton=Skeleton(real + 1j * imaginary, arrays["inertia"], *controller),
             fingerprint=label["fingerprint"],
         )
 
@@ -184,78 +187,5 @@ def _shapes(n: int) -> dict[str, tuple[int, ...]]:
     return (
         dict(zip(LAYERS, layers, strict=True))
         | dict(zip(_VECTORS, vectors, strict=True))
-        | {"coupling": (2, n, n), "inertia": (n,), "controller": (2,)}
+        | {"coupling": (2, n, n), "inertia": (n,), "controller": (3,)}
     )
-
-
-# ---------------------------------------------------------------- kernels
-
-
-@njit(cache=True)
-def _residual(numbers, q, qd, p, x, f):
-    """f_r into f[2] (N,); returns whether the state lies in the box, to which it is clipped."""
-    (w1, b1, w2, b2, w3, b3), (mean, scale, torque_mean, torque_scale, low, high) = numbers
-    n = len(q)
-    h1, h2, out = f
-    inside = True
-    for i in range(2 * n + 1):
-        v = q[i] if i < n else (qd[i - n] if i < 2 * n else p)
-        if not low[i] <= v <= high[i]:
-            inside = False
-            v = min(max(v, low[i]), high[i])
-        x[i] = (v - mean[i]) / scale[i]
-    _layer(x, w1, b1, h1)
-    _softsign(h1)
-    _layer(h1, w2, b2, h2)
-    _softsign(h2)
-    _layer(h2, w3, b3, out)
-    for i in range(n):
-        out[i] = torque_mean[i] + torque_scale[i] * out[i]
-    return inside
-
-
-@njit(cache=True)
-def _layer(x, w, b, y):
-    for i in range(len(y)):
-        y[i] = b[i]
-    for j in range(len(x)):
-        a = x[j]
-        for i in range(len(y)):  # along memory, so that it becomes vector instructions
-            y[i] += a * w[j, i]
-
-
-@njit(cache=True)
-def _softsign(y):
-    for i in range(len(y)):
-        y[i] /= np.float32(1) + abs(y[i])
-
-
-@njit(cache=True)
-def _roll(A, inertia, K, D, numbers, x, f, q, qd, targets, pressure, substeps, h, out_q, out_v, inside):
-    extra = np.empty(len(q))
-    for s in range(len(targets)):
-        inside[s] = True
-        for _ in range(substeps):
-            if not _residual(numbers, q + 0.5 * h * qd, qd, pressure[s], x, f):
-                inside[s] = False
-            for i in range(len(q)):
-                extra[i] = f[2][i]
-            advance(A, inertia, K, D, q, qd, targets[s], extra, h)
-        out_q[s], out_v[s] = q, qd
-
-
-@njit(cache=True)
-def _rest(K, numbers, x, f, q, p):
-    """Fixed-point iteration from the target in `q`: the body gives way by a few percent of the controller."""
-    target, still = q.copy(), np.zeros(len(q))
-    inside = True
-    for _ in range(REST_STEPS):
-        inside = _residual(numbers, q, still, p, x, f)
-        change = 0.0
-        for i in range(len(q)):
-            new = target[i] + f[2][i] / K
-            change = max(change, abs(new - q[i]))
-            q[i] = new
-        if change < REST_RAD:
-            break
-    return inside

@@ -1,8 +1,8 @@
 """What moves the finger while its network learns: bending pressures and tip loads, drawn at random.
 
-The bending pressure is the one that the joint targets stand for, p = mean(q_cmd) / G - p0. Every effect of the
-twin before the body, from a slow valve to creep, acts on it, so one network serves whatever history led there;
-without effects it is the commanded pressure.
+The bending pressure is the one that the joint targets stand for, p = mean(q_cmd) / G - p0. Every effect of
+the twin before the body, from a slow valve to creep, acts on it, so one network serves whatever history led
+there; without effects it is the commanded pressure.
 """
 
 import numpy as np

@@ -1,11 +1,12 @@
 """The skeleton: the finger's spine as rigid links with hinges, which carry the mass of its soft body.
 
-    M(q) q'' + c(q, q') + D q' + K q = K q_target + f_r(q, q', p)
+    M(q) (q'' + d q') + c(q, q') + D q' + K q = K q_target + f_r(q, q', p)
 
-K and D are those of the controller of the material points' spine, q_target the joint targets, and c the
-forces of Coriolis and centrifuge. Each particle goes with the link that it lies beside, so M is the inertia
-of the whole body wherever it follows its spine; f_r is then what the soft body does to the joints: the torque
-of its elasticity, its losses, and where it lags behind.
+K and D are those of the controller of the material points' spine, q_target the joint targets, d the rate at
+which a surrounding medium takes momentum (see `mpm.solve.simulate`), and c the forces of Coriolis and
+centrifuge. Each particle goes with the link that it lies beside, so M is the inertia of the whole body wherever
+it follows its spine; f_r is then what the soft body does to the joints: the torque of its elasticity, and where
+it lags behind.
 
 All hinges are parallel. With the absolute angle phi_i of link i and complex numbers x + i z for the plane,
 link k's centre of mass is sum_{j<=k} r_kj exp(i phi_j), where r_kj for j < k is the way from hinge j to the
@@ -22,6 +23,9 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.mpm.body import Body
 from pneutac_sim.mpm.spine import Spine
 
+G = 2 - np.sqrt(2)  # of TR-BDF2: share of the step that the trapezoidal rule takes
+BACK = 1 / (G * (2 - G))  # weight of where that ends in the backward formula
+
 
 @dataclass(frozen=True)
 class Skeleton:
@@ -32,20 +36,23 @@ class Skeleton:
         inertia: (N,) of each link about its centre of mass, kg m2.
         stiffness_nm_per_rad: K of the controller.
         damping_nms_per_rad: D of the controller.
+        loss_per_s: d, of the momentum.
     """
 
     coupling: np.ndarray
     inertia: np.ndarray
     stiffness_nm_per_rad: float
     damping_nms_per_rad: float
+    loss_per_s: float
 
     @classmethod
-    def of(cls, body: Body, spine: Spine) -> "Skeleton":
+    def of(cls, body: Body, spine: Spine, loss_per_s: float = 0.0) -> "Skeleton":
         """The skeleton of a finger of material points.
 
         Args:
             body: its particles.
             spine: its hinges and their controller.
+            loss_per_s: of the momentum.
 
         Raises:
             InputError: the spine bends in two planes, or a link carries no particle.
@@ -69,14 +76,16 @@ class Skeleton:
             r = np.append(np.diff(joints[: k + 1]), own.mean())
             A[: k + 1, : k + 1] += particle * len(own) * np.outer(r.conj(), r)
             inertia[k] = particle * ((np.abs(own - own.mean()) ** 2).sum() + len(own) * body.spacing_m**2 / 6)
-        return cls(A, inertia, float(spine.stiffness_nm_per_rad), float(spine.damping_nms_per_rad))
+        return cls(
+            A, inertia, float(spine.stiffness_nm_per_rad), float(spine.damping_nms_per_rad), float(loss_per_s)
+        )
 
     def mass(self, q: np.ndarray) -> np.ndarray:
         """M (N, N) in kg m2 at joint angles `q` (N,) in rad."""
         return _dynamics(self.coupling, self.inertia, np.asarray(q, float), np.zeros(len(q)))[0]
 
     def residual_torque(self, q, q_vel, q_acc, target) -> np.ndarray:
-        """tau_r* = M q'' + c + D q' + K q - tau_mpm, by inverse dynamics.
+        """tau_r* = M (q'' + d q') + c + D q' + K q - tau_mpm, by inverse dynamics.
 
         Args:
             q: (T, N) rad.
@@ -90,7 +99,7 @@ class Skeleton:
         out = np.empty(np.shape(q))
         for t in range(len(out)):
             M, c = _dynamics(self.coupling, self.inertia, q[t], q_vel[t])
-            out[t] = M @ q_acc[t] + c
+            out[t] = M @ (q_acc[t] + self.loss_per_s * q_vel[t]) + c
         return (
             out
             + self.damping_nms_per_rad * np.asarray(q_vel)
@@ -120,19 +129,50 @@ def _dynamics(A, inertia, q, qd):
 
 
 @njit(cache=True)
-def advance(A, inertia, K, D, q, qd, target, extra, h):
-    """One step of `h` seconds by the trapezoidal rule in spring and damper: stable, without losses of its own.
+def advance(A, inertia, K, D, loss, q, qd, target, extra, h):
+    """One step of `h` seconds by TR-BDF2: of second order, and stiff swings die away.
 
-    Inertia and Coriolis are taken in the middle of the step. `q` and `qd` (N,) are changed in place; `target`
-    (N,) is in rad, `extra` (N,) the torque besides the controller's in N m.
+    First the trapezoidal rule over the share G of the step, then the backward formula over all of it; `a` is
+    the same in both. `q` and `qd` (N,) are changed in place; `target` (N,) is in rad, `extra` (N,) the torque
+    besides the controller's in N m.
     """
     n = len(q)
-    M, c = _dynamics(A, inertia, q + 0.5 * h * qd, qd)
-    b = M @ qd
+    a = 0.5 * G * h
+    middle, new = qd.copy(), qd.copy()
+    for _ in range(2):  # the second time with the rates in the middle, for the second order of M and c
+        M, c = _dynamics(A, inertia, q + a * middle, middle)
+        b = (1.0 - a * loss) * (M @ qd)
+        for i in range(n):
+            b[i] += a * (2.0 * (extra[i] - c[i] + K * (target[i] - q[i])) - (D + a * K) * qd[i])
+        _solve(M, (1.0 + a * loss), a * (D + a * K), b, new)
+        for i in range(n):
+            middle[i] = 0.5 * (qd[i] + new[i])
+    later, rate, angle = np.empty(n), np.empty(n), np.empty(n)
     for i in range(n):
-        b[i] += h * (extra[i] - c[i] + K * (target[i] - q[i]) - (0.5 * D + 0.25 * h * K) * qd[i])
-        M[i, i] += 0.5 * h * D + 0.25 * h * h * K
-    for i in range(n):  # Cholesky, in the lower half
+        now = q[i] + 2.0 * a * middle[i]
+        later[i] = now + (1.0 - G) * h * new[i]
+        angle[i] = BACK * now - (BACK - 1.0) * q[i]
+        rate[i] = BACK * new[i] - (BACK - 1.0) * qd[i]
+        middle[i] = new[i] + (1.0 - G) / G * (new[i] - qd[i])
+    M, c = _dynamics(A, inertia, later, middle)
+    b = M @ rate
+    for i in range(n):
+        b[i] += a * (extra[i] - c[i] + K * (target[i] - angle[i]))
+    _solve(M, (1.0 + a * loss), a * (D + a * K), b, new)
+    for i in range(n):
+        q[i] = angle[i] + a * new[i]
+        qd[i] = new[i]
+
+
+@njit(cache=True)
+def _solve(M, share, more, b, x):
+    """(share M + more 1) x = b by Cholesky's factors; `M` and `b` are used up."""
+    n = len(b)
+    for i in range(n):
+        for j in range(i + 1):
+            M[i, j] *= share
+        M[i, i] += more
+    for i in range(n):
         for j in range(i + 1):
             s = M[i, j]
             for k in range(j):
@@ -145,7 +185,5 @@ def advance(A, inertia, K, D, q, qd, target, extra, h):
     for i in range(n - 1, -1, -1):
         s = b[i]
         for k in range(i + 1, n):
-            s -= M[k, i] * b[k]
-        b[i] = s / M[i, i]
-        q[i] += 0.5 * h * (qd[i] + b[i])
-        qd[i] = b[i]
+            s -= M[k, i] * x[k]
+        x[i] = s / M[i, i]
