@@ -26,6 +26,7 @@ from pneutac_sim.twin import Twin
 
 TRAIN_KPA = (0.0, 3.0, 6.0, 9.0, 12.0, 15.0)
 PARTICLES = 4000
+DETAIL = 2  # of the looks that the twin keeps: sharper than one Gaussian a particle, which the search takes
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,8 @@ def fit_photographs(
     start = coarse_fit(first, pressures, photographs, session.conditions, device)
     parameters = body_parameters(first.twin_at(start.x), span)
     equilibria = Equilibria(parameters, start.x, pressures, session.conditions, particles, device)
-    looks = _looks(session, equilibria)
+    rest = session.rest  # the photograph nearest to no pressure gives the looks
+    looks = _looks(rest, equilibria, int(np.cumsum(session.train)[rest.state]) - 1)
     objective = Objective(equilibria, photographs, looks)
     key = search_key(recording, twin, photographs, particles)
     found = search(
@@ -123,7 +125,7 @@ def fit_photographs(
     if session.markers_mm is not None:
         tips = np.linalg.norm(1e3 * everywhere.first.tips[0] - session.markers_mm, axis=1)
     new = parameters.twin_at(found.x, sure.ci95)
-    looks_into_twin(new, looks)
+    looks_into_twin(new, _looks(rest, everywhere, rest.state, DETAIL))
     return PhotoFit(
         twin=new,
         parameters=parameters,
@@ -152,13 +154,11 @@ def search_key(recording, twin: Twin, photographs: list[Photograph], particles: 
     return f"{recording.folder.resolve()} {pictures} {particles} {len(twin.history)}"
 
 
-def _looks(session: PhotoSession, equilibria: Equilibria) -> Gaussians:
-    """Fitted once, on the photograph nearest to no pressure."""
-    p, first = session.rest, equilibria.first
-    state = int(np.cumsum(session.train)[p.state]) - 1
-    return fit_body_looks(
-        equilibria.body, first.positions[0, state], first.gradients[0, state], p.image, p.mask, p.camera
-    )
+def _looks(photograph: Photograph, equilibria: Equilibria, state: int, detail: int = 1) -> Gaussians:
+    """From one photograph of the body at pressure number `state` of the equilibria."""
+    p, first = photograph, equilibria.first
+    pose = (first.positions[0, state], first.gradients[0, state])
+    return fit_body_looks(equilibria.body, *pose, p.image, p.mask, p.camera, detail=detail)
 
 
 def calibrate_photographs(twin: Twin, recording, cfg, console: Console) -> dict:

@@ -15,7 +15,7 @@ from pneutac_datasets.recording import BenchRecording
 from pneutac_datasets.rules import an
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm.body import Body
-from pneutac_sim.photo_fit.objective import SOLID, Photograph, score
+from pneutac_sim.photo_fit.objective import SOLID, Photograph
 from pneutac_sim.splat.body import looks_from_twin
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.follow import carried
@@ -101,8 +101,9 @@ def photograph_painter(twin: Twin, body: Body, recorded: Recorded, spines: np.nd
         photograph, pressure = recorded.photographs[nearest], recorded.pressures[nearest]
         seen = rasterise(carried(looks, body, pose.positions, pose.gradients), camera)
         light = seen.image.clip(0, 1) + (1 - seen.alpha.clip(0, 1))[..., None]
-        panels = (photograph.image, 255 * light.clip(0, 1), differing(photograph.mask, seen.alpha > SOLID))
-        iou = score(seen, photograph.image, photograph.mask)[1]
+        mask, solid = photograph.mask, seen.alpha > SOLID
+        panels = (photograph.image, 255 * light.clip(0, 1), differing(mask, solid))
+        iou = float((mask & solid).sum() / (mask | solid).sum())
         same = bool(np.abs(pressure - pose.pressure).max() < NEAR_KPA)
         said = (f"photograph, {told(pressure)}", f"twin, {told(pose.pressure)}", f"overlap {iou:.1%}")
         return _beside(panels, said if same else (*said[:2], "silhouettes"), window), {
