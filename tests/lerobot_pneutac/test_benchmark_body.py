@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from lerobot_pneutac import benchmark_looks, benchmark_shape
 from lerobot_pneutac.benchmark_body import BenchmarkBodyConfig
@@ -22,7 +23,7 @@ from lerobot_pneutac.benchmark_shape_case import (
     heldout,
     photographed,
 )
-from lerobot_pneutac.benchmark_shape_table import errors, mean_sem, parameter_row
+from lerobot_pneutac.benchmark_shape_table import errors, mean_sem, parameter_row, write_tables
 from pneutac_datasets.photo_plan import hidden_twin, session
 from pneutac_datasets.recording import BenchRecording
 from pneutac_sim.effects.registry import get_effect
@@ -162,6 +163,32 @@ def test_means_and_parameters_of_bodies():
     row = parameter_row("p0", bodies)
     assert row["error"][0] == -0.5 and row["error_percent"][0] == -5 and row["magnitude_percent"][0] == 15
     assert (row["identified"], row["covered"], row["bodies"]) == (2, 0, 2)
+
+
+def test_fast_is_a_finger_and_an_effect_and_all_is_every_effect():
+    fast = benchmark_shape.cases(BenchmarkBodyConfig(fast=True))
+    assert [(c.device, c.hidden) for c in fast] == [("finger", ""), ("finger", "stiffening")]
+    every = benchmark_shape.cases(BenchmarkBodyConfig())
+    assert len(every) == 6 + 1 + 2 * len(HIDDEN) == len({c.key for c in every})
+
+
+def test_a_body_that_was_refused_is_counted_and_told(tmp_path):
+    def body(hidden, seed, tip_mm):
+        when = {"tip_mm": [tip_mm], "joints_deg": 1.0}
+        return {"device": "finger", "seed": seed, "hidden": hidden, "length_mm": 100.0} | (
+            {"before": when, "after": when, "effect": {"name": "creep"}}
+            if tip_mm
+            else {"refused": "no finger"}
+        )
+
+    bodies = [body("creep", 1, 2.0), body("creep", 2, 4.0), body("creep", 3, None), body("camera", 1, None)]
+    creep, camera = write_tables(bodies, tmp_path, Console(quiet=True))["effects"]
+    assert creep["before"]["tip_mm"] == [3.0, 1.0] and (creep["bodies"], creep["refused"]) == (3, 1)
+    assert camera["before"]["tip_mm"] == [None, None]
+    text = (tmp_path / "tables.md").read_text()
+    assert "| creep | 3 (1 refused) | creep | 3.00 ± 1.00 | 3.00 ± 1.00 |" in text
+    assert "- refused: finger 3 creep: no finger" in text
+    assert json.loads((tmp_path / "result.json").read_text())["effects"][0] == creep
 
 
 def test_shape_judges_by_the_truth_and_goes_on_where_it_stopped(tmp_path, monkeypatch):
