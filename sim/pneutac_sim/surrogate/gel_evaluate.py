@@ -30,8 +30,8 @@ def evaluate_gel(surrogate: GelSurrogate, contacts: Sequence[Pairs], twin: Twin)
 
     Returns:
         `rows`: one for each indenter, then one, `unseen`, over indenters that were never trained on; each
-        with `indenter`, `contacts`, `depth_mm` (mean of the deepest points) and for each of `METHODS` the means
-        over contacts of
+        with `indenter`, `contacts`, `depth_mm` (mean of the deepest points) and for each of `METHODS` the
+        means over contacts of
 
         - `mae_mm`: mean absolute error of the displacement where the probe grid touches;
         - `around_mm`: the same over the rest of the window;

@@ -26,13 +26,15 @@ def split(
 ) -> tuple[list[Pairs], list[Pairs], list[Pairs]]:
     """Contacts to train on, those that tell when to stop, and those of indenters that are never trained on.
 
+    Contacts beside the window, in which nothing touches, are in neither of the first two.
+
     Raises:
         InputError: an indenter is unknown, or too few contacts are left to train on.
     """
     for name in heldout:
         if name not in INDENTERS:
             raise InputError(f"There is no indenter '{name}' to hold out; there are {', '.join(INDENTERS)}.")
-    seen = [p for p in contacts if p.indenter not in heldout]
+    seen = [p for p in contacts if p.indenter not in heldout and p.depth_mm[-1].any()]
     check = seen[CHECK_EVERY - 1 :: CHECK_EVERY]
     train = [p for i, p in enumerate(seen) if i % CHECK_EVERY != CHECK_EVERY - 1]
     if len(train) < LEAST or not check:
@@ -49,7 +51,7 @@ def train_gel(
     heldout: Sequence[str] = HELDOUT,
     seed: int = 0,
     epochs: int = EPOCHS,
-    device: str = "cpu",
+    device: str = "auto",
     tell: Callable[[int, int], None] = lambda done, total: None,
 ) -> GelSurrogate:
     """Trains on the contacts of a folder, and keeps the weights that were best on the contacts for checking.
@@ -60,12 +62,18 @@ def train_gel(
         heldout: indenters that are not trained on.
         seed: of weights and batches.
         epochs: at most.
-        device: of PyTorch.
+        device: `cpu`, `cuda`, or `auto` for CUDA where there is one.
         tell: called after each epoch with the number of those done and of all.
 
     Raises:
-        InputError: no contacts, damaged ones, or too few.
+        InputError: no contacts, damaged ones, or too few; no such device.
     """
+    if device not in ("auto", "cpu", "cuda"):
+        raise InputError(f"There is no device '{device}'; choose auto, cpu or cuda.")
+    if device == "cuda" and not torch.cuda.is_available():
+        raise InputError("PyTorch finds no CUDA device; use --device=cpu.")
+    if device == "auto":
+        device = "cuda" if torch.cuda.is_available() else "cpu"
     train, check, _ = split(read_contacts(folder), heldout)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)

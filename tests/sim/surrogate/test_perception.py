@@ -1,0 +1,339 @@
+"""Perception network: contacts, training, the shipped weights, and what becomes of bad input."""
+
+from importlib.resources import files
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.gel.indenter import INDENTERS, Press
+from pneutac_sim.gel.model import GelModel
+from pneutac_sim.gel.probe import COLS, ROWS, probe_grid
+from pneutac_sim.gel.sensor import TactileSensor
+from pneutac_sim.gel.surface import surface
+from pneutac_sim.mpm import devices
+from pneutac_sim.mpm.solve import MpmDiverged
+from pneutac_sim.surrogate import gel_collect, gel_train
+from pneutac_sim.surrogate.fingerprint import gel_fingerprint
+from pneutac_sim.surrogate.gel_collect import Pairs, collect_gel, press, read_contacts
+from pneutac_sim.surrogate.gel_contact import Contact, random_contact
+from pneutac_sim.surrogate.gel_evaluate import evaluate_gel
+from pneutac_sim.surrogate.gel_train import split, train_gel
+from pneutac_sim.surrogate.perception import GelSurrogate, UNet
+from pneutac_sim.twin import Twin
+
+WINDOW_MM = (12.0, 16.0)
+
+
+@pytest.fixture(scope="module")
+def builtin():
+    return GelSurrogate.load(files("pneutac_sim.surrogate") / "builtin_gel.safetensors")
+
+
+def grid(indenter="sphere", size_mm=3.0, x_mm=1.0, y_mm=-2.0, depth_mm=1.3, yaw_rad=0.4):
+    return probe_grid(*Press(indenter, size_mm, x_mm, y_mm, depth_mm, yaw_rad).shapes())
+
+
+def soft(depth_mm):
+    """A made-up gel that a network can learn: it follows what presses it and sags around."""
+    return surface(depth_mm, decay_mm=0.8)
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """Collecting with the made-up gel instead of material points; counts the presses."""
+    pressed = []
+
+    def press(solver, contact, model):
+        pressed.append(contact)
+        depth = np.stack([probe_grid(*contact.at(contact.press.depth_mm * s).shapes()) for s in (0.5, 1.0)])
+        return Pairs(contact.press.indenter, depth, np.stack([soft(d) for d in depth]))
+
+    monkeypatch.setattr(gel_collect, "press", press)
+    monkeypatch.setattr(devices, "gel", lambda twin, device: "a gel")
+    return pressed
+
+
+# ---------------------------------------------------------------- contacts
+
+
+def test_contacts_are_varied_as_the_network_needs():
+    contacts = [random_contact(0, n, WINDOW_MM) for n in range(200)]
+    depth = np.array([c.press.depth_mm for c in contacts])
+    assert {c.press.indenter for c in contacts} == set(INDENTERS)
+    assert depth.mean() == pytest.approx(1.4, abs=0.08) and depth.max() < 2.0 and (depth < 0.8).sum() > 15
+    on_rim = [abs(c.press.x_mm) > 5 or abs(c.press.y_mm) > 7 for c in contacts]
+    assert 20 < sum(on_rim) < 100
+    assert 50 < sum(c.tilt_rad > 0.02 for c in contacts) < 150
+
+
+def test_a_contact_depends_on_its_own_number_alone():
+    assert random_contact(3, 7, WINDOW_MM) == random_contact(3, 7, WINDOW_MM)
+    assert random_contact(3, 7, WINDOW_MM) != random_contact(4, 7, WINDOW_MM)
+
+
+@pytest.mark.parametrize("indenter", INDENTERS)
+def test_a_tilted_indenter_goes_as_deep_as_an_upright_one(indenter):
+    straight = Contact(Press(indenter, 3.0, 0.0, 0.0, 1.2, 0.3))
+    tilted = Contact(straight.press, 0.2, 0.7)
+    grids = [probe_grid(*c.shapes()) for c in (straight, tilted)]
+    assert grids[1].max() == pytest.approx(1.2, abs=0.08)
+    assert np.abs(grids[1] - grids[0]).max() > 0.05
+
+
+@pytest.mark.parametrize("indenter", INDENTERS)
+def test_probe_grid_and_material_points_get_the_same_indenter(indenter):
+    """Points of the probe grid's contact surface lie on the surface of the indenter of the loads."""
+    contact = Contact(Press(indenter, 4.0, 0.7, -1.1, 1.3, 0.5), 0.15, 1.9)
+    loads, depth = contact.loads(), probe_grid(*contact.shapes())
+    i, j = np.nonzero(depth > 0.2)
+    points = np.column_stack([(j + 0.5) * 12 / COLS - 6, (i + 0.5) * 16 / ROWS - 8, -depth[i, j]])
+    own = (1e-3 * points - loads.position_m) @ loads.rotation  # tip at the origin, body towards +z
+    x, y, z = own.T
+    size, s = loads.size_m, 4e-3
+    height = {
+        "sphere": lambda: s - np.sqrt(s**2 - x**2 - y**2),
+        "cylinder": lambda: np.where(np.hypot(x, y) < 0.98 * s, 0.0, z),
+        "cone": lambda: np.hypot(x, y),
+        "cube": lambda: np.where(np.maximum(abs(x), abs(y)) < 0.97 * size[0], 0.0, z),
+        "edge": lambda: np.where(abs(y) < 0.97 * size[1], abs(x), z),
+    }[indenter]()
+    assert len(points) > 20 and np.abs(z - height).max() < 2e-6
+
+
+# ---------------------------------------------------------------- collecting
+
+
+def test_collecting_goes_on_after_an_interruption_without_doubling(tmp_path, quick):
+    def interrupt(done, total):
+        if done == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        collect_gel(Twin.builtin(), tmp_path, 6, tell=interrupt)
+    told = []
+    found = collect_gel(Twin.builtin(), tmp_path, 6, tell=lambda *a: told.append(a))
+    assert (found.contacts, found.diverged) == (6, 0) and told[-1] == (6, 6)
+    assert quick == [random_contact(0, n, WINDOW_MM) for n in range(6)]
+    pairs = read_contacts(tmp_path)
+    np.testing.assert_array_equal(pairs[4].displacement_mm[1], soft(pairs[4].depth_mm[1]))
+    assert [p.indenter for p in pairs] == [*INDENTERS, INDENTERS[0]]
+
+
+def test_a_contact_that_diverges_is_left_out_and_counted(tmp_path, quick, monkeypatch):
+    working = gel_collect.press
+
+    def press(solver, contact, model):
+        if contact.press.indenter == "cube":
+            raise MpmDiverged("Body 'gel' left the finite numbers", "load it less")
+        return working(solver, contact, model)
+
+    monkeypatch.setattr(gel_collect, "press", press)
+    for _ in range(2):  # it is not tried again
+        assert collect_gel(Twin.builtin(), tmp_path, 10) == gel_collect.Collected(8, 2)
+    assert len(read_contacts(tmp_path)) == 8 == len(quick)
+
+
+def test_a_press_that_diverges_is_tried_once_more_with_half_the_step(monkeypatch):
+    tried = []
+
+    def drive(solver, contact, model):
+        tried.append(solver.stable_dt)
+        if len(tried) != 2:
+            raise MpmDiverged("Body 'gel' left the finite numbers", "load it less")
+        return "pairs"
+
+    monkeypatch.setattr(gel_collect, "_press", drive)
+    solver = SimpleNamespace(stable_dt=8e-6)
+    assert press(solver, None, None) == "pairs" and tried == [8e-6, 4e-6]
+    with pytest.raises(MpmDiverged):
+        press(solver, None, None)
+    assert len(tried) == 4 and solver.stable_dt == 8e-6
+
+
+def test_a_folder_of_another_gel_or_seed_is_refused(tmp_path, quick):
+    collect_gel(Twin.builtin(), tmp_path, 1)
+    with pytest.raises(InputError, match="another seed; give `pneutac surrogate`"):
+        collect_gel(Twin.builtin(), tmp_path, 1, seed=1)
+    stiff = Twin.builtin()
+    stiff.parameters["gel_youngs_modulus_mpa"] = type(stiff.parameters["gain_alpha"])(0.2)
+    with pytest.raises(InputError, match="another gel"):
+        collect_gel(stiff, tmp_path, 1)
+
+
+def test_a_damaged_contact_is_named(tmp_path, quick):
+    collect_gel(Twin.builtin(), tmp_path, 2)
+    file = tmp_path / "contact_0001.npz"
+    file.write_bytes(file.read_bytes()[:2000])
+    with pytest.raises(InputError, match="contact_0001.npz' is damaged; .*pneutac surrogate"):
+        read_contacts(tmp_path)
+
+
+# ---------------------------------------------------------------- training
+
+
+def test_too_few_contacts_are_refused(tmp_path, quick):
+    with pytest.raises(InputError, match="no collection.json.*pneutac surrogate"):
+        train_gel(tmp_path / "nowhere", "")
+    collect_gel(Twin.builtin(), tmp_path, 5)
+    with pytest.raises(InputError, match="3 gel contacts .* too few .*pneutac surrogate"):
+        train_gel(tmp_path, "")
+    with pytest.raises(InputError, match="no indenter 'ball' to hold out; there are sphere"):
+        train_gel(tmp_path, "", heldout=["ball"])
+    with pytest.raises(InputError, match="no device 'tpu'; choose auto, cpu or cuda"):
+        train_gel(tmp_path, "", device="tpu")
+
+
+def test_heldout_indenters_are_never_trained_on(tmp_path, quick):
+    collect_gel(Twin.builtin(), tmp_path, 40)
+    contacts = read_contacts(tmp_path)
+    train, check, unseen = split(contacts, ["edge"])
+    assert {p.indenter for p in unseen} == {"edge"} and len(unseen) == 8
+    assert "edge" not in {p.indenter for p in train + check}
+    assert len(train) + len(check) + len(unseen) == 40 and not {map(id, train)} & {map(id, check)}
+
+
+def test_one_contact_can_be_learnt_by_heart(monkeypatch):
+    monkeypatch.setattr(gel_train, "AVERAGE", 0.0)  # so few steps have no average
+    depth = np.stack([grid(depth_mm=1.4)])
+    moved = np.stack([soft(d) for d in depth])
+    pairs = [Pairs("sphere", depth, moved)]
+    torch.manual_seed(0)
+    gel = GelSurrogate(gel_train._fit(pairs, pairs, 0, 120, "cpu", lambda *_: None), "", 2.0, 1.0)
+    error, before = (np.abs(a - moved).mean() for a in (gel.displacement(depth), depth))
+    assert error < 0.3 * before
+
+
+# ---------------------------------------------------------------- the network
+
+
+def test_nothing_touching_moves_nothing(builtin):
+    nothing = np.zeros((ROWS, COLS), np.float32)
+    assert not builtin.displacement(nothing).any()
+    both = builtin.displacement(np.stack([nothing, grid()]))
+    assert not both[0].any() and both[1].any()
+    assert not builtin.out_of_range(nothing)
+
+
+def test_what_is_far_from_a_contact_rests():
+    """Also with biases that are far from zero."""
+    torch.manual_seed(0)
+    network = UNet()
+    for p in network.parameters():
+        torch.nn.init.normal_(p, 0.0, 0.2)
+    gel = GelSurrogate(network, "", 2.0, 1.0)
+    moved = gel.displacement(grid(x_mm=0.0, y_mm=-8.0, size_mm=1.5, depth_mm=0.5))
+    assert np.abs(moved[-15:]).max() < 1e-4 * np.abs(moved[:15]).max()
+
+
+def test_the_gel_is_its_own_mirror_image(builtin):
+    """Learnt, not built in: what is left of a difference is below the error of the network."""
+    depth = np.stack([grid(indenter) for indenter in INDENTERS])
+    moved = builtin.displacement(depth)
+    for axis in (1, 2):
+        mirrored = np.flip(builtin.displacement(np.flip(depth, axis)), axis)
+        assert 0 < np.abs(mirrored - moved)[depth > 0].mean() < 0.03
+        assert np.abs(np.flip(moved, axis) - moved)[depth > 0].mean() > 0.2, "the contacts are not symmetric"
+
+
+def test_a_batch_is_each_grid_by_itself(builtin):
+    depth = np.stack([grid(indenter) for indenter in INDENTERS])
+    single = np.stack([builtin.displacement(d) for d in depth])
+    moved = builtin.displacement(depth)
+    assert moved.dtype == single.dtype == np.float32
+    np.testing.assert_allclose(moved, single, atol=1e-5)
+
+
+def test_beyond_what_was_trained_is_flagged_and_stays_finite(builtin):
+    usual, deep = grid(), np.full((ROWS, COLS), 2.5, np.float32)
+    assert not builtin.out_of_range(usual)
+    np.testing.assert_array_equal(builtin.out_of_range(np.stack([usual, deep])), [False, True])
+    assert builtin.out_of_range(grid("sphere", 50.0, depth_mm=1.0)), "contact over the whole window"
+    assert np.isfinite(builtin.displacement(deep)).all()
+    with pytest.raises(ValueError, match="no finite number"):
+        builtin.displacement(np.full((ROWS, COLS), np.nan))
+    with pytest.raises(ValueError, match="probe grids have shape"):
+        builtin.displacement(np.zeros((COLS, ROWS)))
+
+
+def test_weights_survive_their_file(tmp_path):
+    gel = GelSurrogate(UNet(), "a gel", 1.9, 0.2, ("cone",), {"rows": [{"indenter": "cone"}]})
+    gel.save(tmp_path / "gel.safetensors")
+    read = GelSurrogate.load(tmp_path / "gel.safetensors")
+    np.testing.assert_array_equal(read.displacement(grid()), gel.displacement(grid()))
+    about = ("fingerprint", "deepest_mm", "largest_share", "heldout", "errors")
+    assert [getattr(read, a) for a in about] == [getattr(gel, a) for a in about]
+
+
+@pytest.mark.parametrize("damage", ["missing", "cut", "flipped", "other"])
+def test_a_damaged_file_is_named(tmp_path, damage):
+    file = tmp_path / "gel.safetensors"
+    GelSurrogate(UNet(), "", 1.9, 0.2).save(file)
+    content = file.read_bytes()
+    if damage == "missing":
+        file.unlink()
+    elif damage == "cut":
+        file.write_bytes(content[:-100])
+    elif damage == "flipped":
+        file.write_bytes(content[:-4] + np.array([np.nan], np.float32).tobytes())
+    else:
+        file.write_bytes(content.replace(b"pneutac-gel-surrogate/1", b"pneutac-gel-surrogate/9"))
+    with pytest.raises(InputError, match="gel.safetensors'.*`pneutac surrogate`"):
+        GelSurrogate.load(file)
+
+
+# ---------------------------------------------------------------- errors
+
+
+def test_errors_are_those_against_the_contacts(builtin):
+    """Of a gel that moves as the network says, but 0.01 mm deeper in every contact."""
+    contacts = []
+    for indenter in ("sphere", "cone"):
+        depth = np.stack([grid(indenter, depth_mm=d) for d in (0.5, 1.2)])
+        contacts.append(Pairs(indenter, depth, builtin.displacement(depth) + np.float32(0.01) * (depth > 0)))
+    rows = evaluate_gel(builtin, contacts, Twin.builtin())["rows"]
+    assert [row["indenter"] for row in rows] == ["sphere", "cone", "unseen"]
+    for row in rows:
+        assert row["contacts"] == 1 and row["depth_mm"] == pytest.approx(1.2, abs=0.15)
+        assert row["network"]["mae_mm"] == pytest.approx(0.01, abs=1e-5)
+        assert row["network"]["around_mm"] == pytest.approx(0.0, abs=1e-6)
+        assert 0 < row["network"]["image_rmse_levels"] < row["probe"]["image_rmse_levels"]
+        assert row["network"]["area_error_px"] < row["surface"]["area_error_px"]
+    with pytest.raises(InputError, match="anything touches"):
+        evaluate_gel(builtin, [Pairs("cone", 0 * depth, 0 * depth)], Twin.builtin())
+
+
+# ---------------------------------------------------------------- the shipped weights
+
+
+def test_shipped_weights_are_of_the_builtin_gel(builtin):
+    assert builtin.fingerprint == gel_fingerprint(Twin.builtin())
+    rows = {row["indenter"]: row for row in builtin.errors["rows"]}
+    assert rows["unseen"]["network"]["mae_mm"] < min(0.04, 0.6 * rows["unseen"]["probe"]["mae_mm"])
+    assert (files("pneutac_sim.surrogate") / "builtin_gel.safetensors").stat().st_size < 300_000
+
+
+@pytest.mark.slow
+def test_shipped_weights_hold_on_fresh_contacts(builtin):
+    """Material points pressed anew, with indenters that were not trained on among them."""
+    twin, model = Twin.builtin(), GelModel.builtin()
+    solver = devices.gel(twin, device="cpu")
+    fresh = [
+        Contact(Press("cylinder", 2.5, 1.0, 2.0, 1.3)),
+        Contact(Press("cone", 4.0, -2.0, -3.0, 1.6), 0.1, 0.4),
+        Contact(Press("sphere", 3.0, 5.5, 1.0, 1.4)),
+    ]
+    rows = evaluate_gel(builtin, [press(solver, contact, model) for contact in fresh], twin)["rows"]
+    for row in rows:
+        for measure in ("mae_mm", "around_mm", "image_rmse_levels"):
+            assert row["network"][measure] < min(row["probe"][measure], row["surface"][measure]), row
+    assert rows[-1]["indenter"] == "unseen" and rows[-1]["network"]["mae_mm"] < 0.04
+
+
+def test_a_sensor_takes_the_network_as_its_surface(builtin):
+    sensor = TactileSensor(surface=builtin.displacement)
+    depth = grid()
+    np.testing.assert_array_equal(sensor.displacement(depth), builtin.displacement(depth))
+    assert sensor.contact_from_depth(depth) == sensor.contact(sensor.image(depth))
