@@ -23,7 +23,7 @@ BATCH = 256
 LEARNING_RATE = 1e-3
 # Noise on inputs. Joints move together, so data tell nothing of f_r in other directions; noise makes it flat
 # there, where a steep one would shake the skeleton.
-NOISE_RAD, NOISE_RAD_S, NOISE_KPA = 0.002, 3.0, 0.1
+NOISE_RAD, NOISE_RAD_S, NOISE_KPA = 0.002, 0.3, 0.1
 EPOCHS, PATIENCE = 1000, 100
 FEWEST = 6  # trajectories: four to train on, one to stop by, one to measure with
 

@@ -195,7 +195,9 @@ def _move(twin: Twin, plan: Plan, batch: list[int], device: str) -> list[Motion]
         return Loads(q_cmd=0.5 * (target[k] + target[min(k + 1, len(target) - 1)]))
 
     run = simulate(solver, loads, (frames - 1) * FRAME_S, hold, damping=plan.damping_per_s, particles=False)
-    q, q_vel, target = (x[::HOLDS] for x in (run.q, run.q_vel, target))
+    # A joint's rate falls off within each hold, so its momentary value would depend on when it is read.
+    q_vel = np.gradient(run.q.astype(float), hold, axis=0)
+    q, q_vel, target = (x[::HOLDS] for x in (run.q, q_vel, target))
     return [
         Motion(q[:, b], q_vel[:, b], target[:, b], pressure[::HOLDS]) for b, (_, pressure) in enumerate(drawn)
     ]

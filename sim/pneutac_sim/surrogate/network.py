@@ -21,7 +21,7 @@ FORMAT = "pneutac-action-network/1"
 HIDDEN = 128
 LAYERS = ("w1", "b1", "w2", "b2", "w3", "b3")
 MARGIN = 0.05  # of the width of what was seen in training, still counted as in range
-STEP_S = 0.001
+STEP_S = 0.002
 
 
 @dataclass(frozen=True)

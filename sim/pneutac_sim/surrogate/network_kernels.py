@@ -6,7 +6,7 @@
 import numpy as np
 from numba import njit
 
-from pneutac_sim.surrogate.skeleton import advance
+from pneutac_sim.surrogate.skeleton import G, advance
 
 STEPS, RESOLUTION_RAD = 50, 1e-8  # of the search for rest
 
@@ -54,16 +54,18 @@ def _softsign(y):
 def roll(A, inertia, K, D, loss, numbers, x, f, q, qd, targets, pressure, substeps, h, out_q, out_v, inside):
     """Motion over S targets of `substeps` steps of `h` seconds each; see `ActionNetwork.roll`."""
     n = len(q)
-    extra, target = np.empty(n), np.empty(n)
+    extra, target, end = np.empty(n), np.empty(n), np.empty(n)
     for s in range(len(out_q)):
         for k in range(substeps):
-            share = (k + 0.5) / substeps
-            p = pressure[s] + share * (pressure[s + 1] - pressure[s])
+            middle, last = (k + 0.5 * G) / substeps, (k + 1) / substeps
+            p = pressure[s] + middle * (pressure[s + 1] - pressure[s])
             residual(numbers, q + 0.5 * h * qd, qd, p, x, f)
             for i in range(n):
                 extra[i] = f[2][i]
-                target[i] = targets[s, i] + share * (targets[s + 1, i] - targets[s, i])
-            advance(A, inertia, K, D, loss, q, qd, target, extra, h)
+                rise = targets[s + 1, i] - targets[s, i]
+                target[i] = targets[s, i] + middle * rise
+                end[i] = targets[s, i] + last * rise
+            advance(A, inertia, K, D, loss, q, qd, target, end, extra, h)
         inside[s] = residual(numbers, q, qd, pressure[s + 1], x, f)
         out_q[s], out_v[s] = q, qd
 

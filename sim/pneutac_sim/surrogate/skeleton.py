@@ -4,9 +4,9 @@
 
 K and D are those of the controller of the material points' spine, q_target the joint targets, d the rate at
 which a surrounding medium takes momentum (see `mpm.solve.simulate`), and c the forces of Coriolis and
-centrifuge. Each particle goes with the link that it lies beside, so M is the inertia of the whole body wherever
-it follows its spine; f_r is then what the soft body does to the joints: the torque of its elasticity, and where
-it lags behind.
+centrifuge. Each particle goes with the link that it lies beside, so M is the inertia of the whole body
+wherever it follows its spine; f_r is then what the soft body does to the joints: the torque of its elasticity,
+and where it lags behind.
 
 All hinges are parallel. With the absolute angle phi_i of link i and complex numbers x + i z for the plane,
 link k's centre of mass is sum_{j<=k} r_kj exp(i phi_j), where r_kj for j < k is the way from hinge j to the
@@ -129,12 +129,12 @@ def _dynamics(A, inertia, q, qd):
 
 
 @njit(cache=True)
-def advance(A, inertia, K, D, loss, q, qd, target, extra, h):
+def advance(A, inertia, K, D, loss, q, qd, target, end, extra, h):
     """One step of `h` seconds by TR-BDF2: of second order, and stiff swings die away.
 
     First the trapezoidal rule over the share G of the step, then the backward formula over all of it; `a` is
-    the same in both. `q` and `qd` (N,) are changed in place; `target` (N,) is in rad, `extra` (N,) the torque
-    besides the controller's in N m.
+    the same in both. `q` and `qd` (N,) are changed in place; `target` (N,) holds in the middle of the first
+    part and `end` (N,) at the end of the step, rad; `extra` (N,) is the torque besides the controller's, N m.
     """
     n = len(q)
     a = 0.5 * G * h
@@ -157,7 +157,7 @@ def advance(A, inertia, K, D, loss, q, qd, target, extra, h):
     M, c = _dynamics(A, inertia, later, middle)
     b = M @ rate
     for i in range(n):
-        b[i] += a * (extra[i] - c[i] + K * (target[i] - angle[i]))
+        b[i] += a * (extra[i] - c[i] + K * (end[i] - angle[i]))
     _solve(M, (1.0 + a * loss), a * (D + a * K), b, new)
     for i in range(n):
         q[i] = angle[i] + a * new[i]

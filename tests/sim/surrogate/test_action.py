@@ -1,0 +1,223 @@
+"""The action network: values, files, range; and that what is learned of a few motions helps on others."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.surrogate.action import FEWEST, evaluate_action, split, train_action
+from pneutac_sim.surrogate.collect import FRAME_S, Motion, Plan, collect_action, draw, read_motions
+from pneutac_sim.surrogate.finger import SurrogateFinger
+from pneutac_sim.surrogate.fingerprint import fingerprint, gel_fingerprint
+from pneutac_sim.surrogate.network import MARGIN, ActionNetwork
+from pneutac_sim.surrogate.programs import bending_pressure, bending_range, joint_targets
+from pneutac_sim.twin import Twin, Value
+
+
+def states(network, count, rng):
+    wide = network.high - network.low
+    return network.low + wide * rng.uniform(0.02, 0.98, (count, len(wide)))
+
+
+def test_value_is_that_of_torch(network):
+    import torch
+
+    nn = torch.nn
+    model = nn.Sequential(
+        nn.Linear(9, 128), nn.Softsign(), nn.Linear(128, 128), nn.Softsign(), nn.Linear(128, 4)
+    )
+    with torch.no_grad():
+        for p, layer in zip(model.parameters(), network.layers, strict=True):
+            p.copy_(torch.tensor(layer.T))
+        x = states(network, 50, np.random.default_rng(1))
+        out = model(torch.tensor((x - network.mean) / network.scale, dtype=torch.float32)).numpy()
+    expected = network.torque_mean + network.torque_scale * out
+    found = network.torque(x[:, :4], x[:, 4:8], x[:, 8])
+    np.testing.assert_allclose(found, expected, atol=2e-7)
+    assert np.ptp(expected, axis=0).min() > 1e-2  # it is no constant
+
+
+def test_a_file_gives_the_same_network(network, tmp_path):
+    file = network.save(tmp_path / "action.safetensors")
+    again = ActionNetwork.load(file)
+    x = states(network, 5, np.random.default_rng(2))
+    np.testing.assert_array_equal(
+        again.torque(x[:, :4], x[:, 4:8], x[:, 8]), network.torque(x[:, :4], x[:, 4:8], x[:, 8])
+    )
+    assert again.fingerprint == network.fingerprint
+    assert not list(tmp_path.glob("*.tmp"))
+
+
+def test_files_that_are_none(network, tmp_path):
+    file = network.save(tmp_path / "action.safetensors")
+    whole = file.read_bytes()
+    for broken in (whole[: len(whole) // 2], b"", b"not a tensor file"):
+        file.write_bytes(broken)
+        with pytest.raises(InputError, match=r"action\.safetensors is corrupted.*pneutac surrogate"):
+            ActionNetwork.load(file)
+    with pytest.raises(InputError, match="There is no action network"):
+        ActionNetwork.load(tmp_path / "none.safetensors")
+    spoilt = dataclasses.replace(network, mean=np.full(9, np.nan)).save(tmp_path / "nan.safetensors")
+    with pytest.raises(InputError, match="array 'mean' must be finite"):
+        ActionNetwork.load(spoilt)
+
+
+def test_motion_ends_where_it_rests(network):
+    still = dataclasses.replace(
+        network, layers=(*network.layers[:4], network.layers[4] * 0.1, network.layers[5])
+    )
+    target, p = np.array([0.2, 0.1, 0.15, 0.2]), 7.0
+    rest, inside = still.rest(target, p)
+    q, v, in_range = still.roll(target, np.zeros(4), np.tile(target, (501, 1)), np.full(501, p), 2.0)
+    np.testing.assert_allclose(q[-1], rest, atol=1e-6)
+    assert np.abs(v[-1]).max() < 1e-3
+    assert inside
+    assert in_range[-1]
+    balance = 20.0 * (rest - target) - still.torque(rest[None], np.zeros((1, 4)), [p])[0]
+    assert np.abs(balance).max() < 1e-6
+
+
+def test_out_of_range_is_told_and_stays_finite(network):
+    finger = SurrogateFinger(Twin.builtin(), network)
+    cmd = joint_targets(Twin.builtin(), np.array(5.0))
+    finger.bend(cmd)
+    assert finger.in_range
+    margin = 15.0 * (1 + MARGIN)
+    for pressure, inside in ((margin - 0.01, True), (margin + 0.01, False)):
+        q = joint_targets(Twin.builtin(), np.array(pressure))
+        finger.bend(q, -0.458 * (q - cmd))  # the pressure is out of range, its joint angles are not
+        assert finger.in_range == inside
+    far = finger.bend(cmd, np.full(4, 1e3))
+    assert not finger.in_range
+    assert np.isfinite(far).all()
+    wild = np.random.default_rng(3).normal(size=(200, 4)) * 5
+    q, v, in_range = network.roll(cmd, np.full(4, 100.0), wild, np.full(200, 1e6), 2.0)
+    assert not in_range.any()
+    assert np.isfinite(q).all()
+    assert np.abs(q).max() < 1e3
+    with pytest.raises(InputError, match="not a finite number"):
+        finger.bend(cmd, np.full(4, np.nan))
+
+
+def test_a_network_serves_its_twin_alone(network):
+    twin = Twin.builtin()
+    for change in (
+        lambda t: t.parameters.update(youngs_modulus_mpa=Value(2.0)),
+        lambda t: t.effects.update(valve_lag={"tau_fill_s": Value(0.3)}),
+        lambda t: t.arrays.update(mesh_faces=np.zeros((1, 3), np.int32)),
+        lambda t: setattr(t, "length_mm", 111.0),
+    ):
+        other = twin.copy()
+        change(other)
+        assert fingerprint(other) != fingerprint(twin)
+        assert gel_fingerprint(other) == gel_fingerprint(twin)
+        with pytest.raises(InputError, match="another twin.*pneutac surrogate"):
+            SurrogateFinger(other, network)
+    same = twin.copy()
+    same.history.append({"version": 0})
+    same.effects["camera_misalignment"] = {}
+    assert fingerprint(same) == fingerprint(twin)
+    softer = twin.copy()
+    softer.parameters["gel_youngs_modulus_mpa"] = Value(0.2)
+    assert gel_fingerprint(softer) != gel_fingerprint(twin)
+
+
+def test_bending_pressure_is_what_effects_leave_of_the_command():
+    twin = Twin.builtin()
+    p = np.array([0.0, 4.0, 15.0])
+    np.testing.assert_allclose(bending_pressure(twin, joint_targets(twin, p)), p, atol=1e-9)
+    assert bending_range(twin) == pytest.approx((0.0, 15.0), abs=1e-9)
+    twin.effects["creep"] = {}
+    low, high = bending_range(twin)
+    assert low > -1
+    assert high > 15.1  # it creeps on while the pressure stands
+
+
+def test_programs_keep_to_their_range_and_half_have_loads():
+    twin, plan, t = Twin.builtin(), Plan(), np.arange(500) * FRAME_S
+    loads = 0
+    for i in range(16):
+        target, pressure = draw(twin, plan, i, t)
+        assert -1e-9 <= pressure.min() <= pressure.max() <= 15 + 1e-9
+        assert np.ptp(pressure) > 1
+        load = np.abs(target - joint_targets(twin, pressure)).max()
+        loads += load > 1e-2
+    assert loads == 8
+
+
+def test_acceleration_is_of_the_fourth_order():
+    t = np.arange(100) * FRAME_S
+    w = 2 * np.pi * 50
+    columns = {"target": np.zeros((100, 1)), "pressure_kpa": np.zeros(100)}
+    m = Motion(q=np.sin(w * t)[:, None], q_vel=w * np.cos(w * t)[:, None], **columns)
+    wanted = -(w**2) * np.sin(w * t[1:-1])
+    assert np.abs(m.accelerations()[:, 0] - wanted).max() < 0.01 * w**2  # central differences: 3 %
+
+
+def test_too_few_or_missing_trajectories(tmp_path):
+    with pytest.raises(InputError, match=f"at least {FEWEST} with `pneutac surrogate`"):
+        split([None] * (FEWEST - 1))
+    with pytest.raises(InputError, match="no trajectories.*pneutac surrogate"):
+        train_action(Twin.builtin(), tmp_path)
+    with pytest.raises(InputError, match="of a finger"):
+        collect_action(Twin("arm", 110.0), tmp_path)
+
+
+@pytest.fixture(scope="module")
+def collection(tmp_path_factory):
+    """Six short motions of a coarse finger."""
+    folder = tmp_path_factory.mktemp("motions")
+    collect_action(Twin.builtin(), folder, Plan(6, 0.2, particles=200), "cpu")
+    return folder
+
+
+def test_an_interrupted_collection_goes_on(collection):
+    twin, plan, told = Twin.builtin(), Plan(6, 0.2, particles=200), []
+    assert len(collect_action(twin, collection, plan, "cpu", told.append)) == 6
+    assert not told  # nothing was left to do
+    with pytest.raises(InputError, match="another twin or plan"):
+        collect_action(twin, collection, dataclasses.replace(plan, seed=1), "cpu")
+    file = collection / "action_003.safetensors"
+    kept = file.read_bytes()
+    before = read_motions(collection, twin)[1][3]
+    file.unlink()
+    with pytest.raises(InputError, match="action_003.*missing.*pneutac surrogate"):
+        read_motions(collection, twin)
+    collect_action(twin, collection, plan, "cpu", told.append)
+    assert told == ["collected 6 of 6 trajectories"]
+    after = read_motions(collection, twin)[1][3]
+    np.testing.assert_allclose(after.q, before.q, atol=2e-3)
+    file.write_bytes(kept[:200])
+    with pytest.raises(InputError, match="corrupted"):
+        read_motions(collection, twin)
+    file.write_bytes(kept)
+
+
+def test_training_beats_no_network_on_other_motions(collection):
+    twin = Twin.builtin()
+    network = train_action(twin, collection, epochs=150)
+    e = evaluate_action(twin, network, collection)
+    assert e.torque_nm < 0.3 * e.bare_torque_nm
+    assert e.position_deg < 0.5 * e.bare_position_deg
+    assert e.velocity_deg_s < 1.1 * e.bare_velocity_deg_s
+
+
+@pytest.mark.slow
+def test_finger_rests_where_the_full_one_does(tmp_path):
+    from pneutac_sim.world.mpm_finger import MpmFinger
+
+    twin = Twin.builtin()
+    collect_action(twin, tmp_path, Plan(12, 0.5, particles=1000), "cpu")
+    surrogate = SurrogateFinger(twin, train_action(twin, tmp_path))
+    full = MpmFinger(twin, particles=1000, device="cpu")
+    bare, error = [], []
+    for pressure, torque in ((2.0, 0.0), (6.0, -0.03), (11.0, -0.06), (14.0, 0.0), (5.0, 0.02)):
+        cmd = joint_targets(twin, np.array(pressure))
+        load = torque * np.array([1.0, 0.75, 0.5, 0.25])
+        rest = full.bend(cmd, load)
+        error.append(np.degrees(surrogate.bend(cmd, load) - rest))
+        bare.append(np.degrees(cmd + load / 0.458 - rest))
+        assert surrogate.in_range
+    assert np.abs(error).mean() < 0.03
+    assert np.abs(error).mean() < 0.25 * np.abs(bare).mean()
