@@ -102,7 +102,7 @@ def write_tables(bodies: list[dict], out: Path, console: Console) -> dict:
         ),
         (
             "Parameters against truth",
-            ("device", "parameter", "error", "error, %", "|error|, %", "identified", "95 % interval covers"),
+            ("device", "parameter", "error", "error, %", "magnitude, %", "identified", "95 % covers"),
             [
                 (r["device"], f"{r['parameter']} ({r['unit']})" if r["unit"] else r["parameter"],
                  shown(r["error"], 4, "+"), shown(r["error_percent"], 1, "+"),
