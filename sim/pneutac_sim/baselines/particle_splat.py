@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from pneutac_sim.baselines.photo_colours import photo_colours
-from pneutac_sim.baselines.zbuffer import draw_disks
 from pneutac_sim.mpm.body import Body
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.rasteriser import Rendering
+from pneutac_sim.splat.zbuffer import draw_disks
 
 RADII = (0.5, 0.6, 0.7, 0.8, 0.9)  # over the particles' spacing; the one that suits the photograph is taken
 

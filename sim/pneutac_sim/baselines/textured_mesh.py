@@ -8,11 +8,11 @@ from scipy.spatial import cKDTree
 
 from pneutac_sim.baselines.isosurface import isosurface
 from pneutac_sim.baselines.photo_colours import photo_colours
-from pneutac_sim.baselines.zbuffer import draw_triangles
 from pneutac_sim.mpm.body import Body
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.carry import carry
 from pneutac_sim.splat.rasteriser import Rendering
+from pneutac_sim.splat.zbuffer import draw_triangles
 
 FINE = 2  # nodes of the density's lattice a particle, each way
 BORDER = 4  # empty nodes round the body

@@ -45,6 +45,9 @@ BY_DEVICE = {
     "spine_stiffness_nm_per_rad": {"finger": 20.0, "arm": 200.0},
 }
 SHAPES = {"finger": finger_mesh, "arm": arm_mesh}
+# The rigid end that closes the chambers and carries the sensor or the marker. Without it the soft end lags
+# behind the last link by as much as its lattice happens to leave free.
+CAP_M = 5e-3
 LAYERS = 13  # of a gel
 
 
@@ -113,6 +116,7 @@ def _bending(kind, twin, batch, particles, mesh, device) -> TotalLagrangian:
         axes=2 if kind == "arm" else 1,
         stiffness_nm_per_rad=parameter(twin, "spine_stiffness_nm_per_rad"),
         damping_nms_per_rad=parameter(twin, "spine_damping_nms_per_rad"),
+        cap_m=min(CAP_M, length - joints[-1]),
     )
     return TotalLagrangian(body, spine, batch=batch, device=device)
 

@@ -24,6 +24,7 @@ class Spine:
         axes: hinges a joint: 1 (in the plane) or 2.
         stiffness_nm_per_rad: of the controller.
         damping_nms_per_rad: of the controller.
+        cap_m: length at the far end over which the whole body moves with the last link, m.
     """
 
     joint_positions_m: tuple[float, ...]
@@ -34,6 +35,7 @@ class Spine:
     axes: int = 1
     stiffness_nm_per_rad: float = 10.0
     damping_nms_per_rad: float = 0.01
+    cap_m: float = 0.0
 
     def __post_init__(self):
         places = np.asarray(self.joint_positions_m, float)
@@ -50,6 +52,10 @@ class Spine:
         for name in ("radius_m", "stiffness_nm_per_rad"):
             if not getattr(self, name) > 0:
                 raise InputError(f"Spine: {name} is {getattr(self, name)}; it must be positive.")
+        if not 0 <= self.cap_m <= self.length_m - places[-1]:
+            raise InputError(
+                f"Spine: cap_m is {self.cap_m}; it must lie between 0 and the last link's length."
+            )
 
     @property
     def hinges(self) -> int:
@@ -77,6 +83,9 @@ class Spine:
         inside &= grid.volume > 0.25 * grid.dx**3  # the others are at the edge of a cell that is nearly empty
         link = np.searchsorted(np.asarray(self.joint_positions_m), x) * self.axes
         link = np.where(inside, link, -1)
+        if self.cap_m:
+            capped = (x >= self.length_m - self.cap_m) & (grid.volume > 0) & ~grid.mirrored
+            link = np.where(capped, self.hinges, link)
         for joint in range(len(self.joint_positions_m)):
             if not (link == (joint + 1) * self.axes).any():
                 raise InputError(

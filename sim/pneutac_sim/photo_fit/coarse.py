@@ -1,9 +1,10 @@
 """A first fit to silhouettes alone: the body bends as its spine does, without material points.
 
-Particles are carried along by the links, drawn as splats, and their coverage is compared with the masks,
-both blurred: widely first, so that silhouettes that do not overlap attract each other, then less. Bounded
-least squares do the rest, since the difference is smooth in the joint angles. What the links leave out is
-then taken from material points at rest at the parameters found, and the last fit repeated.
+The surface is carried along by the links and drawn, and its coverage is compared with the masks, both
+blurred: widely first, so that silhouettes that do not overlap attract each other, then less. Bounded least
+squares do the rest, since the difference is smooth in the joint angles. What the links leave out is then
+taken from material points at rest at the parameters found, and the last fit repeated. Last come Gauss-Newton
+steps with derivatives from material points: those of the links are too wrong to tell one joint from another.
 """
 
 from dataclasses import dataclass, replace
@@ -11,24 +12,24 @@ from itertools import product
 
 import cv2
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, lsq_linear
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.photo_fit.equilibria import BUILD, Equilibria, joint_targets
+from pneutac_sim.photo_fit.equilibria import BUILD, Bodies, Equilibria, joint_targets
 from pneutac_sim.photo_fit.objective import Photograph
+from pneutac_sim.photo_fit.outline import Outline
 from pneutac_sim.photo_fit.parameters import BodyParameters
 from pneutac_sim.splat.body import check_photograph
 from pneutac_sim.splat.camera import Camera
-from pneutac_sim.splat.follow import blank_looks
-from pneutac_sim.splat.rasteriser import Splats
 
 BLURS = (0.12, 0.03, 0.01)  # standard deviations over the square root of the mask's area times 3
 BENDS_RAD = np.linspace(-1.2, 2.4, 7)  # of a whole finger, tried at the lowest and the highest pressure
 PARTICLES = 1500
 PIXELS = 160  # of a body's length, to which photographs are reduced
 LEAST_IOU = 0.4  # of silhouettes; with less in common the photograph is of something else
-CORRECTIONS = 2  # rounds of material points
+STEPS = 3  # of Gauss-Newton by material points
 SMALL = 0.05  # of the first step, for differences
+MOVE = 0.25  # the same by material points, which come to rest within a tolerance
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ class Coarse:
 
 
 class Skinned:
-    """A body that is carried along by its spine's links.
+    """A body's surface that is carried along by its spine's links.
 
     Args:
         parameters: what candidates differ in.
@@ -66,43 +67,42 @@ class Skinned:
         self.parameters, self.pressures, self.conditions = parameters, pressures, conditions
         self.device = device
         self.photographs = [reduced(p) for p in photographs]
-        one = BUILD[parameters.twin.device](parameters.twin, particles=PARTICLES, device=device)
-        self.body, self.spine = one.body, one.spine
-        self._looks = blank_looks(self.body)
-        self._covariances = self._looks.covariances()
+        self.spine = BUILD[parameters.twin.device](parameters.twin, particles=PARTICLES, device=device).spine
+        self.outline = Outline(parameters.twin)
         self._left_out = 0.0
 
-    def correct(self, x: np.ndarray) -> None:
+    def correct(self, x: np.ndarray) -> Equilibria:
         """Takes what the links leave out from material points at rest at `x` (P,)."""
         self._left_out = 0.0
         rest = Equilibria(self.parameters, x, self.pressures, self.conditions, PARTICLES, self.device)
-        self._left_out = rest.first.positions[0] - self.positions(x)
+        self._left_out = self.surfaces(rest, rest.first)[0] - self.positions(x)
+        return rest
+
+    def surfaces(self, rest: Equilibria, bodies: Bodies) -> np.ndarray:
+        """(K, T, V, 3) m of bodies of material points."""
+        follow = self.outline.on(rest.body)
+        return np.stack([follow(*b) for b in zip(bodies.positions, bodies.gradients, strict=True)])
 
     def positions(self, x: np.ndarray) -> np.ndarray:
-        """(T, particles, 3) m of one candidate (P,)."""
+        """(T, V, 3) m of the surface of one candidate (P,)."""
         twin = self.parameters.twin_at(x)
         q = joint_targets(twin, self.pressures, self.conditions)
-        return self.spine.skin(q, self.body.positions) + self._left_out
+        return self.spine.skin(q, self.outline.vertices) + self._left_out
 
     def coverage(self, at: np.ndarray, photograph: Photograph) -> np.ndarray:
-        """(H, W) of particles at (T, particles, 3) m as this reduced photograph's camera sees them."""
-        looks = self._looks
-        splats = Splats(photograph.camera, at[photograph.state], self._covariances, looks.opacities)
-        return splats.render(looks.colours).alpha
+        """(H, W) of surfaces at (T, V, 3) m as this reduced photograph's camera sees them."""
+        return self.outline.coverage(at[photograph.state], photograph.camera)
 
-    def differences(self, x: np.ndarray, blur: float) -> np.ndarray:
+    def differences(self, at: np.ndarray, blur: float) -> np.ndarray:
         """Coverage less mask of every photograph, blurred and thinned, one long vector.
 
         Args:
-            x: (P,) coordinates.
+            at: (T, V, 3) m of surfaces.
             blur: see `BLURS`.
         """
-        at = self.positions(x)
         parts = []
         for p in self.photographs:
-            alpha = self.coverage(at, p)
-            sigma = blur * reach(p.mask)
-            parts.append(thin(alpha - p.mask, sigma).ravel())
+            parts.append(thin(self.coverage(at, p) - p.mask, blur * reach(p.mask)).ravel())
         return np.concatenate(parts)
 
 
@@ -148,7 +148,7 @@ def coarse_fit(
     """
     model = Skinned(parameters, pressures, photographs, conditions, device)
     tried = [np.clip(x, parameters.lower, parameters.upper) for x in _starts(parameters, pressures)]
-    x = min(tried, key=lambda x: np.square(model.differences(x, BLURS[0])).sum())
+    x = min(tried, key=lambda x: np.square(model.differences(model.positions(x), BLURS[0])).sum())
     free = parameters.of_pose
     scale = parameters.step[free]
 
@@ -157,30 +157,51 @@ def coarse_fit(
         out[free] = y
         return np.clip(out, parameters.lower, parameters.upper)
 
-    def jacobian(y, blur):
-        here = model.differences(whole(y), blur)
-        step = SMALL * np.where(y + SMALL * scale < parameters.upper[free], scale, -scale)
-        there = [model.differences(whole(z), blur) for z in y + np.diag(step)]
-        return (np.stack(there, 1) - here[:, None]) / step
+    def moved(y, small):
+        """(F, F) one step along each coordinate, towards the inside of the bounds."""
+        return np.diag(small * np.where(y + small * scale < parameters.upper[free], scale, -scale))
 
-    for round_, blur in enumerate((*BLURS, *BLURS[-1:] * CORRECTIONS)):
-        if round_ >= len(BLURS):
+    def misfit(y, blur):
+        return model.differences(model.positions(whole(y)), blur)
+
+    def jacobian(y, blur):
+        step, here = moved(y, SMALL), misfit(y, blur)
+        return np.stack([misfit(y + s, blur) - here for s in step], 1) / np.diag(step)
+
+    for round_, blur in enumerate((*BLURS, BLURS[-1])):
+        if round_ == len(BLURS):
             _check(model, x, photographs)
             model.correct(x)
         found = least_squares(
-            lambda y, blur=blur: model.differences(whole(y), blur),
+            misfit,
             x[free],
-            jac=lambda y, blur=blur: jacobian(y, blur),
+            jacobian,
             bounds=(parameters.lower[free], parameters.upper[free]),
             x_scale=scale,
             xtol=1e-4,
             ftol=1e-4,
             max_nfev=25,
+            args=(blur,),
         )
         x = whole(found.x)
-    hessian = np.zeros((len(x), len(x)))
-    hessian[np.ix_(free, free)] = found.jac.T @ found.jac
-    return Coarse(x, hessian)
+    least, hessian = np.inf, np.zeros((len(x), len(x)))
+    rest = model.correct(x)
+    for _ in range(STEPS):
+        steps = moved(x[free], MOVE)
+        surfaces = model.surfaces(rest, rest.solve(np.stack([x, *(whole(x[free] + s) for s in steps)])))
+        pictures = np.stack([model.differences(at, BLURS[-1]) for at in surfaces])
+        if np.square(pictures[0]).sum() > least:
+            break
+        best, least = x, np.square(pictures[0]).sum()
+        J = (pictures[1:] - pictures[0]).T / np.diag(steps)
+        hessian[np.ix_(free, free)] = J.T @ J
+        y = lsq_linear(
+            J * scale,
+            -pictures[0],
+            ((parameters.lower - x)[free] / scale, (parameters.upper - x)[free] / scale),
+        ).x
+        x = whole(x[free] + scale * y)
+    return Coarse(best, hessian)
 
 
 def _check(model: Skinned, x: np.ndarray, photographs: list[Photograph]) -> None:

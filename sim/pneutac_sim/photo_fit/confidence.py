@@ -10,6 +10,7 @@ from pneutac_sim.photo_fit.objective import Objective
 BLUR_PX = 2.0
 BLOCK = 32  # thinned pixels along an edge that count as one observation
 MOVE = 0.5  # of a first step, for differences
+LATTICE = 0.05  # of the particles' spacing, by which surfaces of one body on different lattices differ
 TELLING = 0.5  # of the prior's standard deviation: what is left above tells nothing
 
 
@@ -34,7 +35,8 @@ def confidence(objective: Objective, x: np.ndarray) -> Confidence:
     Linearised: residual r is blurred coverage less mask, J its derivative by central differences through all
     of material points and renderer. Pixels of a block err together, so information is Godambe's
     H M^-1 H with H = J^T J, M = sum over blocks of (J_b^T r_b)(J_b^T r_b)^T. What is wrong with the body's
-    shape is so in all photographs: n of them tell no more about it than one, and M counts n times. The
+    shape is so in all photographs: n of them tell no more about it than one, and M counts n times. So is what
+    the lattice leaves open, by which the outline in a block is shifted along either axis: it adds to M. The
     uniform prior between the bounds adds the inverse of its variance.
 
     Args:
@@ -46,21 +48,22 @@ def confidence(objective: Objective, x: np.ndarray) -> Confidence:
     step = MOVE * parameters.step
     ends = [np.clip(x + s * np.diag(step), parameters.lower, parameters.upper) for s in (1, -1)]
     bodies = objective.equilibria.solve(np.concatenate([x[None], *ends]))
+    surfaces = [objective.surface(*body) for body in zip(bodies.positions, bodies.gradients, strict=True)]
     width = np.diag(ends[0] - ends[1])
     H, M = np.zeros((n, n)), np.zeros((n, n))
     for p in objective.photographs:
         mask = p.mask.astype(np.float32)
         pictures = np.stack(
-            [thin(objective.render(at[p.state], p.camera).alpha - mask, BLUR_PX) for at in bodies.positions]
+            [thin(objective.outline.coverage(at[p.state], p.camera) - mask, BLUR_PX) for at in surfaces]
         ).astype(float)
         J = (pictures[1 : n + 1] - pictures[n + 1 :]) / width[:, None, None]
         H += np.einsum("ihw,jhw->ij", J, J)
-        pull = J * pictures[0]
-        h, w = (-(-s // BLOCK) * BLOCK for s in pull.shape[1:])
-        whole = np.zeros((n, h, w))
-        whole[:, : pull.shape[1], : pull.shape[2]] = pull
-        blocks = whole.reshape(n, h // BLOCK, BLOCK, w // BLOCK, BLOCK).sum((2, 4)).reshape(n, -1)
-        M += blocks @ blocks.T
+        depth = p.camera.project(bodies.positions[0, p.state])[1].mean()
+        open_px = LATTICE * objective.equilibria.body.spacing_m * p.camera.intrinsics[0, 0] / depth
+        shifts = (open_px * thin(slope, BLUR_PX) for slope in np.gradient(mask))
+        for residual in (pictures[0], *shifts):
+            blocks = _blocks(J * residual)
+            M += blocks @ blocks.T
     scale = parameters.prior_sd
     H, M = H * np.outer(scale, scale), M * np.outer(scale, scale)
     M *= len(objective.photographs)
@@ -73,3 +76,10 @@ def confidence(objective: Objective, x: np.ndarray) -> Confidence:
     ci95 = {name: (float(a), float(b)) for name, (a, b) in zip(parameters.names, ends, strict=True)}
     unclear = [name for name, a, b in zip(parameters.names, sd, scale, strict=True) if a > TELLING * b]
     return Confidence(sd, ci95, unclear)
+
+
+def _blocks(pictures: np.ndarray) -> np.ndarray:
+    """(n, blocks) sums over the blocks of (n, h, w) pictures."""
+    n, h, w = pictures.shape
+    whole = np.pad(pictures, ((0, 0), (0, -h % BLOCK), (0, -w % BLOCK)))
+    return whole.reshape(n, -(-h // BLOCK), BLOCK, -(-w // BLOCK), BLOCK).sum((2, 4)).reshape(n, -1)

@@ -7,6 +7,7 @@ import numpy as np
 
 from pneutac_sim.mpm.solve import MpmDiverged
 from pneutac_sim.photo_fit.equilibria import Bodies, Equilibria
+from pneutac_sim.photo_fit.outline import Outline
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.gaussians import Gaussians
 from pneutac_sim.splat.rasteriser import Rendering, Splats
@@ -54,26 +55,26 @@ class Scores(NamedTuple):
         return (self.appearance + SILHOUETTE * (1 - self.iou)).mean(-1)
 
 
-def score(rendering: Rendering, image: np.ndarray, mask: np.ndarray) -> tuple[float, float, float]:
+def score(
+    drawn: np.ndarray, covered: np.ndarray, image: np.ndarray, mask: np.ndarray
+) -> tuple[float, float, float]:
     """Appearance, IoU and RMSE of one rendering on black.
 
     Args:
-        rendering: image (H, W, 3), 0 to 1, and coverage.
+        drawn: (H, W, 3), 0 to 1.
+        covered: the body's silhouette, bool (H, W).
         image: the photograph, RGB uint8 (H, W, 3).
         mask: where its body is, bool (H, W), not empty.
     """
-    drawn = rendering.alpha > SOLID
-    union = mask | drawn
-    level = rendering.image.clip(0, 1)[union] - np.where(
-        mask[union][:, None], image[union] / np.float32(255), 0
-    )
+    union = mask | covered
+    level = drawn.clip(0, 1)[union] - np.where(mask[union][:, None], image[union] / np.float32(255), 0)
     appearance = float(np.abs(level[mask[union]]).mean())
-    iou = float((mask & drawn).sum() / union.sum())
+    iou = float((mask & covered).sum() / union.sum())
     return appearance, iou, float(255 * np.sqrt((level.astype(float) ** 2).mean()))
 
 
 class Objective:
-    """Scores candidates by full material points and splats.
+    """Scores candidates by full material points: looks by splats, silhouettes by the body's surface.
 
     Args:
         equilibria: of the pressures that the photographs' `state` counts.
@@ -82,12 +83,15 @@ class Objective:
 
     Attributes:
         best: (T, P, 3) particles of the best candidate so far, m; None before the first.
+        outline: the body's surface.
     """
 
     def __init__(self, equilibria: Equilibria, photographs: list[Photograph], looks: Gaussians):
         self.equilibria, self.photographs, self.looks = equilibria, photographs, looks
         # A round Gaussian stays the same however it turns.
         self._covariances = looks.covariances()
+        self.outline = Outline(equilibria.parameters.twin)
+        self.surface = self.outline.on(equilibria.body)
         self.best, self._least = None, np.inf
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
@@ -104,10 +108,14 @@ class Objective:
     def scores(self, bodies: Bodies) -> Scores:
         """Of bodies at rest."""
         rows = [
-            [score(self.render(positions[p.state], p.camera), p.image, p.mask) for p in self.photographs]
-            for positions in bodies.positions
+            [self._score(p, at[p.state], edge[p.state]) for p in self.photographs]
+            for at, edge in zip(bodies.positions, map(self.surface, *bodies[:2]), strict=True)
         ]
         return Scores(*np.moveaxis(np.array(rows), 2, 0))
+
+    def _score(self, p: Photograph, positions: np.ndarray, vertices: np.ndarray) -> tuple:
+        covered = self.outline.coverage(vertices, p.camera) > SOLID
+        return score(self.render(positions, p.camera).image, covered, p.image, p.mask)
 
     def render(self, positions: np.ndarray, camera: Camera) -> Rendering:
         """One body, particles at (P, 3) m, on black."""

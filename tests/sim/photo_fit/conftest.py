@@ -26,10 +26,11 @@ def drawn():
     camera = Camera.look_at((0.055, -0.4, 0.02), (0.055, 0, 0.02), (-1, 0, 0), 22.0, 240, 240)
     blank = Objective(equilibria, [], looks)
     photographs = []
+    surfaces = blank.surface(equilibria.first.positions[0], equilibria.first.gradients[0])
     for state, positions in enumerate(equilibria.first.positions[0]):
-        picture = blank.render(positions, camera)
-        image = (255 * picture.image.clip(0, 1)).round().astype(np.uint8)
-        photographs.append(Photograph(state, camera, image, picture.alpha > 0.5))
+        image = (255 * blank.render(positions, camera).image.clip(0, 1)).round().astype(np.uint8)
+        mask = blank.outline.coverage(surfaces[state], camera) > 0.5
+        photographs.append(Photograph(state, camera, image, mask))
     return SimpleNamespace(
         parameters=parameters,
         truth=truth,

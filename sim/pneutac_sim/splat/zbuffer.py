@@ -8,6 +8,7 @@ from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.rasteriser import Rendering
 
 FINE = 2  # pixels drawn a pixel of the picture, each way; their mean smooths edges
+SHARP = 4  # the same for silhouettes alone
 
 
 def draw_triangles(camera: Camera, vertices: np.ndarray, faces: np.ndarray, colours: np.ndarray) -> Rendering:
@@ -24,6 +25,22 @@ def draw_triangles(camera: Camera, vertices: np.ndarray, faces: np.ndarray, colo
     image, nearest = _canvas(camera)
     _triangles(FINE * pixels, 1 / depth, seen, np.asarray(colours, float), image, nearest)
     return _picture(camera, image, nearest)
+
+
+def cover(camera: Camera, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(H, W) float32 share of each pixel that triangles cover.
+
+    Args:
+        camera: from where.
+        vertices: (V, 3) m.
+        faces: (F, 3) int.
+    """
+    pixels, depth = camera.project(vertices)
+    seen = faces[(depth[faces] > 0).all(1)]
+    canvas = np.zeros((SHARP * camera.height, SHARP * camera.width), np.uint8)
+    _cover(SHARP * pixels, seen, canvas)
+    size = camera.width, camera.height
+    return cv2.resize(canvas, size, interpolation=cv2.INTER_AREA).astype(np.float32) / 255
 
 
 def draw_disks(camera: Camera, centres: np.ndarray, radius_m: float, colours: np.ndarray) -> Rendering:
@@ -56,6 +73,27 @@ def _picture(camera: Camera, image: np.ndarray, nearest: np.ndarray) -> Renderin
         cv2.resize(image, size, interpolation=cv2.INTER_AREA),
         cv2.resize((nearest > 0).astype(np.float32), size, interpolation=cv2.INTER_AREA),
     )
+
+
+@njit(cache=True)
+def _cover(pixels, faces, canvas):
+    """Row by row: between the crossings of a triangle's edges with the line of pixel centres."""
+    height, width = canvas.shape
+    for f in range(len(faces)):
+        low, high = np.inf, -np.inf
+        for k in range(3):
+            low, high = min(low, pixels[faces[f, k], 1]), max(high, pixels[faces[f, k], 1])
+        for i in range(max(0, int(np.ceil(low - 0.5))), min(height - 1, int(np.floor(high - 0.5))) + 1):
+            y = i + 0.5
+            left, right = np.inf, -np.inf
+            for k in range(3):
+                x0, y0 = pixels[faces[f, k]]
+                x1, y1 = pixels[faces[f, (k + 1) % 3]]
+                if min(y0, y1) <= y <= max(y0, y1) and y0 != y1:
+                    x = x0 + (y - y0) / (y1 - y0) * (x1 - x0)
+                    left, right = min(left, x), max(right, x)
+            for j in range(max(0, int(np.ceil(left - 0.5))), min(width - 1, int(np.floor(right - 0.5))) + 1):
+                canvas[i, j] = 255
 
 
 @njit(cache=True)

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+import trimesh
 
-from pneutac_sim.baselines.zbuffer import draw_disks, draw_triangles
 from pneutac_sim.splat.camera import Camera
+from pneutac_sim.splat.zbuffer import cover, draw_disks, draw_triangles
 
 SEE = Camera(np.array([[100.0, 0, 32], [0, 100.0, 24], [0, 0, 1]]), np.eye(4), 64, 48)
 RED, BLUE = np.array([1.0, 0, 0]), np.array([0, 0, 1.0])
@@ -51,3 +52,22 @@ def test_disks_have_their_radius_and_the_nearest_wins():
     np.testing.assert_allclose(image[24, 32], RED)
     behind = draw_disks(SEE, np.array([[0, 0, -1.0]]), 0.1, RED[None])
     assert behind.alpha.max() == 0
+
+
+def test_coverage_is_the_area_of_a_triangle_and_of_a_ball():
+    corners = np.array([[-0.1, -0.08, 1.0], [0.15, -0.02, 1.0], [0.03, 0.11, 1.0]])  # 100 px/m at 1 m
+    a, b = 100 * (corners[1] - corners[0])[:2], 100 * (corners[2] - corners[0])[:2]
+    area = 0.5 * abs(a[0] * b[1] - a[1] * b[0])
+    covered = cover(SEE, corners, np.array([[0, 1, 2]]))
+    assert covered.sum() == pytest.approx(area, rel=5e-3)
+    assert np.allclose(covered, cover(SEE, corners, np.array([[0, 2, 1]])))  # from behind too
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.15)
+    covered = cover(SEE, ball.vertices + [0.0, 0.0, 1.0], ball.faces)
+    tangent = 0.15**2 / (1 - 0.15**2)  # of the cone that touches it, squared
+    assert covered.sum() == pytest.approx(np.pi * 100**2 * tangent, rel=5e-3)
+    assert covered.max() == 1.0
+
+
+def test_nothing_behind_the_camera_covers_a_pixel():
+    corners = np.array([[-0.1, -0.1, -1.0], [0.1, -0.1, -1.0], [0.0, 0.1, -1.0]])
+    assert not cover(SEE, corners, np.array([[0, 1, 2]])).any()
