@@ -5,8 +5,8 @@
 K and D are those of the controller of the material points' spine, q_target the joint targets, d the rate at
 which a surrounding medium takes momentum (see `mpm.solve.simulate`), and c the forces of Coriolis and
 centrifuge. Each particle goes with the link that it lies beside, so M is the inertia of the whole body
-wherever it follows its spine; f_r is then what the soft body does to the joints: the torque of its elasticity,
-and where it lags behind.
+wherever it follows its spine; f_r is then what the soft body does to the joints: the torque of its
+elasticity, and where it lags behind.
 
 All hinges are parallel. With the absolute angle phi_i of link i and complex numbers x + i z for the plane,
 link k's centre of mass is sum_{j<=k} r_kj exp(i phi_j), where r_kj for j < k is the way from hinge j to the

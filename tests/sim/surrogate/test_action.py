@@ -129,9 +129,9 @@ def test_bending_pressure_is_what_effects_leave_of_the_command():
     np.testing.assert_allclose(bending_pressure(twin, joint_targets(twin, p)), p, atol=1e-9)
     assert bending_range(twin) == pytest.approx((0.0, 15.0), abs=1e-9)
     twin.effects["creep"] = {}
-    low, high = bending_range(twin)
-    assert low > -1
-    assert high > 15.1  # it creeps on while the pressure stands
+    assert bending_range(twin) == pytest.approx((0.0, 15.0), abs=1e-3)  # the gain is that of the relaxed body
+    twin.effects["gain_saturation"] = {"saturation_pressure_kpa": Value(10.0)}
+    assert bending_range(twin)[1] == pytest.approx(10 * np.tanh(1.5), abs=1e-3)
 
 
 def test_programs_keep_to_their_range_and_half_have_loads():
