@@ -14,6 +14,7 @@ from lerobot_pneutac.photo_report import UNIT, outcome, photo_report, show, stri
 from lerobot_pneutac.photo_session import PhotoSession, read_session
 from lerobot_pneutac.report import write_result
 from pneutac_sim.errors import InputError
+from pneutac_sim.finger.fit import BY_IMAGES
 from pneutac_sim.photo_fit.coarse import Coarse, coarse_fit
 from pneutac_sim.photo_fit.confidence import Confidence, confidence
 from pneutac_sim.photo_fit.equilibria import Bodies, Equilibria
@@ -199,7 +200,7 @@ def calibrate_photographs(twin: Twin, recording, cfg, console: Console) -> dict:
     result = outcome(found)
     found.twin.save_version(
         cfg.twin,
-        "calibrated by images",
+        BY_IMAGES,
         str(recording.folder),
         {**result["error"], "unit": UNIT, "seed": cfg.seed},
     )

@@ -22,6 +22,8 @@ from pneutac_sim.twin import Twin
 _EDGE = 1e-3  # of a parameter's whole range: nearer to its bound it counts as at it
 _COARSE = 1200  # samples in the first round
 _COARSE_STEPS = 8  # enough to tell the valleys apart
+_PROFILE = ("gain_alpha", "gain_beta")
+BY_IMAGES = "calibrated by images"  # how a twin's history calls it
 
 
 @dataclass(frozen=True)
@@ -82,7 +84,9 @@ def fit(
         recording: a bench recording, or a `Bench` prepared from one (faster for many fits).
         effects: switched on; None for the twin's own.
         train: (n,) samples to fit; None for all.
-        only: fit these and hold the rest: names of parameters, or of effects for all of theirs.
+        only: fit these and hold the rest: names of parameters, or of effects for all of theirs. None for all;
+            but where photographs of the whole body have told how the bend is spread over the joints, a
+            recording of the tip alone, which hardly tells it, does not change that.
         starts: how many starting points the first round tries.
         seed: decides the random ones among them.
 
@@ -97,6 +101,9 @@ def fit(
     if bench.unit == "kPa" and only is None:  # the pressure knows nothing of the body behind it
         only = [e.name for e in pipeline.effects if e.stage == "pneumatics"]
     free = _free(pipeline, only)
+    seen = any(entry["change"] == BY_IMAGES for entry in twin.history)
+    if only is None and seen and not any(c.startswith("q_") for c in bench.columns):
+        free = np.array([i for i in free if pipeline.names[i] not in _PROFILE], int)
     if mask.sum() * len(bench.columns) <= len(free):
         raise InputError(
             f"There are {int(mask.sum())} training samples for {len(free)} parameters; record more, or fit "

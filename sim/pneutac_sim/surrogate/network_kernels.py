@@ -8,6 +8,7 @@ from numba import njit
 
 from pneutac_sim.surrogate.skeleton import G, advance
 
+FASTEST_RAD_S = 100.0  # fifteen times what commands bring about
 STEPS, RESOLUTION_RAD = 50, 1e-8  # of the search for rest
 
 
@@ -66,6 +67,8 @@ def roll(A, inertia, K, D, loss, numbers, x, f, q, qd, targets, pressure, subste
                 target[i] = targets[s, i] + middle * rise
                 end[i] = targets[s, i] + last * rise
             advance(A, inertia, K, D, loss, q, qd, target, end, extra, h)
+            for i in range(n):  # far out of range, Coriolis' forces would run away
+                qd[i] = min(max(qd[i], -FASTEST_RAD_S), FASTEST_RAD_S)
         inside[s] = residual(numbers, q, qd, pressure[s + 1], x, f)
         out_q[s], out_v[s] = q, qd
 

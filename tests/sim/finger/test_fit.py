@@ -5,6 +5,7 @@ from scipy.optimize import least_squares
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import Bench, fit
 from pneutac_sim.finger.confidence import autocorrelation, independent
+from pneutac_sim.finger.fit import BY_IMAGES
 from pneutac_sim.finger.least_squares import minimise
 from pneutac_sim.twin import Twin, Value
 
@@ -113,6 +114,20 @@ def test_measured_pressure_is_fitted_by_the_pneumatics_alone(program, recording,
     assert f.free_names == ["valve_lag.fill_time_s", "valve_lag.vent_time_s"]
     assert f.twin.effects["valve_lag"]["fill_time_s"].value == pytest.approx(0.5, rel=0.02)
     assert f.twin.effects["valve_lag"]["vent_time_s"].value == pytest.approx(1.2, rel=0.02)
+
+
+def test_a_tip_does_not_change_what_photographs_told_of_the_joints(program, recording, with_effects):
+    truth = with_effects(Twin.builtin(), {"stiffening": CASES["stiffening"]})
+    rec = recording(truth, program(), noise=0.1)
+    seen = Twin.builtin()
+    seen.parameters["gain_alpha"] = Value(truth.parameter("gain_alpha") + 0.2)
+    told = fit(seen, rec, ["stiffening"])
+    seen.history = [{"version": 0, "change": BY_IMAGES}]
+    held = fit(seen, rec, ["stiffening"])
+    assert told.twin.parameter("gain_alpha") == pytest.approx(truth.parameter("gain_alpha"), abs=0.01)
+    assert not {"gain_alpha", "gain_beta"} & set(held.free_names)
+    assert held.twin.parameters["gain_alpha"] == seen.parameters["gain_alpha"]
+    assert {"gain_rad_per_kpa", "stiffening.linear_1_per_kpa"} <= set(held.free_names)
 
 
 def test_only_some_parameters_can_be_fitted(program, recording, with_effects):
