@@ -66,9 +66,7 @@ def roll(A, inertia, K, D, loss, numbers, x, f, q, qd, targets, pressure, subste
                 rise = targets[s + 1, i] - targets[s, i]
                 target[i] = targets[s, i] + middle * rise
                 end[i] = targets[s, i] + last * rise
-            advance(A, inertia, K, D, loss, q, qd, target, end, extra, h)
-            for i in range(n):  # far out of range, Coriolis' forces would run away
-                qd[i] = min(max(qd[i], -FASTEST_RAD_S), FASTEST_RAD_S)
+            advance(A, inertia, K, D, loss, q, qd, target, end, extra, h, FASTEST_RAD_S)
         inside[s] = residual(numbers, q, qd, pressure[s + 1], x, f)
         out_q[s], out_v[s] = q, qd
 

@@ -129,12 +129,13 @@ def _dynamics(A, inertia, q, qd):
 
 
 @njit(cache=True)
-def advance(A, inertia, K, D, loss, q, qd, target, end, extra, h):
+def advance(A, inertia, K, D, loss, q, qd, target, end, extra, h, fastest):
     """One step of `h` seconds by TR-BDF2: of second order, and stiff swings die away.
 
     First the trapezoidal rule over the share G of the step, then the backward formula over all of it; `a` is
     the same in both. `q` and `qd` (N,) are changed in place; `target` (N,) holds in the middle of the first
     part and `end` (N,) at the end of the step, rad; `extra` (N,) is the torque besides the controller's, N m.
+    No rate exceeds `fastest` rad/s, beyond which Coriolis' forces would run away.
     """
     n = len(q)
     a = 0.5 * G * h
@@ -146,6 +147,7 @@ def advance(A, inertia, K, D, loss, q, qd, target, end, extra, h):
             b[i] += a * (2.0 * (extra[i] - c[i] + K * (target[i] - q[i])) - (D + a * K) * qd[i])
         _solve(M, (1.0 + a * loss), a * (D + a * K), b, new)
         for i in range(n):
+            new[i] = min(max(new[i], -fastest), fastest)
             middle[i] = 0.5 * (qd[i] + new[i])
     later, rate, angle = np.empty(n), np.empty(n), np.empty(n)
     for i in range(n):
@@ -160,6 +162,7 @@ def advance(A, inertia, K, D, loss, q, qd, target, end, extra, h):
         b[i] += a * (extra[i] - c[i] + K * (end[i] - angle[i]))
     _solve(M, (1.0 + a * loss), a * (D + a * K), b, new)
     for i in range(n):
+        new[i] = min(max(new[i], -fastest), fastest)
         q[i] = angle[i] + a * new[i]
         qd[i] = new[i]
 

@@ -83,6 +83,7 @@ def swing(skeleton, q, v, target, torque, h, steps):
             target,
             torque,
             h,
+            np.inf,
         )
         out.append((q.copy(), v.copy()))
     return [np.array(x) for x in zip(*out, strict=True)]
