@@ -11,7 +11,7 @@ VERBS: dict[str, tuple[str | None, str]] = {
     "compare": ("lerobot_pneutac.compare", "errors of a twin against a recording, and where it fails"),
     "diagnose": ("lerobot_pneutac.diagnose", "which physical effect is missing"),
     "add": ("lerobot_pneutac.add", "switch an effect on, re-fit, show the error before and after"),
-    "surrogate": (None, "train the fast networks from full simulations"),
+    "surrogate": ("lerobot_pneutac.surrogate", "train the fast networks from full simulations"),
     "render": ("lerobot_pneutac.render", "pictures and a film of a twin under pressure or an indenter"),
     "augment": (None, "demonstrations in, more demonstrations out"),
     "benchmark": ("lerobot_pneutac.benchmark", "tables of speed and accuracy"),

@@ -29,6 +29,8 @@ from rich.progress import (
 from lerobot_pneutac.demo_report import write_report
 from lerobot_pneutac.options import parse_options
 from pneutac_sim.errors import InputError
+from pneutac_sim.surrogate.networks import builtin, fits
+from pneutac_sim.twin import Twin
 
 FPS = 15
 TASK_TEXT = "flip the switch"
@@ -152,7 +154,21 @@ class Demo:
         if real and real.is_dir():
             command.append(f"--recording={real}")
         self.show(self.run(command, "calibrate.log"))
-        return {"real": bool(real and real.is_dir())}
+        fidelity = "surrogate"
+        if fits(builtin("perception"), "perception", Twin.load(twin)):
+            self.run(["pneutac", "surrogate", f"--twin={twin}"], "surrogate.log")
+        else:
+            fidelity = "probe"
+            self.console.print(
+                "This gel has another size than the one whose network is shipped: the demo goes on without "
+                f"networks (fidelity probe); `pneutac surrogate --twin={twin}` would train them."
+            )
+        return {"real": bool(real and real.is_dir()), "fidelity": fidelity}
+
+    @property
+    def fidelity(self) -> str:
+        """How finger and gel deform in this demo's world."""
+        return self.state["calibrate"]["fidelity"]
 
     def record(self) -> None:
         """One demonstration by lerobot-record in real time, the others unpaced by the same robot code."""
@@ -172,6 +188,7 @@ class Demo:
                 "--robot.type=pneutac_sim",
                 "--robot.id=twin",
                 f"--robot.twin={self.path('twin')}",
+                f"--robot.fidelity={self.fidelity}",
                 "--robot.task=switch",
                 f"--robot.seed={cfg.seed}",
                 "--teleop.type=pneutac_scripted",
@@ -192,7 +209,13 @@ class Demo:
             "record.log",
         )
         robot = PneutacSim(
-            PneutacSimConfig(id="twin", twin=self.path("twin"), task="switch", seed=cfg.seed + 1000)
+            PneutacSimConfig(
+                id="twin",
+                twin=self.path("twin"),
+                fidelity=self.fidelity,
+                task="switch",
+                seed=cfg.seed + 1000,
+            )
         )
         teleop = PneutacScripted(
             PneutacScriptedConfig(id="scripted", seed=cfg.seed + 1000, episode_steps=EPISODE_S * FPS)
@@ -270,6 +293,7 @@ class Demo:
                 "--env.type=pneutac",
                 "--env.task=switch",
                 f"--env.twin={self.path('twin')}",
+                f"--env.fidelity={self.fidelity}",
                 f"--eval.n_episodes={cfg.eval_episodes}",
                 "--eval.batch_size=1",
                 f"--seed={cfg.seed + 5000}",

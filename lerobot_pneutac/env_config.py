@@ -31,15 +31,15 @@ class PneutacEnvConfig(EnvConfig):
         fps: control rate, Hz; the world has one only.
         episode_length: control steps after which a trial counts as failed.
         twin: folder of the finger's twin; default the built-in one.
-        fidelity: what bends the finger: `skeleton`, or `mpm`, the full material point body (about 0.3 s a
-            control step while the pressure moves; for short episodes).
+        fidelity: how finger and gel deform: `surrogate`, by networks; `mpm`, by full material points (seconds a
+            control step in contact, for checks); `probe`, by formulas.
     """
 
     task: str | None = "switch"
     fps: int = CONTROL_HZ
     episode_length: int = 150
     twin: Path | None = None
-    fidelity: str = "skeleton"
+    fidelity: str = "surrogate"
     features: dict[str, PolicyFeature] = field(
         default_factory=lambda: {
             ACTION: PolicyFeature(FeatureType.ACTION, (len(ACTION_NAMES),)),

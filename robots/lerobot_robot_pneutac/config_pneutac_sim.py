@@ -6,7 +6,7 @@ from pathlib import Path
 from draccus.utils import DecodingError
 from lerobot.robots import RobotConfig
 
-from pneutac_sim.features import TASK_NAMES
+from pneutac_sim.features import FIDELITIES, TASK_NAMES
 
 
 @RobotConfig.register_subclass("pneutac_sim")
@@ -18,11 +18,14 @@ class PneutacSimConfig(RobotConfig):
         task: what stands in front of the robot: `switch`, `egg` or `card`.
         seed: decides the random start of every episode.
         twin: folder of the finger's twin; default the built-in one.
+        fidelity: how finger and gel deform: `surrogate`, by networks; `mpm`, by full material points;
+            `probe`, by formulas.
     """
 
     task: str = "switch"
     seed: int = 0
     twin: Path | None = None
+    fidelity: str = "surrogate"
 
     def __post_init__(self):
         # LeRobot's commands print a DecodingError as one line and hide any other error's text.
@@ -30,6 +33,10 @@ class PneutacSimConfig(RobotConfig):
         if self.task not in TASK_NAMES:
             raise DecodingError(
                 (), f"--robot.task is '{self.task}'; it must be one of {', '.join(TASK_NAMES)}."
+            )
+        if self.fidelity not in FIDELITIES:
+            raise DecodingError(
+                (), f"--robot.fidelity is '{self.fidelity}'; it must be one of {', '.join(FIDELITIES)}."
             )
         if self.twin is not None and not (Path(self.twin) / "twin.yaml").is_file():
             raise DecodingError(

@@ -81,7 +81,7 @@ class PneutacSim(Robot):
         from pneutac_sim.world.world import World
 
         twin = Twin.load(self.config.twin) if self.config.twin else None
-        self.world = World(self.config.task, twin, touch="image")
+        self.world = World(self.config.task, twin, touch="image", fidelity=self.config.fidelity)
         self._observation = self.world.reset(self.config.seed)
         self._moved = False
         _connected.append(self)

@@ -9,7 +9,7 @@ import numpy as np
 
 CONTROL_HZ = 15
 TASK_NAMES = ("switch", "egg", "card")
-FIDELITIES = ("skeleton", "mpm")  # what bends the finger of a world
+FIDELITIES = ("surrogate", "mpm", "probe")  # how finger and gel of a world deform
 IMAGE_SHAPE = (320, 240, 3)
 IMAGE_NAME = "tactile"
 

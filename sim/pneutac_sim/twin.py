@@ -20,6 +20,7 @@ from pneutac_sim.errors import InputError
 
 DEVICES = ("finger", "arm", "gel")
 FORMAT = "pneutac-twin/1"
+NETWORKS = ("action", "perception")  # each a safetensors file in the twin's folder
 
 # The paper's calibrated finger (Sec. IV-A), with the joint spring of a segment from beam theory:
 # K = E I / (L / N) for a 20 mm square section of 110 mm length; damping is light (ratio about 0.1).
@@ -56,6 +57,7 @@ class Twin:
         gel: parameters of the gel and its optics (numbers and lists), empty where there is no gel.
         arrays: named float32 or uint8 arrays kept as safetensors, such as `rest_image` (H, W, 3).
         history: one entry a version: `version`, `change`, `recording`, `train`, `heldout`, `unit`.
+        networks: files of those of `NETWORKS` that were trained for it (`pneutac surrogate`).
     """
 
     device: str = "finger"
@@ -66,6 +68,7 @@ class Twin:
     gel: dict = field(default_factory=dict)
     arrays: dict[str, np.ndarray] = field(default_factory=dict)
     history: list[dict] = field(default_factory=list)
+    networks: dict[str, Path] = field(default_factory=dict)
 
     def __post_init__(self):
         if self.device not in DEVICES:
@@ -105,6 +108,9 @@ class Twin:
             save_file(
                 {k: np.ascontiguousarray(v) for k, v in self.arrays.items()}, path / "arrays.safetensors"
             )
+        for name, file in self.networks.items():
+            if file.resolve() != (path / f"{name}.safetensors").resolve():
+                shutil.copy2(file, path / f"{name}.safetensors")
         tmp.replace(path / "twin.yaml")
         return path
 
@@ -157,6 +163,8 @@ class Twin:
             raise InputError(f"{file}: field {e} is missing.") from e
         except (TypeError, ValueError) as e:
             raise InputError(f"{file}: a field is malformed ({e}).") from e
+        files = {name: Path(path) / f"{name}.safetensors" for name in NETWORKS}
+        twin.networks = {name: file for name, file in files.items() if file.is_file()}
         arrays = Path(path) / "arrays.safetensors"
         if arrays.is_file():
             try:

@@ -41,7 +41,7 @@ def test_a_twin_folder_reaches_the_world(tmp_path):
     twin = Twin.builtin()
     twin.parameters["gain_rad_per_kpa"].value *= 0.5
     twin.save(tmp_path)
-    env = make_env(PneutacEnvConfig(twin=tmp_path), n_envs=1)["pneutac"][0]
+    env = make_env(PneutacEnvConfig(twin=tmp_path, fidelity="probe"), n_envs=1)["pneutac"][0]
     world = env.envs[0].unwrapped.world
     assert world.twin.parameter("gain_rad_per_kpa") == pytest.approx(0.5 * 0.01114)
     env.close()
@@ -49,8 +49,8 @@ def test_a_twin_folder_reaches_the_world(tmp_path):
 
 def test_fidelity_reaches_the_world():
     assert PneutacEnvConfig(fidelity="mpm").gym_kwargs["fidelity"] == "mpm"
-    with pytest.raises(DecodingError, match="skeleton, mpm"):
+    with pytest.raises(DecodingError, match="surrogate, mpm, probe"):
         PneutacEnvConfig(fidelity="fem")
     env = make_env(PneutacEnvConfig(fidelity="mpm"), n_envs=1)["pneutac"][0]
-    assert env.envs[0].unwrapped.world.mpm is not None
+    assert env.envs[0].unwrapped.world.finger is not None
     env.close()

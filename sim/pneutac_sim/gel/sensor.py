@@ -23,6 +23,7 @@ class TactileSensor:
     Attributes:
         model: the gel's sizes, mechanics and light.
         rest_image: the image without contact, uint8 (H, W, 3), 320 x 240 for a DIGIT.
+        surface: as given.
     """
 
     def __init__(
@@ -30,7 +31,7 @@ class TactileSensor:
         twin: Twin | GelModel | None = None,
         surface: Callable[[np.ndarray], np.ndarray] | None = None,
     ):
-        self._surface = surface
+        self.surface = surface
         self.model = twin if isinstance(twin, GelModel) else GelModel.from_twin(twin)
         self.rest_image = self.model.rest_image
         width, height = self.model.window_mm
@@ -60,8 +61,8 @@ class TactileSensor:
         if not depth_mm.any():
             return np.zeros((ROWS, COLS), np.float32)
         imprint = self.model.imprint(depth_mm)
-        if self._surface is not None:
-            return self._surface(imprint)
+        if self.surface is not None:
+            return self.surface(imprint)
         return surface(imprint, self._cell_mm, self.model.decay_mm)
 
     def image(self, depth_mm: np.ndarray) -> np.ndarray:

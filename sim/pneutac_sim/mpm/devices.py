@@ -121,7 +121,9 @@ def _bending(kind, twin, batch, particles, mesh, device) -> TotalLagrangian:
     return TotalLagrangian(body, spine, batch=batch, device=device)
 
 
-def gel(twin: Twin, batch: int = 1, counts=(COLS, ROWS, LAYERS), device: str = "auto") -> TotalLagrangian:
+def gel(
+    twin: Twin, batch: int = 1, counts=(COLS, ROWS, LAYERS), device: str = "auto", table=None
+) -> TotalLagrangian:
     """Gels, held at their back; gel frame of `gel.probe`: z out of the sensor, resting surface at z = 0.
 
     Particle (i, j, k) of the lattice stands for column i and row j of the probe grid (x along image columns,
@@ -133,6 +135,7 @@ def gel(twin: Twin, batch: int = 1, counts=(COLS, ROWS, LAYERS), device: str = "
         batch: how many.
         counts: particles along x, y and z.
         device: see `runtime.start`.
+        table: of the indenter `mesh`, see `TotalLagrangian`.
     """
     if twin.device == "arm":
         raise InputError("The twin is of an arm, which carries no gel.")
@@ -147,9 +150,8 @@ def gel(twin: Twin, batch: int = 1, counts=(COLS, ROWS, LAYERS), device: str = "
         parameter(twin, "gel_density_kg_m3"),
     )
     origin = -spacing * counts * [0.5, 0.5, 1.0]
-    return TotalLagrangian(
-        Body.box("gel", counts, spacing, material, origin, clamp="z-"), batch=batch, device=device
-    )
+    body = Body.box("gel", counts, spacing, material, origin, clamp="z-")
+    return TotalLagrangian(body, batch=batch, device=device, table=table)
 
 
 def surface_displacement(solver: TotalLagrangian, window_mm: tuple[float, float] | None = None) -> np.ndarray:

@@ -216,6 +216,10 @@ class TotalLagrangian:
             drive[..., 2] = self.spine.damping_nms_per_rad
             self.arrays["drive"].from_numpy(_line(drive))
 
+    def set_table(self, table: np.ndarray) -> None:
+        """Sets the signed distances (n, n, n) of the indenter `mesh`, as many as there were."""
+        self.arrays["table"].from_numpy(_line(table))
+
     def pace(self, rate: np.ndarray) -> None:
         """Sets critical damping of motions at `rate` (B,) in rad/s, and contact to settle as fast."""
         self.load[:, kern.RATE] = 2 * rate

@@ -11,6 +11,7 @@ from pneutac_sim.mpm import devices
 from pneutac_sim.mpm.user_mesh import FACES, VERTICES
 from pneutac_sim.twin import Twin
 
+MODEL = 1  # raised where the material points themselves change, so that networks are trained anew
 BODY = (
     "youngs_modulus_mpa",
     "poissons_ratio",
@@ -37,6 +38,7 @@ def fingerprint(twin: Twin) -> str:
         if get_effect(name).stage in ("pneumatics", "actuation", "body")
     }
     what = {
+        "model": MODEL,
         "device": twin.device,
         "length_mm": twin.length_mm,
         "spine_joint_positions_mm": list(twin.spine_joint_positions_mm),
@@ -49,13 +51,13 @@ def fingerprint(twin: Twin) -> str:
 
 
 def gel_fingerprint(twin: Twin) -> str:
-    """SHA-256 of what the perception network of a gel depends on: material, window, thickness, decay."""
+    """SHA-256 of what the perception network of a gel depends on: material, window and thickness."""
     gel = GelModel.from_twin(twin)
     what = {
+        "model": MODEL,
         "body": {n: devices.parameter(twin, n) for n in GEL},
         "window_mm": list(gel.window_mm),
         "thickness_mm": gel.thickness_mm,
-        "decay_mm": gel.decay_mm,
     }
     return _sha256(what, [])
 

@@ -22,8 +22,8 @@ class PneutacEnv(gymnasium.Env):
 
     Observation: `agent_pos` (20,) float32 as `features.STATE_NAMES` and, with `touch="image"`,
     `pixels/tactile` uint8 (320, 240, 3). Action: (4,) float32 as `features.ACTION_NAMES`. An episode
-    terminates on success and on failure; `info` has `is_success`, `failure` (text, empty where none) and
-    `clipped`.
+    terminates on success and on failure; `info` has `is_success`, `failure` (text, empty where none),
+    `clipped` and `out_of_range`, see `World`.
 
     Attributes:
         world: the world inside, for experts and tests.
@@ -41,7 +41,7 @@ class PneutacEnv(gymnasium.Env):
         render_mode: str | None = "rgb_array",
         render_width: int = 480,
         render_height: int = 360,
-        fidelity: str = "skeleton",
+        fidelity: str = "surrogate",
     ):
         """An environment with a task.
 
@@ -52,7 +52,7 @@ class PneutacEnv(gymnasium.Env):
             render_mode: `rgb_array` or None.
             render_width: pixels of `render()`.
             render_height: pixels of `render()`.
-            fidelity: `skeleton` or `mpm`, see `World`.
+            fidelity: `surrogate`, `mpm` or `probe`, see `World`; all have the same spaces.
         """
         self.world = World(task, twin, touch, fidelity)
         self.task = task
@@ -97,4 +97,5 @@ class PneutacEnv(gymnasium.Env):
             "is_success": self.world.success,
             "failure": self.world.failure or "",
             "clipped": self.world.clipped,
+            "out_of_range": self.world.out_of_range,
         }

@@ -7,7 +7,7 @@ the joint springs and dampers of the twin.
 
 Contact and weight come in as torques about the spine's joints. They bend it as far as the twin's
 `joint_stiffness_nm_per_rad` says, since the spine's controller is a stiff servo. What is missing: the soft
-body does not feel where it is touched, so its skin is not dented, and the gel stays the probe grid.
+body does not feel where it is touched, so its skin is not dented. The gel is `world.mpm_gel`'s.
 """
 
 import numpy as np
@@ -29,7 +29,10 @@ class MpmFinger:
     Attributes:
         solver: the bodies, for pictures.
         substeps: taken in the last step.
+        in_range: always; there is no range to leave.
     """
+
+    in_range = True
 
     def __init__(self, twin: Twin, particles: int = 4000, device: str = "auto"):
         self.solver = devices.finger(twin, particles=particles, device=device)

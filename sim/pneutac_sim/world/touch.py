@@ -18,13 +18,27 @@ class Touch:
         image: last tactile image uint8 (H, W, 3), or None where the mode has none.
         pixels: last count s of pixels in contact.
         area: s / N.
+        in_range: whether the last contact was one that the gel's network was trained for.
     """
 
-    def __init__(self, model: mujoco.MjModel, sensor: TactileSensor, mode: str):
+    def __init__(self, model: mujoco.MjModel, sensor: TactileSensor, mode: str, gel=None):
+        """The touch of a world.
+
+        Args:
+            model: of the world.
+            sensor: the gel's.
+            mode: one of `MODES`.
+            gel: in place of the sensor's own formula: a `GelSurrogate`, or an `MpmGel`, which is shown the
+                objects themselves.
+        """
         if mode not in MODES:
             raise InputError(f"There is no touch mode '{mode}'; the modes are {', '.join(MODES)}.")
         self.sensor = sensor
-        self._mode = mode
+        self.in_range = True
+        self._mode, self._network, self._full = mode, None, None
+        if gel is not None:
+            sensor.surface = gel.displacement
+            self._network, self._full = (gel, None) if hasattr(gel, "out_of_range") else (None, gel)
         self._gel = model.site("gel").id
         self._felt = np.flatnonzero(model.geom_group == OBJECT_GROUP)
         self._kinds = model.geom_type[self._felt]
@@ -35,7 +49,7 @@ class Touch:
         self.image, self.pixels, self.area = None, 0, 0.0
         if self._mode == "none":
             return
-        self.depth_mm = self.sensor.probe(
+        objects = (
             self._kinds,
             self._sizes,
             data.geom_xpos[self._felt],
@@ -43,6 +57,12 @@ class Touch:
             data.site_xpos[self._gel],
             data.site_xmat[self._gel],
         )
+        self.depth_mm = self.sensor.probe(*objects)
+        if self._full is not None:
+            self._full.show(*objects) if self.depth_mm.any() else self._full.release()
+        if self._network is not None:
+            imprint = self.sensor.model.imprint(self.depth_mm)
+            self.in_range = not bool(self._network.out_of_range(imprint))
         if self._mode == "image":
             self.image = self.sensor.image(self.depth_mm)
             contact = self.sensor.contact(self.image)

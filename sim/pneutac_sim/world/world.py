@@ -52,7 +52,9 @@ class World:
         command: last action after clipping (4,).
         target_m: where the flange is sent (3,), metres.
         spine_target_rad: spine joint angles q_cmd (N,) that the pressure commands, after the twin's effects.
-        mpm: the material point finger, or None for the skeleton.
+        finger: what bends the finger by the pressure: `SurrogateFinger` or `MpmFinger`; None for a formula.
+        out_of_range: number of steps since the reset in which a state of the finger or a contact lay outside
+            what the networks were trained with.
         touch: last touch: `depth_mm`, `image`, `pixels`, `area`.
         model, data: MuJoCo's, for planners, experts and tests.
     """
@@ -62,7 +64,7 @@ class World:
         task: str = "switch",
         twin: Twin | None = None,
         touch: str = "image",
-        fidelity: str = "skeleton",
+        fidelity: str = "probe",
     ):
         """A world with a task.
 
@@ -70,12 +72,13 @@ class World:
             task: `switch`, `egg` or `card`.
             twin: the finger with its gel; default the built-in one.
             touch: `image`, `area` (contact area without an image, faster) or `none`.
-            fidelity: what bends the finger: `skeleton`, or `mpm`, the full material point body (for short
-                episodes; see `world.mpm_finger`).
+            fidelity: how finger and gel deform. `surrogate`: by networks in place of material points; `mpm`:
+                by the material points themselves, for checks and short episodes; `probe`: by formulas, the
+                joints as the pressure commands and the gel as a layer on springs.
 
         Raises:
             InputError: unknown task, touch mode or fidelity; a twin that is not a finger or too stiff to
-                integrate, or has an effect that the material points lack.
+                integrate, has no networks or outdated ones, or an effect that the material points lack.
         """
         self.task = make_task(task)
         self.twin = twin or Twin.builtin()
@@ -85,15 +88,11 @@ class World:
             )
         if fidelity not in FIDELITIES:
             raise InputError(f"fidelity is '{fidelity}'; it must be one of {', '.join(FIDELITIES)}.")
-        self.mpm = None
-        if fidelity == "mpm":
-            from pneutac_sim.world.mpm_finger import MpmFinger  # the compiler behind it takes a second
-
-            self.mpm = MpmFinger(self.twin)
+        self.finger, gel = _deforming(self.twin, fidelity, touch)
         self.model = mujoco.MjModel.from_xml_string(scene.build(self.task, self.twin))
         self.data = mujoco.MjData(self.model)
         self.sensor = TactileSensor(self.twin)
-        self.touch = Touch(self.model, self.sensor, touch)
+        self.touch = Touch(self.model, self.sensor, touch, gel)
         self._ik = CartesianIK()
         self._view = View(self.model)
         self._rng = np.random.default_rng()
@@ -127,7 +126,7 @@ class World:
         self._load = None  # torque on the spine's joints from outside during the last step, N m
         self._drive = self._bend(self.spine_target_rad)
         self.data.qpos[self._spine] = self._drive
-        self.clipped = 0
+        self.clipped = self.out_of_range = 0
         self.command = np.zeros(4)
         for _ in range(SETTLE_STEPS):
             self._advance(self._joints, self.spine_target_rad)
@@ -152,6 +151,7 @@ class World:
         self._advance(self._ik.solve(target), self._pipeline.step(self.command[3], DT))
         self.task.update(self.model, self.data, DT)
         self.touch.sense(self.data)
+        self.out_of_range += not (self.touch.in_range and (self.finger is None or self.finger.in_range))
         return self._observe()
 
     def _clip(self, action) -> np.ndarray:
@@ -185,7 +185,7 @@ class World:
         for row in ctrl:
             control[:] = row
             mujoco.mj_step(self.model, self.data)
-            if self.mpm:
+            if self.finger:
                 d, s = self.data, self._spine
                 load += d.qfrc_constraint[s] - d.qfrc_bias[s] + d.qfrc_gravcomp[s]
         mujoco.mj_kinematics(self.model, self.data)
@@ -195,12 +195,12 @@ class World:
     def _bend(self, q_cmd: np.ndarray) -> np.ndarray:
         """Angles (N,) towards which the joint springs pull, rad.
 
-        The joint springs add load / K to them; the material points have that load in their equilibrium, so it
+        The joint springs add load / K to them; what bends the finger has that load in its equilibrium, so it
         is taken off: what rests in the world is then what rests there.
         """
-        if self.mpm is None:
+        if self.finger is None:
             return q_cmd
-        q = self.mpm.bend(q_cmd, self._load)
+        q = self.finger.bend(q_cmd, self._load)
         return q if self._load is None else q - self._load / self._stiffness
 
     def _check_stability(self) -> None:
@@ -285,3 +285,18 @@ class World:
     def close(self) -> None:
         """Frees the renderer."""
         self._view.close()
+
+
+def _deforming(twin: Twin, fidelity: str, touch: str):
+    """What bends the finger, and what indents the gel; None for the formulas."""
+    if fidelity == "surrogate":  # PyTorch and compilers take seconds to start
+        from pneutac_sim.surrogate.networks import Networks
+
+        networks = Networks.of(twin)
+        return networks.finger(twin), networks.gel if touch != "none" else None
+    if fidelity == "mpm":
+        from pneutac_sim.world.mpm_finger import MpmFinger
+        from pneutac_sim.world.mpm_gel import MpmGel
+
+        return MpmFinger(twin), MpmGel(twin) if touch != "none" else None
+    return None, None

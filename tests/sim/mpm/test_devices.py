@@ -134,7 +134,7 @@ def test_two_seconds_in_the_world_agree_with_the_skeleton(worlds):
     assert (np.abs(difference) < 0.02).all() and (difference < -0.005).all()
     again = full.reset(0).state
     np.testing.assert_array_equal(full.reset(0).state, again)
-    assert full.mpm.substeps > 0 and skeleton.mpm is None
+    assert full.finger.substeps > 0 and skeleton.finger is None
 
 
 def test_a_force_at_the_tip_bends_it_as_far_as_the_skeleton(worlds):
@@ -153,5 +153,5 @@ def test_a_force_at_the_tip_bends_it_as_far_as_the_skeleton(worlds):
 
 
 def test_fidelity_is_checked():
-    with pytest.raises(InputError, match="skeleton, mpm"):
+    with pytest.raises(InputError, match="surrogate, mpm, probe"):
         World("switch", fidelity="fem")

@@ -29,7 +29,7 @@ WINDOW_MM = (12.0, 16.0)
 
 @pytest.fixture(scope="module")
 def builtin():
-    return GelSurrogate.load(files("pneutac_sim.surrogate") / "builtin_gel.safetensors")
+    return GelSurrogate.load(files("pneutac_sim.surrogate") / "builtin_perception.safetensors")
 
 
 def grid(indenter="sphere", size_mm=3.0, x_mm=1.0, y_mm=-2.0, depth_mm=1.3, yaw_rad=0.4):
@@ -312,7 +312,7 @@ def test_shipped_weights_are_of_the_builtin_gel(builtin):
     assert builtin.fingerprint == gel_fingerprint(Twin.builtin())
     rows = {row["indenter"]: row for row in builtin.errors["rows"]}
     assert rows["unseen"]["network"]["mae_mm"] < min(0.04, 0.6 * rows["unseen"]["probe"]["mae_mm"])
-    assert (files("pneutac_sim.surrogate") / "builtin_gel.safetensors").stat().st_size < 300_000
+    assert (files("pneutac_sim.surrogate") / "builtin_perception.safetensors").stat().st_size < 300_000
 
 
 @pytest.mark.slow

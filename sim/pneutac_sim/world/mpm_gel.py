@@ -1,0 +1,112 @@
+"""The full material point gel in the world: pressed by the very shapes of the task's objects.
+
+Each control step the gel is brought to rest against the signed distance of all objects near it, sampled on a
+cube round its face, starting from the step before. A press that goes deeper than a particle in one step is
+driven in by several.
+"""
+
+import numpy as np
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.gel.probe import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
+from pneutac_sim.mpm import devices
+from pneutac_sim.mpm.solve import MpmDiverged, solve_equilibrium
+from pneutac_sim.mpm.total_lagrangian import Loads
+from pneutac_sim.twin import Twin
+
+SAMPLES = 49  # of the cube, along each edge
+CENTRE_M = 0.004  # of the cube, above the gel's face
+STEP_M = 0.3e-3  # by which objects go in at most at a time
+
+
+class MpmGel:
+    """One gel, at rest under what touches it in this control step.
+
+    Args:
+        twin: a finger's with a gel, or a gel's.
+        device: see `pneutac_sim.mpm.runtime.start`.
+    """
+
+    def __init__(self, twin: Twin, device: str = "auto"):
+        from pneutac_sim.gel.model import GelModel
+
+        model = GelModel.from_twin(twin)
+        self._window, self._scale = model.window_mm, model.depth_scale
+        self._half = 0.6e-3 * max(self._window)
+        table = np.zeros((SAMPLES,) * 3)
+        self.solver = devices.gel(twin, device=device, table=table)
+        line = np.linspace(-self._half, self._half, SAMPLES)
+        self._points = np.stack(np.meshgrid(line, line, line, indexing="ij"), -1) + [0.0, 0.0, CENTRE_M]
+        self._deep = 0.0  # of the objects in the resting gel at the last rest, m
+
+    def release(self) -> None:
+        """Nothing touches: the next contact starts from the resting gel."""
+        self._deep = 0.0
+
+    def show(self, kinds, sizes, positions, rotations, gel_position, gel_rotation) -> None:
+        """Sets the objects; arguments as in `gel.probe.probe_grid`."""
+        R = np.asarray(gel_rotation).reshape(3, 3)
+        points = self._points.reshape(-1, 3) @ R.T + gel_position
+        nearest = np.full(len(points), 1.0)
+        reach = np.sqrt(3) * self._half
+        for kind, size, at, turn in zip(kinds, sizes, positions, rotations, strict=True):
+            if np.linalg.norm(at - gel_position) < reach + np.linalg.norm(size) + abs(CENTRE_M):
+                local = (points - at) @ np.asarray(turn).reshape(3, 3)
+                nearest = np.minimum(nearest, signed_distance(int(kind), size, local))
+        self._table = nearest
+
+    def displacement(self, depth_mm: np.ndarray) -> np.ndarray:
+        """Displacement of the gel's face under the objects shown last, mm, float32 (80, 59).
+
+        Args:
+            depth_mm: their imprint (`GelModel.imprint` of the probe grid), which says how deep they lie.
+
+        Raises:
+            InputError: the gel finds no rest.
+        """
+        deep = 1e-3 * float(depth_mm.max())
+        less = deep / self._scale - deep  # by which an imprint is less deep than the object
+        self.solver.set_table(self._table)
+        steps = max(1, int(np.ceil((deep - self._deep) / STEP_M)))
+        warm = self._deep > 0
+        back = np.linspace(max(deep - self._deep, 0.0), 0.0, steps + 1)[1:]
+        try:
+            for b in back:
+                solve_equilibrium(self.solver, self._loads(less + b), warm=warm)
+                warm = True
+        except MpmDiverged as e:
+            self._deep = 0.0
+            raise InputError(f"{e.finding}; move slower, or press less deep than {1e3 * deep:.2g} mm.") from e
+        self._deep = deep
+        return devices.surface_displacement(self.solver, self._window)[0].astype(np.float32)
+
+    def _loads(self, back_m: float) -> Loads:
+        at = np.array([0.0, 0.0, CENTRE_M + back_m])
+        return Loads(indenter="mesh", size_m=np.full(3, self._half), position_m=at)
+
+
+def signed_distance(kind: int, size: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """(n,) m from a shape of MuJoCo's at the origin to points (n, 3), negative inside.
+
+    An ellipsoid's is of first order, exact on its surface.
+
+    Raises:
+        InputError: another shape.
+    """
+    if kind == SPHERE:
+        return np.linalg.norm(p, axis=1) - size[0]
+    if kind == CAPSULE:
+        along = p[:, 2].clip(-size[1], size[1])
+        return np.linalg.norm(p - np.stack([0 * along, 0 * along, along], 1), axis=1) - size[0]
+    if kind == ELLIPSOID:
+        near, far = np.linalg.norm(p / size, axis=1), np.linalg.norm(p / size**2, axis=1)
+        return near * (near - 1) / np.maximum(far, 1e-9)
+    if kind == CYLINDER:
+        q = np.stack([np.hypot(p[:, 0], p[:, 1]) - size[0], np.abs(p[:, 2]) - size[1]], 1)
+    elif kind == BOX:
+        q = np.abs(p) - size
+    else:
+        raise InputError(
+            f"The full gel knows spheres, capsules, ellipsoids, cylinders and boxes; not {kind}."
+        )
+    return np.linalg.norm(q.clip(0), axis=1) + q.max(1).clip(None, 0)
