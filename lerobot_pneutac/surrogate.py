@@ -15,6 +15,7 @@ from rich.table import Table
 
 from lerobot_pneutac.options import parse_options
 from lerobot_pneutac.report import Report, write_result
+from pneutac_datasets.rules import an
 from pneutac_sim.errors import InputError
 from pneutac_sim.surrogate.fingerprint import fingerprint, gel_fingerprint
 from pneutac_sim.surrogate.networks import builtin, fits
@@ -71,13 +72,12 @@ def train(cfg: SurrogateConfig, twin: Twin, console: Console) -> dict:
     """
     if twin.device != "finger":
         raise InputError(
-            f"{cfg.twin} is the twin of {'an arm' if twin.device == 'arm' else 'a gel'}; the networks are of a "
-            "finger and the gel at its tip."
+            f"{cfg.twin} is the twin of {an(twin.device)}; the networks are of a finger and the gel at its tip."
         )
     if "gain_rad_per_kpa" not in twin.parameters:
         raise InputError(
-            f"{cfg.twin} has not been calibrated (no gain_rad_per_kpa); run `pneutac calibrate --twin={cfg.twin} "
-            "--recording=DIR` first."
+            f"{cfg.twin} has not been calibrated (no gain_rad_per_kpa); run `pneutac calibrate "
+            f"--twin={cfg.twin} --recording=DIR` first."
         )
     result = {"twin": str(cfg.twin), "networks": {}}
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total}"))

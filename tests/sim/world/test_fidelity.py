@@ -1,4 +1,4 @@
-"""Networks and full gel in the world: near the full simulation, same spaces, flags, another twin's networks."""
+"""Networks and full gel in the world: near the full simulation, same spaces, flags, foreign networks."""
 
 import numpy as np
 import pytest
@@ -74,9 +74,7 @@ def test_networks_travel_with_the_twin(tmp_path):
     Twin.load(tmp_path / "one").save(tmp_path / "two")
     there = Twin.load(tmp_path / "two").networks
     assert list(there) == ["action"] and there["action"].parent == tmp_path / "two"
-    assert (
-        ActionNetwork.load(there["action"]).fingerprint == ActionNetwork.load(builtin("action")).fingerprint
-    )
+    assert there["action"].read_bytes() == builtin("action").read_bytes()
 
 
 @pytest.mark.parametrize("kind, size, surface", [
