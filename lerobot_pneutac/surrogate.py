@@ -72,7 +72,7 @@ def train(cfg: SurrogateConfig, twin: Twin, console: Console) -> dict:
     """
     if twin.device != "finger":
         raise InputError(
-            f"{cfg.twin} is the twin of {an(twin.device)}; the networks are of a finger and the gel at its tip."
+            f"{cfg.twin} is the twin of {an(twin.device)}; the networks are of a finger and the gel on it."
         )
     if "gain_rad_per_kpa" not in twin.parameters:
         raise InputError(
