@@ -1,0 +1,71 @@
+"""What the robot `pneutac` asks of its parts, and how they say that something is wrong."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+
+class HardwareFault(RuntimeError):  # noqa: N818
+    """A part stopped working; the message is one sentence: which part, what happened, what to do."""
+
+
+@dataclass(frozen=True)
+class ArmState:
+    """What an arm senses.
+
+    Attributes:
+        joints_rad: (7,).
+        joints_rad_s: (7,).
+        flange_m: (3,) in the base frame.
+        force_n: size of the external force at the flange.
+    """
+
+    joints_rad: np.ndarray
+    joints_rad_s: np.ndarray
+    flange_m: np.ndarray
+    force_n: float
+
+
+class Arm(Protocol):
+    """An arm whose flange is moved with its orientation held. Every method raises `HardwareFault`."""
+
+    def connect(self) -> None:
+        """Gets ready to move; does not move."""
+
+    def state(self) -> ArmState:
+        """The newest state."""
+
+    def move(self, velocity_m_s: np.ndarray) -> None:
+        """Starts moving the flange with a velocity (3,) m/s in the base frame; returns at once.
+
+        Unless called again within `parts.COMMAND_S` the arm stops by itself.
+        """
+
+    def stop(self) -> None:
+        """Brings the arm to rest; never raises, also where the connection is lost."""
+
+    def disconnect(self) -> None:
+        """Stops and lets go."""
+
+
+class PressureController(Protocol):
+    """A valve with a pressure sensor. Every method but `vent` and `disconnect` raises `HardwareFault`."""
+
+    def connect(self) -> None:
+        """Opens the connection, reads limits, starts the heartbeat; the chamber stays vented."""
+
+    def set_pressure(self, kpa: float) -> None:
+        """Sets the target in kPa (gauge); returns at once."""
+
+    def pressure(self) -> float:
+        """The newest measured pressure in kPa."""
+
+    def vent(self) -> None:
+        """Opens the chamber to the room; never raises."""
+
+    def disconnect(self) -> None:
+        """Vents and lets go."""
+
+
+COMMAND_S = 0.25  # a command older than this is void: the arm stops, the chamber is vented
