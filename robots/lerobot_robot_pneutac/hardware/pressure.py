@@ -1,0 +1,62 @@
+"""Finds pressure controllers: the built-in ones, and those that other packages add through an entry point."""
+
+import importlib
+import inspect
+from importlib.metadata import entry_points
+
+from lerobot_robot_pneutac.hardware.parts import PressureController
+from pneutac_sim.errors import InputError
+
+ENTRY_POINT_GROUP = "pneutac.pressure_controllers"
+
+_HERE = "lerobot_robot_pneutac.hardware"
+BUILTIN = {
+    "pneutac_serial": (f"{_HERE}.pneutac_serial", "PneutacSerial"),
+    "text_serial": (f"{_HERE}.text_serial", "TextSerial"),
+    "simulated": (f"{_HERE}.simulated_pressure", "SimulatedPressure"),
+}
+METHODS = ("connect", "set_pressure", "pressure", "vent", "disconnect")
+
+
+def pressure_controller_types() -> list[str]:
+    """The known types: the built-in ones first, then those of other packages in alphabetical order.
+
+    Raises:
+        InputError: two packages offer one name.
+    """
+    names = [*BUILTIN, *sorted(p.name for p in entry_points(group=ENTRY_POINT_GROUP))]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"Two packages offer a pressure controller '{name}'; rename one of them.")
+    return names
+
+
+def make_pressure_controller(type: str, **options) -> PressureController:
+    """A pressure controller of a type, not yet connected.
+
+    Args:
+        type: one of `pressure_controller_types`.
+        options: the class's own, such as `port` and `max_kpa`.
+
+    Raises:
+        InputError: there is no such type, an option is unknown, missing or bad, or a package's entry point is
+            no pressure controller.
+    """
+    known = pressure_controller_types()
+    if type not in known:
+        raise InputError(f"There is no pressure controller '{type}'; there are {', '.join(known)}.")
+    if type in BUILTIN:
+        module, name = BUILTIN[type]
+        cls = getattr(importlib.import_module(module), name)
+    else:
+        (point,) = entry_points(group=ENTRY_POINT_GROUP, name=type)
+        cls = point.load()
+        missing = [m for m in METHODS if not callable(getattr(cls, m, None))]
+        if missing:
+            raise InputError(f"The pressure controller '{type}' has no method {', '.join(missing)}.")
+    signature = inspect.signature(cls)
+    try:
+        signature.bind(**options)
+    except TypeError as e:
+        raise InputError(f"The pressure controller '{type}' takes {signature}: {e}.") from None
+    return cls(**options)

@@ -1,0 +1,204 @@
+"""What pressure controllers at a serial port share: the thread that owns the port, limits and ages."""
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import serial
+
+from lerobot_robot_pneutac.hardware.parts import COMMAND_S, HardwareFault
+from lerobot_robot_pneutac.hardware.pressure_limits import checked_kpa
+
+STALE_S = 0.2  # a measured pressure older than this is none
+POLL_S = 0.005
+REOPEN_S = 0.05
+FAREWELL_S = 0.06  # on disconnecting: long enough to repeat a lost vent twice
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Command:
+    """What the caller wants.
+
+    Attributes:
+        target_kpa: the set-point; None to vent.
+        number: counts calls; the same number is the same command.
+    """
+
+    target_kpa: float | None
+    number: int
+
+
+class Exchange(Protocol):
+    """A protocol's host side without its port, so that it runs on any clock.
+
+    Attributes:
+        measured_kpa: the newest measured pressure; None before the first.
+        measured_s: a time before which that pressure surely was not measured.
+        max_kpa: the highest set-point; None before the controller told it.
+        fault: why the controller is of no use any more; None while it is.
+    """
+
+    measured_kpa: float | None
+    measured_s: float
+    max_kpa: float | None
+    fault: str | None
+
+    def restart(self) -> None:
+        """The port was opened anew: forget what was under way, and never send an old command again."""
+
+    def transmit(self, now_s: float, command: Command) -> bytes:
+        """What to send now."""
+
+    def receive(self, data: bytes, now_s: float) -> None:
+        """Takes what came."""
+
+
+class SerialPressure:
+    """A pressure controller behind an `Exchange`. One thread owns the port.
+
+    A set-point is void `COMMAND_S` after its call, and the chamber is vented: a caller that hangs keeps no
+    pressure. A lost port is opened again for `reconnect_s`; the chamber stays vented until the next set-point.
+
+    Attributes:
+        port: the serial port's name; a link in /dev/serial/by-id keeps its name when replugged.
+        reconnect_s: how long a silent controller is waited for, at connecting and after a loss.
+    """
+
+    def __init__(self, port: str, make_exchange: Callable[[], Exchange], baud: int, reconnect_s: float):
+        self.port = port
+        self.reconnect_s = reconnect_s
+        self._make_exchange = make_exchange
+        self._exchange = make_exchange()
+        self._baud = baud
+        self._lock = threading.Lock()
+        self._command = Command(None, 0)
+        self._commanded_s = 0.0
+        self._fault: str | None = None
+        self._stop = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    @property
+    def max_kpa(self) -> float:
+        """The highest set-point; raises HardwareFault before `connect`."""
+        self._check_running()
+        return self._exchange.max_kpa
+
+    def connect(self) -> None:
+        """Opens the port and waits for the first measurement; the chamber stays vented."""
+        if self._thread:
+            raise HardwareFault(f"{self} is connected already; disconnect it first.")
+        self._exchange = self._make_exchange()
+        self._fault = None
+        self._stop.clear()
+        self.vent()
+        self._thread = threading.Thread(target=self._run, name=f"pressure {self.port}", daemon=True)
+        self._thread.start()
+        while self._exchange.measured_kpa is None and self._thread.is_alive():
+            time.sleep(POLL_S)
+        if self._fault:
+            fault = self._fault
+            self.disconnect()
+            raise HardwareFault(fault)
+
+    def set_pressure(self, kpa: float) -> None:
+        """Sets the target in kPa; returns at once.
+
+        Raises:
+            InputError: the target is not finite or outside 0 ... `max_kpa`.
+            HardwareFault: the controller reported a fault or is lost.
+        """
+        self._check_fresh()
+        target = checked_kpa(kpa, self.max_kpa)
+        with self._lock:
+            self._command = Command(target, self._command.number + 1)
+            self._commanded_s = time.monotonic()
+
+    def pressure(self) -> float:
+        """The newest measured pressure in kPa; raises HardwareFault where it is older than `STALE_S`."""
+        self._check_fresh()
+        return self._exchange.measured_kpa
+
+    def vent(self) -> None:
+        """Opens the chamber to the room; never raises."""
+        with self._lock:
+            self._command = Command(None, self._command.number + 1)
+
+    def disconnect(self) -> None:
+        """Vents and closes the port; never raises."""
+        self.vent()
+        self._stop.set()
+        if self._thread:
+            self._thread.join()
+        self._thread = None
+
+    def __str__(self) -> str:
+        return f"Pressure controller at {self.port}"
+
+    def _check_running(self) -> None:
+        if self._fault:
+            raise HardwareFault(self._fault)
+        if not self._thread:
+            raise HardwareFault(f"{self} is not connected; call connect first.")
+
+    def _check_fresh(self) -> None:
+        self._check_running()
+        age = time.monotonic() - self._exchange.measured_s
+        if age > STALE_S:
+            raise HardwareFault(f"{self}: the newest measurement is {age:.2f} s old; check cable and power.")
+
+    def _current(self, now_s: float) -> Command:
+        with self._lock:
+            if self._command.target_kpa is not None and now_s - self._commanded_s > COMMAND_S:
+                self._command = Command(None, self._command.number + 1)
+            return self._command
+
+    def _run(self) -> None:
+        lost_s = time.monotonic()
+        reason = ""
+        while not self._stop.is_set():
+            try:
+                # Without `exclusive` a second program at the port would eat half of the answers.
+                with serial.Serial(
+                    self.port, self._baud, timeout=POLL_S, write_timeout=STALE_S, exclusive=True
+                ) as port:
+                    self._exchange.restart()
+                    self._talk(port, lost_s)
+                    return
+            except OSError as e:  # pyserial's own errors are OSErrors
+                if str(e) != reason:
+                    logger.warning("%s: %s; opening the port again.", self, e)
+                reason = str(e)
+            if self._exchange.measured_kpa is None:
+                self._fault = f"{self} cannot be used ({reason}); check cable, power and the port's name."
+                return
+            lost_s = max(lost_s, self._exchange.measured_s)
+            if time.monotonic() - lost_s > self.reconnect_s:
+                self._fail_lost(reason)
+                return
+            self._stop.wait(REOPEN_S)
+
+    def _talk(self, port: serial.Serial, lost_s: float) -> None:
+        end_s = None
+        while end_s is None or time.monotonic() < end_s:
+            now = time.monotonic()
+            out = self._exchange.transmit(now, self._current(now))
+            if out:
+                port.write(out)
+            data = port.read(max(1, port.in_waiting))
+            self._exchange.receive(data, time.monotonic())
+            if self._exchange.fault:
+                self._fault = f"{self}: {self._exchange.fault}."
+                return
+            if now - max(lost_s, self._exchange.measured_s) > self.reconnect_s:
+                self._fail_lost("it does not answer")
+                return
+            if end_s is None and self._stop.is_set():
+                end_s = now + FAREWELL_S
+
+    def _fail_lost(self, reason: str) -> None:
+        self._fault = f"{self} was lost for {self.reconnect_s:g} s ({reason}); check cable and power, then connect again."
