@@ -14,7 +14,6 @@ from pneutac_sim.finger.inputs import CHAMBERS
 from pneutac_sim.mpm import devices
 from pneutac_sim.mpm.solve import solve_equilibrium
 from pneutac_sim.mpm.total_lagrangian import Loads
-from pneutac_sim.photo_fit.equilibria import BUILD
 from pneutac_sim.twin import Twin
 
 TRAIN_KPA = (0.0, 3.0, 6.0, 9.0, 12.0, 15.0)
@@ -171,7 +170,7 @@ def at_rest(
     Effects of the observation then act on the tips.
     """
     q_cmd = joints_of(twin, recording.samples)[rows]
-    solver = BUILD[twin.device](twin, batch=len(q_cmd), particles=particles, device=device)
+    solver = devices.BODIES[twin.device](twin, batch=len(q_cmd), particles=particles, device=device)
     q = solve_equilibrium(solver, Loads(q_cmd=q_cmd)).q
     markers = np.zeros((len(q), 5))
     markers[:, :3] = 1e3 * devices.spine_points(solver, q)[:, -1]

@@ -19,7 +19,6 @@ from pneutac_sim.mpm.total_lagrangian import Loads, TotalLagrangian
 from pneutac_sim.twin import Twin
 
 SAMPLES = 200
-BUILD = {"finger": devices.finger, "arm": devices.arm}
 DIGITS = 6  # joint targets that agree in so many, rad, are one equilibrium
 
 
@@ -97,7 +96,7 @@ def markers_by_mpm(
     Returns:
         (k, D) values of `bench.columns`, and how many equilibria it took.
     """
-    solver = BUILD[twin.device](twin)
+    solver = devices.BODIES[twin.device](twin)
     pipeline = Pipeline.of(twin, bench.inputs)
     run = pipeline.run(bench.inputs, pipeline.theta(twin, bench.inputs.pressure_range_kpa))
     targets, inverse = np.unique(run.joints[samples].round(DIGITS), axis=0, return_inverse=True)

@@ -79,7 +79,7 @@ def body_film(twin: Twin, config: RenderConfig) -> Film:
     time_s = np.arange(len(program)) / FPS if recorded is None else None
     conditions = config.conditions if recorded is None else recorded.conditions | config.conditions
     q_cmd = devices.joint_targets(twin, program, time_s, conditions)
-    make = devices.finger if twin.device == "finger" else devices.arm
+    make = devices.BODIES[twin.device]
     solver = make(twin, particles=config.particles, device=config.device)
     spines = np.concatenate([devices.spine_points(solver, q[None]) for q in q_cmd])
     if recorded is not None:

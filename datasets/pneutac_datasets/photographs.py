@@ -181,8 +181,7 @@ def bent_meshes(
         T meshes (m), the vertices (V, 3) of the straight one, the joint angles (T, H) at rest, rad, and the
         spine's tips (T, 3), m.
     """
-    build = {"finger": devices.finger, "arm": devices.arm}[twin.device]
-    solver = build(twin, batch=len(q_cmd), particles=particles)
+    solver = devices.BODIES[twin.device](twin, batch=len(q_cmd), particles=particles)
     state = solve_equilibrium(solver, Loads(q_cmd=q_cmd))
     width = 1e-3 * devices.parameter(twin, "width_mm")
     straight = devices.SHAPES[twin.device](1e-3 * twin.length_mm, width).subdivide()

@@ -83,6 +83,9 @@ def arm(twin: Twin, batch: int = 1, particles: int = 4000, mesh=None, device: st
     return _bending("arm", twin, batch, particles, mesh, device)
 
 
+BODIES = {"finger": finger, "arm": arm}  # by the twin's device
+
+
 def _bending(kind, twin, batch, particles, mesh, device) -> TotalLagrangian:
     if twin.device != kind:
         raise InputError(f"The twin is of a {twin.device}; this model is of a {kind}.")

@@ -15,7 +15,8 @@ import numpy as np
 from scipy.optimize import least_squares, lsq_linear
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.photo_fit.equilibria import BUILD, Bodies, Equilibria, joint_targets
+from pneutac_sim.mpm.devices import BODIES
+from pneutac_sim.photo_fit.equilibria import Bodies, Equilibria, joint_targets
 from pneutac_sim.photo_fit.objective import Photograph
 from pneutac_sim.photo_fit.outline import Outline
 from pneutac_sim.photo_fit.parameters import BodyParameters
@@ -67,7 +68,7 @@ class Skinned:
         self.parameters, self.pressures, self.conditions = parameters, pressures, conditions
         self.device = device
         self.photographs = [reduced(p) for p in photographs]
-        self.spine = BUILD[parameters.twin.device](parameters.twin, particles=PARTICLES, device=device).spine
+        self.spine = BODIES[parameters.twin.device](parameters.twin, particles=PARTICLES, device=device).spine
         self.outline = Outline(parameters.twin)
         self._left_out = 0.0
 

@@ -11,8 +11,6 @@ from pneutac_sim.mpm.total_lagrangian import Loads, TotalLagrangian
 from pneutac_sim.photo_fit.parameters import BodyParameters
 from pneutac_sim.twin import Twin
 
-BUILD = {"finger": devices.finger, "arm": devices.arm}
-
 
 def joint_targets(twin: Twin, pressures: np.ndarray, conditions: dict | None) -> np.ndarray:
     """(T, H) rad at pressures (T, chambers) kPa that have been held for long."""
@@ -66,7 +64,7 @@ class Equilibria:
             np.asarray(pressures, float),
             conditions,
         )
-        one = BUILD[parameters.twin.device](parameters.twin, particles=particles, device=device)
+        one = devices.BODIES[parameters.twin.device](parameters.twin, particles=particles, device=device)
         self.body, self.spine, self.device = one.body, one.spine, one.device
         self._target = self.targets(start[None])[0]
         solver = self._solver(start[None], len(self._target))
