@@ -56,7 +56,11 @@ class PressureController(Protocol):
         """Opens the connection, reads limits, starts the heartbeat; the chamber stays vented."""
 
     def set_pressure(self, kpa: float) -> None:
-        """Sets the target in kPa (gauge); returns at once."""
+        """Sets the target in kPa (gauge); returns at once.
+
+        Unless called again within `parts.COMMAND_S` the chamber is vented. Raises InputError where the target
+        is not finite or outside the controller's limits.
+        """
 
     def pressure(self) -> float:
         """The newest measured pressure in kPa."""

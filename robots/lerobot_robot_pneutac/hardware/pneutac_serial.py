@@ -13,11 +13,10 @@ HEARTBEAT_S = 0.02
 HELLO_S = 0.05
 
 FAULTS = {
-    Flag.OVER_PRESSURE: "the pressure exceeded the cut-off; look for a stuck inlet valve or a squeezed finger",
+    Flag.OVER_PRESSURE: "the pressure exceeded the cut-off; look for a stuck inlet or a squeezed finger",
     Flag.SENSOR_FAULT: "the pressure sensor is stuck or out of range; check its wiring",
     Flag.BURST_LINE: "the pressure falls while the inlet is open; look for a burst finger or a loose line",
-    Flag.STUCK_VALVE: "the pressure does not follow the valves; look for a stuck valve, a missing supply or a "
-    "loose line",
+    Flag.STUCK_VALVE: "the pressure does not follow; look for a stuck valve, no supply or a loose line",
     Flag.REFUSED: "it refused a set-point; connect again",
 }
 
@@ -53,7 +52,7 @@ class PneutacExchange:
         self._sequence = 0
         self._pending = b""  # the newest command until it was received
         self._beat = 0
-        self._beats_s: dict[int, float] = {}  # when each heartbeat was sent; 0 is the hello
+        self._beats_s: dict[int, float] = {}  # when each heartbeat was sent
         self._next_s = 0.0
         self._heard_s: float | None = None
 
@@ -90,7 +89,6 @@ class PneutacExchange:
         if now_s < self._next_s:
             return b""
         self._next_s = now_s + HELLO_S
-        self._beats_s.setdefault(0, now_s)
         return wire.hello(self._session, self._clear_faults)
 
     def _encode(self, command: Command) -> bytes:

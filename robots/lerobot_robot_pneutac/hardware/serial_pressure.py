@@ -62,7 +62,8 @@ class SerialPressure:
     """A pressure controller behind an `Exchange`. One thread owns the port.
 
     A set-point is void `COMMAND_S` after its call, and the chamber is vented: a caller that hangs keeps no
-    pressure. A lost port is opened again for `reconnect_s`; the chamber stays vented until the next set-point.
+    pressure. A lost port is opened again for `reconnect_s`; the chamber stays vented until the next
+    set-point.
 
     Attributes:
         port: the serial port's name; a link in /dev/serial/by-id keeps its name when replugged.
@@ -201,4 +202,6 @@ class SerialPressure:
                 end_s = now + FAREWELL_S
 
     def _fail_lost(self, reason: str) -> None:
-        self._fault = f"{self} was lost for {self.reconnect_s:g} s ({reason}); check cable and power, then connect again."
+        self._fault = (
+            f"{self} was lost for {self.reconnect_s:g} s ({reason}); check cable and power, then reconnect."
+        )

@@ -64,8 +64,8 @@ class TextExchange:
 class TextSerial(SerialPressure):
     """A rig that answers each line `P <kPa>` with the measured pressure.
 
-    Nothing here proves that a command arrived whole, and whether the chamber is vented when the lines stop is up
-    to the rig: docs/pressure_protocol.md says what to build in.
+    Nothing here proves that a command arrived whole, and whether the chamber is vented when the lines stop is
+    up to the rig: docs/pressure_protocol.md says what to build in.
 
     Args:
         port: serial port, such as /dev/serial/by-id/usb-...
