@@ -1,0 +1,63 @@
+"""Options of the camera `digit`, a DIGIT tactile sensor."""
+
+from dataclasses import dataclass
+
+from draccus.utils import DecodingError
+from lerobot.cameras import CameraConfig
+
+# What the sensor streams: width and height of its own, lying image in px, and frame rates in Hz.
+STREAMS = {"QVGA": (320, 240, (30, 60)), "VGA": (640, 480, (15, 30))}
+MAX_LED = 15
+
+
+@CameraConfig.register_subclass("digit")
+@dataclass(kw_only=True)
+class DigitConfig(CameraConfig):
+    """A DIGIT, found by its serial number.
+
+    Attributes:
+        serial: printed on the sensor, such as `D20001`.
+        resolution: `QVGA`, images of 320 rows and 240 columns as the simulated sensor's, or `VGA`, 640 x 480.
+        fps: 30, or 60 (QVGA alone) or 15 (VGA alone).
+        led: brightness of the red, green and blue LEDs, 0 (off) to 15.
+        frozen_s: seconds without a new image after which reading says that the sensor hangs. A working one
+            never sends the same image twice: the pixels are noisy.
+        width: follows from the resolution.
+        height: follows from the resolution.
+    """
+
+    serial: str
+    resolution: str = "QVGA"
+    fps: int = 30
+    led: tuple[int, int, int] = (MAX_LED, MAX_LED, MAX_LED)
+    frozen_s: float = 0.5
+
+    def __post_init__(self):
+        # LeRobot's commands print a DecodingError as one line and hide any other error's text.
+        if self.resolution not in STREAMS:
+            raise DecodingError(
+                (), f"resolution of the DIGIT is '{self.resolution}'; it must be QVGA or VGA."
+            )
+        columns, rows, rates = STREAMS[self.resolution]
+        if self.fps not in rates:
+            raise DecodingError(
+                (),
+                f"fps of the DIGIT is {self.fps}; {self.resolution} has {rates[0]} and {rates[1]}.",
+            )
+        if len(self.led) != 3 or not all(isinstance(v, int) and 0 <= v <= MAX_LED for v in self.led):
+            raise DecodingError(
+                (), f"led of the DIGIT is {list(self.led)}; give three whole numbers from 0 to {MAX_LED}."
+            )
+        if not self.frozen_s > 2 / self.fps:
+            raise DecodingError(
+                (),
+                f"frozen_s of the DIGIT is {self.frozen_s}; it must exceed two frames, {2 / self.fps:.3f} s.",
+            )
+        size = (rows, columns)  # handed out upright
+        if (self.width or size[0], self.height or size[1]) != size:
+            raise DecodingError(
+                (),
+                f"The DIGIT's image is {size[0]} px wide and {size[1]} px high in {self.resolution};"
+                f" leave out width {self.width} and height {self.height}.",
+            )
+        self.width, self.height = size
