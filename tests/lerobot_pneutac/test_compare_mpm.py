@@ -25,7 +25,7 @@ SAMPLES = 25
 @pytest.fixture(autouse=True)
 def coarse(monkeypatch):
     few = {"finger": partial(devices.finger, particles=600), "arm": partial(devices.arm, particles=600)}
-    monkeypatch.setattr(compare_mpm, "BUILD", few)
+    monkeypatch.setattr(devices, "BODIES", few)
 
 
 @pytest.fixture(scope="module")
