@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from lerobot_pneutac import compare, compare_mpm
+from lerobot_pneutac import compare
 from lerobot_pneutac.compare_mpm import markers_by_mpm, spread
 from lerobot_pneutac.fit_body import fit_body
 from pneutac_datasets.hidden.generate import generate
