@@ -4,7 +4,7 @@ import logging
 import secrets
 
 from lerobot_robot_pneutac.hardware import pressure_protocol as wire
-from lerobot_robot_pneutac.hardware.pressure_limits import checked_max_kpa
+from lerobot_robot_pneutac.hardware.pressure_limits import positive
 from lerobot_robot_pneutac.hardware.pressure_protocol import Flag
 from lerobot_robot_pneutac.hardware.serial_pressure import STALE_S, Command, SerialPressure
 
@@ -148,6 +148,5 @@ class PneutacSerial(SerialPressure):
     """
 
     def __init__(self, port: str, max_kpa: float | None = None, reconnect_s: float = 3.0):
-        if max_kpa is not None:
-            max_kpa = checked_max_kpa(max_kpa)
-        super().__init__(port, lambda: PneutacExchange(max_kpa), BAUD, reconnect_s)
+        limit = None if max_kpa is None else positive("max_kpa", max_kpa)
+        super().__init__(port, lambda: PneutacExchange(limit), BAUD, reconnect_s)

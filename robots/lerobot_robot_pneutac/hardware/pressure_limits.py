@@ -1,4 +1,4 @@
-"""Checks of a set-point that every pressure controller makes before anything is sent."""
+"""Checks of set-points and options that pressure controllers share."""
 
 import math
 
@@ -22,8 +22,12 @@ def checked_kpa(kpa: float, max_kpa: float) -> float:
     return value
 
 
-def checked_max_kpa(max_kpa: float) -> float:
-    """The option `max_kpa` as a float; raises InputError unless it is positive and finite."""
-    if not (isinstance(max_kpa, int | float) and math.isfinite(max_kpa) and max_kpa > 0):
-        raise InputError(f"max_kpa is {max_kpa!r}; it must be a positive pressure in kPa.")
-    return float(max_kpa)
+def positive(name: str, value: float | str) -> float:
+    """A numeric option, which from a command line may come as text; raises InputError naming it."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = math.nan
+    if not 0 < number < math.inf:
+        raise InputError(f"{name} is {value!r}; it must be a positive number.")
+    return number

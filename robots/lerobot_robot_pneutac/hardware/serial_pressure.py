@@ -10,7 +10,7 @@ from typing import Protocol
 import serial
 
 from lerobot_robot_pneutac.hardware.parts import COMMAND_S, HardwareFault
-from lerobot_robot_pneutac.hardware.pressure_limits import checked_kpa
+from lerobot_robot_pneutac.hardware.pressure_limits import checked_kpa, positive
 
 STALE_S = 0.2  # a measured pressure older than this is none
 POLL_S = 0.005
@@ -72,10 +72,10 @@ class SerialPressure:
 
     def __init__(self, port: str, make_exchange: Callable[[], Exchange], baud: int, reconnect_s: float):
         self.port = port
-        self.reconnect_s = reconnect_s
+        self.reconnect_s = positive("reconnect_s", reconnect_s)
         self._make_exchange = make_exchange
         self._exchange = make_exchange()
-        self._baud = baud
+        self._baud = int(positive("baud", baud))
         self._lock = threading.Lock()
         self._command = Command(None, 0)
         self._commanded_s = 0.0

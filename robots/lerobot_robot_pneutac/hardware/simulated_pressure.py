@@ -1,11 +1,12 @@
 """A chamber inside the process, for dry runs without a controller."""
 
 import math
+import threading
 import time
 from collections.abc import Callable
 
 from lerobot_robot_pneutac.hardware.parts import COMMAND_S, HardwareFault
-from lerobot_robot_pneutac.hardware.pressure_limits import checked_kpa, checked_max_kpa
+from lerobot_robot_pneutac.hardware.pressure_limits import checked_kpa, positive
 
 
 class SimulatedPressure:
@@ -23,9 +24,10 @@ class SimulatedPressure:
         time_constant_s: float = 0.1,
         clock: Callable[[], float] = time.monotonic,
     ):
-        self.max_kpa = checked_max_kpa(max_kpa)
-        self._tau_s = time_constant_s
+        self.max_kpa = positive("max_kpa", max_kpa)
+        self._tau_s = positive("time_constant_s", time_constant_s)
         self._clock = clock
+        self._lock = threading.Lock()
         self._connected = False
         self._kpa = self._target_kpa = 0.0
         self._now_s = self._void_s = clock()
@@ -37,20 +39,24 @@ class SimulatedPressure:
 
     def set_pressure(self, kpa: float) -> None:
         """Sets the target; raises InputError outside 0 ... `max_kpa`."""
-        self._advance()
-        self._target_kpa = checked_kpa(kpa, self.max_kpa)
-        self._void_s = self._now_s + COMMAND_S
+        target = checked_kpa(kpa, self.max_kpa)
+        with self._lock:
+            self._advance()
+            self._target_kpa = target
+            self._void_s = self._now_s + COMMAND_S
 
     def pressure(self) -> float:
         """The chamber's pressure in kPa."""
-        self._advance()
-        return self._kpa
+        with self._lock:
+            self._advance()
+            return self._kpa
 
     def vent(self) -> None:
         """Lets the pressure fall to zero."""
-        if self._connected:
-            self._advance()
-        self._target_kpa = 0.0
+        with self._lock:
+            if self._connected:
+                self._advance()
+            self._target_kpa = 0.0
 
     def disconnect(self) -> None:
         """Vents; the chamber empties unseen."""

@@ -2,7 +2,7 @@
 
 import re
 
-from lerobot_robot_pneutac.hardware.pressure_limits import checked_max_kpa
+from lerobot_robot_pneutac.hardware.pressure_limits import positive
 from lerobot_robot_pneutac.hardware.serial_pressure import Command, SerialPressure
 
 PERIOD_S = 0.05
@@ -75,5 +75,5 @@ class TextSerial(SerialPressure):
     """
 
     def __init__(self, port: str, max_kpa: float, baud: int = 115200, reconnect_s: float = 3.0):
-        max_kpa = checked_max_kpa(max_kpa)
-        super().__init__(port, lambda: TextExchange(max_kpa), baud, reconnect_s)
+        limit = positive("max_kpa", max_kpa)
+        super().__init__(port, lambda: TextExchange(limit), baud, reconnect_s)

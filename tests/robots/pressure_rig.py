@@ -1,0 +1,109 @@
+"""The firmware's own core, built here, on a simulated chamber: in simulated time or on a pseudo-terminal."""
+
+import shutil
+import subprocess
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from lerobot_robot_pneutac.hardware import pressure_protocol as wire
+from lerobot_robot_pneutac.hardware.serial_pressure import Command
+
+FIRMWARE = Path(__file__).parents[2] / "firmware"
+
+
+def build(folder):
+    """The program `pressure_sim`; skips where there is no compiler."""
+    compiler = shutil.which("g++") or shutil.which("clang++")
+    if compiler is None or shutil.which("make") is None:
+        pytest.skip("building the firmware's simulator needs make and a C++ compiler")
+    subprocess.run(["make", "-s", "-C", FIRMWARE, f"BUILD={folder}", f"CXX={compiler}"], check=True)
+    return folder / "pressure_sim"
+
+
+class SimulatedTime:
+    """The firmware stepped by 1 ms at a time.
+
+    Attributes:
+        trace: per step (ms, true Pa, reading Pa, commanded inlet, commanded vent).
+        frames: all that it sent.
+        now_ms: its clock.
+    """
+
+    def __init__(self, program, *options):
+        self._process = subprocess.Popen(
+            [program, *map(str, options)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        self._reader = wire.FrameReader()
+        self.trace, self.frames, self.now_ms = [], [], 0
+
+    def send(self, data):
+        if data:
+            self._process.stdin.write(f"rx {data.hex()}\n")
+
+    def run(self, ms):
+        """Runs on; returns the bytes that it sent meanwhile."""
+        self._process.stdin.write(f"run {ms}\n")
+        self._process.stdin.flush()
+        sent = b""
+        while (words := self._process.stdout.readline().split()) != ["done"]:
+            if words[0] == "tx":
+                sent += bytes.fromhex(words[1])
+            else:
+                self.trace.append(tuple(map(float, words[1:])))
+        self.now_ms += ms
+        self.frames += self._reader.feed(sent)
+        return sent
+
+    def beat(self, ms, session=7):
+        """Runs on with a heartbeat every 20 ms."""
+        for _ in range(0, ms, 20):
+            self.send(wire.heartbeat(session, self.now_ms // 20 + 1))
+            self.run(20)
+
+    def open(self, session=7):
+        self.send(wire.hello(session, True))
+        self.run(1)
+
+    @property
+    def status(self):
+        return [s for s in map(wire.read_status, self.frames) if s][-1]
+
+    def close(self):
+        self._process.stdin.close()
+        self._process.wait(timeout=5)
+        self._process.stdout.close()
+
+
+def converse(rig, exchange, ms, command=None, damage=lambda data: data):
+    """Host and firmware on one simulated clock; `damage` changes bytes on their way, both ways."""
+    command = command or Command(None, 0)
+    for _ in range(0, ms, 5):
+        now_s = rig.now_ms / 1000
+        rig.send(damage(exchange.transmit(now_s, command)))
+        exchange.receive(damage(rig.run(5)), now_s + 0.005)
+
+
+@contextmanager
+def terminal(program, link, *options):
+    """The firmware in real time behind the link; unplugged on leaving."""
+    process = subprocess.Popen([program, "--pty", link, *map(str, options)])
+    try:
+        assert until(lambda: link.exists(), 5)
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+        link.unlink(missing_ok=True)
+
+
+def until(condition, timeout_s):
+    """Whether the condition came true in time."""
+    end = time.monotonic() + timeout_s
+    while not condition():
+        if time.monotonic() > end:
+            return False
+        time.sleep(0.005)
+    return True

@@ -1,0 +1,179 @@
+"""The firmware's safety in simulated time: every number here is exact and the same on every computer."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from lerobot_robot_pneutac.hardware import pressure_protocol as wire
+from lerobot_robot_pneutac.hardware.pressure_protocol import Flag
+
+sys.path.insert(0, str(Path(__file__).parent))
+from pressure_rig import FIRMWARE, SimulatedTime, build  # noqa: E402
+
+
+@pytest.fixture(scope="module")
+def program(tmp_path_factory):
+    return build(tmp_path_factory.mktemp("firmware"))
+
+
+@pytest.fixture
+def start(program):
+    rigs = []
+
+    def make(*options):
+        rigs.append(SimulatedTime(program, *options))
+        rigs[-1].open()
+        return rigs[-1]
+
+    yield make
+    for rig in rigs:
+        rig.close()
+
+
+def at_8_kpa(rig, ms=1000):
+    rig.send(wire.set_point(7, 1, 8000))
+    rig.beat(ms)
+    return rig
+
+
+@pytest.mark.parametrize("kpa", [2, 8, 15])
+@pytest.mark.parametrize("leak", [0, 1])
+def test_the_pressure_settles_on_the_target_without_overshoot(start, kpa, leak):
+    rig = start("--leak-per-s", leak)
+    rig.send(wire.set_point(7, 1, kpa * 1000))
+    rig.beat(2000)
+    true_pa = [step[1] for step in rig.trace]
+    assert max(true_pa) < kpa * 1000 + 75  # 0.5 % of the range
+    assert all(abs(p - kpa * 1000) < 150 for p in true_pa[1000:])
+    assert rig.status.flags & ~Flag.INLET_OPEN == 0
+
+
+def test_the_target_moves_no_faster_than_the_stated_rate(start):
+    rig = start()
+    rig.send(wire.set_point(7, 1, 15000))
+    rig.beat(400)
+    true_pa = [step[1] for step in rig.trace]
+    fastest = max(b - a for a, b in zip(true_pa, true_pa[20:], strict=False)) / 0.02
+    assert fastest < 1.15 * 50000
+
+
+@pytest.mark.parametrize("phase_ms", range(0, 20, 3))
+def test_the_vent_opens_within_100_ms_of_the_last_heartbeat(start, phase_ms):
+    rig = at_8_kpa(start())
+    rig.run(phase_ms)
+    rig.send(wire.heartbeat(7, 30000))
+    last_ms = rig.now_ms
+    rig.run(150)
+    opened_ms = next(step[0] for step in rig.trace if step[0] > last_ms and step[4] == 1 and step[3] == 0)
+    assert opened_ms - last_ms == 80
+    rig.run(500)
+    assert rig.trace[-1][1] < 100
+    assert Flag.HEARTBEAT_LOST | Flag.VENTED in rig.status.flags
+
+
+def test_after_a_lost_heartbeat_nothing_of_the_old_session_counts(start):
+    rig = at_8_kpa(start())
+    rig.run(100)
+    rig.send(wire.set_point(7, 2, 8000))
+    rig.send(wire.heartbeat(7, 30000))
+    rig.run(500)
+    assert rig.trace[-1][1] < 100
+    assert rig.status.applied == 1
+    rig.open(session=9)
+    rig.send(wire.set_point(7, 3, 8000))
+    rig.run(40)
+    assert rig.status.applied == 0
+
+
+def test_above_the_cut_off_the_chamber_is_vented_at_once_and_stays_so(start):
+    rig = at_8_kpa(start("--stick-inlet", 1, "--fault-at-s", 0.5, "--stick-vent", 0), 800)
+    over_ms = next(step[0] for step in rig.trace if step[2] > 16500)
+    assert all(step[3] == 0 and step[4] == 1 for step in rig.trace if step[0] >= over_ms)
+    assert Flag.OVER_PRESSURE in rig.status.flags
+    rig.send(wire.set_point(7, 2, 1000))
+    rig.beat(40)
+    assert Flag.REFUSED in rig.status.flags
+    assert rig.status.applied == 1
+
+
+@pytest.mark.parametrize(
+    "options, flag",
+    [
+        (("--stick-inlet", 0), Flag.STUCK_VALVE),
+        (("--stick-inlet", 1, "--fault-at-s", 0.6), Flag.STUCK_VALVE),
+        (("--burst", "--fault-at-s", 0.6), Flag.BURST_LINE),
+        (("--freeze-sensor", "--fault-at-s", 0.1), Flag.SENSOR_FAULT),
+    ],
+)
+def test_a_broken_part_is_told_and_the_chamber_vented(start, options, flag):
+    rig = at_8_kpa(start(*options), 1500)
+    assert flag | Flag.VENTED in rig.status.flags
+    assert rig.trace[-1][3:] == (0, 1)
+
+
+def test_a_vent_valve_that_sticks_is_told_when_it_is_needed(start):
+    rig = at_8_kpa(start("--stick-vent", 0))
+    assert rig.status.flags & ~Flag.INLET_OPEN == 0
+    rig.send(wire.set_point(7, 2, 2000))
+    rig.beat(1000)
+    assert Flag.STUCK_VALVE in rig.status.flags
+
+
+def test_a_burst_line_is_told_within_100_ms(start):
+    rig = at_8_kpa(start("--burst", "--fault-at-s", 0.6), 700)
+    assert Flag.BURST_LINE in rig.status.flags
+
+
+def test_a_frozen_sensor_overfills_by_no_more_than_60_ms_of_air(start):
+    rig = at_8_kpa(start("--freeze-sensor", "--fault-at-s", 0.1))
+    assert max(step[1] for step in rig.trace) < 8000 + 0.06 * 40000 / 0.25
+
+
+def test_faults_last_until_a_hello_that_clears_them(start):
+    rig = at_8_kpa(start("--burst", "--fault-at-s", 0.6))
+    rig.send(wire.hello(8, False))
+    rig.run(20)
+    assert Flag.BURST_LINE in rig.status.flags
+    rig.send(wire.hello(9, True))
+    rig.run(20)
+    assert rig.status.flags == Flag.VENTED
+
+
+@pytest.mark.parametrize("target_pa", [-1, 15001, 2**31 - 1, -(2**31)])
+def test_a_set_point_outside_the_limits_is_refused(start, target_pa):
+    rig = start()
+    rig.send(wire.set_point(7, 1, target_pa))
+    rig.beat(60)
+    assert Flag.REFUSED in rig.status.flags
+    assert rig.status.applied == rig.status.target_pa == 0
+
+
+def test_another_version_gets_an_answer_but_no_session(start):
+    rig = start()
+    rig.frames.clear()
+    rig.send(wire.encode(wire.Frame(wire.Type.HELLO, 8, 0, bytes([99, 1]))))
+    rig.send(wire.set_point(8, 1, 5000))
+    rig.run(20)
+    assert wire.read_hello_reply(rig.frames[0]).version == wire.VERSION
+    assert rig.status.applied == 0
+
+
+def test_the_boards_sketch_fits_the_core(tmp_path, program):
+    """`program` skips where no compiler is there."""
+    import shutil
+    import subprocess
+
+    (tmp_path / "Arduino.h").write_text(
+        "#include <stdint.h>\n#include <stddef.h>\n#define A0 14\n#define OUTPUT 1\n"
+        "void pinMode(uint8_t, uint8_t); int analogRead(uint8_t); void analogWrite(uint8_t, int);\n"
+        "unsigned long millis();\n"
+        "struct Port { void begin(unsigned long); int available(); int read(); int availableForWrite();\n"
+        "size_t write(const uint8_t*, size_t); }; extern Port Serial;\n"
+    )
+    compiler = shutil.which("g++") or shutil.which("clang++")
+    folder = FIRMWARE / "pressure_controller"
+    for source in folder.iterdir():
+        if source.suffix in (".ino", ".cpp"):  # as the Arduino IDE compiles it for an Uno
+            flags = ["-std=c++11", "-Wall", "-Wextra", "-Werror", "-fsyntax-only", "-x", "c++"]
+            subprocess.run([compiler, *flags, "-include", tmp_path / "Arduino.h", source], check=True)
