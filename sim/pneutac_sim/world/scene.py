@@ -1,5 +1,7 @@
 """The MJCF of a whole world: arm, finger, task and what makes it pleasant to look at."""
 
+from collections.abc import Callable
+
 from pneutac_sim.features import CONTROL_HZ
 from pneutac_sim.twin import Twin
 from pneutac_sim.world import panda, soft_finger
@@ -49,8 +51,13 @@ _VISUAL = """
 </visual>"""
 
 
-def build(task: Task, twin: Twin) -> str:
-    """MJCF of the world with `task` and the finger of `twin`."""
+def build(
+    task: Task,
+    twin: Twin,
+    arm: Callable[[str], str] = panda.body,
+    servos: Callable[[], str] = panda.actuators,
+) -> str:
+    """MJCF of the world with `task` and the finger of `twin`, carried by an arm with its servos."""
     return f"""
 <mujoco model="pneutac_{task.name}">
   <compiler angle="radian"/>
@@ -62,8 +69,8 @@ def build(task: Task, twin: Twin) -> str:
     <light pos=".3 -.9 .9" dir=".2 .9 -.6" cutoff="60" diffuse=".16 .16 .18" castshadow="false"/>
     <camera name="close" pos=".37 -.50 .31" xyaxes=".968 -.252 0 .057 .219 .974"/>
     <geom name="table" type="plane" size="0 0 .1" material="table" contype="2" conaffinity="1"/>
-    {panda.body(soft_finger.body(twin))}
+    {arm(soft_finger.body(twin))}
     {task.mjcf()}
   </worldbody>
-  <actuator>{panda.actuators()}{soft_finger.actuators(twin)}{task.actuators()}</actuator>
+  <actuator>{servos()}{soft_finger.actuators(twin)}{task.actuators()}</actuator>
 </mujoco>"""

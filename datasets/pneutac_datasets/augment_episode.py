@@ -1,0 +1,232 @@
+"""One new demonstration out of a recorded one: a pure function of seed and index."""
+
+import time
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from pneutac_datasets.augment_reference import Reference, onset_sigma_m
+from pneutac_datasets.augment_scene import Scene, find_scene, follow
+from pneutac_datasets.planner import CemPlanner, PlannerConfig
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import ACTION_HIGH, ACTION_LOW
+from pneutac_sim.twin import Twin
+from pneutac_sim.world.gantry import Gantry
+from pneutac_sim.world.varied import Variation, VariedWorld
+from pneutac_sim.world.world import WORKSPACE_HIGH, WORKSPACE_LOW
+
+# Domain randomisation: standard deviations.
+FRICTION = 0.15  # of the factor on the gel's friction
+FEED_FORWARD_M_S = 0.01  # velocity added along the motion in contact for a friction factor higher by one
+PEAK_KPA = 0.5  # of the peak pressure
+BEND_GAIN = 0.04  # of the factor on pressure to bend
+EXTRA_STEPS = 15  # beyond the demonstration's length, where the task is about to be done
+
+
+@dataclass(frozen=True)
+class AugmentSetup:
+    """Everything that a demonstration depends on, besides its index.
+
+    Attributes:
+        references: the recorded demonstrations.
+        task: of the world.
+        twin: folder, or None for the built-in one.
+        fidelity: of the world in which the plans are carried out.
+        planner: its options.
+        seed: decides everything.
+        attempts: variants tried for one demonstration.
+        candidates: scenes drawn to find where the object stood.
+    """
+
+    references: list[Reference]
+    task: str
+    twin: Path | None
+    fidelity: str
+    planner: PlannerConfig
+    seed: int
+    attempts: int = 10
+    candidates: int = 12
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One draw of the domain randomisation.
+
+    Attributes:
+        source: index of the reference.
+        shift_m: (3,) displacement of object and reference trajectory together; its height stays, as objects
+            stand on the table.
+        friction: factor on the gel's friction.
+        peak_kpa: added to the peak pressure, and in proportion below it.
+        bend_gain: factor on pressure to bend.
+    """
+
+    source: int
+    shift_m: tuple[float, float, float]
+    friction: float
+    peak_kpa: float
+    bend_gain: float
+
+    @classmethod
+    def draw(cls, source: int, sigma_m: np.ndarray, rng: np.random.Generator) -> "Variant":
+        """A variant of a reference; factors stay within two standard deviations."""
+        friction, peak, gain = np.clip(rng.standard_normal(3), -2, 2)
+        shift = np.clip(rng.standard_normal(3), -2, 2) * sigma_m * (1, 1, 0)
+        return cls(
+            source,
+            tuple(shift.tolist()),
+            float(1 + FRICTION * friction),
+            float(PEAK_KPA * peak),
+            float(1 + BEND_GAIN * gain),
+        )
+
+
+@dataclass
+class Trial:
+    """What came of a variant.
+
+    Attributes:
+        state: (T, 20), action: (T, 4), images: uint8 (T, 320, 240, 3) as recorded.
+        reason: why it is not kept, or None.
+        cost: mean of the plans' costs.
+        area_rmse: root mean square error of the contact area in the contact phase.
+    """
+
+    state: np.ndarray
+    action: np.ndarray
+    images: np.ndarray | None
+    reason: str | None
+    cost: float
+    area_rmse: float
+
+
+@dataclass
+class Generator:
+    """Makes demonstrations; holds one world and its gantry."""
+
+    setup: AugmentSetup
+    touch: str = "image"
+    seconds: dict = field(default_factory=lambda: {"execution": 0.0})
+
+    def __post_init__(self):
+        s = self.setup
+        twin = Twin.load(s.twin) if s.twin else None
+        self.world = VariedWorld(s.task, twin, touch=self.touch, fidelity=s.fidelity)
+        self.gantry = Gantry(self.world)
+        self.sigma_m = onset_sigma_m(s.references)
+
+    def scene(self, source: int) -> Scene:
+        """Where the object stood in a reference."""
+        return find_scene(
+            self.world, self.gantry, self.setup.references[source], self.setup.seed, self.setup.candidates
+        )
+
+    def episode(self, index: int, scenes: list[Scene]) -> tuple[Trial, dict]:
+        """The demonstration number `index`: variants are tried until one does the task.
+
+        Args:
+            index: number of the demonstration.
+            scenes: one for each reference; those in which the reference itself works are used, if any does.
+
+        Returns:
+            the trial that is kept, and its provenance with every rejection's reason.
+
+        Raises:
+            InputError: none of `attempts` variants did the task.
+        """
+        s = self.setup
+        usable = [i for i, scene in enumerate(scenes) if scene.works] or list(range(len(scenes)))
+        rejected = []
+        for attempt in range(s.attempts):
+            rng = np.random.default_rng([s.seed, index, attempt])
+            source = usable[(index + attempt) % len(usable)]
+            variant = Variant.draw(source, self.sigma_m, rng)
+            trial = self.carry_out(variant, scenes[source], rng)
+            where = {"source_episode": s.references[source].source, **asdict(variant)}
+            if trial.reason is None:
+                scores = {"cost": trial.cost, "area_rmse": trial.area_rmse, "frames": len(trial.action)}
+                kept = {"episode": index, "seed": s.seed, "attempt": attempt, **where, **scores}
+                return trial, {**kept, "scene": asdict(scenes[source]), "rejected": rejected}
+            rejected.append({"attempt": attempt, "reason": trial.reason, **where})
+        reasons = ", ".join(sorted({r["reason"] for r in rejected}))
+        raise InputError(
+            f"Demonstration {index}: none of {s.attempts} variants did the task '{s.task}' ({reasons}); are"
+            " the recorded demonstrations of this task and this finger?"
+        )
+
+    def carry_out(self, variant: Variant, scene: Scene, rng: np.random.Generator, plan: bool = True) -> Trial:
+        """Plans a variant and carries it out in the world.
+
+        Args:
+            variant: what is different from the reference.
+            scene: where the object stood in the reference.
+            rng: decides the start's jitter and the planner's.
+            plan: False replays the reference's actions blindly, for comparison.
+        """
+        s, r = self.setup, self.setup.references[variant.source]
+        goal = r.flange_m + variant.shift_m
+        start = np.clip(goal[0], WORKSPACE_LOW + 0.006, WORKSPACE_HIGH - 0.006)
+        shift = np.add(scene.shift_m, variant.shift_m)
+        self.world.variation = Variation(
+            tuple(start.tolist()) if plan else tuple(r.flange_m[0].tolist()),
+            tuple(shift.tolist()),
+            variant.bend_gain,
+            variant.friction,
+        )
+        demonstrated = self._warm(r, variant) if plan else r.action
+        planner = CemPlanner(self.gantry, s.planner, rng)
+        observation = self.world.reset(scene.seed)
+        states, actions, images, areas, costs = [], [], [], [], []
+        queue: list[np.ndarray] = []
+        first, end = r.contact_phase
+        action = np.zeros(4)
+        for t in range(len(r) + EXTRA_STEPS):
+            if t >= len(r) and self.world.success:
+                break
+            frames = np.minimum(t + np.arange(s.planner.horizon), len(r) - 1)
+            warm = demonstrated[frames].copy()
+            warm[t + np.arange(len(warm)) >= len(r), :3] = 0.0  # holds still after the end
+            if plan and not queue:
+                here, there = self.world.flange_m, goal[min(t, len(r) - 1)]
+                warm = follow(warm, here, there)
+                if first <= t < end:
+                    ahead = np.minimum(frames + 1, len(r) - 1)
+                    self.gantry.mirror(self.world)
+                    warm = planner.plan(warm, action, r.area[ahead], goal[ahead])
+                    costs.append(planner.cost)
+                    queue = list(warm[: s.planner.replan])
+                else:
+                    queue = [warm[0]]
+            action = (queue.pop(0) if plan else np.clip(warm[0], ACTION_LOW, ACTION_HIGH)).astype(np.float32)
+            states.append(observation.state)
+            images.append(observation.tactile)
+            actions.append(action)
+            areas.append(self.world.touch.area)
+            began = time.perf_counter()
+            observation = self.world.step(action)
+            self.seconds["execution"] += time.perf_counter() - began
+            if self.world.failure:
+                break
+        reason = self.world.failure or (None if self.world.success else "the task was not done by the end")
+        error = np.array(areas)[first:end] - r.area[first : min(end, len(areas))]
+        return Trial(
+            np.array(states),
+            np.array(actions),
+            None if images[0] is None else np.array(images),
+            reason,
+            float(np.mean(costs)) if costs else 0.0,
+            float(np.sqrt(np.mean(error**2))) if len(error) else 1.0,
+        )
+
+    @staticmethod
+    def _warm(r: Reference, variant: Variant) -> np.ndarray:
+        """The reference's actions (T, 4) with jittered peak pressure and friction feed-forward."""
+        action = r.action.copy()
+        peak = max(action[:, 3].max(), 1e-9)
+        action[:, 3] += variant.peak_kpa * action[:, 3] / peak
+        touching = (r.area > 0)[:, None]
+        speed = np.linalg.norm(action[:, :3], axis=1, keepdims=True)
+        along = action[:, :3] / np.maximum(speed, 0.01)
+        action[:, :3] += touching * along * FEED_FORWARD_M_S * (variant.friction - 1)
+        return np.clip(action, ACTION_LOW, ACTION_HIGH)

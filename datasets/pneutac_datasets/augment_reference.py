@@ -1,0 +1,67 @@
+"""Demonstrations as references for the planner: what was done and felt, and how their contacts scatter."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pneutac_sim.errors import InputError
+
+MARGIN = 4  # frames before the first and after the last contact that still count as contact phase
+
+
+@dataclass
+class Reference:
+    """One recorded demonstration, without its images.
+
+    Attributes:
+        source: index of the episode.
+        flange_m: (T, 3) flange positions.
+        area: (T,) contact areas.
+        action: (T, 4) as `features.ACTION_NAMES`.
+        task: the instruction.
+    """
+
+    source: int
+    flange_m: np.ndarray
+    area: np.ndarray
+    action: np.ndarray
+    task: str
+
+    def __post_init__(self):
+        for name in ("flange_m", "area", "action"):
+            if not np.isfinite(getattr(self, name)).all():
+                raise InputError(
+                    f"Episode {self.source} holds numbers that are not finite ({name}); delete it."
+                )
+
+    def __len__(self) -> int:
+        return len(self.action)
+
+    @property
+    def onset(self) -> int:
+        """First frame in contact; raises InputError where there is none."""
+        frames = np.flatnonzero(self.area > 0)
+        if not len(frames):
+            raise InputError(
+                f"Episode {self.source} never touches anything (contact_area.pos is 0 throughout); delete it."
+            )
+        return int(frames[0])
+
+    @property
+    def contact_phase(self) -> tuple[int, int]:
+        """First frame of the contact phase and the one after its last."""
+        last = int(np.flatnonzero(self.area > 0)[-1])
+        return max(0, self.onset - MARGIN), min(len(self), last + MARGIN + 1)
+
+
+def onset_sigma_m(references: list[Reference]) -> np.ndarray:
+    """Standard deviation (3,) of the flange position at the contact onset over demonstrations, metres.
+
+    Raises:
+        InputError: fewer than two demonstrations, or one without contact.
+    """
+    if len(references) < 2:
+        raise InputError(
+            f"The spread of the contacts needs two demonstrations or more; the dataset has {len(references)}."
+        )
+    return np.std([r.flange_m[r.onset] for r in references], axis=0, ddof=1)

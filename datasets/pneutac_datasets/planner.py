@@ -1,0 +1,153 @@
+"""Model-predictive control by the cross-entropy method (CEM), guided by a demonstration's touch.
+
+At each replanning CEM draws sequences of H actions around a warm start, tries them on the world's gantry, and
+moves mean and spread to the best of them. The cost is the paper's (eq. mpc-impl)
+
+    L = sum_t [ w (c_t - c*_t)^2 + lambda |x_t - x*_t|^2 ] + mu sum_t |a_t - a_{t-1}|^2
+
+with contact area c (a fraction of the image), flange position x (m), and action a in units of its limits.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import ACTION_HIGH, ACTION_LOW
+from pneutac_sim.world.gantry import Gantry
+
+SMALLEST_SPREAD = 0.1  # of the first spread, so that later iterations still look around
+MEMORY = 0.7  # correlation of the jitter from one step to the next: hands do not shake at 15 Hz
+
+
+@dataclass(frozen=True)
+class PlannerConfig:
+    """Options of the planner.
+
+    Attributes:
+        horizon: H, control steps that a plan looks ahead.
+        samples: action sequences that an iteration tries.
+        elites: how many of the best make the next mean and spread.
+        iterations: of CEM at a replanning.
+        replan: control steps after which it plans anew.
+        area_weight: w, on the squared error of the contact area.
+        position_weight: lambda, on the squared error of the flange position, 1/m2.
+        smoothness_weight: mu, on the squared change of the action.
+        jitter_m_s: spread of the velocities tried, m/s.
+        jitter_kpa: spread of the pressures tried, kPa.
+    """
+
+    horizon: int = 10
+    samples: int = 10
+    elites: int = 3
+    iterations: int = 2
+    replan: int = 5
+    area_weight: float = 1.0
+    position_weight: float = 50.0
+    smoothness_weight: float = 0.01
+    jitter_m_s: float = 0.006
+    jitter_kpa: float = 0.6
+
+    def __post_init__(self):
+        for name, least in (("horizon", 2), ("samples", 3), ("elites", 2), ("iterations", 1), ("replan", 1)):
+            if getattr(self, name) < least:
+                raise InputError(f"--planner.{name} is {getattr(self, name)}; it must be {least} or more.")
+        for name, limit in (("elites", "samples"), ("replan", "horizon")):
+            if getattr(self, name) > getattr(self, limit):
+                raise InputError(
+                    f"--planner.{name} is {getattr(self, name)}; it must be at most --planner.{limit}"
+                    f" ({getattr(self, limit)})."
+                )
+        for name in ("area_weight", "position_weight", "smoothness_weight", "jitter_m_s", "jitter_kpa"):
+            if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
+                raise InputError(f"--planner.{name} is {getattr(self, name)}; it must be a number from 0 on.")
+
+
+def demonstration_cost(
+    area: np.ndarray,
+    area_goal: np.ndarray,
+    position_m: np.ndarray,
+    position_goal_m: np.ndarray,
+    actions: np.ndarray,
+    previous: np.ndarray,
+    config: PlannerConfig,
+) -> float:
+    """Cost L of a trajectory against the demonstrated one.
+
+    Args:
+        area: (H,) contact areas c.
+        area_goal: (H,) demonstrated ones c*.
+        position_m: (H, 3) flange positions x.
+        position_goal_m: (H, 3) demonstrated ones x*.
+        actions: (H, 4) as `features.ACTION_NAMES`.
+        previous: (4,) the action before them.
+        config: the weights.
+    """
+    change = np.diff(np.vstack([previous, actions]), axis=0) / ACTION_HIGH
+    return float(
+        config.area_weight * np.sum((area - area_goal) ** 2)
+        + config.position_weight * np.sum((position_m - position_goal_m) ** 2)
+        + config.smoothness_weight * np.sum(change**2)
+    )
+
+
+class CemPlanner:
+    """Plans on a gantry.
+
+    Args:
+        gantry: the reduced world; `Gantry.mirror` sets where a plan starts.
+        config: options.
+        rng: decides the jitter.
+
+    Attributes:
+        cost: of the last plan.
+    """
+
+    def __init__(self, gantry: Gantry, config: PlannerConfig, rng: np.random.Generator):
+        self._gantry, self._config, self._rng = gantry, config, rng
+        self._rest = np.empty((0, 4))
+        self.cost = 0.0
+
+    def plan(
+        self, warm: np.ndarray, previous: np.ndarray, area_goal: np.ndarray, position_goal_m: np.ndarray
+    ) -> np.ndarray:
+        """The best sequence of actions (H, 4) found from the gantry's mirrored state.
+
+        The first iteration tries both the warm start itself and what is left of the last plan.
+
+        Args:
+            warm: (H, 4) actions to start from.
+            previous: (4,) the last action that was carried out.
+            area_goal: (H,) demonstrated contact areas after each action.
+            position_goal_m: (H, 3) demonstrated flange positions after each action.
+        """
+        c = self._config
+        mean = warm.copy()
+        mean[: len(self._rest)] = self._rest[: len(mean)]
+        first = np.array([c.jitter_m_s] * 3 + [c.jitter_kpa])
+        spread = np.tile(first, (len(warm), 1))
+        tried, costs = [], []
+        for iteration in range(c.iterations):
+            batch = mean + spread * self._noise(c.samples, len(warm))
+            if iteration == 0:
+                batch[0], batch[1] = warm, mean
+            batch = np.clip(batch, ACTION_LOW, ACTION_HIGH)
+            for actions in batch:
+                position, area = self._gantry.rollout(actions)
+                costs.append(
+                    demonstration_cost(area, area_goal, position, position_goal_m, actions, previous, c)
+                )
+                tried.append(actions)
+            elites = np.array(tried)[np.argsort(costs, kind="stable")[: c.elites]]
+            mean, spread = elites.mean(0), np.maximum(elites.std(0), SMALLEST_SPREAD * first)
+        best = int(np.argmin(costs))
+        self.cost, plan = costs[best], tried[best]
+        self._rest = plan[c.replan :]
+        return plan
+
+    def _noise(self, samples: int, steps: int) -> np.ndarray:
+        """Unit normal noise (samples, steps, 4), correlated in time."""
+        noise = self._rng.standard_normal((samples, steps, 4))
+        for t in range(1, steps):
+            noise[:, t] = MEMORY * noise[:, t - 1] + np.sqrt(1 - MEMORY**2) * noise[:, t]
+        return noise

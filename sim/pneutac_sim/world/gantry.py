@@ -1,0 +1,203 @@
+"""The world for planners: with its orientation held, the arm is three slides that carry the finger.
+
+A step costs about half of one with the arm's seven joints and its inverse kinematics, and flange and finger go
+the same ways, because the slides follow their targets with the same lag as the arm's servos.
+"""
+
+import copy
+import time
+from typing import override
+
+import mujoco
+import numpy as np
+
+from pneutac_sim.gel.sensor import TactileSensor
+from pneutac_sim.world import scene
+from pneutac_sim.world.panda import HOME_JOINTS, SERVO_LAG_S, forward_kinematics
+from pneutac_sim.world.touch import Touch
+from pneutac_sim.world.varied import VariedWorld, _Staged
+from pneutac_sim.world.world import DT, WORKSPACE_HIGH, WORKSPACE_LOW, Observation
+
+SLIDES = ("slide_x", "slide_y", "slide_z")
+STIFFNESS_N_M = 40000.0  # of the flange: about 12 kN m/rad at the arm's half metre
+INERTIA_KG = 1.0
+
+
+def body(payload: str = "") -> str:
+    """MJCF of three slides whose positions are the flange's in the world; `payload` as for the arm."""
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, forward_kinematics(HOME_JOINTS)[:3, :3].ravel())
+    slides = "".join(
+        f'<joint name="{name}" type="slide" axis="{axis}" armature="{INERTIA_KG}"/>'
+        for name, axis in zip(SLIDES, ("1 0 0", "0 1 0", "0 0 1"), strict=True)
+    )
+    site = '<site name="flange" size=".001" group="5"/>'
+    # The joints' axes are in the frame of their body: the turned flange is a body of its own.
+    flange = f'<body name="flange" quat="{" ".join(map(repr, quat.tolist()))}">{site}{payload}</body>'
+    return f'<body name="gantry" gravcomp="1">{slides}{flange}</body>'
+
+
+def actuators() -> str:
+    """MJCF position servos of the slides."""
+    kv = SERVO_LAG_S * STIFFNESS_N_M
+    return "".join(f'<position name="servo_{j}" joint="{j}" kp="{STIFFNESS_N_M}" kv="{kv}"/>' for j in SLIDES)
+
+
+class _Straight:
+    """Inverse kinematics of the slides."""
+
+    def reset(self, q) -> None:
+        """Nothing to start from."""
+
+    def solve(self, position: np.ndarray) -> np.ndarray:
+        """Slide positions (3,), metres: the flange's own."""
+        return np.array(position, float)
+
+
+class Gantry(VariedWorld):
+    """The reduced world of a world: starts where that one is, and tries sequences of actions.
+
+    Finger and gel deform by their formulas; how far the world's own finger is from that is held while the
+    gantry looks ahead.
+
+    Attributes:
+        steps: control steps taken in `rollout` so far.
+        seconds: seconds spent in them: `physics`, `touch`.
+    """
+
+    _residual_rad: np.ndarray | float = 0.0  # bend of the world's finger beyond its formula
+
+    def __init__(self, world: VariedWorld):
+        """A gantry for `world`; its state is taken over by `mirror`.
+
+        Raises:
+            InputError: as `World`.
+        """
+        super().__init__(world.task.name, world.twin, touch="area", fidelity="probe")
+        task = self.task.inner
+        self.model = mujoco.MjModel.from_xml_string(scene.build(task, self.twin, body, actuators))
+        self.data = mujoco.MjData(self.model)
+        self.task = _Staged(task, self.model)
+        self.sensor = TactileSensor(self.twin)
+        self.touch = Touch(self.model, self.sensor, "area")
+        self._ik = _Straight()
+        self._flange, self._gel = self.model.site("flange").id, self.model.site("gel").id
+        self._pad = self.data.joint("pad")
+        n = self._spine.stop - self._spine.start
+        self._arm, self._spine = slice(0, 3), slice(3, 3 + n)
+        self._control = self.data.ctrl[: self._spine.stop]
+        self.steps, self.seconds = 0, {"physics": 0.0, "touch": 0.0}
+        self._pair(world)
+        self.reset(0)
+
+    def mirror(self, world: VariedWorld) -> None:
+        """Takes over the state of `world`: poses, speeds, pressures, and what the task remembers."""
+        here, there = self.data, world.data
+        for theirs, ours, names in self._fields:
+            getattr(self.model, names)[ours] = getattr(world.model, names)[theirs]
+        here.qpos[self._qpos[1]], here.qvel[self._dofs[1]] = (
+            there.qpos[self._qpos[0]],
+            there.qvel[self._dofs[0]],
+        )
+        here.ctrl[self._ctrl[1]] = there.ctrl[self._ctrl[0]]
+        jacobian = np.zeros((3, world.model.nv))
+        mujoco.mj_comPos(world.model, there)
+        mujoco.mj_jacSite(world.model, there, jacobian, None, world._flange)
+        here.qpos[self._arm], here.qvel[self._arm] = world.flange_m, jacobian @ there.qvel
+        here.time, here.qacc_warmstart[:] = there.time, 0.0
+        self.variation, self._rest_rad = world.variation, world._rest_rad
+        self.target_m, self._joints = world.target_m.copy(), world.target_m.copy()
+        self.spine_target_rad = world.spine_target_rad.copy()
+        self._residual_rad = 0.0
+        self._load = world._load
+        self._residual_rad = world._drive - self._bend(self.spine_target_rad)
+        self._drive = world._drive.copy()
+        self._pipeline = _copy(world._pipeline)
+        self._memory = _memory(vars(world.task.inner))
+        self._friction = self.model.dof_frictionloss.copy()
+        self._state = np.empty(mujoco.mj_stateSize(self.model, _STATE))
+        mujoco.mj_getState(self.model, here, self._state, _STATE)
+
+    def rollout(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Tries actions from the mirrored state.
+
+        Args:
+            actions: (H, 4) as `features.ACTION_NAMES`, within the limits.
+
+        Returns:
+            flange positions (H, 3), metres, and contact areas (H,) after each step.
+        """
+        mujoco.mj_setState(self.model, self.data, self._state, _STATE)
+        self.model.dof_frictionloss[:] = self._friction
+        vars(self.task.inner).update(_memory(self._memory))
+        held = self.target_m, self._joints, self.spine_target_rad, self._drive, self._load
+        pipeline, target = _copy(self._pipeline), self.target_m
+        flange, area = np.empty((len(actions), 3)), np.empty(len(actions))
+        for t, action in enumerate(actions):
+            target = np.clip(target + action[:3] * DT, WORKSPACE_LOW, WORKSPACE_HIGH)
+            began = time.perf_counter()
+            self._advance(target, pipeline.step(action[3], DT))
+            self.task.update(self.model, self.data, DT)
+            moved = time.perf_counter()
+            self.touch.sense(self.data)
+            self.seconds["physics"] += moved - began
+            self.seconds["touch"] += time.perf_counter() - moved
+            flange[t], area[t] = self.flange_m, self.touch.area
+        self.steps += len(actions)
+        self.target_m, self._joints, self.spine_target_rad, self._drive, self._load = held
+        return flange, area
+
+    @override
+    def _bend(self, q_cmd):
+        return super()._bend(q_cmd) + self._residual_rad
+
+    @override
+    def _observe(self):
+        return Observation(np.append(self.flange_m, self.touch.area).astype(np.float32), None)
+
+    def _pair(self, world: VariedWorld) -> None:
+        """Indices, in the world's model and in this one, of everything that both have."""
+        a, b = world.model, self.model
+
+        def both(kind: str, count: int) -> list[str]:
+            names = [getattr(b, kind)(i).name for i in range(count)]
+            known = {getattr(a, kind)(i).name for i in range(getattr(a, f"n{_COUNTS[kind]}"))}
+            return [n for n in names if n and n in known]
+
+        def indices(names: list[str], find) -> tuple[np.ndarray, np.ndarray]:
+            return tuple(np.concatenate([find(m, n) for n in names]).astype(int) for m in (a, b))
+
+        joints, bodies = both("joint", b.njnt), both("body", b.nbody)
+        geoms, motors = both("geom", b.ngeom), both("actuator", b.nu)
+        bodies = [n for n in bodies if n not in ("world", "flange")]
+        self._qpos = indices(joints, lambda m, n: _span(m.joint(n).qposadr[0], m.joint(n).qpos0))
+        self._dofs = indices(joints, lambda m, n: _span(m.joint(n).dofadr[0], m.joint(n).armature))
+        self._ctrl = indices(motors, lambda m, n: [m.actuator(n).id])
+        body = indices(bodies, lambda m, n: [m.body(n).id])
+        geom = indices(geoms, lambda m, n: [m.geom(n).id])
+        self._fields = [
+            *((*body, name) for name in ("body_pos", "body_quat", "body_mass")),
+            (*geom, "geom_friction"),
+            (*self._dofs, "dof_frictionloss"),
+        ]
+
+
+_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+_COUNTS = {"joint": "jnt", "body": "body", "geom": "geom", "actuator": "u"}
+
+
+def _span(first: int, like: np.ndarray) -> np.ndarray:
+    return first + np.arange(len(np.atleast_1d(like)))
+
+
+def _memory(attributes: dict) -> dict:
+    """What a task remembers as numbers, not its handles into a model."""
+    return {k: copy.copy(v) for k, v in attributes.items() if isinstance(v, int | float | tuple | np.ndarray)}
+
+
+def _copy(pipeline):
+    """A pressure pipeline that goes its own way from here on."""
+    new = copy.copy(pipeline)
+    if new._states is not None:
+        new._states = [s.copy() for s in new._states]
+    return new

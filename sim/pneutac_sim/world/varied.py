@@ -1,0 +1,91 @@
+"""A world whose scene is laid out on purpose: object moved, other start, other gain of the finger, other grip."""
+
+from dataclasses import dataclass
+from typing import override
+
+import numpy as np
+
+from pneutac_sim.world.tasks import Task
+from pneutac_sim.world.world import World
+
+
+@dataclass(frozen=True)
+class Variation:
+    """What is different from the scene that the task itself draws.
+
+    Attributes:
+        start_m: flange position (3,) at the start, metres; None for the task's own.
+        shift_m: displacement (3,) of the task's objects, metres.
+        bend_gain: factor on the bend that the pressure makes.
+        friction: factor on the friction of the gel.
+    """
+
+    start_m: tuple[float, float, float] | None = None
+    shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    bend_gain: float = 1.0
+    friction: float = 1.0
+
+
+class VariedWorld(World):
+    """A world with a `variation`, which acts from the next reset on."""
+
+    variation = Variation()
+
+    def __init__(self, *args, **kwargs):
+        super().__init__(*args, **kwargs)
+        self.task = _Staged(self.task, self.model)
+
+    @override
+    def reset(self, seed: int | None = None):
+        if isinstance(self.task, _Staged):  # not yet while the world is being built
+            self.task.variation = self.variation
+        self._rest_rad = None
+        return super().reset(seed)
+
+    @override
+    def _bend(self, q_cmd: np.ndarray) -> np.ndarray:
+        if self._rest_rad is None:  # at the reset, where the pressure is off
+            self._rest_rad = q_cmd
+        return super()._bend(self._rest_rad + self.variation.bend_gain * (q_cmd - self._rest_rad))
+
+
+class _Staged(Task):
+    """A task as another one lays it out: after its own random start, its objects are moved."""
+
+    def __init__(self, task: Task, model):
+        self.inner, self.variation = task, Variation()
+        self.name, self.description = task.name, task.description
+        roots = (model.body(b) for b in range(1, model.nbody) if model.body_parentid[b] == 0)
+        self._roots = [b.id for b in roots if b.name not in ("panda", "gantry")]
+        self._pad = model.geom("pad").id
+        self._grip = float(model.geom_friction[self._pad, 0])
+        self._places = model.body_pos[self._roots].copy()
+
+    @property
+    def home_m(self):
+        """Where the flange starts (3,), metres."""
+        return self.inner.home_m if self.variation.start_m is None else self.variation.start_m
+
+    @override
+    def reset(self, model, data, rng):
+        model.body_pos[self._roots] = self._places
+        self.inner.reset(model, data, rng)
+        model.body_pos[self._roots] += self.variation.shift_m
+        for b in self._roots:
+            joint = model.body_jntadr[b]
+            if joint >= 0 and model.jnt_type[joint] == 0:  # a free object stands where its joint says
+                at = model.jnt_qposadr[joint]
+                data.qpos[at : at + 3] += self.variation.shift_m
+        model.geom_friction[self._pad, 0] = self._grip * self.variation.friction
+
+    @override
+    def update(self, model, data, dt):
+        self.inner.update(model, data, dt)
+
+    @override
+    def success(self):
+        return self.inner.success()
+
+    @override
+    def failure(self):
+        return self.inner.failure()
