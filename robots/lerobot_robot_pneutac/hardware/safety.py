@@ -1,0 +1,216 @@
+"""Keeps arm and chamber inside their limits, and ends every fault alike: arm stopped, chamber vented."""
+
+import atexit
+import logging
+import threading
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from lerobot_robot_pneutac.hardware.limits import Limits, why_refused
+from lerobot_robot_pneutac.hardware.parts import (
+    COMMAND_S,
+    Arm,
+    ArmState,
+    HardwareFault,
+    PressureController,
+)
+
+VENT_S = 1.0  # without an action for so long the chamber is vented
+HOLD_S = 0.5 * COMMAND_S  # without an action for so long the watchdog holds the pressure
+REFUSALS = 10  # so many refused actions in a row are a fault
+TICK_S = 0.02  # of the watchdog
+HALT_S = 1.0  # how long a halt waits for the arm to say that it stopped
+
+logger = logging.getLogger(__name__)
+
+
+class Guard:
+    """Stands between whoever sends actions and the parts.
+
+    Two threads run beside the control loop. The watchdog stops the arm when no action was carried out for
+    `COMMAND_S`, holds the pressure, and vents the chamber after `VENT_S`; the next action starts both again.
+    The monitor reads force and pressure all the time. A broken limit or a part that fails is a fault: arm
+    stopped, chamber vented, and every later call raises it until the robot is connected anew.
+
+    Of the arm `state` and `stop`, of the controller all but connecting is called from these threads too.
+
+    Attributes:
+        limits: see `Limits`.
+        fault: the first fault, or None.
+        refused: actions refused so far.
+    """
+
+    def __init__(self, arm: Arm, pressure: PressureController, limits: Limits):
+        self.limits = limits
+        self.fault: HardwareFault | None = None
+        self.refused = 0
+        self._arm, self._pressure = arm, pressure
+        self._in_a_row = 0
+        self._target_kpa = 0.0
+        self._last_s = time.monotonic()
+        self._moving = self._inflated = False
+        self._closed = threading.Event()
+        self._threads = [
+            threading.Thread(target=f, name=f"pneutac-{f.__name__.strip('_')}", daemon=True)
+            for f in (self._watchdog, self._monitor)
+        ]
+
+    def start(self) -> None:
+        """Starts watching; both parts are connected."""
+        # Python's own exit is the last line where a second Ctrl-C cuts an orderly end short.
+        atexit.register(self._last_line)
+        for thread in self._threads:
+            thread.start()
+
+    def look(self) -> tuple[ArmState, float]:
+        """State of the arm and pressure (kPa).
+
+        Raises:
+            HardwareFault: a part failed or a limit is broken, now or before.
+        """
+        with self.failing("reading arm and pressure"):
+            state, kpa = self._arm.state(), float(self._pressure.pressure())
+            said = self.limits.broken_by(state.force_n, kpa)
+            if said:
+                raise HardwareFault(said)
+            return state, kpa
+
+    def act(self, values: np.ndarray) -> np.ndarray:
+        """Carries out an action as far as the limits allow.
+
+        Args:
+            values: (4,) flange velocity m/s and pressure kPa.
+
+        Returns:
+            What was carried out (4,): the arm at rest and the pressure as it was, where it was refused.
+
+        Raises:
+            HardwareFault: as `look`, or `REFUSALS` actions in a row were refused.
+        """
+        state, _ = self.look()
+        with self.failing("sending an action"):
+            said = why_refused(values)
+            if said:
+                return self._refuse(said)
+            now = time.monotonic()
+            self._target_kpa = self.limits.pressure(values[3], self._target_kpa, now - self._last_s)
+            velocity = self.limits.velocity(values[:3], state.flange_m)
+            self._in_a_row, self._last_s = 0, now
+            self._moving = self._inflated = True
+            self._arm.move(velocity)
+            self._pressure.set_pressure(self._target_kpa)
+        if self.fault:  # arose meanwhile in another thread: it must have the last word
+            self.halt()
+            raise self.fault
+        return np.append(velocity, self._target_kpa)
+
+    def fail(self, fault: HardwareFault) -> None:
+        """Makes a fault known: everything halts, and later calls raise it. The first one is kept."""
+        if self.fault is None:
+            self.fault = fault
+            logger.error("%s The arm is stopped and the chamber vented.", fault)
+        self.halt()
+
+    def failing(self, doing: str) -> "_Failing":
+        """Context in which whatever is raised halts everything at once; for all that touches a part.
+
+        Raises:
+            HardwareFault: in place of any other exception of the part, and on entering after a fault.
+        """
+        return _Failing(self, doing)
+
+    def halt(self) -> None:
+        """Stops the arm and vents the chamber, now; never raises and does not wait for a part that hangs."""
+        stop = threading.Thread(target=_quietly, args=(self._arm.stop,), daemon=True)
+        stop.start()
+        _quietly(self._pressure.vent)
+        stop.join(HALT_S)
+        self._target_kpa = 0.0
+        self._moving = self._inflated = False
+
+    def close(self) -> None:
+        """Halts and ends the threads."""
+        self._closed.set()
+        self.halt()
+        for thread in self._threads:
+            if thread.is_alive():
+                thread.join(HALT_S)
+        atexit.unregister(self._last_line)
+
+    def _last_line(self) -> None:
+        """Halts without a thread of its own, which an ending interpreter would refuse."""
+        _quietly(self._pressure.vent)
+        _quietly(self._arm.stop)
+
+    def _refuse(self, said: str) -> np.ndarray:
+        self.refused += 1
+        self._in_a_row += 1
+        logger.warning("Action refused: %s. The arm stops and the pressure stays.", said)
+        self._arm.stop()
+        if self._in_a_row >= REFUSALS:
+            raise HardwareFault(f"{REFUSALS} actions in a row were refused, the last because {said}.")
+        return np.array([0.0, 0.0, 0.0, self._target_kpa])
+
+    def _watchdog(self) -> None:
+        while not self._closed.wait(TICK_S):
+            idle_s = time.monotonic() - self._last_s
+            if self._moving and idle_s > COMMAND_S:
+                self._moving = False
+                _quietly(self._arm.stop)
+            if self._inflated and idle_s > VENT_S:
+                logger.warning("No action for %.1f s: the chamber is vented.", idle_s)
+                self._inflated, self._target_kpa = False, 0.0
+                _quietly(self._pressure.vent)
+            elif self._inflated and idle_s > HOLD_S:
+                self._hold()
+
+    def _hold(self) -> None:
+        """Repeats the set-point, which the controller would take as void after `COMMAND_S`."""
+        try:
+            self._pressure.set_pressure(self._target_kpa)
+        except Exception as e:
+            self.fail(HardwareFault(f"Holding the pressure failed: {e}."))
+        if not self._inflated:  # vented meanwhile by another thread
+            _quietly(self._pressure.vent)
+
+    def _monitor(self) -> None:
+        while self.fault is None and not self._closed.wait(TICK_S):
+            try:
+                self.look()
+            except HardwareFault:
+                return  # made known by `look`
+
+
+class _Failing:
+    """See `Guard.failing`."""
+
+    def __init__(self, guard: Guard, doing: str):
+        self._guard, self._doing = guard, doing
+
+    def __enter__(self) -> None:
+        if self._guard.fault:
+            raise self._guard.fault
+
+    def __exit__(self, kind, error, traceback) -> bool:
+        if error is None:
+            return False
+        if self._guard._closed.is_set():
+            return False
+        if isinstance(error, HardwareFault):
+            self._guard.fail(error)
+        elif isinstance(error, Exception):
+            fault = HardwareFault(f"{self._doing.capitalize()} failed: {error or kind.__name__}.")
+            self._guard.fail(fault)
+            raise fault from error
+        else:  # Ctrl-C: LeRobot saves its data first and only then disconnects
+            self._guard.halt()
+        return False
+
+
+def _quietly(call: Callable[[], None]) -> None:
+    try:
+        call()
+    except Exception as e:
+        logger.error("%s failed: %s", getattr(call, "__qualname__", call), e)

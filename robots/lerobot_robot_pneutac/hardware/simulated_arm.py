@@ -1,0 +1,75 @@
+"""An arm for dry runs: the Panda's kinematics, moving in wall time, touching nothing."""
+
+import threading
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from lerobot_robot_pneutac.hardware.parts import COMMAND_S, ArmState, HardwareFault
+
+
+class SimulatedArm:
+    """The arm `simulated`: starts at the home pose of the simulated tasks and follows velocities exactly.
+
+    Args:
+        clock: seconds, rising.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic):
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._ik = None
+
+    def connect(self) -> None:
+        """Builds the kinematics."""
+        from pneutac_sim.world.panda import HOME_JOINTS, CartesianIK, forward_kinematics
+
+        self._forward = forward_kinematics
+        self._ik = CartesianIK()
+        self._joints = HOME_JOINTS.copy()
+        self._rates = np.zeros(7)
+        self._velocity = np.zeros(3)
+        self._now_s = self._until_s = self._clock()
+
+    def state(self) -> ArmState:
+        """The newest state; no force is ever felt."""
+        with self._lock:
+            self._advance()
+            flange = self._forward(self._joints)[:3, 3]
+            return ArmState(self._joints.copy(), self._rates.copy(), flange, 0.0)
+
+    def move(self, velocity_m_s: np.ndarray) -> None:
+        """Moves with this velocity (3,) from now on, for `COMMAND_S`."""
+        with self._lock:
+            self._advance()
+            self._velocity = np.array(velocity_m_s, float)
+            self._until_s = self._now_s + COMMAND_S
+
+    def stop(self) -> None:
+        """Rests at once."""
+        with self._lock:
+            if self._ik is not None:
+                self._advance()
+                self._until_s, self._velocity = self._now_s, np.zeros(3)
+
+    def disconnect(self) -> None:
+        """Forgets where it is."""
+        with self._lock:
+            self._ik = None
+
+    def _advance(self) -> None:
+        if self._ik is None:
+            raise HardwareFault("The simulated arm is not connected; call connect() first.")
+        now = self._clock()
+        moved_s = min(now, self._until_s) - self._now_s
+        elapsed_s = now - self._now_s
+        if elapsed_s <= 0:
+            return
+        before = self._joints
+        if moved_s > 0:
+            # From where it is, not from where it was told to be: beyond its reach it stays behind.
+            position = self._forward(self._joints)[:3, 3]
+            self._joints = self._ik.solve(position + self._velocity * moved_s)
+        self._rates = (self._joints - before) / elapsed_s
+        self._now_s = now

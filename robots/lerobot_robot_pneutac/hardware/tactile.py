@@ -1,0 +1,62 @@
+"""Cameras of the real robot: frames that are fresh, and contact against the gel's rest image."""
+
+import numpy as np
+from lerobot.cameras import Camera
+
+from lerobot_robot_pneutac.hardware.parts import HardwareFault
+from lerobot_robot_pneutac.rest_image import capture_rest_image
+from pneutac_sim.features import IMAGE_NAME, IMAGE_SHAPE
+from pneutac_sim.gel.contact import ContactArea, contact_area
+
+REST_FRAMES = 15
+FRAME_S = 0.5  # an older frame is a lost camera
+
+
+class Tactile:
+    """The camera behind the gel.
+
+    Args:
+        camera: gives RGB frames uint8 of `features.IMAGE_SHAPE`.
+
+    Attributes:
+        camera: see above.
+        rest_image: mean of the first frames, once connected.
+    """
+
+    def __init__(self, camera: Camera):
+        self.camera = camera
+
+    def connect(self) -> None:
+        """Connects and takes the rest image; nothing may touch the gel meanwhile.
+
+        Raises:
+            HardwareFault: frames have another shape, or differ from each other as by a touch.
+        """
+        self.camera.connect()
+        self.rest_image = _checked(capture_rest_image(self.camera, REST_FRAMES))
+        self.contact(self.rest_image)  # compiles before anything moves
+
+    def read(self) -> np.ndarray:
+        """The newest frame uint8 (320, 240, 3); raises HardwareFault where the camera is lost."""
+        return _checked(latest(self.camera, IMAGE_NAME))
+
+    def contact(self, image: np.ndarray) -> ContactArea:
+        """Contact of an image against the rest image."""
+        return contact_area(image, self.rest_image)
+
+
+def latest(camera: Camera, name: str) -> np.ndarray:
+    """A camera's newest frame; raises HardwareFault where it is older than `FRAME_S` or cannot be had."""
+    try:
+        return camera.read_latest(max_age_ms=round(1000 * FRAME_S))
+    except Exception as e:
+        raise HardwareFault(f"The camera '{name}' gives no picture: {str(e).rstrip('.')}.") from e
+
+
+def _checked(image: np.ndarray) -> np.ndarray:
+    if image.shape != IMAGE_SHAPE or image.dtype != np.uint8:
+        raise HardwareFault(
+            f"The tactile camera gives {image.dtype} frames of shape {image.shape}; the robot needs uint8"
+            f" {IMAGE_SHAPE}, upright as a DIGIT's in QVGA."
+        )
+    return image

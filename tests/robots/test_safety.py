@@ -1,0 +1,338 @@
+"""Every guarantee of docs/real_robot.md about limits and faults, with the fault injected."""
+
+import logging
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+
+import lerobot_robot_pneutac
+from lerobot_robot_pneutac.hardware import safety
+from lerobot_robot_pneutac.hardware.limits import STOPPING_S, Limits, why_refused
+from lerobot_robot_pneutac.hardware.parts import COMMAND_S, ArmState, HardwareFault
+from lerobot_robot_pneutac.hardware.safety import REFUSALS, VENT_S, Guard
+from lerobot_robot_pneutac.hardware.simulated_arm import SimulatedArm
+from pneutac_sim.errors import InputError
+
+CENTRE = np.array([0.5, 0.0, 0.4])
+
+
+class Parts:
+    """An arm and a pressure controller in one, which keep a diary and fail on request."""
+
+    def __init__(self):
+        self.diary: list[tuple[float, str, object]] = []
+        self.breaks: dict[str, BaseException] = {}
+        self.hangs: str | None = None
+        self.flange_m, self.force_n, self.kpa = CENTRE, 0.0, 0.0
+
+    def _do(self, name, value=None):
+        if name not in ("state", "pressure"):
+            self.diary.append((time.monotonic(), name, value))
+        if self.hangs == name:
+            time.sleep(30)
+        if name in self.breaks:
+            raise self.breaks[name]
+
+    def state(self):
+        self._do("state")
+        return ArmState(np.zeros(7), np.zeros(7), self.flange_m, self.force_n)
+
+    def pressure(self):
+        self._do("pressure")
+        return self.kpa
+
+    def move(self, velocity):
+        self._do("move", velocity)
+
+    def stop(self):
+        self._do("stop")
+
+    def set_pressure(self, kpa):
+        self._do("set_pressure", kpa)
+
+    def vent(self):
+        self._do("vent")
+
+    def names(self):
+        return [name for _, name, _ in self.diary]
+
+    def last(self, *names):
+        return next(((n, v) for _, n, v in reversed(self.diary) if n in names), None)
+
+    def halted(self):
+        return self.last("move", "stop") == ("stop", None) and self.last("set_pressure", "vent") == (
+            "vent",
+            None,
+        )
+
+
+@pytest.fixture
+def parts():
+    return Parts()
+
+
+@pytest.fixture
+def guard(parts):
+    guard = Guard(parts, parts, Limits())
+    guard.start()
+    yield guard
+    guard.close()
+
+
+def until(true, seconds=2.0):
+    end = time.monotonic() + seconds
+    while not true() and time.monotonic() < end:
+        time.sleep(0.005)
+    return true()
+
+
+MOVE = np.array([0.05, 0.0, 0.0, 2.0])
+
+
+# ---------------------------------------------------------------- limits
+
+
+def test_no_velocity_carries_the_flange_out_of_its_box_even_as_the_last_command():
+    limits, rng = Limits(), np.random.default_rng(0)
+    low, high = np.array(limits.low_m), np.array(limits.high_m)
+    for _ in range(500):
+        at = rng.uniform(low, high)
+        v = limits.velocity(rng.uniform(-0.3, 0.3, 3), at)
+        assert (np.abs(v) <= limits.speed_m_s).all()
+        end = at + v * (COMMAND_S + STOPPING_S)
+        assert (end >= low - 1e-12).all() and (end <= high + 1e-12).all()
+    outside = high + 0.05
+    assert (limits.velocity(np.full(3, 0.05), outside) == 0).all()
+    assert (limits.velocity(np.full(3, -0.05), outside) == -0.05).all()
+
+
+def test_an_arm_pushed_at_every_wall_stays_in_the_box():
+    now = [0.0]
+    arm = SimulatedArm(clock=lambda: now[0])
+    limits = Limits()
+    arm.connect()
+    for direction in ([1, 0, 0], [0, 1, -1], [-1, -1, 1]):
+        for _ in range(150):
+            arm.move(limits.velocity(0.1 * np.array(direction), arm.state().flange_m))
+            now[0] += 1 / 15
+            at = arm.state().flange_m
+            assert (at > np.array(limits.low_m) - 1e-3).all() and (at < np.array(limits.high_m) + 1e-3).all()
+
+
+def test_the_set_point_rises_and_falls_at_the_rate_and_ends_at_the_limit():
+    limits = Limits(pressure_rate_kpa_s=30.0, pressure_kpa=10.0)
+    kpa, path = 0.0, []
+    for _ in range(10):
+        kpa = limits.pressure(14.0, kpa, 0.1)
+        path.append(kpa)
+    np.testing.assert_allclose(path, [3, 6, 9, *[10] * 7])
+    assert limits.pressure(-1.0, 10.0, 0.1) == pytest.approx(7.0)
+    assert limits.pressure(10.0, 0.0, 60.0) == pytest.approx(30 * COMMAND_S)  # a pause earns no jump
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ([np.nan, 0, 0, 0], "dx.vel is nan"),
+        ([0, 0, 0, np.inf], "pressure.pos is inf"),
+        ([0, 0.2, 0, 0], "dy.vel is 0.2, far outside"),
+        ([0, 0, 0, 40], "pressure.pos is 40, far outside 0 to 15"),
+        ([0.11, 0, -0.1, 15.5], None),
+    ],
+)
+def test_what_is_refused(values, said):
+    reason = why_refused(np.array(values, float))
+    assert (reason is None) if said is None else reason.startswith(said)
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"speed_m_s": 0.5},
+        {"force_n": float("nan")},
+        {"pressure_kpa": -1},
+        {"low_m": (0.8, 0, 0)},
+        {"overpressure_kpa": 14.0},
+    ],
+)
+def test_impossible_limits_are_named(bad):
+    with pytest.raises(InputError, match=f"limits.{next(iter(bad))}"):
+        Limits(**bad)
+
+
+# ---------------------------------------------------------------- actions
+
+
+def test_an_action_is_carried_out_within_the_limits(parts, guard):
+    parts.flange_m = np.array([0.5, 0.0, Limits().low_m[2]])
+    done = guard.act(np.array([0.11, 0.02, -0.05, 0.1]))
+    np.testing.assert_allclose(done[:3], [0.1, 0.02, 0.0])
+    np.testing.assert_array_equal(parts.last("move")[1], done[:3])
+    assert 0 < parts.last("set_pressure")[1] == done[3] <= 0.1
+
+
+def test_a_refused_action_stops_the_arm_holds_the_pressure_and_is_logged(parts, guard, caplog):
+    time.sleep(0.05)
+    held = guard.act(MOVE)[3]
+    with caplog.at_level(logging.WARNING):
+        done = guard.act(np.array([np.nan, 0, 0, 9.0]))
+    np.testing.assert_array_equal(done, [0, 0, 0, held])
+    assert parts.last("move", "stop")[0] == "stop"
+    assert parts.last("set_pressure", "vent") == ("set_pressure", held)
+    assert "dx.vel is nan" in caplog.text
+    guard.act(MOVE)  # a good one goes on
+    assert parts.last("move", "stop")[0] == "move"
+    assert guard.refused == 1
+
+
+def test_refusals_in_a_row_are_a_fault(parts, guard):
+    guard.act(MOVE)
+    for _ in range(REFUSALS - 1):
+        guard.act(np.full(4, np.nan))
+    with pytest.raises(HardwareFault, match="in a row were refused"):
+        guard.act(np.full(4, np.nan))
+    assert parts.halted()
+
+
+# ---------------------------------------------------------------- watchdog
+
+
+def test_without_actions_the_arm_stops_then_the_chamber_is_vented_then_an_action_goes_on(parts, guard):
+    guard.act(MOVE)
+    start = time.monotonic()
+    assert until(lambda: "stop" in parts.names())
+    assert COMMAND_S <= time.monotonic() - start < COMMAND_S + 0.25
+    assert "vent" not in parts.names()
+    assert until(lambda: "vent" in parts.names())
+    assert VENT_S <= time.monotonic() - start < VENT_S + 0.5
+    assert guard.fault is None
+    done = guard.act(MOVE)
+    assert parts.last("move", "stop")[0] == "move"
+    assert done[3] == parts.last("set_pressure", "vent")[1] <= MOVE[3]
+
+
+def test_refused_actions_do_not_keep_the_watchdog_quiet(parts, guard, monkeypatch):
+    monkeypatch.setattr(safety, "VENT_S", 0.1)
+    monkeypatch.setattr(safety, "REFUSALS", 10**6)
+    guard.act(MOVE)
+
+    def vented():
+        guard.act(np.full(4, np.nan))
+        return "vent" in parts.names()
+
+    assert until(vented)
+
+
+# ---------------------------------------------------------------- faults
+
+
+@pytest.mark.parametrize("part", ["state", "move", "pressure", "set_pressure"])
+@pytest.mark.parametrize("error", [HardwareFault("The cable is out."), OSError("bad descriptor")])
+def test_a_lost_part_halts_everything_and_stays_a_fault(parts, guard, part, error):
+    guard.act(MOVE)
+    parts.breaks[part] = error
+    with pytest.raises(HardwareFault, match="cable is out|bad descriptor"):
+        guard.act(MOVE)
+    assert parts.halted()
+    parts.breaks.clear()
+    before = parts.names().count("move")
+    for call in (guard.look, lambda: guard.act(MOVE)):
+        with pytest.raises(HardwareFault, match="cable is out|bad descriptor"):
+            call()
+    assert parts.names().count("move") == before
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("force_n", 25.0, "force at the flange is 25.0 N"),
+        ("force_n", np.nan, "check the sensors"),
+        ("kpa", 18.0, "pressure is 18.0 kPa"),
+        ("kpa", np.nan, "check the sensors"),
+    ],
+)
+def test_a_broken_limit_is_seen_although_nobody_asks(parts, guard, name, value, said):
+    guard.act(MOVE)
+    start = time.monotonic()
+    setattr(parts, name, value)
+    assert until(parts.halted)
+    assert time.monotonic() - start < COMMAND_S  # sooner than the watchdog would
+    with pytest.raises(HardwareFault, match=said):
+        guard.look()
+
+
+@pytest.mark.parametrize("part", ["stop", "vent"])
+def test_halting_goes_on_where_one_part_raises(parts, guard, part):
+    guard.act(MOVE)
+    parts.breaks[part] = OSError("gone")
+    guard.halt()
+    assert parts.halted()
+
+
+def test_a_stop_that_hangs_does_not_keep_the_chamber_full(parts, guard, monkeypatch):
+    monkeypatch.setattr(safety, "HALT_S", 0.05)
+    guard.act(MOVE)
+    parts.hangs = "stop"
+    guard.fail(HardwareFault("Test."))
+    assert parts.last("set_pressure", "vent")[0] == "vent"
+
+
+def test_an_arm_that_hangs_in_a_command_leaves_the_watchdog_working(parts, guard, monkeypatch):
+    monkeypatch.setattr(safety, "VENT_S", 0.3)
+    guard.act(MOVE)
+    parts.hangs = "move"
+    threading.Thread(target=guard.act, args=(MOVE,), daemon=True).start()
+    assert until(parts.halted)
+
+
+def test_a_fault_during_a_command_has_the_last_word(parts, guard, monkeypatch):
+    def move(velocity):
+        guard.fail(HardwareFault("The camera is gone."))
+        parts.diary.append((time.monotonic(), "move", velocity))
+
+    monkeypatch.setattr(parts, "move", move)
+    with pytest.raises(HardwareFault, match="camera is gone"):
+        guard.act(MOVE)
+    assert parts.halted()
+
+
+@pytest.mark.parametrize("part", ["state", "move", "set_pressure"])
+def test_ctrl_c_within_a_command_halts_at_once_and_goes_on_up(parts, part):
+    guard = Guard(parts, parts, Limits())  # its threads rest: only the main thread is interrupted
+    guard.act(MOVE)
+    parts.breaks[part] = KeyboardInterrupt()
+    with pytest.raises(KeyboardInterrupt):
+        guard.act(MOVE)
+    assert parts.halted()
+
+
+def test_the_end_of_the_program_halts_where_nobody_disconnected():
+    # The package without its front door, which would import LeRobot.
+    program = f"""
+import sys, types, numpy as np
+sys.path[:0] = {sys.path!r}
+package = sys.modules["lerobot_robot_pneutac"] = types.ModuleType("lerobot_robot_pneutac")
+package.__path__ = {list(lerobot_robot_pneutac.__path__)!r}
+from lerobot_robot_pneutac.hardware.limits import Limits
+from lerobot_robot_pneutac.hardware.parts import ArmState
+from lerobot_robot_pneutac.hardware.safety import Guard
+class Parts:
+    def state(self): return ArmState(np.zeros(7), np.zeros(7), np.array([.5, 0, .4]), 0.0)
+    def pressure(self): return 0.0
+    def move(self, v): pass
+    def set_pressure(self, kpa): pass
+    def stop(self): print("stopped", flush=True)
+    def vent(self): print("vented", flush=True)
+parts = Parts()
+guard = Guard(parts, parts, Limits())
+guard.start()
+guard.act(np.array([.05, 0, 0, 2.]))
+raise KeyboardInterrupt
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    assert "KeyboardInterrupt" in done.stderr
+    assert "vented" in done.stdout and "stopped" in done.stdout
