@@ -5,7 +5,24 @@ Only configurations are imported here; what they configure is imported when it i
 
 from lerobot_pneutac.env_config import PneutacEnvConfig
 from lerobot_pneutac.policy.configuration_pneutac_bc import PneutacBCConfig
+from lerobot_robot_pneutac.config_digit import DigitConfig
+from lerobot_robot_pneutac.config_digit_generated import DigitGeneratedConfig
+from lerobot_robot_pneutac.config_pneutac import PneutacConfig
+from lerobot_robot_pneutac.config_pneutac_gamepad import PneutacGamepadConfig
+from lerobot_robot_pneutac.config_pneutac_keyboard import PneutacKeyboardConfig
 from lerobot_robot_pneutac.config_pneutac_scripted import PneutacScriptedConfig
 from lerobot_robot_pneutac.config_pneutac_sim import PneutacSimConfig
+from lerobot_robot_pneutac.config_pneutac_spacemouse import PneutacSpacemouseConfig
 
-__all__ = ["PneutacBCConfig", "PneutacEnvConfig", "PneutacScriptedConfig", "PneutacSimConfig"]
+__all__ = [
+    "DigitConfig",
+    "DigitGeneratedConfig",
+    "PneutacBCConfig",
+    "PneutacConfig",
+    "PneutacEnvConfig",
+    "PneutacGamepadConfig",
+    "PneutacKeyboardConfig",
+    "PneutacScriptedConfig",
+    "PneutacSimConfig",
+    "PneutacSpacemouseConfig",
+]
