@@ -9,8 +9,8 @@ TABLES: dict[str, str | None] = {
     "diagnosis": "lerobot_pneutac.benchmark_diagnosis",
     "body": "lerobot_pneutac.benchmark_body",
     "tactile": "lerobot_pneutac.benchmark_tactile",
-    "surrogate": None,
-    "augment": None,
+    "surrogate": "lerobot_pneutac.benchmark_surrogate",
+    "augment": "lerobot_pneutac.benchmark_augment",
     "policy": None,
     "speed": "lerobot_pneutac.benchmark_speed",
 }
