@@ -77,13 +77,13 @@ class SimulatedTime:
         self._process.stdout.close()
 
 
-def converse(rig, exchange, ms, command=None, damage=lambda data: data):
-    """Host and firmware on one simulated clock; `damage` changes bytes on their way, both ways."""
+def converse(rig, exchange, ms, command=None, to_rig=bytes, to_host=bytes):
+    """Host and firmware on one simulated clock; `to_rig` and `to_host` change bytes on their way."""
     command = command or Command(None, 0)
     for _ in range(0, ms, 5):
         now_s = rig.now_ms / 1000
-        rig.send(damage(exchange.transmit(now_s, command)))
-        exchange.receive(damage(rig.run(5)), now_s + 0.005)
+        rig.send(to_rig(exchange.transmit(now_s, command)))
+        exchange.receive(to_host(rig.run(5)), now_s + 0.005)
 
 
 @contextmanager
