@@ -79,6 +79,8 @@ class Comparison:
         pressure: (n,) squared error of the measured pressure, kPa^2, or None where none was measured.
         simulated: by what, in words.
         fidelity: `pipeline` or `mpm`.
+        out_of_range: share of the recording's samples outside what the twin's action network was trained
+            with; None where it has none.
     """
 
     recording: BenchRecording
@@ -96,6 +98,7 @@ class Comparison:
     pressure: np.ndarray | None
     simulated: str = "by the pipeline, at every sample"
     fidelity: str = "pipeline"
+    out_of_range: float | None = None
 
     @property
     def squared(self) -> np.ndarray:
@@ -155,6 +158,8 @@ def compare(
     prediction = simulate(twin, Bench.of(clean, twin, source="command"))
     said += [f"Effect '{name}' could not act: {why}." for name, why in prediction.left_out.items()]
     bench = prediction.bench
+    outside, told = _out_of_range(twin, bench)
+    said += [told] if told else []
     rate = motion(clean)[0]
     whole = Comparison(
         recording=clean,
@@ -170,12 +175,21 @@ def compare(
         rate=rate,
         still=is_still(clean, rate),
         pressure=_pressure_error(clean, twin),
+        out_of_range=outside,
     )
     if fidelity == "pipeline":
         return whole
     from lerobot_pneutac.compare_mpm import SAMPLES, by_mpm
 
     return by_mpm(whole, twin, bench, samples or SAMPLES, seed, console)
+
+
+def _out_of_range(twin: Twin, bench: Bench) -> tuple[float | None, str | None]:
+    if not twin.networks:
+        return None, None
+    from lerobot_pneutac.compare_networks import out_of_range
+
+    return out_of_range(twin, bench)
 
 
 def train_mask(twin: Twin, recording: BenchRecording, seed: int = 0) -> np.ndarray:
@@ -213,6 +227,7 @@ def summarize(c: Comparison, twin: Twin) -> dict:
             name: _rms(c.measured[:, i] - c.model[:, i], squares=False) for i, name in enumerate(c.columns)
         },
         "pressure": pressure,
+        "out_of_range": c.out_of_range,
         "by": {a.name: by_axis(a, squared, c.train) for a in c.axes},
         "worst": worst(c),
         "history": [
@@ -379,6 +394,8 @@ def _show(c: Comparison, result: dict) -> None:
     for p in result["worst"][:3]:
         where = f"trial {p['trial']}, {p['from_s']:.1f} to {p['to_s']:.1f} s"
         table.add_row("worst passage", f"{number(p['error'])} in {where} {p.get('program', '')}")
+    if c.out_of_range is not None:
+        table.add_row("out of the network's range", f"{100 * c.out_of_range:.2g}% of samples")
     for entry in result["history"]:
         table.add_row(
             f"version {entry['version']}", f"{entry['change']}: held out {number(entry['heldout'])}"

@@ -33,8 +33,12 @@ def write_report(c, result: dict, out: str | Path) -> Path:
         f"Root mean square distance, simulated {c.simulated}. Noise floor: {c.noise.how}. The held-out part "
         "is made of whole blocks of time.",
     )
+    if c.out_of_range is not None:
+        report.table(
+            [{"range of the action network": "samples outside it", "share": f"{100 * c.out_of_range:.2g}%"}]
+        )
     if c.said:
-        report.heading("What the data check found")
+        report.heading("What the checks found")
         report.text("\n\n".join(c.said))
     report.heading("Over time")
     report.figure(

@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,9 @@ from pneutac_datasets.axes import Axis, axes, motion
 from pneutac_datasets.hidden.generate import generate
 from pneutac_datasets.recording import BenchRecording
 from pneutac_sim.errors import InputError
+from pneutac_sim.surrogate.fingerprint import fingerprint
+from pneutac_sim.surrogate.network import MARGIN, ActionNetwork
+from pneutac_sim.surrogate.networks import builtin
 from pneutac_sim.twin import Twin
 
 CONTRACT = ["pressure_cmd_kpa", "direction", "rate", "hold_time_s", "program", "trial", "gravity"]
@@ -80,6 +84,38 @@ def test_the_report_stands_alone_and_is_small(bench, tmp_path):
     assert len(own) < 2_000_000 and len(page) < 7_500_000
     for text in ("Where it fails", "Loops", "Worst passages", "Over time"):
         assert text in page
+
+
+def test_samples_beyond_the_training_of_the_action_network_are_told(bench, tmp_path):
+    def with_network(at_most_kpa: float, mark: str) -> dict:
+        twin = Twin.load(bench / "twin")
+        network = ActionNetwork.load(builtin("action"))
+        high, low = network.high.copy(), network.low.copy()
+        high[:4], low[:4], high[-1], low[-1] = 9.0, -9.0, at_most_kpa, -9.0
+        file = replace(network, fingerprint=mark, high=high, low=low).save(tmp_path / "action.safetensors")
+        twin.networks = {"action": file}
+        twin.save(tmp_path / "twin")
+        compare.main(
+            [f"--twin={tmp_path / 'twin'}", f"--recording={bench / 'none'}", f"--out={tmp_path / 'o'}"]
+        )
+        return json.loads((tmp_path / "o" / "result.json").read_text())
+
+    assert run(bench, "none", tmp_path / "without")["out_of_range"] is None
+    own = fingerprint(Twin.load(bench / "twin"))
+    limit = 8.0
+    result = with_network(limit, own)
+    margin = MARGIN * (limit + 9.0)  # still counted as in range
+    command = BenchRecording.load(bench / "none").column("pressure_cmd_kpa")
+    assert result["out_of_range"] == pytest.approx((command > limit + margin).mean(), abs=0.02)
+    assert 0.05 < result["out_of_range"] < 0.95
+    said = " ".join(result["checks"])
+    assert "of samples lie outside what the twin's action network was trained with" in said
+    assert "samples outside it" in (tmp_path / "o" / "report.html").read_text()
+    result = with_network(1e3, own)
+    assert result["out_of_range"] == 0 and "All samples lie within" in " ".join(result["checks"])
+    result = with_network(1e3, "another")
+    assert result["out_of_range"] is None
+    assert f"run `pneutac surrogate --twin={tmp_path / 'twin'}`" in " ".join(result["checks"])
 
 
 def test_the_split_of_the_fit_is_used_again(bench):

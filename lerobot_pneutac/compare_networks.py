@@ -1,0 +1,52 @@
+"""Whether a recording stays within what the twin's action network was trained with."""
+
+from pathlib import Path
+
+import numpy as np
+
+from pneutac_sim.finger import Bench, Pipeline
+from pneutac_sim.surrogate.finger import SurrogateFinger
+from pneutac_sim.surrogate.fingerprint import fingerprint
+from pneutac_sim.surrogate.network import ActionNetwork
+from pneutac_sim.surrogate.programs import bending_pressure
+from pneutac_sim.twin import Twin
+
+
+def out_of_range(twin: Twin, bench: Bench) -> tuple[float | None, str | None]:
+    """Share of samples whose bending pressure or joint angles lie outside the training, and a sentence.
+
+    Each sample's joints are brought to rest under the network, as in the world; those states count.
+
+    Args:
+        twin: of a finger or an arm; both results are None where it has no action network of its own.
+        bench: the recording, as prepared for it.
+
+    Raises:
+        InputError: the network's file is damaged.
+    """
+    file = twin.networks.get("action")
+    if file is None:
+        return None, None
+    network = ActionNetwork.load(file)
+    if network.fingerprint != fingerprint(twin):
+        return None, (
+            "The twin's action network was trained before its parameters or effects changed, so its range "
+            f"says nothing; run `pneutac surrogate --twin={Path(file).parent}`."
+        )
+    pipeline = Pipeline.of(twin, bench.inputs)
+    joints = pipeline.run(bench.inputs, pipeline.theta(twin, bench.inputs.pressure_range_kpa)).joints
+    finger = SurrogateFinger(twin, network)
+    outside = np.empty(len(joints), bool)
+    for i, q in enumerate(joints):
+        finger.bend(q)
+        outside[i] = not finger.in_range
+    share = float(outside.mean())
+    if not outside.any():
+        return share, "All samples lie within what the twin's action network was trained with."
+    low, high = network.low[-1], network.high[-1]
+    asked = bending_pressure(twin, joints)
+    return share, (
+        f"{100 * share:.2g}% of samples lie outside what the twin's action network was trained with (bending "
+        f"pressures from {low:.3g} to {high:.3g} kPa; the recording's go from {asked.min():.3g} to "
+        f"{asked.max():.3g} kPa); there the network gives the torque of the nearest state it knows."
+    )
