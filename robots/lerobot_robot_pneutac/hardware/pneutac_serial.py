@@ -62,6 +62,7 @@ class PneutacExchange:
             logger.warning("The pressure controller is silent; opening a new session.")
             self.restart()
         if not self._open:
+            self._taken = command.number  # given before the session, so not meant for it
             return self._hello(now_s)
         out = b""
         if command.number != self._taken:

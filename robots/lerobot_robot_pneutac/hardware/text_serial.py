@@ -23,20 +23,19 @@ class TextExchange:
         self.measured_s = 0.0
         self.max_kpa = max_kpa
         self.fault: str | None = None
-        self._void = 0  # commands up to this number belong to a lost connection
-        self._newest = 0
         self.restart()
 
     def restart(self) -> None:
         """Drops half a line, and every set-point from before the loss."""
-        self._void = self._newest
+        self._void: int | None = None  # commands up to this number were given before
         self._rest = b""
         self._asked_s: float | None = None  # when the oldest question without an answer was sent
         self._next_s = 0.0
 
     def transmit(self, now_s: float, command: Command) -> bytes:
         """The set-point's line, where it is due."""
-        self._newest = command.number
+        if self._void is None:
+            self._void = command.number
         if now_s < self._next_s:
             return b""
         self._next_s = now_s + ANSWER_S
