@@ -41,16 +41,16 @@ class PneutacConfig(RobotConfig):
     Attributes:
         arm: `--robot.arm.type=panda --robot.arm.ip=...`, or `simulated` for a dry run.
         pressure: `--robot.pressure.type=pneutac_serial --robot.pressure.port=/dev/ttyACM0`, for example.
+        limits: kept below any policy.
         digit: the tactile camera, any camera type of LeRobot's, `--robot.digit.type=digit` for example.
         cameras: more cameras, as for every LeRobot robot; a policy trained in simulation knows none.
-        limits: kept below any policy.
     """
 
     arm: ArmConfig | None = None
     pressure: PressureConfig = field(default_factory=PressureConfig)
+    limits: Limits = field(default_factory=Limits)  # draccus cannot have a nested dataclass come last
     digit: CameraConfig | None = None
     cameras: dict[str, CameraConfig] = field(default_factory=dict)
-    limits: Limits = field(default_factory=Limits)
 
     def __post_init__(self):
         # LeRobot's commands print a DecodingError as one line and hide any other error's text.

@@ -161,7 +161,7 @@ def test_missing_parts_are_named(tmp_path):
     for name, given in (("arm", None), ("pressure", PressureConfig()), ("digit", None)):
         with pytest.raises(DecodingError, match=f"--robot.{name}.type is missing"):
             config(tmp_path, **{name: given})
-    with pytest.raises(InputError, match="--robot.arm.ip is missing"):
+    with pytest.raises(DecodingError, match="--robot.arm.ip is missing"):
         PandaConfig()
     with pytest.raises(DecodingError, match="taken"):
         config(tmp_path, cameras={"tactile": DigitGeneratedConfig()})

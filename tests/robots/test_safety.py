@@ -8,6 +8,7 @@ import time
 
 import numpy as np
 import pytest
+from draccus.utils import DecodingError
 
 import lerobot_robot_pneutac
 from lerobot_robot_pneutac.hardware import safety
@@ -15,7 +16,6 @@ from lerobot_robot_pneutac.hardware.limits import STOPPING_S, Limits, why_refuse
 from lerobot_robot_pneutac.hardware.parts import COMMAND_S, ArmState, HardwareFault
 from lerobot_robot_pneutac.hardware.safety import REFUSALS, VENT_S, Guard
 from lerobot_robot_pneutac.hardware.simulated_arm import SimulatedArm
-from pneutac_sim.errors import InputError
 
 CENTRE = np.array([0.5, 0.0, 0.4])
 
@@ -160,7 +160,7 @@ def test_what_is_refused(values, said):
     ],
 )
 def test_impossible_limits_are_named(bad):
-    with pytest.raises(InputError, match=f"limits.{next(iter(bad))}"):
+    with pytest.raises(DecodingError, match=f"limits.{next(iter(bad))}"):
         Limits(**bad)
 
 

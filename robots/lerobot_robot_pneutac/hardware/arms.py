@@ -4,9 +4,9 @@ import abc
 from dataclasses import dataclass
 
 import draccus
+from draccus.utils import DecodingError
 
 from lerobot_robot_pneutac.hardware.parts import Arm
-from pneutac_sim.errors import InputError
 
 
 @dataclass(kw_only=True)
@@ -44,11 +44,13 @@ class PandaConfig(ArmConfig):
 
     def __post_init__(self):
         if not self.ip:
-            raise InputError("--robot.arm.ip is missing; give the Panda's address.")
+            raise DecodingError((), "--robot.arm.ip is missing; give the Panda's address.")
         if not 0 < self.dynamics <= 1:
-            raise InputError(f"--robot.arm.dynamics is {self.dynamics}; it must be above 0 and at most 1.")
+            raise DecodingError(
+                (), f"--robot.arm.dynamics is {self.dynamics}; it must be above 0 and at most 1."
+            )
         if min(self.collision_n, self.collision_nm) <= 0:
-            raise InputError("--robot.arm.collision_n and collision_nm must be positive.")
+            raise DecodingError((), "--robot.arm.collision_n and collision_nm must be positive.")
 
     def make(self) -> Arm:
         """See `ArmConfig.make`."""
