@@ -55,4 +55,4 @@ class PneutacGamepad(VelocityTeleop):
         axis = getattr(self._pygame, f"CONTROLLER_AXIS_{name}")
         value = max(-1.0, self._pad.get_axis(axis) / FULL)
         beyond = max(0.0, abs(value) - self.config.dead_zone)
-        return float(np.copysign(beyond / (1 - self.config.dead_zone), value))
+        return float(np.sign(value)) * beyond / (1 - self.config.dead_zone)

@@ -15,7 +15,10 @@ from pneutac_sim.features import ACTION_NAMES, MAX_PRESSURE_KPA, MAX_SPEED_M_S
 
 logger = logging.getLogger(__name__)
 
-MAX_TICK_S = 0.2  # after a longer pause, as between episodes, the pressure goes on from where it was
+MAX_TICK_S = 0.2  # a slow tick changes the pressure by no more than this
+PAUSE_S = (
+    0.9  # after `safety.VENT_S` without actions the robot is vented: no sudden return to the old pressure
+)
 
 
 @dataclass(kw_only=True)
@@ -49,8 +52,9 @@ class VelocityTeleop(Teleoperator):
     """Turns a direction and a pressure change into velocities (m/s) and a pressure (kPa).
 
     With nothing pressed the velocity is zero and the pressure held. A device that is lost while in use gives
-    the same and is reported once. The pressure starts at 0, and nothing counts before everything was let go
-    once: triggers can read half pressed until they are first moved.
+    the same and is reported once. The pressure starts at 0, also after a pause as long as that in which the
+    robot vents, and nothing counts before everything was let go once: triggers can read half pressed until
+    they are first moved.
     """
 
     def __init__(self, config: VelocityTeleopConfig):
@@ -121,11 +125,13 @@ class VelocityTeleop(Teleoperator):
         if not self.is_connected:
             raise DeviceNotConnectedError(f"{self} is not connected; call connect() first.")
         now_s = time.monotonic()
-        tick_s, self._tick_s = min(now_s - self._tick_s, MAX_TICK_S), now_s
+        tick_s, self._tick_s = now_s - self._tick_s, now_s
+        if tick_s > PAUSE_S:
+            self._pressure_kpa = 0.0
         direction, change = self._deflections()
         # Diagonals are not faster than the axes.
         velocity = self.config.speed_m_s * direction / max(1.0, float(np.linalg.norm(direction)))
-        pressure = self._pressure_kpa + change * self.config.pressure_rate_kpa_s * tick_s
+        pressure = self._pressure_kpa + change * self.config.pressure_rate_kpa_s * min(tick_s, MAX_TICK_S)
         self._pressure_kpa = float(np.clip(pressure, 0.0, self.config.max_pressure_kpa))
         return dict(zip(ACTION_NAMES, [*velocity.tolist(), self._pressure_kpa], strict=True))
 
@@ -151,8 +157,8 @@ class VelocityTeleop(Teleoperator):
         if not self._let_go:
             if np.any(direction) or change:
                 if self._let_go is None:
-                    logger.warning("Let go of everything on %s once, then it moves the robot.", self)
+                    logger.warning("%s moves the robot once everything on it was let go.", self.name)
                 self._let_go = False
                 return np.zeros(3), 0.0
             self._let_go = True
-        return np.asarray(direction, float), float(np.clip(change, -1.0, 1.0))
+        return np.asarray(direction, float) + 0.0, float(np.clip(change, -1.0, 1.0))  # no negative zeros

@@ -6,6 +6,7 @@ from lerobot.teleoperators.keyboard import teleop_keyboard
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
 from lerobot_robot_pneutac import velocity_teleop
+from lerobot_robot_pneutac.hardware import safety
 
 
 class Key:
@@ -64,11 +65,21 @@ def test_pressure_rises_at_its_rate_is_held_and_stays_in_its_limits(teleop, act)
     assert act(keyboard, 45)[3] == 0.0
 
 
-def test_a_pause_between_episodes_does_not_let_the_pressure_jump(teleop, act, clock):
+def test_after_a_slow_tick_the_pressure_does_not_jump(teleop, act, clock):
     keyboard = teleop("pneutac_keyboard", pressure_rate_kpa_s=5.0)
     keyboard.listener.press(Key("l"))
-    clock.now_s += 60.0
-    assert act(keyboard)[3] <= 5.0 * velocity_teleop.MAX_TICK_S
+    before = act(keyboard, 15)[3]
+    clock.now_s += 0.5
+    assert before < act(keyboard)[3] <= before + 5.0 * velocity_teleop.MAX_TICK_S
+
+
+def test_after_a_pause_in_which_the_robot_vents_the_pressure_starts_at_zero(teleop, act, clock):
+    keyboard = teleop("pneutac_keyboard")
+    keyboard.listener.press(Key("l"))
+    act(keyboard, 30)
+    keyboard.listener.release(Key("l"))
+    clock.now_s += safety.VENT_S
+    np.testing.assert_array_equal(act(keyboard), np.zeros(4))
 
 
 def test_escape_leaves_the_keyboard_connected_for_the_episodes_last_ticks(teleop, act):
