@@ -3,12 +3,12 @@
 Trajectories and contacts are collected one by one into the twin's folder, so that an interrupted run goes on.
 """
 
-import json
 import shutil
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
@@ -72,13 +72,15 @@ def train(cfg: SurrogateConfig, twin: Twin, console: Console) -> dict:
     """
     if twin.device != "finger":
         raise InputError(
-            f"{cfg.twin} is the twin of {an(twin.device)}; the networks are of a finger and the gel on it."
+            f"{cfg.twin} is the twin of {an(twin.device)}, but the networks are of a finger and the gel on "
+            "it; give a finger's with --twin=DIR."
         )
     if "gain_rad_per_kpa" not in twin.parameters:
         raise InputError(
             f"{cfg.twin} has not been calibrated (no gain_rad_per_kpa); run `pneutac calibrate "
             f"--twin={cfg.twin} --recording=DIR` first."
         )
+    _enough(cfg)
     result = {"twin": str(cfg.twin), "networks": {}}
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total}"))
     with Progress(*columns, TimeRemainingColumn(), console=console, transient=True) as bar:
@@ -96,6 +98,27 @@ def train(cfg: SurrogateConfig, twin: Twin, console: Console) -> dict:
             twin.networks[name] = file
     _tell(cfg, result, console)
     return result
+
+
+def _enough(cfg: SurrogateConfig) -> None:
+    """Refuses what could not be trained on, before anything is collected."""
+    from pneutac_sim.gel.indenter import INDENTERS
+    from pneutac_sim.surrogate.action import FEWEST
+    from pneutac_sim.surrogate.gel_train import CHECK_EVERY, HELDOUT, LEAST
+
+    if cfg.trajectories < FEWEST:
+        raise InputError(f"--trajectories={cfg.trajectories} are too few to train on; give {FEWEST} or more.")
+    seen = max(CHECK_EVERY, LEAST + 1)
+    fewest = next(
+        n
+        for n in range(seen, 100)
+        if sum(INDENTERS[k % len(INDENTERS)] not in HELDOUT for k in range(n)) >= seen
+    )
+    if cfg.contacts < fewest:
+        raise InputError(
+            f"--contacts={cfg.contacts} are too few to train on, since those of {' and '.join(HELDOUT)} are "
+            f"held out; give {fewest} or more."
+        )
 
 
 def _action(cfg: SurrogateConfig, twin: Twin, file: Path, bar: Progress) -> dict:
@@ -118,6 +141,7 @@ def _action(cfg: SurrogateConfig, twin: Twin, file: Path, bar: Progress) -> dict
         twin, folder, cfg.seed, tell=lambda line: bar.update(task, description=f"finger: {line}")
     )
     errors = asdict(evaluate_action(twin, network, folder))
+    errors = {k: v if np.isfinite(v) else None for k, v in errors.items()}  # one motion has no standard error
     network.save(file)
     bar.update(task, description="finger: done")
     return {"errors": errors}
@@ -165,12 +189,12 @@ def _tell(cfg: SurrogateConfig, result: dict, console: Console) -> None:
         rows += [
             (
                 "joint angle, held out",
-                f"{e['position_deg']:.4f} ± {e['position_sem']:.4f}°",
+                f"{e['position_deg']:.4f}{_sem(e['position_sem'], 4)}°",
                 f"{e['bare_position_deg']:.3f}°",
             ),
             (
                 "joint rate, held out",
-                f"{e['velocity_deg_s']:.2f} ± {e['velocity_sem']:.2f} °/s",
+                f"{e['velocity_deg_s']:.2f}{_sem(e['velocity_sem'], 2)} °/s",
                 f"{e['bare_velocity_deg_s']:.2f} °/s",
             ),
         ]
@@ -204,8 +228,12 @@ def _tell(cfg: SurrogateConfig, result: dict, console: Console) -> None:
     (Path(cfg.twin) / CARD).write_text("\n".join(card) + "\n")
     console.print(f"networks and {CARD} are in {cfg.twin}", highlight=False)
     if cfg.out is not None:
-        write_result(cfg.out, json.loads(json.dumps(result)))
+        write_result(cfg.out, result)
         page = Report("Networks in place of material points")
         page.lead("Errors against the full simulation, on motions and contacts that were held out.")
         page.table([dict(zip(("what", "network", "without"), row, strict=True)) for row in rows])
         console.print(f"report: {page.write(cfg.out)}", highlight=False)
+
+
+def _sem(x: float | None, digits: int) -> str:
+    return "" if x is None else f" ± {x:.{digits}f}"
