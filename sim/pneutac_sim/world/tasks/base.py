@@ -44,14 +44,17 @@ class Task:
         return None
 
 
-def place(model: mujoco.MjModel, body: str, position, yaw: float) -> None:
-    """Moves a fixed body of the model: `position` (3,) m, `yaw` rad about world z."""
-    b = model.body(body)
-    b.pos[:] = position
+def place(model: mujoco.MjModel, body: str, position, yaw: float, pivot_m: float = 0.0) -> None:
+    """Moves a fixed body of the model: `position` (3,) m, `yaw` rad about the vertical.
+
+    The axis goes through the body's point (`pivot_m`, 0), so a yaw leaves that part where it is.
+    """
+    b, c, s = model.body(body), np.cos(yaw), np.sin(yaw)
+    b.pos[:] = np.add(position, (pivot_m * (1 - c), -pivot_m * s, 0.0))
     b.quat[:] = np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)
 
 
-def contact_force(model: mujoco.MjModel, data: mujoco.MjData, prefix: str) -> float:
+def contact_force(model: mujoco.MjModel, data: mujoco.MjData, prefix: str | tuple[str, ...]) -> float:
     """Sum of normal forces (N) between the finger and geoms whose name starts with `prefix`."""
     total, force = 0.0, np.zeros(6)
     for i in range(data.ncon):

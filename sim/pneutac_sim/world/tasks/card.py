@@ -22,7 +22,7 @@ class CardTask(Task):
     too hard draws two. The friction follows N once a control step.
 
     Attributes:
-        cards: number of loose cards.
+        cards: number of loose cards; fewer are quicker and do for planning.
         friction: lowest and highest friction coefficient between two cards.
         edge_n: drag of the holder's edges on one card, N.
         lean_rad: lean of the holder towards the robot.
@@ -32,16 +32,16 @@ class CardTask(Task):
 
     name = "card"
     description = "Pull the front card out of the deck."
-    home_m = (0.40, 0.0, 0.36)
+    home_m = (0.40, 0.0, 0.315)
 
-    cards: int = 3
+    cards: int = 10
     friction: tuple[float, float] = (0.2, 0.4)
     edge_n: float = 0.18
     lean_rad: float = 0.40
     draw_m: float = 0.030
     second_m: float = 0.010
-    spread_x_m: float = 0.010
-    spread_y_m: float = 0.010
+    spread_x_m: float = 0.025
+    spread_y_m: float = 0.020
 
     @override
     def mjcf(self) -> str:

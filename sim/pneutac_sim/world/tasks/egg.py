@@ -1,4 +1,4 @@
-"""Open an egg carton: find the lid's front edge from below, hook it with the gel and lift."""
+"""Open an egg carton: find the tab of the lid from below, hook it with the gel and lift."""
 
 from dataclasses import dataclass
 from typing import override
@@ -15,11 +15,16 @@ DEPTH_M = 0.10  # hinge to front wall
 
 @dataclass
 class EggTask(Task):
-    """A lid on a hinge at the far side, held shut by a small magnet, its front edge standing out.
+    """A lid on a hinge at the far side, held shut by a small magnet, with a tab at its front.
+
+    Only the tab stands out over the front wall, by a few millimetres; the rest of the lid lies behind it. The
+    random start is that of the front wall's middle, about which the carton is turned.
 
     Attributes:
         latch_n: pull of the latch at the front edge, N.
-        overhang_m: how far the lid's edge stands out over the front wall.
+        overhang_m: how far the tab stands out over the front wall.
+        tab_half_m: half the tab's width.
+        recess_m: how far the rest of the lid lies behind the front wall.
         open_rad: lid angle that counts as open.
         limit_n: pressing the carton harder than this breaks the eggs.
         spread_x_m, spread_y_m, spread_yaw_rad: half widths of the random start.
@@ -27,19 +32,21 @@ class EggTask(Task):
 
     name = "egg"
     description = "Open the egg carton."
-    home_m = (0.36, 0.0, 0.285)
+    home_m = (0.395, 0.0, 0.275)
 
     latch_n: float = 0.3
-    overhang_m: float = 0.016
+    overhang_m: float = 0.004
+    tab_half_m: float = 0.009
+    recess_m: float = 0.004
     open_rad: float = np.radians(60)
     limit_n: float = 8.0
-    spread_x_m: float = 0.010
-    spread_y_m: float = 0.015
-    spread_yaw_rad: float = np.radians(8)
+    spread_x_m: float = 0.030
+    spread_y_m: float = 0.026
+    spread_yaw_rad: float = np.radians(15)
 
     @override
     def mjcf(self) -> str:
-        half, front = DEPTH_M / 2, DEPTH_M + self.overhang_m
+        half, front = DEPTH_M / 2, DEPTH_M - self.recess_m
         cups = "".join(
             f'<geom class="decor" type="ellipsoid" pos="{x} {y} {BASE_M}" size=".018 .018 .022"'
             ' material="egg"/>'
@@ -64,6 +71,9 @@ class EggTask(Task):
               <joint name="lid" axis="0 1 0" range="0 2" limited="true" damping=".004"/>
               <geom name="carton_lid" class="object" type="box" pos="{-front / 2} 0 .002"
                     size="{front / 2} .075 .002" mass=".025" material="carton"/>
+              <geom name="carton_tab" class="object" type="box" pos="{-(front + self.reach_m) / 2} 0 .002"
+                    size="{(self.reach_m - front) / 2} {self.tab_half_m} .002" mass=".0005"
+                    material="carton"/>
               {domes}
               <body name="latch" pos="{-DEPTH_M + 0.004} 0 0">
                 <geom class="decor" type="sphere" size=".0035" mass=".001" material="steel" contype="4"/>
@@ -79,7 +89,7 @@ class EggTask(Task):
     @override
     def reset(self, model, data, rng):
         x, y, yaw = rng.uniform(-1, 1, 3) * (self.spread_x_m, self.spread_y_m, self.spread_yaw_rad)
-        place(model, "egg", np.add(POSITION_M, (x, y, 0)), yaw)
+        place(model, "egg", np.add(POSITION_M, (x, y, 0)), yaw, pivot_m=-DEPTH_M / 2)
         self._lid = data.joint("lid")
         data.actuator("latch").ctrl = 1.0
         self._force = (0.0, 0.0)
@@ -100,7 +110,7 @@ class EggTask(Task):
 
     @property
     def reach_m(self) -> float:
-        """Hinge to front edge of the lid, metres."""
+        """Hinge to front edge of the tab, metres."""
         return DEPTH_M + self.overhang_m
 
     @property

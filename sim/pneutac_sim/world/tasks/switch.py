@@ -5,7 +5,7 @@ from typing import override
 
 import numpy as np
 
-from pneutac_sim.world.tasks.base import Task, place
+from pneutac_sim.world.tasks.base import Task, contact_force, place
 
 LEVER_M = 0.045  # hinge to bar
 HINGE_M = 0.085  # hinge above the table
@@ -20,25 +20,32 @@ class SwitchTask(Task):
     The hinge's torque is `-k q (q^2 / well^2 - 1)`, whose peak between well and ridge is
     `2 k well / (3 sqrt 3)`; k follows from `ridge_torque_nm`.
 
+    The lever has some play sideways: pushed beside its middle it gives way and the finger slips off. The
+    random start is that of the bar, about which the console is turned.
+
     Attributes:
         ridge_torque_nm: torque that passes the ridge, N m.
         well_rad: lever angle in a well; the task starts at -well (towards the robot) and ends at +well.
         tilt_rad: how far the console leans towards the robot.
         bar_half_m: half the length of the barrel-shaped bar on the lever.
+        play_nm_per_rad: stiffness of the lever sideways.
+        limit_n: pressing the switch harder than this breaks it.
         spread_x_m, spread_y_m, spread_yaw_rad: half widths of the random start.
     """
 
     name = "switch"
     description = "Flip the toggle switch."
-    home_m = (0.40, 0.0, 0.285)
+    home_m = (0.41, 0.0, 0.255)
 
-    ridge_torque_nm: float = 0.04
+    ridge_torque_nm: float = 0.05
     well_rad: float = 0.4
     tilt_rad: float = 0.3
-    bar_half_m: float = 0.018
-    spread_x_m: float = 0.010
-    spread_y_m: float = 0.015
-    spread_yaw_rad: float = np.radians(10)
+    bar_half_m: float = 0.008
+    play_nm_per_rad: float = 0.2
+    limit_n: float = 8.0
+    spread_x_m: float = 0.025
+    spread_y_m: float = 0.022
+    spread_yaw_rad: float = np.radians(15)
 
     @override
     def mjcf(self) -> str:
@@ -46,15 +53,18 @@ class SwitchTask(Task):
         b, top = self.bar_half_m, LEVER_M
         return f"""
         <body name="switch">
-          <geom class="object" type="box" pos=".018 0 .012" size=".075 .06 .012" material="console_dark"/>
+          <geom name="switch_base" class="object" type="box" pos=".018 0 .012" size=".075 .06 .012"
+                material="console_dark"/>
           <body pos="0 0 {HINGE_M}" euler="0 {-self.tilt_rad} 0">
-            <geom class="object" type="box" pos="0 0 -.043" size=".040 .045 .035" material="console"/>
+            <geom name="switch_console" class="object" type="box" pos="0 0 -.043" size=".040 .045 .035"
+                  material="console"/>
             <geom class="decor" type="cylinder" pos="0 0 -.008" size=".016 .003" material="steel"/>
             <geom class="decor" type="box" pos=".034 0 -.0078" size=".003 .020 .0006" material="accent"/>
             <body name="lever">
               <joint name="lever" axis="0 1 0" stiffness="{-k} 0 {k / self.well_rad**2}" damping=".0015"/>
-              <geom class="object" type="capsule" fromto="0 0 0 0 0 {top}" size=".0035" mass=".004"
-                    material="steel"/>
+              <joint name="lever_play" axis="1 0 0" stiffness="{self.play_nm_per_rad}" damping=".002"/>
+              <geom name="switch_lever" class="object" type="capsule" fromto="0 0 0 0 0 {top}" size=".0035"
+                    mass=".004" material="steel"/>
               <geom name="bar" class="object" type="ellipsoid" pos="0 0 {top}" size=".0065 {b} .0065"
                     mass=".006" material="accent"/>
             </body>
@@ -64,19 +74,29 @@ class SwitchTask(Task):
     @override
     def reset(self, model, data, rng):
         x, y, yaw = rng.uniform(-1, 1, 3) * (self.spread_x_m, self.spread_y_m, self.spread_yaw_rad)
-        place(model, "switch", np.add(POSITION_M, (x, y, 0)), yaw)
+        bar = -LEVER_M * np.sin(self.well_rad + self.tilt_rad)
+        place(model, "switch", np.add(POSITION_M, (x, y, 0)), yaw, pivot_m=bar)
         self._lever = data.joint("lever")
         self._lever.qpos = -self.well_rad
         self._rested_s = 0.0
+        self._force = (0.0, 0.0)
 
     @override
     def update(self, model, data, dt):
+        force = contact_force(model, data, ("switch", "bar"))
+        self._force = (self._force[1], force)
         resting = self.lever_rad > 0.75 * self.well_rad and abs(self._lever.qvel[0]) < 0.5
         self._rested_s = self._rested_s + dt if resting else 0.0
 
     @override
     def success(self):
         return self._rested_s >= REST_S - 1e-9
+
+    @override
+    def failure(self):
+        if min(self._force) > self.limit_n:  # a bump of a moment is not a press
+            return f"pressed the switch with more than {self.limit_n:g} N"
+        return None
 
     @property
     def lever_rad(self) -> float:
