@@ -2,10 +2,12 @@
 
 namespace pneutac {
 
-constexpr uint32_t kStuckMs = 500;     // fully driven, and the pressure does not follow
+constexpr uint32_t kStuckMs = 500;     // fully driven, and the pressure does not move
 constexpr uint32_t kBurstMs = 30;      // falling while the inlet is open
 constexpr float kFollowShare = 0.07f;  // of max_pa: error above which the pressure "does not follow"
 constexpr float kBurstShare = 0.10f;   // of max_pa: fall that is no noise
+constexpr float kSmoothS = 0.05f;
+constexpr float kSettledShare = 0.07f;  // of max_pa in a second: slower is settled
 constexpr float kDriven = 0.3f;
 constexpr float kFull = 0.99f;
 
@@ -69,6 +71,7 @@ void Controller::handleCommand(const Frame& frame) {
   latched_ &= ~kRefused;
   if (!controlling_) {
     ramp_pa_ = clamp(measured_pa_, 0, settings_.max_pa);
+    smooth_pa_ = measured_pa_;
     integral_ = 0;
   }
   controlling_ = true;
@@ -102,8 +105,11 @@ void Controller::closeLoop(uint32_t dt_ms) {
   const float left = target_pa_ - ramp_pa_;
   ramp_pa_ += clamp(left, -stride, stride);
   const float error = ramp_pa_ - measured_pa_;
-  // Integrating on the way would store up the ramp's own lag and overshoot at its end.
-  if (ramp_pa_ == target_pa_) {
+  smooth_pa_ += (measured_pa_ - smooth_pa_) * clamp(dt / kSmoothS, 0, 1);
+  const float rate = (measured_pa_ - smooth_pa_) / kSmoothS;
+  const float settled = kSettledShare * settings_.max_pa;
+  // The integral is for a leak. Built up while the pressure is still on its way, it would overshoot at the end.
+  if (ramp_pa_ == target_pa_ && rate > -settled && rate < settled) {
     integral_ = clamp(integral_ + settings_.gain_per_pa_s * error * dt, -1, 1);
   }
   drive_ = clamp(settings_.gain_per_pa * error + integral_, -1, 1);
@@ -124,7 +130,10 @@ void Controller::checkValves(uint32_t dt_ms) {
   const float error = (controlling_ ? ramp_pa_ : 0) - measured_pa_;
   const float tolerance = kFollowShare * settings_.max_pa;
   const bool stuck = (drive_ > kFull && error > tolerance) || (drive_ < -kFull && error < -tolerance);
-  stuck_ms_ = stuck ? stuck_ms_ + dt_ms : 0;
+  const int32_t moved = drive_ > 0 ? measured_pa_ - stuck_pa_ : stuck_pa_ - measured_pa_;
+  const bool moves = moved > tolerance / 2;
+  stuck_ms_ = stuck && !moves ? stuck_ms_ + dt_ms : 0;
+  if (!stuck || moves) stuck_pa_ = measured_pa_;
   if (stuck_ms_ >= kStuckMs) latched_ |= kStuckValve;
 
   if (drive_ <= 0 || measured_pa_ > peak_pa_) peak_pa_ = measured_pa_;

@@ -59,6 +59,7 @@ class Controller {
   int32_t measured_pa_ = 0;
   int32_t target_pa_ = 0;
   float ramp_pa_ = 0;  // the target, limited in rate
+  float smooth_pa_ = 0;  // the reading behind a low-pass
   float integral_ = 0;
   float drive_ = -1;  // > 0 opens the inlet, < 0 the vent
 
@@ -67,6 +68,7 @@ class Controller {
   int32_t frozen_pa_ = 0;
   uint32_t frozen_ms_ = 0;
   uint32_t stuck_ms_ = 0;
+  int32_t stuck_pa_ = 0;
   uint32_t burst_ms_ = 0;
 
   bool reply_due_ = false;

@@ -126,6 +126,8 @@ int main(int argc, char** argv) {
     if (name == "--pty") link = argv[i];
     else if (name == "--speed") speed = value;
     else if (name == "--max-kpa") settings.max_pa = value * 1000, settings.cutoff_pa = value * 1100;
+    else if (name == "--fill-s") chamber.fill_s = value;
+    else if (name == "--vent-s") chamber.vent_s = value;
     else if (name == "--leak-per-s") chamber.leak_per_s = value;
     else if (name == "--noise-pa") chamber.noise_pa = value;
     else if (name == "--stick-inlet") chamber.faults.inlet = value;

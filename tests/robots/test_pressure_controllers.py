@@ -89,7 +89,9 @@ def test_what_other_packages_offer_is_checked(tmp_path, monkeypatch):
         make_pressure_controller("simulated")
 
 
-def test_the_check_tells_what_a_controller_fails():
+def test_the_check_tells_what_a_controller_fails(monkeypatch):
+    monkeypatch.setattr("lerobot_robot_pneutac.hardware.pressure_check.REACH_S", 0.6)
+
     class Holds(SimulatedPressure):
         def pressure(self):
             self._void_s = math.inf
@@ -124,7 +126,7 @@ def test_the_simulated_chamber_follows_the_exact_exponential_until_its_command_i
 
 
 @pytest.mark.parametrize(
-    "bad, said", [(math.nan, "nan"), (math.inf, "inf"), ("soft", "'soft'"), (15.1, "15.1")]
+    "bad, said", [(math.nan, "nan"), (math.inf, "inf"), (-0.1, "-0.1"), ("soft", "'soft'"), (15.1, "15.1")]
 )
 def test_a_set_point_that_is_none_is_refused_by_name(bad, said):
     chamber = SimulatedPressure()

@@ -49,6 +49,21 @@ def test_the_pressure_settles_on_the_target_without_overshoot(start, kpa, leak):
     assert rig.status.flags & ~Flag.INLET_OPEN == 0
 
 
+def test_slow_valves_are_no_fault_and_do_not_overshoot(start):
+    rig = start("--fill-s", 2, "--vent-s", 0.8)
+    rig.send(wire.set_point(7, 1, 15000))
+    rig.beat(3000)
+    assert max(step[1] for step in rig.trace) < 15000 + 150
+    assert abs(rig.trace[-1][1] - 15000) < 150
+    rig.send(wire.set_point(7, 2, 3000))
+    rig.beat(3000)
+    assert abs(rig.trace[-1][1] - 3000) < 150
+    rig.send(wire.vent(7, 3))
+    rig.beat(3000)
+    assert rig.trace[-1][1] < 150
+    assert rig.status.flags == Flag.VENTED
+
+
 def test_the_target_moves_no_faster_than_the_stated_rate(start):
     rig = start()
     rig.send(wire.set_point(7, 1, 15000))
