@@ -1,0 +1,142 @@
+"""Experts: they manage, by touch, and a blind replay of what they did does not."""
+
+import importlib.util
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, TASK_NAMES
+from pneutac_sim.world.expert import ScriptedExpert
+from pneutac_sim.world.experts.motion import Habits, imprint_m
+from pneutac_sim.world.world import DT, World
+
+BENCHMARK = Path(__file__).parents[3] / "benchmarks" / "task_difficulty.py"
+spec = importlib.util.spec_from_file_location("task_difficulty", BENCHMARK)
+difficulty = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(difficulty)
+
+
+@pytest.fixture(scope="module")
+def worlds():
+    return {task: World(task, touch="none") for task in TASK_NAMES}
+
+
+def episode(world, seed, expert_seed=None):
+    """Runs the expert until the trial ends; returns its actions."""
+    world.reset(seed)
+    expert = ScriptedExpert(world, np.random.default_rng(seed if expert_seed is None else expert_seed))
+    actions = []
+    while not (world.success or world.failure or len(actions) == 150):
+        actions.append(expert.action())
+        world.step(actions[-1])
+    return np.array(actions)
+
+
+@pytest.mark.parametrize("task", TASK_NAMES)
+def test_expert_succeeds_within_limits_where_a_blind_replay_does_not(worlds, task):
+    world = worlds[task]
+    demonstrations = []
+    for seed in range(200, 210):
+        actions = episode(world, seed)
+        assert world.clipped == 0
+        assert np.all(actions >= ACTION_LOW) and np.all(actions <= ACTION_HIGH)
+        if world.success and not world.failure:
+            demonstrations.append(actions)
+    assert len(demonstrations) >= 9
+    assert max(map(len, demonstrations)) * DT <= 10.0
+    replays = [difficulty.replay(world, a, 300 + i) for i, a in enumerate(3 * demonstrations[:9])]
+    assert np.mean(replays) <= 0.45  # of 27; the slow test counts more
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("task", TASK_NAMES)
+def test_task_needs_touch(task):
+    expert, replayed, _ = difficulty.measure(task, 60)
+    assert expert >= 0.95 * 60
+    assert replayed <= 0.40 * 60
+
+
+def test_replay_on_the_same_start_succeeds(worlds):
+    """What makes the replay fail is where the object is, not how it is played."""
+    for world in worlds.values():
+        assert difficulty.replay(world, difficulty.demonstrate(world, 200), 200)
+
+
+def until_touch(world, seed, shift_m):
+    """Actions of the expert until anything touches the finger, with the object shifted (3,)."""
+    world.reset(seed)
+    body = world.model.body(world.task.name)
+    body.pos[:] += shift_m
+    mujoco.mj_forward(world.model, world.data)
+    expert = ScriptedExpert(world, np.random.default_rng(seed))
+    actions = []
+    finger = [g for g in range(world.model.ngeom) if world.model.geom_contype[g] == 1]
+    while len(actions) < 150:
+        touched = any(c.geom1 in finger or c.geom2 in finger for c in world.data.contact)
+        if touched or world.press_mm > 0.1:
+            break
+        actions.append(expert.action())
+        world.step(actions[-1])
+    return np.array(actions)
+
+
+@pytest.mark.parametrize("task", TASK_NAMES)
+def test_before_the_touch_the_expert_does_not_know_where_the_object_is(worlds, task):
+    world = worlds[task]
+    for seed in range(3):
+        first = until_touch(world, seed, (0.0, 0.0, 0.0))
+        for shift in ((0.01, 0.012, 0), (-0.01, -0.02, 0), (0.02, 0, 0)):
+            other = until_touch(world, seed, shift)
+            n = min(len(first), len(other)) - 2  # a first bump may be over at the end of a step
+            assert n > 8
+            np.testing.assert_allclose(first[:n], other[:n], atol=1e-4)  # cards and lever settle a little
+
+
+@pytest.mark.parametrize("task", ["switch", "egg"])
+def test_search_ends_on_the_object_wherever_it_is(worlds, task):
+    """The lane in which the touch that counts happened is the one in front of the object."""
+    world = worlds[task]
+    hits, offsets = [], []
+    for seed in range(12):
+        world.reset(seed)
+        part = {"switch": "bar", "egg": "carton_tab"}[task]
+        offsets.append(world.data.geom(part).xpos[1])
+        episode(world, seed)
+        hits.append(world.gel_m[1])
+    assert np.corrcoef(hits, offsets)[0, 1] > 0.75
+
+
+def test_imprint_is_where_the_object_presses(worlds):
+    world = worlds["switch"]
+    world.reset(0)
+    assert imprint_m(world) is None
+    expert = ScriptedExpert(world, np.random.default_rng(0))
+    while imprint_m(world) is None or world.press_mm < 0.4:
+        world.step(expert.action())
+    bar = world.data.geom("bar").xpos
+    gel = world.data.site("gel").xmat.reshape(3, 3).T @ (bar - world.gel_m)
+    np.testing.assert_allclose(imprint_m(world), gel[:2], atol=4e-3)
+
+
+def test_same_rng_same_demonstration_and_people_differ(worlds):
+    world = worlds["switch"]
+    a, b, c = episode(world, 5, 5), episode(world, 5, 5), episode(world, 5, 6)
+    assert np.array_equal(a, b)
+    assert len(a) != len(c) or not np.allclose(a, c, atol=1e-3)
+    habits = [Habits.draw(np.random.default_rng(s)) for s in range(50)]
+    speeds = [h.speed for h in habits]
+    assert max(speeds) / min(speeds) > 1.4
+    assert len({h.pause_s > 0 for h in habits}) == 2  # some hesitate, some do not
+
+
+def test_expert_is_done_after_its_script_and_then_holds_still(worlds):
+    world = worlds["switch"]
+    world.reset(4)
+    expert = ScriptedExpert(world, np.random.default_rng(4))
+    for _ in range(150):
+        world.step(expert.action())
+    assert expert.done and world.success
+    action = expert.action()
+    assert np.all(action[:3] == 0) and action[3] > 10

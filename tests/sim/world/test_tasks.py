@@ -1,0 +1,244 @@
+"""Tasks: physics, random starts, and what counts as success and failure, by hand-made actions."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from pneutac_sim.features import TASK_NAMES
+from pneutac_sim.twin import Twin
+from pneutac_sim.world import scene
+from pneutac_sim.world.tasks import TASKS
+from pneutac_sim.world.tasks.card import CardTask
+from pneutac_sim.world.world import DT, World
+
+# Which point of the task's body starts at random, metres in its frame, and its mean place.
+MIDDLES = {"switch": (-0.029, 0.511), "egg": (-0.05, 0.53), "card": (0.0, 0.56)}
+
+
+@pytest.fixture(scope="module")
+def worlds():
+    return {task: World(task, touch="none") for task in TASK_NAMES}
+
+
+@pytest.fixture
+def in_the_middle():
+    """Plays moves (steps, action) with the object in the middle of its random starts."""
+
+    def play(name, moves):
+        world = World(name, touch="none")
+        world.task.spread_x_m = world.task.spread_y_m = world.task.spread_yaw_rad = 0.0
+        world.reset(0)
+        world.target_m = np.array(world.task.home_m)
+        for steps, action in moves:
+            for _ in range(steps):
+                world.step(action)
+                if world.success or world.failure:
+                    return world
+        return world
+
+    return play
+
+
+@pytest.mark.parametrize("name", TASK_NAMES)
+def test_nothing_happens_without_action(worlds, name):
+    world = worlds[name]
+    world.reset(0)
+    for _ in range(60):
+        world.step([0, 0, 0, 0])
+    assert not world.success and world.failure is None
+
+
+@pytest.mark.parametrize("name", TASK_NAMES)
+def test_random_starts_fill_their_range_about_the_part_to_be_found(worlds, name):
+    world = worlds[name]
+    along, mean_x = MIDDLES[name]
+    starts = []
+    for seed in range(80):
+        world.reset(seed)
+        body = world.model.body(name)
+        yaw = 2 * np.arctan2(body.quat[3], body.quat[0])
+        starts.append([body.pos[0] + along * np.cos(yaw), body.pos[1] + along * np.sin(yaw), yaw])
+    offset = np.array(starts) - (mean_x, 0, 0)
+    t = world.task
+    limit = np.array([t.spread_x_m, t.spread_y_m, getattr(t, "spread_yaw_rad", 0.0)]) + 1e-4
+    assert np.all(np.abs(offset) <= limit)
+    assert np.all(np.ptp(offset, axis=0) / 2 > 0.85 * limit - 1e-4)
+    assert t.spread_x_m >= 0.020 and t.spread_y_m >= 0.020  # a few centimetres
+    if name != "card":
+        assert np.degrees(t.spread_yaw_rad) == pytest.approx(15)
+
+
+# ---------------------------------------------------------------- switch
+
+
+def test_switch_must_rest_in_the_other_well(worlds):
+    world = worlds["switch"]
+    task = world.task
+    world.reset(0)
+    assert task.lever_rad == pytest.approx(-task.well_rad, abs=0.02)
+    world.data.joint("lever").qpos = task.well_rad
+    rested = 0
+    while not world.success:
+        world.step([0, 0, 0, 0])
+        rested += 1
+    assert rested * DT == pytest.approx(0.5, abs=2 * DT)
+
+
+def test_switch_has_a_ridge_of_the_stated_torque(worlds):
+    world = worlds["switch"]
+    lever = world.data.joint("lever")
+    dof = world.model.joint("lever").dofadr[0]
+
+    def side(torque):
+        world.reset(0)
+        for _ in range(20):
+            world.data.qfrc_applied[dof] = torque
+            world.step([0, 0, 0, 0])
+        world.data.qfrc_applied[dof] = 0
+        return np.sign(lever.qpos[0])
+
+    ridge = world.task.ridge_torque_nm
+    assert 0.05 <= ridge <= 0.1
+    assert side(0.9 * ridge) < 0 < side(1.1 * ridge)  # the lever's own weight is within the tenth
+
+
+def test_lever_gives_way_sideways_as_stated(worlds):
+    world = worlds["switch"]
+    world.reset(0)
+    dof = world.model.joint("lever_play").dofadr[0]
+    for _ in range(30):
+        world.data.qfrc_applied[dof] = 0.02
+        world.step([0, 0, 0, 0])
+    world.data.qfrc_applied[dof] = 0
+    play = float(world.data.joint("lever_play").qpos[0])
+    assert play == pytest.approx(0.02 / world.task.play_nm_per_rad, rel=0.1)
+
+
+REACH = [(2, [0, 0, -0.06, 3]), (10, [0.08, 0, 0, 3])]
+RETREAT = [(15, [-0.05, 0, 0.02, 12]), (10, [0, 0, 0, 12])]
+
+
+def test_switch_flips_when_pushed_with_a_pressurised_finger_only(in_the_middle):
+    push = [(12, [0.02, 0, 0.02, 12]), (20, [0.04, 0, 0.02, 12])]
+    assert in_the_middle("switch", [*REACH, *push, *RETREAT]).success
+    touched = in_the_middle("switch", [*REACH, (15, [0, 0, 0, 3]), *RETREAT])
+    assert not touched.success and touched.task.lever_rad < 0
+
+
+def test_switch_pushed_beside_its_middle_is_missed(in_the_middle):
+    push = [(12, [0.02, 0, 0.02, 12]), (20, [0.04, 0, 0.02, 12])]
+    beside = (6, [0, 0.05, 0, 3])  # 20 mm
+    world = in_the_middle("switch", [beside, *REACH, *push, *RETREAT])
+    assert not world.success and world.task.lever_rad < 0
+
+
+OVER_AND_DOWN = [(8, [0, 0, 0.08, 0]), (16, [0.1, 0, 0, 0]), (80, [0, 0, -0.1, 0])]
+
+
+@pytest.mark.parametrize("name", ["switch", "egg"])
+def test_pressing_hard_fails(in_the_middle, name):
+    assert "8 N" in in_the_middle(name, OVER_AND_DOWN).failure
+
+
+# ---------------------------------------------------------------- egg
+
+
+def test_carton_opens_when_the_tab_is_hooked_and_lifted(in_the_middle):
+    below = [(6, [0.08, 0, -0.04, 3]), (14, [0.08, 0, 0, 3])]
+    hook = [(16, [0, 0, 0.05, 3]), (8, [0, 0, 0.02, 12])]
+    lift = [(20, [0.005, 0, 0.06, 12]), (20, [0.03, 0, 0.06, 12]), (20, [0.06, 0, 0.03, 12])]
+    world = in_the_middle("egg", [*below, *hook, *lift])
+    assert world.success and world.failure is None and world.task.lid_rad > np.radians(60)
+    beside = in_the_middle("egg", [(9, [0, 0.05, 0, 3]), *below, *hook, *lift])  # 30 mm
+    assert not beside.success
+
+
+def test_only_the_tab_stands_out_by_the_stated_overhang(worlds):
+    world = worlds["egg"]
+    world.task.reset(world.model, world.data, np.random.default_rng(0))
+    m = world.model
+    front = {}
+    for name in ("carton_base", "carton_lid", "carton_tab"):
+        body = m.body(m.geom_bodyid[m.geom(name).id])
+        x = body.pos[0] if name != "carton_base" else 0.0
+        front[name] = x + m.geom(name).pos[0] - m.geom(name).size[0]
+    overhang = front["carton_base"] - front["carton_tab"]
+    assert overhang == pytest.approx(world.task.overhang_m) and 0.003 <= overhang <= 0.005
+    assert front["carton_lid"] > front["carton_base"]
+
+
+def test_latch_holds_a_light_pull(worlds):
+    world = worlds["egg"]
+    world.reset(0)
+    dof = world.model.joint("lid").dofadr[0]
+    weight = 0.026 * 9.81 * world.task.reach_m / 2
+    for pull, opens in ((0.5, False), (1.5, True)):
+        world.data.qfrc_applied[dof] = weight + pull * world.task.latch_n * world.task.reach_m
+        for _ in range(10):
+            world.step([0, 0, 0, 0])
+        assert (world.task.lid_rad > 0.2) == opens
+    world.data.qfrc_applied[dof] = 0
+
+
+# ---------------------------------------------------------------- card
+
+
+def test_card_comes_out_when_pressed_lightly_and_drawn(in_the_middle):
+    reach = [(6, [0.06, 0, -0.02, 3]), (8, [0.06, 0, 0, 8]), (8, [0.02, 0, 0, 8])]
+    world = in_the_middle("card", [*reach, (25, [-0.01, 0, 0.04, 8])])
+    assert world.success and world.task.drawn_m(1) > 0.030 and world.task.drawn_m(2) < 0.010
+    short = in_the_middle("card", [*reach[:2], (8, [-0.02, 0, 0, 8]), (25, [-0.01, 0, 0.04, 8])])
+    assert not short.success
+
+
+def draw(world, press_n, friction):
+    """Pulls the front card with what its own friction takes and 0.1 N, at a press and given frictions."""
+    task, data = world.task, world.data
+    world.reset(0)
+    dofs = [world.model.joint(f"card_{i + 1}").dofadr[0] for i in range(task.cards)]
+    task._mu = np.full(task.cards, 0.2)
+    task._mu[: len(friction)] = friction
+    task._set_friction(world.model, press_n)
+    task.update = lambda *a: None  # keep the friction of this press
+    # A pull on the front card acts in the joints of all cards behind it.
+    data.qfrc_applied[dofs] = friction[0] * press_n + task.edge_n + 0.1
+    for _ in range(8):
+        world.step([0, 0, 0, 0])
+        if world.success:
+            break
+    data.qfrc_applied[dofs] = 0
+    del task.update
+    return [task.drawn_m(i) for i in (1, 2, 3)]
+
+
+def test_card_pressed_too_hard_draws_two(worlds):
+    """The second card follows where (mu_1 - mu_2) N exceeds the holder's drag on it."""
+    world = worlds["card"]
+    drag = world.task.edge_n
+    light = draw(world, 0.25 * drag / 0.15, (0.35, 0.2))
+    assert light[0] > 0.02 and light[1] < 0.005
+    hard = draw(world, 1.2 * drag / 0.15, (0.35, 0.2))
+    assert hard[1] > 0.010
+    assert hard[2] < 0.005  # the drag on two cards is more than the pull
+
+
+def test_deck_is_full_and_its_friction_in_the_stated_range(worlds):
+    world = worlds["card"]
+    assert world.task.cards >= 10
+    frictions = []
+    for seed in range(20):
+        world.reset(seed)
+        frictions.extend(world.task._mu)
+    assert 0.2 <= min(frictions) < 0.22 and 0.38 < max(frictions) <= 0.4
+
+
+def test_reduced_deck_for_planning():
+    for cards in (2, 3):
+        task = CardTask(cards=cards)
+        model = mujoco.MjModel.from_xml_string(scene.build(task, Twin.builtin()))
+        joints = [model.joint(i).name for i in range(model.njnt)]
+        assert sum(name.startswith("card_") for name in joints) == cards
+
+
+def test_every_task_is_tested_here():
+    assert set(TASKS) == set(MIDDLES)
