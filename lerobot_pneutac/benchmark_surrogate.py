@@ -48,7 +48,6 @@ class BenchmarkSurrogateConfig:
             raise InputError(f"--device is '{self.device}'; choose auto, cpu or cuda.")
         if self.fast:
             self.trajectories, self.seconds, self.contacts, self.steps = 1, 0.06, 2, 40
-            self.particles = 600
         if min(self.trajectories, self.contacts, self.environments) < 1 or self.steps < 20:
             raise InputError(
                 "--trajectories, --contacts and --environments must be 1 or more, and --steps 20 or more."
