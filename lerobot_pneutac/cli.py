@@ -7,13 +7,14 @@ import sys
 VERBS: dict[str, tuple[str | None, str]] = {
     "demo": ("lerobot_pneutac.demo", "the main job, end to end, on the built-in twin"),
     "new": ("lerobot_pneutac.new", "a new twin"),
+    "measure": ("lerobot_pneutac.measure", "drive a pressure program and record what finger and gel do"),
     "calibrate": ("lerobot_pneutac.calibrate", "fit a twin to a bench recording"),
     "compare": ("lerobot_pneutac.compare", "errors of a twin against a recording, and where it fails"),
     "diagnose": ("lerobot_pneutac.diagnose", "which physical effect is missing"),
     "add": ("lerobot_pneutac.add", "switch an effect on, re-fit, show the error before and after"),
     "surrogate": ("lerobot_pneutac.surrogate", "train the fast networks from full simulations"),
     "render": ("lerobot_pneutac.render", "pictures and a film of a twin under pressure or an indenter"),
-    "augment": (None, "demonstrations in, more demonstrations out"),
+    "augment": ("lerobot_pneutac.augment", "demonstrations in, more demonstrations out"),
     "benchmark": ("lerobot_pneutac.benchmark", "tables of speed and accuracy"),
     "doctor": ("lerobot_pneutac.doctor", "what is installed, which GPU, which ports and cameras answer"),
 }

@@ -22,6 +22,7 @@ from lerobot.utils.constants import ACTION, OBS_STATE
 
 from pneutac_datasets.augment_episode import EXTRA_STEPS, AugmentSetup
 from pneutac_datasets.augment_reference import Reference, onset_sigma_m
+from pneutac_datasets.augment_scene import Scene
 from pneutac_datasets.augment_work import Work, make_episode, make_scene, start_worker
 from pneutac_datasets.demonstrations import AREA, EE, TACTILE, Episode, demonstration_features, save_episode
 from pneutac_datasets.naive import augment_naive
@@ -92,9 +93,15 @@ def augment_guided(
         Work(out_root.with_name(out_root.name + ".work")),
         out_root.with_name(out_root.name + ".part"),
     )
+    began = time.monotonic()
+    if out_root.exists() and work.folder.exists():  # stopped when all was done but the tidying up
+        work.open(_run(meta, setup))
+        scenes = [work.load_scene(i) for i in range(len(setup.references))]
+        shutil.rmtree(work.folder)
+        lines = (out_root / "meta" / PROVENANCE).read_text().splitlines()
+        return _summary([json.loads(line) for line in lines], {}, scenes, began)
     if out_root.exists():
         raise InputError(f"'{out_root}' exists; give a new folder for dataset '{out_repo_id}'.")
-    began = time.monotonic()
     work.open(_run(meta, setup))
     shutil.rmtree(part, ignore_errors=True)
     n = len(setup.references)
@@ -141,16 +148,7 @@ def augment_guided(
         ) from e
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
-    rejected = [r["reason"] for line in provenance for r in line["rejected"]]
-    return {
-        "kept": episodes,
-        "attempts": episodes + len(rejected),
-        "rejected": {reason: rejected.count(reason) for reason in sorted(set(rejected))},
-        "provenance": provenance,
-        "seconds": seconds,
-        "scenes": [asdict(scene) for scene in scenes],
-        "wall_s": time.monotonic() - began,
-    }
+    return _summary(provenance, seconds, scenes, began)
 
 
 def augment_without_simulator(
@@ -168,13 +166,18 @@ def augment_without_simulator(
         for k in range(episodes)
     ]
     finish(part, out_root, provenance)
+    return _summary(provenance, {}, [], began)
+
+
+def _summary(provenance: list[dict], seconds: dict, scenes: list[Scene], began: float) -> dict:
+    rejected = [r["reason"] for line in provenance for r in line.get("rejected", ())]
     return {
-        "kept": episodes,
-        "attempts": episodes,
-        "rejected": {},
+        "kept": len(provenance),
+        "attempts": len(provenance) + len(rejected),
+        "rejected": {reason: rejected.count(reason) for reason in sorted(set(rejected))},
         "provenance": provenance,
-        "seconds": {},
-        "scenes": [],
+        "seconds": seconds,
+        "scenes": [asdict(scene) for scene in scenes],
         "wall_s": time.monotonic() - began,
     }
 

@@ -1,8 +1,8 @@
 """Where the object stood in a demonstration: it is not recorded, but the touch tells.
 
-Candidate scenes are drawn from the task. In each the object is moved away from the gel until it is just
-touched at the frame of the recorded onset, with the recorded area; then the demonstration is replayed, and the
-scene in which it does the task with the contact areas nearest to the recorded ones is taken.
+Candidate scenes are drawn from the task. In each the object is moved along the gel's view until it is
+just felt at the frame of the recorded onset, with the recorded area; then the demonstration is replayed, and
+the scene in which it does the task with the contact areas nearest to the recorded ones is taken.
 """
 
 from dataclasses import dataclass
@@ -17,9 +17,11 @@ from pneutac_sim.world.varied import Variation, VariedWorld
 from pneutac_sim.world.world import DT
 
 REACH_M = 0.08  # how far the object is moved at most
+YIELDING_M = 0.04  # how far the finger may give way before its gel feels what its edge has touched
 FEEDBACK_HZ = 2.0  # rate at which the path returns to the demonstrated one
 AWAY_M = (0.0, 0.0, -5.0)  # out of everything's way
 NUDGES_M = (0.002, 0.001, 0.0005, 0.00025)  # last trials, along the gel's view: imprints are tenths of mm
+FINALISTS = 3  # scenes of the reduced world that are tried in the full one
 SIDESTEP_M = 0.005  # and across it
 
 
@@ -78,26 +80,49 @@ def find_scene(world: VariedWorld, gantry: Gantry, reference: Reference, seed: i
     forward = gel[1].reshape(3, 3)[:, 2] * (1, 1, 0)
     forward /= max(np.linalg.norm(forward), 1e-9)
 
-    def replay(scene_seed: int, shift: np.ndarray) -> Scene:
+    first, end = reference.contact_phase
+
+    def replay(scene_seed: int, shift: np.ndarray, reduced: bool = False) -> Scene:
+        world.variation = Variation(start, tuple(shift.tolist()))
+        world.reset(scene_seed)
+        if reduced:
+            gantry.mirror(world)
+            actions = follow(reference.action, world.flange_m, reference.flange_m[0])
+            _, area = gantry.rollout(actions)
+            done, spoilt = gantry.success, gantry.failure
+        else:
+            area, spoilt = np.zeros(len(reference)), None
+            for t, action in enumerate(reference.action):
+                world.step(follow(action[None], world.flange_m, reference.flange_m[t])[0])
+                area[t], spoilt = world.touch.area, spoilt or world.failure
+            done = world.success
+        error = area[first : end - 1] - reference.area[first + 1 : end]
+        rmse = float(np.sqrt(np.mean(error**2)))
+        return Scene(scene_seed, tuple(shift.tolist()), bool(done and spoilt is None), rmse)
+
+    def touched(scene_seed: int, shift: np.ndarray) -> bool:
         world.variation = Variation(start, tuple(shift.tolist()))
         world.reset(scene_seed)
         gantry.mirror(world)
-        _, area = gantry.rollout(follow(reference.action, world.flange_m, reference.flange_m[0]))
-        first, end = reference.contact_phase
-        error = area[first : end - 1] - reference.area[first + 1 : end]
-        works = bool(gantry.success and gantry.failure is None)
-        return Scene(scene_seed, tuple(shift.tolist()), works, float(np.sqrt(np.mean(error**2))))
+        actions = follow(reference.action[:onset], world.flange_m, reference.flange_m[0])
+        return gantry.rollout(actions)[1].max() >= reference.area[onset]
 
     scenes = []
     for scene_seed in rng.integers(2**31, size=candidates):
         world.variation = Variation(start)
         world.reset(int(scene_seed))
-        distance = _touching_distance(world, gel, forward, reference.area[onset])
-        if distance is not None:
-            scenes.append(replay(int(scene_seed), distance * forward))
+        far = _touching_distance(world, gel, forward, reference.area[onset])
+        if far is None:
+            continue
+        near = far - YIELDING_M
+        while far - near > 1e-4:
+            middle = (near + far) / 2
+            near, far = (middle, far) if touched(int(scene_seed), middle * forward) else (near, middle)
+        scenes.append(replay(int(scene_seed), near * forward, reduced=True))
     if not scenes:
-        scenes.append(replay(int(rng.integers(2**31)), np.zeros(3)))
-    best = min(scenes, key=_rank)
+        scenes.append(replay(int(rng.integers(2**31)), np.zeros(3), reduced=True))
+    finalists = sorted(scenes, key=_rank)[:FINALISTS]
+    best = min((replay(s.seed, np.array(s.shift_m)) for s in finalists), key=_rank)
     across = np.array([-forward[1], forward[0], 0.0])
     for move in (SIDESTEP_M * across, *(nudge * forward for nudge in NUDGES_M)):
         best = min([best, *(replay(best.seed, best.shift_m + sign * move) for sign in (-1, 1))], key=_rank)

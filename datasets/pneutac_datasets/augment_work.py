@@ -37,8 +37,8 @@ class Work:
             old = json.loads(file.read_text())
             changed = ", ".join(k for k in sorted(run.keys() | old.keys()) if run.get(k) != old.get(k))
             raise InputError(
-                f"'{self.folder}' holds an unfinished augmentation with another {changed}; delete that folder,"
-                " or repeat the command that began it."
+                f"'{self.folder}' holds an unfinished augmentation with another {changed}; delete that"
+                " folder, or repeat the command that began it."
             )
 
     def scene_file(self, source: int) -> Path:
@@ -97,7 +97,10 @@ def start_worker(setup: AugmentSetup, folder: Path) -> None:
     import multiprocessing
     import threading
 
+    import torch
+
     global _generator, _work
+    torch.set_num_threads(1)  # each worker has one core
     parent = multiprocessing.parent_process()
 
     def watch() -> None:

@@ -1,6 +1,6 @@
 """The world for planners: with its orientation held, the arm is three slides that carry the finger.
 
-A step costs about half of one with the arm's seven joints and its inverse kinematics, and flange and finger go
+A step is cheaper than one with the arm's seven joints and its inverse kinematics, and flange and finger go
 the same ways, because the slides follow their targets with the same lag as the arm's servos.
 """
 
@@ -57,8 +57,8 @@ class _Straight:
 class Gantry(VariedWorld):
     """The reduced world of a world: starts where that one is, and tries sequences of actions.
 
-    Finger and gel deform by their formulas; how far the world's own finger is from that is held while the
-    gantry looks ahead.
+    Finger and gel deform by their formulas; how far the world's own bend and area are from them is held
+    while the gantry looks ahead.
 
     Attributes:
         steps: control steps taken in `rollout` so far.
@@ -114,6 +114,9 @@ class Gantry(VariedWorld):
         self._drive = world._drive.copy()
         self._pipeline = _copy(world._pipeline)
         self._memory = _memory(vars(world.task.inner))
+        mujoco.mj_kinematics(self.model, here)
+        self.touch.sense(here)
+        self._residual_area = world.touch.area - self.touch.area
         self._friction = self.model.dof_frictionloss.copy()
         self._state = np.empty(mujoco.mj_stateSize(self.model, _STATE))
         mujoco.mj_getState(self.model, here, self._state, _STATE)
@@ -142,7 +145,8 @@ class Gantry(VariedWorld):
             self.touch.sense(self.data)
             self.seconds["physics"] += moved - began
             self.seconds["touch"] += time.perf_counter() - moved
-            flange[t], area[t] = self.flange_m, self.touch.area
+            felt = self.touch.area
+            flange[t], area[t] = self.flange_m, max(felt + self._residual_area, 0.0) if felt else 0.0
         self.steps += len(actions)
         self.target_m, self._joints, self.spine_target_rad, self._drive, self._load = held
         return flange, area

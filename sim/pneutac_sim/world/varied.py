@@ -1,4 +1,4 @@
-"""A world whose scene is laid out on purpose: object moved, other start, other gain of the finger, other grip."""
+"""A world whose scene is laid out on purpose: object moved, other start, other gain of the finger."""
 
 from dataclasses import dataclass
 from typing import override

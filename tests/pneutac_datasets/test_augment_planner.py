@@ -1,0 +1,193 @@
+import numpy as np
+import pytest
+
+from pneutac_datasets.augment_episode import AugmentSetup, Generator, Variant
+from pneutac_datasets.augment_reference import Reference, onset_sigma_m
+from pneutac_datasets.augment_scene import follow
+from pneutac_datasets.planner import PlannerConfig, demonstration_cost
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import ACTION_HIGH
+from pneutac_sim.world.expert import ScriptedExpert
+from pneutac_sim.world.gantry import Gantry
+from pneutac_sim.world.varied import Variation, VariedWorld
+from pneutac_sim.world.world import World
+
+
+def demonstrate(task: str, seed: int) -> tuple[Reference, bool]:
+    """A scripted demonstration, with ten frames after its end."""
+    world = World(task, touch="area", fidelity="probe")
+    observation = world.reset(seed)
+    expert, rng = None, np.random.default_rng(seed)
+    expert = ScriptedExpert(world, rng)
+    states, actions = [], []
+    left = 10
+    while len(actions) < 140 and left:
+        action = expert.action()
+        states.append(observation.state)
+        actions.append(action)
+        observation = world.step(action)
+        left -= world.success
+    state = np.array(states, float)
+    r = Reference(seed, state[:, 14:17], state[:, 17], np.array(actions, float), task)
+    return r, world.success
+
+
+def demonstrations(task: str, count: int) -> list[Reference]:
+    found = []
+    for seed in range(1, 12):
+        r, done = demonstrate(task, seed)
+        if done:
+            found.append(r)
+        if len(found) == count:
+            return found
+    raise AssertionError(f"the expert fails at {task}")
+
+
+@pytest.fixture(scope="module")
+def switch():
+    """Generator with two demonstrations of the switch and their scenes."""
+    setup = AugmentSetup(
+        demonstrations("switch", 2), "switch", None, "probe", PlannerConfig(), 1, candidates=6
+    )
+    generator = Generator(setup, touch="area")
+    return generator, [generator.scene(i) for i in range(2)]
+
+
+def test_cost_is_the_papers_sum():
+    H, c = 3, PlannerConfig(area_weight=2.0, position_weight=50.0, smoothness_weight=0.01)
+    area, goal = np.array([0.1, 0.2, 0.3]), np.array([0.1, 0.1, 0.1])
+    x, x_goal = np.zeros((H, 3)), np.array([[0.01, 0, 0], [0, 0.02, 0], [0, 0, 0]])
+    actions = np.tile(ACTION_HIGH * 0.5, (H, 1)).astype(float)
+    actions[2, 3] = 0.0
+    previous = np.zeros(4)
+    expected = 2.0 * (0.01 + 0.04) + 50 * (1e-4 + 4e-4) + 0.01 * (4 * 0.25 + 0.25)
+    assert demonstration_cost(area, goal, x, x_goal, actions, previous, c) == pytest.approx(expected)
+    assert demonstration_cost(goal, goal, x_goal, x_goal, actions * 0, previous, c) == 0.0
+
+
+def synthetic(source: int, onset_m, onset: int = 5) -> Reference:
+    flange, area = np.zeros((10, 3)), np.zeros(10)
+    flange[onset] = onset_m
+    area[onset:8] = 0.1
+    return Reference(source, flange, area, np.zeros((10, 4)), "push")
+
+
+def test_sigma_is_that_of_the_contact_onsets():
+    points = np.random.default_rng(0).normal(0.4, [0.01, 0.004, 0.0], (40, 3))
+    sigma = onset_sigma_m([synthetic(i, p) for i, p in enumerate(points)])
+    np.testing.assert_allclose(sigma, points.std(0, ddof=1))
+    assert synthetic(0, points[0]).contact_phase == (1, 10)
+    with pytest.raises(InputError, match="needs two demonstrations"):
+        onset_sigma_m([synthetic(0, points[0])])
+    untouched = synthetic(3, points[0])
+    untouched.area[:] = 0
+    with pytest.raises(InputError, match="Episode 3 never touches"):
+        onset_sigma_m([untouched, untouched])
+
+
+def test_bad_numbers_are_named():
+    with pytest.raises(InputError, match="Episode 7 holds numbers that are not finite"):
+        synthetic(7, [np.nan, 0, 0])
+    with pytest.raises(InputError, match=r"--planner.horizon is 1; it must be 2 or more"):
+        PlannerConfig(horizon=1, replan=1)
+    with pytest.raises(InputError, match=r"--planner.elites is 20; it must be at most --planner.samples"):
+        PlannerConfig(elites=20)
+    with pytest.raises(InputError, match=r"--planner.area_weight is nan"):
+        PlannerConfig(area_weight=float("nan"))
+
+
+@pytest.mark.parametrize("task", ["switch", "egg", "card"])
+def test_gantry_goes_the_arms_way(task):
+    r = demonstrations(task, 1)[0]
+    world = VariedWorld(task, touch="area", fidelity="probe")
+    gantry = Gantry(world)
+    world.variation = Variation(start_m=tuple(r.flange_m[0]))
+    world.reset(r.source)
+    gantry.mirror(world)
+    flange, area = gantry.rollout(r.action)
+    gel = gantry.gel_m
+    ours = []
+    for action in r.action:
+        world.step(action)
+        ours.append([*world.flange_m, world.touch.area])
+    ours = np.array(ours)
+    assert np.abs(flange - ours[:, :3]).max() < 2e-4
+    assert np.linalg.norm(gel - world.gel_m) < 1e-3
+    assert np.sqrt(np.mean((area - ours[:, 3]) ** 2)) < 0.02
+    # And from the middle of the contact, twice alike.
+    middle = r.onset + 3
+    world.reset(r.source)
+    for action in r.action[:middle]:
+        world.step(action)
+    gantry.mirror(world)
+    again = [gantry.rollout(r.action[middle : middle + 8]) for _ in range(2)]
+    np.testing.assert_array_equal(again[0][0], again[1][0])
+    np.testing.assert_array_equal(again[0][1], again[1][1])
+    np.testing.assert_allclose(again[0][0], ours[middle : middle + 8, :3], atol=2e-4)
+    np.testing.assert_allclose(again[0][1], ours[middle : middle + 8, 3], atol=0.03)
+
+
+def test_variation_moves_the_object_and_scales_the_bend():
+    world = VariedWorld("switch", touch="area", fidelity="probe")
+    bar = world.data.geom("bar")
+    world.reset(4)
+    place, start = bar.xpos.copy(), world.flange_m
+    world.variation = Variation(tuple(start + [0.02, 0, 0]), (0.03, -0.01, 0.0), 1.2, 0.5)
+    for _ in range(2):  # it does not add up
+        world.reset(4)
+    np.testing.assert_allclose(bar.xpos - place, [0.03, -0.01, 0.0], atol=1e-6)
+    assert world.flange_m[0] - start[0] == pytest.approx(0.02, abs=0.0085)
+    assert world.model.geom("pad").friction[0] == pytest.approx(0.5)
+    bends = []
+    for gain in (1.0, 1.2):
+        world.variation = Variation(bend_gain=gain)
+        world.reset(4)
+        rest = world.spine_rad
+        for _ in range(20):
+            world.step([0, 0, 0, 8.0])
+        bends.append(np.sum(world.spine_rad - rest))
+    assert bends[1] / bends[0] == pytest.approx(1.2, rel=0.05)
+
+
+def test_following_leads_back_to_the_path():
+    actions = np.zeros((60, 4))
+    led = follow(actions, np.array([0.01, 0.0, 0.0]), np.zeros(3))
+    assert led[:, 0].sum() / 15 == pytest.approx(-0.01, rel=0.02)
+    assert not led[:, 1:].any()
+
+
+def test_the_touch_tells_where_the_object_stood(switch):
+    generator, scenes = switch
+    for r, scene in zip(generator.setup.references, scenes, strict=True):
+        assert scene.works
+        assert scene.area_rmse < 0.6 * np.sqrt(np.mean(r.area[slice(*r.contact_phase)] ** 2))
+
+
+def test_planned_variant_follows_the_touch_better_than_blind_replay(switch):
+    generator, scenes = switch
+    planned, blind = [], []
+    for source in (0, 1):
+        for shift in ((0.006, 0.0, 0.0), (-0.005, 0.004, 0.0)):
+            variant = Variant(source, shift, 1.1, 0.3, 0.96)
+            trial = generator.carry_out(variant, scenes[source], np.random.default_rng(source))
+            planned.append(trial)
+            blind.append(
+                generator.carry_out(variant, scenes[source], np.random.default_rng(source), plan=False)
+            )
+    assert np.mean([t.area_rmse for t in planned]) < 0.5 * np.mean([t.area_rmse for t in blind])
+    assert sum(t.reason is None for t in planned) >= 3
+
+
+def test_an_episode_is_a_function_of_seed_and_index(switch):
+    generator, scenes = switch
+    generator.world.step([0.05, 0, 0, 9.0])  # whatever was done before
+    first, line = generator.episode(1, scenes)
+    generator.episode(0, scenes)
+    again, same = generator.episode(1, scenes)
+    np.testing.assert_array_equal(first.action, again.action)
+    np.testing.assert_array_equal(first.state, again.state)
+    assert line == same
+    assert first.reason is None
+    other, _ = generator.episode(3, scenes)
+    n = min(len(other.action), len(first.action))
+    assert np.abs(other.action[:n] - first.action[:n]).max() > 1e-4
