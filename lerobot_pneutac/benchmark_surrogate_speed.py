@@ -36,6 +36,7 @@ FULL_STEPS = 3  # of the environment on material points
 
 def against_full(cfg: BenchmarkSurrogateConfig, twin: Twin, networks: Networks, tell: Tell) -> list[dict]:
     """How many times faster the networks are than what they stand in for, on the same inputs."""
+    torch.set_num_threads(1)  # the networks' times and rates are of one core
     tell("finger: full motion against the network")
     solver = devices.finger(twin, particles=cfg.particles, device=cfg.device)
     frames = 3 if cfg.fast else 10
@@ -78,7 +79,6 @@ def against_full(cfg: BenchmarkSurrogateConfig, twin: Twin, networks: Networks, 
 
 def environment_rows(cfg: BenchmarkSurrogateConfig, twin: Twin, tell: Tell) -> list[dict]:
     """Control steps a second: by touch, by fidelity, drawn by splats, and in a batch."""
-    torch.set_num_threads(1)  # a rate is of one core
     rows = []
     goals = {"image": "≥ 60", "area": "≥ 400", "none": "≥ 2,000"}
     said = {"image": "with tactile image", "area": "contact area only", "none": "without touch"}
