@@ -1,5 +1,6 @@
 """The registry, the simulated controller, and the worked example of docs/add_a_pressure_controller.md."""
 
+import importlib
 import math
 import re
 import sys
@@ -37,18 +38,18 @@ def example(tmp_path, monkeypatch):
     code, test = blocks("python")
     project = tomllib.loads(blocks("toml")[0])["project"]
     (tmp_path / "pneutac_my_regulator.py").write_text(code)
+    (tmp_path / "check_my_regulator.py").write_text(test)
     install(tmp_path, "pneutac-my-regulator", project["entry-points"]["pneutac.pressure_controllers"])
     monkeypatch.syspath_prepend(tmp_path)
-    yield test
-    sys.modules.pop("pneutac_my_regulator", None)
+    yield importlib.import_module("check_my_regulator")
+    for name in ("pneutac_my_regulator", "check_my_regulator"):
+        sys.modules.pop(name, None)
 
 
 def test_the_guides_example_is_found_and_passes_the_guides_own_test(example):
     assert pressure_controller_types()[3:] == ["my_regulator"]
-    spoken = {}
-    exec(example, spoken)
-    spoken["test_regulator"]()
-    made = make_pressure_controller("my_regulator", make_bus=spoken["Bus"], max_kpa=10)
+    example.test_regulator()
+    made = make_pressure_controller("my_regulator", make_bus=example.Bus, max_kpa=10)
     made.connect()
     with pytest.raises(InputError, match="0 ... 10 kPa"):
         made.set_pressure(11)

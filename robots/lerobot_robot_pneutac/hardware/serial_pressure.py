@@ -170,7 +170,7 @@ class SerialPressure:
                     self._exchange.restart()
                     self._talk(port, lost_s)
                     return
-            except OSError as e:  # pyserial's own errors are OSErrors
+            except Exception as e:  # mostly OSError; pyserial also lets termios' own through
                 if str(e) != reason:
                     logger.warning("%s: %s; opening the port again.", self, e)
                 reason = str(e)
