@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from lerobot_robot_pneutac.hardware import pressure_protocol as wire
+from lerobot_robot_pneutac.hardware.parts import HardwareFault
 from lerobot_robot_pneutac.hardware.serial_pressure import Command
 
 FIRMWARE = Path(__file__).parents[2] / "firmware"
@@ -107,3 +108,52 @@ def until(condition, timeout_s):
             return False
         time.sleep(0.005)
     return True
+
+
+@contextmanager
+def connected(controller):
+    controller.connect()
+    try:
+        yield controller
+    finally:
+        controller.disconnect()
+
+
+def reaches(controller, kpa, timeout_s=5.0, within=0.3):
+    """Whether the pressure gets there, the set-point repeated as a control loop does.
+
+    A reading that is too old is waited for: this computer may stall for longer than a real line would.
+    """
+
+    def there():
+        try:
+            controller.set_pressure(kpa)
+            return abs(controller.pressure() - kpa) < within
+        except HardwareFault as e:
+            assert " s old" in str(e)
+            return False
+
+    return until(there, timeout_s)
+
+
+def raised_by(controller, kpa, timeout_s=5.0):
+    """The final fault of a control loop, past readings that are merely too old."""
+    end = time.monotonic() + timeout_s
+    while time.monotonic() < end:
+        try:
+            controller.set_pressure(kpa)
+            controller.pressure()
+        except HardwareFault as e:
+            if " s old" not in str(e):
+                return str(e)
+        time.sleep(0.01)
+    return ""
+
+
+def raises_old(controller):
+    try:
+        controller.pressure()
+    except HardwareFault as e:
+        assert " s old; check cable and power" in str(e)
+        return True
+    return False
