@@ -100,12 +100,14 @@ def solve_equilibrium(
             m = solver.measure()
             taken += chunk
             _finite(solver, m["residual"], taken)
-            # A motion slower than the guess shows once the fast ones have died away.
-            slower = _round(np.where(m["rate"] > 0, np.minimum(rate, m["rate"]), rate))
+            left = m["residual"] / np.maximum(m["scale"], solver.least_force())
+            # A motion slower than the guess shows once the fast ones have died away; where hardly anything
+            # moves any more, what shows is rounding.
+            moves = (m["rate"] > 0) & (left >= tolerance)
+            slower = _round(np.where(moves, np.minimum(rate, m["rate"]), rate))
             if (slower < rate).any():
                 rate = slower
                 solver.pace(rate)
-            left = m["residual"] / np.maximum(m["scale"], solver.least_force())
             if (left < tolerance).all() and _joints_rest(solver, loads, tolerance):
                 break
             if taken >= max_substeps:
