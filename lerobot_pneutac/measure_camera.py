@@ -1,0 +1,219 @@
+"""Where the tip is: ArUco markers in a calibrated camera, and the camera's calibration by a chessboard."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from pneutac_sim.errors import InputError
+
+DICTIONARY = cv2.aruco.DICT_4X4_50
+CELLS = 6  # of a marker's side, its dark rim included
+MIN_VIEWS = 8
+
+# The base marker lies in the bending plane: its right is the finger's x, its upper side z, and it faces -y.
+BASE_FROM_MARKER = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """A pinhole camera.
+
+    Attributes:
+        matrix: (3, 3), px.
+        distortion: (5,) OpenCV's k1, k2, p1, p2, k3.
+        size_px: width and height of the images that it holds for.
+        rms_px: reprojection error of the calibration.
+    """
+
+    matrix: np.ndarray
+    distortion: np.ndarray
+    size_px: tuple[int, int]
+    rms_px: float
+
+    @classmethod
+    def load(cls, path: str | Path) -> "Intrinsics":
+        """Reads what `save` wrote; raises InputError where something is missing."""
+        try:
+            d = json.loads(Path(path).read_text())
+            matrix, distortion = np.array(d["intrinsics"], float), np.array(d["distortion"], float)
+            size = int(d["width"]), int(d["height"])
+            rms = float(d["rms_px"])
+        except (OSError, ValueError, KeyError, TypeError) as e:
+            raise InputError(
+                f"--intrinsics={path} is no camera calibration ({e}); make one with pneutac measure"
+                " --chessboard=FOLDER."
+            ) from e
+        if matrix.shape != (3, 3) or distortion.shape != (5,) or not np.isfinite(matrix).all():
+            raise InputError(f"{path}: 'intrinsics' must be 3 x 3 and 'distortion' have 5 numbers.")
+        return cls(matrix, distortion, size, rms)
+
+    def save(self, path: str | Path) -> None:
+        """Writes JSON."""
+        d = {
+            "intrinsics": self.matrix.tolist(),
+            "distortion": self.distortion.tolist(),
+            "width": self.size_px[0],
+            "height": self.size_px[1],
+            "rms_px": self.rms_px,
+        }
+        Path(path).write_text(json.dumps(d, indent=1) + "\n")
+
+
+def calibrate(folder: Path, inner_corners: tuple[int, int], square_mm: float) -> tuple[Intrinsics, int]:
+    """Calibrates a camera by photographs of a chessboard (Zhang 2000, as in OpenCV).
+
+    Args:
+        folder: PNG or JPEG photographs of one camera, the board in another pose in each.
+        inner_corners: of the board, columns and rows.
+        square_mm: side of a square.
+
+    Returns:
+        The camera, and in how many photographs the whole board was found.
+    """
+    files = sorted(p for p in Path(folder).glob("*") if p.suffix.lower() in (".png", ".jpg", ".jpeg"))
+    board = np.zeros((inner_corners[0] * inner_corners[1], 3), np.float32)
+    board[:, :2] = np.mgrid[: inner_corners[0], : inner_corners[1]].T.reshape(-1, 2) * square_mm
+    seen, size = [], None
+    for file in files:
+        image = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
+        if image is None:
+            raise InputError(f"{file} cannot be read as an image.")
+        if size not in (None, image.shape[::-1]):
+            raise InputError(f"{file} is {image.shape[::-1]} px, the photographs before {size}.")
+        size = image.shape[::-1]
+        found, corners = cv2.findChessboardCornersSB(image, inner_corners)
+        if found:
+            seen.append(corners)
+    if len(seen) < MIN_VIEWS:
+        raise InputError(
+            f"{folder}: a board of {inner_corners[0]} x {inner_corners[1]} inner corners is whole in"
+            f" {len(seen)} of {len(files)} photographs; {MIN_VIEWS} are needed, near and far and tilted."
+        )
+    rms, matrix, distortion, _, _ = cv2.calibrateCamera([board] * len(seen), seen, size, None, None)
+    return Intrinsics(matrix, distortion.ravel()[:5], size, float(rms)), len(seen)
+
+
+class MarkerTracker:
+    """Position of the tip marker in the finger's base frame, which a second marker at the base defines.
+
+    Args:
+        camera: its intrinsics.
+        marker_mm: side of the square of both markers.
+        base_id: marker at the base, of OpenCV's 4 x 4 dictionary of 50.
+        tip_id: marker at the tip.
+        base_offset_mm: from the finger's base to the base marker's centre, in the base frame.
+
+    Attributes:
+        camera: see above.
+    """
+
+    def __init__(
+        self, camera: Intrinsics, marker_mm: float, base_id: int, tip_id: int, base_offset_mm: np.ndarray
+    ):
+        self.camera, self._base_id, self._tip_id = camera, base_id, tip_id
+        self._offset = np.asarray(base_offset_mm, float)
+        h = marker_mm / 2
+        self._square = np.array([[-h, h, 0], [h, h, 0], [h, -h, 0], [-h, -h, 0]])
+        self._detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(DICTIONARY))
+        self._base = None
+
+    def see_base(self, images: list[np.ndarray]) -> None:
+        """Takes the base marker's pose from images (H, W, 3) RGB, by the mean of its corners.
+
+        Raises:
+            InputError: images have another size than the calibration's, or the marker is in less than half.
+        """
+        size = images[0].shape[1::-1]
+        if size != self.camera.size_px:
+            raise InputError(
+                f"The camera gives images of {size[0]} x {size[1]} px, its calibration is for"
+                f" {self.camera.size_px[0]} x {self.camera.size_px[1]}."
+            )
+        found = [c for c in (self._corners(i, self._base_id) for i in images) if c is not None]
+        if 2 * len(found) < len(images):
+            raise InputError(
+                f"The base marker {self._base_id} is seen in {len(found)} of {len(images)} images; light it"
+                " evenly and keep a white border around it."
+            )
+        self._base = self._pose(np.mean(found, axis=0))
+
+    def tip_mm(self, image: np.ndarray) -> np.ndarray | None:
+        """Centre of the tip marker (3,) in the base frame, mm, or None where it is not seen."""
+        corners = self._corners(image, self._tip_id)
+        if corners is None:
+            return None
+        R, t = self._base
+        _, tip = self._pose(corners, R[:, 2])  # the finger bends in the plane of both markers
+        return BASE_FROM_MARKER @ (R.T @ (tip - t)) + self._offset
+
+    def extrinsics(self) -> np.ndarray:
+        """From the finger's base frame to the camera (4, 4), metres."""
+        R, t = self._base
+        out = np.eye(4)
+        out[:3, :3] = R @ BASE_FROM_MARKER.T
+        out[:3, 3] = (t - out[:3, :3] @ self._offset) / 1000
+        return out
+
+    def _corners(self, image: np.ndarray, number: int) -> np.ndarray | None:
+        """Corners (4, 2), px, of one marker, or None where it is not seen."""
+        grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+        corners, ids, _ = self._detector.detectMarkers(grey)
+        for i, c in zip([] if ids is None else ids.ravel(), corners, strict=True):
+            if i == number:
+                return fit_edges(grey.astype(np.float32), c[0].astype(float))
+        return None
+
+    def _pose(self, corners: np.ndarray, facing: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Rotation (3, 3) and shift (3,) mm, marker to camera.
+
+        A square seen from the front has two solutions whose errors hardly differ.
+
+        Args:
+            corners: (4, 2) px.
+            facing: direction (3,) in the camera's frame; of the two solutions the one that faces it rather.
+                Without it the one of smaller error.
+        """
+        given = corners.astype(float), self.camera.matrix, self.camera.distortion
+        _, turns, shifts, errors = cv2.solvePnPGeneric(self._square, *given, flags=cv2.SOLVEPNP_IPPE_SQUARE)
+        normals = [cv2.Rodrigues(t)[0][:, 2] for t in turns]
+        best = int(np.argmin(errors if facing is None else [-n @ facing for n in normals]))
+        turn, shift = cv2.solvePnPRefineLM(self._square, *given, turns[best], shifts[best])
+        return cv2.Rodrigues(turn)[0], shift.ravel()
+
+
+def fit_edges(grey: np.ndarray, corners: np.ndarray, rounds: int = 3) -> np.ndarray:
+    """Corners of a dark square on light ground, as intersections of lines fitted to its edges.
+
+    Refining single corners shrinks a marker of 40 px by 1 %, which moves it away by as much; whole edges do
+    not. Along profiles across an edge, brightness is read as the share of the profile outside the square.
+
+    Args:
+        grey: float32 (H, W).
+        corners: (4, 2) px in order around the square, to a pixel or so.
+        rounds: each starts from the corners of the one before.
+
+    Returns:
+        (4, 2) px.
+    """
+    along = np.linspace(0.12, 0.88, 24)[:, None]
+    for _ in range(rounds):
+        lines = []
+        for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+            edge = (b - a) / np.linalg.norm(b - a)
+            out = np.array([edge[1], -edge[0]])
+            out *= np.sign(out @ (a - corners.mean(0)))
+            reach = 0.8 * np.linalg.norm(b - a) / CELLS  # within the dark and the light rim
+            u = np.linspace(-reach, reach, 33)
+            at = (a + along * (b - a))[:, None] + u[:, None] * out  # (24, 33, 2)
+            profile = cv2.remap(grey, at.astype(np.float32), None, cv2.INTER_LINEAR)
+            dark, light = profile[:, :6].mean(), profile[:, -6:].mean()
+            share = (profile - dark).mean(1) / max(light - dark, 1.0)
+            points = a + along * (b - a) + ((1 - 2 * share) * reach)[:, None] * out
+            vx, vy, x, y = cv2.fitLine(points.astype(np.float32), cv2.DIST_HUBER, 0, 0.01, 0.01).ravel()
+            lines.append([-vy, vx, vy * x - vx * y])
+        corners = np.array([np.cross(lines[k - 1], lines[k]) for k in range(4)])
+        corners = corners[:, :2] / corners[:, 2:]
+    return corners
