@@ -15,6 +15,7 @@ from pneutac_sim.world.world import World
 
 @pytest.mark.parametrize("task", TASK_NAMES)
 @pytest.mark.filterwarnings("ignore:.*symmetric and normalized")  # ours are in m/s and kPa
+@pytest.mark.filterwarnings("ignore:.*getdefaultlocale")  # Taichi's
 @pytest.mark.filterwarnings("error")
 def test_check_env(task):
     check_env(gymnasium.make(f"pneutac_sim/{task}", render_mode="rgb_array").unwrapped)
@@ -49,7 +50,7 @@ def test_episode_ends_with_success():
 
 
 def test_seed_means_the_same_as_in_the_world_and_unseeded_starts_differ():
-    env, world = PneutacEnv("switch", touch="none"), World("switch", touch="none")
+    env, world = PneutacEnv("switch", touch="none"), World("switch", touch="none", fidelity="surrogate")
     observation, _ = env.reset(seed=11)
     assert np.array_equal(observation["agent_pos"], world.reset(11).state)
     one, _ = env.reset()
@@ -60,7 +61,7 @@ def test_seed_means_the_same_as_in_the_world_and_unseeded_starts_differ():
 def test_vector_env_of_two():
     env = gymnasium.make_vec("pneutac_sim/switch", num_envs=2, vectorization_mode="sync", touch="area")
     observation, info = env.reset(seed=[3, 4])
-    single = World("switch", touch="area")
+    single = World("switch", touch="area", fidelity="surrogate")
     assert np.array_equal(observation["agent_pos"][1], single.reset(4).state)
     _, _, _, _, info = env.step(np.zeros((2, 4), np.float32))
     assert info["is_success"].tolist() == [False, False]
