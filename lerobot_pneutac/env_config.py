@@ -31,8 +31,8 @@ class PneutacEnvConfig(EnvConfig):
         fps: control rate, Hz; the world has one only.
         episode_length: control steps after which a trial counts as failed.
         twin: folder of the finger's twin; default the built-in one.
-        fidelity: how finger and gel deform: `surrogate`, by networks; `mpm`, by full material points (seconds a
-            control step in contact, for checks); `probe`, by formulas.
+        fidelity: how finger and gel deform: `surrogate`, by networks; `mpm`, by full material points (seconds
+            a control step in contact, for checks); `probe`, by formulas.
     """
 
     task: str | None = "switch"

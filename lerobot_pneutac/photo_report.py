@@ -21,7 +21,7 @@ def outcome(found) -> dict:
         found.parameters.names, found.parameters.units, found.parameters.values(found.search.x), strict=True
     ):
         unclear = name in sure.not_identified
-        note = "not identified: the photographs hardly narrow it down" if unclear else ""
+        note = "not identified: open by more than a tenth of its range" if unclear else ""
         rows[name] = {"value": float(value), "ci95": list(sure.ci95[name]), "unit": unit, "note": note}
 
     def parts(values):

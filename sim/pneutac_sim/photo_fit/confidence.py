@@ -11,7 +11,7 @@ BLUR_PX = 2.0
 BLOCK = 32  # thinned pixels along an edge that count as one observation
 MOVE = 0.5  # of a first step, for differences
 LATTICE = 0.05  # of the particles' spacing, by which surfaces of one body on different lattices differ
-TELLING = 0.5  # of the prior's standard deviation: what is left above tells nothing
+TELLING = 0.1  # of the prior's standard deviation: where more is left, the parameter counts as not identified
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class Confidence:
     Attributes:
         sd: (P,) posterior standard deviation, coordinates.
         ci95: name to interval, physical values, inside the bounds.
-        not_identified: names of those whose posterior is not much narrower than their bounds.
+        not_identified: names of those whose posterior is not ten times narrower than their bounds.
     """
 
     sd: np.ndarray
