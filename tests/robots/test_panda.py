@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from lerobot_robot_pneutac.hardware.limits import Limits
 from lerobot_robot_pneutac.hardware.panda import RECOVERIES, PandaArm, active
 from lerobot_robot_pneutac.hardware.parts import COMMAND_S, HardwareFault
+from lerobot_robot_pneutac.hardware.safety import Guard
 from lerobot_robot_pneutac.hardware.simulated_arm import SimulatedArm
+from lerobot_robot_pneutac.hardware.simulated_pressure import SimulatedPressure
 
 
 class StandIn(types.ModuleType):
@@ -318,8 +321,19 @@ def test_franky_drives_a_simulated_robot_over_the_real_protocol(real):
             rests = arm.state().flange_m
             time.sleep(0.1)
             np.testing.assert_allclose(arm.state().flange_m, rests, atol=1e-4)
-    with pytest.raises(HardwareFault, match="no new state|does not answer|took no command"):
-        for _ in range(50):
-            arm.state()
-            time.sleep(0.05)
+            chamber = SimulatedPressure()
+            chamber.connect()
+            guard = Guard(arm, chamber, Limits())
+            guard.start()
+            for _ in range(15):
+                guard.act(np.array([0.0, 0.03, 0.0, 5.0]))
+                time.sleep(1 / 15)
+            assert chamber.pressure() > 4
+            ended = time.monotonic()
+    while guard.fault is None and time.monotonic() < ended + 3:
+        time.sleep(0.01)
+    assert "does not answer" in str(guard.fault) or "no new state" in str(guard.fault)
+    time.sleep(0.5)
+    assert chamber.pressure() < 0.1
+    guard.close()
     arm.disconnect()
