@@ -44,7 +44,7 @@ class DemoConfig:
     Attributes:
         out: folder of everything that the demo writes.
         episodes: scripted demonstrations, one of them recorded by lerobot-record itself.
-        augmented: further demonstrations planned from these on the twin, guided by touch.
+        augmented: further demonstrations made from these without a simulator.
         steps: optimiser steps of lerobot-train.
         batch_size: frames per optimiser step.
         eval_episodes: randomised starts on which the policy is tried.
@@ -233,30 +233,14 @@ class Demo:
             "merge.log",
         )
 
-    def augment(self) -> dict:
-        """Further demonstrations, planned on the twin and guided by touch."""
+    def augment(self) -> None:
+        """Further demonstrations by time warping, mix-up and jitter."""
+        from pneutac_datasets.naive import augment_naive
+
         cfg, source, out, both = self.cfg, "demonstrations", self.path("augmented"), self.path("training")
-        shutil.rmtree(both, ignore_errors=True)
-        if not (out / "meta" / "info.json").is_file():  # what is planned already is kept
-            self.show(
-                self.run(
-                    [
-                        "pneutac",
-                        "augment",
-                        f"--dataset.repo_id=local/{source}",
-                        f"--dataset.root={self.path(source)}",
-                        "--output.repo_id=local/augmented",
-                        f"--output.root={out}",
-                        "--task=switch",
-                        f"--twin={self.path('twin')}",
-                        f"--fidelity={self.fidelity}",
-                        f"--episodes={cfg.augmented}",
-                        f"--seed={cfg.seed}",
-                        f"--out={self.path('augmentation')}",
-                    ],
-                    "augment.log",
-                )
-            )
+        for folder in (out, both):
+            shutil.rmtree(folder, ignore_errors=True)
+        augment_naive(self.path(source), f"local/{source}", out, "local/augmented", cfg.augmented, cfg.seed)
         self.run(
             [
                 "lerobot-edit-dataset",
@@ -268,8 +252,6 @@ class Demo:
             ],
             "merge_training.log",
         )
-        result = json.loads((self.path("augmentation") / "result.json").read_text())
-        return {"kept": result["kept"], "attempts": result["attempts"]}
 
     def train(self) -> dict:
         """The paper's behaviour-cloning policy, by lerobot-train."""
