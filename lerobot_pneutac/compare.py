@@ -397,9 +397,8 @@ def _show(c: Comparison, result: dict) -> None:
     if c.out_of_range is not None:
         table.add_row("out of the network's range", f"{100 * c.out_of_range:.2g}% of samples")
     for entry in result["history"]:
-        table.add_row(
-            f"version {entry['version']}", f"{entry['change']}: held out {number(entry['heldout'])}"
-        )
+        told = "-" if entry["heldout"] is None else f"{entry['heldout']:.3g} {entry['unit'] or ''}"
+        table.add_row(f"version {entry['version']}", f"{entry['change']}: held out {told}")
     console.print(table)
     for said in c.said:
         console.print(f"[yellow]- {said}[/yellow]")

@@ -230,8 +230,9 @@ def residuals(c) -> go.Figure:
 
 
 def ladder(result: dict) -> go.Figure:
-    """Train and held-out error of each version."""
-    entries = [e for e in result["history"] if e["heldout"] is not None or e["train"] is not None]
+    """Train and held-out error of each version that was judged in the unit of this comparison."""
+    known = [e for e in result["history"] if e["unit"] == result["unit"]]
+    entries = [e for e in known if e["heldout"] is not None or e["train"] is not None]
     x = [f"{e['version']}: {e['change']}" for e in entries]
     figure = go.Figure()
     for key, colour, name in (("train", TRAIN, "train"), ("heldout", HELDOUT, "held out")):
