@@ -9,7 +9,7 @@ demo: .venv/ready
 
 # A file of tests stays in one process; each process computes on one thread, so that they share the cores.
 test: .venv/ready
-	OMP_NUM_THREADS=1 .venv/bin/python -m pytest --numprocesses=auto --maxprocesses=4 --dist=loadfile
+	OMP_NUM_THREADS=1 .venv/bin/python -m pytest --numprocesses=auto --maxprocesses=4 --dist=loadfile --no-loadscope-reorder
 
 lint: .venv/ready
 	.venv/bin/ruff check .
