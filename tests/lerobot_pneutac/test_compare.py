@@ -10,6 +10,7 @@ import pytest
 from lerobot_pneutac import compare, new
 from lerobot_pneutac.compare import train_mask
 from lerobot_pneutac.compare_report import heat_map
+from lerobot_pneutac.compare_sentence import phrase
 from lerobot_pneutac.fit_body import fit_body
 from pneutac_datasets.axes import Axis, axes, motion
 from pneutac_datasets.hidden.generate import generate
@@ -208,6 +209,6 @@ def test_the_heat_map_begins_at_zero(bench):
 
 def test_a_rate_is_told_in_words():
     axis = Axis("rate", None, np.arange(4), ["hold", "0.1 to 2 kPa/s", "2 to 7 kPa/s", "7 to 165 kPa/s"])
-    said = [compare.phrase(axis, i) for i in range(4)]
+    said = [phrase(axis, i) for i in range(4)]
     assert said[0] == "while the pressure is held" and said[3] == "when the pressure moves fast"
     assert len(set(said)) == 4 and not any("kPa" in s for s in said)
