@@ -3,15 +3,15 @@
 from typing import Any
 
 import numpy as np
-from lerobot.teleoperators import Teleoperator
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
+from lerobot_robot_pneutac.base_teleop import BaseTeleop
 from lerobot_robot_pneutac.config_pneutac_scripted import PneutacScriptedConfig
 from lerobot_robot_pneutac.pneutac_sim import connected_robot
 from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, ACTION_NAMES
 
 
-class PneutacScripted(Teleoperator):
+class PneutacScripted(BaseTeleop):
     """Demonstrates the task on the `pneutac_sim` robot of the same process.
 
     After `episode_steps` ticks and half of the `reset_steps` its action carries the key `reset`, which the
@@ -27,24 +27,9 @@ class PneutacScripted(Teleoperator):
         self._rng: np.random.Generator | None = None
 
     @property
-    def action_features(self) -> dict[str, type]:
-        """Velocities (m/s) and pressure (kPa)."""
-        return dict.fromkeys(ACTION_NAMES, float)
-
-    @property
-    def feedback_features(self) -> dict:
-        """None."""
-        return {}
-
-    @property
     def is_connected(self) -> bool:
         """Whether `connect` was called."""
         return self._rng is not None
-
-    @property
-    def is_calibrated(self) -> bool:
-        """Always true."""
-        return True
 
     def connect(self, calibrate: bool = True) -> None:
         """Gets ready; the robot may be connected later, but before the first `get_action`."""
@@ -52,12 +37,6 @@ class PneutacScripted(Teleoperator):
             raise DeviceAlreadyConnectedError(f"{self} is already connected.")
         self._rng = np.random.default_rng(self.config.seed)
         self._tick = 0
-
-    def calibrate(self) -> None:
-        """Nothing to do."""
-
-    def configure(self) -> None:
-        """Nothing to do."""
 
     def get_action(self) -> dict[str, Any]:
         """The expert's action for the world's present state, within the limits.
@@ -80,9 +59,6 @@ class PneutacScripted(Teleoperator):
             result["reset"] = True
         self._tick = (self._tick + 1) % (c.episode_steps + c.reset_steps)
         return result
-
-    def send_feedback(self, feedback: dict[str, Any]) -> None:
-        """Nothing to feel."""
 
     def disconnect(self) -> None:
         """Lets go of the expert."""

@@ -8,17 +8,17 @@ from typing import Any
 
 import numpy as np
 from draccus.utils import DecodingError
-from lerobot.teleoperators import Teleoperator, TeleoperatorConfig
+from lerobot.teleoperators import TeleoperatorConfig
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
+from lerobot_robot_pneutac.base_teleop import BaseTeleop
 from pneutac_sim.features import ACTION_NAMES, MAX_PRESSURE_KPA, MAX_SPEED_M_S
 
 logger = logging.getLogger(__name__)
 
 MAX_TICK_S = 0.2  # a slow tick changes the pressure by no more than this
-PAUSE_S = (
-    0.9  # after `safety.VENT_S` without actions the robot is vented: no sudden return to the old pressure
-)
+# After `safety.VENT_S` without actions the robot is vented: no sudden return to the old pressure.
+PAUSE_S = 0.9
 
 
 @dataclass(kw_only=True)
@@ -48,7 +48,7 @@ class VelocityTeleopConfig(TeleoperatorConfig):
             )
 
 
-class VelocityTeleop(Teleoperator):
+class VelocityTeleop(BaseTeleop):
     """Turns a direction and a pressure change into velocities (m/s) and a pressure (kPa).
 
     With nothing pressed the velocity is zero and the pressure held. A device that is lost while in use gives
@@ -83,24 +83,9 @@ class VelocityTeleop(Teleoperator):
         """Closes the device, also a lost one."""
 
     @property
-    def action_features(self) -> dict[str, type]:
-        """Velocities (m/s) and pressure (kPa)."""
-        return dict.fromkeys(ACTION_NAMES, float)
-
-    @property
-    def feedback_features(self) -> dict:
-        """None."""
-        return {}
-
-    @property
     def is_connected(self) -> bool:
         """Whether `connect` was called."""
         return self._tick_s is not None
-
-    @property
-    def is_calibrated(self) -> bool:
-        """Always true."""
-        return True
 
     def connect(self, calibrate: bool = True) -> None:
         """Opens the device.
@@ -113,12 +98,6 @@ class VelocityTeleop(Teleoperator):
         self._open()
         self._pressure_kpa, self._lost, self._let_go = 0.0, False, None
         self._tick_s = time.monotonic()
-
-    def calibrate(self) -> None:
-        """Nothing to do."""
-
-    def configure(self) -> None:
-        """Nothing to do."""
 
     def get_action(self) -> dict[str, Any]:
         """The action of the present deflections, within the limits."""
@@ -134,9 +113,6 @@ class VelocityTeleop(Teleoperator):
         pressure = self._pressure_kpa + change * self.config.pressure_rate_kpa_s * min(tick_s, MAX_TICK_S)
         self._pressure_kpa = float(np.clip(pressure, 0.0, self.config.max_pressure_kpa))
         return dict(zip(ACTION_NAMES, [*velocity.tolist(), self._pressure_kpa], strict=True))
-
-    def send_feedback(self, feedback: dict[str, Any]) -> None:
-        """Nothing to feel."""
 
     def disconnect(self) -> None:
         """Lets go of the device."""
