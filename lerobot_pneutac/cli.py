@@ -15,6 +15,7 @@ VERBS: dict[str, tuple[str | None, str]] = {
     "surrogate": ("lerobot_pneutac.surrogate", "train the fast networks from full simulations"),
     "render": ("lerobot_pneutac.render", "pictures and a film of a twin under pressure or an indenter"),
     "augment": ("lerobot_pneutac.augment", "demonstrations in, more demonstrations out"),
+    "ppo": ("lerobot_pneutac.ppo_command", "train an actor by reinforcement learning"),
     "benchmark": ("lerobot_pneutac.benchmark", "tables of speed and accuracy"),
     "doctor": ("lerobot_pneutac.doctor", "what is installed, which GPU, which ports and cameras answer"),
 }

@@ -1,9 +1,10 @@
 """Proximal policy optimisation (Schulman et al., 2017) with an actor that feels and a critic that sees more.
 
-The library is Stable-Baselines3: it adds one package to what is installed already, runs worlds of one core each
-in processes, and takes a policy whose two networks read different parts of the observation. rsl-rl-lib has such
-actors and critics built in, but is made for thousands of worlds on a GPU, which these are not, and brings a dozen
-packages. What is kept on disk are safetensors and JSON; the library's own archive, a pickle, is not used.
+The library is Stable-Baselines3: it adds one package to what is installed already, runs worlds of one core
+each in processes, and takes a policy whose two networks read different parts of the observation.
+rsl-rl-lib has such actors and critics built in, but is made for thousands of worlds on a GPU, which these are
+not, and brings a dozen packages. What is kept on disk are safetensors and JSON; the library's own archive
+holds pickles and is not used.
 """
 
 import functools
@@ -127,9 +128,9 @@ def train_ppo(
 ) -> dict:
     """Trains an actor, and goes on where a training in `out` was stopped.
 
-    `out` gets `actor.safetensors`, `actor.json`, `curve.json` and, after every update, `checkpoint.safetensors`
-    with networks and optimiser. A training that goes on starts new episodes, so it does not repeat to the last
-    digit what an uninterrupted one would have done.
+    `out` gets `actor.safetensors`, `actor.json`, `curve.json` and, after every update,
+    `checkpoint.safetensors` with networks and optimiser. A training that goes on starts new episodes, so its
+    numbers are not those that an uninterrupted one would have had.
 
     Args:
         task: `switch`, `egg` or `card`.

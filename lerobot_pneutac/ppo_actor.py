@@ -71,9 +71,7 @@ class Actor(nn.Module):
                 f"'{folder / CARD_FILE}' is not an actor's card with 'hidden' and 'grid'; train it anew."
             ) from e
         if grid != GRID:
-            raise InputError(
-                f"'{folder / CARD_FILE}' has the grid {grid}; this version's actors have {GRID}."
-            )
+            raise InputError(f"'{folder / CARD_FILE}' has the grid {grid}; an actor here has {GRID}.")
         try:
             tensors = load_file(folder / WEIGHTS_FILE)
             actor.load_state_dict(tensors)

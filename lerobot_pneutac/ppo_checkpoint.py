@@ -22,8 +22,8 @@ class Keeper(BaseCallback):
 
     Attributes:
         curve: a row an update: `steps`, `return` and `success` (means of the last 100 episodes, None before
-            one has ended), `seconds` of all goes together, `action_std`, and `terms`, the mean weighted term of
-            the reward in a step.
+            one has ended), `seconds` of all goes together, `action_std`, and `terms`, the reward's weighted
+            terms, means over the steps.
     """
 
     def __init__(self, out: Path, run: dict, progress: Callable[[int, str], None]):
@@ -73,8 +73,8 @@ class Keeper(BaseCallback):
         changed = [k for k in sorted(run.keys() | self._run.keys()) if run.get(k) != self._run.get(k)]
         if changed:
             raise InputError(
-                f"'{self._out}' holds a training with another {', '.join(changed)}; give a new --out, or repeat"
-                " the command that began it."
+                f"'{self._out}' holds a training with another {', '.join(changed)}; give a new folder, or"
+                " repeat the command that began it."
             )
         policy, state = model.policy, {}
         networks = {}

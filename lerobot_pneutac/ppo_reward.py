@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# Weight of each term in one control step. Over an episode the whole progress earns 1.5, coming from 10 cm away
-# 0.5, 50 steps in contact 0.1 to 0.25, and success more than all of these; the critic learns sums near one best.
+# Weight of each term in one control step. Over an episode the whole progress earns 1.5, coming from 10 cm
+# away 0.5, 50 steps in contact 0.1 to 0.25, and success more than all of these.
 WEIGHTS: dict[str, float] = {
     "progress": 1.5,  # of the whole task
     "approach": 5.0,  # per metre
