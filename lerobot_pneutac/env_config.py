@@ -1,4 +1,4 @@
-"""Options of the environment `pneutac` for lerobot-eval and lerobot-train."""
+"""Options of the environments `pneutac` and `pneutac_standin` for lerobot-eval and lerobot-train."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,30 +16,25 @@ from pneutac_sim.features import (
     FIDELITIES,
     IMAGE_NAME,
     IMAGE_SHAPE,
+    STANDIN_GELS,
     STATE_NAMES,
     TASK_NAMES,
 )
 
 
-@EnvConfig.register_subclass("pneutac")
 @dataclass
-class PneutacEnvConfig(EnvConfig):
-    """A manipulation task on the simulated robot.
+class PneutacTaskConfig(EnvConfig):
+    """What every environment of this robot has.
 
     Attributes:
         task: `switch`, `egg` or `card`.
         fps: control rate, Hz; the world has one only.
         episode_length: control steps after which a trial counts as failed.
-        twin: folder of the finger's twin; default the built-in one.
-        fidelity: how finger and gel deform: `surrogate`, by networks; `mpm`, by full material points (seconds
-            a control step in contact, for checks); `probe`, by formulas.
     """
 
     task: str | None = "switch"
     fps: int = CONTROL_HZ
     episode_length: int = 150
-    twin: Path | None = None
-    fidelity: str = "surrogate"
     features: dict[str, PolicyFeature] = field(
         default_factory=lambda: {
             ACTION: PolicyFeature(FeatureType.ACTION, (len(ACTION_NAMES),)),
@@ -69,6 +64,29 @@ class PneutacEnvConfig(EnvConfig):
             raise DecodingError(
                 (), f"--env.episode_length is {self.episode_length}; it must be at least 1 step."
             )
+
+    @property
+    def gym_kwargs(self) -> dict:
+        """What `gymnasium.make` is given."""
+        return {"max_episode_steps": self.episode_length}
+
+
+@EnvConfig.register_subclass("pneutac")
+@dataclass
+class PneutacEnvConfig(PneutacTaskConfig):
+    """A manipulation task on the simulated robot.
+
+    Attributes:
+        twin: folder of the finger's twin; default the built-in one.
+        fidelity: how finger and gel deform: `surrogate`, by networks; `mpm`, by full material points (seconds
+            a control step in contact, for checks); `probe`, by formulas.
+    """
+
+    twin: Path | None = None
+    fidelity: str = "surrogate"
+
+    def __post_init__(self):
+        super().__post_init__()
         if self.fidelity not in FIDELITIES:
             raise DecodingError(
                 (), f"--env.fidelity is '{self.fidelity}'; it must be one of {', '.join(FIDELITIES)}."
@@ -89,4 +107,33 @@ class PneutacEnvConfig(EnvConfig):
         from pneutac_sim.twin import Twin
 
         twin = {"twin": Twin.load(self.twin)} if self.twin else {}
-        return {"max_episode_steps": self.episode_length, "fidelity": self.fidelity, **twin}
+        return super().gym_kwargs | {"fidelity": self.fidelity, **twin}
+
+
+@EnvConfig.register_subclass("pneutac_standin")
+@dataclass
+class PneutacStandinConfig(PneutacTaskConfig):
+    """The same tasks on the stand-in for reality, which no twin describes beforehand.
+
+    Attributes:
+        gel: `layer`, an elastic layer in contact; `mpm`, full material points (seconds a control step).
+    """
+
+    gel: str = "layer"
+
+    def __post_init__(self):
+        super().__post_init__()
+        if self.gel not in STANDIN_GELS:
+            raise DecodingError(
+                (), f"--env.gel is '{self.gel}'; it must be one of {', '.join(STANDIN_GELS)}."
+            )
+
+    @property
+    def package_name(self) -> str:
+        """Prefix of the Gymnasium ids."""
+        return "pneutac_standin"
+
+    @property
+    def gym_kwargs(self) -> dict:
+        """What `gymnasium.make` is given."""
+        return super().gym_kwargs | {"gel": self.gel}

@@ -3,7 +3,7 @@
 Only configurations are imported here; what they configure is imported when it is made.
 """
 
-from lerobot_pneutac.env_config import PneutacEnvConfig
+from lerobot_pneutac.env_config import PneutacEnvConfig, PneutacStandinConfig
 from lerobot_pneutac.policy.configuration_pneutac_bc import PneutacBCConfig
 from lerobot_robot_pneutac.config_digit import DigitConfig
 from lerobot_robot_pneutac.config_digit_generated import DigitGeneratedConfig
@@ -25,4 +25,5 @@ __all__ = [
     "PneutacScriptedConfig",
     "PneutacSimConfig",
     "PneutacSpacemouseConfig",
+    "PneutacStandinConfig",
 ]

@@ -20,12 +20,14 @@ class PneutacSimConfig(RobotConfig):
         twin: folder of the finger's twin; default the built-in one.
         fidelity: how finger and gel deform: `surrogate`, by networks; `mpm`, by full material points;
             `probe`, by formulas.
+        standin: act on the stand-in for reality, which has a finger and a gel of its own.
     """
 
     task: str = "switch"
     seed: int = 0
     twin: Path | None = None
     fidelity: str = "surrogate"
+    standin: bool = False
 
     def __post_init__(self):
         # LeRobot's commands print a DecodingError as one line and hide any other error's text.
@@ -41,4 +43,8 @@ class PneutacSimConfig(RobotConfig):
         if self.twin is not None and not (Path(self.twin) / "twin.yaml").is_file():
             raise DecodingError(
                 (), f"--robot.twin is '{self.twin}', which holds no twin.yaml; give a twin's folder."
+            )
+        if self.standin and self.twin is not None:
+            raise DecodingError(
+                (), "--robot.standin=true has a finger of its own; leave --robot.twin out, or the stand-in."
             )

@@ -77,11 +77,7 @@ class PneutacSim(Robot):
         """Builds the world and starts the first episode."""
         if self.is_connected:
             raise DeviceAlreadyConnectedError(f"{self} is already connected.")
-        from pneutac_sim.twin import Twin
-        from pneutac_sim.world.world import World
-
-        twin = Twin.load(self.config.twin) if self.config.twin else None
-        self.world = World(self.config.task, twin, touch="image", fidelity=self.config.fidelity)
+        self.world = _world(self.config)
         self._observation = self.world.reset(self.config.seed)
         self._moved = False
         _connected.append(self)
@@ -161,3 +157,14 @@ def connected_robot() -> PneutacSim:
             " --robot.type=pneutac_sim."
         )
     return _connected[-1]
+
+
+def _world(config: PneutacSimConfig):
+    from pneutac_sim.twin import Twin
+    from pneutac_sim.world.standin import StandinWorld
+    from pneutac_sim.world.world import World
+
+    if config.standin:
+        return StandinWorld(config.task)
+    twin = Twin.load(config.twin) if config.twin else None
+    return World(config.task, twin, touch="image", fidelity=config.fidelity)

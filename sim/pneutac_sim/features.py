@@ -10,6 +10,7 @@ import numpy as np
 CONTROL_HZ = 15
 TASK_NAMES = ("switch", "egg", "card")
 FIDELITIES = ("surrogate", "mpm", "probe")  # how finger and gel of a world deform
+STANDIN_GELS = ("layer", "mpm")  # how the gel of the stand-in for reality deforms
 IMAGE_SHAPE = (320, 240, 3)
 IMAGE_NAME = "tactile"
 

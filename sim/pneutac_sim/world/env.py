@@ -14,6 +14,7 @@ from pneutac_sim.features import (
     STATE_LOW,
 )
 from pneutac_sim.twin import Twin
+from pneutac_sim.world.standin import StandinWorld
 from pneutac_sim.world.world import Observation, World
 
 
@@ -42,6 +43,7 @@ class PneutacEnv(gymnasium.Env):
         render_width: int = 480,
         render_height: int = 360,
         fidelity: str = "surrogate",
+        world: World | None = None,
     ):
         """An environment with a task.
 
@@ -53,8 +55,10 @@ class PneutacEnv(gymnasium.Env):
             render_width: pixels of `render()`.
             render_height: pixels of `render()`.
             fidelity: `surrogate`, `mpm` or `probe`, see `World`; all have the same spaces.
+            world: another world of this task and touch, such as a `StandinWorld`, in place of the one that
+                `twin` and `fidelity` describe.
         """
-        self.world = World(task, twin, touch, fidelity)
+        self.world = World(task, twin, touch, fidelity) if world is None else world
         self.task = task
         self.task_description = self.world.task.description
         self.render_mode = render_mode
@@ -99,3 +103,8 @@ class PneutacEnv(gymnasium.Env):
             "clipped": self.world.clipped,
             "out_of_range": self.world.out_of_range,
         }
+
+
+def standin_env(task: str = "switch", touch: str = "image", gel: str = "layer", **options) -> PneutacEnv:
+    """A task on the stand-in for reality; arguments of `StandinWorld`, `options` of `PneutacEnv`."""
+    return PneutacEnv(task, touch, world=StandinWorld(task, touch, gel), **options)
