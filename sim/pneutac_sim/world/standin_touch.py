@@ -9,6 +9,7 @@ import numpy as np
 
 from pneutac_sim.features import CONTROL_HZ
 from pneutac_sim.gel.layer import LayerGel
+from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.world.touch import Touch
 
@@ -32,9 +33,7 @@ class StandinTouch(Touch):
         """
         super().__init__(model, sensor, mode, full)
         if full is None:
-            m = sensor.model
-            layer = LayerGel(m.window_mm, m.thickness_mm, POISSONS_RATIO, stiffening_mm=STIFFENING_MM)
-            sensor.surface = layer.displacement
+            sensor.surface = _layer(sensor.model).displacement
         self._camera = CameraNoise(sensor.rest_image.shape)
         self.begin(np.random.default_rng(0))
 
@@ -55,6 +54,15 @@ class StandinTouch(Touch):
             shown = None if self.image is None else image
             self._waiting.append((shown, contact.pixels, contact.area))
         self.image, self.pixels, self.area = self._waiting.popleft()
+
+
+def standin_sensor(gel: GelModel) -> TactileSensor:
+    """A sensor whose gel is the stand-in's elastic layer, without noise."""
+    return TactileSensor(gel, _layer(gel).displacement)
+
+
+def _layer(gel: GelModel) -> LayerGel:
+    return LayerGel(gel.window_mm, gel.thickness_mm, POISSONS_RATIO, stiffening_mm=STIFFENING_MM)
 
 
 class CameraNoise:
