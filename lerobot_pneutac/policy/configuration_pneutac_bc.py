@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+import numpy as np
 from draccus.utils import DecodingError
 from lerobot.configs import FeatureType, NormalizationMode, PreTrainedConfig
 from lerobot.optim import AdamConfig
@@ -105,6 +106,8 @@ class PneutacBCConfig(PreTrainedConfig):
             meta: LeRobotDatasetMetadata.
         """
         where = f"Dataset '{meta.repo_id}'"
+        if meta.total_episodes == 0:
+            raise InputError(f"{where} has no episodes; record at least one.")
         if meta.fps != self.control_hz:
             raise InputError(
                 f"{where} has {meta.fps} frames per second and the policy's control_hz is {self.control_hz};"
@@ -114,6 +117,13 @@ class PneutacBCConfig(PreTrainedConfig):
             found = (meta.features.get(key) or {}).get("names")
             if list(found or []) != list(names):
                 raise InputError(f"{where}: '{key}' has the names {found}; pneutac_bc needs {list(names)}.")
+            statistics = (meta.stats or {}).get(key, {})
+            bad = [n for i, n in enumerate(names) if not _finite(statistics, i)]
+            if bad:
+                raise InputError(
+                    f"{where}: '{key}' contains NaN or infinity in {', '.join(bad)}; delete the"
+                    " episodes that do with lerobot-edit-dataset."
+                )
         if self.use_tactile:
             found = (meta.features.get(TACTILE) or {}).get("shape")
             if tuple(found or ()) != IMAGE_SHAPE:
@@ -121,6 +131,11 @@ class PneutacBCConfig(PreTrainedConfig):
                     f"{where}: '{TACTILE}' has the shape {found}; pneutac_bc needs {IMAGE_SHAPE}, or"
                     " --policy.use_tactile=false."
                 )
+
+
+def _finite(statistics: dict, channel: int) -> bool:
+    """Whether a channel's extremes are finite; one NaN among its values makes them NaN."""
+    return all(np.isfinite(np.ravel(statistics[k])[channel]) for k in ("min", "max") if k in statistics)
 
 
 def _need_shape(features: dict, key: str, shape: tuple[int, ...]) -> None:

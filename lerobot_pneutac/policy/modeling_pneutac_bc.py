@@ -4,17 +4,21 @@ The paper's policy network and loss (Sec. "Policy training"): a 64-D embedding o
 beside a 24-D observation {q, q', x, s/N, log(1+s), p, a_(t-1)}, two hidden layers of 256, 4-D action.
 """
 
+from pathlib import Path
+
 import numpy as np
 import torch
+from huggingface_hub import ModelCard
 from lerobot.policies.pretrained import PreTrainedPolicy
 from lerobot.utils.constants import ACTION, OBS_STATE
 from torch import Tensor, nn
-from torch.nn import functional as F
 
 from lerobot_pneutac.policy.configuration_pneutac_bc import TACTILE, PneutacBCConfig
-from lerobot_pneutac.policy.rest_image import rest_image_of
+from lerobot_pneutac.policy.model_card import Demonstrations, checkpoint_step, model_card
+from lerobot_pneutac.policy.rest_image import check_same_sensor, rest_image_of
+from lerobot_pneutac.policy.tactile_encoder import EMBEDDING, TactileEncoder
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, IMAGE_SHAPE, STATE_NAMES
+from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, STATE_NAMES
 
 # (centre, scale) of the state's channels: physical ranges of table-top work in front of a Panda whose flange
 # points down, much narrower than the robot's limits so that millimetres of position matter to the network.
@@ -31,46 +35,7 @@ _RANGES = (
 )
 _CONTACT = [STATE_NAMES.index("contact_area.pos"), STATE_NAMES.index("contact_pixels.pos")]
 _PRESSURE = STATE_NAMES.index("pressure.pos")
-EMBEDDING = 64
 HIDDEN = 256
-POOL = 4  # the difference image is averaged over 4 x 4 pixels
-DIFFERENCE_SCALE = 32 / 255  # a firm touch changes the image by some 32 of 255 levels
-
-
-class TactileEncoder(nn.Module):
-    """|image - rest|, averaged to 80 x 60, through three strided convolutions to a 64-D embedding.
-
-    Attributes:
-        rest_image: (3, 320, 240) in [0, 1]; NaN until it is known.
-    """
-
-    def __init__(self):
-        super().__init__()
-        h, w, c = IMAGE_SHAPE
-        self.register_buffer("rest_image", torch.full((c, h, w), torch.nan))
-        self.layers = nn.Sequential(
-            nn.Conv2d(c, 16, 5, stride=2, padding=2),
-            nn.ReLU(),
-            nn.Conv2d(16, 32, 3, stride=2, padding=1),
-            nn.ReLU(),
-            nn.Conv2d(32, 32, 3, stride=2, padding=1),
-            nn.ReLU(),
-            nn.Flatten(),
-            nn.Linear(32 * 10 * 8, EMBEDDING),
-        )
-
-    def forward(self, image: Tensor) -> Tensor:
-        """Embedding (B, 64) of images (B, 3, 320, 240) in [0, 1]."""
-        if image.shape[1:] != self.rest_image.shape:
-            raise InputError(
-                f"The tactile image has the shape {tuple(image.shape[1:])}; pneutac_bc needs"
-                f" {tuple(self.rest_image.shape)}."
-            )
-        if self.rest_image[0, 0, 0].isnan():
-            raise InputError(
-                "The policy has no rest image: train it on a dataset with tactile images or load its weights."
-            )
-        return self.layers(F.avg_pool2d((image - self.rest_image).abs(), POOL) / DIFFERENCE_SCALE)
 
 
 class PneutacBCPolicy(PreTrainedPolicy):
@@ -97,9 +62,10 @@ class PneutacBCPolicy(PreTrainedPolicy):
         """
         super().__init__(config)
         config.validate_features()
-        self._dataset_rest = None
+        self._dataset_rest = self._demonstrations = None
         if dataset_meta is not None:
             config.check_dataset(dataset_meta)
+            self._demonstrations = Demonstrations.of(dataset_meta)
             self._dataset_rest = rest_image_of(dataset_meta) if config.use_tactile else None
 
         self.encoder = TactileEncoder() if config.use_tactile else None
@@ -129,14 +95,37 @@ class PneutacBCPolicy(PreTrainedPolicy):
 
     @classmethod
     def _load_as_safetensor(cls, model, model_file, map_location, strict):
-        """Loads weights; a rest image from the present dataset outlives the one in the file."""
+        """Loads weights; a rest image from the present dataset outlives the one in the file.
+
+        Raises:
+            InputError: the two rest images cannot be of the same kind of sensor.
+        """
         model = super()._load_as_safetensor(model, model_file, map_location, strict)
-        model._take_dataset_rest()
+        if model._dataset_rest is not None:
+            check_same_sensor(model.encoder.rest_image, model._dataset_rest, model._demonstrations.repo_id)
+            model._take_dataset_rest()
         return model
 
     def _take_dataset_rest(self) -> None:
         if self._dataset_rest is not None:
             self.encoder.rest_image.copy_(self._dataset_rest)
+
+    # ------------------------------------------------------------ model card
+
+    def _save_pretrained(self, save_directory: Path, **kwargs) -> None:
+        """Saves options, weights and the model card (README.md)."""
+        super()._save_pretrained(save_directory, **kwargs)
+        self._card(checkpoint_step(Path(save_directory)), None).save(Path(save_directory) / "README.md")
+
+    def generate_model_card(self, *args, cfg=None, **kwargs) -> ModelCard:
+        """The card that LeRobot pushes to the Hub with the weights; `cfg` is the TrainPipelineConfig."""
+        return self._card(None, cfg)
+
+    def _card(self, steps, train) -> ModelCard:
+        rest = None
+        if self.encoder is not None and not self.encoder.rest_image.isnan().any():
+            rest = tuple((255 * self.encoder.rest_image.mean((1, 2))).tolist())
+        return model_card(self.config, self._demonstrations, rest, steps, train)
 
     def get_optim_params(self):
         """All parameters."""

@@ -1,0 +1,48 @@
+"""What a tactile image shows beyond the sensor at rest, as a short vector."""
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import IMAGE_SHAPE
+
+EMBEDDING = 64
+POOL = 4  # the difference image is averaged over 4 x 4 pixels
+DIFFERENCE_SCALE = 32 / 255  # a firm touch changes the image by some 32 of 255 levels
+
+
+class TactileEncoder(nn.Module):
+    """|image - rest|, averaged to 80 x 60, through three strided convolutions to a 64-D embedding.
+
+    Attributes:
+        rest_image: (3, 320, 240) in [0, 1]; NaN until it is known.
+    """
+
+    def __init__(self):
+        super().__init__()
+        h, w, c = IMAGE_SHAPE
+        self.register_buffer("rest_image", torch.full((c, h, w), torch.nan))
+        self.layers = nn.Sequential(
+            nn.Conv2d(c, 16, 5, stride=2, padding=2),
+            nn.ReLU(),
+            nn.Conv2d(16, 32, 3, stride=2, padding=1),
+            nn.ReLU(),
+            nn.Conv2d(32, 32, 3, stride=2, padding=1),
+            nn.ReLU(),
+            nn.Flatten(),
+            nn.Linear(32 * 10 * 8, EMBEDDING),
+        )
+
+    def forward(self, image: Tensor) -> Tensor:
+        """Embedding (B, 64) of images (B, 3, 320, 240) in [0, 1]."""
+        if image.shape[1:] != self.rest_image.shape:
+            raise InputError(
+                f"The tactile image has the shape {tuple(image.shape[1:])}; pneutac_bc needs"
+                f" {tuple(self.rest_image.shape)}."
+            )
+        if self.rest_image[0, 0, 0].isnan():
+            raise InputError(
+                "The policy has no rest image: train it on a dataset with tactile images or load its weights."
+            )
+        return self.layers(F.avg_pool2d((image - self.rest_image).abs(), POOL) / DIFFERENCE_SCALE)
