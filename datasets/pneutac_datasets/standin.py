@@ -20,7 +20,7 @@ from pneutac_sim.finger.inputs import Inputs
 from pneutac_sim.finger.pipeline import Pipeline
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.photograph import press_depth
-from pneutac_sim.world.standin import standin_gel, standin_twin
+from pneutac_sim.world.standin import GAUGE_NOISE_KPA, standin_gel, standin_twin
 from pneutac_sim.world.standin_touch import CameraNoise, standin_sensor
 
 FINE_HZ = 100.0  # the finger is simulated between the logged samples too
@@ -32,8 +32,7 @@ PRESSES = 16
 def write_finger(folder: str | Path, seed: int = 0, minutes: float = 6.0, hz: float = 20.0) -> BenchRecording:
     """Writes a session with the stand-in's finger: stairs, triangles, loops, holds, steps, and two repeats.
 
-    The pressure is commanded, not measured, as with a plain regulator, so that a lag of the valve is in the
-    motion alone.
+    The pressure is logged by the gauge of the robot, so that air and body can be told apart.
 
     Args:
         folder: where the recording goes.
@@ -61,10 +60,11 @@ def write_finger(folder: str | Path, seed: int = 0, minutes: float = 6.0, hz: fl
             "pressure_cmd_kpa": np.interp(fine, t, trial.command),
         }
         model = Pipeline.of(twin)
-        tip = model.run(Inputs.from_samples(samples), model.theta(twin)).markers[::every, :3]
-        tip = tip + MARKER_NOISE_MM * rng.standard_normal(tip.shape)
+        run = model.run(Inputs.from_samples(samples), model.theta(twin))
+        tip = run.markers[::every, :3] + MARKER_NOISE_MM * rng.standard_normal((n, 3))
+        gauge = run.pressure_kpa[::every, 0] + GAUGE_NOISE_KPA * rng.standard_normal(n)
         columns = {"trial": number, "program": trial.label, "time_s": np.round(t, 4)}
-        columns |= {"pressure_cmd_kpa": trial.command}
+        columns |= {"pressure_cmd_kpa": trial.command, "pressure_kpa": gauge}
         columns |= {f"tip_{a}_mm": tip[:, i] for i, a in enumerate("xyz")}
         columns |= {f"gravity_{a}": hanging[i] for i, a in enumerate("xyz")}
         table.append(pd.DataFrame(columns))

@@ -27,9 +27,10 @@ LATE_COMMANDS = 1  # control steps
 
 # Standard deviations of what is read once a control step, in the order of `features.STATE_NAMES`: encoders,
 # flange (by kinematics from them), gauge. Contact comes from the noisy image.
+GAUGE_NOISE_KPA = 0.1
 NOISE = np.zeros(len(STATE_NAMES))
 _N = len(JOINT_NAMES)
-NOISE[:_N], NOISE[_N : 2 * _N], NOISE[2 * _N : 2 * _N + 3], NOISE[-1] = 2e-4, 2e-3, 1e-4, 0.1
+NOISE[:_N], NOISE[_N : 2 * _N], NOISE[2 * _N : 2 * _N + 3], NOISE[-1] = 2e-4, 2e-3, 1e-4, GAUGE_NOISE_KPA
 
 FINGER = {
     "gain_rad_per_kpa": 0.01114 * 1.12,
@@ -42,7 +43,7 @@ FINGER = {
 # A quarter of the bend arrives late, over some seconds; the chamber fills and vents with a lag.
 CREEP = {"weight_0_4s": 0.02, "weight_1_3s": 0.10, "weight_4s": 0.21}
 VALVE_LAG = {"fill_time_s": 0.28, "vent_time_s": 0.38}
-GEL_FRICTION, GEL_STIFFNESS, OBJECT_MASS = 0.85, 1.12, 1.15  # factors
+GEL_FRICTION, GEL_STIFFNESS, OBJECT_MASS = 0.95, 1.12, 1.15  # factors
 
 
 def standin_twin() -> Twin:
