@@ -26,7 +26,7 @@ from lerobot_pneutac.ppo_reward import WEIGHTS
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin
 
-TRIES, TRY_SEED = 50, 1_000_000  # episodes of the test after training; its starts are none of the training's
+TEST_SEED = 1_000_000  # starts of the test are none of the training's
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class PpoSettings:
     update_steps: int = 2048
     batch: int = 256
     epochs: int = 8
-    learning_rate: float = 4e-4
+    learning_rate: float = 1e-3
     discount: float = 0.99
     trace: float = 0.95
     clip: float = 0.2
@@ -123,6 +123,7 @@ def train_ppo(
     parallel: bool = False,
     device: str = "cpu",
     settings: PpoSettings | None = None,
+    tries: int = 50,
     progress: Callable[[int, str], None] = lambda done, text: None,
     **options,
 ) -> dict:
@@ -142,6 +143,7 @@ def train_ppo(
         parallel: whether each has a process of its own.
         device: `cpu` or `cuda`, of the networks.
         settings: of the optimiser.
+        tries: trials of the test after training.
         progress: is told steps done and a few words after every update.
         **options: of `PpoEnv`.
 
@@ -152,7 +154,7 @@ def train_ppo(
     Raises:
         InputError: a number is too small, the device is missing, or `out` holds another training.
     """
-    for name, value in (("steps", steps), ("envs", envs)):
+    for name, value in (("steps", steps), ("envs", envs), ("tries", tries)):
         if value < 1:
             raise InputError(f"{name} is {value}; it must be 1 or more.")
     if device.startswith("cuda") and not torch.cuda.is_available():
@@ -180,7 +182,7 @@ def train_ppo(
         "steps": model.num_timesteps,
         "seconds": seconds,
         "steps_per_s": model.num_timesteps / seconds,
-        "test": try_actor(actor, env, TRIES, TRY_SEED + seed),
+        "test": try_actor(actor, env, tries, TEST_SEED + seed),
     }
     actor.save(out)
     return actor.card

@@ -26,7 +26,8 @@ class StudentRef:
         fidelity: how finger and gel deform in them: `surrogate`, `mpm` or `probe`.
         noise: standard deviation of what is added to the actions that are carried out, which reach from -1
             to 1; stored are the actions without it.
-        video: store the tactile images as video instead of PNG.
+        video: store the tactile images as video instead of PNG; datasets that are to be merged must agree in
+            this.
     """
 
     repo_id: str = "local/ppo"
@@ -50,7 +51,8 @@ class PpoConfig:
         parallel: whether each world has a process of its own; default where there are more than two cores.
         device: `cpu` or `cuda`, of the networks; they are small, so the CPU is seldom slower.
         out: folder of the actor, its curve and the checkpoint.
-        student: demonstrations of the actor.
+        student: demonstrations of the actor, from which a policy with a tactile image learns; none unless
+            their folder is given.
     """
 
     task: str = "switch"

@@ -100,7 +100,7 @@ class PpoEnv(gymnasium.Env):
     metadata = {"render_modes": []}
 
     def __init__(
-        self, task: str = "switch", twin: Twin | None = None, randomise: bool = True, steps: int = STEPS
+        self, task: str = "switch", twin: Twin | None = None, randomise: bool = True, length: int = STEPS
     ):
         """An environment with a task.
 
@@ -108,14 +108,14 @@ class PpoEnv(gymnasium.Env):
             task: `switch`, `egg` or `card`.
             twin: the finger with its gel; default the built-in one.
             randomise: whether friction and bend change with every episode.
-            steps: control steps after which a trial is cut off.
+            length: control steps after which a trial is cut off.
 
         Raises:
             InputError: the task is unknown, or the twin is not a finger's.
         """
         self.world = VariedWorld(task, twin, "none", "probe")
         self.view = TaskView(self.world)
-        self.randomise, self._steps = randomise, steps
+        self.randomise, self._length = randomise, length
         self._sense = ProbeSense(self.world)
         self.action_space = spaces.Box(-1.0, 1.0, (len(ACTION_LOW),), np.float32)
         size = self.view.size + 2  # with friction and bend gain
@@ -155,7 +155,7 @@ class PpoEnv(gymnasium.Env):
             "failure": self.world.failure or "",
         }
         over = moment.success or moment.failure
-        return self._observe(observed.state), total(terms), over, self._done >= self._steps, info
+        return self._observe(observed.state), total(terms), over, self._done >= self._length, info
 
     def _look(self) -> Moment:
         return Moment(

@@ -12,12 +12,12 @@ import numpy as np
 # away 0.5, 50 steps in contact 0.1 to 0.25, and success more than all of these.
 WEIGHTS: dict[str, float] = {
     "progress": 1.5,  # of the whole task
-    "approach": 5.0,  # per metre
+    "approach": 15.0,  # per metre
     "contact": 0.002,
     "depth": 0.003,
     "success": 3.0,
     "failure": -1.0,
-    "action_rate": -0.002,
+    "action_rate": -0.0005,
 }
 
 
