@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 import numpy as np
+import pyarrow.parquet as parquet
 from draccus.utils import DecodingError
 from lerobot.configs import FeatureType, NormalizationMode, PreTrainedConfig
 from lerobot.optim import AdamConfig
@@ -117,25 +118,30 @@ class PneutacBCConfig(PreTrainedConfig):
             found = (meta.features.get(key) or {}).get("names")
             if list(found or []) != list(names):
                 raise InputError(f"{where}: '{key}' has the names {found}; pneutac_bc needs {list(names)}.")
-            statistics = (meta.stats or {}).get(key, {})
-            bad = [n for i, n in enumerate(names) if not _finite(statistics, i)]
+            extremes = [
+                np.ravel(v) for k, v in (meta.stats or {}).get(key, {}).items() if k in ("min", "max")
+            ]
+            bad = [n for i, n in enumerate(names) if not all(np.isfinite(e[i]) for e in extremes)]
             if bad:
                 raise InputError(
-                    f"{where}: '{key}' contains NaN or infinity in {', '.join(bad)}; delete the"
-                    " episodes that do with lerobot-edit-dataset."
+                    f"{where}: '{key}' contains NaN or infinity in {', '.join(bad)},"
+                    f" {_where_not_finite(meta, key)}; delete such episodes with lerobot-edit-dataset --operation.type=delete_episodes."
                 )
         if self.use_tactile:
-            found = (meta.features.get(TACTILE) or {}).get("shape")
-            if tuple(found or ()) != IMAGE_SHAPE:
+            if TACTILE not in meta.features:
+                raise InputError(f"{where} has no '{TACTILE}'; record it, or use --policy.use_tactile=false.")
+            found = tuple(meta.features[TACTILE]["shape"])
+            if found != IMAGE_SHAPE:
                 raise InputError(
-                    f"{where}: '{TACTILE}' has the shape {found}; pneutac_bc needs {IMAGE_SHAPE}, or"
-                    " --policy.use_tactile=false."
+                    f"{where}: '{TACTILE}' has the shape {found}; pneutac_bc needs {IMAGE_SHAPE}."
                 )
 
 
-def _finite(statistics: dict, channel: int) -> bool:
-    """Whether a channel's extremes are finite; one NaN among its values makes them NaN."""
-    return all(np.isfinite(np.ravel(statistics[k])[channel]) for k in ("min", "max") if k in statistics)
+def _where_not_finite(meta, key: str) -> str:
+    """The first episode of a dataset in which a vector is not finite, in words."""
+    table = parquet.read_table(meta.root / "data", columns=["episode_index", key])
+    finite = [np.isfinite(row).all() for row in table[key].to_pylist()]
+    return f"first in episode {table['episode_index'][finite.index(False)]}"
 
 
 def _need_shape(features: dict, key: str, shape: tuple[int, ...]) -> None:

@@ -61,10 +61,11 @@ class PneutacBCPolicy(PreTrainedPolicy):
             InputError: features or dataset do not fit.
         """
         super().__init__(config)
-        config.validate_features()
         self._dataset_rest = self._demonstrations = None
         if dataset_meta is not None:
             config.check_dataset(dataset_meta)
+        config.validate_features()
+        if dataset_meta is not None:
             self._demonstrations = Demonstrations.of(dataset_meta)
             self._dataset_rest = rest_image_of(dataset_meta) if config.use_tactile else None
 
