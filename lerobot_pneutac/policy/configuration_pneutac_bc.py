@@ -125,7 +125,8 @@ class PneutacBCConfig(PreTrainedConfig):
             if bad:
                 raise InputError(
                     f"{where}: '{key}' contains NaN or infinity in {', '.join(bad)},"
-                    f" {_where_not_finite(meta, key)}; delete such episodes with lerobot-edit-dataset --operation.type=delete_episodes."
+                    f" {_where_not_finite(meta, key)}; delete such episodes with lerobot-edit-dataset"
+                    " --operation.type=delete_episodes."
                 )
         if self.use_tactile:
             if TACTILE not in meta.features:
