@@ -4,7 +4,8 @@ from draccus.utils import DecodingError
 from lerobot.envs.factory import make_env
 from lerobot.envs.utils import env_to_policy_features, preprocess_observation
 
-from lerobot_pneutac.env_config import PneutacEnvConfig
+from lerobot_pneutac.env_config import PneutacEnvConfig, PneutacStandinConfig
+from pneutac_sim.world.standin import StandinWorld
 
 
 def test_environment_gives_what_the_config_promises():
@@ -54,3 +55,22 @@ def test_fidelity_reaches_the_world():
     env = make_env(PneutacEnvConfig(fidelity="mpm"), n_envs=1)["pneutac"][0]
     assert env.envs[0].unwrapped.world.finger is not None
     env.close()
+
+
+def test_the_standin_is_an_environment_of_its_own():
+    config = PneutacStandinConfig(task="card", episode_length=2)
+    env = make_env(config, n_envs=1)["pneutac_standin"][0]
+    assert isinstance(env.envs[0].unwrapped.world, StandinWorld)
+    observation, _ = env.reset(seed=[1])
+    found = {k: tuple(v.shape[1:]) for k, v in preprocess_observation(observation).items()}
+    promised = {k: f.shape for k, f in env_to_policy_features(config).items()}
+    assert promised.pop("action") == env.single_action_space.shape
+    assert found == promised
+    for step in range(2):
+        *_, truncated, _ = env.step(np.zeros((1, 4), np.float32))
+        assert truncated[0] == (step == 1)
+    env.close()
+    with pytest.raises(DecodingError, match="'foam'; it must be one of layer, mpm"):
+        PneutacStandinConfig(gel="foam")
+    with pytest.raises(DecodingError, match="'juggle'; it must be one of"):
+        PneutacStandinConfig(task="juggle")

@@ -8,7 +8,9 @@ from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnected
 from lerobot_robot_pneutac.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.pneutac_sim import HOME_RADIUS_M, PneutacSim
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import ACTION_HIGH, ACTION_NAMES, STATE_NAMES
+from pneutac_sim.features import ACTION_HIGH, ACTION_NAMES, CONTROL_HZ, STATE_NAMES
+from pneutac_sim.twin import Twin
+from pneutac_sim.world.standin import StandinWorld
 
 EE = ("ee_x.pos", "ee_y.pos", "ee_z.pos")
 
@@ -136,3 +138,18 @@ def test_bad_options_are_named(tmp_path):
         PneutacSimConfig(task="juggle")
     with pytest.raises(DecodingError, match="holds no twin.yaml"):
         PneutacSimConfig(twin=tmp_path)
+
+
+def test_the_standin_acts_late_and_has_no_twin(make_robot, tmp_path):
+    robot = make_robot(standin=True)
+    assert isinstance(robot.world, StandinWorld)
+    start = position(robot)
+    sent = robot.send_action(act(dy=0.1, pressure=5.0))
+    assert sent == pytest.approx(act(dy=0.1, pressure=5.0))
+    assert position(robot) == pytest.approx(start, abs=1e-3)
+    for _ in range(3):
+        robot.send_action(act(pressure=5.0))
+    assert position(robot)[1] - start[1] == pytest.approx(0.1 / CONTROL_HZ, abs=1e-3)
+    Twin.builtin().save(tmp_path)
+    with pytest.raises(DecodingError, match="leave --robot.twin out"):
+        PneutacSimConfig(standin=True, twin=tmp_path)
