@@ -160,3 +160,25 @@ def test_every_task_has_a_goal_and_an_unknown_one_is_refused():
     assert set(GOALS) == set(TASK_NAMES)
     with pytest.raises(InputError, match="no task 'door'"):
         PpoEnv("door")
+
+
+def test_pushing_at_the_contact_point_earns_every_term_and_flips_the_switch():
+    env = PpoEnv("switch")
+    env.reset(seed=0)
+    sums, touched, over = dict.fromkeys(WEIGHTS, 0.0), False, False
+    while not over:  # a controller that sees the object
+        way = env.view.contact_point_m() - env.world.gel_m
+        touched |= env.world.press_mm > 0.12
+        beyond = way + (0.004, 0, 0)
+        action = (
+            np.append([0.25, *(20 * way[1:])], 0.8)
+            if touched
+            else np.append(beyond / max(np.abs(way).max(), 0.02), -0.5)
+        )
+        _, _, terminated, truncated, info = env.step(action)
+        over = terminated or truncated
+        for name, value in info["terms"].items():
+            sums[name] += value
+    assert info["is_success"] and sums["success"] == 1 and sums["failure"] == 0
+    assert sums["progress"] == pytest.approx(1, abs=0.05)
+    assert sums["approach"] > 0.02 and sums["contact"] > 5 and sums["depth"] > 3
