@@ -151,7 +151,7 @@ def _rest(config: PneutacBCConfig, data: Demonstrations | None, level: tuple[flo
     source = f"of `{data.repo_id}`" if data else "of the training data"
     return (
         f"## Rest image\n\nThe weights carry the tactile image out of contact, the median of the first"
-        f" frames {source} (mean R, G, B: {', '.join(f'{v:.0f}' for v in level)} of 255). Another sensor"
+        f" frames {source} (mean R, G, B: {', '.join(f'{v:.0f}' for v in level)} of 255). Another DIGIT"
         " needs its own: fine-tune, and it is taken from the new demonstrations."
     )
 

@@ -29,13 +29,22 @@ def rest_image_of(meta) -> torch.Tensor:
 
     Returns:
         (3, 320, 240) float32 in [0, 1].
+
+    Raises:
+        InputError: an image cannot be read.
     """
     n = min(meta.total_episodes, MAX_EPISODES)
     episodes = np.unique(np.linspace(0, meta.total_episodes - 1, n).round().astype(int)).tolist()
     dataset = LeRobotDataset(meta.repo_id, root=meta.root, episodes=episodes, revision=meta.revision)
     first = [int(meta.episodes[e]["dataset_from_index"]) for e in episodes]
     row = dataset.absolute_to_relative_idx
-    frames = torch.stack([dataset[row[i]][TACTILE] for i in first])
+    try:
+        frames = torch.stack([dataset[row[i]][TACTILE] for i in first])
+    except (OSError, ValueError, RuntimeError) as error:  # what PIL and PyAV raise
+        raise InputError(
+            f"Dataset '{meta.repo_id}': no rest image, for the first '{TACTILE}' of an episode cannot be read"
+            f" ({type(error).__name__}: {error}); delete that episode or record it anew."
+        ) from error
     return frames.float().quantile(0.5, dim=0)
 
 

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pyarrow
+import pyarrow.parquet as parquet
 import pytest
 import torch
 from lerobot.configs import PreTrainedConfig
@@ -150,6 +152,17 @@ def test_photographs_of_two_digits_are_alike_and_a_gelsight_is_not():
 def test_numbers_that_are_none_are_found_before_training(tmp_path, spoilt, said):
     meta = write_dataset(tmp_path / "spoilt", spoilt=spoilt, episodes=2)
     with pytest.raises(InputError, match=said):
+        make_policy(PneutacBCConfig(device="cpu"), meta)
+
+
+def test_images_that_cannot_be_read_are_named(tmp_path):
+    meta = write_dataset(tmp_path / "broken")
+    file = next((meta.root / "data").rglob("*.parquet"))
+    table = parquet.read_table(file)
+    broken = [{"bytes": row["bytes"][:100], "path": row["path"]} for row in table[TACTILE].to_pylist()]
+    column = pyarrow.array(broken, table.schema.field(TACTILE).type)
+    parquet.write_table(table.set_column(table.column_names.index(TACTILE), TACTILE, column), file)
+    with pytest.raises(InputError, match=f"'local/broken': no rest image, for the first '{TACTILE}'"):
         make_policy(PneutacBCConfig(device="cpu"), meta)
 
 
