@@ -113,7 +113,8 @@ def _training(
         lines.append(f"- Steps: {steps}")
     if train is not None:
         lines.append(f"- Batch size: {train.batch_size}")
-    if config.pretrained_path:
+    # A folder of this machine says nothing elsewhere, and a resumed training names its own checkpoint.
+    if config.pretrained_path and not Path(config.pretrained_path).is_dir():
         lines.append(f"- Fine-tuned from: `{Path(config.pretrained_path).as_posix()}`")
     lines.append(
         f"- Loss: squared error of displacement (mm^2) and pressure (kPa^2), Adam, lr {config.optimizer_lr:g}"

@@ -98,6 +98,14 @@ def test_the_hub_gets_the_same_card_with_the_whole_training(demonstrations):
     assert "## Rest image" in card.text
 
 
+def test_only_weights_that_others_can_find_are_named(demonstrations, tmp_path):
+    policy = make_policy(PneutacBCConfig(device="cpu"), demonstrations)
+    policy.config.pretrained_path = tmp_path
+    assert str(tmp_path) not in policy.generate_model_card().text
+    policy.config.pretrained_path = "somebody/press"
+    assert "Fine-tuned from: `somebody/press`" in policy.generate_model_card().text
+
+
 def test_the_cards_commands_name_options_that_exist(demonstrations):
     policy = make_policy(PneutacBCConfig(device="cpu"), demonstrations)
     block = re.search(r"```bash\n(.*?)```", policy.generate_model_card().text, re.S).group(1)
