@@ -36,8 +36,8 @@ FINGER = {
     "gain_rad_per_kpa": 0.01114 * 1.12,
     "gain_alpha": 0.09,
     "gain_beta": 0.22,
-    "rest_pressure_kpa": 9.9,
-    "joint_stiffness_nm_per_rad": 0.41,
+    "rest_pressure_kpa": 10.2,
+    "joint_stiffness_nm_per_rad": 0.49,
     "joint_damping_nms_per_rad": 0.009,
 }
 # A quarter of the bend arrives late, over some seconds; the chamber fills and vents with a lag.

@@ -117,14 +117,17 @@ def test_the_gel_is_another_than_the_twins(world):
     assert np.abs(mine - other).mean() > 1.0
 
 
-def test_the_expert_succeeds(world):
-    world.reset(1)
-    expert = ScriptedExpert(world, np.random.default_rng(1))
-    for _ in range(150):
-        world.step(expert.action())
-        if world.success:
-            break
-    assert world.success
+def test_the_expert_succeeds_more_often_than_not():
+    world, done = StandinWorld("card", touch="none"), []
+    for seed in range(4):
+        world.reset(seed)
+        expert = ScriptedExpert(world, np.random.default_rng(seed))
+        for _ in range(120):
+            world.step(expert.action())
+            if world.success:
+                break
+        done.append(world.success)
+    assert sum(done) >= 3
 
 
 def test_area_alone_is_that_of_the_image():
