@@ -178,6 +178,7 @@ def train_ppo(
         worlds.close()
     actor = actor_of(model, settings)
     seconds = keeper.curve[-1]["seconds"]
+    progress(model.num_timesteps, f"trying the actor on {tries} new starts")
     actor.card = run | {
         "steps": model.num_timesteps,
         "seconds": seconds,
