@@ -1,13 +1,13 @@
-"""The scripts of the experts, one file a task."""
+"""The experts, one file a task."""
 
 from collections.abc import Callable
 
 from pneutac_sim.world.experts.card import pull_card
 from pneutac_sim.world.experts.egg import open_carton
-from pneutac_sim.world.experts.motion import Script
+from pneutac_sim.world.experts.motion import Wish
 from pneutac_sim.world.experts.switch import flip_switch
 
-SCRIPTS: dict[str, Callable[..., Script]] = {
+EXPERTS: dict[str, Callable[..., Wish]] = {
     "switch": flip_switch,
     "egg": open_carton,
     "card": pull_card,

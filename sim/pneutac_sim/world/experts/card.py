@@ -2,22 +2,21 @@
 
 import numpy as np
 
-from pneutac_sim.world.experts.motion import Habits, Script, advance, hold, touching
+from pneutac_sim.world.experts.motion import SEARCH_KPA, Habits, Lanes, Wish, touching
+from pneutac_sim.world.tasks.card import CardTask
 from pneutac_sim.world.world import World
 
+LEAN_RAD = CardTask().lean_rad
+LANE = Lanes(height_m=CardTask().middle_m, rise_m=0.0, width_m=0.0, last_m=1.0, back_m=0.0)
 PRESS_MM = 0.65  # imprint while drawing
+DRAW = np.array([-np.sin(LEAN_RAD), 0.0, np.cos(LEAN_RAD)])
+INTO = np.array([np.cos(LEAN_RAD), 0.0, np.sin(LEAN_RAD)])
 
 
-def pull_card(world: World, habits: Habits) -> Script:
-    """Touch the front card, inflate to press it lightly, draw it out along the holder's lean."""
-    task = world.task
-    c, s = np.cos(task.lean_rad), np.sin(task.lean_rad)
-    draw, into = np.array([-s, 0.0, c]), np.array([c, 0.0, s])
-    press_kpa = 0.65 * habits.high_kpa
-    lane = np.array([0.0, 0.0, task.middle_m])
-    yield from advance(world, habits, lane, 0.06, lambda: touching(world))
-    yield from hold(habits.pause_s, habits.low_kpa)
-    while not world.success:
-        error = PRESS_MM - world.press_mm
-        speed = 0.04 * habits.speed * np.clip(1 - 4 * abs(error), 0, 1)
-        yield speed * draw + 0.12 * np.clip(error, -0.2, 0.2) * into, press_kpa
+def pull_card(world: World, habits: Habits, pressure: float) -> Wish:
+    """What to do now; `pressure` is the one commanded last, kPa."""
+    if not touching(world) and pressure < SEARCH_KPA:
+        return LANE.ahead(world, habits, 0.06), habits.low_kpa
+    error = PRESS_MM - world.press_mm
+    speed = 0.04 * habits.speed * np.clip(1 - 4 * abs(error), 0, 1)
+    return speed * DRAW + 0.12 * np.clip(error, -0.2, 0.2) * INTO, 0.65 * habits.high_kpa

@@ -1,16 +1,24 @@
-"""What the experts' scripts share: habits of a person, what the gel feels, and simple motions."""
+"""What the experts share: habits of a person, what the gel feels, and how to search a table by touch.
 
-from collections.abc import Callable, Iterator
+The commanded pressure is what an expert is doing, and it is part of the observation: vented, it withdraws;
+at low pressure it searches; above, it acts on what it has found.
+"""
+
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
-from pneutac_sim.world.world import DT, World
+from pneutac_sim.world.world import World
 
 TOUCH_MM = 0.12  # imprint that is seen as a touch, about 0.12 N
+VENTED_KPA, SEARCH_KPA = 1.5, 4.5  # below the first it withdraws, from there to the second it searches
+FAST_M_S = 0.095
+WRAP_M = 0.05  # how much farther up after the last lane
+OVER_M = 0.01  # by which inertia carries it above where it turns
+NEAR_M = 0.005  # heights that are told apart
 
-Script = Iterator[tuple[np.ndarray, float]]  # yields wished velocity (3,) m/s and pressure kPa
+Wish = tuple[np.ndarray, float]  # velocity (3,) m/s and pressure kPa
 
 
 @dataclass
@@ -19,35 +27,77 @@ class Habits:
 
     Attributes:
         speed: factor on all speeds.
-        offset_m: error of the aimed path (3,), metres.
-        low_kpa, high_kpa: pressures of approach and of manipulation.
+        offset_m: error of the height at which it searches, metres.
+        low_kpa, high_kpa: pressures of search and of manipulation.
         ramp_kpa_s: how fast the pressure is turned up.
-        pause_s: hesitation after the first touch.
-        overshoot_s: how long the motion goes on after the object has moved.
         tremor: standard deviation of the velocity's noise, m/s.
     """
 
     speed: float
-    offset_m: np.ndarray
+    offset_m: float
     low_kpa: float
     high_kpa: float
     ramp_kpa_s: float
-    pause_s: float
-    overshoot_s: float
-    tremor: float = 0.0015
+    tremor: float = 0.003
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> "Habits":
         """A person's habits for one episode."""
         return cls(
-            speed=rng.uniform(0.8, 1.25),
-            offset_m=rng.uniform(-1, 1, 3) * (0.0, 0.002, 0.0015),
-            low_kpa=rng.uniform(2.5, 4.0),
-            high_kpa=rng.uniform(11.0, 13.5),
-            ramp_kpa_s=rng.uniform(7.0, 12.0),
-            pause_s=rng.choice([0.0, 0.0, rng.uniform(0.05, 0.25)]),
-            overshoot_s=rng.uniform(0.0, 0.2),
+            speed=rng.uniform(0.85, 1.15),
+            offset_m=rng.uniform(-1, 1) * 0.0015,
+            low_kpa=rng.uniform(2.75, 3.5),
+            high_kpa=rng.uniform(11.0, 13.0),
+            ramp_kpa_s=rng.uniform(8.0, 12.0),
         )
+
+
+@dataclass(frozen=True)
+class Lanes:
+    """A search in lanes along x, from -y to +y, each begun at the near side.
+
+    Attributes:
+        height_m: of the gel while it looks for the object, metres above the table.
+        rise_m: how far above that it withdraws.
+        width_m: of one lane.
+        last_m: y of the flange beyond which there is no further lane.
+        back_m: x of the flange at which a lane begins.
+    """
+
+    height_m: float
+    rise_m: float
+    width_m: float
+    last_m: float
+    back_m: float
+
+    def ahead(self, world: World, habits: Habits, speed: float) -> np.ndarray:
+        """Velocity (3,) along the lane, at the height of the search."""
+        up = self.height_m + habits.offset_m - world.gel_m[2]
+        return speed * habits.speed * np.array([1.0, 0.0, np.clip(30 * up, -1, 1)])
+
+    def withdraw(self, world: World, end: bool) -> np.ndarray:
+        """Velocity (3,) back to the near side: from the end of a lane above everything, else straight.
+
+        On the way down to the next lane it moves on by one; after the last lane it goes up farther, and on
+        the way down begins anew.
+
+        Args:
+            world: where it is.
+            end: whether it is where a lane ends.
+        """
+        x, y, _ = world.flange_m
+        rise = world.gel_m[2] - self.height_m
+        if x < self.back_m:
+            again = rise > self.rise_m + WRAP_M / 2  # more than it may have risen by its own inertia
+            aside = -3 * self.width_m / (WRAP_M / 2 + OVER_M) if again else self.width_m / (self.rise_m + OVER_M)
+            return FAST_M_S * np.array([0.0, aside, -1.0]) / np.hypot(1.0, aside)
+        if end and rise < self.rise_m + WRAP_M * (y > self.last_m):
+            return np.array([0.0, 0.0, FAST_M_S])
+        return np.array([-FAST_M_S, 0.0, 0.0])
+
+    def begins(self, world: World) -> bool:
+        """Whether it is where a lane begins."""
+        return world.flange_m[0] < self.back_m and world.gel_m[2] < self.height_m + NEAR_M
 
 
 def touching(world: World, least_mm: float = TOUCH_MM) -> bool:
@@ -70,26 +120,3 @@ def imprint_m(world: World) -> np.ndarray | None:
     if total < 0.02:
         return None
     return (data.site("gel").xmat.reshape(3, 3).T @ moment)[:2] / total
-
-
-def hold(seconds: float, pressure: float) -> Script:
-    """Stays where it is."""
-    for _ in range(round(seconds / DT)):
-        yield np.zeros(3), pressure
-
-
-def go(world: World, goal: np.ndarray, speed: float, pressure: float) -> Script:
-    """Brings the flange to `goal` (3,), slowing down over the last centimetres."""
-    while np.linalg.norm(way := goal - world.flange_m) > 0.004:
-        yield speed * way / max(np.linalg.norm(way), 0.02), pressure
-
-
-def advance(world: World, habits: Habits, lane: np.ndarray, speed: float, stop: Callable[[], bool]) -> Script:
-    """Brings the gel to the line along x through `lane` (3,), then ahead along it until `stop`.
-
-    It depends on where the gel is alone: nothing before the touch knows where the object is.
-    """
-    while not stop():
-        way = lane + habits.offset_m - world.gel_m
-        way[0] = 0.025  # always ahead
-        yield speed * habits.speed * way / np.linalg.norm(way), habits.low_kpa

@@ -1,56 +1,39 @@
-"""Flip the switch: search lane by lane, press on where it touches, let go when it has snapped over."""
+"""Flip the switch: search lane by lane, press on where it touches, let go when the touch is gone."""
 
 import numpy as np
 
-from pneutac_sim.world.experts.motion import Habits, Script, advance, go, hold, imprint_m, touching
-from pneutac_sim.world.world import DT, World
+from pneutac_sim.world.experts.motion import (
+    SEARCH_KPA,
+    VENTED_KPA,
+    Habits,
+    Lanes,
+    Wish,
+    imprint_m,
+    touching,
+)
+from pneutac_sim.world.world import World
 
-# Where to look for the bar, across: nearer to each other than gel and bar together are wide, so that the bar
-# is never between two lanes.
-LANES_M = (-0.0115, 0.0, 0.0115)
-LEVEL_M = 0.118  # height of the bar
-END_M = 0.533  # the gel is behind the farthest bar
-BACK_M = (-0.05, 0.0, 0.02)  # retreat
-SNAP = 0.6  # the lever has snapped over when this part of the largest imprint is left
-
-
-def flip_switch(world: World, habits: Habits) -> Script:
-    """Try the lanes until one touches, inflate while pushing, retreat inflated when the touch is gone."""
-    task = world.task
-    while task.lever_rad < 0.5 * task.well_rad:
-        for y in LANES_M:
-            yield from _shift(world, habits, y)
-            lane = np.array([0.0, y, LEVEL_M])
-            yield from advance(world, habits, lane, 0.08, lambda: touching(world) or world.gel_m[0] > END_M)
-            if touching(world):
-                yield from hold(habits.pause_s, habits.low_kpa)
-                yield from _push(world, habits)
-                yield from go(world, world.flange_m + BACK_M, 0.08 * habits.speed, habits.high_kpa)
-                break
-            while world.flange_m[0] > task.home_m[0] + 0.03:
-                yield np.array([-0.095, 0.0, 0.0]), habits.low_kpa
-    while not world.success:
-        yield np.zeros(3), habits.high_kpa
+# Lanes are nearer to each other than gel and bar together are wide, so that the bar is never between two.
+LANES = Lanes(height_m=0.118, rise_m=0.04, width_m=0.012, last_m=0.007, back_m=0.425)
+END_M = 0.484  # flange where the gel is behind the farthest bar
 
 
-def _shift(world: World, habits: Habits, lane_y: float) -> Script:
-    """Sideways to the start of a lane."""
-    while abs(away := lane_y - world.flange_m[1]) > 0.005:
-        yield np.array([0.0, np.sign(away) * 0.08, 0.0]) * habits.speed, habits.low_kpa
+def flip_switch(world: World, habits: Habits, pressure: float) -> Wish:
+    """What to do now; `pressure` is the one commanded last, kPa."""
+    x = world.flange_m[0]
+    if pressure < VENTED_KPA and not LANES.begins(world):
+        return LANES.withdraw(world, x > END_M - 0.01), 0.0
+    if touching(world):
+        return _push(world, habits, pressure)
+    if pressure > SEARCH_KPA or x > END_M:
+        return np.zeros(3), 0.0
+    return LANES.ahead(world, habits, 0.08), habits.low_kpa
 
 
-def _push(world: World, habits: Habits) -> Script:
-    """Inflate, creep ahead with the imprint in the middle of the gel, until the force drops."""
-    lost, peak = 0, 0.0
-    while lost < 2:
-        lost = 0 if touching(world) else lost + 1
-        full = np.clip((world.pressure_kpa - habits.low_kpa) / (habits.high_kpa - habits.low_kpa), 0, 1)
-        peak = max(peak, world.press_mm)
-        if full > 0.9 and world.press_mm < SNAP * peak:
-            break
-        at = imprint_m(world)
-        across, along = (0.0, 0.0) if at is None else at
-        ahead = 0.02 - 0.008 * full
-        yield habits.speed * np.array([ahead, -3.0 * across, -3.0 * along]), habits.high_kpa
-    for _ in range(round(habits.overshoot_s / DT)):
-        yield habits.speed * np.array([0.012, 0.0, 0.0]), habits.high_kpa
+def _push(world: World, habits: Habits, pressure: float) -> Wish:
+    """Inflate and creep ahead with the imprint in the middle of the gel."""
+    full = np.clip((pressure - habits.low_kpa) / (habits.high_kpa - habits.low_kpa), 0, 1)
+    at = imprint_m(world)
+    across, along = (0.0, 0.0) if at is None else at
+    ahead = 0.03 - 0.012 * full
+    return habits.speed * np.array([ahead, -3.0 * across, -3.0 * along]), habits.high_kpa

@@ -32,7 +32,7 @@ class EggTask(Task):
 
     name = "egg"
     description = "Open the egg carton."
-    home_m = (0.395, 0.0, 0.275)
+    home_m = (0.425, -0.0135, 0.265)
 
     latch_n: float = 0.3
     overhang_m: float = 0.004
