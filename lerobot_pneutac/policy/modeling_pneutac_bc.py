@@ -107,6 +107,17 @@ class PneutacBCPolicy(PreTrainedPolicy):
             model._take_dataset_rest()
         return model
 
+    def learn_from(self, demonstrations: Demonstrations, rest: Tensor | None) -> None:
+        """Takes another dataset's rest image (3, 320, 240), None without touch, and its name for the card.
+
+        Raises:
+            InputError: the rest image cannot be of the kind of sensor that the policy knows.
+        """
+        if self.encoder is not None:
+            check_same_sensor(self.encoder.rest_image, rest, demonstrations.repo_id)
+        self._demonstrations, self._dataset_rest = demonstrations, rest if self.encoder is not None else None
+        self._take_dataset_rest()
+
     def _take_dataset_rest(self) -> None:
         if self._dataset_rest is not None:
             self.encoder.rest_image.copy_(self._dataset_rest)
@@ -153,14 +164,27 @@ class PneutacBCPolicy(PreTrainedPolicy):
         """
         previous, target = batch[ACTION].unbind(1)
         hidden = batch[f"{ACTION}_is_pad"][:, 0]
-        state = batch[OBS_STATE]
+        return self.loss(batch[OBS_STATE], previous, hidden, target, self._difference(batch))
+
+    def loss(
+        self, state: Tensor, previous: Tensor, hidden: Tensor, target: Tensor, difference: Tensor | None
+    ) -> tuple[Tensor, dict[str, float]]:
+        """What `forward` returns, of samples whose images are prepared.
+
+        Args:
+            state: (B, 20).
+            previous: action (B, 4) of the frame before.
+            hidden: (B,), true where there is none.
+            target: action (B, 4) to be learnt.
+            difference: (B, 3, 80, 60) from `TactileEncoder.difference`; None without touch.
+        """
         if self.training:
             state = state.clone()
             state[:, _PRESSURE] += self.config.pressure_noise_kpa * torch.randn_like(state[:, _PRESSURE])
             drawn = torch.rand(len(hidden), device=hidden.device)
             hidden = hidden | (drawn < self.config.previous_action_dropout)
         previous = torch.where(hidden[:, None], self._hold(state), previous)
-        error = self._predict(state, batch.get(TACTILE), previous) - target
+        error = self._predict(state, difference, previous) - target
         # Velocity m/s to displacement per step mm.
         motion = (error[:, :3] * (1000 / self.config.control_hz)).square().sum(1).mean()
         pressure = error[:, 3].square().mean()
@@ -193,7 +217,7 @@ class PneutacBCPolicy(PreTrainedPolicy):
                 f"The state has the shape {tuple(state.shape[1:])}; it must be ({len(STATE_NAMES)},)."
             )
         previous = self._hold(state) if self._previous is None else self._previous
-        action = self._predict(state, batch.get(TACTILE), previous)
+        action = self._predict(state, self._difference(batch), previous)
         if not action.isfinite().all():
             raise InputError("The policy's action is not finite: its weights or an observation contain NaN.")
         return action.clamp(self._action_low, self._action_high)[:, None]
@@ -206,14 +230,20 @@ class PneutacBCPolicy(PreTrainedPolicy):
         hold[:, 3] = state[:, _PRESSURE]
         return hold
 
-    def _predict(self, state: Tensor, image: Tensor | None, previous: Tensor) -> Tensor:
-        """Action (B, 4), m/s and kPa, not clipped, from state (B, 20), image and previous action (B, 4)."""
+    def _difference(self, batch: dict[str, Tensor]) -> Tensor | None:
+        """What the tactile images of a batch show beyond the rest image; None without touch."""
+        if self.encoder is None:
+            return None
+        if batch.get(TACTILE) is None:
+            raise InputError(f"The observation has no '{TACTILE}'; pneutac_bc was trained with touch.")
+        return self.encoder.difference(batch[TACTILE])
+
+    def _predict(self, state: Tensor, difference: Tensor | None, previous: Tensor) -> Tensor:
+        """Action (B, 4), m/s and kPa, not clipped, from state (B, 20), difference, previous action (B, 4)."""
         parts = [
             ((state - self._state_centre) / self._state_scale)[:, self._channels],
             (previous - self._action_centre) / self._action_scale,
         ]
         if self.encoder is not None:
-            if image is None:
-                raise InputError(f"The observation has no '{TACTILE}'; pneutac_bc was trained with touch.")
-            parts.insert(0, self.encoder(image))
+            parts.insert(0, self.encoder(difference))
         return self.mlp(torch.cat(parts, 1)) * self._action_scale + self._action_centre

@@ -19,13 +19,13 @@ _CELL = 10  # px; finer structure than this differs between gels of one make
 _FLAT = 1 / 255  # an image that varies by less shows nothing to compare
 
 
-def rest_image_of(meta) -> torch.Tensor:
-    """Median over the first frames of up to 16 episodes, spread evenly over the dataset.
+def rest_image_of(*metas) -> torch.Tensor:
+    """Median over the first frames of up to 16 episodes, spread evenly over the data.
 
     A demonstration starts out of contact; the median forgives some that do not.
 
     Args:
-        meta: LeRobotDatasetMetadata of a dataset with tactile images.
+        *metas: LeRobotDatasetMetadata of the dataset with tactile images, or of several as if merged.
 
     Returns:
         (3, 320, 240) float32 in [0, 1].
@@ -33,19 +33,28 @@ def rest_image_of(meta) -> torch.Tensor:
     Raises:
         InputError: an image cannot be read.
     """
-    n = min(meta.total_episodes, MAX_EPISODES)
-    episodes = np.unique(np.linspace(0, meta.total_episodes - 1, n).round().astype(int)).tolist()
+    total = sum(meta.total_episodes for meta in metas)
+    chosen = np.unique(np.linspace(0, total - 1, min(total, MAX_EPISODES)).round().astype(int))
+    frames, before = [], 0
+    for meta in metas:
+        inside = (before <= chosen) & (chosen < before + meta.total_episodes)
+        if inside.any():
+            frames += _first_images(meta, (chosen[inside] - before).tolist())
+        before += meta.total_episodes
+    return torch.stack(frames).float().quantile(0.5, dim=0)
+
+
+def _first_images(meta, episodes: list[int]) -> list[Tensor]:
     dataset = LeRobotDataset(meta.repo_id, root=meta.root, episodes=episodes, revision=meta.revision)
     first = [int(meta.episodes[e]["dataset_from_index"]) for e in episodes]
     row = dataset.absolute_to_relative_idx
     try:
-        frames = torch.stack([dataset[row[i]][TACTILE] for i in first])
+        return [dataset[row[i]][TACTILE] for i in first]
     except (OSError, ValueError, RuntimeError) as error:  # what PIL and PyAV raise
         raise InputError(
             f"Dataset '{meta.repo_id}': no rest image, for the first '{TACTILE}' of an episode cannot be read"
             f" ({type(error).__name__}: {error}); delete that episode or record it anew."
         ) from error
-    return frames.float().quantile(0.5, dim=0)
 
 
 def likeness(a: Tensor, b: Tensor) -> float | None:

@@ -34,8 +34,16 @@ class TactileEncoder(nn.Module):
             nn.Linear(32 * 10 * 8, EMBEDDING),
         )
 
-    def forward(self, image: Tensor) -> Tensor:
-        """Embedding (B, 64) of images (B, 3, 320, 240) in [0, 1]."""
+    def forward(self, difference: Tensor) -> Tensor:
+        """Embedding (B, 64) of what `difference` gives."""
+        return self.layers(difference)
+
+    def difference(self, image: Tensor) -> Tensor:
+        """(B, 3, 80, 60), about 1 in a firm touch, of images (B, 3, 320, 240) in [0, 1].
+
+        Raises:
+            InputError: the images have another shape, or there is no rest image.
+        """
         if image.shape[1:] != self.rest_image.shape:
             raise InputError(
                 f"The tactile image has the shape {tuple(image.shape[1:])}; pneutac_bc needs"
@@ -45,4 +53,4 @@ class TactileEncoder(nn.Module):
             raise InputError(
                 "The policy has no rest image: train it on a dataset with tactile images or load its weights."
             )
-        return self.layers(F.avg_pool2d((image - self.rest_image).abs(), POOL) / DIFFERENCE_SCALE)
+        return F.avg_pool2d((image - self.rest_image).abs(), POOL) / DIFFERENCE_SCALE

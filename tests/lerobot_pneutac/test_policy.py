@@ -166,7 +166,7 @@ def test_first_frame_looks_to_training_as_it_does_to_a_fresh_policy():
     batch = make_batch()
     batch["action_is_pad"][:, 0] = True
     batch[ACTION][:, 1] = policy.select_action(batch)
-    inside = policy._predict(batch[OBS_STATE], batch[TACTILE], policy._hold(batch[OBS_STATE]))
+    inside = policy._predict(batch[OBS_STATE], policy._difference(batch), policy._hold(batch[OBS_STATE]))
     batch[ACTION][:, 1] = inside
     assert policy(batch)[0].item() == pytest.approx(0, abs=1e-8)
 
