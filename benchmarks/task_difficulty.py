@@ -15,7 +15,7 @@ from pneutac_sim.features import CONTROL_HZ, TASK_NAMES
 from pneutac_sim.world.expert import ScriptedExpert
 from pneutac_sim.world.world import World
 
-STEPS = 150  # control steps of a trial
+STEPS = 200  # control steps of a trial
 EXPERT_GOAL, REPLAY_GOAL = 0.95, 0.40
 
 

@@ -34,7 +34,7 @@ class PneutacTaskConfig(EnvConfig):
 
     task: str | None = "switch"
     fps: int = CONTROL_HZ
-    episode_length: int = 150
+    episode_length: int = 200
     features: dict[str, PolicyFeature] = field(
         default_factory=lambda: {
             ACTION: PolicyFeature(FeatureType.ACTION, (len(ACTION_NAMES),)),

@@ -15,7 +15,7 @@ from pneutac_sim.finger import Pipeline
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.mpm.shapes import WIDTH_MM, body_mesh, digit_mount_mesh
 from pneutac_sim.mpm.user_mesh import UserMesh, read_mesh, store_mesh, stored_mesh
-from pneutac_sim.twin import DEVICES, Twin
+from pneutac_sim.twin import PAPER_FINGER, Twin, Value
 
 SAME_LENGTH = 0.02  # within which a mesh and a recording are of one device
 USUAL_RANGE_KPA = 50.0  # scales a body's first guess where no recording tells its pressures
@@ -161,4 +161,7 @@ def new_twin(
     if recording is not None:
         top = float(recording.samples[recording.pressure_columns].abs().to_numpy().max()) or USUAL_RANGE_KPA
     pipeline = Pipeline.of(twin)
-    return pipeline.update(twin, pipeline.theta(twin, top))
+    twin = pipeline.update(twin, pipeline.theta(twin, top))
+    if device == "finger":  # no recording tells it, and the world needs it
+        twin.parameters["joint_damping_nms_per_rad"] = Value(PAPER_FINGER["joint_damping_nms_per_rad"])
+    return twin

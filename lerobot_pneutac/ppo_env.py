@@ -17,7 +17,7 @@ from pneutac_sim.world.varied import Variation, VariedWorld
 from pneutac_sim.world.world import WORKSPACE_HIGH, WORKSPACE_LOW, World
 
 GRID = (10, 8)  # cells of the actor's probe grid, rows and columns
-STEPS = 150  # control steps of an episode, as in evaluation
+STEPS = 200  # control steps of an episode, as in evaluation
 JOINT_RANGE_RAD, JOINT_RATE_RAD_S = 0.6, 0.4  # what a joint moves about home, and how fast, in these tasks
 PROPRIOCEPTION = 18  # joints, their rates, flange, pressure
 ACTOR_SIZE = PROPRIOCEPTION + len(ACTION_LOW) + GRID[0] * GRID[1]

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pneutac_datasets.augment_course import Course
 from pneutac_datasets.augment_reference import Reference, onset_sigma_m
 from pneutac_datasets.augment_scene import Scene, find_scene, follow
 from pneutac_datasets.planner import CemPlanner, PlannerConfig
@@ -21,6 +22,7 @@ FRICTION = 0.15  # of the factor on the gel's friction
 FEED_FORWARD_M_S = 0.01  # velocity added along the motion in contact for a friction factor higher by one
 PEAK_KPA = 0.5  # of the peak pressure
 BEND_GAIN = 0.04  # of the factor on pressure to bend
+TRIES = 3  # variants of one reference before another one gets its turn
 EXTRA_STEPS = 15  # beyond the demonstration's length, where the task is about to be done
 
 
@@ -55,8 +57,8 @@ class Variant:
 
     Attributes:
         source: index of the reference.
-        shift_m: (3,) displacement of object and reference trajectory together; its height stays, as objects
-            stand on the table.
+        shift_m: (3,) displacement of the object and, from the touch on, of the reference trajectory; its
+            height stays, as objects stand on the table.
         friction: factor on the gel's friction.
         peak_kpa: added to the peak pressure, and in proportion below it.
         bend_gain: factor on pressure to bend.
@@ -90,7 +92,7 @@ class Trial:
         state: (T, 20), action: (T, 4), images: uint8 (T, 320, 240, 3) as recorded.
         reason: why it is not kept, or None.
         cost: mean of the plans' costs.
-        area_rmse: root mean square error of the contact area in the contact phase.
+        area_rmse: root mean square error of the contact area from its onset on.
     """
 
     state: np.ndarray
@@ -127,7 +129,7 @@ class Generator:
 
         Args:
             index: number of the demonstration.
-            scenes: one for each reference; those in which the reference itself works are used, if any does.
+            scenes: one for each reference.
 
         Returns:
             the trial that is kept, and its provenance with every rejection's reason.
@@ -136,11 +138,10 @@ class Generator:
             InputError: none of `attempts` variants did the task.
         """
         s = self.setup
-        usable = [i for i, scene in enumerate(scenes) if scene.works] or list(range(len(scenes)))
         rejected = []
         for attempt in range(s.attempts):
             rng = np.random.default_rng([s.seed, index, attempt])
-            source = usable[(index + attempt) % len(usable)]
+            source = (index + attempt // TRIES) % len(scenes)
             variant = Variant.draw(source, self.sigma_m, rng)
             trial = self.carry_out(variant, scenes[source], rng)
             where = {"source_episode": s.references[source].source, **asdict(variant)}
@@ -164,60 +165,69 @@ class Generator:
             rng: decides the start's jitter and the planner's.
             plan: False replays the reference's actions blindly, for comparison.
         """
-        s, r = self.setup, self.setup.references[variant.source]
-        goal = r.flange_m + variant.shift_m
-        start = np.clip(goal[0], WORKSPACE_LOW + 0.006, WORKSPACE_HIGH - 0.006)
-        shift = np.add(scene.shift_m, variant.shift_m)
+        r = self.setup.references[variant.source]
+        # Along the way of the search the free path stays: only touch tells how far the object is.
+        aside = np.array([0.0, variant.shift_m[1], 0.0])
+        start = np.clip(r.flange_m[0] + aside, WORKSPACE_LOW + 0.006, WORKSPACE_HIGH - 0.006)
         self.world.variation = Variation(
-            tuple(start.tolist()) if plan else tuple(r.flange_m[0].tolist()),
-            tuple(shift.tolist()),
+            tuple((start if plan else r.flange_m[0]).tolist()),
+            tuple(np.add(scene.shift_m, variant.shift_m).tolist()),
             variant.bend_gain,
             variant.friction,
         )
-        demonstrated = self._warm(r, variant) if plan else r.action
-        planner = CemPlanner(self.gantry, s.planner, rng)
         observation = self.world.reset(scene.seed)
-        states, actions, images, areas, costs = [], [], [], [], []
-        queue: list[np.ndarray] = []
-        first, end = r.contact_phase
-        action = np.zeros(4)
-        for t in range(len(r) + EXTRA_STEPS):
-            if t >= len(r) and self.world.success:
+        ways = (
+            self._plan(r, variant, aside, rng) if plan else iter(np.clip(r.action, ACTION_LOW, ACTION_HIGH))
+        )
+        states, actions, images, areas, self._costs = [], [], [], [], []
+        missed = False
+        while not (self.world.success or self.world.failure):
+            action = next(ways, None)
+            if action is None:
+                missed = len(actions) < len(r)
                 break
-            frames = np.minimum(t + np.arange(s.planner.horizon), len(r) - 1)
-            warm = demonstrated[frames].copy()
-            warm[t + np.arange(len(warm)) >= len(r), :3] = 0.0  # holds still after the end
-            if plan and not queue:
-                here, there = self.world.flange_m, goal[min(t, len(r) - 1)]
-                warm = follow(warm, here, there)
-                if first <= t < end:
-                    ahead = np.minimum(frames + 1, len(r) - 1)
-                    self.gantry.mirror(self.world)
-                    warm = planner.plan(warm, action, r.area[ahead], goal[ahead])
-                    costs.append(planner.cost)
-                    queue = list(warm[: s.planner.replan])
-                else:
-                    queue = [warm[0]]
-            action = (queue.pop(0) if plan else np.clip(warm[0], ACTION_LOW, ACTION_HIGH)).astype(np.float32)
             states.append(observation.state)
             images.append(observation.tactile)
-            actions.append(action)
+            actions.append(action.astype(np.float32))
             areas.append(self.world.touch.area)
             began = time.perf_counter()
-            observation = self.world.step(action)
+            observation = self.world.step(actions[-1])
             self.seconds["execution"] += time.perf_counter() - began
-            if self.world.failure:
-                break
-        reason = self.world.failure or (None if self.world.success else "the task was not done by the end")
-        error = np.array(areas)[first:end] - r.area[first : min(end, len(areas))]
+        late = "a touch of the demonstration did not come" if missed else "the task was not done by the end"
+        reason = self.world.failure or (None if self.world.success else late)
         return Trial(
             np.array(states),
             np.array(actions),
             None if images[0] is None else np.array(images),
             reason,
-            float(np.mean(costs)) if costs else 0.0,
-            float(np.sqrt(np.mean(error**2))) if len(error) else 1.0,
+            float(np.mean(self._costs)) if self._costs else 0.0,
+            _area_rmse(np.array(areas), r.area),
         )
+
+    def _plan(self, r: Reference, variant: Variant, aside_m: np.ndarray, rng: np.random.Generator):
+        """Yields the next action (4,) for the world's present state, until the demonstration is over."""
+        planner = CemPlanner(self.gantry, self.setup.planner, rng)
+        demonstrated, course = self._warm(r, variant), Course(r, aside_m)
+        steps = np.arange(self.setup.planner.horizon)
+        action, queue, extra = np.zeros(4), [], EXTRA_STEPS
+        while extra and course.advance(self.world.touch.area > 0, self.world.flange_m):
+            t = course.frame
+            if not (course.in_contact and queue):
+                frames = np.minimum(t + steps, len(r) - 1)
+                warm = demonstrated[frames].copy()
+                warm[t + steps >= len(r), :3] = 0.0  # holds still after the end
+                if not course.waiting:
+                    warm = follow(warm, self.world.flange_m, r.flange_m[frames[0]] + course.offset_m)
+                queue = [warm[0]]
+                if course.in_contact:
+                    ahead = np.minimum(frames + 1, len(r) - 1)
+                    self.gantry.mirror(self.world)
+                    warm = planner.plan(warm, action, r.area[ahead], r.flange_m[ahead] + course.offset_m)
+                    self._costs.append(planner.cost)
+                    queue = list(warm[: self.setup.planner.replan])
+            action = np.clip(queue.pop(0), ACTION_LOW, ACTION_HIGH)
+            extra -= t >= len(r)
+            yield action
 
     @staticmethod
     def _warm(r: Reference, variant: Variant) -> np.ndarray:
@@ -230,3 +240,13 @@ class Generator:
         along = action[:, :3] / np.maximum(speed, 0.01)
         action[:, :3] += touching * along * FEED_FORWARD_M_S * (variant.friction - 1)
         return np.clip(action, ACTION_LOW, ACTION_HIGH)
+
+
+def _area_rmse(area: np.ndarray, demonstrated: np.ndarray) -> float:
+    """Root mean square error of a contact area (T,) from its onset on; 1 where it never touches."""
+    frames = np.flatnonzero(area > 0)
+    if not len(frames):
+        return 1.0
+    onset = int(np.flatnonzero(demonstrated > 0)[0])
+    n = min(len(area) - frames[0], len(demonstrated) - onset)
+    return float(np.sqrt(np.mean((area[frames[0] :][:n] - demonstrated[onset:][:n]) ** 2)))

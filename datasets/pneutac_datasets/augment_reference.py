@@ -7,6 +7,7 @@ import numpy as np
 from pneutac_sim.errors import InputError
 
 MARGIN = 4  # frames before the first and after the last contact that still count as contact phase
+LOSS = 8  # frames without touch that still belong to a contact
 
 
 @dataclass
@@ -46,6 +47,13 @@ class Reference:
                 f"Episode {self.source} never touches anything (contact_area.pos is 0 throughout); delete it."
             )
         return int(frames[0])
+
+    @property
+    def contacts(self) -> list[tuple[int, int]]:
+        """First frame of each contact and the one after its last; short losses of touch do not part them."""
+        frames = np.flatnonzero(self.area > 0)
+        parts = np.split(frames, np.flatnonzero(np.diff(frames) > LOSS) + 1)
+        return [(int(p[0]), int(p[-1]) + 1) for p in parts if len(p)]
 
     @property
     def contact_phase(self) -> tuple[int, int]:

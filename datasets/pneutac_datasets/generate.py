@@ -29,9 +29,11 @@ def record_episodes(
 ) -> Path:
     """Records demonstrations of a scripted teleoperator; a failed one is recorded anew, as a person would.
 
+    An episode ends when the task is done, as if the person pressed the key for the next one.
+
     Args:
         robot: the simulated robot; one that is not connected is connected for the recording only.
-        teleop: its teleoperator, likewise; its `episode_steps` is the episodes' length.
+        teleop: its teleoperator, likewise; its `episode_steps` is an episode's longest.
         repo_id: name of the dataset.
         root: folder of the dataset, which must not exist.
         episodes: number of demonstrations.
@@ -75,17 +77,21 @@ def record_episodes(
 
 
 def _record_episode(robot: PneutacSim, teleop: PneutacScripted, dataset: LeRobotDataset, task: str) -> bool:
-    """One cycle of the teleoperator into the episode buffer; returns whether the task was done."""
-    for tick in range(teleop.config.episode_steps + teleop.config.reset_steps):
+    """One demonstration into the episode buffer; returns whether the task was done."""
+    teleop.begin()
+    for _ in range(teleop.config.episode_steps):
         observation = robot.get_observation()
         action = teleop.get_action()
+        dataset.add_frame(
+            {
+                **build_dataset_frame(dataset.features, observation, OBS_STR),
+                **build_dataset_frame(dataset.features, action, ACTION),
+                "task": task,
+            }
+        )
         robot.send_action(action)
-        if tick < teleop.config.episode_steps:
-            dataset.add_frame(
-                {
-                    **build_dataset_frame(dataset.features, observation, OBS_STR),
-                    **build_dataset_frame(dataset.features, action, ACTION),
-                    "task": task,
-                }
-            )
-    return robot.successes[-1]
+        if robot.world.success or robot.world.failure:
+            break
+    done = robot.world.success and not robot.world.failure
+    robot.reset()
+    return done

@@ -36,6 +36,10 @@ class PneutacScripted(BaseTeleop):
         if self.is_connected:
             raise DeviceAlreadyConnectedError(f"{self} is already connected.")
         self._rng = np.random.default_rng(self.config.seed)
+        self.begin()
+
+    def begin(self) -> None:
+        """Starts a new demonstration with the next action, whatever the tick."""
         self._tick = 0
 
     def get_action(self) -> dict[str, Any]:

@@ -13,11 +13,11 @@ for _task in TASK_NAMES:
         id=f"pneutac_sim/{_task}",
         entry_point="pneutac_sim.world.env:PneutacEnv",
         kwargs={"task": _task},
-        max_episode_steps=150,
+        max_episode_steps=200,
     )
     gymnasium.register(
         id=f"pneutac_standin/{_task}",
         entry_point="pneutac_sim.world.env:standin_env",
         kwargs={"task": _task},
-        max_episode_steps=150,
+        max_episode_steps=200,
     )

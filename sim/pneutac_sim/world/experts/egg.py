@@ -19,7 +19,6 @@ EDGE_M, REACH_M = EggTask().edge_m, EggTask().reach_m
 LANES = Lanes(height_m=EDGE_M - 0.015, rise_m=0.037, width_m=0.0135, last_m=0.008, back_m=0.44)
 WALL_M = 0.006  # imprints nearer to the gel's end are of the wall
 PAST_M = 0.012  # gel above the lid's edge when it has slid past it
-HOOKED_M = 0.0  # gel above the lid's edge when the tab lies on it
 
 
 def open_carton(world: World, habits: Habits, pressure: float) -> Wish:
@@ -30,7 +29,7 @@ def open_carton(world: World, habits: Habits, pressure: float) -> Wish:
         return LANES.withdraw(world, past), 0.0
     felt = touching(world, 0.05)
     hooked = felt and at is not None and at[1] < WALL_M
-    inflating = SEARCH_KPA < pressure < habits.high_kpa - 0.5
+    inflating = pressure > SEARCH_KPA and world.pressure_kpa < habits.high_kpa - 1.0
     if hooked or inflating or (felt and pressure > SEARCH_KPA):
         return _lift(world, habits, pressure, at)
     if pressure > SEARCH_KPA or past:
@@ -45,7 +44,11 @@ def _lift(world: World, habits: Habits, pressure: float, at: np.ndarray | None) 
     """Inflate with the tab in the middle of the gel, then lift along the lid's arc."""
     across = 0.0 if at is None or at[1] > WALL_M else at[0]
     aside = np.array([0.0, -3.0 * across, 0.0])
-    if pressure < habits.high_kpa - 0.5 or abs(across) > 0.004:
+    if at is None:  # the tab lies on what is not gel
+        return np.array([-0.01, 0.0, 0.03]), habits.high_kpa
+    if abs(across) > 0.005:
         return aside, habits.high_kpa
-    rise = np.clip((world.gel_m[2] - EDGE_M - HOOKED_M) / REACH_M, 0, 0.95)
-    return habits.speed * (0.06 * np.array([rise, 0.0, np.sqrt(1 - rise**2)]) + aside), habits.high_kpa
+    full = np.clip((pressure - habits.low_kpa) / (habits.high_kpa - habits.low_kpa), 0, 1)
+    rise = np.clip((world.gel_m[2] - EDGE_M) / REACH_M, 0, 0.95)
+    lift = 0.06 * full * np.array([rise, 0.0, np.sqrt(1 - rise**2)])
+    return habits.speed * (lift + aside), habits.high_kpa

@@ -89,7 +89,9 @@ class Lanes:
         rise = world.gel_m[2] - self.height_m
         if x < self.back_m:
             again = rise > self.rise_m + WRAP_M / 2  # more than it may have risen by its own inertia
-            aside = -3 * self.width_m / (WRAP_M / 2 + OVER_M) if again else self.width_m / (self.rise_m + OVER_M)
+            aside = (
+                -3 * self.width_m / (WRAP_M / 2 + OVER_M) if again else self.width_m / (self.rise_m + OVER_M)
+            )
             return FAST_M_S * np.array([0.0, aside, -1.0]) / np.hypot(1.0, aside)
         if end and rise < self.rise_m + WRAP_M * (y > self.last_m):
             return np.array([0.0, 0.0, FAST_M_S])
