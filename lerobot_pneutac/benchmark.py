@@ -11,7 +11,7 @@ TABLES: dict[str, str | None] = {
     "tactile": "lerobot_pneutac.benchmark_tactile",
     "surrogate": "lerobot_pneutac.benchmark_surrogate",
     "augment": "lerobot_pneutac.benchmark_augment",
-    "policy": None,
+    "policy": "lerobot_pneutac.benchmark_policy",
     "speed": "lerobot_pneutac.benchmark_speed",
 }
 
