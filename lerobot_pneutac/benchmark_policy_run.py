@@ -6,6 +6,7 @@ import multiprocessing
 import os
 import threading
 import time
+import traceback
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -87,6 +88,8 @@ def run_units(
                     ) from e
                 except InputError as e:
                     failed[unit.name] = str(e)
+                except Exception as e:  # hours of other units are not lost for the fault of one
+                    failed[unit.name] = f"{type(e).__name__}: {e} (see {out / unit.name / LOG})"
     show("")
     return done, failed
 
@@ -101,7 +104,11 @@ def run_unit(out: Path, unit: Unit, workers: int) -> dict:
         for stream in (1, 2):  # also what libraries in C print
             os.dup2(log.fileno(), stream)
     start = time.monotonic()
-    result = KINDS[unit.kind](folder, unit.options, [out / need for need in unit.needs], workers)
+    try:
+        result = KINDS[unit.kind](folder, unit.options, [out / need for need in unit.needs], workers)
+    except Exception:
+        traceback.print_exc()
+        raise
     found = {"unit": as_dict(unit), "seconds": time.monotonic() - start, "result": result}
     part = folder / f"{RESULT}.part"
     part.write_text(json.dumps(found, indent=2, allow_nan=False))
@@ -124,9 +131,11 @@ def _start() -> None:
 
     torch.set_num_threads(1)
 
-    def end_with_parent() -> None:
+    def end_with_parent() -> None:  # else a killed benchmark would leave its processes waiting for ever
         multiprocessing.parent_process().join()
-        os._exit(1)  # else a killed benchmark would leave its processes waiting for ever
+        for child in multiprocessing.active_children():
+            child.kill()
+        os._exit(1)
 
     threading.Thread(target=end_with_parent, daemon=True).start()
 

@@ -146,6 +146,7 @@ def train(folder: Path, options: dict, needs: list[Path], workers: int) -> dict:
 
 def evaluate(folder: Path, options: dict, needs: list[Path], workers: int) -> dict:
     """Trials on the stand-in by LeRobot's own evaluation, on the CPU and without videos."""
+    from lerobot.configs import PreTrainedConfig
     from lerobot.envs.factory import make_env, make_env_pre_post_processors
     from lerobot.policies import make_pre_post_processors
     from lerobot.scripts.lerobot_eval import eval_policy
@@ -154,8 +155,9 @@ def evaluate(folder: Path, options: dict, needs: list[Path], workers: int) -> di
     from lerobot_pneutac.policy.modeling_pneutac_bc import PneutacBCPolicy
 
     (path,) = (needs[0] / "checkpoints").glob("*/pretrained_model")
-    policy = PneutacBCPolicy.from_pretrained(path).to("cpu")
-    policy.config.device = "cpu"
+    config = PreTrainedConfig.from_pretrained(path)
+    config.device = "cpu"
+    policy = PneutacBCPolicy.from_pretrained(path, config=config)
     on_cpu = {"device_processor": {"device": "cpu"}}
     before, after = make_pre_post_processors(policy.config, str(path), preprocessor_overrides=on_cpu)
     world = PneutacStandinConfig(task=options["task"], episode_length=TRIAL_STEPS)
