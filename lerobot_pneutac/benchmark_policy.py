@@ -111,9 +111,7 @@ class BenchmarkPolicyConfig:
             values = getattr(self, option)
             unknown = [v for v in values if v not in known]
             if unknown or len(set(values)) != len(values):
-                raise InputError(
-                    f"--{option} is {list(values)}; give each of {', '.join(known)} once at most."
-                )
+                raise InputError(f"--{option} is {list(values)}; give some of {', '.join(known)}, each once.")
         if not self.tasks or not (self.conditions or self.compare_twins):
             raise InputError("Give at least one of --tasks and one of --conditions.")
         seeds = self.seeds
