@@ -15,7 +15,7 @@ from pneutac_sim.finger import Pipeline
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.mpm.shapes import WIDTH_MM, body_mesh, digit_mount_mesh
 from pneutac_sim.mpm.user_mesh import UserMesh, read_mesh, store_mesh, stored_mesh
-from pneutac_sim.twin import PAPER_FINGER, Twin, Value
+from pneutac_sim.twin import DEVICES, PAPER_FINGER, Twin, Value
 
 SAME_LENGTH = 0.02  # within which a mesh and a recording are of one device
 USUAL_RANGE_KPA = 50.0  # scales a body's first guess where no recording tells its pressures

@@ -20,8 +20,8 @@ import numpy as np
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
 from lerobot.utils.constants import ACTION, OBS_STATE
 
-from pneutac_datasets.augment_episode import EXTRA_STEPS, AugmentSetup
-from pneutac_datasets.augment_reference import Reference, onset_sigma_m
+from pneutac_datasets.augment_episode import AugmentSetup
+from pneutac_datasets.augment_reference import EXTRA_STEPS, Reference, onset_sigma_m
 from pneutac_datasets.augment_scene import Scene
 from pneutac_datasets.augment_work import Work, make_episode, make_scene, start_worker
 from pneutac_datasets.demonstrations import AREA, EE, TACTILE, Episode, demonstration_features, save_episode

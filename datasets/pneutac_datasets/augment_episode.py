@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from pneutac_datasets.augment_course import Course
-from pneutac_datasets.augment_reference import Reference, onset_sigma_m
+from pneutac_datasets.augment_reference import EXTRA_STEPS, Reference, onset_sigma_m
 from pneutac_datasets.augment_scene import Scene, find_scene, follow
 from pneutac_datasets.planner import CemPlanner, PlannerConfig
 from pneutac_sim.errors import InputError
@@ -23,7 +23,6 @@ FEED_FORWARD_M_S = 0.01  # velocity added along the motion in contact for a fric
 PEAK_KPA = 0.5  # of the peak pressure
 BEND_GAIN = 0.04  # of the factor on pressure to bend
 TRIES = 3  # variants of one reference before another one gets its turn
-EXTRA_STEPS = 15  # beyond the demonstration's length, where the task is about to be done
 
 
 @dataclass(frozen=True)
@@ -207,15 +206,15 @@ class Generator:
     def _plan(self, r: Reference, variant: Variant, aside_m: np.ndarray, rng: np.random.Generator):
         """Yields the next action (4,) for the world's present state, until the demonstration is over."""
         planner = CemPlanner(self.gantry, self.setup.planner, rng)
+        r = r.prolonged(EXTRA_STEPS)
         demonstrated, course = self._warm(r, variant), Course(r, aside_m)
         steps = np.arange(self.setup.planner.horizon)
-        action, queue, extra = np.zeros(4), [], EXTRA_STEPS
-        while extra and course.advance(self.world.touch.area > 0, self.world.flange_m):
+        action, queue = np.zeros(4), []
+        while course.advance(self.world.touch.area > 0, self.world.flange_m) and course.frame < len(r):
             t = course.frame
             if not (course.in_contact and queue):
                 frames = np.minimum(t + steps, len(r) - 1)
                 warm = demonstrated[frames].copy()
-                warm[t + steps >= len(r), :3] = 0.0  # holds still after the end
                 if not course.waiting:
                     warm = follow(warm, self.world.flange_m, r.flange_m[frames[0]] + course.offset_m)
                 queue = [warm[0]]
@@ -226,7 +225,6 @@ class Generator:
                     self._costs.append(planner.cost)
                     queue = list(warm[: self.setup.planner.replan])
             action = np.clip(queue.pop(0), ACTION_LOW, ACTION_HIGH)
-            extra -= t >= len(r)
             yield action
 
     @staticmethod

@@ -1,11 +1,13 @@
 """Demonstrations as references for the planner: what was done and felt, and how their contacts scatter."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pneutac_sim.errors import InputError
+from pneutac_sim.features import CONTROL_HZ
 
+EXTRA_STEPS = 15  # frames by which a demonstration goes on where the task is about to be done
 MARGIN = 4  # frames before the first and after the last contact that still count as contact phase
 LOSS = 8  # frames without touch that still belong to a contact
 
@@ -37,6 +39,17 @@ class Reference:
 
     def __len__(self) -> int:
         return len(self.action)
+
+    def prolonged(self, steps: int) -> "Reference":
+        """The same, going on by `steps` frames as it ended: what follows a success that comes later."""
+        last = self.action[-1]
+        ahead = np.arange(1, steps + 1)[:, None] * last[:3] / CONTROL_HZ
+        return replace(
+            self,
+            flange_m=np.vstack([self.flange_m, self.flange_m[-1] + ahead]),
+            area=np.append(self.area, np.full(steps, self.area[-1])),
+            action=np.vstack([self.action, np.tile(last, (steps, 1))]),
+        )
 
     @property
     def onset(self) -> int:

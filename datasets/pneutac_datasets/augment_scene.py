@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from pneutac_datasets.augment_reference import Reference
+from pneutac_datasets.augment_reference import EXTRA_STEPS, Reference
 from pneutac_sim.features import ACTION_HIGH, ACTION_LOW
 from pneutac_sim.world.gantry import Gantry
 from pneutac_sim.world.varied import Variation, VariedWorld
@@ -67,6 +67,7 @@ def find_scene(world: VariedWorld, gantry: Gantry, reference: Reference, seed: i
         candidates: number of scenes drawn.
     """
     rng = np.random.default_rng([seed, reference.source, 7])
+    reference = reference.prolonged(EXTRA_STEPS)
     start = tuple(reference.flange_m[0])
     onset = max(reference.onset, 1)
     world.variation = Variation(start, AWAY_M)
