@@ -1,14 +1,16 @@
 """Which frame of a demonstration comes next in a new scene, and where it lies there.
 
 Before a touch nobody knows where the object is, so the demonstrated way is gone as it was, and farther or
-less far until the touch comes. In contact it lies where the touch came.
+less far until the touch comes. In contact it lies where the touch came, and lasts until the touch is
+gone.
 """
 
 import numpy as np
 
 from pneutac_datasets.augment_reference import Reference
 
-EARLY, LATE = 16, 16  # control steps by which a touch may come before and after the demonstrated one
+EARLY, LATE = 16, 24  # control steps by which a touch may come, or go, before and after the demonstrated one
+GONE = 2  # frames without touch after which it is over
 BUMP = 6  # frames; shorter contacts need not come
 
 
@@ -28,7 +30,7 @@ class Course:
     def __init__(self, reference: Reference, aside_m: np.ndarray):
         self._contacts = list(reference.contacts)
         self._reference, self._aside_m = reference, np.asarray(aside_m, float)
-        self._waited = 0
+        self._waited = self._lost = 0
         self.frame, self.offset_m, self.in_contact = -1, self._aside_m, False
 
     def advance(self, touched: bool, flange_m: np.ndarray) -> bool:
@@ -42,28 +44,55 @@ class Course:
             False where a touch that the demonstration had does not come.
         """
         self.frame += 1
-        if self._contacts and self.frame >= self._contacts[0][1]:  # over
+        if self.in_contact:
+            self._stay_in_contact(touched)
+        if not self.in_contact:
+            return self._search(touched, flange_m)
+        return True
+
+    def _stay_in_contact(self, touched: bool) -> None:
+        """Ends a contact when the touch is gone, and not before."""
+        end = self._contacts[0][1]
+        self._lost = 0 if touched else self._lost + 1
+        if self._lost >= GONE and end - self.frame <= EARLY:
+            self.frame = end
+        elif self.frame == end and self._lost < GONE and self._waited < LATE:
+            self._waited += 1
+            self.frame = end - 1
+            self.offset_m = self.offset_m + self.onward_m
+        if self.frame >= end:
             del self._contacts[0]
-            self.in_contact = False
-        if self.in_contact or not self._contacts:
-            self.offset_m = self.offset_m if self.in_contact else self._aside_m
+            self.in_contact, self._waited, self._lost = False, 0, 0
+
+    def _search(self, touched: bool, flange_m: np.ndarray) -> bool:
+        """The free way, until the next touch comes."""
+        self.offset_m = self._aside_m
+        if not self._contacts:
             return True
         first, end = self._contacts[0]
         if touched and first - self.frame <= EARLY:
             self.frame, self.in_contact, self._waited = first, True, 0
             self.offset_m = flange_m - self._reference.flange_m[first]
+        elif self.frame == first and end - first < BUMP:
+            del self._contacts[0]
         elif self.frame == first:
-            if end - first < BUMP:
-                del self._contacts[0]
-                return True
             self._waited += 1
             self.frame = first - 1
             return self._waited <= LATE
-        else:
-            self.offset_m = self._aside_m
         return True
 
     @property
+    def last(self) -> int:
+        """The last frame that is certain: whether a contact is released is up to the touch."""
+        return self._contacts[0][1] - 1 if self.in_contact else len(self._reference) - 1
+
+    @property
+    def onward_m(self) -> np.ndarray:
+        """(3,) mean motion of a control step in the contact, by which it goes on after the last frame."""
+        path, first = self._reference.flange_m, self._contacts[0][0] if self.in_contact else 0
+        return (path[self.last] - path[first]) / max(self.last - first, 1)
+
+    @property
     def waiting(self) -> bool:
-        """Whether a touch is overdue."""
+        """Whether a touch, or its end, is overdue."""
         return self._waited > 0

@@ -11,7 +11,7 @@ from pneutac_datasets.augment_reference import EXTRA_STEPS, Reference, onset_sig
 from pneutac_datasets.augment_scene import Scene, find_scene, follow
 from pneutac_datasets.planner import CemPlanner, PlannerConfig
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import ACTION_HIGH, ACTION_LOW
+from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, CONTROL_HZ
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.gantry import Gantry
 from pneutac_sim.world.varied import Variation, VariedWorld
@@ -213,15 +213,19 @@ class Generator:
         while course.advance(self.world.touch.area > 0, self.world.flange_m) and course.frame < len(r):
             t = course.frame
             if not (course.in_contact and queue):
-                frames = np.minimum(t + steps, len(r) - 1)
+                frames = np.minimum(t + steps, course.last)
                 warm = demonstrated[frames].copy()
                 if not course.waiting:
-                    warm = follow(warm, self.world.flange_m, r.flange_m[frames[0]] + course.offset_m)
+                    warm = follow(warm, self.world.flange_m, r.flange_m[t] + course.offset_m)
                 queue = [warm[0]]
                 if course.in_contact:
-                    ahead = np.minimum(frames + 1, len(r) - 1)
+                    warm[t + steps > course.last, :3] = course.onward_m * CONTROL_HZ
+                    ahead = t + 1 + steps
+                    beyond = np.maximum(ahead - course.last, 0)[:, None] * course.onward_m
+                    ahead = np.minimum(ahead, course.last)
+                    goal = r.flange_m[ahead] + course.offset_m + beyond
                     self.gantry.mirror(self.world)
-                    warm = planner.plan(warm, action, r.area[ahead], r.flange_m[ahead] + course.offset_m)
+                    warm = planner.plan(warm, action, r.area[ahead], goal)
                     self._costs.append(planner.cost)
                     queue = list(warm[: self.setup.planner.replan])
             action = np.clip(queue.pop(0), ACTION_LOW, ACTION_HIGH)

@@ -63,10 +63,17 @@ class Reference:
 
     @property
     def contacts(self) -> list[tuple[int, int]]:
-        """First frame of each contact and the one after its last; short losses of touch do not part them."""
+        """First frame of each contact and that of its release; short losses of touch do not part them.
+
+        The release is where the area falls below half of its largest: what follows only brushes.
+        """
         frames = np.flatnonzero(self.area > 0)
-        parts = np.split(frames, np.flatnonzero(np.diff(frames) > LOSS) + 1)
-        return [(int(p[0]), int(p[-1]) + 1) for p in parts if len(p)]
+        found = []
+        for part in np.split(frames, np.flatnonzero(np.diff(frames) > LOSS) + 1):
+            if len(part):
+                firm = self.area[part] >= 0.5 * self.area[part].max()
+                found.append((int(part[0]), int(part[np.flatnonzero(firm)[-1]]) + 1))
+        return found
 
     @property
     def contact_phase(self) -> tuple[int, int]:

@@ -15,7 +15,7 @@ from pneutac_sim.world.world import World
 
 # Lanes are nearer to each other than gel and bar together are wide, so that the bar is never between two.
 LANES = Lanes(height_m=0.118, rise_m=0.04, width_m=0.012, last_m=0.007, back_m=0.425)
-END_M = 0.484  # flange where the gel is behind the farthest bar
+END_M = 0.497  # flange where the gel is behind the farthest bar
 
 
 def flip_switch(world: World, habits: Habits, pressure: float) -> Wish:
