@@ -13,7 +13,7 @@ from lerobot_pneutac.report import write_result
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import CONTROL_HZ, TASK_NAMES
 
-EPISODE_S = 10
+EPISODE_S = 13
 
 
 @dataclass

@@ -54,10 +54,8 @@ class BenchmarkPolicyConfig:
         twin: folder of the twin for augmentation and reinforcement learning; default the built-in one.
         fidelity: how finger and gel deform there: `probe`, by formulas, which every twin has, `surrogate`, by
             networks that fit the twin, or `mpm`.
-        compare_twins: a second table: one twin before and one after corrections, by augmented data alone, and
-            fine-tuned.
-        twin_before: folder of the first.
-        twin_after: folder of the second.
+        twin_before: folder of a twin before it was corrected: a second table compares it with `twin`, by
+            augmented data alone, and fine-tuned.
         fast: a tiny size, for checks; other options of size are not looked at.
         out: folder of all units, `result.json`, `table.md` and `report.html`.
     """
@@ -78,9 +76,7 @@ class BenchmarkPolicyConfig:
     jobs: int | None = None
     twin: Path | None = None
     fidelity: str = "probe"
-    compare_twins: bool = False
     twin_before: Path | None = None
-    twin_after: Path | None = None
     fast: bool = False
     out: Path = Path("outputs/benchmark_policy")
 
@@ -112,7 +108,7 @@ class BenchmarkPolicyConfig:
             unknown = [v for v in values if v not in known]
             if unknown or len(set(values)) != len(values):
                 raise InputError(f"--{option} is {list(values)}; give some of {', '.join(known)}, each once.")
-        if not self.tasks or not (self.conditions or self.compare_twins):
+        if not self.tasks or not (self.conditions or self.twin_before):
             raise InputError("Give at least one of --tasks and one of --conditions.")
         seeds = self.seeds
         if not seeds or len(set(seeds)) != len(seeds) or not all(0 <= s < MAX_SEED for s in seeds):
@@ -121,10 +117,7 @@ class BenchmarkPolicyConfig:
     def _check_twins(self) -> None:
         if self.fidelity not in FIDELITIES:
             raise InputError(f"--fidelity is '{self.fidelity}'; it must be one of {', '.join(FIDELITIES)}.")
-        for name in ("twin_before", "twin_after"):
-            if (getattr(self, name) is not None) != self.compare_twins:
-                raise InputError("--compare_twins=true, --twin_before and --twin_after go together.")
-        for name in ("twin", "twin_before", "twin_after"):
+        for name in ("twin", "twin_before"):
             path = getattr(self, name)
             if path is None:
                 continue

@@ -46,13 +46,12 @@ CONDITIONS = {
     "no_tac": Condition("as sim_real, without touch", "augmented", "real", use_tactile=False),
     "ppo": Condition("of an actor trained by PPO on the twin, then real", "student", "real"),
 }
+# What correcting the twin changes: `twin_before` against `twin`.
 COMPARED = {
-    f"{how}_{when}": Condition(f"{words}, twin {when} the corrections", pretrain, final)
-    for when in ("before", "after")
-    for how, words, pretrain, final in (
-        ("sim_only", "augmented alone", None, f"augmented_{when}"),
-        ("sim_real", "augmented, then real", f"augmented_{when}", "real"),
-    )
+    "sim_only_before": Condition("augmented alone, twin before", None, "augmented_before"),
+    "sim_only": Condition("augmented alone, twin after", None, "augmented"),
+    "sim_real_before": Condition("augmented, then real, twin before", "augmented_before", "real"),
+    "sim_real": Condition("augmented, then real, twin after", "augmented", "real"),
 }
 # frames -> the units whose datasets they are read from
 FRAMES = {
@@ -62,7 +61,6 @@ FRAMES = {
     "naive": ("naive",),
     "student": ("student",),
     "augmented_before": ("augmented_before",),
-    "augmented_after": ("augmented_after",),
 }
 
 
@@ -90,8 +88,7 @@ def derived_seed(seed: int, task: str, purpose: str) -> int:
 
 def conditions(cfg) -> dict[str, Condition]:
     """Those that a BenchmarkPolicyConfig asks for."""
-    chosen = {name: CONDITIONS[name] for name in cfg.conditions}
-    return chosen | (COMPARED if cfg.compare_twins else {})
+    return (COMPARED if cfg.twin_before else {}) | {name: CONDITIONS[name] for name in cfg.conditions}
 
 
 def plan(cfg) -> list[Unit]:
@@ -155,8 +152,8 @@ def _of_dataset(cfg, task: str, seed: int, source: str) -> list[Unit]:
         actor = Unit(f"{at}/ppo_actor", "ppo", seeded(options, "ppo"))
         options = seeded(made | {"twin": _text(cfg.twin)}, "student")
         return [actor, Unit(f"{at}/student", "student", options, (actor.name,))]
-    twin = {"augmented": cfg.twin, "augmented_before": cfg.twin_before, "augmented_after": cfg.twin_after}
-    options = seeded(made | {"twin": _text(twin[source])}, "augmented")
+    twin = {"augmented": cfg.twin, "augmented_before": cfg.twin_before}[source]
+    options = seeded(made | {"twin": _text(twin)}, "augmented")
     return [first, Unit(f"{at}/{source}", "augment", options, (first.name,))]
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from lerobot_pneutac.benchmark_policy_plan import COMPARED, Condition, conditions
+from lerobot_pneutac.benchmark_policy_plan import COMPARED, CONDITIONS, Condition, conditions
 from lerobot_pneutac.benchmark_tactile_table import mean_sem
 from lerobot_pneutac.report import Report, write_result
 
@@ -56,8 +56,8 @@ def write(cfg, done: dict[str, dict], failed: dict[str, str], wall_s: float, con
     """Prints the tables; writes `result.json`, `table.md` and the report, whose path it returns."""
     chosen = conditions(cfg)
     parts = {
-        "Success on the stand-in, %": {k: v for k, v in chosen.items() if k not in COMPARED},
-        "Before and after the corrections, %": {k: v for k, v in chosen.items() if k in COMPARED},
+        "Success on the stand-in, %": {name: CONDITIONS[name] for name in cfg.conditions},
+        "Before and after the twin was corrected, %": COMPARED if cfg.twin_before else {},
     }
     tables = {title: rows(cfg, done, part) for title, part in parts.items() if part}
     note = (

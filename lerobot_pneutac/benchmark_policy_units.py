@@ -8,7 +8,7 @@ from rich.console import Console
 from pneutac_sim.features import CONTROL_HZ
 from pneutac_sim.twin import Twin
 
-EPISODE_S = 10  # most that a scripted demonstration takes
+EPISODE_S = 14  # most that a scripted demonstration takes
 TRIAL_STEPS = 225  # 15 s, after which a trial has failed
 HELD_OUT = 0.1  # share of the final data set's episodes
 FRAMES_FILE = "frames.npz"

@@ -34,7 +34,7 @@ from pneutac_sim.twin import Twin
 
 FPS = 15
 TASK_TEXT = "flip the switch"
-EPISODE_S = 10  # the script needs 2 to 9 s, by the lane in which it finds the bar
+EPISODE_S = 13  # the script needs 2 to 12 s, by the lane in which it finds the object
 
 
 @dataclass

@@ -65,9 +65,8 @@ def test_compared_twins_differ_in_the_twin_alone(tmp_path):
         Twin.builtin().save(tmp_path / name)
     units = plan(
         config(
-            "--compare_twins=true",
             f"--twin_before={tmp_path / 'a'}",
-            f"--twin_after={tmp_path / 'b'}",
+            f"--twin={tmp_path / 'b'}",
             "--conditions=[]",
             "--tasks=[egg]",
             "--seeds=[4]",
@@ -78,7 +77,7 @@ def test_compared_twins_differ_in_the_twin_alone(tmp_path):
     assert before.options | {"twin": ""} == after.options | {"twin": ""}
     needs = {u.name.split("/")[2]: u.needs for u in by_kind(units, "train")}
     assert needs["sim_only_before_policy"] == ("egg/4/augmented_before_frames",)
-    assert needs["sim_real_after_policy"] == ("egg/4/augmented_after_frames", "egg/4/real_frames")
+    assert needs["sim_real_policy"] == ("egg/4/augmented_frames", "egg/4/real_frames")
 
 
 def test_table_has_mean_and_standard_error_over_seeds():
@@ -110,8 +109,7 @@ def test_table_has_mean_and_standard_error_over_seeds():
         ("--finetune_lr=nan", "--finetune_lr is nan"),
         ("--fidelity=exact", "--fidelity is 'exact'"),
         ("--twin=nowhere", "no twin.yaml"),
-        ("--compare_twins=true", "go together"),
-        ("--twin_after=nowhere", "go together"),
+        ("--twin_before=nowhere", "no twin.yaml"),
     ],
 )
 def test_bad_options_end_in_a_sentence(option, words):
