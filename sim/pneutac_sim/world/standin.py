@@ -128,6 +128,7 @@ class StandinWorld(World):
         if seed is not None:
             self._noise = np.random.default_rng([seed, 1])
         self._waiting = deque([np.zeros(4)] * LATE_COMMANDS)
+        self._pressed = 0.0, None
         if isinstance(self.touch, StandinTouch):  # not yet while the world is being built
             self.touch.begin(self._noise)
         return super().reset(seed)
@@ -136,9 +137,22 @@ class StandinWorld(World):
     def step(self, action: np.ndarray) -> Observation:
         sent = self._clip(action)
         self._waiting.append(sent)
+        self._pressed = super().press_mm, super().imprint_m
         observation = super().step(self._waiting.popleft())
         self.command = sent
         return observation
+
+    @property
+    @override
+    def press_mm(self) -> float:
+        """How far the gel's surface is pressed in as the camera shows it, a control step late, mm."""
+        return self._pressed[0]
+
+    @property
+    @override
+    def imprint_m(self) -> np.ndarray | None:
+        """Where the gel is pressed as the camera shows it, see `World.imprint_m`."""
+        return self._pressed[1]
 
     @override
     def _observe(self) -> Observation:

@@ -272,6 +272,23 @@ class World:
         return -1e3 * float(self._pad.qpos[0])
 
     @property
+    def imprint_m(self) -> np.ndarray | None:
+        """Where the gel is pressed, in its frame: across and along the finger (2,), metres; None where not.
+
+        Along is positive towards the tip. The tactile image shows the same.
+        """
+        model, data = self.model, self.data
+        pad, total, moment, force = model.geom("pad").id, 0.0, np.zeros(3), np.zeros(6)
+        for i in range(data.ncon):
+            if pad in (data.contact[i].geom1, data.contact[i].geom2):
+                mujoco.mj_contactForce(model, data, i, force)
+                total += force[0]
+                moment += force[0] * (data.contact[i].pos - self.gel_m)
+        if total < 0.02:
+            return None
+        return (data.site("gel").xmat.reshape(3, 3).T @ moment)[:2] / total
+
+    @property
     def flange_m(self) -> np.ndarray:
         """Flange position (3,), metres."""
         return self.data.site_xpos[self._flange].copy()

@@ -9,7 +9,7 @@ import pytest
 
 from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, TASK_NAMES
 from pneutac_sim.world.expert import ScriptedExpert
-from pneutac_sim.world.experts.motion import Habits, imprint_m
+from pneutac_sim.world.experts.motion import Habits
 from pneutac_sim.world.world import DT, World
 
 BENCHMARK = Path(__file__).parents[3] / "benchmarks" / "task_difficulty.py"
@@ -111,13 +111,13 @@ def test_search_ends_on_the_object_wherever_it_is(worlds, task):
 def test_imprint_is_where_the_object_presses(worlds):
     world = worlds["switch"]
     world.reset(0)
-    assert imprint_m(world) is None
+    assert world.imprint_m is None
     expert = ScriptedExpert(world, np.random.default_rng(0))
-    while imprint_m(world) is None or world.press_mm < 0.4:
+    while world.imprint_m is None or world.press_mm < 0.4:
         world.step(expert.action())
     bar = world.data.geom("bar").xpos
     gel = world.data.site("gel").xmat.reshape(3, 3).T @ (bar - world.gel_m)
-    np.testing.assert_allclose(imprint_m(world), gel[:2], atol=4e-3)
+    np.testing.assert_allclose(world.imprint_m, gel[:2], atol=4e-3)
 
 
 def test_same_rng_same_demonstration_and_people_differ(worlds):

@@ -8,7 +8,6 @@ from pneutac_sim.world.experts.motion import (
     Habits,
     Lanes,
     Wish,
-    imprint_m,
     touching,
 )
 from pneutac_sim.world.tasks.egg import EggTask
@@ -23,7 +22,7 @@ PAST_M = 0.012  # gel above the lid's edge when it has slid past it
 
 def open_carton(world: World, habits: Habits, pressure: float) -> Wish:
     """What to do now; `pressure` is the one commanded last, kPa."""
-    z, at = world.gel_m[2], imprint_m(world)
+    z, at = world.gel_m[2], world.imprint_m
     past = z > EDGE_M + PAST_M
     if pressure < VENTED_KPA and not LANES.begins(world):
         return LANES.withdraw(world, past), 0.0

@@ -6,7 +6,6 @@ at low pressure it searches; above, it acts on what it has found.
 
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 
 from pneutac_sim.world.world import World
@@ -105,20 +104,3 @@ class Lanes:
 def touching(world: World, least_mm: float = TOUCH_MM) -> bool:
     """Whether the gel shows a touch."""
     return world.press_mm > least_mm
-
-
-def imprint_m(world: World) -> np.ndarray | None:
-    """Where the gel is pressed, in the gel's frame: across and along the finger (2,), metres; None where not.
-
-    Along is positive towards the tip. The tactile image shows the same.
-    """
-    model, data = world.model, world.data
-    pad, total, moment, force = model.geom("pad").id, 0.0, np.zeros(3), np.zeros(6)
-    for i in range(data.ncon):
-        if pad in (data.contact[i].geom1, data.contact[i].geom2):
-            mujoco.mj_contactForce(model, data, i, force)
-            total += force[0]
-            moment += force[0] * (data.contact[i].pos - world.gel_m)
-    if total < 0.02:
-        return None
-    return (data.site("gel").xmat.reshape(3, 3).T @ moment)[:2] / total

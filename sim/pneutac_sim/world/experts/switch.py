@@ -8,7 +8,6 @@ from pneutac_sim.world.experts.motion import (
     Habits,
     Lanes,
     Wish,
-    imprint_m,
     touching,
 )
 from pneutac_sim.world.world import World
@@ -33,7 +32,7 @@ def flip_switch(world: World, habits: Habits, pressure: float) -> Wish:
 def _push(world: World, habits: Habits, pressure: float) -> Wish:
     """Inflate and creep ahead with the imprint in the middle of the gel."""
     full = np.clip((pressure - habits.low_kpa) / (habits.high_kpa - habits.low_kpa), 0, 1)
-    at = imprint_m(world)
+    at = world.imprint_m
     across, along = (0.0, 0.0) if at is None else at
     ahead = 0.03 - 0.012 * full
     return habits.speed * np.array([ahead, -3.0 * across, -3.0 * along]), habits.high_kpa
