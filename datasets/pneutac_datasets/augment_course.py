@@ -9,7 +9,8 @@ import numpy as np
 
 from pneutac_datasets.augment_reference import Reference
 
-EARLY, LATE = 16, 24  # control steps by which a touch may come, or go, before and after the demonstrated one
+EARLY = 16  # control steps by which a touch may come, or go, before the demonstrated one
+LATE_TOUCH, LATE_RELEASE = 8, 24  # and after it: who goes on for long has missed the object
 GONE = 2  # frames without touch after which it is over
 BUMP = 6  # frames; shorter contacts need not come
 
@@ -56,7 +57,7 @@ class Course:
         self._lost = 0 if touched else self._lost + 1
         if self._lost >= GONE and end - self.frame <= EARLY:
             self.frame = end
-        elif self.frame == end and self._lost < GONE and self._waited < LATE:
+        elif self.frame == end and self._lost < GONE and self._waited < LATE_RELEASE:
             self._waited += 1
             self.frame = end - 1
             self.offset_m = self.offset_m + self.onward_m
@@ -78,7 +79,7 @@ class Course:
         elif self.frame == first:
             self._waited += 1
             self.frame = first - 1
-            return self._waited <= LATE
+            return self._waited <= LATE_TOUCH
         return True
 
     @property

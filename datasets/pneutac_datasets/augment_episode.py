@@ -179,11 +179,10 @@ class Generator:
             self._plan(r, variant, aside, rng) if plan else iter(np.clip(r.action, ACTION_LOW, ACTION_HIGH))
         )
         states, actions, images, areas, self._costs = [], [], [], [], []
-        missed = False
+        missed = plan
         while not (self.world.success or self.world.failure):
             action = next(ways, None)
             if action is None:
-                missed = len(actions) < len(r)
                 break
             states.append(observation.state)
             images.append(observation.tactile)
@@ -191,9 +190,10 @@ class Generator:
             areas.append(self.world.touch.area)
             began = time.perf_counter()
             observation = self.world.step(actions[-1])
+            missed = missed and not self.world.touch.area > 0
             self.seconds["execution"] += time.perf_counter() - began
-        late = "a touch of the demonstration did not come" if missed else "the task was not done by the end"
-        reason = self.world.failure or (None if self.world.success else late)
+        late = None if self.world.success else "the task was not done by the end"
+        reason = self.world.failure or ("it did not touch the object" if missed else late)
         return Trial(
             np.array(states),
             np.array(actions),
