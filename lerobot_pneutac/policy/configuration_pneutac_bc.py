@@ -30,6 +30,8 @@ class PneutacBCConfig(PreTrainedConfig):
             holding still), lest the policy copies its last action instead of looking.
         pressure_noise_kpa: noise on the sensed pressure while training. The next pressure is nearly the
             present one; a policy that copies it lets small errors add up, and the pressure drifts.
+        brightness_noise_levels: noise on each colour's brightness while training, in levels of 8 bit. Light
+            drifts by more than a simulator's, and a drift is no touch.
         optimizer_lr: learning rate of Adam.
         action_feature_names: set by LeRobot from the dataset.
     """
@@ -38,6 +40,7 @@ class PneutacBCConfig(PreTrainedConfig):
     control_hz: int = CONTROL_HZ
     previous_action_dropout: float = 0.3
     pressure_noise_kpa: float = 0.75
+    brightness_noise_levels: float = 3.0
     optimizer_lr: float = 3e-4
     action_feature_names: list[str] | None = None
     push_to_hub: bool = False
@@ -53,10 +56,9 @@ class PneutacBCConfig(PreTrainedConfig):
                 (),
                 f"--policy.previous_action_dropout is {self.previous_action_dropout}; it must be in [0, 1].",
             )
-        if self.pressure_noise_kpa < 0:
-            raise DecodingError(
-                (), f"--policy.pressure_noise_kpa is {self.pressure_noise_kpa}; it must not be negative."
-            )
+        for name in ("pressure_noise_kpa", "brightness_noise_levels"):
+            if getattr(self, name) < 0:
+                raise DecodingError((), f"--policy.{name} is {getattr(self, name)}; it must not be negative.")
         if self.control_hz <= 0:
             raise DecodingError((), f"--policy.control_hz is {self.control_hz}; it must be positive.")
         if any(mode is not NormalizationMode.IDENTITY for mode in self.normalization_mapping.values()):

@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from lerobot_pneutac.policy.configuration_pneutac_bc import TACTILE, PneutacBCConfig
 from lerobot_pneutac.policy.model_card import Demonstrations, checkpoint_step, model_card
 from lerobot_pneutac.policy.rest_image import check_same_sensor, rest_image_of
-from lerobot_pneutac.policy.tactile_encoder import EMBEDDING, TactileEncoder
+from lerobot_pneutac.policy.tactile_encoder import DIFFERENCE_SCALE, EMBEDDING, TactileEncoder
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, STATE_NAMES
 
@@ -183,6 +183,9 @@ class PneutacBCPolicy(PreTrainedPolicy):
             state[:, _PRESSURE] += self.config.pressure_noise_kpa * torch.randn_like(state[:, _PRESSURE])
             drawn = torch.rand(len(hidden), device=hidden.device)
             hidden = hidden | (drawn < self.config.previous_action_dropout)
+            if difference is not None:
+                drift = torch.randn_like(difference[:, :, :1, :1]) / (255 * DIFFERENCE_SCALE)
+                difference = difference + self.config.brightness_noise_levels * drift
         previous = torch.where(hidden[:, None], self._hold(state), previous)
         error = self._predict(state, difference, previous) - target
         # Velocity m/s to displacement per step mm.

@@ -13,7 +13,10 @@ DIFFERENCE_SCALE = 32 / 255  # a firm touch changes the image by some 32 of 255 
 
 
 class TactileEncoder(nn.Module):
-    """|image - rest|, averaged to 80 x 60, through three strided convolutions to a 64-D embedding.
+    """|image - rest| at 80 x 60, through three strided convolutions to a 64-D embedding.
+
+    Pixels are averaged before the sign is dropped: a camera's noise then averages out, where the mean of its
+    absolute value would look like a light touch everywhere.
 
     Attributes:
         rest_image: (3, 320, 240) in [0, 1]; NaN until it is known.
@@ -36,10 +39,10 @@ class TactileEncoder(nn.Module):
 
     def forward(self, difference: Tensor) -> Tensor:
         """Embedding (B, 64) of what `difference` gives."""
-        return self.layers(difference)
+        return self.layers(difference.abs())
 
     def difference(self, image: Tensor) -> Tensor:
-        """(B, 3, 80, 60), about 1 in a firm touch, of images (B, 3, 320, 240) in [0, 1].
+        """Image less rest (B, 3, 80, 60), of size 1 in a firm touch, of images (B, 3, 320, 240) in [0, 1].
 
         Raises:
             InputError: the images have another shape, or there is no rest image.
@@ -53,4 +56,4 @@ class TactileEncoder(nn.Module):
             raise InputError(
                 "The policy has no rest image: train it on a dataset with tactile images or load its weights."
             )
-        return F.avg_pool2d((image - self.rest_image).abs(), POOL) / DIFFERENCE_SCALE
+        return F.avg_pool2d(image - self.rest_image, POOL) / DIFFERENCE_SCALE

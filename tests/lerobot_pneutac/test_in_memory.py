@@ -111,7 +111,7 @@ def test_frames_know_episodes_and_previous_actions(frames):
     assert np.flatnonzero(frames.first).tolist() == [0, 5, 12]
     inside = np.flatnonzero(~frames.first)
     assert (frames.previous[inside] == frames.action[inside - 1]).all()
-    assert frames.difference[frames.first].max() < 0.2 < 1 < frames.difference[inside].max()
+    assert np.abs(frames.difference[frames.first]).max() < 0.2 < 1 < np.abs(frames.difference[inside]).max()
 
 
 def test_several_datasets_are_read_as_if_merged(data, frames, tmp_path):

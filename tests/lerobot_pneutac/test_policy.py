@@ -172,7 +172,9 @@ def test_first_frame_looks_to_training_as_it_does_to_a_fresh_policy():
 
 
 def test_dropout_hides_the_previous_action_in_training_only():
-    policy = make_ready_policy(previous_action_dropout=1.0, pressure_noise_kpa=0.0)
+    policy = make_ready_policy(
+        previous_action_dropout=1.0, pressure_noise_kpa=0.0, brightness_noise_levels=0.0
+    )
     batch = make_batch()
     other = {**batch, ACTION: batch[ACTION].clone()}
     other[ACTION][:, 0] = torch.tensor(ACTION_HIGH)
@@ -189,6 +191,15 @@ def test_noise_spares_evaluation():
     assert policy(batch)[0] != policy(batch)[0]
     policy.eval()
     assert policy(batch)[0] == policy(batch)[0]
+
+
+def test_camera_noise_is_no_touch():
+    """Noise of single pixels averages out before the sign is dropped."""
+    policy = make_ready_policy()
+    rest = policy.encoder.rest_image
+    noisy = rest + 2 / 255 * torch.randn(rest.shape, generator=torch.Generator().manual_seed(0))
+    seen = policy.encoder.difference(noisy[None]).abs().mean() * 32  # levels
+    assert seen < 0.35 * 2 * np.sqrt(2 / np.pi)  # of the mean that single pixels would have
 
 
 def test_a_loss_that_is_not_finite_stops_the_training():
