@@ -58,7 +58,7 @@ class AugmentConfig:
     twin: Path | None = None
     fidelity: str = "surrogate"
     planner: PlannerConfig = field(default_factory=PlannerConfig)
-    attempts: int = 10
+    attempts: int = 30
     workers: int | None = None
     out: Path | None = None
 

@@ -48,6 +48,8 @@ class BenchmarkPolicyConfig:
         batch: samples of a gradient step.
         lr: learning rate of Adam.
         finetune_lr: the same while fine-tuning; default the same.
+        select: `last`, the weights after the last update; `held_out`, those with the lowest loss on a tenth
+            of the demonstrations, at least one, which are then not trained on.
         ppo_steps: control steps of reinforcement learning.
         device: `cpu` or `cuda`, of the training; default cuda where there is one.
         jobs: processes; default one a core.
@@ -71,6 +73,7 @@ class BenchmarkPolicyConfig:
     batch: int = 64
     lr: float = 3e-4
     finetune_lr: float | None = None
+    select: str = "last"
     ppo_steps: int = 500_000
     device: str | None = None
     jobs: int | None = None
@@ -93,9 +96,7 @@ class BenchmarkPolicyConfig:
         if not 1 <= self.trials <= MAX_TRIALS:
             raise InputError(f"--trials is {self.trials}; it must be from 1 to {MAX_TRIALS}.")
         if self.demonstrations < 2:
-            raise InputError(
-                f"--demonstrations is {self.demonstrations}; it must be 2 or more, for one is held out."
-            )
+            raise InputError(f"--demonstrations is {self.demonstrations}; it must be 2 or more.")
         for name in ("lr", "finetune_lr"):
             if not 0 < getattr(self, name) < 1:
                 raise InputError(f"--{name} is {getattr(self, name)}; it must be between 0 and 1.")
@@ -124,6 +125,9 @@ class BenchmarkPolicyConfig:
             if not (Path(path) / "twin.yaml").is_file():
                 raise InputError(f"--{name} is '{path}', which holds no twin.yaml; give a twin's folder.")
             setattr(self, name, Path(path).absolute())
+
+        if self.select not in ("last", "held_out"):
+            raise InputError(f"--select is '{self.select}'; it must be last or held_out.")
 
     def _check_device(self) -> None:
         import torch

@@ -121,6 +121,7 @@ def _of_condition(cfg, task: str, seed: int, name: str, condition: Condition) ->
         "batch": cfg.batch,
         "lr": cfg.lr,
         "finetune_lr": cfg.finetune_lr,
+        "select": cfg.select,
         "device": cfg.device,
         "seed": derived_seed(seed, task, "network"),
     }

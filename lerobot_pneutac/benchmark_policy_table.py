@@ -93,7 +93,7 @@ def write(cfg, done: dict[str, dict], failed: dict[str, str], wall_s: float, con
         report.table([{"unit": name, "why": why} for name, why in failed.items()])
     report.heading("Learning curves")
     for task in cfg.tasks:
-        report.figure(_curves(cfg, done, task, chosen), f"{task}: loss on the demonstrations held out")
+        report.figure(_curves(cfg, done, task, chosen), f"{task}: loss on the last data")
     report.heading("Seconds")
     report.table(_seconds(done))
     return report.write(cfg.out)
@@ -121,7 +121,7 @@ def _markdown(table: list[dict]) -> list[str]:
 
 
 def _curves(cfg, done: dict[str, dict], task: str, chosen: dict[str, Condition]):
-    """Loss on what is held out against all updates so far, a line a condition and seed."""
+    """Loss against all updates so far, on what is held out if anything is; a line a condition and seed."""
     import plotly.graph_objects as go
     from plotly.colors import qualitative
 
@@ -135,7 +135,7 @@ def _curves(cfg, done: dict[str, dict], task: str, chosen: dict[str, Condition])
             before = cfg.pretrain_updates if "pretraining" in unit["result"] else 0
             figure.add_scatter(
                 x=[before + row["update"] for row in curve],
-                y=[row["held_out"] for row in curve],
+                y=[row.get("held_out", row["loss"]) for row in curve],
                 name=name,
                 legendgroup=name,
                 showlegend=seed == cfg.seeds[0],

@@ -10,7 +10,8 @@ from pneutac_sim.twin import Twin
 
 EPISODE_S = 14  # most that a scripted demonstration takes
 TRIAL_STEPS = 225  # 15 s, after which a trial has failed
-HELD_OUT = 0.1  # share of the final data set's episodes
+HELD_OUT = 0.1  # share of the final data set's episodes, where the weights are chosen by them
+ATTEMPTS = 60  # variants tried for one demonstration
 FRAMES_FILE = "frames.npz"
 PPO_ENVS = 8
 
@@ -69,6 +70,7 @@ def _augment(method: str, folder: Path, options: dict, needs: list[Path], worker
         output=DatasetRef(repo_id(folder), root),
         method=method,
         workers=workers,
+        attempts=ATTEMPTS,
         **options,
     )
     summary, _ = make(cfg, Console(quiet=True))
@@ -138,7 +140,9 @@ def train(folder: Path, options: dict, needs: list[Path], workers: int) -> dict:
         result["pretraining"] = as_dict(first)
         policy.config.optimizer_lr = o["finetune_lr"]
         updates = o["finetune_updates"]
-    away = held_out_episodes(loaded[-1].demonstrations.episodes, HELD_OUT, seed)
+    away = []
+    if o["select"] == "held_out":
+        away = held_out_episodes(loaded[-1].demonstrations.episodes, HELD_OUT, seed)
     last = learn(policy, loaded[-1], updates, o["batch"], seed + 1, away)
     path = save(policy, last, folder)
     return result | {"training": as_dict(last), "held_out_episodes": away, "checkpoint": str(path)}

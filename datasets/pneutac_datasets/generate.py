@@ -77,10 +77,12 @@ def record_episodes(
 
 
 def _record_episode(robot: PneutacSim, teleop: PneutacScripted, dataset: LeRobotDataset, task: str) -> bool:
-    """One demonstration into the episode buffer; returns whether the task was done."""
+    """One demonstration into the episode buffer; returns whether the task was done, by touch."""
     teleop.begin()
+    felt = False
     for _ in range(teleop.config.episode_steps):
         observation = robot.get_observation()
+        felt = felt or observation["contact_area.pos"] > 0
         action = teleop.get_action()
         dataset.add_frame(
             {
@@ -92,6 +94,6 @@ def _record_episode(robot: PneutacSim, teleop: PneutacScripted, dataset: LeRobot
         robot.send_action(action)
         if robot.world.success or robot.world.failure:
             break
-    done = robot.world.success and not robot.world.failure
+    done = robot.world.success and not robot.world.failure and felt
     robot.reset()
     return done
