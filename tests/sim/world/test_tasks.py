@@ -15,6 +15,10 @@ from pneutac_sim.world.world import DT, World
 MIDDLES = {"switch": (-0.029, 0.511), "egg": (-0.05, 0.53), "card": (0.0, 0.56)}
 
 
+# Flange in front of the object's middle.
+BEFORE_IT = {"switch": (0.41, 0.0, 0.255), "egg": (0.395, 0.0, 0.275), "card": (0.40, 0.0, 0.315)}
+
+
 @pytest.fixture(scope="module")
 def worlds():
     return {task: World(task, touch="none") for task in TASK_NAMES}
@@ -27,6 +31,7 @@ def in_the_middle():
     def play(name, moves):
         world = World(name, touch="none")
         world.task.spread_x_m = world.task.spread_y_m = world.task.spread_yaw_rad = 0.0
+        world.task.home_m = BEFORE_IT[name]
         world.reset(0)
         world.target_m = np.array(world.task.home_m)
         for steps, action in moves:
