@@ -68,13 +68,13 @@ class BenchmarkPolicyConfig:
     trials: int = 10
     demonstrations: int = 10
     augmented: int = 100
-    pretrain_updates: int = 3000
-    finetune_updates: int = 1000
+    pretrain_updates: int = 2000
+    finetune_updates: int = 2000
     batch: int = 64
     lr: float = 3e-4
     finetune_lr: float | None = None
     select: str = "last"
-    ppo_steps: int = 500_000
+    ppo_steps: int = 400_000
     device: str | None = None
     jobs: int | None = None
     twin: Path | None = None
