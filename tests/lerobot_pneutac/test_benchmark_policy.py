@@ -135,7 +135,8 @@ COMMAND = "from lerobot_pneutac.cli import main; main()"
 
 
 def test_a_killed_benchmark_goes_on_and_writes_its_tables(tmp_path, capsys):
-    argv = ["--fast=true", "--conditions=[n_aug,real]", "--device=cpu", "--jobs=1", f"--out={tmp_path}"]
+    argv = ["--fast=true", "--conditions=[n_aug,real]", "--select=held_out", "--device=cpu", "--jobs=1"]
+    argv.append(f"--out={tmp_path}")
     with subprocess.Popen(
         [sys.executable, "-c", COMMAND, "benchmark", "policy", *argv], stdout=subprocess.DEVNULL
     ) as process:

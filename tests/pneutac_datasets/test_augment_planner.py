@@ -163,7 +163,7 @@ def test_the_touch_tells_where_the_object_stood(switch):
         assert scene.area_rmse < 0.6 * np.sqrt(np.mean(r.area[slice(*r.contact_phase)] ** 2))
 
 
-def test_planned_variant_follows_the_touch_better_than_blind_replay(switch):
+def test_planned_variants_do_the_task_where_not_every_blind_replay_does(switch):
     generator, scenes = switch
     planned, blind = [], []
     for source in (0, 1):
@@ -171,8 +171,9 @@ def test_planned_variant_follows_the_touch_better_than_blind_replay(switch):
         for plan, trials in ((True, planned), (False, blind)):
             rng = np.random.default_rng(source)
             trials.append(generator.carry_out(variant, scenes[source], rng, plan=plan))
-    assert np.mean([t.area_rmse for t in planned]) < 0.5 * np.mean([t.area_rmse for t in blind])
     assert [t.reason for t in planned] == [None, None]
+    assert any(t.reason for t in blind)
+    assert all(t.area_rmse < 0.15 for t in planned)  # of areas up to 0.4
 
 
 def test_an_episode_is_a_function_of_seed_and_index(switch):
