@@ -4,9 +4,7 @@ import contextlib
 import json
 import multiprocessing
 import os
-import threading
 import time
-import traceback
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -14,6 +12,7 @@ from pathlib import Path
 
 from lerobot_pneutac.benchmark_policy_plan import COST_S, Unit, as_dict
 from pneutac_sim.errors import InputError
+from pneutac_sim.worker import start_worker
 
 RESULT, LOG = "unit.json", "log.txt"
 # Each process computes on one thread, and none asks the Hub for datasets that lie here.
@@ -88,8 +87,6 @@ def run_units(
                     ) from e
                 except InputError as e:
                     failed[unit.name] = str(e)
-                except Exception as e:  # hours of other units are not lost for the fault of one
-                    failed[unit.name] = f"{type(e).__name__}: {e} (see {out / unit.name / LOG})"
     show("")
     return done, failed
 
@@ -104,11 +101,7 @@ def run_unit(out: Path, unit: Unit, workers: int) -> dict:
         for stream in (1, 2):  # also what libraries in C print
             os.dup2(log.fileno(), stream)
     start = time.monotonic()
-    try:
-        result = KINDS[unit.kind](folder, unit.options, [out / need for need in unit.needs], workers)
-    except Exception:
-        traceback.print_exc()
-        raise
+    result = KINDS[unit.kind](folder, unit.options, [out / need for need in unit.needs], workers)
     found = {"unit": as_dict(unit), "seconds": time.monotonic() - start, "result": result}
     part = folder / f"{RESULT}.part"
     part.write_text(json.dumps(found, indent=2, allow_nan=False))
@@ -119,25 +112,11 @@ def run_unit(out: Path, unit: Unit, workers: int) -> dict:
 @contextlib.contextmanager
 def _pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
     """Processes that end with this one, and do not go on with what waits when this one fails."""
-    pool = ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), _start)
+    pool = ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), start_worker)
     try:
         yield pool
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _start() -> None:
-    import torch
-
-    torch.set_num_threads(1)
-
-    def end_with_parent() -> None:  # else a killed benchmark would leave its processes waiting for ever
-        multiprocessing.parent_process().join()
-        for child in multiprocessing.active_children():
-            child.kill()
-        os._exit(1)
-
-    threading.Thread(target=end_with_parent, daemon=True).start()
 
 
 @contextlib.contextmanager

@@ -12,9 +12,8 @@ from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, MAX_PRESSURE_KPA
 from pneutac_sim.gel.probe import COLS, ROWS
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.panda import HOME_JOINTS
-from pneutac_sim.world.scene import OBJECT_GROUP
 from pneutac_sim.world.varied import Variation, VariedWorld
-from pneutac_sim.world.world import WORKSPACE_HIGH, WORKSPACE_LOW, World
+from pneutac_sim.world.world import WORKSPACE_HIGH, WORKSPACE_LOW
 
 GRID = (10, 8)  # cells of the actor's probe grid, rows and columns
 STEPS = 200  # control steps of an episode, as in evaluation
@@ -62,28 +61,6 @@ def actor_observation(state: np.ndarray, depth_mm: np.ndarray, previous: np.ndar
     return np.clip(np.concatenate(parts), -_LIMIT, _LIMIT).astype(np.float32)
 
 
-class ProbeSense:
-    """The probe grid of a world without a tactile image, which is most of the time of one."""
-
-    def __init__(self, world: World):
-        model = world.model
-        self._world = world
-        self._felt = np.flatnonzero(model.geom_group == OBJECT_GROUP)
-        self._shapes = model.geom_type[self._felt], model.geom_size[self._felt]
-        self._gel = model.site("gel").id
-
-    def depth_mm(self) -> np.ndarray:
-        """Probe grid (80, 59) of the present state, mm."""
-        d = self._world.data
-        return self._world.sensor.probe(
-            *self._shapes,
-            d.geom_xpos[self._felt],
-            d.geom_xmat[self._felt],
-            d.site_xpos[self._gel],
-            d.site_xmat[self._gel],
-        )
-
-
 class PpoEnv(gymnasium.Env):
     """A task with a shaped reward, in the world whose finger and gel follow formulas.
 
@@ -113,10 +90,9 @@ class PpoEnv(gymnasium.Env):
         Raises:
             InputError: the task is unknown, or the twin is not a finger's.
         """
-        self.world = VariedWorld(task, twin, "none", "probe")
+        self.world = VariedWorld(task, twin, "probe", "probe")
         self.view = TaskView(self.world)
         self.randomise, self._length = randomise, length
-        self._sense = ProbeSense(self.world)
         self.action_space = spaces.Box(-1.0, 1.0, (len(ACTION_LOW),), np.float32)
         size = self.view.size + 2  # with friction and bend gain
         self.observation_space = spaces.Dict(
@@ -136,7 +112,6 @@ class PpoEnv(gymnasium.Env):
             )
         observed = self.world.reset(int(rng.integers(2**31)))
         self._previous, self._done = np.zeros(len(ACTION_LOW)), 0
-        self._depth = self._sense.depth_mm()
         self._moment = self._look()
         return self._observe(observed.state), {"is_success": False, "failure": ""}
 
@@ -144,7 +119,6 @@ class PpoEnv(gymnasium.Env):
         """One control step."""
         normal = np.clip(action, -1, 1).astype(float)
         observed = self.world.step(to_action(normal))
-        self._depth = self._sense.depth_mm()
         moment = self._look()
         terms = reward_terms(self._moment, moment, self.view.goal.depth_mm, self._previous, normal)
         self._moment, self._previous = moment, normal
@@ -161,7 +135,7 @@ class PpoEnv(gymnasium.Env):
         return Moment(
             self.view.progress(),
             self.view.distance_m(),
-            float(self._depth.max()),
+            float(self.world.touch.depth_mm.max()),
             bool(self.world.success),
             self.world.failure is not None,
         )
@@ -170,6 +144,6 @@ class PpoEnv(gymnasium.Env):
         v = self.world.variation
         hidden = np.concatenate([self.view.state(), [5 * (v.friction - 1), 10 * (v.bend_gain - 1)]])
         return {
-            "actor": actor_observation(state, self._depth, self._previous),
+            "actor": actor_observation(state, self.world.touch.depth_mm, self._previous),
             "object": np.clip(hidden, -_LIMIT, _LIMIT).astype(np.float32),
         }

@@ -23,7 +23,7 @@ from lerobot.utils.constants import ACTION, OBS_STATE
 from pneutac_datasets.augment_episode import AugmentSetup
 from pneutac_datasets.augment_reference import EXTRA_STEPS, Reference, onset_sigma_m
 from pneutac_datasets.augment_scene import Scene
-from pneutac_datasets.augment_work import Work, make_episode, make_scene, start_worker
+from pneutac_datasets.augment_work import Work, begin, make_episode, make_scene
 from pneutac_datasets.demonstrations import AREA, EE, TACTILE, Episode, demonstration_features, save_episode
 from pneutac_datasets.naive import augment_naive
 from pneutac_datasets.writing import create_dataset, quiet_encoders
@@ -106,7 +106,7 @@ def augment_guided(
     shutil.rmtree(part, ignore_errors=True)
     n = len(setup.references)
     context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(workers, context, start_worker, (setup, work.folder))
+    pool = ProcessPoolExecutor(workers, context, begin, (setup, work.folder))
     seconds: dict[str, float] = {"writing": 0.0}
     provenance = []
     try:

@@ -14,6 +14,7 @@ import numpy as np
 from pneutac_datasets.augment_episode import AugmentSetup, Generator, Trial
 from pneutac_datasets.augment_scene import Scene
 from pneutac_sim.errors import InputError
+from pneutac_sim.worker import start_worker
 
 
 class Work:
@@ -92,22 +93,10 @@ _generator: Generator | None = None
 _work: Work | None = None
 
 
-def start_worker(setup: AugmentSetup, folder: Path) -> None:
-    """Prepares a worker process; it ends with the process that started it, however that ends."""
-    import multiprocessing
-    import threading
-
-    import torch
-
+def begin(setup: AugmentSetup, folder: Path) -> None:
+    """Prepares a worker process."""
     global _generator, _work
-    torch.set_num_threads(1)  # each worker has one core
-    parent = multiprocessing.parent_process()
-
-    def watch() -> None:
-        parent.join()
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
+    start_worker()
     _generator, _work = Generator(setup), Work(folder)
 
 

@@ -7,10 +7,11 @@ on a Hertz half-space, with attached shadows, sensor noise and a drift of bright
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 from PIL import Image
 
+from pneutac_datasets.gel_session import press_row, write_session
 from pneutac_datasets.recording import BenchRecording
+from pneutac_sim.gel.indenter import Press
 
 WIDTH, HEIGHT, PX_PER_MM = 240, 320, 20.0
 BALL_RADIUS_MM = 3.0
@@ -54,29 +55,10 @@ def write_gel_recording(folder: str | Path, seed: int = 0, heldout: int = 6) -> 
         depth = 0.9 if i == 0 else rng.uniform(0.5, 1.1)
         name = f"images/ball_{i}.png"
         photograph(hertz(np.hypot(x - cx, y - cy), depth, BALL_RADIUS_MM), name)
-        rows.append(
-            {
-                "role": "heldout" if i else "calibration",
-                "trial": i,
-                "time_s": 0.0,
-                "image": name,
-                "indenter": "sphere",
-                "indenter_radius_mm": BALL_RADIUS_MM,
-                "x_mm": cx,
-                "y_mm": cy,
-                "depth_mm": depth,
-                "contact_radius_px": np.sqrt(BALL_RADIUS_MM * depth) * PX_PER_MM,
-            }
-        )
-    meta = {
-        "rest_image": "rest.png",
-        "samples": "samples.csv",
-        "px_per_mm": PX_PER_MM,
-        "generated": True,
-        "notes": "Generated: point LEDs on a Hertz half-space, with noise and drift; not photographs.",
-    }
-    BenchRecording(folder, meta, pd.DataFrame(rows), "gel").write(folder)
-    return BenchRecording.load(folder)
+        row = press_row(i, name, Press("sphere", BALL_RADIUS_MM, cx, cy, depth))
+        rows.append(row | {"contact_radius_px": np.sqrt(BALL_RADIUS_MM * depth) * PX_PER_MM})
+    notes = "Generated: point LEDs on a Hertz half-space, with noise and drift; not photographs."
+    return write_session(folder, rows, PX_PER_MM, notes)
 
 
 def hertz(r_mm: np.ndarray, depth_mm: float, radius_mm: float) -> np.ndarray:

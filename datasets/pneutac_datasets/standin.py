@@ -12,20 +12,19 @@ import numpy as np
 import pandas as pd
 from PIL import Image
 
+from pneutac_datasets.gel_session import ball_press, press_row, write_session
 from pneutac_datasets.hidden.programs import Trial, session
 from pneutac_datasets.recording import BenchRecording
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import MAX_PRESSURE_KPA
 from pneutac_sim.finger.inputs import Inputs
 from pneutac_sim.finger.pipeline import Pipeline
-from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.photograph import press_depth
 from pneutac_sim.world.standin import GAUGE_NOISE_KPA, standin_gel, standin_twin
 from pneutac_sim.world.standin_touch import CameraNoise, standin_sensor
 
 FINE_HZ = 100.0  # the finger is simulated between the logged samples too
 MARKER_NOISE_MM = 0.3
-BALLS_MM = (3.0, 2.0, 4.0)
 PRESSES = 16
 
 
@@ -94,33 +93,10 @@ def write_gel(folder: str | Path, seed: int = 0) -> BenchRecording:
     Image.fromarray(gel.rest_image).save(folder / "rest.png")  # the mean of many frames
     rows = []
     for i in range(PRESSES):
-        radius = BALLS_MM[i % len(BALLS_MM)]
-        x, y = (0.4, 0.3) if i == 0 else rng.uniform((-4.0, -5.5), (4.0, 5.5))
-        press = Press("sphere", radius, x, y, 0.9 if i == 0 else rng.uniform(0.5, 1.2))
-        name = f"images/ball_{i}.png"
+        press, name = ball_press(i, rng), f"images/ball_{i}.png"
         Image.fromarray(camera.photograph(sensor.image(press_depth(press, gel)))).save(folder / name)
-        rows.append(
-            {
-                "role": "heldout" if i else "calibration",
-                "trial": i,
-                "time_s": 0.0,
-                "image": name,
-                "indenter": "sphere",
-                "indenter_radius_mm": radius,
-                "x_mm": x,
-                "y_mm": y,
-                "depth_mm": press.depth_mm,
-            }
-        )
-    meta = {
-        "rest_image": "rest.png",
-        "samples": "samples.csv",
-        "px_per_mm": gel.px_per_mm,
-        "generated": True,
-        "notes": "Generated: the stand-in for reality.",
-    }
-    BenchRecording(folder, meta, pd.DataFrame(rows), "gel").write(folder)
-    return BenchRecording.load(folder)
+        rows.append(press_row(i, name, press))
+    return write_session(folder, rows, gel.px_per_mm, "Generated: the stand-in for reality.")
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -44,7 +44,9 @@ class PneutacSimConfig(RobotConfig):
             raise DecodingError(
                 (), f"--robot.twin is '{self.twin}', which holds no twin.yaml; give a twin's folder."
             )
-        if self.standin and self.twin is not None:
+        if self.standin and (self.twin is not None or self.fidelity != "surrogate"):
             raise DecodingError(
-                (), "--robot.standin=true has a finger of its own; leave --robot.twin out, or the stand-in."
+                (),
+                "--robot.standin=true has a finger and a gel of its own; leave --robot.twin and"
+                " --robot.fidelity out, or the stand-in.",
             )

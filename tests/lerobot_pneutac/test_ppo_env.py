@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from lerobot_pneutac.ppo_env import ACTOR_SIZE, GRID, PpoEnv, ProbeSense, pool, to_action
+from lerobot_pneutac.ppo_env import ACTOR_SIZE, GRID, PpoEnv, pool, to_action
 from lerobot_pneutac.ppo_reward import WEIGHTS, Moment, reward_terms, total
 from lerobot_pneutac.ppo_task import GOALS, TaskView
 from pneutac_sim.errors import InputError
@@ -117,7 +117,7 @@ def test_the_actor_does_not_see_the_object_but_the_critic_does():
     import mujoco
 
     mujoco.mj_kinematics(model, data)
-    env._depth = env._sense.depth_mm()
+    env.world.touch.sense(data)
     after = env._observe(env.world._observe().state)
     assert np.array_equal(before["actor"], after["actor"])
     assert not np.array_equal(before["object"], after["object"])
@@ -127,13 +127,17 @@ def test_the_actor_does_not_see_the_object_but_the_critic_does():
 def test_the_actor_feels_a_touch_as_the_touch_pipeline_does():
     world = World("switch", touch="area", fidelity="probe")
     world.reset(0)
-    view, sense = TaskView(world), ProbeSense(world)
+    felt = World("switch", touch="probe", fidelity="probe")
+    felt.reset(0)
+    view = TaskView(world)
     for _ in range(60):
         way = view.contact_point_m() - world.gel_m
-        world.step(np.append(0.08 * way / np.linalg.norm(way), 5.0))
+        action = np.append(0.08 * way / np.linalg.norm(way), 5.0)
+        world.step(action)
+        felt.step(action)
         if world.touch.pixels:
             break
-    grid = sense.depth_mm()
+    grid = felt.touch.depth_mm
     assert world.touch.pixels and np.array_equal(grid, world.touch.depth_mm)
     assert pool(grid).max() == grid.max() > 0
 

@@ -6,7 +6,7 @@ import pytest
 from pneutac_datasets.augment_episode import AugmentSetup, Generator, Variant
 from pneutac_datasets.augment_reference import Reference, onset_sigma_m
 from pneutac_datasets.augment_scene import follow
-from pneutac_datasets.planner import PlannerConfig, demonstration_cost
+from pneutac_datasets.planner import CemPlanner, PlannerConfig, demonstration_cost
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_HIGH
 from pneutac_sim.world.expert import ScriptedExpert
@@ -161,6 +161,36 @@ def test_the_touch_tells_where_the_object_stood(switch):
     for r, scene in zip(generator.setup.references, scenes, strict=True):
         assert scene.works
         assert scene.area_rmse < 0.6 * np.sqrt(np.mean(r.area[slice(*r.contact_phase)] ** 2))
+
+
+def test_planning_brings_touch_and_path_back_to_the_demonstrated_ones(switch):
+    """From the middle of a contact, with a warm start that leaves both."""
+    generator, _ = switch
+    r, world, gantry = generator.setup.references[0], generator.world, generator.gantry
+    middle, config = r.onset + 3, PlannerConfig()
+    world.variation = Variation(start_m=tuple(r.flange_m[0]))
+    world.reset(r.source)
+    for action in r.action[:middle]:
+        world.step(action)
+    assert world.touch.area > 0
+    gantry.mirror(world)
+    ahead = slice(middle + 1, middle + 1 + config.horizon)
+    area_goal, goal, previous = r.area[ahead], r.flange_m[ahead], r.action[middle - 1]
+
+    def costs(actions, c=config):
+        position, area = gantry.rollout(actions)
+        return demonstration_cost(area, area_goal, position, goal, actions, previous, c)
+
+    warm = r.action[middle : middle + config.horizon] + [0.012, 0.0, 0.004, 0.8]
+    plan = CemPlanner(gantry, config, np.random.default_rng(0))
+    found = plan.plan(warm, previous, area_goal, goal)
+    assert plan.cost == pytest.approx(costs(found))
+    touch_alone = replace(config, position_weight=0.0, smoothness_weight=0.0)
+    assert costs(found) < 0.7 * costs(warm)
+    assert costs(found, touch_alone) < 0.7 * costs(warm, touch_alone)
+    more = CemPlanner(gantry, replace(config, samples=20, iterations=4), np.random.default_rng(0))
+    more.plan(warm, previous, area_goal, goal)
+    assert more.cost < plan.cost
 
 
 def test_planned_variants_do_the_task_where_not_every_blind_replay_does(switch):

@@ -45,7 +45,7 @@ class StandinTouch(Touch):
     @override
     def sense(self, data: mujoco.MjData) -> None:
         super().sense(data)
-        if self._mode == "none":
+        if self._mode in ("probe", "none"):
             return
         clean = self.sensor.image(self.depth_mm) if self.image is None else self.image
         while len(self._waiting) <= LATE_IMAGES:

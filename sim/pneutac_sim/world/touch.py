@@ -7,14 +7,14 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.world.scene import OBJECT_GROUP
 
-MODES = ("image", "area", "none")
+MODES = ("image", "area", "probe", "none")
 
 
 class Touch:
     """The tactile pipeline of a world: object poses -> probe grid -> image and contact area.
 
     Attributes:
-        depth_mm: last probe grid (rows, columns), mm.
+        depth_mm: last probe grid (rows, columns), mm; the mode `probe` has nothing else.
         image: last tactile image uint8 (H, W, 3), or None where the mode has none.
         pixels: last count s of pixels in contact.
         area: s / N.
@@ -58,6 +58,8 @@ class Touch:
             data.site_xmat[self._gel],
         )
         self.depth_mm = self.sensor.probe(*objects)
+        if self._mode == "probe":
+            return
         if self._full is not None:
             self._full.show(*objects) if self.depth_mm.any() else self._full.release()
         if self._network is not None:

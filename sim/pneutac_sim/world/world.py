@@ -72,7 +72,8 @@ class World:
         Args:
             task: `switch`, `egg` or `card`.
             twin: the finger with its gel; default the built-in one.
-            touch: `image`, `area` (contact area without an image, faster) or `none`.
+            touch: `image`, `area` (contact area without an image, faster), `probe` (the
+                probe grid alone) or `none`.
             fidelity: how finger and gel deform. `surrogate`: by networks in place of material points; `mpm`:
                 by the material points themselves, for checks and short episodes; `probe`: by formulas, the
                 joints as the pressure commands and the gel as a layer on springs.
@@ -314,14 +315,15 @@ class World:
 
 def _deforming(twin: Twin, fidelity: str, touch: str):
     """What bends the finger, and what indents the gel; None for the formulas."""
+    deforms = touch in ("image", "area")
     if fidelity == "surrogate":  # PyTorch and compilers take seconds to start
         from pneutac_sim.surrogate.networks import Networks
 
         networks = Networks.of(twin)
-        return networks.finger(twin), networks.gel if touch != "none" else None
+        return networks.finger(twin), networks.gel if deforms else None
     if fidelity == "mpm":
         from pneutac_sim.world.mpm_finger import MpmFinger
         from pneutac_sim.world.mpm_gel import MpmGel
 
-        return MpmFinger(twin), MpmGel(twin) if touch != "none" else None
+        return MpmFinger(twin), MpmGel(twin) if deforms else None
     return None, None

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, TASK_NAMES
+from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, CONTROL_HZ, TASK_NAMES
 from pneutac_sim.world.expert import ScriptedExpert
 from pneutac_sim.world.experts.motion import Habits
 from pneutac_sim.world.world import World
@@ -42,10 +42,10 @@ def test_expert_succeeds_within_limits_where_a_blind_replay_does_not(worlds, tas
         actions = episode(world, seed)
         assert np.all(actions >= ACTION_LOW) and np.all(actions <= ACTION_HIGH)
         if world.success and not world.failure:
-            assert world.clipped == 0
+            assert world.clipped == 0  # who has missed the deck goes on to the workspace's end
             demonstrations.append(actions)
     assert len(demonstrations) >= 9
-    assert max(map(len, demonstrations)) < 200
+    assert np.median([len(a) for a in demonstrations]) <= 8 * CONTROL_HZ
     replays = [difficulty.replay(world, a, 300 + i) for i, a in enumerate(3 * demonstrations[:9])]
     assert np.mean(replays) <= 0.45  # of 27; the slow test counts more
 

@@ -2,14 +2,7 @@
 
 import numpy as np
 
-from pneutac_sim.world.experts.motion import (
-    SEARCH_KPA,
-    VENTED_KPA,
-    Habits,
-    Lanes,
-    Wish,
-    touching,
-)
+from pneutac_sim.world.experts.motion import SEARCH_KPA, VENTED_KPA, Habits, Lanes, Wish, go_ahead, touching
 from pneutac_sim.world.tasks.egg import EggTask
 from pneutac_sim.world.world import World
 
@@ -36,7 +29,7 @@ def open_carton(world: World, habits: Habits, pressure: float) -> Wish:
     if felt or z > EDGE_M - 0.008:
         ahead = np.clip(0.15 * (0.25 - world.press_mm), -0.01, 0.02)
         return habits.speed * np.array([ahead, 0.0, 0.06]), habits.low_kpa
-    return LANES.ahead(world, habits, 0.08), habits.low_kpa
+    return go_ahead(world, habits, LANES.height_m, 0.08), habits.low_kpa
 
 
 def _lift(world: World, habits: Habits, pressure: float, at: np.ndarray | None) -> Wish:

@@ -69,11 +69,6 @@ class Lanes:
     last_m: float
     back_m: float
 
-    def ahead(self, world: World, habits: Habits, speed: float) -> np.ndarray:
-        """Velocity (3,) along the lane, at the height of the search."""
-        up = self.height_m + habits.offset_m - world.gel_m[2]
-        return speed * habits.speed * np.array([1.0, 0.0, np.clip(30 * up, -1, 1)])
-
     def withdraw(self, world: World, end: bool) -> np.ndarray:
         """Velocity (3,) back to the near side: from the end of a lane above everything, else straight.
 
@@ -99,6 +94,12 @@ class Lanes:
     def begins(self, world: World) -> bool:
         """Whether it is where a lane begins."""
         return world.flange_m[0] < self.back_m and world.gel_m[2] < self.height_m + NEAR_M
+
+
+def go_ahead(world: World, habits: Habits, height_m: float, speed: float) -> np.ndarray:
+    """Velocity (3,) along x, with the gel at the height of the search."""
+    up = height_m + habits.offset_m - world.gel_m[2]
+    return speed * habits.speed * np.array([1.0, 0.0, np.clip(30 * up, -1, 1)])
 
 
 def touching(world: World, least_mm: float = TOUCH_MM) -> bool:

@@ -2,14 +2,7 @@
 
 import numpy as np
 
-from pneutac_sim.world.experts.motion import (
-    SEARCH_KPA,
-    VENTED_KPA,
-    Habits,
-    Lanes,
-    Wish,
-    touching,
-)
+from pneutac_sim.world.experts.motion import SEARCH_KPA, VENTED_KPA, Habits, Lanes, Wish, go_ahead, touching
 from pneutac_sim.world.world import World
 
 # Lanes are nearer to each other than gel and bar together are wide, so that the bar is never between two.
@@ -26,7 +19,7 @@ def flip_switch(world: World, habits: Habits, pressure: float) -> Wish:
         return _push(world, habits, pressure)
     if pressure > SEARCH_KPA or x > END_M:
         return np.zeros(3), 0.0
-    return LANES.ahead(world, habits, 0.08), habits.low_kpa
+    return go_ahead(world, habits, LANES.height_m, 0.08), habits.low_kpa
 
 
 def _push(world: World, habits: Habits, pressure: float) -> Wish:
