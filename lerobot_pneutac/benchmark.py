@@ -4,8 +4,8 @@ import importlib
 
 from pneutac_sim.errors import InputError
 
-# name -> module with `main(argv)`; None where the table is not there yet
-TABLES: dict[str, str | None] = {
+# name -> module with `main(argv)`
+TABLES = {
     "diagnosis": "lerobot_pneutac.benchmark_diagnosis",
     "body": "lerobot_pneutac.benchmark_body",
     "tactile": "lerobot_pneutac.benchmark_tactile",
@@ -19,10 +19,6 @@ TABLES: dict[str, str | None] = {
 def main(argv: list[str]) -> None:
     """Runs one table."""
     name = argv[0] if argv else ""
-    there = ", ".join(k for k, v in TABLES.items() if v)
     if name not in TABLES:
-        raise InputError(f"'{name}' is no benchmark; give one of {there}.")
-    module = TABLES[name]
-    if module is None:
-        raise InputError(f"The benchmark '{name}' is not there yet; there are {there}.")
-    importlib.import_module(module).main(argv[1:])
+        raise InputError(f"'{name}' is no benchmark; give one of {', '.join(TABLES)}.")
+    importlib.import_module(TABLES[name]).main(argv[1:])
