@@ -1,8 +1,7 @@
 """Which frame of a demonstration comes next in a new scene, and where it lies there.
 
 Before a touch nobody knows where the object is, so the demonstrated way is gone as it was, and farther or
-less far until the touch comes. In contact it lies where the touch came, and lasts until the touch is
-gone.
+less far until the touch comes. In contact it lies where the touch came, and lasts until the touch is gone.
 """
 
 import numpy as np

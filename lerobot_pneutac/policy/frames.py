@@ -66,7 +66,8 @@ class Frames:
             touch = touch and "rest" in file.files
             found["difference"] = file["difference"] if touch else None
             found["rest"] = torch.from_numpy(file["rest"]) if touch else None
-        return cls(**found, demonstrations=Demonstrations(**card | {"tasks": tuple(card["tasks"])}))
+        lists = {k: tuple(card[k]) for k in ("repo_ids", "tasks")}
+        return cls(**found, demonstrations=Demonstrations(**card | lists))
 
 
 def read_frames(*datasets: tuple[str | Path, str]) -> Frames:
@@ -89,7 +90,7 @@ def read_frames(*datasets: tuple[str | Path, str]) -> Frames:
     encoder.rest_image.copy_(rest)
     cards = [Demonstrations.of(meta) for meta in metas]
     card = Demonstrations(
-        " + ".join(c.repo_id for c in cards),
+        tuple(name for c in cards for name in c.repo_ids),
         sum(c.episodes for c in cards),
         sum(c.frames for c in cards),
         tuple(dict.fromkeys(t for c in cards for t in c.tasks)),

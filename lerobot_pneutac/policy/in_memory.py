@@ -158,7 +158,7 @@ class _Data:
         self._difference = None
         if policy.encoder is not None:
             if frames.difference is None:
-                raise InputError(f"'{frames.demonstrations.repo_id}' was read without its tactile images.")
+                raise InputError(f"'{frames.demonstrations.name}' was read without its tactile images.")
             self._difference = torch.from_numpy(frames.difference).to(device)
         self._device = device
 

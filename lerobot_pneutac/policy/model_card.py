@@ -20,16 +20,16 @@ _ACTION_UNITS = {"pressure.pos": "kPa"}
 
 @dataclass(frozen=True)
 class Demonstrations:
-    """What a card says about the dataset that a policy was trained on.
+    """What a card says about the data that a policy was trained on.
 
     Attributes:
-        repo_id: of the dataset.
+        repo_ids: of the dataset, or of several that were read as one.
         episodes: their number.
         frames: their number.
         tasks: instructions stored with the frames.
     """
 
-    repo_id: str
+    repo_ids: tuple[str, ...]
     episodes: int
     frames: int
     tasks: tuple[str, ...]
@@ -37,7 +37,12 @@ class Demonstrations:
     @classmethod
     def of(cls, meta) -> "Demonstrations":
         """Those of a LeRobotDatasetMetadata."""
-        return cls(meta.repo_id, meta.total_episodes, meta.total_frames, tuple(map(str, meta.tasks.index)))
+        return cls((meta.repo_id,), meta.total_episodes, meta.total_frames, tuple(map(str, meta.tasks.index)))
+
+    @property
+    def name(self) -> str:
+        """For sentences."""
+        return ", ".join(self.repo_ids)
 
 
 def checkpoint_step(folder: Path) -> int | None:
@@ -71,7 +76,7 @@ def model_card(
         pipeline_tag="robotics",
         tags=sorted({*(config.tags or []), "lerobot", "robotics", config.type}),
         model_name=config.type,
-        datasets=[demonstrations.repo_id] if demonstrations else None,
+        datasets=list(demonstrations.repo_ids) if demonstrations else None,
     )
     sections = (
         _summary(config),
@@ -103,10 +108,11 @@ def _training(
 ) -> str:
     lines = []
     if data:
-        lines.append(f"- Dataset: `{data.repo_id}`, {data.episodes} episodes, {data.frames} frames")
+        names = ", ".join(f"`{name}`" for name in data.repo_ids)
+        lines.append(f"- Data: {names}, {data.episodes} episodes, {data.frames} frames")
         lines += [f"- Task: {task}" for task in data.tasks]
     else:
-        lines.append("- Dataset: not known where these weights were saved")
+        lines.append("- Data: not known where these weights were saved")
     if steps is None and train is not None:
         steps = train.steps
     if steps is not None:
@@ -149,7 +155,7 @@ def _features(config: PneutacBCConfig) -> str:
 def _rest(config: PneutacBCConfig, data: Demonstrations | None, level: tuple[float, ...] | None) -> str:
     if not config.use_tactile or level is None:
         return ""
-    source = f"of `{data.repo_id}`" if data else "of the training data"
+    source = f"of `{data.name}`" if data else "of the training data"
     return (
         f"## Rest image\n\nThe weights carry the tactile image out of contact, the median of the first"
         f" frames {source} (mean R, G, B: {', '.join(f'{v:.0f}' for v in level)} of 255). Another DIGIT"

@@ -103,7 +103,7 @@ class PneutacBCPolicy(PreTrainedPolicy):
         """
         model = super()._load_as_safetensor(model, model_file, map_location, strict)
         if model._dataset_rest is not None:
-            check_same_sensor(model.encoder.rest_image, model._dataset_rest, model._demonstrations.repo_id)
+            check_same_sensor(model.encoder.rest_image, model._dataset_rest, model._demonstrations.name)
             model._take_dataset_rest()
         return model
 
@@ -114,7 +114,7 @@ class PneutacBCPolicy(PreTrainedPolicy):
             InputError: the rest image cannot be of the kind of sensor that the policy knows.
         """
         if self.encoder is not None:
-            check_same_sensor(self.encoder.rest_image, rest, demonstrations.repo_id)
+            check_same_sensor(self.encoder.rest_image, rest, demonstrations.name)
         self._demonstrations, self._dataset_rest = demonstrations, rest if self.encoder is not None else None
         self._take_dataset_rest()
 

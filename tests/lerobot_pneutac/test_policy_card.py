@@ -81,7 +81,7 @@ def test_nothing_is_claimed_of_data_that_is_not_known(tmp_path):
     policy = PneutacBCPolicy(PneutacBCConfig(device="cpu", input_features=inputs, output_features=outputs))
     policy.save_pretrained(tmp_path)
     card = ModelCard.load(tmp_path / "README.md")
-    assert "Dataset: not known" in card.text
+    assert "Data: not known" in card.text
     assert card.data.datasets is None
     assert card.data.license == "apache-2.0"
     assert "Rest image" not in card.text and "nan" not in card.text.lower()
