@@ -151,5 +151,7 @@ def test_the_standin_acts_late_and_has_no_twin(make_robot, tmp_path):
         robot.send_action(act(pressure=5.0))
     assert position(robot)[1] - start[1] == pytest.approx(0.1 / CONTROL_HZ, abs=1e-3)
     Twin.builtin().save(tmp_path)
-    with pytest.raises(DecodingError, match="leave --robot.twin out"):
+    with pytest.raises(DecodingError, match="leave --robot.twin and --robot.fidelity out"):
         PneutacSimConfig(standin=True, twin=tmp_path)
+    with pytest.raises(DecodingError, match="leave --robot.twin and --robot.fidelity out"):
+        PneutacSimConfig(standin=True, fidelity="mpm")

@@ -114,7 +114,7 @@ def test_bad_actions_are_one_clear_sentence(world, action):
 def test_unknown_task_and_touch_list_what_there_is():
     with pytest.raises(InputError, match="switch, egg, card"):
         World("door")
-    with pytest.raises(InputError, match="image, area, none"):
+    with pytest.raises(InputError, match="image, area, probe, none"):
         World("switch", touch="smell")
 
 
