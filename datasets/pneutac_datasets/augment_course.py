@@ -1,14 +1,16 @@
 """Which frame of a demonstration comes next in a new scene, and where it lies there.
 
-Before a touch nobody knows where the object is, so the demonstrated way is gone as it was, and farther or
-less far until the touch comes. In contact it lies where the touch came, and lasts until the touch is gone.
+Before a touch nobody knows where the object is, so the demonstrated way is gone as it was, until the touch
+comes: earlier, later, or more to one side of the gel. In contact the demonstrated way lies where the object
+is, so that it leads to the side as someone who feels where the touch is would go, and lasts until the touch
+is gone.
 """
 
 import numpy as np
 
 from pneutac_datasets.augment_reference import Reference
 
-EARLY = 16  # control steps by which a touch may come, or go, before the demonstrated one
+EARLY = 16  # control steps by which a touch may go before the demonstrated one
 LATE_TOUCH, LATE_RELEASE = 8, 24  # and after it: who goes on for long has missed the object
 GONE = 2  # frames without touch after which it is over
 BUMP = 6  # frames; shorter contacts need not come
@@ -19,7 +21,7 @@ class Course:
 
     Args:
         reference: the demonstration.
-        aside_m: (3,) displacement of its free ways.
+        aside_m: how far to the side, along y, the object stands from where it stood.
 
     Attributes:
         frame: of the reference.
@@ -27,11 +29,11 @@ class Course:
         in_contact: whether this frame belongs to a contact that has come.
     """
 
-    def __init__(self, reference: Reference, aside_m: np.ndarray):
+    def __init__(self, reference: Reference, aside_m: float):
         self._contacts = list(reference.contacts)
-        self._reference, self._aside_m = reference, np.asarray(aside_m, float)
+        self._reference, self._aside_m = reference, aside_m
         self._waited = self._lost = 0
-        self.frame, self.offset_m, self.in_contact = -1, self._aside_m, False
+        self.frame, self.offset_m, self.in_contact = -1, np.zeros(3), False
 
     def advance(self, touched: bool, flange_m: np.ndarray) -> bool:
         """Goes on to the next frame.
@@ -66,20 +68,28 @@ class Course:
 
     def _search(self, touched: bool, flange_m: np.ndarray) -> bool:
         """The free way, until the next touch comes."""
-        self.offset_m = self._aside_m
+        self.offset_m = np.zeros(3)
         if not self._contacts:
             return True
+        if touched:
+            while len(self._contacts) > 1 and self._is_bump(self._contacts[0]):
+                del self._contacts[0]
         first, end = self._contacts[0]
-        if touched and first - self.frame <= EARLY:
+        if touched:
             self.frame, self.in_contact, self._waited = first, True, 0
             self.offset_m = flange_m - self._reference.flange_m[first]
-        elif self.frame == first and end - first < BUMP:
+            self.offset_m[1] = self._aside_m
+        elif self.frame == first and self._is_bump(self._contacts[0]):
             del self._contacts[0]
         elif self.frame == first:
             self._waited += 1
             self.frame = first - 1
             return self._waited <= LATE_TOUCH
         return True
+
+    @staticmethod
+    def _is_bump(contact: tuple[int, int]) -> bool:
+        return contact[1] - contact[0] < BUMP
 
     @property
     def last(self) -> int:

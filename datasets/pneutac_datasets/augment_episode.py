@@ -15,13 +15,13 @@ from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, CONTROL_HZ
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.gantry import Gantry
 from pneutac_sim.world.varied import Variation, VariedWorld
-from pneutac_sim.world.world import WORKSPACE_HIGH, WORKSPACE_LOW
 
 # Domain randomisation: standard deviations.
 FRICTION = 0.15  # of the factor on the gel's friction
 FEED_FORWARD_M_S = 0.01  # velocity added along the motion in contact for a friction factor higher by one
 PEAK_KPA = 0.5  # of the peak pressure
 BEND_GAIN = 0.04  # of the factor on pressure to bend
+ASIDE_M = 0.005  # of the object's place along y, at most: the way there stays, and a gel is 16 mm wide
 TRIES = 3  # variants of one reference before another one gets its turn
 
 
@@ -57,7 +57,8 @@ class Variant:
     Attributes:
         source: index of the reference.
         shift_m: (3,) displacement of the object and, from the touch on, of the reference trajectory; its
-            height stays, as objects stand on the table.
+            height stays, as objects stand on the table. Until the touch the trajectory stays: nothing else
+            tells where the object is.
         friction: factor on the gel's friction.
         peak_kpa: added to the peak pressure, and in proportion below it.
         bend_gain: factor on pressure to bend.
@@ -73,7 +74,8 @@ class Variant:
     def draw(cls, source: int, sigma_m: np.ndarray, rng: np.random.Generator) -> "Variant":
         """A variant of a reference; factors stay within two standard deviations."""
         friction, peak, gain = np.clip(rng.standard_normal(3), -2, 2)
-        shift = np.clip(rng.standard_normal(3), -2, 2) * sigma_m * (1, 1, 0)
+        sigma_m = np.array([sigma_m[0], min(sigma_m[1], ASIDE_M), 0.0])
+        shift = np.clip(rng.standard_normal(3), -2, 2) * sigma_m
         return cls(
             source,
             tuple(shift.tolist()),
@@ -165,19 +167,14 @@ class Generator:
             plan: False replays the reference's actions blindly, for comparison.
         """
         r = self.setup.references[variant.source]
-        # Along the way of the search the free path stays: only touch tells how far the object is.
-        aside = np.array([0.0, variant.shift_m[1], 0.0])
-        start = np.clip(r.flange_m[0] + aside, WORKSPACE_LOW + 0.006, WORKSPACE_HIGH - 0.006)
         self.world.variation = Variation(
-            tuple((start if plan else r.flange_m[0]).tolist()),
+            tuple(r.flange_m[0].tolist()),
             tuple(np.add(scene.shift_m, variant.shift_m).tolist()),
             variant.bend_gain,
             variant.friction,
         )
         observation = self.world.reset(scene.seed)
-        ways = (
-            self._plan(r, variant, aside, rng) if plan else iter(np.clip(r.action, ACTION_LOW, ACTION_HIGH))
-        )
+        ways = self._plan(r, variant, rng) if plan else iter(np.clip(r.action, ACTION_LOW, ACTION_HIGH))
         states, actions, images, areas, self._costs = [], [], [], [], []
         missed = plan
         while not (self.world.success or self.world.failure):
@@ -203,11 +200,11 @@ class Generator:
             _area_rmse(np.array(areas), r.area),
         )
 
-    def _plan(self, r: Reference, variant: Variant, aside_m: np.ndarray, rng: np.random.Generator):
+    def _plan(self, r: Reference, variant: Variant, rng: np.random.Generator):
         """Yields the next action (4,) for the world's present state, until the demonstration is over."""
         planner = CemPlanner(self.gantry, self.setup.planner, rng)
         r = r.prolonged(EXTRA_STEPS)
-        demonstrated, course = self._warm(r, variant), Course(r, aside_m)
+        demonstrated, course = self._warm(r, variant), Course(r, variant.shift_m[1])
         steps = np.arange(self.setup.planner.horizon)
         action, queue = np.zeros(4), []
         while course.advance(self.world.touch.area > 0, self.world.flange_m) and course.frame < len(r):

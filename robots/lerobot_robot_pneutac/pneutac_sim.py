@@ -20,7 +20,7 @@ from pneutac_sim.features import (
 
 POSE_NAMES = ("ee_x.pos", "ee_y.pos", "ee_z.pos", "pressure.pos")
 EE = slice(STATE_NAMES.index("ee_x.pos"), STATE_NAMES.index("ee_z.pos") + 1)
-# A pose command this near to the task's home brings the arm home; starts differ by less.
+# A pose command this near to one of the task's starts brings the arm home; their jitter is less.
 HOME_RADIUS_M = 0.010
 
 _connected: list["PneutacSim"] = []
@@ -137,7 +137,9 @@ class PneutacSim(Robot):
 
     def _go_to(self, pose: np.ndarray) -> None:
         """One step towards a pose: (4,) flange position m, pressure kPa."""
-        if np.linalg.norm(pose[:3] - self.world.task.home_m) < HOME_RADIUS_M:
+        task = self.world.task
+        starts = task.home_m + np.array([[0.0, y, 0.0] for y in task.starts_m])
+        if np.linalg.norm(pose[:3] - starts, axis=1).min() < HOME_RADIUS_M:
             if self._moved:
                 self.reset()
             return

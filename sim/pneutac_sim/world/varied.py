@@ -66,6 +66,11 @@ class _Staged(Task):
         """Where the flange starts (3,), metres."""
         return self.inner.home_m if self.variation.start_m is None else self.variation.start_m
 
+    @property
+    def starts_m(self):
+        """Displacements from there along y, one of which is drawn."""
+        return self.inner.starts_m if self.variation.start_m is None else (0.0,)
+
     @override
     def reset(self, model, data, rng):
         model.body_pos[self._roots] = self._places

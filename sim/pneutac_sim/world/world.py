@@ -119,6 +119,7 @@ class World:
         mujoco.mj_resetData(self.model, self.data)
         self.task.reset(self.model, self.data, self._rng)
         self.target_m = np.array(self.task.home_m) + self._rng.uniform(-1, 1, 3) * HOME_JITTER_M
+        self.target_m[1] += self._rng.choice(self.task.starts_m)
         self._ik.reset(HOME_JOINTS)
         for _ in range(20):
             self._joints = self._ik.solve(self.target_m)

@@ -46,15 +46,12 @@ def test_expert_succeeds_within_limits_where_a_blind_replay_does_not(worlds, tas
             demonstrations.append(actions)
     assert len(demonstrations) >= 9
     assert np.median([len(a) for a in demonstrations]) <= 8 * CONTROL_HZ
-    replays = [difficulty.replay(world, a, 300 + i) for i, a in enumerate(3 * demonstrations[:9])]
-    assert np.mean(replays) <= 0.45  # of 27; the slow test counts more
-
-
-SWEPT = pytest.mark.xfail(strict=True, reason="a replayed search passes where the bar is: 48 %, goal 40 %")
+    replays = [difficulty.replay(world, a, 300 + i) for i, a in enumerate(6 * demonstrations[:9])]
+    assert np.mean(replays) <= 0.45  # of 54; the slow test counts more
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("task", [pytest.param("switch", marks=SWEPT), "egg", "card"])
+@pytest.mark.parametrize("task", TASK_NAMES)
 def test_task_needs_touch(task):
     expert, replayed, _ = difficulty.measure(task, 60)
     assert expert >= 0.95 * 60
@@ -93,7 +90,7 @@ def test_before_the_touch_the_expert_does_not_know_where_the_object_is(worlds, t
         for shift in ((0.01, 0.012, 0), (-0.01, -0.02, 0), (0.02, 0, 0)):
             other = until_touch(world, seed, shift)
             n = min(len(first), len(other)) - 2  # a first bump may be over at the end of a step
-            assert n > 5
+            assert n >= 5
             np.testing.assert_allclose(first[:n], other[:n], atol=1e-4)  # cards and lever settle a little
 
 

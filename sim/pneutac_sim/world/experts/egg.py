@@ -9,25 +9,26 @@ from pneutac_sim.world.world import World
 EDGE_M, REACH_M = EggTask().edge_m, EggTask().reach_m
 # Lanes are less apart than gel and tab are wide; the wall is touched below the lid's edge.
 LANES = Lanes(height_m=EDGE_M - 0.015, rise_m=0.037, width_m=0.0135, last_m=0.008, back_m=0.44)
+SLIDE_MM = 0.4  # imprint of the wall while sliding up
 WALL_M = 0.006  # imprints nearer to the gel's end are of the wall
 PAST_M = 0.012  # gel above the lid's edge when it has slid past it
+OPEN_M = 0.105  # and when it has lifted the lid, or missed it
 
 
 def open_carton(world: World, habits: Habits, pressure: float) -> Wish:
     """What to do now; `pressure` is the one commanded last, kPa."""
     z, at = world.gel_m[2], world.imprint_m
-    past = z > EDGE_M + PAST_M
+    lifting = pressure > SEARCH_KPA
+    past = z > EDGE_M + (OPEN_M if lifting else PAST_M)
     if pressure < VENTED_KPA and not LANES.begins(world):
         return LANES.withdraw(world, past), 0.0
-    felt = touching(world, 0.05)
-    hooked = felt and at is not None and at[1] < WALL_M
-    inflating = pressure > SEARCH_KPA and world.pressure_kpa < habits.high_kpa - 1.0
-    if hooked or inflating or (felt and pressure > SEARCH_KPA):
-        return _lift(world, habits, pressure, at)
-    if pressure > SEARCH_KPA or past:
+    hooked = touching(world) and at is not None and at[1] < WALL_M
+    if past and not hooked or past and lifting:
         return np.zeros(3), 0.0
-    if felt or z > EDGE_M - 0.008:
-        ahead = np.clip(0.15 * (0.25 - world.press_mm), -0.01, 0.02)
+    if hooked or lifting:
+        return _lift(world, habits, pressure, at)
+    if touching(world) or z > EDGE_M - 0.008:
+        ahead = np.clip(0.15 * (SLIDE_MM - world.press_mm), -0.01, 0.02)
         return habits.speed * np.array([ahead, 0.0, 0.06]), habits.low_kpa
     return go_ahead(world, habits, LANES.height_m, 0.08), habits.low_kpa
 
@@ -36,11 +37,11 @@ def _lift(world: World, habits: Habits, pressure: float, at: np.ndarray | None) 
     """Inflate with the tab in the middle of the gel, then lift along the lid's arc."""
     across = 0.0 if at is None or at[1] > WALL_M else at[0]
     aside = np.array([0.0, -3.0 * across, 0.0])
-    if at is None:  # the tab lies on what is not gel
-        return np.array([-0.01, 0.0, 0.03]), habits.high_kpa
-    if abs(across) > 0.005:
-        return aside, habits.high_kpa
     full = np.clip((pressure - habits.low_kpa) / (habits.high_kpa - habits.low_kpa), 0, 1)
+    if at is None and full < 0.5:  # the tab lies on what is not gel
+        return np.array([-0.01, 0.0, 0.03]), habits.high_kpa
+    if abs(across) > 0.005 and full < 1:
+        return aside, habits.high_kpa
     rise = np.clip((world.gel_m[2] - EDGE_M) / REACH_M, 0, 0.95)
     lift = 0.06 * full * np.array([rise, 0.0, np.sqrt(1 - rise**2)])
     return habits.speed * (lift + aside), habits.high_kpa

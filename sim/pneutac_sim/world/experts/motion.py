@@ -10,7 +10,7 @@ import numpy as np
 
 from pneutac_sim.world.world import World
 
-TOUCH_MM = 0.12  # imprint that is seen as a touch, about 0.12 N
+TOUCH_MM = 0.25  # imprint that a camera shows as a touch, about 0.25 N
 VENTED_KPA, SEARCH_KPA = 1.5, 4.5  # below the first it withdraws, from there to the second it searches
 FAST_M_S = 0.095
 WRAP_M = 0.05  # how much farther up after the last lane
@@ -102,6 +102,6 @@ def go_ahead(world: World, habits: Habits, height_m: float, speed: float) -> np.
     return speed * habits.speed * np.array([1.0, 0.0, np.clip(30 * up, -1, 1)])
 
 
-def touching(world: World, least_mm: float = TOUCH_MM) -> bool:
+def touching(world: World) -> bool:
     """Whether the gel shows a touch."""
-    return world.press_mm > least_mm
+    return world.press_mm > TOUCH_MM

@@ -13,11 +13,13 @@ class Task:
         name: as in `pneutac_sim/<name>`.
         description: the instruction in plain words, as stored with demonstrations.
         home_m: flange position (3,) at the start of an episode, metres.
+        starts_m: displacements from there along y, one of which a random start has.
     """
 
     name: str
     description: str
     home_m: tuple[float, float, float]
+    starts_m: tuple[float, ...] = (0.0,)
 
     def mjcf(self) -> str:
         """MJCF bodies of the task's objects."""

@@ -35,7 +35,8 @@ class SwitchTask(Task):
 
     name = "switch"
     description = "Flip the toggle switch."
-    home_m = (0.41, -0.012, 0.255)
+    home_m = (0.41, 0.0, 0.255)
+    starts_m = (-0.012, 0.0, 0.012)
 
     ridge_torque_nm: float = 0.05
     well_rad: float = 0.4
