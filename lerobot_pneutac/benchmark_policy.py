@@ -47,7 +47,7 @@ class BenchmarkPolicyConfig:
         finetune_updates: of fine-tuning; conditions without pre-training make all on their data.
         batch: samples of a gradient step.
         lr: learning rate of Adam.
-        finetune_lr: the same while fine-tuning; default the same.
+        finetune_lr: the same while fine-tuning: lower, lest few demonstrations make the many forgotten.
         select: `last`, the weights after the last update; `held_out`, those with the lowest loss on a tenth
             of the demonstrations, at least one, which are then not trained on.
         ppo_steps: control steps of reinforcement learning.
@@ -68,11 +68,11 @@ class BenchmarkPolicyConfig:
     trials: int = 10
     demonstrations: int = 10
     augmented: int = 100
-    pretrain_updates: int = 2000
-    finetune_updates: int = 2000
+    pretrain_updates: int = 3000
+    finetune_updates: int = 1000
     batch: int = 64
     lr: float = 3e-4
-    finetune_lr: float | None = None
+    finetune_lr: float = 1e-4
     select: str = "last"
     ppo_steps: int = 400_000
     device: str | None = None
@@ -87,7 +87,6 @@ class BenchmarkPolicyConfig:
         self.out = Path(self.out).absolute()
         if self.fast:
             vars(self).update(_FAST)
-        self.finetune_lr = self.lr if self.finetune_lr is None else self.finetune_lr
         self.jobs = self.jobs if self.jobs is not None else len(os.sched_getaffinity(0))
         self._check_lists()
         for name in ("augmented", "pretrain_updates", "finetune_updates", "batch", "ppo_steps", "jobs"):
