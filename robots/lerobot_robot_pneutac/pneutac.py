@@ -9,6 +9,7 @@ from lerobot.robots import Robot
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
 from lerobot_robot_pneutac.config_pneutac import PneutacConfig
+from lerobot_robot_pneutac.features import POSE_NAMES, PneutacFeatures
 from lerobot_robot_pneutac.hardware.safety import Guard
 from lerobot_robot_pneutac.hardware.tactile import Tactile, latest
 from pneutac_sim.errors import InputError
@@ -18,16 +19,13 @@ from pneutac_sim.features import (
     ACTION_NAMES,
     CONTROL_HZ,
     IMAGE_NAME,
-    IMAGE_SHAPE,
     STATE_NAMES,
 )
-
-POSE_NAMES = ("ee_x.pos", "ee_y.pos", "ee_z.pos", "pressure.pos")
 
 logger = logging.getLogger(__name__)
 
 
-class Pneutac(Robot):
+class Pneutac(PneutacFeatures, Robot):
     """The real robot; its features are those of `pneutac_sim`, and so are its datasets and policies.
 
     An action is a dict of `features.ACTION_NAMES`; a pose, as lerobot-rollout sends it between episodes,
@@ -39,7 +37,6 @@ class Pneutac(Robot):
     """
 
     config_class = PneutacConfig
-    name = "pneutac"
 
     def __init__(self, config: PneutacConfig):
         super().__init__(config)
@@ -52,14 +49,9 @@ class Pneutac(Robot):
 
     @property
     def observation_features(self) -> dict[str, type | tuple]:
-        """Every scalar of the state in order, the tactile image, then other cameras."""
+        """Those of every robot of the plugin, then other cameras."""
         extra = {name: (c.height, c.width, 3) for name, c in self.config.cameras.items()}
-        return dict.fromkeys(STATE_NAMES, float) | {IMAGE_NAME: IMAGE_SHAPE} | extra
-
-    @property
-    def action_features(self) -> dict[str, type]:
-        """Velocities (m/s) and pressure (kPa)."""
-        return dict.fromkeys(ACTION_NAMES, float)
+        return super().observation_features | extra
 
     @property
     def is_connected(self) -> bool:

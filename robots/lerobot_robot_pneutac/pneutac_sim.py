@@ -7,6 +7,7 @@ from lerobot.robots import Robot
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
 from lerobot_robot_pneutac.config_pneutac_sim import PneutacSimConfig
+from lerobot_robot_pneutac.features import POSE_NAMES, PneutacFeatures
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import (
     ACTION_HIGH,
@@ -14,11 +15,9 @@ from pneutac_sim.features import (
     ACTION_NAMES,
     CONTROL_HZ,
     IMAGE_NAME,
-    IMAGE_SHAPE,
     STATE_NAMES,
 )
 
-POSE_NAMES = ("ee_x.pos", "ee_y.pos", "ee_z.pos", "pressure.pos")
 EE = slice(STATE_NAMES.index("ee_x.pos"), STATE_NAMES.index("ee_z.pos") + 1)
 # A pose command this near to one of the task's starts brings the arm home; their jitter is less.
 HOME_RADIUS_M = 0.010
@@ -26,7 +25,7 @@ HOME_RADIUS_M = 0.010
 _connected: list["PneutacSim"] = []
 
 
-class PneutacSim(Robot):
+class PneutacSim(PneutacFeatures, Robot):
     """A simulated robot that moves on by one control step (1/15 s) with every action that it is sent.
 
     An action is a dict of `features.ACTION_NAMES`, clipped to its limits. Two more dicts are taken:
@@ -44,7 +43,6 @@ class PneutacSim(Robot):
     """
 
     config_class = PneutacSimConfig
-    name = "pneutac"
 
     def __init__(self, config: PneutacSimConfig):
         super().__init__(config)
@@ -52,16 +50,6 @@ class PneutacSim(Robot):
         self.cameras: dict = {}
         self.world = None
         self.successes: list[bool] = []
-
-    @property
-    def observation_features(self) -> dict[str, type | tuple]:
-        """Every scalar of the state in order, then the tactile image."""
-        return dict.fromkeys(STATE_NAMES, float) | {IMAGE_NAME: IMAGE_SHAPE}
-
-    @property
-    def action_features(self) -> dict[str, type]:
-        """Velocities (m/s) and pressure (kPa)."""
-        return dict.fromkeys(ACTION_NAMES, float)
 
     @property
     def is_connected(self) -> bool:
