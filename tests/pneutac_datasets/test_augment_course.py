@@ -1,0 +1,82 @@
+"""The course of a demonstration through a new scene follows the touch, not the clock."""
+
+import numpy as np
+import pytest
+
+from pneutac_datasets.augment_course import EARLY, LATE_RELEASE, LATE_TOUCH, Course
+from pneutac_datasets.augment_reference import Reference
+
+FIRST, END, LENGTH = 40, 70, 90
+
+
+@pytest.fixture
+def reference():
+    """Along x at 1 mm a frame, in contact from FIRST to END."""
+    flange, area = np.zeros((LENGTH, 3)), np.zeros(LENGTH)
+    flange[:, 0] = 1e-3 * np.arange(LENGTH)
+    area[FIRST:END] = 0.1
+    return Reference(0, flange, area, np.zeros((LENGTH, 4)), "push")
+
+
+def go(course, touched, steps, flange_m=(0.0, 0.0, 0.0)):
+    """Frames of so many steps; the last is None where a touch has not come."""
+    frames = []
+    for _ in range(steps):
+        frames.append(course.frame if course.advance(touched, np.array(flange_m)) else None)
+        if frames[-1] is None:
+            break
+    return frames
+
+
+def test_a_touch_as_demonstrated_leads_through_it_frame_by_frame(reference):
+    course = Course(reference, 0.0)
+    assert go(course, False, FIRST)[-1] == FIRST - 1
+    frames = go(course, True, END - FIRST, reference.flange_m[FIRST])
+    assert frames == list(range(FIRST, END)) and course.in_contact
+    np.testing.assert_allclose(course.offset_m, 0, atol=1e-12)
+
+
+@pytest.mark.parametrize("step", [3, 25, FIRST - 1])
+def test_an_early_touch_begins_the_contact_where_it_came(reference, step):
+    course = Course(reference, 0.004)
+    go(course, False, step)
+    assert not course.offset_m.any()  # the way there stays
+    there = np.array([0.01, 0.001, 0.002])
+    assert go(course, True, 1, there) == [FIRST]
+    assert course.in_contact
+    # Along the way as it was touched, to the side as the object stands.
+    np.testing.assert_allclose(course.offset_m, [0.01 - 1e-3 * FIRST, 0.004, 0.002])
+
+
+def test_who_waits_too_long_has_missed_the_object(reference):
+    course = Course(reference, 0.0)
+    frames = go(course, False, LENGTH)
+    assert frames[-1] is None and course.waiting
+    assert len(frames) == FIRST + LATE_TOUCH + 1
+    late = Course(reference, 0.0)
+    go(late, False, FIRST + LATE_TOUCH)
+    assert go(late, True, 1)[0] == FIRST
+
+
+def test_a_contact_ends_when_the_touch_is_gone(reference):
+    course = Course(reference, 0.0)
+    go(course, False, FIRST)
+    go(course, True, END - FIRST - EARLY + 1, reference.flange_m[FIRST])
+    assert go(course, False, 2)[-1] == END  # gone for two frames: released early
+    assert not course.in_contact
+    held = Course(reference, 0.0)
+    go(held, False, FIRST)
+    frames = go(held, True, END - FIRST + LATE_RELEASE - 1, reference.flange_m[FIRST])
+    assert max(frames) == END - 1 and held.in_contact  # it is still felt, so it goes on
+    assert held.offset_m[0] > 5e-3  # and so does the path
+    assert go(held, True, 3)[-1] >= END - 1
+
+
+def test_a_short_bump_need_not_come_and_is_no_contact(reference):
+    reference.area[20:22] = 0.05
+    assert len(reference.contacts) == 2
+    course = Course(reference, 0.0)
+    assert None not in go(course, False, FIRST)
+    bumped = Course(reference, 0.0)
+    go(bumped, False, 15)
+    assert go(bumped, True, 1) == [FIRST]
