@@ -11,9 +11,7 @@ from lerobot_pneutac.augment import AugmentConfig, DatasetRef, augment
 from lerobot_pneutac.options import parse_options
 from lerobot_pneutac.report import write_result
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import CONTROL_HZ, TASK_NAMES
-
-EPISODE_S = 13
+from pneutac_sim.features import CONTROL_HZ, DEMONSTRATION_S, TASK_NAMES
 
 
 @dataclass
@@ -22,7 +20,7 @@ class BenchmarkAugmentConfig:
 
     Attributes:
         tasks: which ones.
-        demonstrations: scripted ones, recorded first, 10 s each.
+        demonstrations: scripted ones, recorded first.
         episodes: new ones.
         seed: decides everything.
         workers: processes; default one a core.
@@ -41,8 +39,12 @@ class BenchmarkAugmentConfig:
         for task in self.tasks:
             if task not in TASK_NAMES:
                 raise InputError(f"--tasks has '{task}'; the tasks are {', '.join(TASK_NAMES)}.")
-        if self.demonstrations < 2 or self.episodes < 1:
-            raise InputError("--demonstrations must be 2 or more, --episodes 1 or more.")
+        least = {"demonstrations": 2, "episodes": 1} | ({} if self.workers is None else {"workers": 1})
+        for name, number in least.items():
+            if getattr(self, name) < number:
+                raise InputError(f"--{name} is {getattr(self, name)}; it must be {number} or more.")
+        if not self.tasks:
+            raise InputError("Give at least one of --tasks.")
 
 
 def main(argv: list[str]) -> None:
@@ -77,7 +79,7 @@ def _measure(cfg: BenchmarkAugmentConfig, task: str, console: Console) -> dict:
     cfg.out.mkdir(parents=True, exist_ok=True)
     robot = PneutacSim(PneutacSimConfig(id="twin", task=task, seed=cfg.seed))
     teleop = PneutacScripted(
-        PneutacScriptedConfig(id="scripted", seed=cfg.seed, episode_steps=EPISODE_S * CONTROL_HZ)
+        PneutacScriptedConfig(id="scripted", seed=cfg.seed, episode_steps=DEMONSTRATION_S * CONTROL_HZ)
     )
     record_episodes(
         robot, teleop, f"local/{recorded.name}", recorded, cfg.demonstrations, CONTROL_HZ, task, True

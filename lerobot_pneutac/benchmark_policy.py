@@ -99,6 +99,8 @@ class BenchmarkPolicyConfig:
         for name in ("lr", "finetune_lr"):
             if not 0 < getattr(self, name) < 1:
                 raise InputError(f"--{name} is {getattr(self, name)}; it must be between 0 and 1.")
+        if self.select not in ("last", "held_out"):
+            raise InputError(f"--select is '{self.select}'; it must be last or held_out.")
         self._check_twins()
         self._check_device()
 
@@ -125,9 +127,6 @@ class BenchmarkPolicyConfig:
                 raise InputError(f"--{name} is '{path}', which holds no twin.yaml; give a twin's folder.")
             setattr(self, name, Path(path).absolute())
 
-        if self.select not in ("last", "held_out"):
-            raise InputError(f"--select is '{self.select}'; it must be last or held_out.")
-
     def _check_device(self) -> None:
         import torch
 
@@ -139,7 +138,7 @@ class BenchmarkPolicyConfig:
             raise InputError("--device is 'cuda', but PyTorch finds no GPU; use cpu.")
         if "ppo" in self.conditions and importlib.util.find_spec("stable_baselines3") is None:
             raise InputError(
-                "The condition 'ppo' needs Stable-Baselines3; install it with pip install stable-baselines3."
+                "The condition 'ppo' needs Stable-Baselines3; install lerobot_robot_pneutac[rl]."
             )
 
 

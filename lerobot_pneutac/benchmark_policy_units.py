@@ -5,10 +5,9 @@ from pathlib import Path
 
 from rich.console import Console
 
-from pneutac_sim.features import CONTROL_HZ
+from pneutac_sim.features import CONTROL_HZ, DEMONSTRATION_S
 from pneutac_sim.twin import Twin
 
-EPISODE_S = 14  # most that a scripted demonstration takes
 TRIAL_STEPS = 225  # 15 s, after which a trial has failed
 HELD_OUT = 0.1  # share of the final data set's episodes, where the weights are chosen by them
 ATTEMPTS = 60  # variants tried for one demonstration
@@ -36,7 +35,7 @@ def record(folder: Path, options: dict, needs: list[Path], workers: int) -> dict
     )
     teleop = PneutacScripted(
         PneutacScriptedConfig(
-            id="scripted", seed=seed, episode_steps=EPISODE_S * CONTROL_HZ, calibration_dir=folder
+            id="scripted", seed=seed, episode_steps=DEMONSTRATION_S * CONTROL_HZ, calibration_dir=folder
         )
     )
     robot.connect()

@@ -29,12 +29,12 @@ from rich.progress import (
 from lerobot_pneutac.demo_report import write_report
 from lerobot_pneutac.options import parse_options
 from pneutac_sim.errors import InputError
+from pneutac_sim.features import DEMONSTRATION_S
 from pneutac_sim.surrogate.networks import builtin, fits
 from pneutac_sim.twin import Twin
 
 FPS = 15
 TASK_TEXT = "flip the switch"
-EPISODE_S = 13  # the script needs 2 to 12 s, by the lane in which it finds the object
 
 
 @dataclass
@@ -193,14 +193,14 @@ class Demo:
                 f"--robot.seed={cfg.seed}",
                 "--teleop.type=pneutac_scripted",
                 f"--teleop.seed={cfg.seed}",
-                f"--teleop.episode_steps={EPISODE_S * FPS}",
+                f"--teleop.episode_steps={DEMONSTRATION_S * FPS}",
                 f"--dataset.repo_id=local/{first.name}",
                 f"--dataset.root={first}",
                 "--dataset.no_stamp=true",
                 f"--dataset.single_task={TASK_TEXT}",
                 f"--dataset.fps={FPS}",
                 "--dataset.num_episodes=1",
-                f"--dataset.episode_time_s={EPISODE_S}",
+                f"--dataset.episode_time_s={DEMONSTRATION_S}",
                 "--dataset.reset_time_s=0",
                 "--dataset.streaming_encoding=true",
                 "--dataset.push_to_hub=false",
@@ -218,7 +218,7 @@ class Demo:
             )
         )
         teleop = PneutacScripted(
-            PneutacScriptedConfig(id="scripted", seed=cfg.seed + 1000, episode_steps=EPISODE_S * FPS)
+            PneutacScriptedConfig(id="scripted", seed=cfg.seed + 1000, episode_steps=DEMONSTRATION_S * FPS)
         )
         record_episodes(robot, teleop, f"local/{rest.name}", rest, cfg.episodes - 1, FPS, TASK_TEXT, True)
         self.run(

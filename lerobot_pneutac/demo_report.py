@@ -43,7 +43,7 @@ def write_report(out: Path, state: dict) -> Path:
         image = np.asarray(Image.open(picture).convert("RGB"))
         report.image(image, f"Tactile images of {source} beside the calibrated model")
     if (calibration / "result.json").is_file():
-        block = json.loads((calibration / "result.json").read_text()).get("image", {})
+        block = json.loads((calibration / "result.json").read_text()).get("image") or {}
         rows = [{"measure": k, "value": v} for k, v in block.items() if isinstance(v, int | float)]
         report.table(rows, "Held-out images; levels of 8 bit")
 

@@ -94,7 +94,7 @@ def main(argv: list[str]) -> None:
     """Runs the verb."""
     cfg, console = parse_options(PpoConfig, argv), Console()
     if importlib.util.find_spec("stable_baselines3") is None:
-        raise InputError("Stable-Baselines3 is missing; install it with pip install stable-baselines3.")
+        raise InputError("Stable-Baselines3 is missing; install lerobot_robot_pneutac[rl].")
     from lerobot_pneutac.ppo import train_ppo
 
     twin = Twin.load(cfg.twin) if cfg.twin else None

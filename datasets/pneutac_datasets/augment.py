@@ -97,8 +97,12 @@ def augment_guided(
     if out_root.exists() and work.folder.exists():  # stopped when all was done but the tidying up
         work.open(_run(meta, setup))
         scenes = [work.load_scene(i) for i in range(len(setup.references))]
-        shutil.rmtree(work.folder)
         lines = (out_root / "meta" / PROVENANCE).read_text().splitlines()
+        if len(lines) != episodes:
+            raise InputError(
+                f"'{out_root}' holds {len(lines)} demonstrations, not {episodes}; give a new folder for them."
+            )
+        shutil.rmtree(work.folder)
         return _summary([json.loads(line) for line in lines], {}, scenes, began)
     if out_root.exists():
         raise InputError(f"'{out_root}' exists; give a new folder for dataset '{out_repo_id}'.")

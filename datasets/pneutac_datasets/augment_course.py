@@ -53,7 +53,7 @@ class Course:
         return True
 
     def _stay_in_contact(self, touched: bool) -> None:
-        """Ends a contact when the touch is gone, and not before."""
+        """Ends a contact when the touch is gone: up to `EARLY` frames too soon, `LATE_RELEASE` too late."""
         end = self._contacts[0][1]
         self._lost = 0 if touched else self._lost + 1
         if self._lost >= GONE and end - self.frame <= EARLY:

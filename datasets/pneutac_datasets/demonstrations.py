@@ -88,6 +88,8 @@ def load_episode(dataset: LeRobotDataset, index: int) -> Episode:
         raise InputError(f"Dataset '{dataset.repo_id}': episode {index} has one frame only; delete it.")
     images = np.stack([_as_uint8(f[TACTILE]) for f in frames])
     state, action = (np.stack([f[k].numpy() for f in frames]).astype(float) for k in (OBS_STATE, ACTION))
+    if not (np.isfinite(state).all() and np.isfinite(action).all()):
+        raise InputError(f"Dataset '{dataset.repo_id}': episode {index} holds NaN or infinity; delete it.")
     return Episode(state, action, images, frames[0]["task"], dataset.meta.fps)
 
 

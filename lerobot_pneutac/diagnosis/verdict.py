@@ -9,8 +9,6 @@ ambiguous           this recording cannot tell
 
 from dataclasses import dataclass
 
-VERDICTS = ("adequate", "missing_effect", "insufficient_form", "unknown_effect", "ambiguous")
-
 MOST = 0.5  # share of the avoidable error that effects must remove to carry the headline
 FEW_UNITS = 6  # held-out pieces of time below which no bootstrap means much
 FEW_SAMPLES = 60

@@ -33,11 +33,13 @@ class Training:
             training) and, where episodes are held out, `held_out`, the loss on them without that noise.
         best: update whose weights the policy has now.
         held_out: loss of these weights on the episodes held out; None where there are none.
+        lr: learning rate of the optimiser.
     """
 
     curve: list[dict]
     best: int
     held_out: float | None
+    lr: float
 
 
 def new_policy(use_tactile: bool, lr: float, seed: int, device: str) -> PneutacBCPolicy:
@@ -132,7 +134,8 @@ def train(
     if best[2] is not None:
         policy.load_state_dict(best[2])
     policy.eval()
-    return Training(curve, best[1], float(best[0]) if best[2] is not None else None)
+    held_out_loss = float(best[0]) if best[2] is not None else None
+    return Training(curve, best[1], held_out_loss, optimiser.param_groups[0]["lr"])
 
 
 def save(policy: PneutacBCPolicy, training: Training, folder: str | Path) -> Path:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from draccus.utils import DecodingError
 from lerobot.teleoperators import TeleoperatorConfig
 
-from pneutac_sim.features import CONTROL_HZ
+from pneutac_sim.features import CONTROL_HZ, DEMONSTRATION_S
 
 
 @TeleoperatorConfig.register_subclass("pneutac_scripted")
@@ -15,7 +15,7 @@ class PneutacScriptedConfig(TeleoperatorConfig):
 
     LeRobot tells a teleoperator nothing of episodes, so it counts its ticks: `episode_steps` of
     demonstration, then `reset_steps` of waiting. The defaults fit `--dataset.fps=15
-    --dataset.episode_time_s=8 --dataset.reset_time_s=0`; a long recording on a busy computer is safer with
+    --dataset.episode_time_s=14 --dataset.reset_time_s=0`; a long recording on a busy computer is safer with
     15 reset steps and `--dataset.reset_time_s=1`: missed ticks then fall into the waiting time.
 
     Attributes:
@@ -24,7 +24,7 @@ class PneutacScriptedConfig(TeleoperatorConfig):
         seed: decides the variation between demonstrations.
     """
 
-    episode_steps: int = 8 * CONTROL_HZ
+    episode_steps: int = DEMONSTRATION_S * CONTROL_HZ
     reset_steps: int = 0
     seed: int = 0
 

@@ -8,6 +8,7 @@ pressure set-point in kPa. The paper's displacement per step is `velocity / CONT
 import numpy as np
 
 CONTROL_HZ = 15
+DEMONSTRATION_S = 14  # most that a scripted demonstration takes, by the lane in which it finds the object
 TASK_NAMES = ("switch", "egg", "card")
 FIDELITIES = ("surrogate", "mpm", "probe")  # how finger and gel of a world deform
 STANDIN_GELS = ("layer", "mpm")  # how the gel of the stand-in for reality deforms

@@ -151,13 +151,18 @@ def test_a_killed_benchmark_goes_on_and_writes_its_tables(tmp_path, capsys):
     result = json.loads((tmp_path / "result.json").read_text())
     assert result["failures"] == {}
     assert set(result["success"]) == {"n_aug", "real"}
-    assert all(cell["switch"]["mean"] in (0.0, 100.0) for cell in result["success"].values())
+    for name, cell in result["success"].items():
+        (trial,) = result["units"][f"switch/0/{name}_trials"]["result"]["trials"]
+        assert trial["start"] == TEST_START
+        assert cell["switch"]["mean"] == 100.0 * trial["success"]
     trained = result["units"]["switch/0/n_aug_policy"]["result"]
     assert trained["pretraining"]["curve"][-1]["update"] == 30
     assert trained["training"]["curve"][-1]["update"] == 10
     assert len(trained["held_out_episodes"]) == 1
     assert (Path(trained["checkpoint"]) / "model.safetensors").is_file()
+    assert (trained["pretraining"]["lr"], trained["training"]["lr"]) == (3e-4, 1e-4)
     alone = result["units"]["switch/0/real_policy"]["result"]
+    assert alone["training"]["lr"] == 3e-4
     assert "pretraining" not in alone and alone["training"]["curve"][-1]["update"] == 40
     assert "| n_aug |" in (tmp_path / "table.md").read_text()
     assert "Learning curves" in (tmp_path / "report.html").read_text()

@@ -281,6 +281,15 @@ def test_a_stop_that_hangs_does_not_keep_the_chamber_full(parts, guard, monkeypa
     assert parts.last("set_pressure", "vent")[0] == "vent"
 
 
+@pytest.mark.parametrize(("part", "said"), [("stop", "Stopping the arm"), ("vent", "Venting")])
+def test_a_watchdog_that_cannot_halt_a_part_is_a_fault(parts, guard, part, said):
+    guard.act(MOVE)
+    parts.breaks[part] = OSError("no answer")
+    assert until(lambda: guard.fault is not None)
+    assert f"{said} failed: no answer" in str(guard.fault)
+    assert {"stop", "vent"} <= set(parts.names())  # the other one is not forgotten
+
+
 def test_an_arm_that_hangs_in_a_command_leaves_the_watchdog_working(parts, guard, monkeypatch):
     monkeypatch.setattr(safety, "VENT_S", 0.3)
     guard.act(MOVE)

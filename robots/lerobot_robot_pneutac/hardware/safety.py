@@ -158,22 +158,25 @@ class Guard:
             idle_s = time.monotonic() - self._last_s
             if self._moving and idle_s > COMMAND_S:
                 self._moving = False
-                _quietly(self._arm.stop)
+                self._or_fail("Stopping the arm", self._arm.stop)
             if self._inflated and idle_s > VENT_S:
                 logger.warning("No action for %.1f s: the chamber is vented.", idle_s)
                 self._inflated, self._target_kpa = False, 0.0
-                _quietly(self._pressure.vent)
+                self._or_fail("Venting", self._pressure.vent)
             elif self._inflated and idle_s > HOLD_S:
                 self._hold()
 
     def _hold(self) -> None:
         """Repeats the set-point, which the controller would take as void after `COMMAND_S`."""
-        try:
-            self._pressure.set_pressure(self._target_kpa)
-        except Exception as e:
-            self.fail(HardwareFault(f"Holding the pressure failed: {e}."))
+        self._or_fail("Holding the pressure", lambda: self._pressure.set_pressure(self._target_kpa))
         if not self._inflated:  # vented meanwhile by another thread
             _quietly(self._pressure.vent)
+
+    def _or_fail(self, doing: str, act: Callable[[], None]) -> None:
+        try:
+            act()
+        except Exception as e:
+            self.fail(HardwareFault(f"{doing} failed: {e}."))
 
     def _monitor(self) -> None:
         while self.fault is None and not self._closed.wait(TICK_S):

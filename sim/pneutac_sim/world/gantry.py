@@ -85,7 +85,6 @@ class Gantry(VariedWorld):
         self._pad = self.data.joint("pad")
         n = self._spine.stop - self._spine.start
         self._arm, self._spine = slice(0, 3), slice(3, 3 + n)
-        self._control = self.data.ctrl[: self._spine.stop]
         self.steps, self.seconds = 0, {"physics": 0.0, "touch": 0.0}
         self._pair(world)
         self.reset(0)

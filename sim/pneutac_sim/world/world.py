@@ -25,6 +25,11 @@ RAMP = np.linspace(0, 1, scene.SUBSTEPS + 1)[1:, None]  # share of a control ste
 # Where the flange may be sent, metres in the arm's base frame: in reach with the flange down.
 WORKSPACE_LOW = np.array([0.30, -0.20, 0.18])
 WORKSPACE_HIGH = np.array([0.66, 0.20, 0.55])
+DIVERGED = (  # what MuJoCo warns of, and answers with a fresh scene
+    mujoco.mjtWarning.mjWARN_BADQPOS,
+    mujoco.mjtWarning.mjWARN_BADQVEL,
+    mujoco.mjtWarning.mjWARN_BADQACC,
+)
 HOME_JITTER_M = 0.004  # half width of the random start of the flange
 SETTLE_STEPS = 8  # control steps at rest before an episode
 
@@ -146,12 +151,17 @@ class World:
 
         Raises:
             InputError: the action has another shape or is not finite.
+            FloatingPointError: the physics has diverged.
         """
         self.command = self._clip(action)
         target = np.clip(self.target_m + self.command[:3] * DT, WORKSPACE_LOW, WORKSPACE_HIGH)
         self.clipped += int(np.any(target != self.target_m + self.command[:3] * DT))
         self.target_m = target
         self._advance(self._ik.solve(target), self._pipeline.step(self.command[3], DT))
+        if any(self.data.warning[kind].number for kind in DIVERGED):
+            raise FloatingPointError(
+                "The physics has diverged: MuJoCo met values that are not finite or too large."
+            )
         self.task.update(self.model, self.data, DT)
         self.touch.sense(self.data)
         self.out_of_range += not (self.touch.in_range and (self.finger is None or self.finger.in_range))

@@ -153,3 +153,12 @@ def test_without_opengl_the_scene_is_drawn(world, monkeypatch, caplog):
     assert first.shape == (240, 320, 3) and first.std() > 20
     assert (first != second).any(axis=2).mean() > 0.02  # the finger has moved
     assert np.array_equal(second, drawing.draw(blind.model, blind.data, CAMERA, 320, 240))
+
+
+def test_diverged_physics_is_no_fresh_scene():
+    world = World("switch", touch="none", fidelity="probe")
+    world.data.qvel[0] = 1e12
+    with pytest.raises(FloatingPointError, match="physics has diverged"):
+        world.step([0.0, 0.0, 0.0, 0.0])
+    world.reset(0)
+    world.step([0.0, 0.0, 0.0, 0.0])
