@@ -22,6 +22,7 @@ FEED_FORWARD_M_S = 0.01  # velocity added along the motion in contact for a fric
 PEAK_KPA = 0.5  # of the peak pressure
 BEND_GAIN = 0.04  # of the factor on pressure to bend
 ASIDE_M = 0.005  # of the object's place along y, at most: the way there stays, and a gel is 16 mm wide
+LATE = 1  # control steps by which commands act, and touch is shown, too late, at most
 TRIES = 3  # variants of one reference before another one gets its turn
 
 
@@ -62,6 +63,7 @@ class Variant:
         friction: factor on the gel's friction.
         peak_kpa: added to the peak pressure, and in proportion below it.
         bend_gain: factor on pressure to bend.
+        late_commands, late_touch: latencies in control steps, which no bench recording tells.
     """
 
     source: int
@@ -69,6 +71,8 @@ class Variant:
     friction: float
     peak_kpa: float
     bend_gain: float
+    late_commands: int = 0
+    late_touch: int = 0
 
     @classmethod
     def draw(cls, source: int, sigma_m: np.ndarray, rng: np.random.Generator) -> "Variant":
@@ -82,6 +86,7 @@ class Variant:
             float(1 + FRICTION * friction),
             float(PEAK_KPA * peak),
             float(1 + BEND_GAIN * gain),
+            *rng.integers(0, LATE + 1, 2).tolist(),
         )
 
 
@@ -172,6 +177,8 @@ class Generator:
             tuple(np.add(scene.shift_m, variant.shift_m).tolist()),
             variant.bend_gain,
             variant.friction,
+            variant.late_commands,
+            variant.late_touch,
         )
         observation = self.world.reset(scene.seed)
         ways = self._plan(r, variant, rng) if plan else iter(np.clip(r.action, ACTION_LOW, ACTION_HIGH))

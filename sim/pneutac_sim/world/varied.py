@@ -1,5 +1,6 @@
-"""A world whose scene is laid out on purpose: object moved, other start, other gain of the finger."""
+"""A world that is laid out on purpose: object moved, other start, other gain of the finger, latency."""
 
+from collections import deque
 from dataclasses import dataclass
 from typing import override
 
@@ -18,12 +19,16 @@ class Variation:
         shift_m: displacement (3,) of the task's objects, metres.
         bend_gain: factor on the bend that the pressure makes.
         friction: factor on the friction of the gel.
+        late_commands: control steps by which commands act too late.
+        late_touch: control steps by which touch is shown too late.
     """
 
     start_m: tuple[float, float, float] | None = None
     shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     bend_gain: float = 1.0
     friction: float = 1.0
+    late_commands: int = 0
+    late_touch: int = 0
 
 
 class VariedWorld(World):
@@ -40,7 +45,23 @@ class VariedWorld(World):
         if isinstance(self.task, _Staged):  # not yet while the world is being built
             self.task.variation = self.variation
         self._rest_rad = None
-        return super().reset(seed)
+        observation = super().reset(seed)
+        self._sent = deque([self.command] * self.variation.late_commands)
+        self._shown = deque([self._felt()] * self.variation.late_touch)
+        return observation
+
+    @override
+    def step(self, action: np.ndarray):
+        sent = self._clip(action)
+        self._sent.append(sent)
+        super().step(self._sent.popleft())
+        self.command = sent
+        self._shown.append(self._felt())
+        self.touch.image, self.touch.pixels, self.touch.area = self._shown.popleft()
+        return self._observe()
+
+    def _felt(self) -> tuple:
+        return self.touch.image, self.touch.pixels, self.touch.area
 
     @override
     def _bend(self, q_cmd: np.ndarray) -> np.ndarray:

@@ -1,0 +1,41 @@
+"""Latency of a varied world: the same physics, later."""
+
+import numpy as np
+
+from pneutac_sim.world.expert import ScriptedExpert
+from pneutac_sim.world.varied import Variation, VariedWorld
+
+
+def play(actions, **late):
+    """States (T, 20) and contact areas (T,) of actions (T, 4)."""
+    world = VariedWorld("switch", touch="area", fidelity="probe")
+    world.variation = Variation(**late)
+    world.reset(3)
+    states = [world.step(a).state for a in actions]
+    return np.array(states), world
+
+
+def demonstration():
+    world = VariedWorld("switch", touch="area", fidelity="probe")
+    world.reset(3)
+    expert = ScriptedExpert(world, np.random.default_rng(3))
+    actions = []
+    while not world.success and len(actions) < 200:
+        actions.append(expert.action())
+        world.step(actions[-1])
+    return np.array(actions)
+
+
+def test_latency_shifts_commands_and_touch_and_nothing_else():
+    actions = demonstration()
+    waiting = np.vstack([np.zeros((1, 4)), actions[:-1]])
+    prompt, _ = play(waiting)
+    late, world = play(actions, late_commands=1)
+    np.testing.assert_array_equal(late, prompt)
+    np.testing.assert_allclose(world.command, actions[-1], atol=1e-7)  # what was sent, as others record it
+    touch = slice(17, 19)
+    assert prompt[:, 17].max() > 0.01
+    felt, _ = play(waiting, late_touch=1)
+    np.testing.assert_array_equal(felt[1:, touch], prompt[:-1, touch])
+    rest = np.delete(np.arange(20), np.r_[touch])
+    np.testing.assert_array_equal(felt[:, rest], prompt[:, rest])
