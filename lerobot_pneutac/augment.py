@@ -37,7 +37,8 @@ class AugmentConfig:
         dataset: the recorded demonstrations.
         output: the new ones; the folder must not exist.
         task: what stands in front of the robot: `switch`, `egg` or `card`.
-        method: `tactile` (planned in the simulator), or `naive` (varied without one).
+        method: `tactile` (planned in the simulator), or `naive` (varied without one, which looks at dataset,
+            output, episodes and seed alone).
         episodes: new demonstrations.
         seed: decides everything.
         twin: folder of the finger's twin; default the built-in one.

@@ -38,7 +38,7 @@ def read_references(root: str | Path, repo_id: str) -> tuple[LeRobotDatasetMetad
 
     Raises:
         InputError: there is no dataset, its features or rate are not those of the robot, or an episode is
-            not finite or never touches.
+            not finite.
     """
     if not (Path(root) / "meta" / "info.json").is_file():
         raise InputError(f"'{root}' holds no LeRobotDataset (no meta/info.json).")
@@ -57,7 +57,6 @@ def read_references(root: str | Path, repo_id: str) -> tuple[LeRobotDatasetMetad
         rows = slice(row["dataset_from_index"], row["dataset_to_index"])
         s = state[rows]
         references.append(Reference(i, s[:, EE], s[:, AREA], action[rows], row["tasks"][0]))
-    onset_sigma_m(references)
     return meta, references
 
 
@@ -86,8 +85,10 @@ def augment_guided(
         `scenes`, `wall_s`.
 
     Raises:
-        InputError: the output exists, an unfinished run is another one, or a demonstration cannot be made.
+        InputError: there are fewer than two demonstrations, one never touches, the output exists, an
+            unfinished run is another one, or a demonstration cannot be made.
     """
+    onset_sigma_m(setup.references)
     out_root = Path(out_root)
     work, part = (
         Work(out_root.with_name(out_root.name + ".work")),
