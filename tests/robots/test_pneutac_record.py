@@ -128,7 +128,9 @@ class Record:
         ]
         self._log = (work / "log").open("w+")
         command = [str(Path(sys.executable).parent / "lerobot-record"), *options]
-        self.process = subprocess.Popen(command, env=env, cwd=work, stdout=self._log, stderr=self._log)
+        self.process = subprocess.Popen(
+            command, env=env, cwd=work, stdout=self._log, stderr=self._log, preexec_fn=hear_ctrl_c
+        )
 
     def episodes(self) -> int:
         info = self.root / "meta/info.json"
@@ -162,6 +164,11 @@ def record(tmp_path):
     yield record
     record.process.kill()
     record.process.wait()
+
+
+def hear_ctrl_c() -> None:
+    """What a shell starts in the background ignores Ctrl-C, and so would all that it starts."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def press_ctrl_c(process: subprocess.Popen) -> float:
