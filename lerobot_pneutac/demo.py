@@ -53,9 +53,9 @@ class DemoConfig:
     """
 
     out: Path = Path("outputs/demo")
-    episodes: int = 8
+    episodes: int = 12
     augmented: int = 16
-    steps: int = 1000
+    steps: int = 2000
     batch_size: int = 16
     eval_episodes: int = 20
     seed: int = 1
