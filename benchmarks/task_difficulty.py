@@ -13,6 +13,7 @@ from rich.table import Table
 
 from pneutac_sim.features import CONTROL_HZ, TASK_NAMES
 from pneutac_sim.world.expert import ScriptedExpert
+from pneutac_sim.world.standin import StandinWorld
 from pneutac_sim.world.world import World
 
 STEPS = 200  # control steps of a trial
@@ -45,12 +46,12 @@ def replay(world: World, actions: np.ndarray, seed: int) -> bool:
     return succeeded(world)
 
 
-def measure(task: str, episodes: int) -> tuple[int, int, np.ndarray]:
+def measure(task: str, episodes: int, standin: bool = False) -> tuple[int, int, np.ndarray]:
     """Successes of expert and blind replay out of `episodes`, and the demonstrations' lengths (n,), s.
 
     Replay k takes the demonstration k of the successful ones, in turn, on a start that no expert has seen.
     """
-    world = World(task, touch="none")
+    world = StandinWorld(task, touch="none") if standin else World(task, touch="none")
     demonstrations = []
     for seed in range(episodes):
         actions = demonstrate(world, seed)
@@ -66,7 +67,9 @@ def measure(task: str, episodes: int) -> tuple[int, int, np.ndarray]:
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--episodes", type=int, default=60, help="trials of each kind and task")
-    n = parser.parse_args().episodes
+    parser.add_argument("--standin", action="store_true", help="on the stand-in for reality")
+    options = parser.parse_args()
+    n = options.episodes
     if n < 1:
         parser.error(f"--episodes is {n}; it must be at least 1.")
     table = Table(
@@ -77,7 +80,7 @@ def main():
         title=f"Success in {n} random starts",
     )
     for task in TASK_NAMES:
-        expert, blind, seconds = measure(task, n)
+        expert, blind, seconds = measure(task, n, options.standin)
         table.add_row(
             task,
             f"{expert}/{n} = {expert / n:.0%}",

@@ -121,7 +121,7 @@ class Record:
             "--dataset.fps=15",
             "--dataset.episode_time_s=1",
             "--dataset.reset_time_s=0",
-            "--dataset.num_episodes=500",
+            "--dataset.num_episodes=50",
             "--dataset.video=false",
             "--dataset.push_to_hub=false",
             "--play_sounds=false",
@@ -195,7 +195,7 @@ def test_episodes_are_kept_the_arm_stops_and_the_chamber_is_vented(record, end, 
         (tmp_path / "unplug").touch()
         record.process.wait(60)
     assert ("Stop recording" if end == "ctrl-c" else "The arm is gone.") in record.log()
-    assert record.episodes() < 500
+    assert record.episodes() < 50
 
     diary = record.diary()
     assert [w for w in diary if w[1] in ("set_pressure", "vent")][-1][1] == "vent"

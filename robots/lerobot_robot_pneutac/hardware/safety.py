@@ -173,6 +173,7 @@ class Guard:
             _quietly(self._pressure.vent)
 
     def _or_fail(self, doing: str, act: Callable[[], None]) -> None:
+        """Makes whatever a part raises a fault: in a thread of its own nobody else would hear of it."""
         try:
             act()
         except Exception as e:

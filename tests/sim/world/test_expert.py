@@ -85,13 +85,15 @@ def until_touch(world, seed, shift_m):
 @pytest.mark.parametrize("task", TASK_NAMES)
 def test_before_the_touch_the_expert_does_not_know_where_the_object_is(worlds, task):
     world = worlds[task]
+    compared = []
     for seed in range(3):
         first = until_touch(world, seed, (0.0, 0.0, 0.0))
         for shift in ((0.01, 0.012, 0), (-0.01, -0.02, 0), (0.02, 0, 0)):
             other = until_touch(world, seed, shift)
             n = min(len(first), len(other)) - 2  # a first bump may be over at the end of a step
-            assert n >= 5
+            compared.append(n)
             np.testing.assert_allclose(first[:n], other[:n], atol=1e-4)  # cards and lever settle a little
+    assert min(compared) >= 5 and np.mean(compared) > 8
 
 
 @pytest.mark.parametrize("task", ["switch", "egg"])
