@@ -11,12 +11,12 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from pneutac_sim.features import CONTROL_HZ, TASK_NAMES
+from pneutac_sim.features import CONTROL_HZ, TASK_NAMES, TRIAL_S
 from pneutac_sim.world.expert import ScriptedExpert
 from pneutac_sim.world.standin import StandinWorld
 from pneutac_sim.world.world import World
 
-STEPS = 200  # control steps of a trial
+STEPS = TRIAL_S * CONTROL_HZ
 EXPERT_GOAL, REPLAY_GOAL = 0.95, 0.40
 
 

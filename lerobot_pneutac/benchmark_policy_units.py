@@ -8,7 +8,6 @@ from rich.console import Console
 from pneutac_sim.features import CONTROL_HZ, DEMONSTRATION_S
 from pneutac_sim.twin import Twin
 
-TRIAL_STEPS = 225  # 15 s, after which a trial has failed
 HELD_OUT = 0.1  # share of the final data set's episodes, where the weights are chosen by them
 ATTEMPTS = 60  # variants tried for one demonstration
 FRAMES_FILE = "frames.npz"
@@ -163,7 +162,7 @@ def evaluate(folder: Path, options: dict, needs: list[Path], workers: int) -> di
     policy = PneutacBCPolicy.from_pretrained(path, config=config)
     on_cpu = {"device_processor": {"device": "cpu"}}
     before, after = make_pre_post_processors(policy.config, str(path), preprocessor_overrides=on_cpu)
-    world = PneutacStandinConfig(task=options["task"], episode_length=TRIAL_STEPS)
+    world = PneutacStandinConfig(task=options["task"])
     env_before, env_after = make_env_pre_post_processors(env_cfg=world, policy_cfg=policy.config)
     env = make_env(world, n_envs=1)[world.type][0]
     try:

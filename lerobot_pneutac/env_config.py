@@ -19,6 +19,7 @@ from pneutac_sim.features import (
     STANDIN_GELS,
     STATE_NAMES,
     TASK_NAMES,
+    TRIAL_S,
 )
 
 
@@ -34,7 +35,7 @@ class PneutacTaskConfig(EnvConfig):
 
     task: str | None = "switch"
     fps: int = CONTROL_HZ
-    episode_length: int = 200
+    episode_length: int = TRIAL_S * CONTROL_HZ
     features: dict[str, PolicyFeature] = field(
         default_factory=lambda: {
             ACTION: PolicyFeature(FeatureType.ACTION, (len(ACTION_NAMES),)),

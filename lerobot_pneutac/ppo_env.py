@@ -16,7 +16,7 @@ from pneutac_sim.world.varied import Variation, VariedWorld
 from pneutac_sim.world.world import WORKSPACE_HIGH, WORKSPACE_LOW
 
 GRID = (10, 8)  # cells of the actor's probe grid, rows and columns
-STEPS = 200  # control steps of an episode, as in evaluation
+STEPS = 200  # control steps of an episode; fewer than of a trial, for more starts
 JOINT_RANGE_RAD, JOINT_RATE_RAD_S = 0.6, 0.4  # what a joint moves about home, and how fast, in these tasks
 PROPRIOCEPTION = 18  # joints, their rates, flange, pressure
 ACTOR_SIZE = PROPRIOCEPTION + len(ACTION_LOW) + GRID[0] * GRID[1]

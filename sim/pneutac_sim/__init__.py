@@ -6,18 +6,18 @@ and the same tasks for the stand-in for reality, `pneutac_standin/switch` and so
 
 import gymnasium
 
-from pneutac_sim.features import TASK_NAMES
+from pneutac_sim.features import CONTROL_HZ, TASK_NAMES, TRIAL_S
 
 for _task in TASK_NAMES:
     gymnasium.register(
         id=f"pneutac_sim/{_task}",
         entry_point="pneutac_sim.world.env:PneutacEnv",
         kwargs={"task": _task},
-        max_episode_steps=200,
+        max_episode_steps=TRIAL_S * CONTROL_HZ,
     )
     gymnasium.register(
         id=f"pneutac_standin/{_task}",
         entry_point="pneutac_sim.world.env:standin_env",
         kwargs={"task": _task},
-        max_episode_steps=200,
+        max_episode_steps=TRIAL_S * CONTROL_HZ,
     )

@@ -8,6 +8,7 @@ pressure set-point in kPa. The paper's displacement per step is `velocity / CONT
 import numpy as np
 
 CONTROL_HZ = 15
+TRIAL_S = 20  # after which a trial has failed
 DEMONSTRATION_S = 14  # most that a scripted demonstration takes, by the lane in which it finds the object
 TASK_NAMES = ("switch", "egg", "card")
 FIDELITIES = ("surrogate", "mpm", "probe")  # how finger and gel of a world deform

@@ -28,7 +28,7 @@ def episode(world, seed, expert_seed=None):
     world.reset(seed)
     expert = ScriptedExpert(world, np.random.default_rng(seed if expert_seed is None else expert_seed))
     actions = []
-    while not (world.success or world.failure or len(actions) == 200):
+    while not (world.success or world.failure or len(actions) == difficulty.STEPS):
         actions.append(expert.action())
         world.step(actions[-1])
     return np.array(actions)

@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from pneutac_sim.world.experts.motion import SEARCH_KPA, VENTED_KPA, Habits, Lanes, Wish, go_ahead, touching
+from pneutac_sim.world.experts.motion import SEARCH_KPA, VENTED_KPA, Habits, Lanes, Wish, touching
 from pneutac_sim.world.tasks.egg import EggTask
 from pneutac_sim.world.world import World
 
 EDGE_M, REACH_M = EggTask().edge_m, EggTask().reach_m
 # Lanes are less apart than gel and tab are wide; the wall is touched below the lid's edge.
-LANES = Lanes(height_m=EDGE_M - 0.015, rise_m=0.037, width_m=0.0135, last_m=0.008, back_m=0.44)
-SLIDE_MM = 0.4  # imprint of the wall while sliding up
+LANES = Lanes(height_m=EDGE_M - 0.02, rise_m=0.035, middles_m=EggTask.starts_m, back_m=0.44)
+SLIDE_MM = 0.5  # imprint of the wall while sliding up
 WALL_M = 0.006  # imprints nearer to the gel's end are of the wall
 PAST_M = 0.012  # gel above the lid's edge when it has slid past it
 OPEN_M = 0.105  # and when it has lifted the lid, or missed it
@@ -30,7 +30,7 @@ def open_carton(world: World, habits: Habits, pressure: float) -> Wish:
     if touching(world) or z > EDGE_M - 0.008:
         ahead = np.clip(0.15 * (SLIDE_MM - world.press_mm), -0.01, 0.02)
         return habits.speed * np.array([ahead, 0.0, 0.06]), habits.low_kpa
-    return go_ahead(world, habits, LANES.height_m, 0.08), habits.low_kpa
+    return LANES.ahead(world, habits, 0.08), habits.low_kpa
 
 
 def _lift(world: World, habits: Habits, pressure: float, at: np.ndarray | None) -> Wish:

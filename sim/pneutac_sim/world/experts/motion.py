@@ -14,7 +14,7 @@ TOUCH_MM = 0.25  # imprint that a camera shows as a touch, about 0.25 N
 VENTED_KPA, SEARCH_KPA = 1.5, 4.5  # below the first it withdraws, from there to the second it searches
 FAST_M_S = 0.095
 WRAP_M = 0.05  # how much farther up after the last lane
-OVER_M = 0.01  # by which inertia carries it above where it turns
+KEEP_HZ = 2.0  # how fast it corrects its lane
 NEAR_M = 0.005  # heights that are told apart
 
 Wish = tuple[np.ndarray, float]  # velocity (3,) m/s and pressure kPa
@@ -58,42 +58,50 @@ class Lanes:
     Attributes:
         height_m: of the gel while it looks for the object, metres above the table.
         rise_m: how far above that it withdraws.
-        width_m: of one lane.
-        last_m: y of the flange beyond which there is no further lane.
+        middles_m: y of the flange in each lane, ascending and evenly spaced.
         back_m: x of the flange at which a lane begins.
     """
 
     height_m: float
     rise_m: float
-    width_m: float
-    last_m: float
+    middles_m: tuple[float, ...]
     back_m: float
+
+    def ahead(self, world: World, habits: Habits, speed: float) -> np.ndarray:
+        """Velocity (3,) along the lane, at the height of the search."""
+        return go_ahead(world, habits, self.height_m, speed) + self._keep(world)
 
     def withdraw(self, world: World, end: bool) -> np.ndarray:
         """Velocity (3,) back to the near side: from the end of a lane above everything, else straight.
 
-        On the way down to the next lane it moves on by one; after the last lane it goes up farther, and on
-        the way down begins anew.
+        On the way down to the next lane it moves on by one; after the last lane it goes up farther, and
+        there back to before the first.
 
         Args:
             world: where it is.
             end: whether it is where a lane ends.
         """
         x, y, _ = world.flange_m
-        rise = world.gel_m[2] - self.height_m
+        rise, first, last = world.gel_m[2] - self.height_m, self.middles_m[0], self.middles_m[-1]
+        width = self.middles_m[1] - first
         if x < self.back_m:
-            again = rise > self.rise_m + WRAP_M / 2  # more than it may have risen by its own inertia
-            aside = (
-                -3 * self.width_m / (WRAP_M / 2 + OVER_M) if again else self.width_m / (self.rise_m + OVER_M)
-            )
+            if rise > self.rise_m + WRAP_M / 2 and y > first - width / 2:
+                return np.array([0.0, -FAST_M_S, 0.0])
+            # Between two heights, so that neither inertia nor latency makes the lane wider.
+            aside = width / (self.rise_m - NEAR_M) if NEAR_M < rise < self.rise_m else 0.0
             return FAST_M_S * np.array([0.0, aside, -1.0]) / np.hypot(1.0, aside)
-        if end and rise < self.rise_m + WRAP_M * (y > self.last_m):
+        if end and rise < self.rise_m + WRAP_M * (y > last - width / 2):
             return np.array([0.0, 0.0, FAST_M_S])
-        return np.array([-FAST_M_S, 0.0, 0.0])
+        return np.array([-FAST_M_S, 0.0, 0.0]) + self._keep(world)
 
     def begins(self, world: World) -> bool:
         """Whether it is where a lane begins."""
         return world.flange_m[0] < self.back_m and world.gel_m[2] < self.height_m + NEAR_M
+
+    def _keep(self, world: World) -> np.ndarray:
+        """Velocity (3,) to the middle of the nearest lane."""
+        away = np.subtract(self.middles_m, world.flange_m[1])
+        return np.array([0.0, KEEP_HZ * away[np.argmin(np.abs(away))], 0.0])
 
 
 def go_ahead(world: World, habits: Habits, height_m: float, speed: float) -> np.ndarray:

@@ -2,11 +2,12 @@
 
 import numpy as np
 
-from pneutac_sim.world.experts.motion import SEARCH_KPA, VENTED_KPA, Habits, Lanes, Wish, go_ahead, touching
+from pneutac_sim.world.experts.motion import SEARCH_KPA, VENTED_KPA, Habits, Lanes, Wish, touching
+from pneutac_sim.world.tasks.switch import SwitchTask
 from pneutac_sim.world.world import World
 
 # Lanes are nearer to each other than gel and bar together are wide, so that the bar is never between two.
-LANES = Lanes(height_m=0.118, rise_m=0.04, width_m=0.012, last_m=0.007, back_m=0.425)
+LANES = Lanes(height_m=0.118, rise_m=0.04, middles_m=SwitchTask.starts_m, back_m=0.425)
 END_M = 0.497  # flange where the gel is behind the farthest bar
 
 
@@ -19,7 +20,7 @@ def flip_switch(world: World, habits: Habits, pressure: float) -> Wish:
         return _push(world, habits, pressure)
     if pressure > SEARCH_KPA or x > END_M:
         return np.zeros(3), 0.0
-    return go_ahead(world, habits, LANES.height_m, 0.08), habits.low_kpa
+    return LANES.ahead(world, habits, 0.08), habits.low_kpa
 
 
 def _push(world: World, habits: Habits, pressure: float) -> Wish:
