@@ -33,7 +33,7 @@ class EggTask(Task):
     name = "egg"
     description = "Open the egg carton."
     home_m = (0.425, 0.0, 0.265)
-    starts_m = (-0.018, -0.006, 0.006, 0.018)
+    starts_m = (-0.015, 0.0, 0.015)
 
     latch_n: float = 0.3
     overhang_m: float = 0.004

@@ -36,7 +36,7 @@ class SwitchTask(Task):
     name = "switch"
     description = "Flip the toggle switch."
     home_m = (0.41, 0.0, 0.255)
-    starts_m = (-0.018, -0.006, 0.006, 0.018)
+    starts_m = (-0.014, 0.0, 0.014)
 
     ridge_torque_nm: float = 0.05
     well_rad: float = 0.4
