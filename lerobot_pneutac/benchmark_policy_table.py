@@ -88,6 +88,7 @@ def write(cfg, done: dict[str, dict], failed: dict[str, str], wall_s: float, con
     for title, table in tables.items():
         report.heading(title)
         report.table(table)
+        report.figure(_bars(cfg, parts[title], found), title)
     if failed:
         report.heading("What could not be done")
         report.table([{"unit": name, "why": why} for name, why in failed.items()])
@@ -118,6 +119,24 @@ def _print(console: Console, title: str, table: list[dict]) -> None:
 def _markdown(table: list[dict]) -> list[str]:
     lines = ["| " + " | ".join(table[0]) + " |", "|" + "---|" * len(table[0])]
     return lines + ["| " + " | ".join(row.values()) + " |" for row in table]
+
+
+def _bars(cfg, part: dict[str, Condition], found: dict[str, dict]):
+    """Success with its standard error: a group a task, a bar a condition."""
+    import plotly.graph_objects as go
+
+    figure = go.Figure()
+    groups = [*cfg.tasks, "overall"]
+    for name, condition in part.items():
+        cells = [found[name][group] for group in groups]
+        figure.add_bar(
+            x=groups,
+            y=[cell and cell["mean"] for cell in cells],
+            error_y={"array": [cell and cell["sem"] for cell in cells], "thickness": 1},
+            name=condition.words,
+        )
+    figure.update_layout(yaxis_title="success on the stand-in, %", yaxis_range=[0, 100])
+    return figure
 
 
 def _curves(cfg, done: dict[str, dict], task: str, chosen: dict[str, Condition]):

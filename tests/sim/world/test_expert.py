@@ -9,7 +9,7 @@ import pytest
 
 from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, CONTROL_HZ, TASK_NAMES
 from pneutac_sim.world.expert import ScriptedExpert
-from pneutac_sim.world.experts.motion import Habits
+from pneutac_sim.world.experts.motion import VENTED_KPA, Habits
 from pneutac_sim.world.world import World
 
 BENCHMARK = Path(__file__).parents[3] / "benchmarks" / "task_difficulty.py"
@@ -111,6 +111,27 @@ def test_search_ends_on_the_object_wherever_it_is(worlds, task):
             hits.append(world.gel_m[1])
     assert len(hits) >= 10
     assert np.corrcoef(hits, offsets)[0, 1] > 0.75
+
+
+@pytest.mark.parametrize("task", ["switch", "egg"])
+@pytest.mark.parametrize("drift_m_s", [-0.004, 0.004])
+def test_search_keeps_its_lanes_though_the_hand_is_carried_aside(worlds, task, drift_m_s):
+    """A policy errs by some millimetres a second all the time, which would add up from lane to lane."""
+    world, lanes = worlds[task], []
+    for seed in (0, 6, 10, 26, 38, 43, 56):
+        world.reset(seed)
+        expert = ScriptedExpert(world, np.random.default_rng(seed))
+        ahead = []
+        while len(ahead) < difficulty.STEPS and not (world.success or world.failure):
+            action = expert.action()
+            ahead.append(world.flange_m[1] if action[0] > 0.05 and action[3] > VENTED_KPA else np.nan)
+            world.step(action + [0, drift_m_s, 0, 0])
+        runs = np.split(ahead, np.flatnonzero(np.isnan(ahead)))
+        y = [np.nanmean(run) for run in runs if len(run) > 5]
+        lanes += list(np.diff(y))
+    lanes = np.array(lanes)
+    assert np.sum(lanes > 0) >= 4
+    assert np.all(lanes[lanes > 0] < 0.020)  # gel and object touch within 22 mm
 
 
 def test_imprint_is_where_the_object_presses(worlds):
