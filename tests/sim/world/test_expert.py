@@ -86,7 +86,7 @@ def until_touch(world, seed, shift_m):
 def test_before_the_touch_the_expert_does_not_know_where_the_object_is(worlds, task):
     world = worlds[task]
     compared = []
-    for seed in range(3):
+    for seed in (4, 6, 7):  # far enough away to search for
         first = until_touch(world, seed, (0.0, 0.0, 0.0))
         for shift in ((0.01, 0.012, 0), (-0.01, -0.02, 0), (0.02, 0, 0)):
             other = until_touch(world, seed, shift)
@@ -135,7 +135,7 @@ def test_search_keeps_its_lanes_though_the_hand_is_carried_aside(worlds, task):
 
 def test_imprint_is_where_the_object_presses(worlds):
     world = worlds["switch"]
-    world.reset(0)
+    world.reset(4)  # met by the middle of the gel: what lies beyond its edge leaves no imprint
     assert world.imprint_m is None
     expert = ScriptedExpert(world, np.random.default_rng(0))
     while world.imprint_m is None or world.press_mm < 0.4:

@@ -51,8 +51,8 @@ def test_a_command_acts_late(world):
 
 
 def test_an_image_comes_a_step_late_and_scalars_with_it(world):
-    world.reset(3)
-    expert = ScriptedExpert(world, np.random.default_rng(3))
+    world.reset(4)
+    expert = ScriptedExpert(world, np.random.default_rng(4))
     felt, shown = [], []
     for _ in range(60):
         o = world.step(expert.action())
