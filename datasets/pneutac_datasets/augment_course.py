@@ -3,12 +3,12 @@
 Before a touch nobody knows where the object is, so the demonstrated way is gone as it was, until the touch
 comes: earlier, later, or more to one side of the gel. In contact the demonstrated way lies where the object
 is, so that it leads to the side as someone who feels where the touch is would go, and lasts until the touch
-is gone.
+is gone: whoever let go by the clock would teach that to let go is not a matter of touch.
 """
 
 import numpy as np
 
-from pneutac_datasets.augment_reference import Reference
+from pneutac_datasets.augment_reference import FIRM, Reference
 
 EARLY = 16  # control steps by which a touch may go before the demonstrated one
 LATE_TOUCH, LATE_RELEASE = 8, 24  # and after it: who goes on for long has missed the object
@@ -33,38 +33,43 @@ class Course:
         self._contacts = list(reference.contacts)
         self._reference, self._aside_m = reference, aside_m
         self._waited = self._lost = 0
+        self._largest = 0.0
         self.frame, self.offset_m, self.in_contact = -1, np.zeros(3), False
 
-    def advance(self, touched: bool, flange_m: np.ndarray) -> bool:
+    def advance(self, area: float, flange_m: np.ndarray) -> bool:
         """Goes on to the next frame.
 
         Args:
-            touched: whether the gel feels anything.
+            area: contact area that the gel feels.
             flange_m: (3,) where the flange is.
 
         Returns:
-            False where a touch that the demonstration had does not come.
+            False where a touch that the demonstration had does not come, or does not end.
         """
         self.frame += 1
-        if self.in_contact:
-            self._stay_in_contact(touched)
+        if self.in_contact and not self._stay_in_contact(area):
+            return False
         if not self.in_contact:
-            return self._search(touched, flange_m)
+            return self._search(area > 0, flange_m)
         return True
 
-    def _stay_in_contact(self, touched: bool) -> None:
-        """Ends a contact when the touch is gone: up to `EARLY` frames too soon, `LATE_RELEASE` too late."""
+    def _stay_in_contact(self, area: float) -> bool:
+        """Ends a contact when the touch is gone, up to `EARLY` frames too soon; False if it is too late."""
         end = self._contacts[0][1]
-        self._lost = 0 if touched else self._lost + 1
+        self._largest = max(self._largest, area)
+        self._lost = 0 if area >= FIRM * self._largest else self._lost + 1
         if self._lost >= GONE and end - self.frame <= EARLY:
             self.frame = end
-        elif self.frame == end and self._lost < GONE and self._waited < LATE_RELEASE:
+        elif self.frame == end and self._lost < GONE:
             self._waited += 1
+            if self._waited > LATE_RELEASE:
+                return False
             self.frame = end - 1
             self.offset_m = self.offset_m + self.onward_m
         if self.frame >= end:
             del self._contacts[0]
             self.in_contact, self._waited, self._lost = False, 0, 0
+        return True
 
     def _search(self, touched: bool, flange_m: np.ndarray) -> bool:
         """The free way, until the next touch comes."""
@@ -76,7 +81,7 @@ class Course:
                 del self._contacts[0]
         first, end = self._contacts[0]
         if touched:
-            self.frame, self.in_contact, self._waited = first, True, 0
+            self.frame, self.in_contact, self._waited, self._largest = first, True, 0, 0.0
             self.offset_m = flange_m - self._reference.flange_m[first]
             self.offset_m[1] = self._aside_m
         elif self.frame == first and self._is_bump(self._contacts[0]):

@@ -214,7 +214,7 @@ class Generator:
         demonstrated, course = self._warm(r, variant), Course(r, variant.shift_m[1])
         steps = np.arange(self.setup.planner.horizon)
         action, queue = np.zeros(4), []
-        while course.advance(self.world.touch.area > 0, self.world.flange_m) and course.frame < len(r):
+        while course.advance(self.world.touch.area, self.world.flange_m) and course.frame < len(r):
             t = course.frame
             if not (course.in_contact and queue):
                 frames = np.minimum(t + steps, course.last)

@@ -9,6 +9,7 @@ from pneutac_sim.features import CONTROL_HZ
 
 EXTRA_STEPS = 15  # frames by which a demonstration goes on where the task is about to be done
 MARGIN = 4  # frames before the first and after the last contact that still count as contact phase
+FIRM = 0.5  # of a contact's largest area; what is smaller, and comes last, only brushes
 LOSS = 8  # frames without touch that still belong to a contact
 
 
@@ -71,7 +72,7 @@ class Reference:
         found = []
         for part in np.split(frames, np.flatnonzero(np.diff(frames) > LOSS) + 1):
             if len(part):
-                firm = self.area[part] >= 0.5 * self.area[part].max()
+                firm = self.area[part] >= FIRM * self.area[part].max()
                 found.append((int(part[0]), int(part[np.flatnonzero(firm)[-1]]) + 1))
         return found
 

@@ -69,7 +69,14 @@ def test_a_contact_ends_when_the_touch_is_gone(reference):
     frames = go(held, True, END - FIRST + LATE_RELEASE - 1, reference.flange_m[FIRST])
     assert max(frames) == END - 1 and held.in_contact  # it is still felt, so it goes on
     assert held.offset_m[0] > 5e-3  # and so does the path
-    assert END in go(held, True, 3) and not held.in_contact  # but not for ever
+    assert go(held, True, 3)[-1] is None  # but not for ever: it is not let go while it is felt
+
+
+def test_a_brush_after_a_firm_touch_is_no_touch(reference):
+    course = Course(reference, 0.0)
+    go(course, 0.0, FIRST)
+    go(course, 0.1, END - FIRST - 2, reference.flange_m[FIRST])
+    assert go(course, 0.04, 3)[-1] >= END and not course.in_contact
 
 
 def test_a_short_bump_need_not_come_and_is_no_contact(reference):
