@@ -68,8 +68,8 @@ class BenchmarkPolicyConfig:
     trials: int = 10
     demonstrations: int = 10
     augmented: int = 100
-    pretrain_updates: int = 3000
-    finetune_updates: int = 1000
+    pretrain_updates: int = 6000
+    finetune_updates: int = 2000
     batch: int = 64
     lr: float = 3e-4
     finetune_lr: float = 1e-4
