@@ -113,8 +113,8 @@ def test_search_ends_on_the_object_wherever_it_is(worlds, task):
     assert np.corrcoef(hits, offsets)[0, 1] > 0.75
 
 
-@pytest.mark.parametrize("task", ["switch", "egg"])
-def test_search_keeps_its_lanes_though_the_hand_is_carried_aside(worlds, task):
+@pytest.mark.parametrize("task, wide_m", [("switch", 0.022), ("egg", 0.026)])
+def test_search_keeps_its_lanes_though_the_hand_is_carried_aside(worlds, task, wide_m):
     """A policy errs by some millimetres a second all the time, which would add up from lane to lane."""
     world, lanes = worlds[task], []
     for seed in range(12):
@@ -130,7 +130,7 @@ def test_search_keeps_its_lanes_though_the_hand_is_carried_aside(worlds, task):
         lanes += list(np.diff(y))
     lanes = np.array(lanes)
     assert np.sum(lanes > 0) >= 2
-    assert np.all(lanes[lanes > 0] < 0.022)  # gel and object touch within 11 mm to both sides
+    assert np.all(lanes[lanes > 0] < wide_m)  # what gel and object cover together
 
 
 def test_imprint_is_where_the_object_presses(worlds):
