@@ -9,6 +9,7 @@ from pneutac_sim.finger.inputs import Inputs
 from pneutac_sim.finger.pipeline import Pipeline
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.expert import ScriptedExpert
+from pneutac_sim.world.experts.motion import SEARCH_KPA, VENTED_KPA
 from pneutac_sim.world.standin import CREEP, LATE_COMMANDS, StandinWorld, standin_twin
 from pneutac_sim.world.standin_touch import NOISE_LEVELS
 from pneutac_sim.world.world import DT, World
@@ -152,3 +153,25 @@ def test_environments_are_registered():
 def test_bad_options_are_named():
     with pytest.raises(InputError, match="'foam'; it must be one of layer, mpm"):
         StandinWorld("switch", gel="foam")
+
+
+def test_the_camera_shows_the_wall_along_which_the_expert_slides_up():
+    """A flat wall presses the gel alike everywhere; what no image shows cannot be learnt from images."""
+    world = StandinWorld("egg")
+    shown, free = [], []
+    for seed in (1, 3, 4):
+        rest = world.reset(seed).tactile.astype(float)
+        expert, o = ScriptedExpert(world, np.random.default_rng(seed)), None
+        for _ in range(40):
+            action = expert.action()
+            if o is not None and VENTED_KPA < action[3] < SEARCH_KPA:
+                change = (o.tactile - rest).reshape(80, 4, 60, 4, 3).mean((1, 3))
+                if world.press_mm < 0.02 and action[0] > 0.05:
+                    free.append(np.abs(change).max())
+                elif action[2] > 0.04 and world.press_mm > 0.2:
+                    shown.append(np.abs(change).max())
+            o = world.step(action)
+            if world.success or world.failure:
+                break
+    assert len(shown) > 10 and len(free) > 10
+    assert np.percentile(shown, 10) > 2 * max(free)
