@@ -7,12 +7,12 @@ from pneutac_sim.features import TASK_NAMES
 # kind -> rough seconds on one core, for the order of the work and the time left
 COST_S = {
     "ppo": 1200,
-    "augment": 300,
+    "augment": 600,
     "record": 40,
     "student": 200,
     "naive": 100,
     "frames": 30,
-    "train": 120,
+    "train": 240,
     "evaluate": 60,
 }
 # Starts of a unit's trials or training derive from seed, task and purpose, so that no two share one.
