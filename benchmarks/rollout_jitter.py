@@ -47,9 +47,7 @@ def main():
     period = 1e3 * np.diff(ticks)
     late = np.mean(period > 1.5e3 / CONTROL_HZ)
     low, median, high = np.percentile(period, (1, 50, 99))
-    print(
-        f"{len(ticks)} ticks at {1e3 / period.mean():.2f} Hz, {100 * late:.1f} % late by half a period or more."
-    )
+    print(f"{len(ticks)} ticks at {1e3 / period.mean():.2f} Hz, {100 * late:.1f} % late by half a period.")
     print(f"ms between two: median {median:.1f}, 1 % {low:.1f}, 99 % {high:.1f}, most {period.max():.1f}.")
 
 
