@@ -113,7 +113,7 @@ def test_search_ends_on_the_object_wherever_it_is(worlds, task):
     assert np.corrcoef(hits, offsets)[0, 1] > 0.75
 
 
-@pytest.mark.parametrize("task, wide_m", [("switch", 0.022), ("egg", 0.026)])
+@pytest.mark.parametrize("task, wide_m", [("switch", 0.032), ("egg", 0.026)])
 def test_search_keeps_its_lanes_though_the_hand_is_carried_aside(worlds, task, wide_m):
     """A policy errs by some millimetres a second all the time, which would add up from lane to lane."""
     world, lanes = worlds[task], []

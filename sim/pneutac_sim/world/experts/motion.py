@@ -13,8 +13,8 @@ from pneutac_sim.world.world import World
 TOUCH_MM = 0.25  # imprint that a camera shows as a touch, about 0.25 N
 VENTED_KPA, SEARCH_KPA = 1.5, 4.5  # below the first it withdraws, from there to the second it searches
 FAST_M_S = 0.095
-WRAP_M = 0.05  # how much farther up after the last lane
-KEEP_HZ = 2.0  # how fast it corrects its lane
+WRAP_M = 0.08  # how much farther up after the last lane
+KEEP_HZ = 3.0  # how fast it corrects its lane
 NEAR_M = 0.005  # heights that are told apart
 
 Wish = tuple[np.ndarray, float]  # velocity (3,) m/s and pressure kPa
@@ -85,8 +85,8 @@ class Lanes:
         rise, first, last = world.gel_m[2] - self.height_m, self.middles_m[0], self.middles_m[-1]
         width = self.middles_m[1] - first
         if x < self.back_m:
-            if rise > self.rise_m + WRAP_M / 2 and y > first - width / 2:
-                return np.array([0.0, -FAST_M_S, 0.0])
+            if rise > self.rise_m + WRAP_M / 2 and y > first - 1.5 * width:
+                return np.array([0.0, -FAST_M_S, KEEP_HZ * (self.rise_m + WRAP_M - rise)])
             # Between two heights, so that neither inertia nor latency makes the lane wider.
             aside = width / (self.rise_m - NEAR_M) if NEAR_M < rise < self.rise_m else 0.0
             return FAST_M_S * np.array([0.0, aside, -1.0]) / np.hypot(1.0, aside)

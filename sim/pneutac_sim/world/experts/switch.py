@@ -7,8 +7,8 @@ from pneutac_sim.world.tasks.switch import SwitchTask
 from pneutac_sim.world.world import World
 
 # Lanes are nearer to each other than gel and bar together are wide, so that the bar is never between two.
-LANES = Lanes(height_m=0.118, rise_m=0.04, middles_m=SwitchTask.starts_m, back_m=0.425)
-END_M = 0.497  # flange where the gel is behind the farthest bar
+LANES = Lanes(height_m=0.118, rise_m=0.04, middles_m=SwitchTask.starts_m, back_m=0.415)
+END_M = 0.512  # flange where the gel is behind the farthest bar
 
 
 def flip_switch(world: World, habits: Habits, pressure: float) -> Wish:

@@ -15,34 +15,40 @@ DEPTH_M = 0.10  # hinge to front wall
 
 @dataclass
 class EggTask(Task):
-    """A lid on a hinge at the far side, held shut by a small magnet, with a tab at its front.
+    """A springy lid on a hinge at the far side, held shut by a small magnet, with a tab at its front.
 
-    Only the tab stands out over the front wall, by a few millimetres; the rest of the lid lies behind it. The
-    random start is that of the front wall's middle, about which the carton is turned.
+    Off the magnet the lid opens by itself, as pulp does that was folded shut. Only the tab stands out over
+    the front wall, by a few millimetres; the rest of the lid lies behind it. The random start is that of the
+    front wall's middle, about which the carton is turned.
 
     Attributes:
         latch_n: pull of the latch at the front edge, N.
+        spring_nm_per_rad, spring_rest_rad: stiffness of the hinge, and the lid's angle at which it is slack.
         overhang_m: how far the tab stands out over the front wall.
         tab_half_m: half the tab's width.
         recess_m: how far the rest of the lid lies behind the front wall.
         open_rad: lid angle that counts as open.
         limit_n: pressing the carton harder than this breaks the eggs.
+        wall_limit_n: pressing its front wall harder than this dents it.
         spread_x_m, spread_y_m, spread_yaw_rad: half widths of the random start.
     """
 
     name = "egg"
     description = "Open the egg carton."
-    home_m = (0.425, 0.0, 0.265)
+    home_m = (0.410, 0.0, 0.265)
     starts_m = (-0.015, 0.0, 0.015)
 
-    latch_n: float = 0.3
+    latch_n: float = 1.0
+    spring_nm_per_rad: float = 0.012
+    spring_rest_rad: float = 2.0
     overhang_m: float = 0.004
-    tab_half_m: float = 0.009
-    recess_m: float = 0.004
+    tab_half_m: float = 0.008
+    recess_m: float = 0.010
     open_rad: float = np.radians(60)
     limit_n: float = 8.0
-    spread_x_m: float = 0.030
-    spread_y_m: float = 0.026
+    wall_limit_n: float = 1.2
+    spread_x_m: float = 0.045
+    spread_y_m: float = 0.028
     spread_yaw_rad: float = np.radians(15)
 
     @override
@@ -69,7 +75,8 @@ class EggTask(Task):
                   size="{half} .075 {BASE_M / 2}" material="carton_dark" conaffinity="5"/>
             {cups}
             <body name="lid" pos="{half} 0 {BASE_M + 0.003}">
-              <joint name="lid" axis="0 1 0" range="0 2" limited="true" damping=".004"/>
+              <joint name="lid" axis="0 1 0" range="0 2" limited="true" damping=".004"
+                     stiffness="{self.spring_nm_per_rad}" springref="{self.spring_rest_rad}"/>
               <geom name="carton_lid" class="object" type="box" pos="{-front / 2} 0 .002"
                     size="{front / 2} .075 .002" mass=".025" material="carton"/>
               <geom name="carton_tab" class="object" type="box" pos="{-(front + self.reach_m) / 2} 0 .002"
@@ -93,11 +100,12 @@ class EggTask(Task):
         place(model, "egg", np.add(POSITION_M, (x, y, 0)), yaw, pivot_m=-DEPTH_M / 2)
         self._lid = data.joint("lid")
         data.actuator("latch").ctrl = 1.0
-        self._force = (0.0, 0.0)
+        self._force = self._wall = (0.0, 0.0)
 
     @override
     def update(self, model, data, dt):
         self._force = (self._force[1], contact_force(model, data, "carton"))
+        self._wall = (self._wall[1], contact_force(model, data, "carton_base"))
 
     @override
     def success(self):
@@ -105,8 +113,11 @@ class EggTask(Task):
 
     @override
     def failure(self):
-        if min(self._force) > self.limit_n:  # a bump of a moment is not a press
+        # A bump of a moment is not a press.
+        if min(self._force) > self.limit_n:
             return f"pressed the carton with more than {self.limit_n:g} N"
+        if min(self._wall) > self.wall_limit_n:
+            return f"pressed the carton's wall with more than {self.wall_limit_n:g} N"
         return None
 
     @property

@@ -35,17 +35,17 @@ class SwitchTask(Task):
 
     name = "switch"
     description = "Flip the toggle switch."
-    home_m = (0.41, 0.0, 0.255)
-    starts_m = (-0.014, 0.0, 0.014)
+    home_m = (0.40, 0.0, 0.255)
+    starts_m = (-0.020, 0.0, 0.020)
 
-    ridge_torque_nm: float = 0.05
+    ridge_torque_nm: float = 0.058
     well_rad: float = 0.4
     tilt_rad: float = 0.3
-    bar_half_m: float = 0.008
-    play_nm_per_rad: float = 0.2
+    bar_half_m: float = 0.012
+    play_nm_per_rad: float = 0.12
     limit_n: float = 8.0
-    spread_x_m: float = 0.025
-    spread_y_m: float = 0.022
+    spread_x_m: float = 0.040
+    spread_y_m: float = 0.032
     spread_yaw_rad: float = np.radians(15)
 
     @override
