@@ -15,6 +15,7 @@ from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, CONTROL_HZ
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.gantry import Gantry
 from pneutac_sim.world.varied import Variation, VariedWorld
+from pneutac_sim.world.world import DT
 
 # Domain randomisation: standard deviations.
 FRICTION = 0.15  # of the factor on the gel's friction
@@ -23,6 +24,9 @@ PEAK_KPA = 0.5  # of the peak pressure
 BEND_GAIN = 0.04  # of the factor on pressure to bend
 ASIDE_M = 0.005  # of the object's place along y, at most: the way there stays, and a gel is 16 mm wide
 LATE = 1  # control steps by which commands act, and touch is shown, too late, at most
+# On the free way the hand is carried aside, and led back: what a policy must do that errs itself.
+START_M = 0.004  # standard deviation of the start
+PUSH_M_S, PUSH_S = 0.015, 0.5  # standard deviation and correlation time of the velocity that carries it aside
 TRIES = 3  # variants of one reference before another one gets its turn
 
 
@@ -168,12 +172,13 @@ class Generator:
         Args:
             variant: what is different from the reference.
             scene: where the object stood in the reference.
-            rng: decides the start's jitter and the planner's.
+            rng: decides the start's jitter, what carries the hand aside, and the planner's samples.
             plan: False replays the reference's actions blindly, for comparison.
         """
         r = self.setup.references[variant.source]
+        start = r.flange_m[0] + plan * START_M * np.clip(rng.standard_normal(3), -2, 2)
         self.world.variation = Variation(
-            tuple(r.flange_m[0].tolist()),
+            tuple(start.tolist()),
             tuple(np.add(scene.shift_m, variant.shift_m).tolist()),
             variant.bend_gain,
             variant.friction,
@@ -181,19 +186,23 @@ class Generator:
             variant.late_touch,
         )
         observation = self.world.reset(scene.seed)
-        ways = self._plan(r, variant, rng) if plan else iter(np.clip(r.action, ACTION_LOW, ACTION_HIGH))
+        replayed = ((action, False) for action in np.clip(r.action, ACTION_LOW, ACTION_HIGH))
+        ways = self._plan(r, variant, rng) if plan else replayed
+        push, keep = np.zeros(4), np.exp(-DT / PUSH_S)
         states, actions, images, areas, self._costs = [], [], [], [], []
         missed = plan
         while not (self.world.success or self.world.failure):
-            action = next(ways, None)
+            action, free = next(ways, (None, False))
             if action is None:
                 break
+            push[:3] = keep * push[:3] + np.sqrt(1 - keep**2) * PUSH_M_S * rng.standard_normal(3)
             states.append(observation.state)
             images.append(observation.tactile)
             actions.append(action.astype(np.float32))
             areas.append(self.world.touch.area)
             began = time.perf_counter()
-            observation = self.world.step(actions[-1])
+            carried = np.clip(actions[-1] + push, ACTION_LOW, ACTION_HIGH) if free else actions[-1]
+            observation = self.world.step(carried)
             missed = missed and not self.world.touch.area > 0
             self.seconds["execution"] += time.perf_counter() - began
         late = None if self.world.success else "the task was not done by the end"
@@ -208,7 +217,7 @@ class Generator:
         )
 
     def _plan(self, r: Reference, variant: Variant, rng: np.random.Generator):
-        """Yields the next action (4,) for the world's present state, until the demonstration is over."""
+        """Yields the next action (4,) for what is, and whether the hand is free, until it is over."""
         planner = CemPlanner(self.gantry, self.setup.planner, rng)
         r = r.prolonged(EXTRA_STEPS)
         demonstrated, course = self._warm(r, variant), Course(r, variant.shift_m[1])
@@ -233,7 +242,7 @@ class Generator:
                     self._costs.append(planner.cost)
                     queue = list(warm[: self.setup.planner.replan])
             action = np.clip(queue.pop(0), ACTION_LOW, ACTION_HIGH)
-            yield action
+            yield action, not course.in_contact
 
     @staticmethod
     def _warm(r: Reference, variant: Variant) -> np.ndarray:
