@@ -24,7 +24,8 @@ PEAK_KPA = 0.5  # of the peak pressure
 BEND_GAIN = 0.04  # of the factor on pressure to bend
 ASIDE_M = 0.005  # of the object's place along y, at most: the way there stays, and a gel is 16 mm wide
 LATE = 1  # control steps by which commands act, and touch is shown, too late, at most
-# On the free way the hand is carried aside, and led back: what a policy must do that errs itself.
+# On the free way the hand is carried aside, and led back: what a policy must do that errs itself. Its height
+# stays, by which many a contact is met at all.
 START_M = 0.004  # standard deviation of the start
 PUSH_M_S, PUSH_S = 0.015, 0.5  # standard deviation and correlation time of the velocity that carries it aside
 TRIES = 3  # variants of one reference before another one gets its turn
@@ -176,7 +177,7 @@ class Generator:
             plan: False replays the reference's actions blindly, for comparison.
         """
         r = self.setup.references[variant.source]
-        start = r.flange_m[0] + plan * START_M * np.clip(rng.standard_normal(3), -2, 2)
+        start = r.flange_m[0] + plan * START_M * np.append(np.clip(rng.standard_normal(2), -2, 2), 0)
         self.world.variation = Variation(
             tuple(start.tolist()),
             tuple(np.add(scene.shift_m, variant.shift_m).tolist()),
@@ -195,7 +196,7 @@ class Generator:
             action, free = next(ways, (None, False))
             if action is None:
                 break
-            push[:3] = keep * push[:3] + np.sqrt(1 - keep**2) * PUSH_M_S * rng.standard_normal(3)
+            push[:2] = keep * push[:2] + np.sqrt(1 - keep**2) * PUSH_M_S * rng.standard_normal(2)
             states.append(observation.state)
             images.append(observation.tactile)
             actions.append(action.astype(np.float32))

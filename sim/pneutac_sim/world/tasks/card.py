@@ -32,7 +32,7 @@ class CardTask(Task):
 
     name = "card"
     description = "Pull the front card out of the deck."
-    home_m = (0.39, 0.0, 0.315)
+    home_m = (0.385, 0.0, 0.315)
 
     cards: int = 10
     friction: tuple[float, float] = (0.2, 0.4)
@@ -40,10 +40,8 @@ class CardTask(Task):
     lean_rad: float = 0.40
     draw_m: float = 0.030
     second_m: float = 0.010
-    spread_x_m: float = 0.035
+    spread_x_m: float = 0.040
     spread_y_m: float = 0.020
-    spread_yaw_rad: float = np.radians(10)
-    spread_lean_rad: float = np.radians(8)
 
     @override
     def mjcf(self) -> str:
@@ -67,7 +65,7 @@ class CardTask(Task):
         <body name="card">
           <geom class="object" type="box" pos=".02 0 {STAND_M / 2}" size=".03 .05 {STAND_M / 2}"
                 material="console_dark"/>
-          <body name="deck" pos="0 0 {STAND_M}" euler="0 {-self.lean_rad} 0">
+          <body pos="0 0 {STAND_M}" euler="0 {-self.lean_rad} 0">
             <geom class="object" type="box" pos=".012 0 .040" size=".010 .038 .040" material="console"/>
             <geom class="object" type="box" pos="-.002 0 .004" size=".012 .038 .004" material="console"/>
             <body pos="0 0 {0.010 + h / 2}">{deck}</body>
@@ -76,12 +74,9 @@ class CardTask(Task):
 
     @override
     def reset(self, model, data, rng):
-        spread = (self.spread_x_m, self.spread_y_m, self.spread_yaw_rad, self.spread_lean_rad)
-        x, y, yaw, lean = rng.uniform(-1, 1, 4) * spread
+        x, y = rng.uniform(-1, 1, 2) * (self.spread_x_m, self.spread_y_m)
         self._mu = rng.uniform(*self.friction, self.cards)
-        place(model, "card", np.add(POSITION_M, (x, y, 0)), yaw)
-        half = (self.lean_rad + lean) / 2
-        model.body("deck").quat[:] = np.cos(half), 0.0, -np.sin(half), 0.0
+        place(model, "card", np.add(POSITION_M, (x, y, 0)), 0.0)
         self._joints = [data.joint(f"card_{i + 1}") for i in range(self.cards)]
         self._dofs = [model.joint(f"card_{i + 1}").dofadr[0] for i in range(self.cards)]
         self._set_friction(model, 0.0)
