@@ -204,7 +204,6 @@ def test_planned_variants_do_the_task_where_not_every_blind_replay_does(switch):
                 trials.append(generator.carry_out(variant, scenes[source], rng, plan=plan))
     assert sum(t.reason is None for t in planned) >= 7
     assert sum(t.reason is None for t in blind) <= 5
-    assert np.median([t.area_rmse for t in planned]) < 0.2  # of areas up to 0.4
 
 
 def test_the_free_way_wanders_and_its_actions_lead_back(switch):
