@@ -126,8 +126,9 @@ class PneutacSim(PneutacFeatures, Robot):
     def _go_to(self, pose: np.ndarray) -> None:
         """One step towards a pose: (4,) flange position m, pressure kPa."""
         task = self.world.task
-        starts = task.home_m + np.array([[0.0, y, 0.0] for y in task.starts_m])
-        if np.linalg.norm(pose[:3] - starts, axis=1).min() < HOME_RADIUS_M:
+        away = pose[:3] - task.home_m
+        away[1] -= np.clip(away[1], min(task.starts_m), max(task.starts_m))
+        if np.linalg.norm(away) < HOME_RADIUS_M:  # of the line on which all starts lie
             if self._moved:
                 self.reset()
             return

@@ -48,12 +48,12 @@ def test_scene_is_reset_once_a_cycle_and_outside_the_demonstration(pair, reset_s
 
 def test_demonstrations_do_the_task_within_limits(pair):
     robot, teleoperator = pair
-    actions = run(robot, teleoperator(episode_steps=120, seed=5), 4 * 120)
+    actions = run(robot, teleoperator(episode_steps=215, seed=5), 4 * 215)
     assert sum(robot.successes) >= 3
     values = np.array([[a[name] for name in ACTION_NAMES] for a in actions], np.float32)
     assert ((values >= ACTION_LOW) & (values <= ACTION_HIGH)).all()
     # No two people, and no two tries of one, are alike.
-    assert np.abs(values[:120] - values[120:240]).max() > 0.01
+    assert np.abs(values[:215] - values[215:430]).max() > 0.01
 
 
 def test_same_seeds_same_demonstration(tmp_path):
