@@ -111,10 +111,14 @@ def run_unit(out: Path, unit: Unit, workers: int) -> dict:
 
 @contextlib.contextmanager
 def _pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
-    """Processes that end with this one, and do not go on with what waits when this one fails."""
+    """Processes that end with this one, and at once when this one fails or is interrupted."""
     pool = ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), start_worker)
     try:
         yield pool
+    except BaseException:
+        for process in multiprocessing.active_children():
+            process.kill()  # what they had not finished is done again
+        raise
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
 

@@ -1,8 +1,10 @@
 """What each unit of the policy benchmark does; every function writes below its folder and returns numbers."""
 
+import os
 import shutil
 from pathlib import Path
 
+import torch
 from rich.console import Console
 
 from pneutac_sim.features import CONTROL_HZ, DEMONSTRATION_S
@@ -129,6 +131,8 @@ def train(folder: Path, options: dict, needs: list[Path], workers: int) -> dict:
     from lerobot_pneutac.policy.in_memory import train as learn
 
     o, seed = options, options["seed"]
+    if o["device"] == "cuda":
+        torch.cuda.set_device(os.getpid() % torch.cuda.device_count())  # units side by side share all GPUs
     shutil.rmtree(folder / "checkpoints", ignore_errors=True)
     policy = new_policy(o["use_tactile"], o["lr"], seed, o["device"])
     loaded = [Frames.load(need / FRAMES_FILE, o["use_tactile"]) for need in needs]

@@ -11,6 +11,7 @@ import torch
 from huggingface_hub import ModelCard
 from lerobot.policies.pretrained import PreTrainedPolicy
 from lerobot.utils.constants import ACTION, OBS_STATE
+from safetensors import safe_open
 from torch import Tensor, nn
 
 from lerobot_pneutac.policy.configuration_pneutac_bc import TACTILE, PneutacBCConfig
@@ -75,14 +76,15 @@ class PneutacBCPolicy(PreTrainedPolicy):
         centre, scale = torch.tensor(_RANGES, dtype=torch.float32).T
         for name, value in {
             "_channels": torch.tensor(channels),
-            "_state_centre": centre,
-            "_state_scale": scale,
             "_action_low": low,
             "_action_high": high,
             "_action_centre": (low + high) / 2,
             "_action_scale": (high - low) / 2,
         }.items():
             self.register_buffer(name, value, persistent=False)
+        # Saved with the weights, which mean nothing with another scale.
+        self.register_buffer("_state_centre", centre.clone())
+        self.register_buffer("_state_scale", scale.clone())
         width = len(channels) + len(low) + (EMBEDDING if config.use_tactile else 0)
         self.mlp = nn.Sequential(
             nn.Linear(width, HIDDEN),
@@ -99,8 +101,16 @@ class PneutacBCPolicy(PreTrainedPolicy):
         """Loads weights; a rest image from the present dataset outlives the one in the file.
 
         Raises:
-            InputError: the two rest images cannot be of the same kind of sensor.
+            InputError: the file lacks weights or holds others, or the two rest images cannot be of the same
+                kind of sensor.
         """
+        with safe_open(model_file, "pt") as file:
+            other = sorted(set(file.keys()) ^ set(model.state_dict()))
+        if other:
+            raise InputError(
+                f"'{model_file}' does not hold the weights of this policy (differs in {', '.join(other)});"
+                " its use_tactile was another, or another version trained it: train anew."
+            )
         model = super()._load_as_safetensor(model, model_file, map_location, strict)
         if model._dataset_rest is not None:
             check_same_sensor(model.encoder.rest_image, model._dataset_rest, model._demonstrations.name)

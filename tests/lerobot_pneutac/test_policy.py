@@ -8,7 +8,9 @@ from lerobot.configs import FeatureType, NormalizationMode, PolicyFeature, PreTr
 from lerobot.datasets import LeRobotDatasetMetadata
 from lerobot.policies import make_policy, make_pre_post_processors
 from lerobot.utils.constants import ACTION, OBS_STATE
+from safetensors.torch import load_file, save_file
 
+from lerobot_pneutac.policy import modeling_pneutac_bc as modeling
 from lerobot_pneutac.policy.configuration_pneutac_bc import TACTILE, PneutacBCConfig
 from lerobot_pneutac.policy.modeling_pneutac_bc import PneutacBCPolicy
 from pneutac_datasets.writing import create_dataset, quiet_encoders
@@ -320,3 +322,21 @@ def test_fine_tuning_keeps_the_weights_and_takes_the_new_rest_image(tmp_path):
     batch = make_batch()
     first.reset()
     assert torch.equal(alone.select_action(batch), first.select_action(batch))
+
+
+def test_a_checkpoint_keeps_its_scale(tmp_path, monkeypatch):
+    trained, batch = make_ready_policy(), make_batch()
+    trained.save_pretrained(tmp_path)
+    monkeypatch.setattr(modeling, "_RANGES", tuple((c, 2 * s) for c, s in modeling._RANGES))
+    loaded = PneutacBCPolicy.from_pretrained(tmp_path)
+    assert torch.equal(loaded.select_action(batch), trained.select_action(batch))
+    assert not torch.equal(make_ready_policy()._state_scale, trained._state_scale)
+
+
+@pytest.mark.parametrize("gone", ["_state_scale", "encoder.rest_image", "mlp.0.weight"])
+def test_a_checkpoint_that_lacks_something_is_refused(tmp_path, gone):
+    make_ready_policy().save_pretrained(tmp_path)
+    file = tmp_path / "model.safetensors"
+    save_file({k: v for k, v in load_file(file).items() if k != gone}, file)
+    with pytest.raises(InputError, match=rf"model.safetensors'.*differs in {gone}\)"):
+        PneutacBCPolicy.from_pretrained(tmp_path)
