@@ -57,7 +57,7 @@ class Course:
         """Ends a contact when the touch is gone, up to `EARLY` frames too soon; False if it is too late."""
         end = self._contacts[0][1]
         self._largest = max(self._largest, area)
-        self._lost = 0 if area >= FIRM * self._largest else self._lost + 1
+        self._lost = 0 if area >= FIRM * self._largest or self._lasts else self._lost + 1
         if self._lost >= GONE and end - self.frame <= EARLY:
             self.frame = end
         elif self.frame == end and self._lost < GONE:
@@ -95,6 +95,11 @@ class Course:
     @staticmethod
     def _is_bump(contact: tuple[int, int]) -> bool:
         return contact[1] - contact[0] < BUMP
+
+    @property
+    def _lasts(self) -> bool:
+        """Whether the demonstration ended in this contact: then a touch that flickers is no release."""
+        return self._contacts[0][1] == len(self._reference)
 
     @property
     def last(self) -> int:

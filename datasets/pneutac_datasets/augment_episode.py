@@ -191,7 +191,7 @@ class Generator:
         ways = self._plan(r, variant, rng) if plan else replayed
         push, keep = np.zeros(4), np.exp(-DT / PUSH_S)
         states, actions, images, areas, self._costs = [], [], [], [], []
-        missed = plan
+        missed = plan  # also where the object stands in the finger, and the task is over before it began
         while not (self.world.success or self.world.failure):
             action, free = next(ways, (None, False))
             if action is None:
@@ -211,7 +211,7 @@ class Generator:
         return Trial(
             np.array(states),
             np.array(actions),
-            None if images[0] is None else np.array(images),
+            np.array(images) if images and images[0] is not None else None,
             reason,
             float(np.mean(self._costs)) if self._costs else 0.0,
             _area_rmse(np.array(areas), r.area),

@@ -9,7 +9,7 @@ from pneutac_sim.features import CONTROL_HZ
 
 EXTRA_STEPS = 15  # frames by which a demonstration goes on where the task is about to be done
 MARGIN = 4  # frames before the first and after the last contact that still count as contact phase
-FIRM = 0.5  # of a contact's largest area; what is smaller, and comes last, only brushes
+FIRM = 0.15  # of a contact's largest area; what is smaller, and comes last, only brushes
 LOSS = 8  # frames without touch that still belong to a contact
 
 
@@ -66,7 +66,7 @@ class Reference:
     def contacts(self) -> list[tuple[int, int]]:
         """First frame of each contact and that of its release; short losses of touch do not part them.
 
-        The release is where the area falls below half of its largest: what follows only brushes.
+        The release is where the area falls below `FIRM` of its largest: what follows only brushes.
         """
         frames = np.flatnonzero(self.area > 0)
         found = []

@@ -9,7 +9,7 @@ import numpy as np
 
 CONTROL_HZ = 15
 TRIAL_S = 20  # after which a trial has failed
-DEMONSTRATION_S = 14  # after which a scripted demonstration is given up; all lanes take 9 to 12
+DEMONSTRATION_S = 14  # after which a scripted demonstration is given up; most take 2 to 10
 TASK_NAMES = ("switch", "egg", "card")
 FIDELITIES = ("surrogate", "mpm", "probe")  # how finger and gel of a world deform
 STANDIN_GELS = ("layer", "mpm")  # how the gel of the stand-in for reality deforms

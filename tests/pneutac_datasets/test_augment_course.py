@@ -76,7 +76,22 @@ def test_a_brush_after_a_firm_touch_is_no_touch(reference):
     course = Course(reference, 0.0)
     go(course, 0.0, FIRST)
     go(course, 0.1, END - FIRST - 2, reference.flange_m[FIRST])
-    assert go(course, 0.04, 3)[-1] >= END and not course.in_contact
+    assert go(course, 0.01, 3)[-1] >= END and not course.in_contact
+    felt = Course(reference, 0.0)
+    go(felt, 0.0, FIRST)
+    go(felt, 0.1, END - FIRST - 2, reference.flange_m[FIRST])
+    assert go(felt, 0.04, 3)[-1] < END and felt.in_contact  # less than it was, and a touch
+
+
+def test_a_demonstration_that_ends_in_contact_is_not_over_when_the_touch_flickers(reference):
+    reference.area[END:] = 0.1
+    course = Course(reference, 0.0)
+    go(course, False, FIRST)
+    go(course, True, LENGTH - FIRST - 8, reference.flange_m[FIRST])
+    frames = go(course, False, 8 + LATE_RELEASE - 1)
+    assert None not in frames and course.in_contact
+    assert course.offset_m[0] > 5e-3  # the path goes on
+    assert go(course, False, 3)[-1] is None
 
 
 def test_a_short_bump_need_not_come_and_is_no_contact(reference):

@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pneutac_datasets import augment_episode
 from pneutac_datasets.augment_episode import AugmentSetup, Generator, Variant
 from pneutac_datasets.augment_reference import Reference, onset_sigma_m
 from pneutac_datasets.augment_scene import FEEDBACK_HZ, follow
@@ -48,7 +49,7 @@ def demonstrations(task: str, count: int) -> list[Reference]:
 @pytest.fixture(scope="module")
 def switch():
     """Generator with four demonstrations of the switch and their scenes."""
-    setup = AugmentSetup(demonstrations("switch", 4), "switch", None, "probe", PlannerConfig(), 3)
+    setup = AugmentSetup(demonstrations("switch", 4), "switch", None, "probe", PlannerConfig(), 1)
     generator = Generator(setup, touch="area")
     return generator, [generator.scene(i) for i in range(4)]
 
@@ -157,53 +158,69 @@ def test_following_leads_back_to_the_path():
 
 
 def test_the_touch_tells_where_the_object_stood(switch):
+    """Replayed there, demonstrations do the task, with touches near the recorded ones; 1 is to feel nothing."""
     generator, scenes = switch
-    for r, scene in zip(generator.setup.references, scenes, strict=True):
-        assert scene.works
-        assert scene.area_rmse < 0.6 * np.sqrt(np.mean(r.area[slice(*r.contact_phase)] ** 2))
+    assert all(scene.works for scene in scenes)
+    felt = [np.sqrt(np.mean(r.area[slice(*r.contact_phase)] ** 2)) for r in generator.setup.references]
+    left = [scene.area_rmse / f for scene, f in zip(scenes, felt, strict=True)]
+    assert max(left) < 1
+    assert np.mean(left) < 0.6
 
 
 def test_planning_brings_touch_and_path_back_to_the_demonstrated_ones(switch):
-    """From the middle of a contact, with a warm start that leaves both."""
+    """From the middle of each contact, with a warm start that leaves both."""
     generator, _ = switch
-    r, world, gantry = generator.setup.references[1], generator.world, generator.gantry
-    middle, config = r.onset + 3, PlannerConfig()
-    world.variation = Variation(start_m=tuple(r.flange_m[0]))
-    world.reset(r.source)
-    for action in r.action[:middle]:
-        world.step(action)
-    assert world.touch.area > 0
-    gantry.mirror(world)
-    ahead = slice(middle + 1, middle + 1 + config.horizon)
-    area_goal, goal, previous = r.area[ahead], r.flange_m[ahead], r.action[middle - 1]
-
-    def costs(actions, c=config):
-        position, area = gantry.rollout(actions)
-        return demonstration_cost(area, area_goal, position, goal, actions, previous, c)
-
-    warm = r.action[middle : middle + config.horizon] + [0.012, 0.0, 0.004, 0.8]
-    plan = CemPlanner(gantry, config, np.random.default_rng(0))
-    found = plan.plan(warm, previous, area_goal, goal)
-    assert plan.cost == pytest.approx(costs(found))
+    world, gantry, config = generator.world, generator.gantry, PlannerConfig()
     touch_alone = replace(config, position_weight=0.0, smoothness_weight=0.0)
-    assert costs(found) < 0.7 * costs(warm)
-    assert costs(found, touch_alone) < 0.7 * costs(warm, touch_alone)
-    more = CemPlanner(gantry, replace(config, samples=20, iterations=4), np.random.default_rng(0))
-    more.plan(warm, previous, area_goal, goal)
-    assert more.cost < plan.cost
+    left, left_of_touch = [], []
+    for r in generator.setup.references:
+        middle = r.onset + 3
+        world.variation = Variation(start_m=tuple(r.flange_m[0]))
+        world.reset(r.source)
+        for action in r.action[:middle]:
+            world.step(action)
+        assert world.touch.area > 0
+        gantry.mirror(world)
+        ahead = slice(middle + 1, middle + 1 + config.horizon)
+        goals = r.area[ahead], r.flange_m[ahead], r.action[middle - 1]
+
+        def costs(actions, c, area_goal, goal, previous):
+            position, area = gantry.rollout(actions)
+            return demonstration_cost(area, area_goal, position, goal, actions, previous, c)
+
+        def plan(c, warm, area_goal, goal, previous):
+            planner = CemPlanner(gantry, c, np.random.default_rng(0))
+            return planner.plan(warm, previous, area_goal, goal), planner.cost
+
+        warm = r.action[middle : middle + config.horizon] + [0.012, 0.0, 0.004, 0.8]
+        found, cost = plan(config, warm, *goals)
+        assert cost == pytest.approx(costs(found, config, *goals))
+        left.append(cost / costs(warm, config, *goals))
+        left_of_touch.append(costs(found, touch_alone, *goals) / costs(warm, touch_alone, *goals))
+        assert plan(replace(config, samples=20, iterations=4), warm, *goals)[1] < cost
+    for ratios in (left, left_of_touch):
+        assert max(ratios) < 0.9
+        assert np.mean(ratios) < 0.6
 
 
-def test_planned_variants_do_the_task_where_not_every_blind_replay_does(switch):
+def test_who_plans_and_touches_does_the_task_and_who_replays_blindly_may_not(switch, monkeypatch):
+    """Without the wandering of the free way, which alone decides whether some variants touch at all."""
+    monkeypatch.setattr(augment_episode, "START_M", 0.0)
+    monkeypatch.setattr(augment_episode, "PUSH_M_S", 0.0)
     generator, scenes = switch
     planned, blind = [], []
     for source in range(4):
         for shift in ((0.006, 0.0, 0.0), (-0.005, 0.004, 0.0)):
             variant = Variant(source, shift, 1.1, 0.3, 0.96)
             for plan, trials in ((True, planned), (False, blind)):
-                rng = np.random.default_rng(source)
-                trials.append(generator.carry_out(variant, scenes[source], rng, plan=plan))
-    assert sum(t.reason is None for t in planned) >= 7
-    assert sum(t.reason is None for t in blind) <= 5
+                trial = generator.carry_out(variant, scenes[source], np.random.default_rng(source), plan=plan)
+                if trial.area_rmse < 1:  # it touched
+                    trials.append(trial)
+    assert len(planned) >= 5
+    assert all(t.reason is None for t in planned)
+    assert any(t.reason for t in blind)
+    # The touch lasts longer or shorter than the demonstrated one, frame by frame; areas are up to 0.5.
+    assert np.median([t.area_rmse for t in planned]) < 0.2
 
 
 def test_the_free_way_wanders_and_its_actions_lead_back(switch):
@@ -222,6 +239,16 @@ def test_the_free_way_wanders_and_its_actions_lead_back(switch):
     away, led = np.concatenate(away)[:, 1], np.concatenate(led)[:, 1]  # across: nothing is clipped there
     assert 0.002 < away.std() < 0.010
     assert np.polyfit(away, led, 1)[0] == pytest.approx(-FEEDBACK_HZ, rel=0.1)
+
+
+def test_a_task_that_is_over_before_it_began_is_no_demonstration(switch, monkeypatch):
+    """An object that is moved into the finger may be done, or spoilt, at once."""
+    generator, scenes = switch
+    monkeypatch.setattr(generator.world.task.inner, "success", lambda: True)
+    variant = Variant(0, (0.0, 0.0, 0.0), 1.0, 0.0, 1.0)
+    trial = generator.carry_out(variant, scenes[0], np.random.default_rng(0))
+    assert trial.reason == "it did not touch the object"
+    assert len(trial.action) == 0
 
 
 def test_an_episode_is_a_function_of_seed_and_index(switch):

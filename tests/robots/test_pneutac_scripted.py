@@ -8,7 +8,7 @@ from lerobot_robot_pneutac.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.pneutac_scripted import PneutacScripted
 from lerobot_robot_pneutac.pneutac_sim import PneutacSim
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, ACTION_NAMES
+from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, ACTION_NAMES, CONTROL_HZ, DEMONSTRATION_S
 
 
 @pytest.fixture
@@ -48,12 +48,13 @@ def test_scene_is_reset_once_a_cycle_and_outside_the_demonstration(pair, reset_s
 
 def test_demonstrations_do_the_task_within_limits(pair):
     robot, teleoperator = pair
-    actions = run(robot, teleoperator(episode_steps=215, seed=5), 4 * 215)
+    steps = DEMONSTRATION_S * CONTROL_HZ
+    actions = run(robot, teleoperator(episode_steps=steps, seed=5), 4 * steps)
     assert sum(robot.successes) >= 3
     values = np.array([[a[name] for name in ACTION_NAMES] for a in actions], np.float32)
     assert ((values >= ACTION_LOW) & (values <= ACTION_HIGH)).all()
     # No two people, and no two tries of one, are alike.
-    assert np.abs(values[:215] - values[215:430]).max() > 0.01
+    assert np.abs(values[:steps] - values[steps : 2 * steps]).max() > 0.01
 
 
 def test_same_seeds_same_demonstration(tmp_path):
