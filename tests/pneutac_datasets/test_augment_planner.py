@@ -158,7 +158,7 @@ def test_following_leads_back_to_the_path():
 
 
 def test_the_touch_tells_where_the_object_stood(switch):
-    """Replayed there, demonstrations do the task, with touches near the recorded ones; 1 is to feel nothing."""
+    """Replayed there, they do the task, with touches near the recorded ones; 1 is to feel nothing."""
     generator, scenes = switch
     assert all(scene.works for scene in scenes)
     felt = [np.sqrt(np.mean(r.area[slice(*r.contact_phase)] ** 2)) for r in generator.setup.references]
