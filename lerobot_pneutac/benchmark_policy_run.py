@@ -5,6 +5,7 @@ import json
 import multiprocessing
 import os
 import time
+import traceback
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -87,6 +88,9 @@ def run_units(
                     ) from e
                 except InputError as e:
                     failed[unit.name] = str(e)
+                except Exception as e:  # a fault of one must not cost what the others have done
+                    (out / unit.name / LOG).open("a").write("".join(traceback.format_exception(e)))
+                    failed[unit.name] = f"{type(e).__name__}: {e} (see {out / unit.name / LOG})"
     show("")
     return done, failed
 

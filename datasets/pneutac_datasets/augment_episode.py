@@ -11,7 +11,7 @@ from pneutac_datasets.augment_reference import EXTRA_STEPS, Reference, onset_sig
 from pneutac_datasets.augment_scene import Scene, find_scene, follow
 from pneutac_datasets.planner import CemPlanner, PlannerConfig
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, CONTROL_HZ
+from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, CONTROL_HZ, STATE_NAMES
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.gantry import Gantry
 from pneutac_sim.world.varied import Variation, VariedWorld
@@ -28,6 +28,7 @@ LATE = 1  # control steps by which commands act, and touch is shown, too late, a
 # stays, by which many a contact is met at all.
 START_M = 0.004  # standard deviation of the start
 PUSH_M_S, PUSH_S = 0.015, 0.5  # standard deviation and correlation time of the velocity that carries it aside
+SHORTEST = 8  # control steps; what is done sooner was done by where the object stood
 TRIES = 3  # variants of one reference before another one gets its turn
 
 
@@ -187,11 +188,14 @@ class Generator:
             variant.late_touch,
         )
         observation = self.world.reset(scene.seed)
+        if self.world.blocked:
+            nothing = np.zeros((0, len(STATE_NAMES))), np.zeros((0, len(ACTION_LOW))), None
+            return Trial(*nothing, "the object stood where the hand starts", 0.0, 1.0)
         replayed = ((action, False) for action in np.clip(r.action, ACTION_LOW, ACTION_HIGH))
         ways = self._plan(r, variant, rng) if plan else replayed
         push, keep = np.zeros(4), np.exp(-DT / PUSH_S)
         states, actions, images, areas, self._costs = [], [], [], [], []
-        missed = plan  # also where the object stands in the finger, and the task is over before it began
+        missed = plan
         while not (self.world.success or self.world.failure):
             action, free = next(ways, (None, False))
             if action is None:
@@ -207,11 +211,13 @@ class Generator:
             missed = missed and not self.world.touch.area > 0
             self.seconds["execution"] += time.perf_counter() - began
         late = None if self.world.success else "the task was not done by the end"
+        if self.world.success and len(actions) < SHORTEST:
+            late = "the object stood where the hand starts"
         reason = self.world.failure or ("it did not touch the object" if missed else late)
         return Trial(
             np.array(states),
             np.array(actions),
-            np.array(images) if images and images[0] is not None else None,
+            None if images[0] is None else np.array(images),
             reason,
             float(np.mean(self._costs)) if self._costs else 0.0,
             _area_rmse(np.array(areas), r.area),

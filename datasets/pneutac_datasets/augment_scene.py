@@ -86,6 +86,8 @@ def find_scene(world: VariedWorld, gantry: Gantry, reference: Reference, seed: i
     def replay(scene_seed: int, shift: np.ndarray, reduced: bool = False) -> Scene:
         world.variation = Variation(start, tuple(shift.tolist()))
         world.reset(scene_seed)
+        if world.blocked:
+            return Scene(scene_seed, tuple(shift.tolist()), False, 1.0)
         if reduced:
             gantry.mirror(world)
             actions = follow(reference.action, world.flange_m, reference.flange_m[0])

@@ -241,14 +241,17 @@ def test_the_free_way_wanders_and_its_actions_lead_back(switch):
     assert np.polyfit(away, led, 1)[0] == pytest.approx(-FEEDBACK_HZ, rel=0.1)
 
 
-def test_a_task_that_is_over_before_it_began_is_no_demonstration(switch, monkeypatch):
-    """An object that is moved into the finger may be done, or spoilt, at once."""
-    generator, scenes = switch
-    monkeypatch.setattr(generator.world.task.inner, "success", lambda: True)
-    variant = Variant(0, (0.0, 0.0, 0.0), 1.0, 0.0, 1.0)
-    trial = generator.carry_out(variant, scenes[0], np.random.default_rng(0))
-    assert trial.reason == "it did not touch the object"
-    assert len(trial.action) == 0
+def test_an_object_that_stands_where_the_hand_starts_gives_no_demonstration():
+    """A carton in the finger opens at once; kept, it would be a demonstration of a frame."""
+    setup = AugmentSetup(demonstrations("egg", 2), "egg", None, "probe", PlannerConfig(), 1)
+    generator = Generator(setup, touch="area")
+    scene = generator.scene(0)
+    assert scene.works
+    for ahead, words in ((0.0, None), (-0.06, "the object stood where the hand starts")):
+        variant = Variant(0, (ahead, 0.0, 0.0), 1.0, 0.0, 1.0)
+        trial = generator.carry_out(variant, scene, np.random.default_rng(0))
+        assert trial.reason == words
+        assert (len(trial.action) > 10) == (words is None)
 
 
 def test_an_episode_is_a_function_of_seed_and_index(switch):

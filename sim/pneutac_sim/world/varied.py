@@ -7,6 +7,7 @@ from typing import override
 import numpy as np
 
 from pneutac_sim.world.tasks import Task
+from pneutac_sim.world.tasks.base import contact_force
 from pneutac_sim.world.world import World
 
 
@@ -59,6 +60,12 @@ class VariedWorld(World):
         self._shown.append(self._felt())
         self.touch.image, self.touch.pixels, self.touch.area = self._shown.popleft()
         return self._observe()
+
+    @property
+    def blocked(self) -> bool:
+        """Whether the objects were laid where the hand starts: it touches them, or the task is over."""
+        touches = contact_force(self.model, self.data, "") > 0
+        return touches or self.success or self.failure is not None
 
     def _felt(self) -> tuple:
         return self.touch.image, self.touch.pixels, self.touch.area
