@@ -12,7 +12,7 @@ import pytest
 from lerobot_pneutac import benchmark
 from lerobot_pneutac.benchmark_policy import BenchmarkPolicyConfig
 from lerobot_pneutac.benchmark_policy_plan import CONDITIONS, TEST_START, Unit, derived_seed, plan
-from lerobot_pneutac.benchmark_policy_run import RESULT, finished
+from lerobot_pneutac.benchmark_policy_run import LOG, RESULT, _pool, finished, run_units
 from lerobot_pneutac.benchmark_policy_table import rows, success
 from lerobot_pneutac.options import parse_options
 from pneutac_sim.errors import InputError
@@ -129,6 +129,27 @@ def test_units_of_other_options_are_refused(tmp_path):
     path.write_text("{")
     with pytest.raises(InputError, match="damaged"):
         finished(tmp_path, unit)
+
+
+def test_a_unit_that_fails_costs_none_but_those_that_need_it(tmp_path):
+    broken = Unit("switch/0/student", "student", {}, ())
+    needing = Unit("switch/0/student_frames", "frames", {}, (broken.name,))
+    sound = Unit("switch/0/real", "record", {"task": "switch", "episodes": 1, "seed": 3})
+    done, failed = run_units(tmp_path, [broken, needing, sound], 1, lambda share, words: None)
+    assert set(done) == {sound.name}
+    assert "IndexError" in failed[broken.name] and "log.txt" in failed[broken.name]
+    assert failed[needing.name] == f"needs {broken.name}"
+    assert "Traceback" in (tmp_path / broken.name / LOG).read_text()
+
+
+def test_an_interrupt_ends_at_once_what_runs():
+    start = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        with _pool(1) as pool:
+            pool.submit(time.sleep, 300)
+            pool.submit(os.getpid).cancel()
+            raise KeyboardInterrupt
+    assert time.monotonic() - start < 60
 
 
 COMMAND = "from lerobot_pneutac.cli import main; main()"
