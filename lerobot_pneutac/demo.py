@@ -55,7 +55,7 @@ class DemoConfig:
     out: Path = Path("outputs/demo")
     episodes: int = 12
     augmented: int = 16
-    steps: int = 2000
+    steps: int = 4000
     batch_size: int = 16
     eval_episodes: int = 20
     seed: int = 1
@@ -268,7 +268,7 @@ class Demo:
                 f"--steps={cfg.steps}",
                 f"--batch_size={cfg.batch_size}",
                 f"--seed={cfg.seed}",
-                "--num_workers=0",
+                "--num_workers=2",
                 f"--log_freq={max(1, cfg.steps // 50)}",
                 "--save_freq=0",
                 "--env_eval_freq=0",
