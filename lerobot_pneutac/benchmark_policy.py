@@ -154,7 +154,7 @@ def main(argv: list[str]) -> None:
     columns = (TextColumn("{task.description:.60}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True) as bar:
         row = bar.add_task("starting", total=1.0)
-        done, failed = run_units(
+        done, failed, faults = run_units(
             cfg.out,
             units,
             cfg.jobs,
@@ -166,3 +166,5 @@ def main(argv: list[str]) -> None:
     console.print(f"Report: {report}", highlight=False)
     if not any(unit.kind == "evaluate" and unit.name in done for unit in units):
         raise InputError(f"No policy could be tried; '{cfg.out / 'table.md'}' says why.")
+    if faults:
+        raise InputError(f"{', '.join(faults)} ended in a fault; each one's log.txt tells which.")

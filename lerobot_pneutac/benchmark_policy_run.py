@@ -41,7 +41,7 @@ def finished(out: Path, unit: Unit) -> dict | None:
 
 def run_units(
     out: Path, units: list[Unit], jobs: int, progress: Callable[[float, str], None]
-) -> tuple[dict[str, dict], dict[str, str]]:
+) -> tuple[dict[str, dict], dict[str, str], list[str]]:
     """Carries out what is not finished, in the order of what needs what.
 
     Args:
@@ -51,10 +51,12 @@ def run_units(
         progress: is told the share that is done and a few words.
 
     Returns:
-        unit name to what is in its `unit.json`; and unit name to a sentence for those that could not be done.
+        unit name to what is in its `unit.json`; unit name to a sentence for those that could not be done; and
+        the names of those among them that ended in a fault, not in an InputError.
     """
     done = {u.name: found for u in units if (found := finished(out, u)) is not None}
     failed: dict[str, str] = {}
+    faults: list[str] = []
     waiting = {u.name: u for u in sorted(units, key=lambda u: -COST_S[u.kind]) if u.name not in done}
     running: dict[Future, Unit] = {}
     total = sum(COST_S[u.kind] for u in units)
@@ -79,20 +81,24 @@ def run_units(
                 continue
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 unit = running.pop(future)
-                try:
+                error = future.exception()
+                if error is None:
                     done[unit.name] = future.result()
-                except BrokenProcessPool as e:
+                elif isinstance(error, BrokenProcessPool):
                     raise InputError(
                         f"A process ended during '{unit.name}' (out of memory?); see"
                         f" '{out / unit.name / LOG}' and repeat the command, with fewer --jobs."
-                    ) from e
-                except InputError as e:
-                    failed[unit.name] = str(e)
-                except Exception as e:  # a fault of one must not cost what the others have done
-                    (out / unit.name / LOG).open("a").write("".join(traceback.format_exception(e)))
-                    failed[unit.name] = f"{type(e).__name__}: {e} (see {out / unit.name / LOG})"
+                    ) from error
+                else:
+                    failed[unit.name] = str(error)
+                    if not isinstance(error, InputError):  # the others go on; the command ends with an error
+                        log = out / unit.name / LOG
+                        with log.open("a") as file:
+                            file.writelines(traceback.format_exception(error))
+                        failed[unit.name] = f"{type(error).__name__}: {error} (see '{log}')"
+                        faults.append(unit.name)
     show("")
-    return done, failed
+    return done, failed, faults
 
 
 def run_unit(out: Path, unit: Unit, workers: int) -> dict:

@@ -29,6 +29,7 @@ LATE = 1  # control steps by which commands act, and touch is shown, too late, a
 START_M = 0.004  # standard deviation of the start
 PUSH_M_S, PUSH_S = 0.015, 0.5  # standard deviation and correlation time of the velocity that carries it aside
 SHORTEST = 8  # control steps; what is done sooner was done by where the object stood
+IN_THE_WAY = "the object stood where the hand starts"
 TRIES = 3  # variants of one reference before another one gets its turn
 
 
@@ -190,7 +191,7 @@ class Generator:
         observation = self.world.reset(scene.seed)
         if self.world.blocked:
             nothing = np.zeros((0, len(STATE_NAMES))), np.zeros((0, len(ACTION_LOW))), None
-            return Trial(*nothing, "the object stood where the hand starts", 0.0, 1.0)
+            return Trial(*nothing, IN_THE_WAY, 0.0, 1.0)
         replayed = ((action, False) for action in np.clip(r.action, ACTION_LOW, ACTION_HIGH))
         ways = self._plan(r, variant, rng) if plan else replayed
         push, keep = np.zeros(4), np.exp(-DT / PUSH_S)
@@ -210,10 +211,13 @@ class Generator:
             observation = self.world.step(carried)
             missed = missed and not self.world.touch.area > 0
             self.seconds["execution"] += time.perf_counter() - began
-        late = None if self.world.success else "the task was not done by the end"
-        if self.world.success and len(actions) < SHORTEST:
-            late = "the object stood where the hand starts"
-        reason = self.world.failure or ("it did not touch the object" if missed else late)
+        reason = self.world.failure
+        if not reason and self.world.success and len(actions) < SHORTEST:
+            reason = IN_THE_WAY
+        elif not reason and missed:
+            reason = "it did not touch the object"
+        elif not reason and not self.world.success:
+            reason = "the task was not done by the end"
         return Trial(
             np.array(states),
             np.array(actions),

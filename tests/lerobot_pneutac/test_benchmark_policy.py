@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lerobot_pneutac import benchmark
+from lerobot_pneutac import benchmark, benchmark_policy_run
 from lerobot_pneutac.benchmark_policy import BenchmarkPolicyConfig
 from lerobot_pneutac.benchmark_policy_plan import CONDITIONS, TEST_START, Unit, derived_seed, plan
 from lerobot_pneutac.benchmark_policy_run import LOG, RESULT, _pool, finished, run_units
@@ -135,21 +135,34 @@ def test_a_unit_that_fails_costs_none_but_those_that_need_it(tmp_path):
     broken = Unit("switch/0/student", "student", {}, ())
     needing = Unit("switch/0/student_frames", "frames", {}, (broken.name,))
     sound = Unit("switch/0/real", "record", {"task": "switch", "episodes": 1, "seed": 3})
-    done, failed = run_units(tmp_path, [broken, needing, sound], 1, lambda share, words: None)
+    done, failed, faults = run_units(tmp_path, [broken, needing, sound], 1, lambda share, words: None)
     assert set(done) == {sound.name}
+    assert faults == [broken.name]  # and none that needs it
     assert "IndexError" in failed[broken.name] and "log.txt" in failed[broken.name]
     assert failed[needing.name] == f"needs {broken.name}"
     assert "Traceback" in (tmp_path / broken.name / LOG).read_text()
 
 
 def test_an_interrupt_ends_at_once_what_runs():
-    start = time.monotonic()
     with pytest.raises(KeyboardInterrupt):
         with _pool(1) as pool:
-            pool.submit(time.sleep, 300)
-            pool.submit(os.getpid).cancel()
+            pool.submit(os.getpid).result()  # the process is there
+            start = time.monotonic()
+            pool.submit(time.sleep, 60)
             raise KeyboardInterrupt
-    assert time.monotonic() - start < 60
+    assert time.monotonic() - start < 30
+
+
+def test_a_fault_writes_the_table_and_ends_the_command_with_an_error(tmp_path, monkeypatch):
+    def faulty(out, units, jobs, progress):
+        trials = {"success_percent": 100.0, "trials": [{"start": TEST_START, "success": True}]}
+        return {"switch/0/real_trials": {"result": trials}}, {"switch/0/x": "OSError: full"}, ["switch/0/x"]
+
+    monkeypatch.setattr(benchmark_policy_run, "run_units", faulty)
+    argv = ["--conditions=[real]", "--tasks=[switch]", "--seeds=[0]", "--device=cpu", f"--out={tmp_path}"]
+    with pytest.raises(InputError, match="switch/0/x ended in a fault"):
+        benchmark.main(["policy", *argv])
+    assert "OSError: full" in (tmp_path / "table.md").read_text()
 
 
 COMMAND = "from lerobot_pneutac.cli import main; main()"

@@ -247,11 +247,24 @@ def test_an_object_that_stands_where_the_hand_starts_gives_no_demonstration():
     generator = Generator(setup, touch="area")
     scene = generator.scene(0)
     assert scene.works
-    for ahead, words in ((0.0, None), (-0.06, "the object stood where the hand starts")):
+    for ahead, words in ((0.0, None), (-0.06, augment_episode.IN_THE_WAY)):
         variant = Variant(0, (ahead, 0.0, 0.0), 1.0, 0.0, 1.0)
         trial = generator.carry_out(variant, scene, np.random.default_rng(0))
         assert trial.reason == words
         assert (len(trial.action) > 10) == (words is None)
+
+
+@pytest.mark.parametrize(("steps", "short"), [(augment_episode.SHORTEST - 1, True), (30, False)])
+def test_what_is_done_at_once_is_no_demonstration(switch, monkeypatch, steps, short):
+    generator, scenes = switch
+    world = generator.world
+    taken, step = [], world.step
+    monkeypatch.setattr(world, "step", lambda action: (taken.append(action), step(action))[1])
+    monkeypatch.setattr(world.task.inner, "success", lambda: len(taken) >= steps)
+    variant = Variant(0, (0.0, 0.0, 0.0), 1.0, 0.0, 1.0)
+    trial = generator.carry_out(variant, scenes[0], np.random.default_rng(0), plan=False)
+    assert len(trial.action) == steps
+    assert trial.reason == (augment_episode.IN_THE_WAY if short else None)
 
 
 def test_an_episode_is_a_function_of_seed_and_index(switch):
