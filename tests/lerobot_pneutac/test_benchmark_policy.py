@@ -148,7 +148,9 @@ def test_an_interrupt_ends_at_once_what_runs():
         with _pool(1) as pool:
             pool.submit(os.getpid).result()  # the process is there
             start = time.monotonic()
-            pool.submit(time.sleep, 60)
+            running = pool.submit(time.sleep, 60)
+            while not running.running():
+                time.sleep(0.01)
             raise KeyboardInterrupt
     assert time.monotonic() - start < 30
 
@@ -156,7 +158,8 @@ def test_an_interrupt_ends_at_once_what_runs():
 def test_a_fault_writes_the_table_and_ends_the_command_with_an_error(tmp_path, monkeypatch):
     def faulty(out, units, jobs, progress):
         trials = {"success_percent": 100.0, "trials": [{"start": TEST_START, "success": True}]}
-        return {"switch/0/real_trials": {"result": trials}}, {"switch/0/x": "OSError: full"}, ["switch/0/x"]
+        unit = {"unit": {"kind": "evaluate"}, "seconds": 1.0, "result": trials}
+        return {"switch/0/real_trials": unit}, {"switch/0/x": "OSError: full"}, ["switch/0/x"]
 
     monkeypatch.setattr(benchmark_policy_run, "run_units", faulty)
     argv = ["--conditions=[real]", "--tasks=[switch]", "--seeds=[0]", "--device=cpu", f"--out={tmp_path}"]
