@@ -8,6 +8,7 @@ constexpr float kFollowShare = 0.07f;  // of max_pa: error above which the press
 constexpr float kBurstShare = 0.10f;   // of max_pa: fall that is no noise
 constexpr float kSmoothS = 0.05f;
 constexpr float kSettledShare = 0.07f;  // of max_pa in a second: slower is settled
+constexpr uint32_t kLateMs = 2000;  // no frame is on its way for longer
 constexpr float kDriven = 0.3f;
 constexpr float kFull = 0.99f;
 
@@ -39,6 +40,10 @@ void Controller::handle(const Frame& frame, uint32_t now_ms) {
 
 void Controller::handleHello(const Frame& frame, uint32_t now_ms) {
   if (frame.size != 2 || frame.session == 0) return;
+  if (frame.session == last_session_ && now_ms - session_ms_ < kLateMs) {
+    ++repeated_;  // a double that was on its way for long must not end the session after its own
+    return;
+  }
   reply_due_ = true;  // also to another version, so that the host can name both
   if (frame.payload[0] != kVersion) return;
   if (frame.session == session_) {
@@ -46,7 +51,9 @@ void Controller::handleHello(const Frame& frame, uint32_t now_ms) {
     return;
   }
   startVenting();
+  last_session_ = session_;
   session_ = frame.session;
+  session_ms_ = now_ms;
   command_ = beat_ = applied_ = repeated_ = 0;
   beat_ms_ = now_ms;
   latched_ &= frame.payload[1] ? 0 : kFaults;
@@ -117,7 +124,7 @@ void Controller::closeLoop(uint32_t dt_ms) {
 
 void Controller::checkSensor(uint32_t dt_ms) {
   const int32_t max = settings_.max_pa;
-  if (measured_pa_ < -max / 2 || measured_pa_ > 4 * max) latched_ |= kSensorFault;
+  if (measured_pa_ < settings_.sensor_low_pa || measured_pa_ > 4 * max) latched_ |= kSensorFault;
   // A live reading has noise; one that stays the same to the last bit while air flows is no reading.
   const bool empty = drive_ < 0 && measured_pa_ < kFollowShare * max;
   const bool driven = drive_ > kDriven || drive_ < -kDriven;

@@ -9,6 +9,7 @@ struct Settings {
   int32_t max_pa = 15000;       // the highest set-point that is accepted
   int32_t cutoff_pa = 16500;    // above this the chamber is vented at once
   uint32_t rate_pa_s = 50000;   // the target moves no faster
+  int32_t sensor_low_pa = -1500;  // below this reads only a loose wire of a sensor whose zero is above 0 V
   uint16_t heartbeat_ms = 80;   // without a heartbeat for this long the chamber is vented
   uint16_t status_ms = 10;      // time between two status frames
   uint16_t frozen_ms = 60;      // a reading that stays the same for so long while air flows is a fault
@@ -48,6 +49,8 @@ class Controller {
   FrameReader reader_;
 
   uint16_t session_ = 0;  // 0: no host
+  uint16_t last_session_ = 0;
+  uint32_t session_ms_ = 0;  // when this session began
   uint16_t command_ = 0;  // sequence number of the newest set-point or vent
   uint16_t beat_ = 0;     // sequence number of the newest heartbeat
   uint32_t beat_ms_ = 0;

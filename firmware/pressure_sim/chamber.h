@@ -10,6 +10,7 @@ struct Faults {
   double vent = -1;         // the same of the vent valve
   bool burst = false;       // the line comes off
   bool frozen = false;      // the sensor repeats its last reading
+  bool loose = false;       // the sensor's wire is off: 0 V, the lowest that the converter shows
 };
 
 // First-order filling from a regulated supply, first-order venting, a leak, and valves that take a moment.
@@ -31,7 +32,8 @@ class Chamber {
     rate -= leak_per_s * pressure_pa;
     if (broken && faults.burst) rate -= pressure_pa / kBurstS;
     pressure_pa += rate * dt;
-    if (!(broken && faults.frozen)) reading_pa = static_cast<int32_t>(pressure_pa + noise_pa * noise());
+    if (broken && faults.frozen) return;
+    reading_pa = static_cast<int32_t>((broken && faults.loose ? kLoosePa : pressure_pa) + noise_pa * noise());
   }
 
   double pressure_pa = 0;
@@ -42,6 +44,7 @@ class Chamber {
  private:
   static constexpr double kValveS = 0.005;
   static constexpr double kBurstS = 0.010;
+  static constexpr double kLoosePa = -3113;  // of the sketch's sensor, 0.5 V at 0 kPa
 
   double noise() {  // uniform in -1 ... 1, the same in every run
     state_ = state_ * 1664525u + 1013904223u;

@@ -121,6 +121,10 @@ int main(int argc, char** argv) {
       chamber.faults.frozen = true;
       continue;
     }
+    if (name == "--loose-sensor") {
+      chamber.faults.loose = true;
+      continue;
+    }
     if (++i == argc) fail(name + " is unknown or needs a value");
     const double value = atof(argv[i]);
     if (name == "--pty") link = argv[i];

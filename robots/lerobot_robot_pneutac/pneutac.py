@@ -68,12 +68,19 @@ class Pneutac(PneutacFeatures, Robot):
 
         Raises:
             HardwareFault: a part does not answer; those that did are let go again.
+            InputError: `limits.pressure_kpa` is above what the controller takes.
         """
         if self.is_connected:
             raise DeviceAlreadyConnectedError(f"{self} is already connected.")
         try:
             self._pressure.connect()
             self._pressure.vent()
+            if self._pressure.max_kpa < self.config.limits.pressure_kpa:
+                raise InputError(
+                    f"limits.pressure_kpa is {self.config.limits.pressure_kpa:g}, but the pressure controller"
+                    f" takes {self._pressure.max_kpa:g} kPa at most; give"
+                    f" --robot.limits.pressure_kpa={self._pressure.max_kpa:g} or a higher max_kpa."
+                )
             self._arm.connect()
             self._tactile.connect()
             for name in self.config.cameras:
@@ -114,21 +121,25 @@ class Pneutac(PneutacFeatures, Robot):
 
         Raises:
             HardwareFault: a part failed, a limit is broken, or many actions in a row were refused.
-            InputError: keys are missing.
+            InputError: keys are missing, or a value is no number; everything halts.
         """
         guard = self._need_guard()
-        if set(ACTION_NAMES) <= action.keys():
-            values = np.array([action[name] for name in ACTION_NAMES], float)
-        elif set(POSE_NAMES) <= action.keys():
-            pose = np.array([action[name] for name in POSE_NAMES], float)
-            velocity = (pose[:3] - guard.look()[0].flange_m) * CONTROL_HZ
-            values = np.clip(np.append(velocity, pose[3]), ACTION_LOW, ACTION_HIGH)
-        else:
+        names = next((n for n in (ACTION_NAMES, POSE_NAMES) if set(n) <= action.keys()), None)
+        try:
+            if names is None:
+                raise InputError(
+                    f"The action has the keys {', '.join(action)}; the robot takes {', '.join(ACTION_NAMES)},"
+                    f" or the pose {', '.join(POSE_NAMES)}."
+                )
+            values = _numbers(action, names)
+        except InputError:
             guard.halt()
-            raise InputError(
-                f"The action has the keys {', '.join(action)}; the robot takes {', '.join(ACTION_NAMES)}, or"
-                f" the pose {', '.join(POSE_NAMES)}."
-            )
+            raise
+        if names == POSE_NAMES:
+            velocity = (values[:3] - guard.look()[0].flange_m) * CONTROL_HZ
+            # Far away is no fault of a pose, infinitely far is.
+            near = np.clip(velocity, ACTION_LOW[:3], ACTION_HIGH[:3])
+            values[:3] = np.where(np.isfinite(velocity), near, velocity)
         return dict(zip(ACTION_NAMES, guard.act(values).tolist(), strict=True))
 
     def disconnect(self) -> None:
@@ -153,3 +164,14 @@ class Pneutac(PneutacFeatures, Robot):
         if self.guard is None:
             raise DeviceNotConnectedError(f"{self} is not connected; call connect() first.")
         return self.guard
+
+
+def _numbers(action: dict[str, Any], names: tuple[str, ...]) -> np.ndarray:
+    """Those values of an action; raises InputError where one is no number."""
+    values = []
+    for name in names:
+        try:
+            values.append(float(action[name]))
+        except (TypeError, ValueError):
+            raise InputError(f"The action's '{name}' is {action[name]!r}; it must be a number.") from None
+    return np.array(values)

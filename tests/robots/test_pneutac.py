@@ -148,6 +148,21 @@ def test_a_pose_is_approached_as_lerobot_rollout_asks(robot):
     assert until(there)
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("ee_x.pos", np.inf, "dx.vel is inf"),
+        ("ee_z.pos", np.nan, "dz.vel is nan"),
+        ("pressure.pos", 1000.0, "pressure.pos is 1000"),
+    ],
+)
+def test_a_pose_that_is_none_is_refused(robot, caplog, name, value, said):
+    pose = dict(zip((*EE, "pressure.pos"), [*position(robot), 0.0], strict=True))
+    sent = robot.send_action(pose | {name: value})
+    assert robot.guard.refused == 1 and said in caplog.text
+    assert list(sent.values()) == [0, 0, 0, 0]
+
+
 def test_connecting_twice_or_not_at_all_is_said(robot):
     with pytest.raises(DeviceAlreadyConnectedError):
         robot.connect()
@@ -173,6 +188,13 @@ def test_limits_come_from_the_configuration(make_robot):
     sent = robot.send_action(act(dx=0.1, pressure=9.0))
     assert sent["dx.vel"] == 0.02
     assert sent["pressure.pos"] == 3.0
+
+
+def test_a_controller_that_takes_less_than_the_limit_is_told_before_anything_moves(tmp_path):
+    robot = Pneutac(config(tmp_path, pressure=PressureConfig(type="simulated", options={"max_kpa": 10.0})))
+    with pytest.raises(InputError, match="limits.pressure_kpa is 15, but .* 10 kPa at most"):
+        robot.connect()
+    assert not robot.is_connected
 
 
 # ---------------------------------------------------------------- faults
@@ -211,6 +233,14 @@ def test_a_frozen_or_lost_camera_halts_everything(robot, monkeypatch, error):
     assert not robot.is_connected
 
 
+def test_a_picture_that_is_half_a_second_old_is_a_lost_camera(robot, monkeypatch):
+    camera = robot.cameras["tactile"]
+    asked = []
+    monkeypatch.setattr(camera, "read_latest", lambda max_age_ms: asked.append(max_age_ms) or camera.read())
+    robot.get_observation()
+    assert asked == [500]
+
+
 def test_a_lost_arm_vents_the_chamber_although_nothing_is_asked(robot, monkeypatch):
     inflate(robot)
 
@@ -224,10 +254,14 @@ def test_a_lost_arm_vents_the_chamber_although_nothing_is_asked(robot, monkeypat
     robot.disconnect()
 
 
-def test_wrong_keys_halt_and_are_named(robot):
+@pytest.mark.parametrize(
+    ("action", "said"),
+    [({"shoulder.pos": 1.0}, "dx.vel"), (act() | {"dy.vel": "fast"}, "'dy.vel' is 'fast'")],
+)
+def test_what_is_no_action_halts_and_is_named(robot, action, said):
     inflate(robot)
-    with pytest.raises(InputError, match="dx.vel"):
-        robot.send_action({"shoulder.pos": 1.0})
+    with pytest.raises(InputError, match=said):
+        robot.send_action(action)
     assert at_rest(robot) and vented(robot)
 
 

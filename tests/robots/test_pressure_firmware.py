@@ -127,6 +127,7 @@ def test_above_the_cut_off_the_chamber_is_vented_at_once_and_stays_so(start):
         (("--stick-inlet", 1, "--fault-at-s", 0.6), Flag.STUCK_VALVE),
         (("--burst", "--fault-at-s", 0.6), Flag.BURST_LINE),
         (("--freeze-sensor", "--fault-at-s", 0.1), Flag.SENSOR_FAULT),
+        (("--loose-sensor", "--fault-at-s", 0.3), Flag.SENSOR_FAULT),
     ],
 )
 def test_a_broken_part_is_told_and_the_chamber_vented(start, options, flag):
@@ -151,6 +152,32 @@ def test_a_burst_line_is_told_within_100_ms(start):
 def test_a_frozen_sensor_overfills_by_no_more_than_60_ms_of_air(start):
     rig = at_8_kpa(start("--freeze-sensor", "--fault-at-s", 0.1))
     assert max(step[1] for step in rig.trace) < 8000 + 0.06 * 40000 / 0.25
+
+
+def test_a_wire_that_is_loose_from_the_start_never_opens_the_inlet(start):
+    rig = at_8_kpa(start("--loose-sensor"))
+    assert all(step[3] == 0 for step in rig.trace)
+    assert rig.status.flags == Flag.SENSOR_FAULT | Flag.REFUSED | Flag.VENTED
+
+
+def test_a_new_session_vents_what_the_old_one_filled(start):
+    rig = at_8_kpa(start())
+    rig.open(session=8)
+    assert rig.trace[-1][3:] == (0, 1)
+    rig.run(60)
+    assert Flag.VENTED in rig.status.flags and Flag.HEARTBEAT_LOST not in rig.status.flags
+
+
+def test_a_late_double_of_the_session_before_does_nothing(start):
+    rig = start()
+    old = wire.hello(7, True) + wire.set_point(7, 1, 9000)
+    rig.send(old)
+    rig.open(session=9)
+    rig.send(wire.heartbeat(9, 1) + wire.set_point(9, 1, 4000))
+    rig.run(20)
+    rig.send(old)
+    rig.run(20)
+    assert (rig.status.target_pa, rig.status.applied) == (4000, 1)
 
 
 def test_faults_last_until_a_hello_that_clears_them(start):

@@ -197,6 +197,28 @@ def test_a_silent_controller_makes_the_measurement_old_and_a_new_session(rig):
     assert exchange.measured_kpa == pytest.approx(5.0, abs=0.15)
 
 
+def test_numbers_that_begin_anew_at_zero_end_no_session(rig):
+    exchange, n = PneutacExchange(), 0
+
+    def control(ms):
+        nonlocal n
+        for _ in range(0, ms, 50):
+            n += 1
+            converse(rig, exchange, 50, Command(4.0 + n % 3, n))
+
+    control(500)
+    session = exchange._session
+    for number in (30000, 60000, 65500):  # no step of more than half the range is newer
+        exchange._beat = exchange._sequence = number
+        control(300)
+    applied = rig.status.applied
+    control(2500)  # 125 heartbeats and 50 commands: both pass zero
+    assert exchange._beat < 200 and exchange._sequence < 200
+    assert exchange._session == session and exchange.fault is None
+    assert rig.status.applied - applied >= 49
+    assert rig.now_ms / 1000 - exchange.measured_s < 0.05
+
+
 def test_a_fault_that_arose_while_unplugged_is_not_hidden(program):
     rig = SimulatedTime(program, "--stick-inlet", 0, "--fault-at-s", 0.3)
     try:

@@ -121,6 +121,13 @@ def test_a_broken_rig_is_a_fault_that_says_what_to_look_for(program, tmp_path, o
         assert said in fault
 
 
+def test_a_port_that_another_program_has_is_told(program, tmp_path):
+    link = tmp_path / "rig"
+    with terminal(program, link), connected(PneutacSerial(str(link))):
+        with pytest.raises(HardwareFault, match="cannot be used .*lock"):
+            PneutacSerial(str(link)).connect()
+
+
 def test_wrong_ports_are_told_at_once(tmp_path):
     start = time.monotonic()
     with pytest.raises(HardwareFault, match="nowhere cannot be used"):

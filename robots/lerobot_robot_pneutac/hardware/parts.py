@@ -50,7 +50,13 @@ class Arm(Protocol):
 
 
 class PressureController(Protocol):
-    """A valve with a pressure sensor. Every method but `vent` and `disconnect` raises `HardwareFault`."""
+    """A valve with a pressure sensor. Every method but `vent` and `disconnect` raises `HardwareFault`.
+
+    Attributes:
+        max_kpa: the highest set-point; known once connected.
+    """
+
+    max_kpa: float
 
     def connect(self) -> None:
         """Opens the connection, reads limits, starts the heartbeat; the chamber stays vented."""

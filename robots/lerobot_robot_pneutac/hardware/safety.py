@@ -123,12 +123,11 @@ class Guard:
 
     def halt(self) -> None:
         """Stops the arm and vents the chamber, now; never raises and does not wait for a part that hangs."""
+        self._rest()
         stop = threading.Thread(target=_quietly, args=(self._arm.stop,), daemon=True)
         stop.start()
         _quietly(self._pressure.vent)
         stop.join(HALT_S)
-        self._target_kpa = 0.0
-        self._moving = self._inflated = False
 
     def close(self) -> None:
         """Halts and ends the threads."""
@@ -141,8 +140,16 @@ class Guard:
 
     def _last_line(self) -> None:
         """Halts without a thread of its own, which an ending interpreter would refuse."""
+        self._closed.set()
+        self._rest()
         _quietly(self._pressure.vent)
         _quietly(self._arm.stop)
+        _quietly(self._pressure.disconnect)  # returns when the vent is sent
+
+    def _rest(self) -> None:
+        """Before a vent, or the watchdog, which holds the pressure, would fill the chamber again."""
+        self._target_kpa = 0.0
+        self._moving = self._inflated = False
 
     def _refuse(self, said: str) -> np.ndarray:
         self.refused += 1
@@ -177,7 +184,8 @@ class Guard:
         try:
             act()
         except Exception as e:
-            self.fail(HardwareFault(f"{doing} failed: {e}."))
+            if not self._closed.is_set():
+                self.fail(HardwareFault(f"{doing} failed: {e}."))
 
     def _monitor(self) -> None:
         while self.fault is None and not self._closed.wait(TICK_S):

@@ -31,17 +31,19 @@ class TextExchange:
         self._rest = b""
         self._asked_s: float | None = None  # when the oldest question without an answer was sent
         self._next_s = 0.0
+        self._filling = False  # whether the newest line was a set-point
 
     def transmit(self, now_s: float, command: Command) -> bytes:
-        """The set-point's line, where it is due."""
+        """The set-point's line, where it is due; a vent does not wait for the answer to a set-point."""
         if self._void is None:
             self._void = command.number
-        if now_s < self._next_s:
+        void = command.target_kpa is None or command.number <= self._void
+        if now_s < self._next_s and not (void and self._filling):
             return b""
         self._next_s = now_s + ANSWER_S
+        self._filling = not void
         if self._asked_s is None:
             self._asked_s = now_s
-        void = command.target_kpa is None or command.number <= self._void
         return f"P {0.0 if void else command.target_kpa:.2f}\n".encode()
 
     def receive(self, data: bytes, now_s: float) -> None:
