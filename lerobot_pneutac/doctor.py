@@ -8,16 +8,18 @@ import sys
 from pathlib import Path
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 OK, NOTE, FAIL = "[green]ok[/]", "[yellow]note[/]", "[red]missing[/]"
+DEV = Path("/dev")
 Check = tuple[str, str, str, str]  # name, state, what was found, remedy
 
 
 def check_packages() -> list[Check]:
     """Versions of the packages that the work rests on."""
     rows = [("Python", OK if sys.version_info >= (3, 12) else FAIL, platform.python_version(), "")]
-    for name in ("lerobot", "torch", "mujoco", "numba", "gymnasium", "numpy"):
+    for name in ("lerobot", "torch", "mujoco", "numba", "gymnasium", "numpy", "pyserial"):
         try:
             rows.append((name, OK, importlib.metadata.version(name), ""))
         except importlib.metadata.PackageNotFoundError:
@@ -68,19 +70,42 @@ def check_ports() -> Check:
         return ("serial ports", NOTE, "none", "needed only for a real pressure controller")
     blocked = [p for p in ports if not os.access(p, os.R_OK | os.W_OK)]
     if blocked:
-        return ("serial ports", FAIL, f"no permission on {blocked}", "sudo usermod -aG dialout $USER")
+        return ("serial ports", FAIL, f"no permission on {', '.join(blocked)}", _join("dialout"))
     return ("serial ports", OK, ", ".join(ports), "")
 
 
 def check_cameras() -> Check:
-    """Video devices that a DIGIT may be."""
-    devices = sorted(str(p) for p in Path("/dev").glob("video*"))
+    """Video devices."""
+    devices = sorted(str(p) for p in DEV.glob("video*"))
     if not devices:
-        return ("cameras", NOTE, "none", "needed only for a real DIGIT")
-    blocked = [p for p in devices if not os.access(p, os.R_OK)]
+        return ("cameras", NOTE, "none", "needed only for a real DIGIT or a bench camera")
+    blocked = [p for p in devices if not os.access(p, os.R_OK | os.W_OK)]
     if blocked:
-        return ("cameras", FAIL, f"no permission on {blocked}", "sudo usermod -aG video $USER")
+        return ("cameras", FAIL, f"no permission on {', '.join(blocked)}", _join("video"))
     return ("cameras", OK, ", ".join(devices), "")
+
+
+def check_digit() -> Check:
+    """DIGITs by the serial number that `--robot.digit.serial` takes."""
+    from lerobot_robot_pneutac.digit_devices import find_digits
+
+    digits = find_digits()
+    if not digits:
+        return ("DIGIT", NOTE, "none", "needed only on the bench; plug it in, without a hub")
+    return ("DIGIT", OK, ", ".join(f"{d.serial} at {d.path}" for d in digits), "")
+
+
+def check_arm() -> Check:
+    """The library that drives a Panda."""
+    try:
+        return ("Panda", OK, f"franky {importlib.metadata.version('franky-control')}", "")
+    except importlib.metadata.PackageNotFoundError:
+        remedy = "needed only for a real arm: pip install 'lerobot_robot_pneutac[panda]'"
+        return ("Panda", NOTE, "franky is not installed", remedy)
+
+
+def _join(group: str) -> str:
+    return f"sudo usermod -aG {group} $USER, then log in again"
 
 
 def check_home() -> Check:
@@ -95,16 +120,25 @@ def check_home() -> Check:
     return ("HF_HOME", OK if free > 5 else NOTE, f"{home}, {free:.0f} GB free", "")
 
 
+CHECKS = (
+    check_plugin, check_gpu, check_rendering, check_ports, check_cameras, check_digit, check_arm, check_home
+)  # fmt: skip
+
+
 def main(argv: list[str]) -> None:
     """Runs every check and prints one table; exits with 1 where something needed is missing."""
     if argv:
         sys.exit("pneutac doctor takes no options.")
     rows = check_packages()
-    for check in (check_plugin, check_gpu, check_rendering, check_ports, check_cameras, check_home):
-        rows.append(check())
+    for check in CHECKS:
+        try:
+            rows.append(check())
+        except Exception as e:  # the very trouble that is looked for
+            name = check.__name__.removeprefix("check_")
+            rows.append((name, FAIL, f"{type(e).__name__}: {e}", "install what is missing, then ask again"))
     table = Table("", "state", "found", "remedy", box=None, header_style="dim")
-    for row in rows:
-        table.add_row(*row)
+    for name, state, found, remedy in rows:
+        table.add_row(name, state, escape(found), escape(remedy))
     Console().print(table)
     if any(state == FAIL for _, state, _, _ in rows):
         sys.exit(1)

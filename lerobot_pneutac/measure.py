@@ -26,6 +26,7 @@ FRAME_MS = 1000 * COMMAND_S  # a camera that is slower than this is lost; the ch
 OVERPRESSURE = 1.15  # of --max_kpa, measured: everything stops
 MIN_HZ = 2 / COMMAND_S
 MOST_UNSEEN = 0.2  # share of a trial's images without the tip marker above which it is told
+MOST_MISSED = 0.1  # share of a trial's samples for which the cameras were too slow, likewise
 
 
 @dataclass
@@ -133,25 +134,32 @@ def measure(cfg: MeasureConfig, console: Console) -> BenchRecording:
     console.print(f"{len(trials)} trials, {seconds / 60:.1f} min; Ctrl-C keeps those that are finished.")
     try:
         pressure.connect()
-        for c in cameras.values():
-            c.connect()
+        for name, c in cameras.items():
+            _connect(c, name)
         tracker.see_base([_image(cameras["camera"], "camera") for _ in range(BASE_IMAGES)])
         for number, trial in enumerate(trials):
-            unseen = bench.run(number, trial)
-            said = "kept" if unseen < 1 else "left out"
+            taken, seen = bench.run(number, trial)
+            said = "kept" if seen else "left out"
             console.print(f"trial {number + 1} of {len(trials)}, {trial.program}: {said}", highlight=False)
+            unseen, missed = 1 - seen / taken, 1 - taken / len(trial.time_s)
             if unseen > MOST_UNSEEN:
                 console.print(f"[yellow]note:[/] the tip marker was unseen in {100 * unseen:.0f} % of it")
+            if missed > MOST_MISSED:
+                console.print(
+                    f"[yellow]note:[/] {100 * missed:.0f} % of its samples are missing, the camera is slower"
+                    " than --hz"
+                )
     finally:
         pressure.disconnect()  # vents first, whatever comes after
         for c in cameras.values():
             if c.is_connected:
                 c.disconnect()
-        for folder in (bench.unfinished, cfg.out / "new"):
-            if folder is not None:
-                shutil.rmtree(folder, ignore_errors=True)
-        if bench.kept:
-            console.print(f"{cfg.out}: {bench.kept} of {len(trials)} trials", highlight=False)
+        kept = bench.kept()
+        for number in set(range(len(trials))) - kept:
+            shutil.rmtree(bench.images(number), ignore_errors=True)
+        shutil.rmtree(cfg.out / "new", ignore_errors=True)
+        if kept:
+            console.print(f"{cfg.out}: {len(kept)} of {len(trials)} trials", highlight=False)
         else:
             console.print("No trial was finished; nothing is kept.")
             shutil.rmtree(cfg.out, ignore_errors=True)
@@ -159,12 +167,7 @@ def measure(cfg: MeasureConfig, console: Console) -> BenchRecording:
 
 
 class _Bench:
-    """Drives trials one by one and writes the recording after each.
-
-    Attributes:
-        kept: trials written.
-        unfinished: folder with the images of the trial under way.
-    """
+    """Drives trials one by one and writes the recording after each."""
 
     def __init__(
         self,
@@ -173,37 +176,47 @@ class _Bench:
         cameras: dict[str, Camera],
         tracker: MarkerTracker,
     ):
-        self.kept = 0
-        self.unfinished: Path | None = None
         self._cfg, self._pressure, self._cameras, self._tracker = cfg, pressure, cameras, tracker
         self._rows: list[dict] = []
 
-    def run(self, number: int, trial: Trial) -> float:
-        """Drives one trial.
+    def kept(self) -> set[int]:
+        """Numbers of the trials in the table: what is there counts, wherever an interrupt came."""
+        table = self._cfg.out / "samples.csv"
+        return set(pd.read_csv(table, usecols=["trial"])["trial"]) if table.exists() else set()
+
+    def images(self, number: int) -> Path:
+        """Folder of a trial's images."""
+        return self._cfg.out / "images" / f"trial_{number:03d}"
+
+    def run(self, number: int, trial: Trial) -> tuple[int, int]:
+        """Drives one trial at its own pace; a camera that is slower than it costs samples.
 
         Returns:
-            Share of samples in which the tip was not seen; they are left out.
+            Samples taken, and those of them in which the tip was seen, which are kept.
         """
-        folder = self.unfinished = self._cfg.out / "images" / f"trial_{number:03d}"
+        folder = self.images(number)
         folder.mkdir(parents=True)
         self._pressure.vent()
         time.sleep(self._cfg.rest_s)
-        rows, start_s = [], time.monotonic()
-        for k, (due_s, command) in enumerate(zip(trial.time_s, trial.pressure_kpa, strict=True)):
-            time.sleep(max(0.0, start_s + due_s - time.monotonic()))
-            self._pressure.set_pressure(float(command))
+        rows, taken, k, start_s = [], 0, 0, time.monotonic()
+        while k < len(trial.time_s):
+            time.sleep(max(0.0, start_s + trial.time_s[k] - time.monotonic()))
+            sample, command, taken = k, float(trial.pressure_kpa[k]), taken + 1
+            self._pressure.set_pressure(command)
             images = {name: _image(c, name) for name, c in self._cameras.items()}
             now_s, kpa = time.monotonic() - start_s, float(self._pressure.pressure())
             if not kpa <= OVERPRESSURE * self._cfg.max_kpa:
                 raise HardwareFault(f"The pressure reads {kpa:.1f} kPa; check valve and sensor.")
             tip = self._tracker.tip_mm(images["camera"])
+            due = int(np.searchsorted(trial.time_s, time.monotonic() - start_s, side="right"))
+            k = max(k + 1, min(due - 1, len(trial.time_s) - 1))
             if tip is None:
                 continue
             row = {"trial": number, "time_s": now_s, "program": trial.program}
-            row |= {"pressure_cmd_kpa": float(command), "pressure_kpa": kpa}
+            row |= {"pressure_cmd_kpa": command, "pressure_kpa": kpa}
             row |= dict(zip(("tip_x_mm", "tip_y_mm", "tip_z_mm"), tip.tolist(), strict=True))
             for name, image in images.items():
-                file = folder / f"{name}_{k:05d}.jpg"
+                file = folder / f"{name}_{sample:05d}.jpg"
                 Image.fromarray(image).save(file, quality=95)
                 row[f"image_{name}"] = str(file.relative_to(self._cfg.out))
             rows.append(row)
@@ -211,8 +224,7 @@ class _Bench:
         if rows:
             self._rows += rows
             self._write()
-            self.kept, self.unfinished = self.kept + 1, None
-        return 1 - len(rows) / len(trial.time_s)
+        return taken, len(rows)
 
     def _write(self) -> None:
         """The recording so far; the old one stays until the new one is whole."""
@@ -230,9 +242,17 @@ class _Bench:
         }
         samples = pd.DataFrame(self._rows)
         new = BenchRecording(self._cfg.out, meta, samples, "finger").write(self._cfg.out / "new")
-        for name in ("samples.csv", "recording.json"):
+        for name in ("recording.json", "samples.csv"):  # the table last: a trial in it is kept
             (new / name).replace(self._cfg.out / name)
         new.rmdir()
+
+
+def _connect(camera: Camera, name: str) -> None:
+    """Opens the camera; raises HardwareFault where it cannot be opened."""
+    try:
+        camera.connect()
+    except Exception as e:
+        raise HardwareFault(f"The camera '{name}' cannot be opened: {str(e).rstrip('.')}.") from e
 
 
 def _image(camera: Camera, name: str) -> np.ndarray:

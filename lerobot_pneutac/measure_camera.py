@@ -12,6 +12,7 @@ from pneutac_sim.errors import InputError
 DICTIONARY = cv2.aruco.DICT_4X4_50
 CELLS = 6  # of a marker's side, its dark rim included
 MIN_VIEWS = 8
+MOST_MOVED = 0.05  # of its side: how far edges that are all seen move a marker's corner, at most
 
 # The base marker lies in the bending plane: its right is the finger's x, its upper side z, and it faces -y.
 BASE_FROM_MARKER = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
@@ -163,7 +164,7 @@ class MarkerTracker:
         corners, ids, _ = self._detector.detectMarkers(grey)
         for i, c in zip([] if ids is None else ids.ravel(), corners, strict=True):
             if i == number:
-                return fit_edges(grey.astype(np.float32), c[0].astype(float))
+                return _refined(grey.astype(np.float32), c[0].astype(float))
         return None
 
     def _pose(self, corners: np.ndarray, facing: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
@@ -182,6 +183,14 @@ class MarkerTracker:
         best = int(np.argmin(errors if facing is None else [-n @ facing for n in normals]))
         turn, shift = cv2.solvePnPRefineLM(self._square, *given, turns[best], shifts[best])
         return cv2.Rodrigues(turn)[0], shift.ravel()
+
+
+def _refined(grey: np.ndarray, found: np.ndarray) -> np.ndarray | None:
+    """Corners by `fit_edges`, or None where an edge cannot be seen, such as at the picture's border."""
+    corners = fit_edges(grey, found)
+    side = np.linalg.norm(found - np.roll(found, 1, axis=0), axis=1).mean()
+    moved = np.linalg.norm(corners - found, axis=1).max()
+    return corners if moved <= max(MOST_MOVED * side, 2.0) else None
 
 
 def fit_edges(grey: np.ndarray, corners: np.ndarray, rounds: int = 3) -> np.ndarray:

@@ -3,6 +3,7 @@
 import json
 import time
 from dataclasses import dataclass
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -184,6 +185,31 @@ def test_tip_poses_agree_with_the_truth_to_a_fraction_of_a_millimetre():
     assert tracker.tip_mm(np.full((480, 640, 3), 128, np.uint8)) is None
 
 
+def test_a_marker_at_the_pictures_border_is_right_or_not_seen():
+    tracker = MarkerTracker(Intrinsics(K, np.zeros(5), SIZE, 0.1), MARKER, 0, 1, np.zeros(3))
+    side_px = marker(1).shape[0] * 48 / 120
+    seen = 0
+    for degrees in range(1, 90, 8):
+        a = np.radians(degrees)
+        turn = np.array([[np.cos(a), np.sin(a)], [-np.sin(a), np.cos(a)]])
+        for x in np.arange(14.0, 40.0, 1.0):
+            place = (np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * side_px / 2 @ turn + [x, 240]).astype(
+                "f4"
+            )
+            n = marker(1).shape[0]
+            corners = np.array([[0, 0], [n, 0], [n, n], [0, n]], "f4") - 0.5
+            H = cv2.getPerspectiveTransform(corners, place)
+            image = cv2.warpPerspective(marker(1), H, SIZE, flags=cv2.INTER_AREA, borderValue=190)
+            found = tracker._corners(np.repeat(image[..., None], 3, axis=2), 1)
+            if found is None:
+                continue
+            seen += 1
+            dark = np.array([[20, 20], [140, 20], [140, 140], [20, 140]], "f4")[None] - 0.5
+            true = cv2.perspectiveTransform(dark, H)[0]
+            assert np.abs(found - true).max() < 3
+    assert seen > 50
+
+
 def test_a_base_marker_that_is_not_seen_and_a_wrong_size_are_named():
     tracker = MarkerTracker(intrinsics(), MARKER, 5, 1, OFFSET)
     with pytest.raises(InputError, match="base marker 5 is seen in 0 of 1"):
@@ -310,16 +336,64 @@ def test_a_run_is_a_recording_with_true_tips_that_compare_accepts(bench, tmp_pat
 
 
 @pytest.mark.parametrize("end", [KeyboardInterrupt(), OSError("unplugged")])
-def test_an_end_within_a_trial_keeps_those_before_it_and_vents(bench, tmp_path, end):
-    samples = 21  # of one trial
-    BenchRendered.ends, BenchRendered.ends_after = end, measure.BASE_IMAGES + 2 * samples + 12
+def test_an_end_within_a_trial_keeps_those_before_it_and_vents(bench, tmp_path, monkeypatch, end):
+    run, taken = measure._Bench.run, []
+
+    def ends_in_the_third(self, number, trial):
+        if number == 2:
+            BenchRendered.ends, BenchRendered.ends_after = end, len(BenchRendered.truth) + 3
+        taken.append(run(self, number, trial)[0])
+        return taken[-1], taken[-1]
+
+    monkeypatch.setattr(measure._Bench, "run", ends_in_the_third)
     with pytest.raises(KeyboardInterrupt if isinstance(end, KeyboardInterrupt) else InputError):
         measure.main(bench)
     r = BenchRecording.load(tmp_path / "run")
-    assert list(r.trials()) == [0, 1] and len(r) == 2 * samples
+    assert list(r.trials()) == [0, 1] and len(r) == sum(taken)
     assert sorted(p.name for p in (tmp_path / "run/images").iterdir()) == ["trial_000", "trial_001"]
     assert BenchRendered.chamber._target_kpa == 0.0
     assert not BenchRendered.chamber._connected
+
+
+def test_ctrl_c_just_after_a_trial_came_into_the_table_keeps_its_pictures(bench, tmp_path, monkeypatch):
+    replace = Path.replace
+
+    def pressed(self, target):
+        replace(self, target)
+        if self.name == "samples.csv":
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "replace", pressed)
+    with pytest.raises(KeyboardInterrupt):
+        measure.main(bench)
+    r = BenchRecording.load(tmp_path / "run")
+    assert list(r.trials()) == [0]
+    assert r.image(r.column("image_camera")[-1]).shape == (480, 640, 3)
+
+
+def test_a_slow_camera_costs_samples_and_not_the_programs_pace(bench, tmp_path, monkeypatch, capsys):
+    read = BenchRendered.async_read
+
+    def slow(self, timeout_ms=200):
+        time.sleep(0.2)
+        return read(self)
+
+    monkeypatch.setattr(BenchRendered, "async_read", slow)
+    measure.main(bench)
+    r = BenchRecording.load(tmp_path / "run")
+    assert len(r) < 0.5 * 3 * 21
+    late = r.column("time_s")[r.column("trial") == 1].max() - 1.3
+    assert late < 1.0  # as it was, every sample took 0.2 s: 4.2 s for this trial of 1.3 s
+    assert "samples are missing" in " ".join(capsys.readouterr().out.split())
+
+
+def test_a_camera_that_cannot_be_opened_is_one_sentence(bench, monkeypatch):
+    def connect(self, warmup=True):
+        raise ConnectionError("No device at 0.")
+
+    monkeypatch.setattr(BenchRendered, "connect", connect)
+    with pytest.raises(InputError, match="The camera 'camera' cannot be opened: No device at 0."):
+        measure.main(bench)
 
 
 def test_an_end_within_the_first_trial_leaves_nothing(bench, tmp_path):
