@@ -22,4 +22,5 @@ bench: .venv/ready
 	@[ "$(UV)" = uv ] || [ -x $(UV) ] || { $(PYTHON) -m venv .uv && .uv/bin/python -m pip install -q uv; }
 	$(UV) venv -q --allow-existing --python 3.12 .venv
 	$(UV) pip install -q --python .venv/bin/python -e '.[dev]' -c constraints.txt
+	@ln -sf "$$(realpath "$$(command -v $(UV))")" .venv/bin/uv
 	@touch $@

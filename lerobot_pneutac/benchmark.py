@@ -1,6 +1,7 @@
 """`pneutac benchmark NAME`: tables of accuracy and speed, each one command."""
 
 import importlib
+import sys
 
 from pneutac_sim.errors import InputError
 
@@ -19,6 +20,10 @@ TABLES = {
 def main(argv: list[str]) -> None:
     """Runs one table."""
     name = argv[0] if argv else ""
+    if name in ("-h", "--help"):
+        print(f"usage: pneutac benchmark NAME [--option=value ...]\n\nNAME is {', '.join(TABLES)}.")
+        return
     if name not in TABLES:
         raise InputError(f"'{name}' is no benchmark; give one of {', '.join(TABLES)}.")
+    sys.argv[0] = f"pneutac benchmark {name}"
     importlib.import_module(TABLES[name]).main(argv[1:])

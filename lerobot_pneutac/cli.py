@@ -34,10 +34,11 @@ def main() -> None:
     if verb not in VERBS:
         sys.exit(f"pneutac: '{verb}' is not a verb; the verbs are {', '.join(VERBS)}.")
     module, _ = VERBS[verb]
+    sys.argv = [f"pneutac {verb}", *sys.argv[2:]]  # the usage lines name the program so
     if module is None:
         sys.exit(f"pneutac: '{verb}' is not there yet; the README's status table says what is.")
     try:
-        importlib.import_module(module).main(sys.argv[2:])
+        importlib.import_module(module).main(sys.argv[1:])
     except InputError as e:
         sys.exit(f"pneutac {verb}: {e}")
     except KeyboardInterrupt:

@@ -23,7 +23,7 @@ def check_packages() -> list[Check]:
         try:
             rows.append((name, OK, importlib.metadata.version(name), ""))
         except importlib.metadata.PackageNotFoundError:
-            rows.append((name, FAIL, "not installed", f"pip install {name}"))
+            rows.append((name, FAIL, "not installed", f"uv pip install {name}"))
     return rows
 
 
@@ -100,7 +100,7 @@ def check_arm() -> Check:
     try:
         return ("Panda", OK, f"franky {importlib.metadata.version('franky-control')}", "")
     except importlib.metadata.PackageNotFoundError:
-        remedy = "needed only for a real arm: pip install 'lerobot_robot_pneutac[panda]'"
+        remedy = "needed only for a real arm: uv pip install -e '.[panda]' in PneuTac's folder"
         return ("Panda", NOTE, "franky is not installed", remedy)
 
 
@@ -127,6 +127,9 @@ CHECKS = (
 
 def main(argv: list[str]) -> None:
     """Runs every check and prints one table; exits with 1 where something needed is missing."""
+    if argv in (["-h"], ["--help"]):
+        print("usage: pneutac doctor\n\nTells what is installed and what answers; takes no options.")
+        return
     if argv:
         sys.exit("pneutac doctor takes no options.")
     rows = check_packages()

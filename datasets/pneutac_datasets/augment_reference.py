@@ -58,7 +58,9 @@ class Reference:
         frames = np.flatnonzero(self.area > 0)
         if not len(frames):
             raise InputError(
-                f"Episode {self.source} never touches anything (contact_area.pos is 0 throughout); delete it."
+                f"Episode {self.source} never touches anything (contact_area.pos is 0 throughout); leave"
+                " it out with lerobot-edit-dataset --operation.type=delete_episodes"
+                f' --operation.episode_indices="[{self.source}]".'
             )
         return int(frames[0])
 

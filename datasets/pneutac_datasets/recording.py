@@ -120,6 +120,8 @@ class BenchRecording:
         if isinstance(value, dict) and value.get("bytes"):
             source, shown = io.BytesIO(value["bytes"]), "an image of the dataset"
         else:
+            if not isinstance(value, (str, dict)):
+                raise InputError(f"{self.folder}: a row names no image (or mask) where one is needed.")
             shown = self.folder / str(value.get("path") if isinstance(value, dict) else value)
             if not shown.resolve().is_relative_to(self.folder.resolve()):
                 raise InputError(f"{self.folder}: image '{value}' lies outside the recording's folder.")

@@ -8,6 +8,7 @@ from lerobot.robots import RobotConfig
 
 from lerobot_robot_pneutac.hardware.arms import ArmConfig
 from lerobot_robot_pneutac.hardware.limits import Limits
+from pneutac_sim.errors import InputError
 from pneutac_sim.features import IMAGE_NAME, STATE_NAMES
 
 
@@ -64,6 +65,10 @@ class PneutacConfig(RobotConfig):
                 raise DecodingError(
                     (), f"--robot.{name}.type is missing; give --robot.{name}.type={example}."
                 )
+        try:
+            self.pressure.make()  # opens nothing
+        except InputError as e:
+            raise DecodingError((), f"--robot.pressure: {e}") from e
         taken = {IMAGE_NAME, *STATE_NAMES} & self.cameras.keys()
         if taken:
             raise DecodingError((), f"--robot.cameras has '{taken.pop()}', which is taken; choose another.")

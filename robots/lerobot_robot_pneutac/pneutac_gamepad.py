@@ -25,7 +25,7 @@ class PneutacGamepad(VelocityTeleop):
             from pygame._sdl2 import controller
         except ImportError as error:
             raise DeviceNotConnectedError(
-                "pneutac_gamepad needs pygame; install it with pip install 'lerobot_robot_pneutac[gamepad]'."
+                "pneutac_gamepad needs pygame; uv pip install -e '.[gamepad]' in PneuTac's folder."
             ) from error
         self._pygame, self._controller = pygame, controller
         controller.init()

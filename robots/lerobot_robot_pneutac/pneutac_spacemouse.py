@@ -22,7 +22,7 @@ class PneutacSpacemouse(VelocityTeleop):
         except (ImportError, OSError) as error:  # OSError: the system's libhidapi is missing
             raise DeviceNotConnectedError(
                 "pneutac_spacemouse needs pyspacemouse and the system's hidapi library; install them with"
-                " pip install 'lerobot_robot_pneutac[spacemouse]' and apt install libhidapi-hidraw0."
+                " uv pip install -e '.[spacemouse]' in PneuTac's folder, and apt install libhidapi-hidraw0."
             ) from error
         self._lost_error = HIDException
         try:

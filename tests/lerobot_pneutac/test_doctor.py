@@ -58,4 +58,4 @@ def test_a_version_that_is_not_there_is_missing(monkeypatch):
         return version(name)
 
     monkeypatch.setattr(doctor.importlib.metadata, "version", without_numba)
-    assert ("numba", doctor.FAIL, "not installed", "pip install numba") in doctor.check_packages()
+    assert ("numba", doctor.FAIL, "not installed", "uv pip install numba") in doctor.check_packages()

@@ -49,7 +49,7 @@ def example(tmp_path, monkeypatch):
 def test_the_guides_example_is_found_and_passes_the_guides_own_test(example):
     assert pressure_controller_types()[3:] == ["my_regulator"]
     example.test_regulator()
-    made = make_pressure_controller("my_regulator", make_bus=example.Bus, max_kpa=10)
+    made = make_pressure_controller("my_regulator", port="none", max_kpa=10)
     made.connect()
     with pytest.raises(InputError, match="0 ... 10 kPa"):
         made.set_pressure(11)

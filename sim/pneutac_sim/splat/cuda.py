@@ -38,7 +38,7 @@ def rasterise(gaussians: Gaussians, camera: Camera, background=(0.0, 0.0, 0.0)) 
 
 def require() -> None:
     """Raises InputError where gsplat or a CUDA device is missing."""
-    install = "pip install lerobot_robot_pneutac[cuda]"
+    install = "uv pip install -e '.[cuda]' in PneuTac's folder"
     if importlib.util.find_spec("gsplat") is None:
         raise InputError(f"Rendering on CUDA needs the package gsplat; install it with: {install}")
     import torch

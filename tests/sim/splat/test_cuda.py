@@ -61,5 +61,5 @@ def test_cuda_gradients_agree_with_the_cpu():
 
 @pytest.mark.skipif(ABLE, reason="gsplat and a CUDA device are there")
 def test_without_cuda_the_remedy_is_named():
-    with pytest.raises(InputError, match=r"pip install lerobot_robot_pneutac\[cuda\]"):
+    with pytest.raises(InputError, match=r"uv pip install -e .\.\[cuda\]"):
         rasterise(scene(5), view(()), device="cuda")
