@@ -15,8 +15,8 @@ class PneutacScriptedConfig(TeleoperatorConfig):
 
     LeRobot tells a teleoperator nothing of episodes, so it counts its ticks: `episode_steps` of
     demonstration, then `reset_steps` of waiting. The defaults fit `--dataset.fps=15
-    --dataset.episode_time_s=14 --dataset.reset_time_s=0`; a long recording on a busy computer is safer with
-    15 reset steps and `--dataset.reset_time_s=1`: missed ticks then fall into the waiting time.
+    --dataset.episode_time_s=14 --dataset.reset_time_s=0`; on a busy computer take 15 reset steps and
+    `--dataset.reset_time_s=1`: ticks that are missed are then counted by the clock.
 
     Attributes:
         episode_steps: ticks of a demonstration, `episode_time_s * fps`.

@@ -3,6 +3,7 @@ import pytest
 from draccus.utils import DecodingError
 from lerobot.utils.errors import DeviceNotConnectedError
 
+from lerobot_robot_pneutac import pneutac_scripted
 from lerobot_robot_pneutac.config_pneutac_scripted import PneutacScriptedConfig
 from lerobot_robot_pneutac.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.pneutac_scripted import PneutacScripted
@@ -35,6 +36,30 @@ def run(robot, teleop, ticks) -> list[dict]:
         actions.append(teleop.get_action())
         robot.send_action(actions[-1])
     return actions
+
+
+@pytest.fixture(autouse=True)
+def still_clock(monkeypatch):
+    """This computer's own delays are no missed ticks."""
+    now = [0.0]
+    monkeypatch.setattr(pneutac_scripted, "clock", lambda: now[0])
+    return now
+
+
+def test_ticks_that_are_missed_do_not_shift_the_episodes(pair, still_clock):
+    robot, teleoperator = pair
+    teleop = teleoperator(episode_steps=30, reset_steps=15)
+    for _ in range(3):  # as LeRobot: by the clock 2 s an episode, 1 s of waiting, then a while of saving
+        actions = []
+        for _ in range(30):
+            robot.get_observation()
+            actions.append(teleop.get_action())
+            robot.send_action(actions[-1])
+            still_clock[0] += 0.101
+        assert [i for i, a in enumerate(actions) if a.get("reset")] == [25]
+        moved = [any(a[name] for name in ACTION_NAMES) for a in actions]
+        assert all(moved[:20]) and not any(moved[20:])
+        still_clock[0] += 1.7
 
 
 @pytest.mark.parametrize(("reset_steps", "tick"), [(0, 3), (1, 4), (15, 11)])
