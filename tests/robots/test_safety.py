@@ -284,6 +284,7 @@ def test_a_stop_that_hangs_does_not_keep_the_chamber_full(parts, guard):
 
 
 def test_a_pressure_that_is_held_while_another_thread_halts_ends_vented(parts, guard, monkeypatch):
+    monkeypatch.setattr(safety, "VENT_S", 60.0)
     guard.act(MOVE)
     set_pressure = parts.set_pressure
 
@@ -298,14 +299,14 @@ def test_a_pressure_that_is_held_while_another_thread_halts_ends_vented(parts, g
 
 
 def test_a_jump_of_the_pressure_is_followed_at_the_rate(parts):
+    start_s = time.monotonic()
     guard = Guard(parts, parts, Limits(pressure_rate_kpa_s=20.0))
     for _ in range(4):
         guard.act(np.array([0.0, 0.0, 0.0, 10.0]))
         time.sleep(0.05)
-    sent = [(at, kpa) for at, name, kpa in parts.diary if name == "set_pressure"]
-    assert 0 < sent[-1][1] < 10
-    for (before_s, before), (at_s, kpa) in itertools.pairwise(sent):
-        assert 0 < kpa - before <= 20.0 * (at_s - before_s + 0.01)
+    sent = [(at_s, kpa) for at_s, name, kpa in parts.diary if name == "set_pressure"]
+    assert all(0 < kpa <= 20.0 * (at_s - start_s) for at_s, kpa in sent)
+    assert all(before[1] < after[1] for before, after in itertools.pairwise(sent))
 
 
 @pytest.mark.parametrize(("part", "said"), [("stop", "Stopping the arm"), ("vent", "Venting")])
