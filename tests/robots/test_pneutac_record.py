@@ -1,11 +1,13 @@
-"""`lerobot-record` on simulated parts, as a user runs it, ended by Ctrl-C and by a lost arm."""
+"""`lerobot-record` as a user runs it, ended by Ctrl-C, and by a controller that is unplugged."""
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +17,9 @@ from lerobot.datasets import LeRobotDataset
 from lerobot_robot_pneutac.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.pneutac_sim import PneutacSim
 from pneutac_sim.features import ACTION_NAMES, STATE_NAMES
+
+sys.path.insert(0, str(Path(__file__).parent))
+from pressure_rig import build, terminal  # noqa: E402
 
 # A person's hand, and simulated parts that write into a diary what they are told.
 PLUGIN = {
@@ -51,7 +56,6 @@ import os, time
 from dataclasses import dataclass
 from pathlib import Path
 from lerobot_robot_pneutac.hardware.arms import ArmConfig
-from lerobot_robot_pneutac.hardware.parts import HardwareFault
 from lerobot_robot_pneutac.hardware.simulated_arm import SimulatedArm
 from lerobot_robot_pneutac.hardware.simulated_pressure import SimulatedPressure
 DIARY = Path(os.environ["DIARY"])
@@ -66,10 +70,6 @@ class DiaryPressure(SimulatedPressure):
         note("vent")
         super().vent()
 class DiaryArm(SimulatedArm):
-    def state(self):
-        if DIARY.with_name("unplug").exists():
-            raise HardwareFault("The arm is gone.")
-        return super().state()
     def move(self, velocity_m_s):
         note("move", *velocity_m_s)
         super().move(velocity_m_s)
@@ -89,10 +89,13 @@ class DiaryArmConfig(ArmConfig):
 }
 
 
-class Record:
-    """A running `lerobot-record`, 1 s an episode."""
+DIARY = ("--robot.pressure.type=diary", "--robot.pressure.options={max_kpa: 15.0}")
 
-    def __init__(self, work: Path):
+
+class Record:
+    """A running `lerobot-record`, 1 s an episode; the pressure controller is the diary's or at a port."""
+
+    def __init__(self, work: Path, port: Path | None = None):
         for name, text in PLUGIN.items():
             (work / "plugin" / name).parent.mkdir(parents=True, exist_ok=True)
             (work / "plugin" / name).write_text(text)
@@ -109,8 +112,7 @@ class Record:
             "--robot.type=pneutac",
             "--robot.id=bench",
             "--robot.arm.type=diary",
-            "--robot.pressure.type=diary",
-            "--robot.pressure.options={max_kpa: 15.0}",
+            *(("--robot.pressure.type=pneutac_serial", f"--robot.pressure.port={port}") if port else DIARY),
             "--robot.digit.type=digit_generated",
             "--robot.limits.speed_m_s=0.05",
             "--teleop.type=hand",
@@ -158,12 +160,14 @@ class Record:
         return (self.work / "log").read_text()[-4000:]
 
 
-@pytest.fixture
-def record(tmp_path):
-    record = Record(tmp_path)
-    yield record
-    record.process.kill()
-    record.process.wait()
+@contextmanager
+def recording(*args):
+    record = Record(*args)
+    try:
+        yield record
+    finally:
+        record.process.kill()
+        record.process.wait()
 
 
 def hear_ctrl_c() -> None:
@@ -185,25 +189,40 @@ def press_ctrl_c(process: subprocess.Popen) -> float:
     return pressed
 
 
-@pytest.mark.parametrize("end", ["ctrl-c", pytest.param("lost arm", marks=pytest.mark.slow)])
-def test_episodes_are_kept_the_arm_stops_and_the_chamber_is_vented(record, end, tmp_path):
-    record.until_moving_after_an_episode()
-    ended = time.time()
-    if end == "ctrl-c":
-        ended = press_ctrl_c(record.process)
-    else:
-        (tmp_path / "unplug").touch()
-        record.process.wait(60)
-    assert ("Stop recording" if end == "ctrl-c" else "The arm is gone.") in record.log()
-    assert record.episodes() < 50
-
+def check_the_arm_stopped(record: Record, ended: float) -> None:
     diary = record.diary()
-    assert [w for w in diary if w[1] in ("set_pressure", "vent")][-1][1] == "vent"
     assert [w for w in diary if w[1] in ("move", "stop")][-1][1] == "stop"
     # Not only at the end of the program, which saves first: at once, or by the watchdog.
     assert min(float(w[0]) for w in diary if w[1] == "stop" and float(w[0]) > ended) < ended + 1.0
-    assert min(float(w[0]) for w in diary if w[1] == "vent" and float(w[0]) > ended) < ended + 2.0
 
+
+def test_episodes_are_kept_the_arm_stops_and_the_chamber_is_vented(tmp_path):
+    with recording(tmp_path) as record:
+        record.until_moving_after_an_episode()
+        ended = press_ctrl_c(record.process)
+        assert "Stop recording" in record.log()
+        assert record.episodes() < 50
+        check_the_arm_stopped(record, ended)
+        diary = record.diary()
+        assert [w for w in diary if w[1] in ("set_pressure", "vent")][-1][1] == "vent"
+        assert min(float(w[0]) for w in diary if w[1] == "vent" and float(w[0]) > ended) < ended + 2.0
+        check_dataset(record, tmp_path)
+
+
+@pytest.mark.slow
+def test_a_controller_that_is_unplugged_ends_the_recording_and_keeps_the_episodes(tmp_path):
+    program = build(tmp_path)
+    with terminal(program, tmp_path / "rig") as rig, recording(tmp_path, tmp_path / "rig") as record:
+        record.until_moving_after_an_episode()
+        ended = time.time()
+        rig.kill()
+        record.process.wait(60)
+        assert re.search(r"Pressure controller at .*rig(: the newest measurement is| was lost)", record.log())
+        check_the_arm_stopped(record, ended)
+        check_dataset(record, tmp_path)
+
+
+def check_dataset(record: Record, tmp_path: Path) -> None:
     dataset = LeRobotDataset("local/demo", record.root)
     assert dataset.num_episodes == record.episodes() >= 1
     assert dataset.meta.robot_type == "pneutac"
