@@ -133,5 +133,5 @@ def test_missing_gamepad_or_pygame_is_one_sentence(teleop, monkeypatch):
     with pytest.raises(DeviceNotConnectedError, match="No gamepad was found; plug one in"):
         gamepad.connect()
     monkeypatch.setitem(sys.modules, "pygame", None)
-    with pytest.raises(DeviceNotConnectedError, match=r"lerobot_robot_pneutac\[gamepad\]"):
+    with pytest.raises(DeviceNotConnectedError, match=r"uv pip install .*\[gamepad\]"):
         gamepad.connect()
