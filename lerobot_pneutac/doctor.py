@@ -136,7 +136,7 @@ def main(argv: list[str]) -> None:
     for check in CHECKS:
         try:
             rows.append(check())
-        except Exception as e:  # the very trouble that is looked for
+        except (ImportError, OSError) as e:  # a package or a system's library: what is looked for
             name = check.__name__.removeprefix("check_")
             rows.append((name, FAIL, f"{type(e).__name__}: {e}", "install what is missing, then ask again"))
     table = Table("", "state", "found", "remedy", box=None, header_style="dim")

@@ -13,13 +13,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from lerobot.datasets import LeRobotDataset
+from pressure_rig import build, terminal
 
 from lerobot_robot_pneutac.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.pneutac_sim import PneutacSim
 from pneutac_sim.features import ACTION_NAMES, STATE_NAMES
-
-sys.path.insert(0, str(Path(__file__).parent))
-from pressure_rig import build, terminal  # noqa: E402
 
 # A person's hand, and simulated parts that write into a diary what they are told.
 PLUGIN = {

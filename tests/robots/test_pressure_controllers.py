@@ -135,3 +135,10 @@ def test_a_set_point_that_is_none_is_refused_by_name(bad, said):
     with pytest.raises(ValueError, match=said):
         chamber.set_pressure(bad)
     assert chamber.pressure() == 0
+
+
+def test_a_controller_without_its_highest_set_point_fails_the_check():
+    controller = SimulatedPressure()
+    del controller.max_kpa
+    with pytest.raises(HardwareFault, match="no max_kpa"):
+        check_pressure_controller(controller, 5.0)

@@ -1,15 +1,10 @@
 """The firmware's safety in simulated time: every number here is exact and the same on every computer."""
 
-import sys
-from pathlib import Path
-
 import pytest
+from pressure_rig import FIRMWARE, SimulatedTime, build
 
 from lerobot_robot_pneutac.hardware import pressure_protocol as wire
 from lerobot_robot_pneutac.hardware.pressure_protocol import Flag
-
-sys.path.insert(0, str(Path(__file__).parent))
-from pressure_rig import FIRMWARE, SimulatedTime, build  # noqa: E402
 
 
 @pytest.fixture(scope="module")

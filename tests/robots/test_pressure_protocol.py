@@ -1,19 +1,16 @@
 """Frames, and host and firmware talking over a bad line in simulated time."""
 
 import random
-import sys
 from pathlib import Path
 
 import pytest
+from pressure_rig import SimulatedTime, build, converse
 
 from lerobot_robot_pneutac.hardware import pressure_protocol as wire
 from lerobot_robot_pneutac.hardware.parts import COMMAND_S
 from lerobot_robot_pneutac.hardware.pneutac_serial import PneutacExchange
 from lerobot_robot_pneutac.hardware.pressure_protocol import Flag, Frame, FrameReader
 from lerobot_robot_pneutac.hardware.serial_pressure import STALE_S, Command
-
-sys.path.insert(0, str(Path(__file__).parent))
-from pressure_rig import SimulatedTime, build, converse  # noqa: E402
 
 NOTHING = Command(None, 0)
 

@@ -3,20 +3,16 @@
 import os
 import pty
 import signal
-import sys
 import time
 import tty
-from pathlib import Path
 
 import pytest
+from pressure_rig import build, connected, raised_by, raises_old, reaches, terminal, until
 
 from lerobot_robot_pneutac.hardware.parts import HardwareFault
 from lerobot_robot_pneutac.hardware.pneutac_serial import PneutacSerial
 from lerobot_robot_pneutac.hardware.pressure_check import check_pressure_controller
 from pneutac_sim.errors import InputError
-
-sys.path.insert(0, str(Path(__file__).parent))
-from pressure_rig import build, connected, raised_by, raises_old, reaches, terminal, until  # noqa: E402
 
 
 @pytest.fixture(scope="module")

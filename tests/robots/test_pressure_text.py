@@ -5,20 +5,17 @@ import pty
 import re
 import shutil
 import subprocess
-import sys
 import threading
 import time
 import tty
 from pathlib import Path
 
 import pytest
+from pressure_rig import connected, raised_by, raises_old, reaches, until
 
 from lerobot_robot_pneutac.hardware.pressure_check import check_pressure_controller
 from lerobot_robot_pneutac.hardware.serial_pressure import Command
 from lerobot_robot_pneutac.hardware.text_serial import TextExchange, TextSerial
-
-sys.path.insert(0, str(Path(__file__).parent))
-from pressure_rig import connected, raised_by, raises_old, reaches, until  # noqa: E402
 
 
 class TextRig:

@@ -10,14 +10,12 @@ import numpy as np
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
+from splat_reference import render as reference
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.gaussians import Gaussians
 from pneutac_sim.splat.rasteriser import Splats, _share, _shares, rasterise
-
-sys.path.insert(0, str(Path(__file__).parent))
-from reference import render as reference  # noqa: E402
 
 BACKGROUND = (0.2, 0.5, 0.9)
 LENS = (-0.2, 0.05, 0.003, -0.002, 0.01)
