@@ -7,11 +7,13 @@ import pyarrow.parquet as parquet
 from draccus.utils import DecodingError
 from lerobot.configs import FeatureType, NormalizationMode, PreTrainedConfig
 from lerobot.optim import AdamConfig
+from lerobot.optim.schedulers import CosineDecayWithWarmupSchedulerConfig
 from lerobot.utils.constants import ACTION, OBS_IMAGES, OBS_STATE
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_NAMES, CONTROL_HZ, IMAGE_NAME, IMAGE_SHAPE, STATE_NAMES
 
+MOST_STEPS = 10**9  # LeRobot stretches the fall of the learning rate over a shorter training
 TACTILE = f"{OBS_IMAGES}.{IMAGE_NAME}"
 
 
@@ -30,9 +32,10 @@ class PneutacBCConfig(PreTrainedConfig):
             holding still), lest the policy copies its last action instead of looking.
         pressure_noise_kpa: noise on the sensed pressure while training. The next pressure is nearly the
             present one; a policy that copies it lets small errors add up, and the pressure drifts.
-        brightness_noise_levels: noise on each colour's brightness while training, in levels of 8 bit. Light
-            drifts by more than a simulator's, and a drift is no touch.
-        optimizer_lr: learning rate of Adam.
+        image_noise_levels: noise on the pixels of |tactile - rest| (4 x 4 of the camera's in one) while
+            training, up to so many levels of 8 bit, another strength for each image. A simulator's image is
+            exact, and a policy that was trained on it alone reads a camera's noise as touch.
+        optimizer_lr: learning rate of Adam, where training begins; it falls to zero along a cosine.
         action_feature_names: set by LeRobot from the dataset.
     """
 
@@ -40,7 +43,7 @@ class PneutacBCConfig(PreTrainedConfig):
     control_hz: int = CONTROL_HZ
     previous_action_dropout: float = 0.3
     pressure_noise_kpa: float = 0.75
-    brightness_noise_levels: float = 3.0
+    image_noise_levels: float = 1.0
     optimizer_lr: float = 3e-4
     action_feature_names: list[str] | None = None
     push_to_hub: bool = False
@@ -56,7 +59,7 @@ class PneutacBCConfig(PreTrainedConfig):
                 (),
                 f"--policy.previous_action_dropout is {self.previous_action_dropout}; it must be in [0, 1].",
             )
-        for name in ("pressure_noise_kpa", "brightness_noise_levels"):
+        for name in ("pressure_noise_kpa", "image_noise_levels"):
             if getattr(self, name) < 0:
                 raise DecodingError((), f"--policy.{name} is {getattr(self, name)}; it must not be negative.")
         if self.control_hz <= 0:
@@ -85,9 +88,11 @@ class PneutacBCConfig(PreTrainedConfig):
         """Adam; the gradient is not clipped, its size is that of the loss in mm^2 and kPa^2."""
         return AdamConfig(lr=self.optimizer_lr, grad_clip_norm=0.0)
 
-    def get_scheduler_preset(self) -> None:
-        """A constant learning rate."""
-        return None
+    def get_scheduler_preset(self) -> CosineDecayWithWarmupSchedulerConfig:
+        """Falls to zero with the last step: at a constant rate success differs from one step to another."""
+        return CosineDecayWithWarmupSchedulerConfig(
+            num_warmup_steps=0, num_decay_steps=MOST_STEPS, peak_lr=self.optimizer_lr, decay_lr=0.0
+        )
 
     def validate_features(self) -> None:
         """Raises InputError where the shapes of state, action or tactile image do not fit."""

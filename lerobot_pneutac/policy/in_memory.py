@@ -112,6 +112,7 @@ def train(
     torch.manual_seed(seed)
     order = _batches(np.flatnonzero(~away), batch, np.random.default_rng(seed))
     optimiser = policy.config.get_optimizer_preset().build(policy.get_optim_params())
+    scheduler = policy.config.get_scheduler_preset().build(optimiser, updates)
     every, total, best = max(updates // rows, 1), 0.0, (np.inf, updates, None)
     curve, since = [], 0
     policy.train()
@@ -120,6 +121,7 @@ def train(
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
+        scheduler.step()
         total, since = total + loss.detach(), since + 1
         if update % every and update != updates:
             continue
@@ -135,7 +137,7 @@ def train(
         policy.load_state_dict(best[2])
     policy.eval()
     held_out_loss = float(best[0]) if best[2] is not None else None
-    return Training(curve, best[1], held_out_loss, optimiser.param_groups[0]["lr"])
+    return Training(curve, best[1], held_out_loss, policy.config.optimizer_lr)
 
 
 def save(policy: PneutacBCPolicy, training: Training, folder: str | Path) -> Path:

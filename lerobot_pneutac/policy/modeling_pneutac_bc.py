@@ -194,8 +194,9 @@ class PneutacBCPolicy(PreTrainedPolicy):
             drawn = torch.rand(len(hidden), device=hidden.device)
             hidden = hidden | (drawn < self.config.previous_action_dropout)
             if difference is not None:
-                drift = torch.randn_like(difference[:, :, :1, :1]) / (255 * DIFFERENCE_SCALE)
-                difference = difference + self.config.brightness_noise_levels * drift
+                level = torch.rand_like(difference[:, :1, :1, :1]) / (255 * DIFFERENCE_SCALE)
+                noise = self.config.image_noise_levels * level * torch.randn_like(difference)
+                difference = difference + noise
         previous = torch.where(hidden[:, None], self._hold(state), previous)
         error = self._predict(state, difference, previous) - target
         # Velocity m/s to displacement per step mm.

@@ -10,13 +10,15 @@ from pneutac_sim.features import IMAGE_SHAPE
 EMBEDDING = 64
 POOL = 4  # the difference image is averaged over 4 x 4 pixels
 DIFFERENCE_SCALE = 32 / 255  # a firm touch changes the image by some 32 of 255 levels
+DARK = 8 / 255  # a pixel darker than this tells nothing of the light
 
 
 class TactileEncoder(nn.Module):
     """|image - rest| at 80 x 60, through three strided convolutions to a 64-D embedding.
 
     Pixels are averaged before the sign is dropped: a camera's noise then averages out, where the mean of its
-    absolute value would look like a light touch everywhere.
+    absolute value would look like a light touch everywhere. Each channel of the rest image is brought to the
+    image's brightness first, since light and exposure drift by more than a light touch changes.
 
     Attributes:
         rest_image: (3, 320, 240) in [0, 1]; NaN until it is known.
@@ -44,6 +46,8 @@ class TactileEncoder(nn.Module):
     def difference(self, image: Tensor) -> Tensor:
         """Image less rest (B, 3, 80, 60), of size 1 in a firm touch, of images (B, 3, 320, 240) in [0, 1].
 
+        The brightness is the median ratio to the rest image: a touch covers less than half of the image.
+
         Raises:
             InputError: the images have another shape, or there is no rest image.
         """
@@ -56,4 +60,6 @@ class TactileEncoder(nn.Module):
             raise InputError(
                 "The policy has no rest image: train it on a dataset with tactile images or load its weights."
             )
-        return F.avg_pool2d(image - self.rest_image, POOL) / DIFFERENCE_SCALE
+        seen, rest = F.avg_pool2d(image, POOL), F.avg_pool2d(self.rest_image[None], POOL)
+        gain = (seen / rest.clamp_min(DARK)).flatten(2).median(2).values[..., None, None]
+        return (seen - gain * rest) / DIFFERENCE_SCALE

@@ -174,9 +174,7 @@ def test_first_frame_looks_to_training_as_it_does_to_a_fresh_policy():
 
 
 def test_dropout_hides_the_previous_action_in_training_only():
-    policy = make_ready_policy(
-        previous_action_dropout=1.0, pressure_noise_kpa=0.0, brightness_noise_levels=0.0
-    )
+    policy = make_ready_policy(previous_action_dropout=1.0, pressure_noise_kpa=0.0, image_noise_levels=0.0)
     batch = make_batch()
     other = {**batch, ACTION: batch[ACTION].clone()}
     other[ACTION][:, 0] = torch.tensor(ACTION_HIGH)
@@ -202,6 +200,19 @@ def test_camera_noise_is_no_touch():
     noisy = rest + 2 / 255 * torch.randn(rest.shape, generator=torch.Generator().manual_seed(0))
     seen = policy.encoder.difference(noisy[None]).abs().mean() * 32  # levels
     assert seen < 0.35 * 2 * np.sqrt(2 / np.pi)  # of the mean that single pixels would have
+
+
+def test_a_drift_of_the_light_is_no_touch_and_hides_none():
+    encoder = make_ready_policy().encoder
+    rest = encoder.rest_image
+    touched = rest.clone()
+    touched[:, 100:200, 60:160] += torch.tensor([20.0, -15.0, 10.0])[:, None, None] / 255
+    drift = torch.tensor([1.04, 0.97, 1.02])[:, None, None]
+    dark, shown = encoder.difference(torch.stack([rest * drift, touched * drift])) * 32  # levels
+    assert dark.abs().max() < 0.01
+    expected = encoder.difference(touched[None])[0] * 32
+    np.testing.assert_allclose(shown, (expected * drift).numpy(), atol=0.02)
+    assert expected.abs().max() > 19
 
 
 def test_a_loss_that_is_not_finite_stops_the_training():
