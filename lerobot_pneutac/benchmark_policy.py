@@ -72,7 +72,7 @@ class BenchmarkPolicyConfig:
     finetune_updates: int = 2000
     batch: int = 64
     lr: float = 3e-4
-    finetune_lr: float = 1e-4
+    finetune_lr: float = 3e-5
     select: str = "last"
     ppo_steps: int = 400_000
     device: str | None = None

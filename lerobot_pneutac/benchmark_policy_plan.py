@@ -17,7 +17,7 @@ COST_S = {
 }
 # Starts of a unit's trials or training derive from seed, task and purpose, so that no two share one.
 PURPOSES = ("real", "more", "augmented", "naive", "ppo", "student", "network")
-TEST_START = 2**30  # the trials' starts follow one another from here, above all others
+TEST_START = 5 * 2**28  # the trials' starts follow one another from here, above all others
 MAX_TRIALS, MAX_SEED = 1000, 10**5
 
 

@@ -32,7 +32,9 @@ class PneutacBCConfig(PreTrainedConfig):
             holding still), lest the policy copies its last action instead of looking.
         pressure_noise_kpa: noise on the sensed pressure while training. The next pressure is nearly the
             present one; a policy that copies it lets small errors add up, and the pressure drifts.
-        image_noise_levels: noise on the pixels of |tactile - rest| (4 x 4 of the camera's in one) while
+        brightness_noise_levels: noise on each colour's brightness while training, in levels of 8 bit, against
+            what is left of a drift of the light.
+        pixel_noise_levels: noise on the pixels of |tactile - rest| (4 x 4 of the camera's in one) while
             training, up to so many levels of 8 bit, another strength for each image. A simulator's image is
             exact, and a policy that was trained on it alone reads a camera's noise as touch.
         optimizer_lr: learning rate of Adam, where training begins; it falls to zero along a cosine.
@@ -43,7 +45,8 @@ class PneutacBCConfig(PreTrainedConfig):
     control_hz: int = CONTROL_HZ
     previous_action_dropout: float = 0.3
     pressure_noise_kpa: float = 0.75
-    image_noise_levels: float = 1.0
+    brightness_noise_levels: float = 3.0
+    pixel_noise_levels: float = 1.0
     optimizer_lr: float = 3e-4
     action_feature_names: list[str] | None = None
     push_to_hub: bool = False
@@ -59,7 +62,7 @@ class PneutacBCConfig(PreTrainedConfig):
                 (),
                 f"--policy.previous_action_dropout is {self.previous_action_dropout}; it must be in [0, 1].",
             )
-        for name in ("pressure_noise_kpa", "image_noise_levels"):
+        for name in ("pressure_noise_kpa", "brightness_noise_levels", "pixel_noise_levels"):
             if getattr(self, name) < 0:
                 raise DecodingError((), f"--policy.{name} is {getattr(self, name)}; it must not be negative.")
         if self.control_hz <= 0:

@@ -194,9 +194,10 @@ class PneutacBCPolicy(PreTrainedPolicy):
             drawn = torch.rand(len(hidden), device=hidden.device)
             hidden = hidden | (drawn < self.config.previous_action_dropout)
             if difference is not None:
-                level = torch.rand_like(difference[:, :1, :1, :1]) / (255 * DIFFERENCE_SCALE)
-                noise = self.config.image_noise_levels * level * torch.randn_like(difference)
-                difference = difference + noise
+                drift = self.config.brightness_noise_levels * torch.randn_like(difference[:, :, :1, :1])
+                grain = self.config.pixel_noise_levels * torch.rand_like(difference[:, :1, :1, :1])
+                noise = drift + grain * torch.randn(difference.shape, device=difference.device)
+                difference = difference + noise / (255 * DIFFERENCE_SCALE)
         previous = torch.where(hidden[:, None], self._hold(state), previous)
         error = self._predict(state, difference, previous) - target
         # Velocity m/s to displacement per step mm.

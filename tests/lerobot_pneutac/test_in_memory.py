@@ -101,6 +101,7 @@ def test_loss_and_gradients_are_those_of_forward(data, frames, use_tactile):
     difference = torch.from_numpy(frames.difference[rows]).float() if use_tactile else None
     loss, terms, gradients = run(lambda: policy(batch))
     loss_m, terms_m, gradients_m = run(lambda: policy.loss(*arrays, difference))
+    # The images are kept in half precision.
     assert loss_m == pytest.approx(loss, rel=1e-4) and terms_m == pytest.approx(terms, rel=1e-4)
     for a, b in zip(gradients, gradients_m, strict=True):
         assert a.abs().max() > 0 and torch.allclose(a, b, rtol=1e-3, atol=1e-4 * a.abs().max().item())

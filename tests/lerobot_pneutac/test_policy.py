@@ -174,7 +174,12 @@ def test_first_frame_looks_to_training_as_it_does_to_a_fresh_policy():
 
 
 def test_dropout_hides_the_previous_action_in_training_only():
-    policy = make_ready_policy(previous_action_dropout=1.0, pressure_noise_kpa=0.0, image_noise_levels=0.0)
+    policy = make_ready_policy(
+        previous_action_dropout=1.0,
+        pressure_noise_kpa=0.0,
+        brightness_noise_levels=0.0,
+        pixel_noise_levels=0.0,
+    )
     batch = make_batch()
     other = {**batch, ACTION: batch[ACTION].clone()}
     other[ACTION][:, 0] = torch.tensor(ACTION_HIGH)
