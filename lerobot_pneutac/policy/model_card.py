@@ -123,7 +123,8 @@ def _training(
     if config.pretrained_path and not Path(config.pretrained_path).is_dir():
         lines.append(f"- Fine-tuned from: `{Path(config.pretrained_path).as_posix()}`")
     lines.append(
-        f"- Loss: squared error of displacement (mm^2) and pressure (kPa^2), Adam, lr {config.optimizer_lr:g}"
+        "- Loss: squared error of displacement (mm^2) and pressure (kPa^2), Adam, lr"
+        f" {config.optimizer_lr:g} falling to 0 along a cosine"
     )
     return "## Training\n\n" + "\n".join(lines)
 
@@ -175,7 +176,7 @@ lerobot-eval --policy.path=THIS --env.type=pneutac --env.task=switch --eval.n_ep
 lerobot-rollout --strategy.type=base --policy.path=THIS --robot.type=pneutac_sim --robot.id=twin \\
   --fps={config.control_hz} --task="{task}" --duration=20
 
-lerobot-train --policy.path=THIS --policy.optimizer_lr=1e-4 --dataset.repo_id=YOU/YOUR_DEMONSTRATIONS \\
+lerobot-train --policy.path=THIS --policy.optimizer_lr=3e-5 --dataset.repo_id=YOU/YOUR_DEMONSTRATIONS \\
   --output_dir=outputs/fine_tuned --steps=500
 ```"""
 

@@ -220,6 +220,43 @@ def test_a_drift_of_the_light_is_no_touch_and_hides_none():
     assert expected.abs().max() > 19
 
 
+def test_noise_on_images_is_of_pixels_and_of_brightness_in_training_only():
+    batch = make_batch()
+    state, previous = batch[OBS_STATE], torch.zeros(len(batch[OBS_STATE]), 4)
+    hidden = torch.zeros(len(state), dtype=torch.bool)
+    still = torch.zeros(len(state), 3, 80, 60)
+    for levels, training, (pixels, brightness) in (
+        ((1.0, 0.0), True, (0.577, 0.0)),  # root of the mean of u^2, u uniform in [0, 1]
+        ((0.0, 3.0), True, (0.0, 3.0)),
+        ((1.0, 3.0), False, (0.0, 0.0)),
+    ):
+        policy = make_ready_policy(pixel_noise_levels=levels[0], brightness_noise_levels=levels[1])
+        policy.train(training)
+        seen = []
+        policy.encoder.register_forward_pre_hook(lambda _, given, seen=seen: seen.append(32 * given[0]))
+        torch.manual_seed(0)
+        for _ in range(200):
+            policy.loss(state, previous, hidden, previous, still)
+        seen = torch.cat(seen)
+        mean = seen.mean((2, 3), keepdim=True)
+        assert mean.square().mean().sqrt() == pytest.approx(brightness, rel=0.06, abs=0.02)
+        assert (seen - mean).square().mean().sqrt() == pytest.approx(pixels, rel=0.06, abs=1e-6)
+
+
+@pytest.mark.parametrize("steps", [40, 1000])
+def test_the_learning_rate_falls_to_zero_with_the_last_step(steps):
+    policy = make_ready_policy(optimizer_lr=2e-4)
+    optimiser = policy.config.get_optimizer_preset().build(policy.get_optim_params())
+    scheduler = policy.config.get_scheduler_preset().build(optimiser, steps)
+    rates = []
+    for _ in range(steps):
+        rates.append(optimiser.param_groups[0]["lr"])
+        optimiser.step()
+        scheduler.step()
+    assert rates[0] == pytest.approx(2e-4) and rates[steps // 2] == pytest.approx(1e-4, rel=0.1)
+    assert optimiser.param_groups[0]["lr"] < 1e-8 and np.all(np.diff(rates) <= 0)
+
+
 def test_a_loss_that_is_not_finite_stops_the_training():
     batch = make_batch()
     batch[OBS_STATE][1, 3] = torch.nan
