@@ -197,7 +197,7 @@ def test_a_killed_benchmark_goes_on_and_writes_its_tables(tmp_path, capsys):
     assert trained["training"]["curve"][-1]["update"] == 10
     assert len(trained["held_out_episodes"]) == 1
     assert (Path(trained["checkpoint"]) / "model.safetensors").is_file()
-    assert (trained["pretraining"]["lr"], trained["training"]["lr"]) == (3e-4, 1e-4)
+    assert (trained["pretraining"]["lr"], trained["training"]["lr"]) == (3e-4, 3e-5)
     alone = result["units"]["switch/0/real_policy"]["result"]
     assert alone["training"]["lr"] == 3e-4
     assert "pretraining" not in alone and alone["training"]["curve"][-1]["update"] == 40
