@@ -46,7 +46,7 @@ class BenchmarkPolicyConfig:
         pretrain_updates: gradient steps before fine-tuning.
         finetune_updates: of fine-tuning; conditions without pre-training make all on their data.
         batch: samples of a gradient step.
-        lr: learning rate of Adam.
+        lr: learning rate of Adam, where each stage begins.
         finetune_lr: the same while fine-tuning: lower, lest few demonstrations make the many forgotten.
         select: `last`, the weights after the last update; `held_out`, those with the lowest loss on a tenth
             of the demonstrations, at least one, which are then not trained on.

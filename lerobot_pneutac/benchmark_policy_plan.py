@@ -17,7 +17,8 @@ COST_S = {
 }
 # Starts of a unit's trials or training derive from seed, task and purpose, so that no two share one.
 PURPOSES = ("real", "more", "augmented", "naive", "ppo", "student", "network")
-TEST_START = 5 * 2**28  # the trials' starts follow one another from here, above all others
+# The trials' starts follow one another from here, above all others; options are chosen by 2**30 on.
+TEST_START = 5 * 2**28
 MAX_TRIALS, MAX_SEED = 1000, 10**5
 
 

@@ -13,7 +13,7 @@ from lerobot.utils.constants import ACTION, OBS_IMAGES, OBS_STATE
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_NAMES, CONTROL_HZ, IMAGE_NAME, IMAGE_SHAPE, STATE_NAMES
 
-MOST_STEPS = 10**9  # LeRobot stretches the fall of the learning rate over a shorter training
+MOST_STEPS = 10**9  # LeRobot fits the fall of the learning rate into the steps that there are
 TACTILE = f"{OBS_IMAGES}.{IMAGE_NAME}"
 
 
@@ -65,6 +65,8 @@ class PneutacBCConfig(PreTrainedConfig):
         for name in ("pressure_noise_kpa", "brightness_noise_levels", "pixel_noise_levels"):
             if getattr(self, name) < 0:
                 raise DecodingError((), f"--policy.{name} is {getattr(self, name)}; it must not be negative.")
+        if not self.optimizer_lr > 0:
+            raise DecodingError((), f"--policy.optimizer_lr is {self.optimizer_lr}; it must be positive.")
         if self.control_hz <= 0:
             raise DecodingError((), f"--policy.control_hz is {self.control_hz}; it must be positive.")
         if any(mode is not NormalizationMode.IDENTITY for mode in self.normalization_mapping.values()):

@@ -31,8 +31,7 @@ class Frames:
         previous: float32 (N, 4), the action of the frame before; at an episode's start its own.
         first: bool (N,), whether an episode starts there.
         episode: (N,) number of the episode, counted over all datasets.
-        difference: float16 (N, 3, 80, 60), see `TactileEncoder.difference`, whose steps of 1/1024 it keeps up
-            to 2; None without touch.
+        difference: float16 (N, 3, 80, 60), see `TactileEncoder.difference`; None without touch.
         rest: float32 (3, 320, 240), the rest image of the data; None without touch.
         demonstrations: what a model card says of them.
     """

@@ -33,7 +33,7 @@ class Training:
             training) and, where episodes are held out, `held_out`, the loss on them without that noise.
         best: update whose weights the policy has now.
         held_out: loss of these weights on the episodes held out; None where there are none.
-        lr: learning rate of the optimiser.
+        lr: learning rate of the optimiser at the beginning.
     """
 
     curve: list[dict]

@@ -11,6 +11,7 @@ EMBEDDING = 64
 POOL = 4  # the difference image is averaged over 4 x 4 pixels
 DIFFERENCE_SCALE = 32 / 255  # a firm touch changes the image by some 32 of 255 levels
 DARK = 8 / 255  # a pixel darker than this tells nothing of the light
+DRIFT = 0.5, 2.0  # of brightness; beyond these a camera is covered, which must not look like no touch
 
 
 class TactileEncoder(nn.Module):
@@ -61,5 +62,5 @@ class TactileEncoder(nn.Module):
                 "The policy has no rest image: train it on a dataset with tactile images or load its weights."
             )
         seen, rest = F.avg_pool2d(image, POOL), F.avg_pool2d(self.rest_image[None], POOL)
-        gain = (seen / rest.clamp_min(DARK)).flatten(2).median(2).values[..., None, None]
+        gain = (seen / rest.clamp_min(DARK)).flatten(2).median(2).values.clamp(*DRIFT)[..., None, None]
         return (seen - gain * rest) / DIFFERENCE_SCALE

@@ -96,6 +96,8 @@ def test_config_survives_saving_and_loading(tmp_path):
     [
         ({"previous_action_dropout": 1.5}, "previous_action_dropout is 1.5"),
         ({"pressure_noise_kpa": -1.0}, "pressure_noise_kpa is -1.0"),
+        ({"pixel_noise_levels": -1.0}, "pixel_noise_levels is -1.0"),
+        ({"optimizer_lr": 0.0}, "optimizer_lr is 0.0"),
         ({"control_hz": 0}, "control_hz is 0"),
         ({"normalization_mapping": {"STATE": NormalizationMode.MEAN_STD}}, "must be IDENTITY"),
     ],
@@ -218,6 +220,12 @@ def test_a_drift_of_the_light_is_no_touch_and_hides_none():
     expected = encoder.difference(touched[None])[0] * 32
     np.testing.assert_allclose(shown, (expected * drift).numpy(), atol=0.02)
     assert expected.abs().max() > 19
+
+
+def test_a_covered_camera_does_not_look_untouched():
+    encoder = make_ready_policy().encoder
+    dark = encoder.difference(0.02 * encoder.rest_image[None]).abs().mean()
+    assert dark > 0.4 * (encoder.rest_image.mean() / modeling.DIFFERENCE_SCALE)
 
 
 def test_noise_on_images_is_of_pixels_and_of_brightness_in_training_only():
