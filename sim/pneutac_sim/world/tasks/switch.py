@@ -42,7 +42,7 @@ class SwitchTask(Task):
     well_rad: float = 0.4
     tilt_rad: float = 0.3
     bar_half_m: float = 0.012
-    play_nm_per_rad: float = 0.06
+    play_nm_per_rad: float = 0.12
     limit_n: float = 8.0
     spread_x_m: float = 0.040
     spread_y_m: float = 0.032
