@@ -37,6 +37,12 @@ def write_augment_report(cfg, summary: dict, references: list[Reference]) -> Pat
         + " mm (standard deviation in x / y / z); objects and reference trajectories were moved together by"
         " as much in x and y."
     )
+    late = {line["late_commands"] for line in summary["provenance"] if "late_commands" in line}
+    if late:
+        report.text(
+            "Until the touch the recorded paths fit the twin best where commands act"
+            f" {max(late)} control steps late; so they do in the new demonstrations."
+        )
     rows = [{"variants": "kept", "number": summary["kept"]}]
     rows += [{"variants": f"rejected: {r}", "number": n} for r, n in summary["rejected"].items()]
     report.table(rows, "Yield")

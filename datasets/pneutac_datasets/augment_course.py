@@ -11,7 +11,7 @@ import numpy as np
 from pneutac_datasets.augment_reference import FIRM, Reference
 
 EARLY = 16  # control steps by which a touch may go before the demonstrated one
-LATE_TOUCH, LATE_RELEASE = 8, 24  # and after it: who goes on for long has missed the object
+LATE_TOUCH, LATE_RELEASE = 8, 30  # and after it: who goes on for long has missed the object
 GONE = 2  # frames without touch after which it is over
 BUMP = 6  # frames; shorter contacts need not come
 

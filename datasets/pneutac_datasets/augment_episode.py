@@ -8,7 +8,7 @@ import numpy as np
 
 from pneutac_datasets.augment_course import Course
 from pneutac_datasets.augment_reference import EXTRA_STEPS, Reference, onset_sigma_m
-from pneutac_datasets.augment_scene import Scene, find_scene, follow
+from pneutac_datasets.augment_scene import Scene, command_latency, find_scene, follow
 from pneutac_datasets.planner import CemPlanner, PlannerConfig
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, CONTROL_HZ, STATE_NAMES
@@ -23,14 +23,14 @@ FEED_FORWARD_M_S = 0.01  # velocity added along the motion in contact for a fric
 PEAK_KPA = 0.5  # of the peak pressure
 BEND_GAIN = 0.04  # of the factor on pressure to bend
 ASIDE_M = 0.005  # of the object's place along y, at most: the way there stays, and a gel is 16 mm wide
-LATE = 1  # control steps by which commands act, and touch is shown, too late, at most
+LATE = 1  # control steps by which touch is shown too late, at most
 # On the free way the hand is carried aside, and led back: what a policy must do that errs itself. Its height
 # stays, by which many a contact is met at all.
 START_M = 0.004  # standard deviation of the start
 PUSH_M_S, PUSH_S = 0.015, 0.5  # standard deviation and correlation time of the velocity that carries it aside
 SHORTEST = 8  # control steps; what is done sooner was done by where the object stood
 IN_THE_WAY = "the object stood where the hand starts"
-TRIES = 3  # variants of one reference before another one gets its turn
+TRIES = 10  # variants of one reference before another one gets its turn
 
 
 @dataclass(frozen=True)
@@ -54,8 +54,8 @@ class AugmentSetup:
     fidelity: str
     planner: PlannerConfig
     seed: int
-    attempts: int = 10
-    candidates: int = 12
+    attempts: int = 30
+    candidates: int = 48
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,8 @@ class Variant:
         friction: factor on the gel's friction.
         peak_kpa: added to the peak pressure, and in proportion below it.
         bend_gain: factor on pressure to bend.
-        late_commands, late_touch: latencies in control steps, which no bench recording tells.
+        late_commands: control steps by which commands act too late, as they did in the demonstrations.
+        late_touch: control steps by which touch is shown too late, which no recording tells.
     """
 
     source: int
@@ -82,7 +83,9 @@ class Variant:
     late_touch: int = 0
 
     @classmethod
-    def draw(cls, source: int, sigma_m: np.ndarray, rng: np.random.Generator) -> "Variant":
+    def draw(
+        cls, source: int, sigma_m: np.ndarray, late_commands: int, rng: np.random.Generator
+    ) -> "Variant":
         """A variant of a reference; factors stay within two standard deviations."""
         friction, peak, gain = np.clip(rng.standard_normal(3), -2, 2)
         sigma_m = np.array([sigma_m[0], min(sigma_m[1], ASIDE_M), 0.0])
@@ -93,7 +96,8 @@ class Variant:
             float(1 + FRICTION * friction),
             float(PEAK_KPA * peak),
             float(1 + BEND_GAIN * gain),
-            *rng.integers(0, LATE + 1, 2).tolist(),
+            late_commands,
+            int(rng.integers(0, LATE + 1)),
         )
 
 
@@ -130,11 +134,13 @@ class Generator:
         self.world = VariedWorld(s.task, twin, touch=self.touch, fidelity=s.fidelity)
         self.gantry = Gantry(self.world)
         self.sigma_m = onset_sigma_m(s.references)
+        self.late_commands = command_latency(self.world, self.gantry, s.references)
 
     def scene(self, source: int) -> Scene:
         """Where the object stood in a reference."""
+        s = self.setup
         return find_scene(
-            self.world, self.gantry, self.setup.references[source], self.setup.seed, self.setup.candidates
+            self.world, self.gantry, s.references[source], s.seed, s.candidates, self.late_commands
         )
 
     def episode(self, index: int, scenes: list[Scene]) -> tuple[Trial, dict]:
@@ -155,7 +161,7 @@ class Generator:
         for attempt in range(s.attempts):
             rng = np.random.default_rng([s.seed, index, attempt])
             source = (index + attempt // TRIES) % len(scenes)
-            variant = Variant.draw(source, self.sigma_m, rng)
+            variant = Variant.draw(source, self.sigma_m, self.late_commands, rng)
             trial = self.carry_out(variant, scenes[source], rng)
             where = {"source_episode": s.references[source].source, **asdict(variant)}
             if trial.reason is None:

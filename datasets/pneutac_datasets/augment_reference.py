@@ -10,6 +10,7 @@ from pneutac_sim.features import CONTROL_HZ
 EXTRA_STEPS = 15  # frames by which a demonstration goes on where the task is about to be done
 MARGIN = 4  # frames before the first and after the last contact that still count as contact phase
 FIRM = 0.15  # of a contact's largest area; what is smaller, and comes last, only brushes
+VENTED = 0.5  # of the highest pressure commanded in a contact; who commands less lets go
 LOSS = 8  # frames without touch that still belong to a contact
 
 
@@ -68,14 +69,17 @@ class Reference:
     def contacts(self) -> list[tuple[int, int]]:
         """First frame of each contact and that of its release; short losses of touch do not part them.
 
-        The release is where the area falls below `FIRM` of its largest: what follows only brushes.
+        The release is where the area falls below `FIRM` of its largest, as what follows only brushes, or
+        where the demonstration lets the air out, whatever the finger brushes on its way back.
         """
         frames = np.flatnonzero(self.area > 0)
         found = []
         for part in np.split(frames, np.flatnonzero(np.diff(frames) > LOSS) + 1):
             if len(part):
                 firm = self.area[part] >= FIRM * self.area[part].max()
-                found.append((int(part[0]), int(part[np.flatnonzero(firm)[-1]]) + 1))
+                pressure = self.action[part[0] : part[np.flatnonzero(firm)[-1]] + 1, 3]
+                vented = np.flatnonzero(pressure < VENTED * np.maximum.accumulate(pressure))
+                found.append((int(part[0]), int(part[0] + (vented[0] if len(vented) else len(pressure)))))
         return found
 
     @property

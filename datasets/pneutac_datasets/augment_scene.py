@@ -1,28 +1,34 @@
 """Where the object stood in a demonstration: it is not recorded, but the touch tells.
 
-Candidate scenes are drawn from the task. In each the object is moved along the gel's view until it is
-just felt at the frame of the recorded onset, with the recorded area; then the demonstration is replayed, and
-the scene in which it does the task with the contact areas nearest to the recorded ones is taken.
+Scenes are drawn from the task. In each the object is moved along the gel's view to where the gel, on the
+recorded way, feels it at the recorded onset, or nearer, as the finger gives way before its gel feels it.
+There the demonstration is replayed. About those scenes in which it does the task, with contact areas near the
+recorded ones, it is tried anew a few millimetres beside; the scene in the middle of the most that work is
+taken: a demonstration that succeeded hardly did so by a millimetre.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-import mujoco
 import numpy as np
 
-from pneutac_datasets.augment_reference import EXTRA_STEPS, Reference
+from pneutac_datasets.augment_reference import EXTRA_STEPS, FIRM, Reference
 from pneutac_sim.features import ACTION_HIGH, ACTION_LOW
 from pneutac_sim.world.gantry import Gantry
 from pneutac_sim.world.varied import Variation, VariedWorld
 from pneutac_sim.world.world import DT
 
 REACH_M = 0.08  # how far the object is moved at most
-YIELDING_M = 0.04  # how far the finger may give way before its gel feels what its edge has touched
+YIELDING_M = 0.03  # how far the finger may give way before its gel feels what its edge has touched
 FEEDBACK_HZ = 2.0  # rate at which the path returns to the demonstrated one
 AWAY_M = (0.0, 0.0, -5.0)  # out of everything's way
-NUDGES_M = (0.002, 0.001, 0.0005, 0.00025)  # last trials, along the gel's view: imprints are tenths of mm
+LANE_STEPS = 30  # where the gel passed longer before the recorded onset it met nothing
+EARLY_STEPS = 5  # a firm touch that comes so much before the recorded one is that of an object elsewhere
+DRAWS = 8  # scenes drawn for each in which the gel reaches an object at all
+PARENTS, CHILDREN = (6, 3), 8  # scenes of each round about which others are tried, and how many about each
+SPREAD_M = 0.004  # standard deviation of their displacement
 FINALISTS = 3  # scenes of the reduced world that are tried in the full one
-SIDESTEP_M = 0.005  # and across it
+NUDGES_M = (0.002, 0.001, 0.0005, 0.00025)  # last trials where none of them works, along the gel's view
+MOST_LATE, TELLING = 4, 40  # control steps: the latencies tried, and the frames of a free way that tell them
 
 
 @dataclass(frozen=True)
@@ -56,7 +62,29 @@ def follow(action: np.ndarray, flange_m: np.ndarray, goal_m: np.ndarray) -> np.n
     return np.clip(out, ACTION_LOW, ACTION_HIGH)
 
 
-def find_scene(world: VariedWorld, gantry: Gantry, reference: Reference, seed: int, candidates: int) -> Scene:
+def command_latency(world: VariedWorld, gantry: Gantry, references: list[Reference]) -> int:
+    """Control steps by which commands acted too late in demonstrations, as their free ways tell.
+
+    Args:
+        world: any state; it is reset.
+        gantry: its gantry.
+        references: the demonstrations.
+    """
+    errors = np.zeros(MOST_LATE + 1)
+    for late in range(len(errors)):
+        for r in references:
+            actions = np.clip(r.action[: min(r.onset, TELLING)], ACTION_LOW, ACTION_HIGH)
+            world.variation = Variation(tuple(r.flange_m[0]), AWAY_M, late_commands=late)
+            world.reset(0)
+            gantry.mirror(world)
+            moved = gantry.rollout(actions)[0] - world.flange_m
+            errors[late] += np.sum((moved - (r.flange_m[1 : len(moved) + 1] - r.flange_m[0])) ** 2)
+    return int(np.argmin(errors))
+
+
+def find_scene(
+    world: VariedWorld, gantry: Gantry, reference: Reference, seed: int, candidates: int, late: int = 0
+) -> Scene:
     """The scene of a demonstration; see the module's text.
 
     Args:
@@ -65,89 +93,138 @@ def find_scene(world: VariedWorld, gantry: Gantry, reference: Reference, seed: i
         reference: the demonstration.
         seed: decides the candidates.
         candidates: number of scenes drawn.
+        late: control steps by which commands acted too late.
     """
     rng = np.random.default_rng([seed, reference.source, 7])
-    reference = reference.prolonged(EXTRA_STEPS)
-    start = tuple(reference.flange_m[0])
-    onset = max(reference.onset, 1)
-    world.variation = Variation(start, AWAY_M)
-    world.reset(int(rng.integers(2**31)))
-    gantry.mirror(world)
-    gantry.rollout(follow(reference.action[:onset], world.flange_m, reference.flange_m[0]))
-    gel = gantry.gel_m, gantry.data.site("gel").xmat.copy()
-    # The recorded path, not the replayed one, says where the gel was.
-    gel = gel[0] + reference.flange_m[onset] - gantry.flange_m, gel[1]
+    replays = _Replays(world, gantry, reference.prolonged(EXTRA_STEPS), late)
+    way = replays.free_way(int(rng.integers(2**31)))
     # Objects stand on the table, so they are moved on it, the way that the gel looks.
-    forward = gel[1].reshape(3, 3)[:, 2] * (1, 1, 0)
+    forward = way[-1][1].reshape(3, 3)[:, 2] * (1, 1, 0)
     forward /= max(np.linalg.norm(forward), 1e-9)
-
-    first, end = reference.contact_phase
-
-    def replay(scene_seed: int, shift: np.ndarray, reduced: bool = False) -> Scene:
-        world.variation = Variation(start, tuple(shift.tolist()))
-        world.reset(scene_seed)
-        if world.blocked:
-            return Scene(scene_seed, tuple(shift.tolist()), False, 1.0)
-        if reduced:
-            gantry.mirror(world)
-            actions = follow(reference.action, world.flange_m, reference.flange_m[0])
-            _, area = gantry.rollout(actions)
-            done, spoilt = gantry.success, gantry.failure
-        else:
-            area, spoilt = np.zeros(len(reference)), None
-            for t, action in enumerate(reference.action):
-                world.step(follow(action[None], world.flange_m, reference.flange_m[t])[0])
-                area[t], spoilt = world.touch.area, spoilt or world.failure
-            done = world.success
-        error = area[first : end - 1] - reference.area[first + 1 : end]
-        rmse = float(np.sqrt(np.mean(error**2)))
-        return Scene(scene_seed, tuple(shift.tolist()), bool(done and spoilt is None), rmse)
-
-    def touched(scene_seed: int, shift: np.ndarray) -> bool:
-        world.variation = Variation(start, tuple(shift.tolist()))
-        world.reset(scene_seed)
-        gantry.mirror(world)
-        actions = follow(reference.action[:onset], world.flange_m, reference.flange_m[0])
-        return gantry.rollout(actions)[1].max() >= reference.area[onset]
+    across = np.array([-forward[1], forward[0], 0.0])
 
     scenes = []
-    for scene_seed in rng.integers(2**31, size=candidates):
-        world.variation = Variation(start)
-        world.reset(int(scene_seed))
-        far = _touching_distance(world, gel, forward, reference.area[onset])
-        if far is None:
+    for scene_seed in rng.integers(2**31, size=DRAWS * candidates).tolist():
+        gantry.stage(scene_seed, (0.0, 0.0, 0.0))
+        far = _touching_distance(gantry, way[-1], forward, reference.area[replays.onset])
+        if far is None or any(_felt(gantry, gel, far * forward) for gel in way[:-LANE_STEPS]):
             continue
-        near = far - YIELDING_M
-        while far - near > 1e-4:
-            middle = (near + far) / 2
-            near, far = (middle, far) if touched(int(scene_seed), middle * forward) else (near, middle)
-        scenes.append(replay(int(scene_seed), near * forward, reduced=True))
+        scenes.append(replays.reduced(scene_seed, (far - YIELDING_M * rng.uniform()) * forward))
+        if len(scenes) == candidates:
+            break
     if not scenes:
-        scenes.append(replay(int(rng.integers(2**31)), np.zeros(3), reduced=True))
-    finalists = sorted(scenes, key=_rank)[:FINALISTS]
-    best = min((replay(s.seed, np.array(s.shift_m)) for s in finalists), key=_rank)
-    across = np.array([-forward[1], forward[0], 0.0])
-    for move in (SIDESTEP_M * across, *(nudge * forward for nudge in NUDGES_M)):
-        best = min([best, *(replay(best.seed, best.shift_m + sign * move) for sign in (-1, 1))], key=_rank)
+        scenes.append(replays.reduced(int(rng.integers(2**31)), np.zeros(3)))
+    scenes.sort(key=_rank)
+    for parents in PARENTS:
+        steady = []
+        for scene in scenes[:parents]:
+            moved = rng.normal(0, SPREAD_M, (CHILDREN, 2)) @ [forward, across] + scene.shift_m
+            working = [s for s in (replays.reduced(scene.seed, shift) for shift in moved) if s.works]
+            if working:
+                middle = tuple(np.mean([s.shift_m for s in working], 0).tolist())
+                rmse = np.mean([s.area_rmse for s in working])
+                steady.append((-len(working), rmse, replace(scene, shift_m=middle)))
+        scenes = [s for *_, s in sorted(steady, key=lambda s: s[:2])] or scenes
+    tried = []
+    for scene in scenes[:FINALISTS]:
+        tried.append(replays.full(scene.seed, np.array(scene.shift_m)))
+        if tried[-1].works:
+            return tried[-1]
+    best = min(tried, key=_rank)
+    for nudge in NUDGES_M:
+        moved = (best.shift_m + sign * nudge * forward for sign in (-1, 1))
+        best = min([best, *(replays.full(best.seed, shift) for shift in moved)], key=_rank)
     return best
+
+
+class _Replays:
+    """A demonstration replayed where its object may have stood, led back to the recorded path.
+
+    Args:
+        world: any state; it is reset.
+        gantry: its gantry.
+        reference: the demonstration.
+        late: control steps by which commands acted too late.
+    """
+
+    def __init__(self, world: VariedWorld, gantry: Gantry, reference: Reference, late: int):
+        self._world, self._gantry, self._reference, self._late = world, gantry, reference, late
+        self.onset = max(reference.onset, 1)
+        self._begin = max(self.onset - LANE_STEPS, 0)
+
+    def free_way(self, seed: int) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Positions (3,) and rotations (9,) of the gel up to the onset.
+
+        The gantry is left where the hand was `LANE_STEPS` before it; `reduced` begins there.
+        """
+        world, r = self._world, self._reference
+        self._reset(seed, AWAY_M)
+        way = []
+        for t in range(self.onset):
+            if t == self._begin:
+                self._gantry.mirror(world)
+            self._step(t)
+            # The recorded path, not the replayed one, says where the gel was.
+            at = world.gel_m + r.flange_m[t + 1] - world.flange_m
+            way.append((at, world.data.site("gel").xmat.copy()))
+        return way
+
+    def reduced(self, seed: int, shift: np.ndarray) -> Scene:
+        """In the gantry, with the object as the task's start `seed` has it, moved by `shift` (3,) m."""
+        g, r, begin = self._gantry, self._reference, self._begin
+        g.stage(seed, shift)
+        if g.blocked:
+            return self._scene(seed, shift, False, np.ones(len(r)))
+        _, area = g.rollout(follow(r.action[begin:], g.flange_m, r.flange_m[begin]))
+        return self._scene(seed, shift, g.success and not g.failure, np.append(np.zeros(begin), area))
+
+    def full(self, seed: int, shift: np.ndarray) -> Scene:
+        """The same in the world, from the start."""
+        world, area, spoilt = self._world, np.ones(len(self._reference)), None
+        self._reset(seed, shift)
+        if world.blocked:
+            return self._scene(seed, shift, False, area)
+        for t in range(len(area)):
+            self._step(t)
+            area[t], spoilt = world.touch.area, spoilt or world.failure
+        return self._scene(seed, shift, world.success and not spoilt, area)
+
+    def _reset(self, seed: int, shift) -> None:
+        start = tuple(self._reference.flange_m[0])
+        self._world.variation = Variation(start, tuple(shift), late_commands=self._late)
+        self._world.reset(seed)
+
+    def _step(self, t: int) -> None:
+        r, world = self._reference, self._world
+        world.step(follow(r.action[t][None], world.flange_m, r.flange_m[t])[0])
+
+    def _scene(self, seed: int, shift: np.ndarray, done: bool, area: np.ndarray) -> Scene:
+        """What came of a replay that felt `area` (T,)."""
+        recorded = self._reference.area
+        first, end = self._reference.contact_phase
+        early = area[: max(self.onset - EARLY_STEPS, 0)].max(initial=0.0) > FIRM * recorded.max()
+        rmse = float(np.sqrt(np.mean((area[first : end - 1] - recorded[first + 1 : end]) ** 2)))
+        return Scene(seed, tuple(shift.tolist()), bool(done and not early), rmse + early)
 
 
 def _rank(scene: Scene) -> tuple[bool, float]:
     return not scene.works, scene.area_rmse
 
 
-def _touching_distance(world: VariedWorld, gel, forward: np.ndarray, area: float) -> float | None:
-    """How far (m) the objects must move along `forward` for the gel at pose `gel` to feel `area`, or None."""
+def _felt(world: Gantry, gel, shift: np.ndarray) -> float:
+    """Contact area that the gel at pose `gel` feels of the objects, moved by `shift`."""
     touch, data = world.touch, world.data
-    mujoco.mj_kinematics(world.model, data)
     felt = touch._felt
-    positions, rotations = data.geom_xpos[felt], data.geom_xmat[felt]
+    positions, rotations = data.geom_xpos[felt] + shift, data.geom_xmat[felt]
+    depth = touch.sensor.probe(touch._kinds, touch._sizes, positions, rotations, *gel)
+    return touch.sensor.contact_from_depth(depth).area if depth.any() else 0.0
+
+
+def _touching_distance(world: Gantry, gel, forward: np.ndarray, area: float) -> float | None:
+    """How far (m) the objects must move along `forward` for the gel at pose `gel` to feel `area`, or None."""
 
     def touches(distance: float) -> bool:
-        depth = touch.sensor.probe(
-            touch._kinds, touch._sizes, positions + distance * forward, rotations, gel[0], gel[1]
-        )
-        return bool(depth.any()) and touch.sensor.contact_from_depth(depth).area >= area
+        return 0 < area <= _felt(world, gel, distance * forward)
 
     far = REACH_M
     while not touches(far - 0.001):

@@ -102,3 +102,14 @@ def test_a_short_bump_need_not_come_and_is_no_contact(reference):
     bumped = Course(reference, 0.0)
     go(bumped, False, 15)
     assert go(bumped, True, 1) == [FIRST]
+
+
+def test_a_contact_ends_where_the_air_is_let_out():
+    """What the finger brushes on its way back, however firmly, is no part of it."""
+    area, action = np.zeros(LENGTH), np.zeros((LENGTH, 4))
+    area[FIRST : END - 5], area[END - 2 : END] = 0.3, 0.2
+    action[FIRST:END, 3] = np.linspace(3, 12, END - FIRST)
+    r = Reference(0, np.zeros((LENGTH, 3)), area, action, "push")
+    assert r.contacts == [(FIRST, END)]
+    action[END - 4 :, 3] = 0.0
+    assert r.contacts == [(FIRST, END - 4)]

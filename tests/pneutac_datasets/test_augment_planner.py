@@ -6,19 +6,19 @@ import pytest
 from pneutac_datasets import augment_episode
 from pneutac_datasets.augment_episode import AugmentSetup, Generator, Variant
 from pneutac_datasets.augment_reference import Reference, onset_sigma_m
-from pneutac_datasets.augment_scene import FEEDBACK_HZ, follow
+from pneutac_datasets.augment_scene import FEEDBACK_HZ, command_latency, follow
 from pneutac_datasets.planner import CemPlanner, PlannerConfig, demonstration_cost
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_HIGH, STATE_NAMES
 from pneutac_sim.world.expert import ScriptedExpert
 from pneutac_sim.world.gantry import Gantry
 from pneutac_sim.world.varied import Variation, VariedWorld
-from pneutac_sim.world.world import World
 
 
-def demonstrate(task: str, seed: int) -> tuple[Reference, bool]:
-    """A scripted demonstration, with ten frames after its end."""
-    world = World(task, touch="area", fidelity="probe")
+def demonstrate(task: str, seed: int, late: int = 0) -> tuple[Reference, bool]:
+    """A scripted demonstration, with ten frames after its end; commands act `late` control steps too late."""
+    world = VariedWorld(task, touch="area", fidelity="probe")
+    world.variation = Variation(late_commands=late)
     observation = world.reset(seed)
     expert, rng = None, np.random.default_rng(seed)
     expert = ScriptedExpert(world, rng)
@@ -35,10 +35,10 @@ def demonstrate(task: str, seed: int) -> tuple[Reference, bool]:
     return r, world.success
 
 
-def demonstrations(task: str, count: int) -> list[Reference]:
+def demonstrations(task: str, count: int, late: int = 0) -> list[Reference]:
     found = []
     for seed in range(1, 12):
-        r, done = demonstrate(task, seed)
+        r, done = demonstrate(task, seed, late)
         if done:
             found.append(r)
         if len(found) == count:
@@ -48,8 +48,8 @@ def demonstrations(task: str, count: int) -> list[Reference]:
 
 @pytest.fixture(scope="module")
 def switch():
-    """Generator with four demonstrations of the switch and their scenes."""
-    setup = AugmentSetup(demonstrations("switch", 4), "switch", None, "probe", PlannerConfig(), 1)
+    """Generator with four demonstrations of the switch, acted late by a control step, and their scenes."""
+    setup = AugmentSetup(demonstrations("switch", 4, late=1), "switch", None, "probe", PlannerConfig(), 1)
     generator = Generator(setup, touch="area")
     return generator, [generator.scene(i) for i in range(4)]
 
@@ -126,6 +126,15 @@ def test_gantry_goes_the_arms_way(task):
     np.testing.assert_array_equal(again[0][1], again[1][1])
     np.testing.assert_allclose(again[0][0], ours[middle : middle + 8, :3], atol=2e-4)
     np.testing.assert_allclose(again[0][1], ours[middle : middle + 8, 3], atol=0.03)
+    # What was sent and acts too late goes first.
+    world.variation = replace(world.variation, late_commands=2)
+    world.reset(r.source)
+    for action in r.action[: middle + 2]:
+        world.step(action)
+    gantry.mirror(world)
+    late = gantry.rollout(r.action[middle + 2 : middle + 10])
+    np.testing.assert_allclose(late[0], ours[middle : middle + 8, :3], atol=2e-4)
+    np.testing.assert_allclose(late[1], ours[middle : middle + 8, 3], atol=0.03)
 
 
 def test_variation_moves_the_object_and_scales_the_bend():
@@ -158,13 +167,52 @@ def test_following_leads_back_to_the_path():
 
 
 def test_the_touch_tells_where_the_object_stood(switch):
-    """Replayed there, they do the task, with touches near the recorded ones; 1 is to feel nothing."""
+    """Replayed there, they do the task, and it is where the object was; 1 is to feel nothing."""
     generator, scenes = switch
     assert all(scene.works for scene in scenes)
     felt = [np.sqrt(np.mean(r.area[slice(*r.contact_phase)] ** 2)) for r in generator.setup.references]
     left = [scene.area_rmse / f for scene, f in zip(scenes, felt, strict=True)]
     assert max(left) < 1
-    assert np.mean(left) < 0.6
+    beside = []
+    for r, scene in zip(generator.setup.references, scenes, strict=True):
+        bars = []
+        for seed, shift in ((r.source, (0.0, 0.0, 0.0)), (scene.seed, scene.shift_m)):
+            generator.world.variation = Variation(shift_m=shift)
+            generator.world.reset(seed)
+            bars.append(generator.world.data.geom("bar").xpos.copy())
+        beside.append(np.linalg.norm(bars[1] - bars[0]))
+    assert max(beside) < 0.015  # where the switch may stand is 80 mm by 64 mm
+    assert np.mean(beside) < 0.010
+
+
+@pytest.mark.parametrize("late", [0, 1, 3])
+def test_the_free_way_tells_how_late_commands_act(late):
+    references = demonstrations("switch", 2, late)
+    world = VariedWorld("switch", touch="area", fidelity="probe")
+    assert command_latency(world, Gantry(world), references) == late
+
+
+def test_what_is_laid_out_around_a_hand_is_what_a_reset_lays_out():
+    """For every task: the object under the hand as at the start, and tried actions meet it alike."""
+    for task in ("switch", "egg", "card"):
+        r = demonstrations(task, 1)[0]
+        world = VariedWorld(task, touch="area", fidelity="probe")
+        gantry, shift = Gantry(world), (0.01, -0.004, 0.0)
+        world.variation = Variation(tuple(r.flange_m[0]), shift)
+        world.reset(r.source)
+        gantry.mirror(world)
+        flange, area = gantry.rollout(r.action)
+        world.variation = Variation(tuple(r.flange_m[0]), (0.0, 0.0, -5.0))
+        world.reset(r.source)  # the same jitter of the hand
+        gantry.mirror(world)
+        assert not gantry.rollout(r.action)[1].any()
+        gantry.stage(77, (0.0, 0.03, 0.0))
+        gantry.rollout(r.action)
+        gantry.stage(r.source, shift)
+        again, felt = gantry.rollout(r.action)
+        n = int(np.flatnonzero(area)[0]) + 5 if area.any() else len(area)
+        np.testing.assert_allclose(again[:n], flange[:n], atol=1e-4)
+        np.testing.assert_allclose(felt[:n], area[:n], atol=0.02)
 
 
 def test_planning_brings_touch_and_path_back_to_the_demonstrated_ones(switch):
@@ -175,7 +223,7 @@ def test_planning_brings_touch_and_path_back_to_the_demonstrated_ones(switch):
     left, left_of_touch = [], []
     for r in generator.setup.references:
         middle = r.onset + 3
-        world.variation = Variation(start_m=tuple(r.flange_m[0]))
+        world.variation = Variation(tuple(r.flange_m[0]), late_commands=generator.late_commands)
         world.reset(r.source)
         for action in r.action[:middle]:
             world.step(action)
@@ -265,6 +313,24 @@ def test_what_is_done_at_once_is_no_demonstration(switch, monkeypatch, steps, sh
     trial = generator.carry_out(variant, scenes[0], np.random.default_rng(0), plan=False)
     assert len(trial.action) == steps
     assert trial.reason == (augment_episode.IN_THE_WAY if short else None)
+
+
+def test_a_demonstration_keeps_its_turn(switch, monkeypatch):
+    """Else those that are hard to vary would be left out, and with them what they alone show."""
+    generator, scenes = switch
+    tried, real = [], generator.carry_out
+    works = [False] * 6 + [True]
+
+    def carry_out(variant, scene, rng):
+        tried.append(variant.source)
+        trial = real(variant, scene, rng, plan=False)
+        return replace(trial, reason=None if works[len(tried) - 1] else "no")
+
+    monkeypatch.setattr(generator, "carry_out", carry_out)
+    _, line = generator.episode(6, scenes)
+    assert tried == [2] * 7
+    assert len(line["rejected"]) == 6
+    assert all(r["late_commands"] == 1 for r in line["rejected"])
 
 
 def test_an_episode_is_a_function_of_seed_and_index(switch):

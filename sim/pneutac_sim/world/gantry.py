@@ -6,6 +6,8 @@ the same ways, because the slides follow their targets with the same lag as the 
 
 import copy
 import time
+from collections import deque
+from dataclasses import replace
 from typing import override
 
 import mujoco
@@ -87,6 +89,9 @@ class Gantry(VariedWorld):
         self._arm, self._spine = slice(0, 3), slice(3, 3 + n)
         self.steps, self.seconds = 0, {"physics": 0.0, "touch": 0.0}
         self._pair(world)
+        root, hand = self.model.body_rootid, self.model.body("gantry").id
+        loose = [j for j in range(self.model.njnt) if root[self.model.jnt_bodyid[j]] != hand]
+        self._loose = [(self.model.joint(j), self.data.joint(j)) for j in loose]
         self.reset(0)
 
     def mirror(self, world: VariedWorld) -> None:
@@ -112,16 +117,40 @@ class Gantry(VariedWorld):
         self._residual_rad = world._drive - self._bend(self.spine_target_rad)
         self._drive = world._drive.copy()
         self._pipeline = _copy(world._pipeline)
+        self._sent = deque(world._sent)
         self._memory = _memory(vars(world.task.inner))
         mujoco.mj_kinematics(self.model, here)
         self.touch.sense(here)
         self._residual_area = world.touch.area - self.touch.area
         self._friction = self.model.dof_frictionloss.copy()
+        self._keep()
+
+    def stage(self, seed: int, shift_m: tuple[float, float, float]) -> None:
+        """Lays the objects out as `reset` does, moved by `shift_m`; the hand stays as it was mirrored.
+
+        Args:
+            seed: of the task's own start.
+            shift_m: displacement (3,) of the objects, metres.
+        """
+        model, here = self.model, self.data
+        mujoco.mj_setState(model, here, self._state, _STATE)
+        for joint, state in self._loose:
+            state.qpos[:], state.qvel[:] = joint.qpos0, 0.0
+        self.task.variation = replace(self.variation, shift_m=shift_m)
+        self.task.reset(model, here, np.random.default_rng(seed))
+        mujoco.mj_forward(model, here)
+        here.qacc_warmstart[:] = 0.0
+        self._friction = model.dof_frictionloss.copy()
+        self._memory = _memory(vars(self.task.inner))
+        self._keep()
+
+    def _keep(self) -> None:
+        """Remembers the state from which `rollout` starts."""
         self._state = np.empty(mujoco.mj_stateSize(self.model, _STATE))
-        mujoco.mj_getState(self.model, here, self._state, _STATE)
+        mujoco.mj_getState(self.model, self.data, self._state, _STATE)
 
     def rollout(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Tries actions from the mirrored state.
+        """Tries actions from the mirrored state; what was sent before and acts too late goes first.
 
         Args:
             actions: (H, 4) as `features.ACTION_NAMES`, within the limits.
@@ -135,7 +164,8 @@ class Gantry(VariedWorld):
         held = self.target_m, self._joints, self.spine_target_rad, self._drive, self._load
         pipeline, target = _copy(self._pipeline), self.target_m
         flange, area = np.empty((len(actions), 3)), np.empty(len(actions))
-        for t, action in enumerate(actions):
+        acting = np.vstack([*self._sent, actions])[: len(actions)]
+        for t, action in enumerate(acting):
             target = np.clip(target + action[:3] * DT, WORKSPACE_LOW, WORKSPACE_HIGH)
             began = time.perf_counter()
             self._advance(target, pipeline.step(action[3], DT))
