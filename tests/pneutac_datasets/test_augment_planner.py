@@ -215,15 +215,15 @@ def test_what_is_laid_out_around_a_hand_is_what_a_reset_lays_out():
         np.testing.assert_allclose(felt[:n], area[:n], atol=0.02)
 
 
-def test_planning_brings_touch_and_path_back_to_the_demonstrated_ones(switch):
+def test_planning_brings_touch_and_path_back_to_the_demonstrated_ones():
     """From the middle of each contact, with a warm start that leaves both."""
-    generator, _ = switch
-    world, gantry, config = generator.world, generator.gantry, PlannerConfig()
+    world, config = VariedWorld("switch", touch="area", fidelity="probe"), PlannerConfig()
+    gantry = Gantry(world)
     touch_alone = replace(config, position_weight=0.0, smoothness_weight=0.0)
     left, left_of_touch = [], []
-    for r in generator.setup.references:
+    for r in demonstrations("switch", 4):
         middle = r.onset + 3
-        world.variation = Variation(tuple(r.flange_m[0]), late_commands=generator.late_commands)
+        world.variation = Variation(start_m=tuple(r.flange_m[0]))
         world.reset(r.source)
         for action in r.action[:middle]:
             world.step(action)
