@@ -91,8 +91,13 @@ def augment(cfg: AugmentConfig, console: Console) -> tuple[dict, list]:
     """
     from pneutac_datasets.augment import augment_guided, augment_without_simulator, read_references
     from pneutac_datasets.augment_episode import AugmentSetup
+    from pneutac_sim.gel.sensor import TactileSensor
+    from pneutac_sim.twin import Twin
 
-    meta, references = read_references(cfg.dataset.root, cfg.dataset.repo_id)
+    sensor = None
+    if cfg.method == "tactile":
+        sensor = TactileSensor(Twin.load(cfg.twin) if cfg.twin else None)
+    meta, references = read_references(cfg.dataset.root, cfg.dataset.repo_id, sensor)
     where = (cfg.output.root, cfg.output.repo_id, cfg.episodes)
     if cfg.method == "naive":
         return augment_without_simulator(meta, *where, cfg.seed), references

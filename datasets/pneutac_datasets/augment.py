@@ -21,20 +21,36 @@ from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
 from lerobot.utils.constants import ACTION, OBS_STATE
 
 from pneutac_datasets.augment_episode import AugmentSetup
-from pneutac_datasets.augment_reference import EXTRA_STEPS, Reference, onset_sigma_m
+from pneutac_datasets.augment_reference import EXTRA_STEPS, Reference, imprint_centres_mm, onset_sigma_m
 from pneutac_datasets.augment_scene import Scene
 from pneutac_datasets.augment_work import Work, begin, make_episode, make_scene
-from pneutac_datasets.demonstrations import AREA, EE, TACTILE, Episode, demonstration_features, save_episode
+from pneutac_datasets.demonstrations import (
+    AREA,
+    EE,
+    TACTILE,
+    Episode,
+    demonstration_features,
+    load_episode,
+    save_episode,
+)
 from pneutac_datasets.naive import augment_naive
 from pneutac_datasets.writing import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import CONTROL_HZ
+from pneutac_sim.gel.sensor import TactileSensor
 
 PROVENANCE = "provenance.jsonl"  # in the dataset's folder `meta`
 
 
-def read_references(root: str | Path, repo_id: str) -> tuple[LeRobotDatasetMetadata, list[Reference]]:
+def read_references(
+    root: str | Path, repo_id: str, sensor: TactileSensor | None = None
+) -> tuple[LeRobotDatasetMetadata, list[Reference]]:
     """The recorded demonstrations, without their images.
+
+    Args:
+        root: folder of the dataset.
+        repo_id: its name.
+        sensor: of the twin; with it the images are read, for the middles of the imprints.
 
     Raises:
         InputError: there is no dataset, its features or rate are not those of the robot, or an episode is
@@ -49,14 +65,18 @@ def read_references(root: str | Path, repo_id: str) -> tuple[LeRobotDatasetMetad
             f"Dataset '{repo_id}' has {meta.fps} fps; the world runs at {CONTROL_HZ}, so record with"
             f" --dataset.fps={CONTROL_HZ}."
         )
-    table = LeRobotDataset(repo_id, root, video_backend="pyav").hf_dataset.with_format("numpy")
+    dataset = LeRobotDataset(repo_id, root, video_backend="pyav")
+    table = dataset.hf_dataset.with_format("numpy")
     state, action = (np.stack(table[k]).astype(float) for k in (OBS_STATE, ACTION))
     references = []
     for i in range(meta.total_episodes):
         row = meta.episodes[i]
         rows = slice(row["dataset_from_index"], row["dataset_to_index"])
         s = state[rows]
-        references.append(Reference(i, s[:, EE], s[:, AREA], action[rows], row["tasks"][0]))
+        r = Reference(i, s[:, EE], s[:, AREA], action[rows], row["tasks"][0])
+        if sensor is not None:
+            r.centre_mm = imprint_centres_mm(load_episode(dataset, i).images, r.area, sensor)
+        references.append(r)
     return meta, references
 
 
@@ -198,7 +218,7 @@ def _run(meta: LeRobotDatasetMetadata, setup: AugmentSetup) -> dict:
     """What must be equal for two runs to make the same demonstrations; their number may differ."""
     digest = hashlib.sha256()
     for r in setup.references:
-        for x in (r.flange_m, r.area, r.action):
+        for x in (r.flange_m, r.area, r.action, r.centre_mm):
             digest.update(np.ascontiguousarray(x).tobytes())
     return {
         "dataset": meta.repo_id,

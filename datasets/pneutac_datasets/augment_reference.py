@@ -6,11 +6,13 @@ import numpy as np
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import CONTROL_HZ
+from pneutac_sim.gel.sensor import TactileSensor, centre_mm
 
 EXTRA_STEPS = 15  # frames by which a demonstration goes on where the task is about to be done
 MARGIN = 4  # frames before the first and after the last contact that still count as contact phase
 FIRM = 0.15  # of a contact's largest area; what is smaller, and comes last, only brushes
 VENTED = 0.5  # of the highest pressure commanded in a contact; who commands less lets go
+REST_FRAMES, LEAST_PIXELS = 8, 50  # images that make the one at rest; an imprint's smallest size
 LOSS = 8  # frames without touch that still belong to a contact
 
 
@@ -24,6 +26,8 @@ class Reference:
         area: (T,) contact areas.
         action: (T, 4) as `features.ACTION_NAMES`.
         task: the instruction.
+        centre_mm: (T, 2) middle of the imprint across and along the finger, from the middle of the image;
+            NaN without touch. None where the images were not read.
     """
 
     source: int
@@ -31,6 +35,7 @@ class Reference:
     area: np.ndarray
     action: np.ndarray
     task: str
+    centre_mm: np.ndarray | None = None
 
     def __post_init__(self):
         for name in ("flange_m", "area", "action"):
@@ -46,11 +51,13 @@ class Reference:
         """The same, going on by `steps` frames as it ended: what follows a success that comes later."""
         last = self.action[-1]
         ahead = np.arange(1, steps + 1)[:, None] * last[:3] / CONTROL_HZ
+        nowhere = np.full((steps, 2), np.nan)
         return replace(
             self,
             flange_m=np.vstack([self.flange_m, self.flange_m[-1] + ahead]),
             area=np.append(self.area, np.full(steps, self.area[-1])),
             action=np.vstack([self.action, np.tile(last, (steps, 1))]),
+            centre_mm=None if self.centre_mm is None else np.vstack([self.centre_mm, nowhere]),
         )
 
     @property
@@ -87,6 +94,24 @@ class Reference:
         """First frame of the contact phase and the one after its last."""
         last = int(np.flatnonzero(self.area > 0)[-1])
         return max(0, self.onset - MARGIN), min(len(self), last + MARGIN + 1)
+
+
+def imprint_centres_mm(images: np.ndarray, area: np.ndarray, sensor: TactileSensor) -> np.ndarray:
+    """Middle of the imprint in each image (T, 2), mm across and along the finger; NaN without touch.
+
+    Args:
+        images: uint8 (T, H, W, 3) of one demonstration; those before its first touch show the gel at rest.
+        area: (T,) contact areas.
+        sensor: of the twin, whose threshold and window count.
+    """
+    untouched = np.flatnonzero(np.cumsum(area) == 0)[:REST_FRAMES]
+    rest = images[untouched if len(untouched) else [0]].mean(0)
+    centres, limit = np.full((len(images), 2), np.nan), 3 * sensor.model.threshold_levels
+    for t in np.flatnonzero(area > 0):
+        pressed = np.abs(images[t] - rest).sum(2) > limit
+        if pressed.sum() >= LEAST_PIXELS:
+            centres[t] = centre_mm(pressed, sensor.model.window_mm)
+    return centres
 
 
 def onset_sigma_m(references: list[Reference]) -> np.ndarray:

@@ -13,6 +13,7 @@ import numpy as np
 
 from pneutac_datasets.augment_reference import EXTRA_STEPS, FIRM, Reference
 from pneutac_sim.features import ACTION_HIGH, ACTION_LOW
+from pneutac_sim.gel.sensor import centre_mm
 from pneutac_sim.world.gantry import Gantry
 from pneutac_sim.world.varied import Variation, VariedWorld
 from pneutac_sim.world.world import DT
@@ -24,10 +25,16 @@ AWAY_M = (0.0, 0.0, -5.0)  # out of everything's way
 LANE_STEPS = 30  # where the gel passed longer before the recorded onset it met nothing
 EARLY_STEPS = 5  # a firm touch that comes so much before the recorded one is that of an object elsewhere
 DRAWS = 8  # scenes drawn for each in which the gel reaches an object at all
-PARENTS, CHILDREN = (6, 3), 8  # scenes of each round about which others are tried, and how many about each
-SPREAD_M = 0.004  # standard deviation of their displacement
+PARENTS, CHILDREN = (6, 4, 2), 8  # scenes of each round about which others are tried, and how many about each
+SPREADS_M = (0.006, 0.003, 0.0015)  # standard deviation of their displacement
 FINALISTS = 3  # scenes of the reduced world that are tried in the full one
 NUDGES_M = (0.002, 0.001, 0.0005, 0.00025)  # last trials where none of them works, along the gel's view
+CENTRES, CENTRE_MM = 12, 10.0  # frames whose imprints are compared; their error that weighs as an area of 1
+FAR_MM = 8.0  # error where the twin feels nothing of what was felt: half the gel
+ELITES, UNSTEADY = (
+    3,
+    0.3,
+)  # neighbours that make the next middle; misfit of a scene none of whose neighbours works
 MOST_LATE, TELLING = 4, 40  # control steps: the latencies tried, and the frames of a free way that tell them
 
 
@@ -40,12 +47,19 @@ class Scene:
         shift_m: displacement (3,) of the objects from it.
         works: whether the demonstration, replayed there, does the task.
         area_rmse: root mean square difference of replayed and recorded contact areas in the contact phase.
+        centre_rmse_mm: the same of the imprint's middle in the first `CENTRES` frames of it.
     """
 
     seed: int
     shift_m: tuple[float, float, float]
     works: bool
     area_rmse: float
+    centre_rmse_mm: float
+
+    @property
+    def misfit(self) -> float:
+        """What scenes are compared by; smaller is better."""
+        return self.area_rmse + self.centre_rmse_mm / CENTRE_MM
 
 
 def follow(action: np.ndarray, flange_m: np.ndarray, goal_m: np.ndarray) -> np.ndarray:
@@ -115,16 +129,17 @@ def find_scene(
     if not scenes:
         scenes.append(replays.reduced(int(rng.integers(2**31)), np.zeros(3)))
     scenes.sort(key=_rank)
-    for parents in PARENTS:
+    for parents, spread_m in zip(PARENTS, SPREADS_M, strict=True):
         steady = []
         for scene in scenes[:parents]:
-            moved = rng.normal(0, SPREAD_M, (CHILDREN, 2)) @ [forward, across] + scene.shift_m
+            moved = rng.normal(0, spread_m, (CHILDREN, 2)) @ [forward, across] + scene.shift_m
             working = [s for s in (replays.reduced(scene.seed, shift) for shift in moved) if s.works]
             if working:
-                middle = tuple(np.mean([s.shift_m for s in working], 0).tolist())
-                rmse = np.mean([s.area_rmse for s in working])
-                steady.append((-len(working), rmse, replace(scene, shift_m=middle)))
-        scenes = [s for *_, s in sorted(steady, key=lambda s: s[:2])] or scenes
+                elite = sorted(working, key=_rank)[:ELITES]
+                middle = tuple(np.mean([s.shift_m for s in elite], 0).tolist())
+                lost = UNSTEADY * (1 - len(working) / CHILDREN)
+                steady.append((lost + np.mean([s.misfit for s in elite]), replace(scene, shift_m=middle)))
+        scenes = [s for _, s in sorted(steady, key=lambda s: s[0])] or scenes
     tried = []
     for scene in scenes[:FINALISTS]:
         tried.append(replays.full(scene.seed, np.array(scene.shift_m)))
@@ -174,20 +189,25 @@ class _Replays:
         g, r, begin = self._gantry, self._reference, self._begin
         g.stage(seed, shift)
         if g.blocked:
-            return self._scene(seed, shift, False, np.ones(len(r)))
+            return Scene(seed, tuple(shift.tolist()), False, 1.0, FAR_MM)
         _, area = g.rollout(follow(r.action[begin:], g.flange_m, r.flange_m[begin]))
-        return self._scene(seed, shift, g.success and not g.failure, np.append(np.zeros(begin), area))
+        area = np.append(np.zeros(begin), area)
+        centres = np.vstack([np.full((begin, 2), np.nan), g.centre_mm])
+        return self._scene(seed, shift, g.success and not g.failure, area, centres)
 
     def full(self, seed: int, shift: np.ndarray) -> Scene:
         """The same in the world, from the start."""
-        world, area, spoilt = self._world, np.ones(len(self._reference)), None
+        world, area, spoilt = self._world, np.zeros(len(self._reference)), None
+        centres = np.full((len(area), 2), np.nan)
         self._reset(seed, shift)
         if world.blocked:
-            return self._scene(seed, shift, False, area)
+            return Scene(seed, tuple(shift.tolist()), False, 1.0, FAR_MM)
         for t in range(len(area)):
             self._step(t)
             area[t], spoilt = world.touch.area, spoilt or world.failure
-        return self._scene(seed, shift, world.success and not spoilt, area)
+            if area[t]:
+                centres[t] = centre_mm(world.touch.depth_mm, world.sensor.model.window_mm)
+        return self._scene(seed, shift, world.success and not spoilt, area, centres)
 
     def _reset(self, seed: int, shift) -> None:
         start = tuple(self._reference.flange_m[0])
@@ -198,17 +218,26 @@ class _Replays:
         r, world = self._reference, self._world
         world.step(follow(r.action[t][None], world.flange_m, r.flange_m[t])[0])
 
-    def _scene(self, seed: int, shift: np.ndarray, done: bool, area: np.ndarray) -> Scene:
-        """What came of a replay that felt `area` (T,)."""
+    def _scene(
+        self, seed: int, shift: np.ndarray, done: bool, area: np.ndarray, centres: np.ndarray
+    ) -> Scene:
+        """What came of a replay that felt `area` (T,) about `centres` (T, 2) mm."""
         recorded = self._reference.area
         first, end = self._reference.contact_phase
         early = area[: max(self.onset - EARLY_STEPS, 0)].max(initial=0.0) > FIRM * recorded.max()
         rmse = float(np.sqrt(np.mean((area[first : end - 1] - recorded[first + 1 : end]) ** 2)))
-        return Scene(seed, tuple(shift.tolist()), bool(done and not early), rmse + early)
+        away = 0.0
+        if self._reference.centre_mm is not None:
+            felt = slice(self.onset, self.onset + CENTRES)
+            there = self._reference.centre_mm[felt]
+            apart = np.linalg.norm(centres[self.onset - 1 :][: len(there)] - there, axis=1)
+            apart = np.where(np.isnan(apart), FAR_MM, apart)[np.isfinite(there[:, 0])]
+            away = float(np.sqrt(np.mean(apart**2))) if len(apart) else 0.0
+        return Scene(seed, tuple(shift.tolist()), bool(done and not early), rmse + early, away)
 
 
 def _rank(scene: Scene) -> tuple[bool, float]:
-    return not scene.works, scene.area_rmse
+    return not scene.works, scene.misfit
 
 
 def _felt(world: Gantry, gel, shift: np.ndarray) -> float:

@@ -53,7 +53,7 @@ class Work:
     def load_scene(self, source: int) -> Scene:
         """Reads a scene."""
         d = json.loads(self.scene_file(source).read_text())
-        return Scene(d["seed"], tuple(d["shift_m"]), d["works"], d["area_rmse"])
+        return Scene(**d | {"shift_m": tuple(d["shift_m"])})
 
     def load_episode(self, index: int) -> tuple[Trial, dict, dict]:
         """Reads a demonstration, its provenance, and the seconds that it took."""

@@ -12,6 +12,24 @@ from pneutac_sim.gel.surface import surface
 from pneutac_sim.twin import Twin
 
 
+def centre_mm(pressed: np.ndarray, window_mm: tuple[float, float]) -> np.ndarray:
+    """Centre of gravity (2,) of a picture (rows, columns) of the gel, mm along columns and rows.
+
+    Args:
+        pressed: weights from 0 on, such as imprint depths; NaN comes of none at all.
+        window_mm: width and height of the picture.
+    """
+    total = pressed.sum()
+    if not total:
+        return np.full(2, np.nan)
+    return np.array(
+        [
+            size * ((np.arange(n) + 0.5) @ pressed.sum(axis) / (n * total) - 0.5)
+            for axis, n, size in zip((0, 1), pressed.shape[::-1], window_mm, strict=True)
+        ]
+    )
+
+
 class TactileSensor:
     """Images and contact areas of the gel of a twin.
 

@@ -13,7 +13,7 @@ from typing import override
 import mujoco
 import numpy as np
 
-from pneutac_sim.gel.sensor import TactileSensor
+from pneutac_sim.gel.sensor import TactileSensor, centre_mm
 from pneutac_sim.world import scene
 from pneutac_sim.world.panda import HOME_JOINTS, SERVO_LAG_S, forward_kinematics
 from pneutac_sim.world.touch import Touch
@@ -63,6 +63,7 @@ class Gantry(VariedWorld):
     while the gantry looks ahead.
 
     Attributes:
+        centre_mm: (H, 2) middles of the imprints in the last `rollout`, see `gel.sensor.centre_mm`.
         steps: control steps taken in `rollout` so far.
         seconds: seconds spent in them: `physics`, `touch`.
     """
@@ -164,6 +165,7 @@ class Gantry(VariedWorld):
         held = self.target_m, self._joints, self.spine_target_rad, self._drive, self._load
         pipeline, target = _copy(self._pipeline), self.target_m
         flange, area = np.empty((len(actions), 3)), np.empty(len(actions))
+        self.centre_mm = np.full((len(actions), 2), np.nan)
         acting = np.vstack([*self._sent, actions])[: len(actions)]
         for t, action in enumerate(acting):
             target = np.clip(target + action[:3] * DT, WORKSPACE_LOW, WORKSPACE_HIGH)
@@ -175,6 +177,8 @@ class Gantry(VariedWorld):
             self.seconds["physics"] += moved - began
             self.seconds["touch"] += time.perf_counter() - moved
             felt = self.touch.area
+            if felt:
+                self.centre_mm[t] = centre_mm(self.touch.depth_mm, self.sensor.model.window_mm)
             flange[t], area[t] = self.flange_m, max(felt + self._residual_area, 0.0) if felt else 0.0
         self.steps += len(actions)
         self.target_m, self._joints, self.spine_target_rad, self._drive, self._load = held
