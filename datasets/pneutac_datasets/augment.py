@@ -218,7 +218,8 @@ def _run(meta: LeRobotDatasetMetadata, setup: AugmentSetup) -> dict:
     """What must be equal for two runs to make the same demonstrations; their number may differ."""
     digest = hashlib.sha256()
     for r in setup.references:
-        for x in (r.flange_m, r.area, r.action, r.centre_mm):
+        centres = () if r.centre_mm is None else r.centre_mm
+        for x in (r.flange_m, r.area, r.action, centres):
             digest.update(np.ascontiguousarray(x).tobytes())
     return {
         "dataset": meta.repo_id,

@@ -31,10 +31,8 @@ FINALISTS = 3  # scenes of the reduced world that are tried in the full one
 NUDGES_M = (0.002, 0.001, 0.0005, 0.00025)  # last trials where none of them works, along the gel's view
 CENTRES, CENTRE_MM = 12, 10.0  # frames whose imprints are compared; their error that weighs as an area of 1
 FAR_MM = 8.0  # error where the twin feels nothing of what was felt: half the gel
-ELITES, UNSTEADY = (
-    3,
-    0.3,
-)  # neighbours that make the next middle; misfit of a scene none of whose neighbours works
+ELITES = 3  # neighbours that make the next middle
+UNSTEADY = 0.3  # added to the misfit of a scene none of whose neighbours works
 MOST_LATE, TELLING = 4, 40  # control steps: the latencies tried, and the frames of a free way that tell them
 
 
