@@ -49,7 +49,8 @@ def demonstrations(task: str, count: int, late: int = 0) -> list[Reference]:
 @pytest.fixture(scope="module")
 def switch():
     """Generator with four demonstrations of the switch, acted late by a control step, and their scenes."""
-    setup = AugmentSetup(demonstrations("switch", 4, late=1), "switch", None, "probe", PlannerConfig(), 1)
+    recorded = demonstrations("switch", 4, late=1)
+    setup = AugmentSetup(recorded, "switch", None, "probe", PlannerConfig(), 1, candidates=24)
     generator = Generator(setup, touch="area")
     return generator, [generator.scene(i) for i in range(4)]
 
@@ -291,7 +292,7 @@ def test_the_free_way_wanders_and_its_actions_lead_back(switch):
 
 def test_an_object_that_stands_where_the_hand_starts_gives_no_demonstration():
     """A carton in the finger opens at once; kept, it would be a demonstration of a frame."""
-    setup = AugmentSetup(demonstrations("egg", 2), "egg", None, "probe", PlannerConfig(), 1)
+    setup = AugmentSetup(demonstrations("egg", 2), "egg", None, "probe", PlannerConfig(), 1, candidates=24)
     generator = Generator(setup, touch="area")
     scene = generator.scene(0)
     assert scene.works
