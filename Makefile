@@ -7,10 +7,9 @@ UV := $(shell uv --version >/dev/null 2>&1 && echo uv || echo .uv/bin/uv)
 demo: .venv/ready
 	.venv/bin/pneutac demo
 
-# A file of tests stays in one process; each process computes on one thread, so that they share the cores. There
-# is one more than cores, as some wait: for other programs, or for a robot's clock.
+# A file of tests stays in one process; each process computes on one thread, so that they share the cores.
 test: .venv/ready
-	OMP_NUM_THREADS=1 .venv/bin/python -m pytest --numprocesses=$$(($$(getconf _NPROCESSORS_ONLN) + 1)) --maxprocesses=4 --dist=loadfile --no-loadscope-reorder
+	OMP_NUM_THREADS=1 .venv/bin/python -m pytest --numprocesses=auto --maxprocesses=4 --dist=loadfile --no-loadscope-reorder
 
 lint: .venv/ready
 	.venv/bin/ruff check .
