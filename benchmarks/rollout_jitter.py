@@ -12,7 +12,7 @@ import time
 import numpy as np
 from lerobot.scripts.lerobot_rollout import main as rollout
 
-from lerobot_robot_pneutac.pneutac import Pneutac
+from lerobot_robot_pneutac.robots.pneutac import Pneutac
 from pneutac_sim.features import CONTROL_HZ
 
 

@@ -1,7 +1,12 @@
 """Keeps every test off the user's Hugging Face folders and off the network."""
 
+import json
 import os
 import tempfile
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
 
 # Before LeRobot is imported: it reads these once.
 os.environ["HF_HOME"] = tempfile.mkdtemp(prefix="pneutac_hf_")
@@ -12,3 +17,40 @@ def pytest_collection_modifyitems(items):
     """Files with slow tests begin first, so that at the end no process waits for another."""
     slow = {item.path for item in items if item.get_closest_marker("slow")}
     items.sort(key=lambda item: item.path not in slow)
+
+
+@pytest.fixture(scope="session")
+def photographed(tmp_path_factory):
+    """Recording, body, states at 0 and 12 kPa, cameras and photographs by view."""
+    from pneutac_datasets.generate.photographs import write_photographs
+    from pneutac_datasets.recording.photographs import read_camera, read_photograph
+    from pneutac_sim.mpm import devices
+    from pneutac_sim.mpm.solve import solve_equilibrium
+    from pneutac_sim.mpm.total_lagrangian import Loads
+    from pneutac_sim.twin import Twin, Value
+
+    folder = tmp_path_factory.mktemp("photographs") / "finger"
+    recording = write_photographs(folder, seed=2, pressures_kpa=[0, 12], particles=3000)
+    truth = json.loads((folder.parent / "truth" / "finger.json").read_text())
+    twin = Twin("finger", 110.0, parameters={k: Value(v) for k, v in truth["parameters"].items()})
+    solver = devices.finger(twin, batch=2, device="cpu")
+    state = solve_equilibrium(solver, Loads(q_cmd=devices.joint_targets(twin, [0.0, 12.0])))
+    views = ("front", "back")
+    return SimpleNamespace(
+        recording=recording,
+        twin=twin,
+        body=solver.body,
+        positions=state.positions,
+        gradients=state.gradients,
+        cameras={v: read_camera(recording, v) for v in views},
+        pictures={v: [read_photograph(recording, i, v) for i in range(2)] for v in views},
+        background={v: recording.image(recording.meta["cameras"][v]["background"]) for v in views},
+        rmse=rmse,
+    )
+
+
+def rmse(rendering, image, mask):
+    """Of 8-bit levels inside the union of both silhouettes, on black."""
+    union = mask | (rendering.alpha > 0.5)
+    wanted = np.where(mask[..., None], image, 0).astype(float)
+    return float(np.sqrt(np.mean((255 * rendering.image - wanted)[union] ** 2)))

@@ -6,8 +6,8 @@ same way, and takes the ratio of held-out error to floor. Nineteen of twenty dra
 
 import numpy as np
 
-from pneutac_datasets.noise import headline, noise_floor
-from pneutac_datasets.recording import BenchRecording
+from pneutac_datasets.recording.noise import headline, noise_floor
+from pneutac_datasets.recording.recording import BenchRecording
 
 DRAWS = 60
 TOLERANCE = 1.10  # the floor itself is known to some percent only, and nobody cares for a leftover that small

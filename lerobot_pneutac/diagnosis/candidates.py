@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pneutac_datasets.recording import BenchRecording
+from pneutac_datasets.recording.recording import BenchRecording
 from pneutac_sim.effects.registry import all_effects
 from pneutac_sim.finger.inputs import conditions_of
 from pneutac_sim.twin import Twin

@@ -16,7 +16,7 @@ import numpy as np
 
 from lerobot_pneutac.diagnosis.fits import Fit
 from lerobot_pneutac.diagnosis.score import promising
-from pneutac_datasets.recording import BenchRecording
+from pneutac_datasets.recording.recording import BenchRecording
 from pneutac_sim.finger.bench import Bench, simulate
 from pneutac_sim.finger.fit import fit
 from pneutac_sim.twin import Twin

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lerobot_pneutac.diagnosis.programs import Program, menu
-from pneutac_datasets.recording import BenchRecording
+from pneutac_datasets.recording.recording import BenchRecording
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger.bench import Bench

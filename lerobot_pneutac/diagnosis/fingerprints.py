@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from pneutac_datasets.recording import BenchRecording
+from pneutac_datasets.recording.recording import BenchRecording
 
 SHUFFLES = 200
 

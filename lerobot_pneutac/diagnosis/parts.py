@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pneutac_datasets import blocks
-from pneutac_datasets.recording import BenchRecording
+from pneutac_datasets.recording import blocks
+from pneutac_datasets.recording.recording import BenchRecording
 
 FRACTIONS = (0.5, 0.25, 0.25)
 FEW_BLOCKS = 10  # below this a third part would hold a block or two: validation is then the test as well

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from pneutac_datasets.recording import BenchRecording
+from pneutac_datasets.recording.recording import BenchRecording
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.twin import Twin
 

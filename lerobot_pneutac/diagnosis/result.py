@@ -12,8 +12,8 @@ from lerobot_pneutac.diagnosis.parts import Parts
 from lerobot_pneutac.diagnosis.profile import Profile
 from lerobot_pneutac.diagnosis.rivals import Rival
 from lerobot_pneutac.diagnosis.verdict import Evidence
-from pneutac_datasets.noise import NoiseFloor
-from pneutac_datasets.recording import BenchRecording
+from pneutac_datasets.recording.noise import NoiseFloor
+from pneutac_datasets.recording.recording import BenchRecording
 from pneutac_sim.twin import Twin
 
 

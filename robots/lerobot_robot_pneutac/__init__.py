@@ -3,16 +3,16 @@
 Only configurations are imported here; what they configure is imported when it is made.
 """
 
-from lerobot_pneutac.env_config import PneutacEnvConfig, PneutacStandinConfig
-from lerobot_pneutac.policy.configuration_pneutac_bc import PneutacBCConfig
-from lerobot_robot_pneutac.config_digit import DigitConfig
-from lerobot_robot_pneutac.config_digit_generated import DigitGeneratedConfig
-from lerobot_robot_pneutac.config_pneutac import PneutacConfig
-from lerobot_robot_pneutac.config_pneutac_gamepad import PneutacGamepadConfig
-from lerobot_robot_pneutac.config_pneutac_keyboard import PneutacKeyboardConfig
-from lerobot_robot_pneutac.config_pneutac_scripted import PneutacScriptedConfig
-from lerobot_robot_pneutac.config_pneutac_sim import PneutacSimConfig
-from lerobot_robot_pneutac.config_pneutac_spacemouse import PneutacSpacemouseConfig
+from lerobot_robot_pneutac.cameras.config_digit import DigitConfig
+from lerobot_robot_pneutac.cameras.config_digit_generated import DigitGeneratedConfig
+from lerobot_robot_pneutac.env import PneutacEnvConfig, PneutacStandinConfig
+from lerobot_robot_pneutac.policy.configuration_pneutac_bc import PneutacBCConfig
+from lerobot_robot_pneutac.robots.config_pneutac import PneutacConfig
+from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
+from lerobot_robot_pneutac.teleoperators.config_pneutac_gamepad import PneutacGamepadConfig
+from lerobot_robot_pneutac.teleoperators.config_pneutac_keyboard import PneutacKeyboardConfig
+from lerobot_robot_pneutac.teleoperators.config_pneutac_scripted import PneutacScriptedConfig
+from lerobot_robot_pneutac.teleoperators.config_pneutac_spacemouse import PneutacSpacemouseConfig
 
 __all__ = [
     "DigitConfig",

@@ -3,8 +3,8 @@
 import numpy as np
 from lerobot.cameras import Camera
 
+from lerobot_robot_pneutac.cameras.rest_image import capture_rest_image
 from lerobot_robot_pneutac.hardware.parts import HardwareFault
-from lerobot_robot_pneutac.rest_image import capture_rest_image
 from pneutac_sim.features import IMAGE_NAME, IMAGE_SHAPE
 from pneutac_sim.gel.contact import ContactArea, contact_area
 

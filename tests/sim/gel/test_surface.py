@@ -3,7 +3,7 @@ import pytest
 from scipy.optimize import brentq
 from scipy.special import k0, k1
 
-from pneutac_datasets.gel_generator import hertz
+from pneutac_datasets.generate.gel import hertz
 from pneutac_sim.gel.surface import surface
 
 CELL = (12 / 59, 16 / 80)

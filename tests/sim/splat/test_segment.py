@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pneutac_datasets.photo_scene import Studio, photograph
-from pneutac_datasets.photographs import place_camera
+from pneutac_datasets.generate.photo_scene import Studio, photograph
+from pneutac_datasets.generate.photographs import place_camera
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm.shapes import finger_mesh
 from pneutac_sim.splat.segment import segment

@@ -1,0 +1,118 @@
+"""Which frame of a demonstration comes next in a new scene, and where it lies there.
+
+Before a touch nobody knows where the object is, so the demonstrated way is gone as it was, until the touch
+comes: earlier, later, or more to one side of the gel. In contact the demonstrated way lies where the object
+is, so that it leads to the side as someone who feels where the touch is would go, and lasts until the touch
+is gone: whoever let go by the clock would teach that to let go is not a matter of touch.
+"""
+
+import numpy as np
+
+from pneutac_datasets.demonstrations.augment.reference import FIRM, Reference
+
+EARLY = 16  # control steps by which a touch may go before the demonstrated one
+LATE_TOUCH, LATE_RELEASE = 8, 30  # and after it: who goes on for long has missed the object
+GONE = 2  # frames without touch after which it is over
+BUMP = 6  # frames; shorter contacts need not come
+
+
+class Course:
+    """The course of a demonstration through a new scene; `advance` is called once a control step.
+
+    Args:
+        reference: the demonstration.
+        aside_m: how far to the side, along y, the object stands from where it stood.
+
+    Attributes:
+        frame: of the reference.
+        offset_m: (3,) displacement of the reference's path now.
+        in_contact: whether this frame belongs to a contact that has come.
+    """
+
+    def __init__(self, reference: Reference, aside_m: float):
+        self._contacts = list(reference.contacts)
+        self._reference, self._aside_m = reference, aside_m
+        self._waited = self._lost = 0
+        self._largest = 0.0
+        self.frame, self.offset_m, self.in_contact = -1, np.zeros(3), False
+
+    def advance(self, area: float, flange_m: np.ndarray) -> bool:
+        """Goes on to the next frame.
+
+        Args:
+            area: contact area that the gel feels.
+            flange_m: (3,) where the flange is.
+
+        Returns:
+            False where a touch that the demonstration had does not come, or does not end.
+        """
+        self.frame += 1
+        if self.in_contact and not self._stay_in_contact(area):
+            return False
+        if not self.in_contact:
+            return self._search(area > 0, flange_m)
+        return True
+
+    def _stay_in_contact(self, area: float) -> bool:
+        """Ends a contact when the touch is gone, up to `EARLY` frames too soon; False if it is too late."""
+        end = self._contacts[0][1]
+        self._largest = max(self._largest, area)
+        self._lost = 0 if area >= FIRM * self._largest or self._lasts else self._lost + 1
+        if self._lost >= GONE and end - self.frame <= EARLY:
+            self.frame = end
+        elif self.frame == end and self._lost < GONE:
+            self._waited += 1
+            if self._waited > LATE_RELEASE:
+                return False
+            self.frame = end - 1
+            self.offset_m = self.offset_m + self.onward_m
+        if self.frame >= end:
+            del self._contacts[0]
+            self.in_contact, self._waited, self._lost = False, 0, 0
+        return True
+
+    def _search(self, touched: bool, flange_m: np.ndarray) -> bool:
+        """The free way, until the next touch comes."""
+        self.offset_m = np.zeros(3)
+        if not self._contacts:
+            return True
+        if touched:
+            while len(self._contacts) > 1 and self._is_bump(self._contacts[0]):
+                del self._contacts[0]
+        first, end = self._contacts[0]
+        if touched:
+            self.frame, self.in_contact, self._waited, self._largest = first, True, 0, 0.0
+            self.offset_m = flange_m - self._reference.flange_m[first]
+            self.offset_m[1] = self._aside_m
+        elif self.frame == first and self._is_bump(self._contacts[0]):
+            del self._contacts[0]
+        elif self.frame == first:
+            self._waited += 1
+            self.frame = first - 1
+            return self._waited <= LATE_TOUCH
+        return True
+
+    @staticmethod
+    def _is_bump(contact: tuple[int, int]) -> bool:
+        return contact[1] - contact[0] < BUMP
+
+    @property
+    def _lasts(self) -> bool:
+        """Whether the demonstration ended in this contact: then a touch that flickers is no release."""
+        return self._contacts[0][1] == len(self._reference)
+
+    @property
+    def last(self) -> int:
+        """The last frame that is certain: whether a contact is released is up to the touch."""
+        return self._contacts[0][1] - 1 if self.in_contact else len(self._reference) - 1
+
+    @property
+    def onward_m(self) -> np.ndarray:
+        """(3,) mean motion of a control step in the contact, by which it goes on after the last frame."""
+        path, first = self._reference.flange_m, self._contacts[0][0] if self.in_contact else 0
+        return (path[self.last] - path[first]) / max(self.last - first, 1)
+
+    @property
+    def waiting(self) -> bool:
+        """Whether a touch, or its end, is overdue."""
+        return self._waited > 0

@@ -1,0 +1,284 @@
+"""One new demonstration out of a recorded one: a pure function of seed and index."""
+
+import time
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from pneutac_datasets.demonstrations.augment.course import Course
+from pneutac_datasets.demonstrations.augment.planner import CemPlanner, PlannerConfig
+from pneutac_datasets.demonstrations.augment.reference import EXTRA_STEPS, Reference, onset_sigma_m
+from pneutac_datasets.demonstrations.augment.scene import Scene, command_latency, find_scene, follow
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, CONTROL_HZ, STATE_NAMES
+from pneutac_sim.twin import Twin
+from pneutac_sim.world.gantry import Gantry
+from pneutac_sim.world.varied import Variation, VariedWorld
+from pneutac_sim.world.world import DT
+
+# Domain randomisation: standard deviations.
+FRICTION = 0.15  # of the factor on the gel's friction
+FEED_FORWARD_M_S = 0.01  # velocity added along the motion in contact for a friction factor higher by one
+PEAK_KPA = 0.5  # of the peak pressure
+BEND_GAIN = 0.04  # of the factor on pressure to bend
+ASIDE_M = 0.005  # of the object's place along y, at most: the way there stays, and a gel is 16 mm wide
+LATE = 1  # control steps by which touch is shown too late, at most
+# On the free way the hand is carried aside, and led back: what a policy must do that errs itself. Its height
+# stays, by which many a contact is met at all.
+START_M = 0.004  # standard deviation of the start
+PUSH_M_S, PUSH_S = 0.015, 0.5  # standard deviation and correlation time of the velocity that carries it aside
+SHORTEST = 8  # control steps; what is done sooner was done by where the object stood
+IN_THE_WAY = "the object stood where the hand starts"
+TRIES = 10  # variants of one reference before another one gets its turn
+
+
+@dataclass(frozen=True)
+class AugmentSetup:
+    """Everything that a demonstration depends on, besides its index.
+
+    Attributes:
+        references: the recorded demonstrations.
+        task: of the world.
+        twin: folder, or None for the built-in one.
+        fidelity: of the world in which the plans are carried out.
+        planner: its options.
+        seed: decides everything.
+        attempts: variants tried for one demonstration.
+        candidates: scenes drawn to find where the object stood.
+    """
+
+    references: list[Reference]
+    task: str
+    twin: Path | None
+    fidelity: str
+    planner: PlannerConfig
+    seed: int
+    attempts: int = 30
+    candidates: int = 48
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One draw of the domain randomisation.
+
+    Attributes:
+        source: index of the reference.
+        shift_m: (3,) displacement of the object and, from the touch on, of the reference trajectory; its
+            height stays, as objects stand on the table. Until the touch the trajectory stays: nothing else
+            tells where the object is.
+        friction: factor on the gel's friction.
+        peak_kpa: added to the peak pressure, and in proportion below it.
+        bend_gain: factor on pressure to bend.
+        late_commands: control steps by which commands act too late, as they did in the demonstrations.
+        late_touch: control steps by which touch is shown too late, which no recording tells.
+    """
+
+    source: int
+    shift_m: tuple[float, float, float]
+    friction: float
+    peak_kpa: float
+    bend_gain: float
+    late_commands: int = 0
+    late_touch: int = 0
+
+    @classmethod
+    def draw(
+        cls, source: int, sigma_m: np.ndarray, late_commands: int, rng: np.random.Generator
+    ) -> "Variant":
+        """A variant of a reference; factors stay within two standard deviations."""
+        friction, peak, gain = np.clip(rng.standard_normal(3), -2, 2)
+        sigma_m = np.array([sigma_m[0], min(sigma_m[1], ASIDE_M), 0.0])
+        shift = np.clip(rng.standard_normal(3), -2, 2) * sigma_m
+        return cls(
+            source,
+            tuple(shift.tolist()),
+            float(1 + FRICTION * friction),
+            float(PEAK_KPA * peak),
+            float(1 + BEND_GAIN * gain),
+            late_commands,
+            int(rng.integers(0, LATE + 1)),
+        )
+
+
+@dataclass
+class Trial:
+    """What came of a variant.
+
+    Attributes:
+        state: (T, 20), action: (T, 4), images: uint8 (T, 320, 240, 3) as recorded.
+        reason: why it is not kept, or None.
+        cost: mean of the plans' costs.
+        area_rmse: root mean square error of the contact area from its onset on.
+    """
+
+    state: np.ndarray
+    action: np.ndarray
+    images: np.ndarray | None
+    reason: str | None
+    cost: float
+    area_rmse: float
+
+
+@dataclass
+class Generator:
+    """Makes demonstrations; holds one world and its gantry."""
+
+    setup: AugmentSetup
+    touch: str = "image"
+    seconds: dict = field(default_factory=lambda: {"execution": 0.0})
+
+    def __post_init__(self):
+        s = self.setup
+        twin = Twin.load(s.twin) if s.twin else None
+        self.world = VariedWorld(s.task, twin, touch=self.touch, fidelity=s.fidelity)
+        self.gantry = Gantry(self.world)
+        self.sigma_m = onset_sigma_m(s.references)
+        self.late_commands = command_latency(self.world, self.gantry, s.references)
+
+    def scene(self, source: int) -> Scene:
+        """Where the object stood in a reference."""
+        s = self.setup
+        return find_scene(
+            self.world, self.gantry, s.references[source], s.seed, s.candidates, self.late_commands
+        )
+
+    def episode(self, index: int, scenes: list[Scene]) -> tuple[Trial, dict]:
+        """The demonstration number `index`: variants are tried until one does the task.
+
+        Args:
+            index: number of the demonstration.
+            scenes: one for each reference.
+
+        Returns:
+            the trial that is kept, and its provenance with every rejection's reason.
+
+        Raises:
+            InputError: none of `attempts` variants did the task.
+        """
+        s = self.setup
+        rejected = []
+        for attempt in range(s.attempts):
+            rng = np.random.default_rng([s.seed, index, attempt])
+            source = (index + attempt // TRIES) % len(scenes)
+            variant = Variant.draw(source, self.sigma_m, self.late_commands, rng)
+            trial = self.carry_out(variant, scenes[source], rng)
+            where = {"source_episode": s.references[source].source, **asdict(variant)}
+            if trial.reason is None:
+                scores = {"cost": trial.cost, "area_rmse": trial.area_rmse, "frames": len(trial.action)}
+                kept = {"episode": index, "seed": s.seed, "attempt": attempt, **where, **scores}
+                return trial, {**kept, "scene": asdict(scenes[source]), "rejected": rejected}
+            rejected.append({"attempt": attempt, "reason": trial.reason, **where})
+        reasons = ", ".join(sorted({r["reason"] for r in rejected}))
+        raise InputError(
+            f"Demonstration {index}: none of {s.attempts} variants did the task '{s.task}' ({reasons}); are"
+            " the recorded demonstrations of this task and this finger?"
+        )
+
+    def carry_out(self, variant: Variant, scene: Scene, rng: np.random.Generator, plan: bool = True) -> Trial:
+        """Plans a variant and carries it out in the world.
+
+        Args:
+            variant: what is different from the reference.
+            scene: where the object stood in the reference.
+            rng: decides the start's jitter, what carries the hand aside, and the planner's samples.
+            plan: False replays the reference's actions blindly, for comparison.
+        """
+        r = self.setup.references[variant.source]
+        start = r.flange_m[0] + plan * START_M * np.append(np.clip(rng.standard_normal(2), -2, 2), 0)
+        self.world.variation = Variation(
+            tuple(start.tolist()),
+            tuple(np.add(scene.shift_m, variant.shift_m).tolist()),
+            variant.bend_gain,
+            variant.friction,
+            variant.late_commands,
+            variant.late_touch,
+        )
+        observation = self.world.reset(scene.seed)
+        if self.world.blocked:
+            nothing = np.zeros((0, len(STATE_NAMES))), np.zeros((0, len(ACTION_LOW))), None
+            return Trial(*nothing, IN_THE_WAY, 0.0, 1.0)
+        replayed = ((action, False) for action in np.clip(r.action, ACTION_LOW, ACTION_HIGH))
+        ways = self._plan(r, variant, rng) if plan else replayed
+        push, keep = np.zeros(4), np.exp(-DT / PUSH_S)
+        states, actions, images, areas, self._costs = [], [], [], [], []
+        missed = plan
+        while not (self.world.success or self.world.failure):
+            action, free = next(ways, (None, False))
+            if action is None:
+                break
+            push[:2] = keep * push[:2] + np.sqrt(1 - keep**2) * PUSH_M_S * rng.standard_normal(2)
+            states.append(observation.state)
+            images.append(observation.tactile)
+            actions.append(action.astype(np.float32))
+            areas.append(self.world.touch.area)
+            began = time.perf_counter()
+            carried = np.clip(actions[-1] + push, ACTION_LOW, ACTION_HIGH) if free else actions[-1]
+            observation = self.world.step(carried)
+            missed = missed and not self.world.touch.area > 0
+            self.seconds["execution"] += time.perf_counter() - began
+        reason = self.world.failure
+        if not reason and self.world.success and len(actions) < SHORTEST:
+            reason = IN_THE_WAY
+        elif not reason and missed:
+            reason = "it did not touch the object"
+        elif not reason and not self.world.success:
+            reason = "the task was not done by the end"
+        return Trial(
+            np.array(states),
+            np.array(actions),
+            None if images[0] is None else np.array(images),
+            reason,
+            float(np.mean(self._costs)) if self._costs else 0.0,
+            _area_rmse(np.array(areas), r.area),
+        )
+
+    def _plan(self, r: Reference, variant: Variant, rng: np.random.Generator):
+        """Yields the next action (4,) for what is, and whether the hand is free, until it is over."""
+        planner = CemPlanner(self.gantry, self.setup.planner, rng)
+        r = r.prolonged(EXTRA_STEPS)
+        demonstrated, course = self._warm(r, variant), Course(r, variant.shift_m[1])
+        steps = np.arange(self.setup.planner.horizon)
+        action, queue = np.zeros(4), []
+        while course.advance(self.world.touch.area, self.world.flange_m) and course.frame < len(r):
+            t = course.frame
+            if not (course.in_contact and queue):
+                frames = np.minimum(t + steps, course.last)
+                warm = demonstrated[frames].copy()
+                if not course.waiting:
+                    warm = follow(warm, self.world.flange_m, r.flange_m[t] + course.offset_m)
+                queue = [warm[0]]
+                if course.in_contact:
+                    warm[t + steps > course.last, :3] = course.onward_m * CONTROL_HZ
+                    ahead = t + 1 + steps
+                    beyond = np.maximum(ahead - course.last, 0)[:, None] * course.onward_m
+                    ahead = np.minimum(ahead, course.last)
+                    goal = r.flange_m[ahead] + course.offset_m + beyond
+                    self.gantry.mirror(self.world)
+                    warm = planner.plan(warm, action, r.area[ahead], goal)
+                    self._costs.append(planner.cost)
+                    queue = list(warm[: self.setup.planner.replan])
+            action = np.clip(queue.pop(0), ACTION_LOW, ACTION_HIGH)
+            yield action, not course.in_contact
+
+    @staticmethod
+    def _warm(r: Reference, variant: Variant) -> np.ndarray:
+        """The reference's actions (T, 4) with jittered peak pressure and friction feed-forward."""
+        action = r.action.copy()
+        peak = max(action[:, 3].max(), 1e-9)
+        action[:, 3] += variant.peak_kpa * action[:, 3] / peak
+        touching = (r.area > 0)[:, None]
+        speed = np.linalg.norm(action[:, :3], axis=1, keepdims=True)
+        along = action[:, :3] / np.maximum(speed, 0.01)
+        action[:, :3] += touching * along * FEED_FORWARD_M_S * (variant.friction - 1)
+        return np.clip(action, ACTION_LOW, ACTION_HIGH)
+
+
+def _area_rmse(area: np.ndarray, demonstrated: np.ndarray) -> float:
+    """Root mean square error of a contact area (T,) from its onset on; 1 where it never touches."""
+    frames = np.flatnonzero(area > 0)
+    if not len(frames):
+        return 1.0
+    onset = int(np.flatnonzero(demonstrated > 0)[0])
+    n = min(len(area) - frames[0], len(demonstrated) - onset)
+    return float(np.sqrt(np.mean((area[frames[0] :][:n] - demonstrated[onset:][:n]) ** 2)))

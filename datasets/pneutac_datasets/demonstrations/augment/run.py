@@ -1,0 +1,239 @@
+"""Augmentation of demonstrations: a few recorded ones in, many new ones out, as a LeRobotDataset.
+
+`augment_guided` plans each new demonstration in the world, guided by the recorded touch;
+`naive.augment_naive` varies the recordings without a simulator.
+"""
+
+import hashlib
+import json
+import multiprocessing
+import os
+import shutil
+import time
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
+from lerobot.utils.constants import ACTION, OBS_STATE
+
+from pneutac_datasets.demonstrations.augment.episode import AugmentSetup
+from pneutac_datasets.demonstrations.augment.reference import (
+    EXTRA_STEPS,
+    Reference,
+    imprint_centres_mm,
+    onset_sigma_m,
+)
+from pneutac_datasets.demonstrations.augment.scene import Scene
+from pneutac_datasets.demonstrations.augment.work import Work, begin, make_episode, make_scene
+from pneutac_datasets.demonstrations.episodes import (
+    AREA,
+    EE,
+    TACTILE,
+    Episode,
+    demonstration_features,
+    load_episode,
+    save_episode,
+)
+from pneutac_datasets.demonstrations.naive import augment_naive
+from pneutac_datasets.demonstrations.writing import create_dataset, quiet_encoders
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import CONTROL_HZ
+from pneutac_sim.gel.sensor import TactileSensor
+
+PROVENANCE = "provenance.jsonl"  # in the dataset's folder `meta`
+
+
+def read_references(
+    root: str | Path, repo_id: str, sensor: TactileSensor | None = None
+) -> tuple[LeRobotDatasetMetadata, list[Reference]]:
+    """The recorded demonstrations, without their images.
+
+    Args:
+        root: folder of the dataset.
+        repo_id: its name.
+        sensor: of the twin; with it the images are read, for the middles of the imprints.
+
+    Raises:
+        InputError: there is no dataset, its features or rate are not those of the robot, or an episode is
+            not finite.
+    """
+    if not (Path(root) / "meta" / "info.json").is_file():
+        raise InputError(f"'{root}' holds no LeRobotDataset (no meta/info.json).")
+    meta = LeRobotDatasetMetadata(repo_id, root)
+    demonstration_features(meta)
+    if meta.fps != CONTROL_HZ:
+        raise InputError(
+            f"Dataset '{repo_id}' has {meta.fps} fps; the world runs at {CONTROL_HZ}, so record with"
+            f" --dataset.fps={CONTROL_HZ}."
+        )
+    dataset = LeRobotDataset(repo_id, root, video_backend="pyav")
+    table = dataset.hf_dataset.with_format("numpy")
+    state, action = (np.stack(table[k]).astype(float) for k in (OBS_STATE, ACTION))
+    references = []
+    for i in range(meta.total_episodes):
+        row = meta.episodes[i]
+        rows = slice(row["dataset_from_index"], row["dataset_to_index"])
+        s = state[rows]
+        r = Reference(i, s[:, EE], s[:, AREA], action[rows], row["tasks"][0])
+        if sensor is not None:
+            r.centre_mm = imprint_centres_mm(load_episode(dataset, i).images, r.area, sensor)
+        references.append(r)
+    return meta, references
+
+
+def augment_guided(
+    meta: LeRobotDatasetMetadata,
+    setup: AugmentSetup,
+    out_root: str | Path,
+    out_repo_id: str,
+    episodes: int,
+    workers: int,
+    progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
+) -> dict:
+    """Writes a LeRobotDataset of planned demonstrations that merges with its source.
+
+    Args:
+        meta: of the source, from `read_references`.
+        setup: what every demonstration depends on.
+        out_root: folder of the new dataset; `<out_root>.work` holds what is finished until all is.
+        out_repo_id: its name.
+        episodes: number of new demonstrations.
+        workers: processes.
+        progress: is told the stage, and how many of how many are done.
+
+    Returns:
+        `attempts`, `kept`, `rejected` (reason to count), `provenance` (a dict each), `seconds` by part,
+        `scenes`, `wall_s`.
+
+    Raises:
+        InputError: there are fewer than two demonstrations, one never touches, the output exists, an
+            unfinished run is another one, or a demonstration cannot be made.
+    """
+    onset_sigma_m(setup.references)
+    out_root = Path(out_root)
+    work, part = (
+        Work(out_root.with_name(out_root.name + ".work")),
+        out_root.with_name(out_root.name + ".part"),
+    )
+    began = time.monotonic()
+    if out_root.exists() and work.folder.exists():  # stopped when all was done but the tidying up
+        work.open(_run(meta, setup))
+        scenes = [work.load_scene(i) for i in range(len(setup.references))]
+        lines = (out_root / "meta" / PROVENANCE).read_text().splitlines()
+        if len(lines) != episodes:
+            raise InputError(
+                f"'{out_root}' holds {len(lines)} demonstrations, not {episodes}; give a new folder for them."
+            )
+        shutil.rmtree(work.folder)
+        return _summary([json.loads(line) for line in lines], {}, scenes, began)
+    if out_root.exists():
+        raise InputError(f"'{out_root}' exists; give a new folder for dataset '{out_repo_id}'.")
+    work.open(_run(meta, setup))
+    shutil.rmtree(part, ignore_errors=True)
+    n = len(setup.references)
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(workers, context, begin, (setup, work.folder))
+    seconds: dict[str, float] = {"writing": 0.0}
+    provenance = []
+    try:
+        missing = [i for i in range(n) if not work.scene_file(i).exists()]
+        for done, future in enumerate([pool.submit(make_scene, i) for i in missing]):
+            progress("finding the objects", done, len(missing))
+            future.result()
+        scenes = [work.load_scene(i) for i in range(n)]
+        waiting = {
+            k: pool.submit(make_episode, k, scenes)
+            for k in range(episodes)
+            if not work.episode_file(k).exists()
+        }
+        features = demonstration_features(meta)
+        use_videos = features[TACTILE]["dtype"] == "video"
+        longest = max(map(len, setup.references)) + EXTRA_STEPS
+        with quiet_encoders():
+            out = create_dataset(out_repo_id, part, meta.fps, features, meta.robot_type, use_videos, longest)
+            try:
+                for k in range(episodes):
+                    progress("planning demonstrations", k, episodes)
+                    if k in waiting:
+                        waiting.pop(k).result()
+                    trial, line, spent = work.load_episode(k)
+                    provenance.append(line)
+                    for name, s in spent.items():
+                        seconds[name] = seconds.get(name, 0.0) + s
+                    start = time.perf_counter()
+                    instruction = setup.references[line["source"]].task
+                    save_episode(out, Episode(trial.state, trial.action, trial.images, instruction, meta.fps))
+                    seconds["writing"] += time.perf_counter() - start
+            finally:
+                out.finalize()
+        finish(part, out_root, provenance)
+        shutil.rmtree(work.folder)
+    except BrokenProcessPool as e:
+        raise InputError(
+            "A worker process ended (out of memory?); repeat the command to go on, with fewer --workers."
+        ) from e
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+    return _summary(provenance, seconds, scenes, began)
+
+
+def augment_without_simulator(
+    meta: LeRobotDatasetMetadata, out_root: str | Path, out_repo_id: str, episodes: int, seed: int
+) -> dict:
+    """The same by `naive.augment_naive`; the result has the keys of `augment_guided`."""
+    out_root, began = Path(out_root), time.monotonic()
+    if out_root.exists():
+        raise InputError(f"'{out_root}' exists; give a new folder for dataset '{out_repo_id}'.")
+    part = out_root.with_name(out_root.name + ".part")
+    shutil.rmtree(part, ignore_errors=True)
+    augment_naive(meta.root, meta.repo_id, part, out_repo_id, episodes, seed)
+    provenance = [
+        {"episode": k, "seed": seed, "source_episode": k % meta.total_episodes, "method": "naive"}
+        for k in range(episodes)
+    ]
+    finish(part, out_root, provenance)
+    return _summary(provenance, {}, [], began)
+
+
+def _summary(provenance: list[dict], seconds: dict, scenes: list[Scene], began: float) -> dict:
+    rejected = [r["reason"] for line in provenance for r in line.get("rejected", ())]
+    return {
+        "kept": len(provenance),
+        "attempts": len(provenance) + len(rejected),
+        "rejected": {reason: rejected.count(reason) for reason in sorted(set(rejected))},
+        "provenance": provenance,
+        "seconds": seconds,
+        "scenes": [asdict(scene) for scene in scenes],
+        "wall_s": time.monotonic() - began,
+    }
+
+
+def finish(part: Path, out_root: Path, provenance: list[dict]) -> None:
+    """Adds the provenance to a whole dataset and gives it its name, in one step."""
+    with (part / "meta" / PROVENANCE).open("w") as f:
+        f.writelines(json.dumps(line) + "\n" for line in provenance)
+    os.replace(part, out_root)
+
+
+def _run(meta: LeRobotDatasetMetadata, setup: AugmentSetup) -> dict:
+    """What must be equal for two runs to make the same demonstrations; their number may differ."""
+    digest = hashlib.sha256()
+    for r in setup.references:
+        centres = () if r.centre_mm is None else r.centre_mm
+        for x in (r.flange_m, r.area, r.action, centres):
+            digest.update(np.ascontiguousarray(x).tobytes())
+    return {
+        "dataset": meta.repo_id,
+        "demonstrations": digest.hexdigest(),
+        "task": setup.task,
+        "twin": None if setup.twin is None else str(setup.twin),
+        "fidelity": setup.fidelity,
+        "planner": asdict(setup.planner),
+        "seed": setup.seed,
+        "attempts": setup.attempts,
+        "candidates": setup.candidates,
+    }

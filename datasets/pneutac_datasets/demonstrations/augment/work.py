@@ -1,0 +1,118 @@
+"""Work folder of an augmentation: each finished piece is one file that appears whole or not at all.
+
+What is there need not be made again, so a run that was killed goes on where it stopped, with any number of
+workers, and pieces made twice are equal.
+"""
+
+import json
+import os
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from pneutac_datasets.demonstrations.augment.episode import AugmentSetup, Generator, Trial
+from pneutac_datasets.demonstrations.augment.scene import Scene
+from pneutac_sim.errors import InputError
+from pneutac_sim.worker import start_worker
+
+
+class Work:
+    """The folder.
+
+    Args:
+        folder: beside the output.
+    """
+
+    def __init__(self, folder: Path):
+        self.folder = Path(folder)
+
+    def open(self, run: dict) -> None:
+        """Begins a run or goes on with the same one; raises InputError where the folder holds another."""
+        file = self.folder / "run.json"
+        text = json.dumps(run, indent=2, sort_keys=True)
+        if not file.exists():
+            self.folder.mkdir(parents=True, exist_ok=True)
+            _write(file, lambda f: f.write(text.encode()))
+        elif file.read_text() != text:
+            old = json.loads(file.read_text())
+            changed = ", ".join(k for k in sorted(run.keys() | old.keys()) if run.get(k) != old.get(k))
+            raise InputError(
+                f"'{self.folder}' holds an unfinished augmentation with another {changed}; delete that"
+                " folder, or repeat the command that began it."
+            )
+
+    def scene_file(self, source: int) -> Path:
+        """File of the scene of one reference."""
+        return self.folder / f"scene_{source:06d}.json"
+
+    def episode_file(self, index: int) -> Path:
+        """File of one finished demonstration."""
+        return self.folder / f"episode_{index:06d}.npz"
+
+    def load_scene(self, source: int) -> Scene:
+        """Reads a scene."""
+        d = json.loads(self.scene_file(source).read_text())
+        return Scene(**d | {"shift_m": tuple(d["shift_m"])})
+
+    def load_episode(self, index: int) -> tuple[Trial, dict, dict]:
+        """Reads a demonstration, its provenance, and the seconds that it took."""
+        with np.load(self.episode_file(index)) as d:
+            images = np.add(d["change"], d["first"], dtype=np.uint8)
+            provenance, seconds = json.loads(str(d["provenance"])), json.loads(str(d["seconds"]))
+            trial = Trial(d["state"], d["action"], images, None, provenance["cost"], provenance["area_rmse"])
+        return trial, provenance, seconds
+
+    def save_scene(self, source: int, scene: Scene) -> None:
+        """Writes a scene."""
+        _write(self.scene_file(source), lambda f: f.write(json.dumps(asdict(scene)).encode()))
+
+    def save_episode(self, index: int, trial: Trial, provenance: dict, seconds: dict) -> None:
+        """Writes a demonstration; images as differences from the first, which are mostly zero."""
+        arrays = {
+            "state": trial.state,
+            "action": trial.action,
+            "first": trial.images[0],
+            "change": trial.images - trial.images[0],
+            "provenance": np.array(json.dumps(provenance)),
+            "seconds": np.array(json.dumps(seconds)),
+        }
+        _write(self.episode_file(index), lambda f: np.savez_compressed(f, **arrays))
+
+
+def _write(file: Path, write) -> None:
+    temporary = file.with_name(f"{file.name}.{os.getpid()}.tmp")
+    with temporary.open("wb") as f:
+        write(f)
+    os.replace(temporary, file)
+
+
+# ------------------------------------------------------------------ in a worker process
+
+_generator: Generator | None = None
+_work: Work | None = None
+
+
+def begin(setup: AugmentSetup, folder: Path) -> None:
+    """Prepares a worker process."""
+    global _generator, _work
+    start_worker()
+    _generator, _work = Generator(setup), Work(folder)
+
+
+def make_scene(source: int) -> None:
+    """Finds and saves the scene of one reference."""
+    _work.save_scene(source, _generator.scene(source))
+
+
+def make_episode(index: int, scenes: list[Scene]) -> None:
+    """Makes and saves one demonstration."""
+    before = _spent()
+    trial, provenance = _generator.episode(index, scenes)
+    seconds = {k: v - before[k] for k, v in _spent().items()}
+    _work.save_episode(index, trial, provenance, seconds)
+
+
+def _spent() -> dict:
+    g = _generator
+    return {**g.gantry.seconds, **g.seconds, "planner_steps": g.gantry.steps}

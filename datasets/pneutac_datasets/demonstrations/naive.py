@@ -1,0 +1,181 @@
+"""Naive augmentation: more demonstrations out of a few, without a simulator (the paper's N-Aug).
+
+Time warping, demonstration mix-up, kinematic and pressure jitter, and jitter of the tactile image's
+appearance. What is physically tied together is changed together as far as the data alone allow: warped time
+scales the velocities, a displaced approach moves joints and commands too, and contact pixels follow from the
+contact area. Nothing knows whether the altered demonstration would have done the task.
+"""
+
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
+from lerobot.utils.constants import OBS_STATE
+from rich.progress import track
+
+from pneutac_datasets.demonstrations.episodes import (
+    AREA,
+    EE,
+    JOINTS,
+    PIXELS,
+    PRESSURE,
+    RATES,
+    TACTILE,
+    Episode,
+    demonstration_features,
+    load_episode,
+    save_episode,
+)
+from pneutac_datasets.demonstrations.writing import create_dataset, quiet_encoders
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, N_PIXELS, STATE_HIGH, STATE_LOW
+
+# How far each variation goes; small against what tells one phase of a demonstration from the next.
+SPEED = (0.85, 1.2)  # local speed of time
+MIX_SHARE, MIX_WEIGHT = 0.5, (0.1, 0.4)  # share of mixed demonstrations, weight of the partner
+START_M = 0.003  # standard deviation of the displaced start
+PRESSURE_GAIN = 0.03  # standard deviation of the pressure's factor
+CONTRAST = (0.8, 1.25)  # factor on each colour channel's change by contact
+BRIGHTNESS = 2.0  # standard deviation of each channel's offset, levels of 255
+
+
+def augment_naive(
+    dataset_root: str | Path,
+    repo_id: str,
+    out_root: str | Path,
+    out_repo_id: str,
+    episodes: int,
+    seed: int,
+) -> Path:
+    """Writes a LeRobotDataset of varied demonstrations that merges with its source.
+
+    Args:
+        dataset_root: folder of the demonstrations.
+        repo_id: their name.
+        out_root: folder of the new dataset, which must not exist.
+        out_repo_id: its name.
+        episodes: number of new demonstrations; the sources take turns.
+        seed: decides every variation.
+
+    Returns:
+        `out_root`.
+
+    Raises:
+        InputError: the source is not there or has other features, or `out_root` exists.
+    """
+    if not (Path(dataset_root) / "meta" / "info.json").is_file():
+        raise InputError(f"'{dataset_root}' holds no LeRobotDataset (no meta/info.json).")
+    meta = LeRobotDatasetMetadata(repo_id, dataset_root)
+    features = demonstration_features(meta)
+    source = LeRobotDataset(repo_id, dataset_root, video_backend="pyav", return_uint8=True)
+    load = lru_cache(maxsize=16)(lambda i: load_episode(source, i))
+    slope = _joint_slope(source)
+    longest = int(np.ceil(max(meta.episodes["length"]) / SPEED[0])) + 1
+    use_videos = features[TACTILE]["dtype"] == "video"
+    out = create_dataset(out_repo_id, out_root, meta.fps, features, meta.robot_type, use_videos, longest)
+    n = meta.total_episodes
+    with quiet_encoders():
+        try:
+            for k in track(range(episodes), f"augmenting to {episodes} demonstrations", transient=True):
+                rng = np.random.default_rng([seed, k])
+                partner = load(int(rng.integers(n))) if rng.random() < MIX_SHARE else None
+                save_episode(out, vary(load(k % n), partner, slope, rng))
+        finally:
+            out.finalize()
+    return Path(out_root)
+
+
+def vary(episode: Episode, partner: Episode | None, slope: np.ndarray, rng: np.random.Generator) -> Episode:
+    """One varied demonstration.
+
+    Args:
+        episode: the demonstration to vary.
+        partner: another one to mix in, or None.
+        slope: (3, 7) change of the joint angles with the flange position, rad/m.
+        rng: decides every variation.
+    """
+    if partner is not None:
+        episode = _mix(episode, partner, rng.uniform(*MIX_WEIGHT))
+    state, action = episode.state.copy(), episode.action.copy()
+    _displace_approach(episode, state, action, slope, rng)
+    gain = 1 + PRESSURE_GAIN * rng.standard_normal()
+    state[:, PRESSURE] *= gain
+    action[:, 3] *= gain
+    varied = _warp_time(replace(episode, state=state, action=action), rng)
+    varied.state = np.clip(varied.state, STATE_LOW, STATE_HIGH).astype(np.float32)
+    varied.action = np.clip(varied.action, ACTION_LOW, ACTION_HIGH).astype(np.float32)
+    varied.images = _change_appearance(varied.images, rng)
+    return varied
+
+
+def _mix(episode: Episode, partner: Episode, weight: float) -> Episode:
+    """Weighted mean of two demonstrations, their times aligned at start, first and last contact, and end."""
+    a, b = episode.contact(), partner.contact()
+    knots = [0, *(a if a and b else ()), len(episode) - 1]
+    matched = [0, *(b if a and b else ()), len(partner) - 1]
+    times = np.interp(np.arange(len(episode)), knots, matched)
+    other = partner.at(times)
+    state = (1 - weight) * episode.state + weight * other.state
+    state[:, PIXELS] = np.log1p(state[:, AREA] * N_PIXELS)
+    images = np.stack(
+        [((1 - weight) * i + weight * j).round() for i, j in zip(episode.images, other.images, strict=True)]
+    )
+    action = (1 - weight) * episode.action + weight * other.action
+    return replace(episode, state=state, action=action, images=images.astype(np.uint8))
+
+
+def _displace_approach(episode: Episode, state, action, slope, rng) -> None:
+    """Displaces the start of the path; the displacement fades out until the first contact.
+
+    Position, joint angles, their rates and the commanded velocity all follow the displaced path; in place.
+    """
+    contact = episode.contact()
+    end = contact[0] if contact else len(episode) - 1
+    fade = np.zeros(len(episode) + 1)
+    fade[: end + 1] = 0.5 + 0.5 * np.cos(np.pi * np.arange(end + 1) / max(end, 1))
+    shift = fade[:, None] * (START_M * rng.standard_normal(3))  # (T + 1, 3) m
+    state[:, EE] += shift[:-1]
+    state[:, JOINTS] += shift[:-1] @ slope
+    velocity = np.diff(shift, axis=0) * episode.fps
+    state[:, RATES] += velocity @ slope
+    action[:, :3] += velocity
+
+
+def _warp_time(episode: Episode, rng: np.random.Generator) -> Episode:
+    """Plays a demonstration at a smoothly varying speed; the velocities follow."""
+    low, high = SPEED
+    phase, cycles = rng.uniform(0, 2 * np.pi), rng.uniform(0.5, 2.0)
+    middle = rng.uniform(low, high)
+    swing = min(middle - low, high - middle)
+    t, times = 0.0, []
+    while t <= len(episode) - 1:
+        times.append(t)
+        t += middle + swing * np.sin(phase + 2 * np.pi * cycles * t / len(episode))
+    return episode.at(np.array(times))
+
+
+def _change_appearance(images: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Scales what contact changes in the images, and shifts their brightness, a channel at a time."""
+    contrast = rng.uniform(*CONTRAST, 3).astype(np.float32)
+    brightness = (BRIGHTNESS * rng.standard_normal(3)).astype(np.float32)
+    first = images[0].astype(np.float32)
+    # One image at a time: a whole episode in floats would take a gigabyte for some minutes of data.
+    return np.stack(
+        [
+            np.clip(first + contrast * (i - first) + brightness, 0, 255).round().astype(np.uint8)
+            for i in images
+        ]
+    )
+
+
+def _joint_slope(dataset: LeRobotDataset) -> np.ndarray:
+    """Least-squares change of the joint angles with the flange position over a dataset, (3, 7) rad/m.
+
+    With the orientation held this is the arm's inverse Jacobian where the demonstrations are; directions in
+    which they hardly move stay out (singular values under 1 %).
+    """
+    state = np.stack(dataset.hf_dataset.with_format("numpy")[OBS_STATE])
+    state = state - state.mean(0)
+    return np.linalg.lstsq(state[:, EE], state[:, JOINTS], rcond=0.01)[0]

@@ -1,0 +1,99 @@
+"""Records demonstrations faster than wall time: lerobot-record's loop without its sleeps.
+
+The same Robot and Teleoperator objects, the same order of calls, features and dataset code as lerobot-record,
+so that what comes out merges with its recordings.
+"""
+
+from pathlib import Path
+
+from lerobot.datasets import LeRobotDataset
+from lerobot.utils.constants import ACTION, OBS_STR
+from lerobot.utils.feature_utils import build_dataset_frame, combine_feature_dicts, hw_to_dataset_features
+from rich.progress import track
+
+from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
+from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
+from pneutac_datasets.demonstrations.writing import create_dataset, quiet_encoders
+from pneutac_sim.errors import InputError
+
+
+def record_episodes(
+    robot: PneutacSim,
+    teleop: PneutacScripted,
+    repo_id: str,
+    root: str | Path,
+    episodes: int,
+    fps: int,
+    task_text: str,
+    use_videos: bool,
+) -> Path:
+    """Records demonstrations of a scripted teleoperator; a failed one is recorded anew, as a person would.
+
+    An episode ends when the task is done, as if the person pressed the key for the next one.
+
+    Args:
+        robot: the simulated robot; one that is not connected is connected for the recording only.
+        teleop: its teleoperator, likewise; its `episode_steps` is an episode's longest.
+        repo_id: name of the dataset.
+        root: folder of the dataset, which must not exist.
+        episodes: number of demonstrations.
+        fps: frames per second that the dataset states.
+        task_text: instruction stored with every frame.
+        use_videos: store the tactile images as video instead of PNG.
+
+    Returns:
+        `root`.
+
+    Raises:
+        InputError: `root` exists, or three of four demonstrations fail.
+    """
+    features = combine_feature_dicts(
+        hw_to_dataset_features(robot.action_features, ACTION, use_videos),
+        hw_to_dataset_features(robot.observation_features, OBS_STR, use_videos),
+    )
+    length = teleop.config.episode_steps
+    dataset = create_dataset(repo_id, root, fps, features, robot.name, use_videos, length)
+    ours = [device for device in (teleop, robot) if not device.is_connected]
+    for device in ours:
+        device.connect()
+    failed = 0
+    with quiet_encoders():
+        try:
+            for done in track(range(episodes), f"recording {episodes} demonstrations", transient=True):
+                while not _record_episode(robot, teleop, dataset, task_text):
+                    dataset.clear_episode_buffer()
+                    failed += 1
+                    if failed > 4 + 3 * done:
+                        raise InputError(
+                            f"{failed} scripted demonstrations failed and {done} succeeded; can the twin's"
+                            f" finger do the task '{robot.config.task}' in {length} steps?"
+                        )
+                dataset.save_episode()
+        finally:
+            dataset.finalize()
+            for device in ours:
+                device.disconnect()
+    return Path(root)
+
+
+def _record_episode(robot: PneutacSim, teleop: PneutacScripted, dataset: LeRobotDataset, task: str) -> bool:
+    """One demonstration into the episode buffer; returns whether the task was done, by touch."""
+    teleop.begin()
+    felt = False
+    for _ in range(teleop.config.episode_steps):
+        observation = robot.get_observation()
+        felt = felt or observation["contact_area.pos"] > 0
+        action = teleop.get_action()
+        dataset.add_frame(
+            {
+                **build_dataset_frame(dataset.features, observation, OBS_STR),
+                **build_dataset_frame(dataset.features, action, ACTION),
+                "task": task,
+            }
+        )
+        robot.send_action(action)
+        if robot.world.success or robot.world.failure:
+            break
+    done = robot.world.success and not robot.world.failure and felt
+    robot.reset()
+    return done

@@ -1,0 +1,87 @@
+"""A generated gel recording, for use where no photographs are at hand.
+
+Its light is deliberately not the model's: three point LEDs with inverse-square fall-off and Lambert's cosine
+on a Hertz half-space, with attached shadows, sensor noise and a drift of brightness between images.
+"""
+
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from pneutac_datasets.generate.presses import press_row, write_session
+from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_sim.gel.indenter import Press
+
+WIDTH, HEIGHT, PX_PER_MM = 240, 320, 20.0
+BALL_RADIUS_MM = 3.0
+NOISE_LEVELS, DRIFT_SHARE = 2.0, 0.01
+
+# LEDs: place (x, y, height above the gel) in mm, colour, strength
+_LEDS = (
+    ((-15.0, -5.0, 9.0), (1.0, 0.12, 0.20), 1.0),
+    ((15.0, -4.0, 9.0), (0.15, 1.0, 0.25), 1.0),
+    ((0.0, 18.0, 9.0), (0.12, 0.20, 1.0), 1.3),
+)
+_AMBIENT, _EXPOSURE = 0.2, 100.0
+
+
+def write_gel_recording(folder: str | Path, seed: int = 0, heldout: int = 6) -> BenchRecording:
+    """Writes a rest image, one calibration and several held-out indentations by a ball of 3 mm radius.
+
+    Args:
+        folder: where the recording goes.
+        seed: decides places, depths and noise.
+        heldout: number of held-out images.
+
+    Returns:
+        The recording, as loaded from `folder`.
+    """
+    folder, rng = Path(folder), np.random.default_rng(seed)
+    (folder / "images").mkdir(parents=True, exist_ok=True)
+    x, y = np.meshgrid(
+        (np.arange(WIDTH) + 0.5 - WIDTH / 2) / PX_PER_MM, (np.arange(HEIGHT) + 0.5 - HEIGHT / 2) / PX_PER_MM
+    )
+
+    def photograph(u: np.ndarray, name: str) -> None:
+        exposure = _EXPOSURE * (1 + DRIFT_SHARE * rng.standard_normal())
+        image = exposure * _radiance(u, x, y) + NOISE_LEVELS * rng.standard_normal((*u.shape, 3))
+        Image.fromarray(np.clip(image, 0, 255).round().astype(np.uint8)).save(folder / name)
+
+    photograph(np.zeros_like(x), "rest.png")
+    rows = []
+    for i in range(heldout + 1):
+        cx, cy = (0.6, 0.5) if i == 0 else rng.uniform((-3.5, -5.0), (3.5, 5.0))
+        depth = 0.9 if i == 0 else rng.uniform(0.5, 1.1)
+        name = f"images/ball_{i}.png"
+        photograph(hertz(np.hypot(x - cx, y - cy), depth, BALL_RADIUS_MM), name)
+        row = press_row(i, name, Press("sphere", BALL_RADIUS_MM, cx, cy, depth))
+        rows.append(row | {"contact_radius_px": np.sqrt(BALL_RADIUS_MM * depth) * PX_PER_MM})
+    notes = "Generated: point LEDs on a Hertz half-space, with noise and drift; not photographs."
+    return write_session(folder, rows, PX_PER_MM, notes)
+
+
+def hertz(r_mm: np.ndarray, depth_mm: float, radius_mm: float) -> np.ndarray:
+    """Surface displacement of an elastic half-space under a ball, mm (Johnson, Contact Mechanics).
+
+    u = d - r^2 / 2R inside a = sqrt(R d), outside (a sqrt(r^2 - a^2) + (2 a^2 - r^2) asin(a / r)) / (pi R).
+    """
+    a2 = radius_mm * depth_mm
+    r2 = np.square(r_mm)
+    out = np.maximum(r2, a2)
+    far = np.sqrt(a2 * (out - a2)) + (2 * a2 - out) * np.arcsin(np.sqrt(a2 / out))
+    return np.where(r2 < a2, depth_mm - r2 / (2 * radius_mm), far / (np.pi * radius_mm))
+
+
+def _radiance(u: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Light that the gel surface, pushed by u towards the LEDs, sends to the camera, (H, W, 3)."""
+    uy, ux = np.gradient(u, 1 / PX_PER_MM)
+    cosine_scale = 1 / np.sqrt(1 + ux**2 + uy**2)
+    image = np.full((*u.shape, 3), _AMBIENT)
+    for (px, py, height), colour, strength in _LEDS:
+        lx, ly, lz = px - x, py - y, height - u
+        distance = np.sqrt(lx**2 + ly**2 + lz**2)
+        # the normal towards the LEDs is (-du/dx, -du/dy, 1), heights counted from the gel to the LEDs
+        lambert = np.maximum(lz - lx * ux - ly * uy, 0.0) * cosine_scale / distance
+        image += (strength * lambert * 400.0 / distance**2)[..., None] * np.array(colour)
+    return image

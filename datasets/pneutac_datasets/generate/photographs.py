@@ -1,0 +1,190 @@
+"""Bench recordings with photographs of a finger or an arm whose parameters are hidden.
+
+    recording = write_photographs("outputs/photos", seed=3)
+    camera, (image, mask) = read_camera(recording, "front"), read_photograph(recording, 0, "front")
+
+The body is brought to rest by full material points at each pressure, its surface mesh follows them, and
+MuJoCo photographs it from all sides. What the twin has to find lies in `truth/<name>.json` beside the folder.
+An effect is hidden in it so, here with two photographs a pressure, 2 s and 60 s after the step:
+
+    creeping = Disturbances(effects={"creep": {"weight_4s": 0.06, "weight_40s": 0.08}})
+    write_photographs("outputs/photos", seed=3, disturbances=creeping, after_s=(2, 60))
+"""
+
+import json
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import trimesh
+from PIL import Image
+from scipy.spatial.transform import Rotation
+
+from pneutac_datasets.generate.photo_cameras import CAMERAS, knocked, place_camera
+from pneutac_datasets.generate.photo_plan import default_pressures, hidden_twin, joints_of, session
+from pneutac_datasets.generate.photo_scene import Studio, photograph, ragged
+from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_sim.effects.registry import get_effect
+from pneutac_sim.errors import InputError
+from pneutac_sim.mpm import devices
+from pneutac_sim.mpm.solve import solve_equilibrium
+from pneutac_sim.mpm.total_lagrangian import Loads
+from pneutac_sim.splat.carry import carry
+from pneutac_sim.twin import Twin, Value
+
+MARKER_NOISE_MM = 0.3
+
+
+@dataclass(frozen=True)
+class Disturbances:
+    """What can be wrong with a session, none of it told in `recording.json`.
+
+    Attributes:
+        effects: effect of the body to its parameters; those left out do nothing.
+        tilt_deg: by which the base is turned about y in its mount.
+        camera_deg: by which each camera is turned from where the recording says.
+        camera_mm: by which it is moved.
+        mask_px: by which the edge of the masks wanders.
+    """
+
+    effects: dict[str, dict[str, float]] = field(default_factory=dict)
+    tilt_deg: float = 0.0
+    camera_deg: float = 0.0
+    camera_mm: float = 0.0
+    mask_px: float = 0.0
+
+    def __post_init__(self):
+        for name in self.effects:
+            if get_effect(name).stage not in ("pneumatics", "actuation", "body"):
+                raise InputError(
+                    f"Disturbances: effect '{name}' does not act on the body; tilt_deg turns the base, "
+                    "camera_deg and camera_mm move the cameras."
+                )
+        for name in ("tilt_deg", "camera_deg", "camera_mm", "mask_px"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value >= 0):
+                raise InputError(f"Disturbances: {name} is {value}; it must be 0 or a positive number.")
+
+
+def write_photographs(
+    folder: str | Path,
+    seed: int,
+    device: str = "finger",
+    pressures_kpa=None,
+    disturbances: Disturbances | None = None,
+    particles: int = 6000,
+    after_s: tuple[float, ...] = (),
+    conditions: dict | None = None,
+) -> BenchRecording:
+    """Photographs a hidden device at each pressure.
+
+    By default each is held for long by itself (one trial a pressure). With `after_s` all are one trial, in
+    the order given: the pressure changes evenly until the first of these times and then stays.
+
+    Args:
+        folder: of the recording.
+        seed: decides parameters, looks, lamps, cameras and noise.
+        device: `finger` or `arm`.
+        pressures_kpa: (T,), or (T, 3) of an arm; None for `default_pressures`.
+        disturbances: what is wrong with the session; None for nothing.
+        particles: of the hidden body, about; not those of a twin, whose lattice would be the same.
+        after_s: rising times after each step at which it is photographed, the last one being that of the next
+            step.
+        conditions: further columns of the recording, such as `gravity_x`: a number, or (T,) numbers.
+
+    Returns:
+        The recording: `image_front`, `mask_front` and so on, `tip_x_mm, tip_y_mm, tip_z_mm` with noise; each
+        camera's `background` is a photograph without the body.
+
+    Raises:
+        InputError: another device, pressures that are no finite numbers, times that do not rise, or an effect
+            that lacks a condition.
+    """
+    twin, wrong = hidden_twin(seed, device), disturbances or Disturbances()
+    for name, values in wrong.effects.items():
+        twin.effects[name] = get_effect(name).neutral() | {k: Value(float(v)) for k, v in values.items()}
+    pressure = default_pressures(device) if pressures_kpa is None else np.asarray(pressures_kpa, float)
+    table = session(pressure, device, after_s, conditions or {})
+    meshes, rest, q, tips = bent_meshes(twin, joints_of(twin, table), particles)
+    tilt = Rotation.from_euler("y", -wrong.tilt_deg, degrees=True).as_matrix()
+    rng = np.random.default_rng([seed, 12])
+    length = 1e-3 * twin.length_mm
+    width = 1e-3 * devices.parameter(twin, "width_mm")
+    studio = Studio.random(rng, length, width)
+    told = {name: place_camera(name, length, rng) for name in CAMERAS[device]}
+    true = {n: knocked(c, wrong.camera_deg, wrong.camera_mm, rng) for n, c in told.items()}
+    folder = Path(folder)
+    (folder / "images").mkdir(parents=True, exist_ok=True)
+    for name, camera in true.items():
+        Image.fromarray(photograph(None, rest, studio, camera, rng)[0]).save(folder / _empty(name))
+    tips = 1e3 * tips @ tilt.T
+    seen = []
+    for i, mesh in enumerate(meshes):
+        mesh.vertices = mesh.vertices @ tilt.T
+        row = {}
+        for name, camera in true.items():
+            image, mask = photograph(mesh, rest, studio, camera, rng)
+            mask = ragged(mask, wrong.mask_px, rng)
+            for kind, picture in (("image", image), ("mask", np.uint8(255) * mask)):
+                row[f"{kind}_{name}"] = f"images/{i:03d}_{kind}_{name}.png"
+                Image.fromarray(picture).save(folder / row[f"{kind}_{name}"])
+        tip = tips[i] + MARKER_NOISE_MM * rng.normal(size=3)
+        seen.append(row | {f"tip_{a}_mm": x for a, x in zip("xyz", tip, strict=True)})
+    meta = {
+        "device": device,
+        "length_mm": twin.length_mm,
+        "spine_joint_positions_mm": list(twin.spine_joint_positions_mm),
+        "samples": "samples.csv",
+        "noise": {f"tip_{a}_mm": MARKER_NOISE_MM for a in "xyz"},
+        "cameras": {
+            name: {
+                "intrinsics": c.intrinsics.tolist(),
+                "extrinsics": c.extrinsics.tolist(),
+                "background": _empty(name),
+            }
+            for name, c in told.items()
+        },
+        "notes": "Generated.",
+    }
+    BenchRecording(folder, meta, pd.concat([table, pd.DataFrame(seen)], axis=1), device).write(folder)
+    truth = {
+        "parameters": {k: v.value for k, v in twin.parameters.items()},
+        "joints_rad": q.tolist(),
+        "tips_mm": tips.tolist(),
+        "disturbances": asdict(wrong),
+        "camera_extrinsics": {name: c.extrinsics.tolist() for name, c in true.items()},
+        "seed": seed,
+        "recording": folder.name,
+    }
+    file = folder.parent / "truth" / f"{folder.name}.json"
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(json.dumps(truth, indent=1) + "\n")
+    return BenchRecording.load(folder)
+
+
+def _empty(camera: str) -> str:
+    return f"images/empty_{camera}.png"
+
+
+def bent_meshes(
+    twin: Twin, q_cmd: np.ndarray, particles: int = 6000
+) -> tuple[list[trimesh.Trimesh], np.ndarray, np.ndarray, np.ndarray]:
+    """Surface meshes of a device at rest, by full material points.
+
+    Args:
+        twin: a finger's or an arm's.
+        q_cmd: (T, H) rad, joint targets.
+        particles: about how many.
+
+    Returns:
+        T meshes (m), the vertices (V, 3) of the straight one, the joint angles (T, H) at rest, rad, and the
+        spine's tips (T, 3), m.
+    """
+    solver = devices.BODIES[twin.device](twin, batch=len(q_cmd), particles=particles)
+    state = solve_equilibrium(solver, Loads(q_cmd=q_cmd))
+    width = 1e-3 * devices.parameter(twin, "width_mm")
+    straight = devices.SHAPES[twin.device](1e-3 * twin.length_mm, width).subdivide()
+    moved = carry(straight.vertices, solver.body.positions, state.positions, state.gradients)
+    meshes = [trimesh.Trimesh(x, straight.faces, process=False) for x in moved]
+    return meshes, np.asarray(straight.vertices), state.q, devices.spine_points(solver, state.q)[:, -1]

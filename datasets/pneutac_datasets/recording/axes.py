@@ -1,0 +1,135 @@
+"""Along which axes an error may be looked at: pressure, direction, rate, hold time, logged conditions."""
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from pneutac_datasets.recording.recording import BenchRecording
+
+STILL_1_PER_S = 0.005  # of the range of pressures: a slower change counts as a hold
+HOLD_EDGES_S = (0.0, 1.0, 3.0, 10.0, 30.0, 100.0, np.inf)
+
+
+@dataclass
+class Axis:
+    """One way to sort samples.
+
+    Attributes:
+        name: column or derived quantity.
+        value: (n,) number of each sample, None for labels.
+        bin: (n,) bin number of each sample, -1 where it belongs to none.
+        labels: what to call each bin.
+    """
+
+    name: str
+    value: np.ndarray | None
+    bin: np.ndarray
+    labels: list[str]
+
+
+def axes(recording: BenchRecording) -> list[Axis]:
+    """Every axis that this recording's columns allow, also those along which it never varied.
+
+    For a finger or an arm: commanded pressures, `direction` (loading, unloading, hold), `rate` (kPa/s),
+    `hold_time_s`, `program`, `trial`, `gravity`, and all other columns by their own name.
+    """
+    s = recording.samples
+    found = [numbers(c, recording.column(c), 8) for c in recording.pressure_columns]
+    rate, held = motion(recording)
+    still = is_still(recording, rate)
+    way = np.where(still, 2, np.where(rate > 0, 0, 1))
+    found.append(Axis("direction", None, way, ["loading", "unloading", "hold"]))
+    found.append(_rates(rate, still))
+    at = np.where(still, np.clip(np.searchsorted(HOLD_EDGES_S, held, side="right") - 1, 0, 5), -1)
+    names = [f"{a:g} to {b:g} s" for a, b in zip(HOLD_EDGES_S[:-1], HOLD_EDGES_S[1:], strict=True)]
+    found.append(Axis("hold_time_s", held, at, [*names[:-1], f"over {HOLD_EDGES_S[-2]:g} s"]))
+    for name in ("program", "trial"):
+        if name in s:
+            found.append(_labels(name, s[name]))
+    if "gravity_x" in s:
+        g = s[["gravity_x", "gravity_y", "gravity_z"]].to_numpy(float).round(1) + 0.0
+        found.append(_labels("gravity", pd.Series([", ".join(f"{x:g}" for x in v) for v in g])))
+    for name in recording.conditions:
+        if name in ("program",) or name.startswith("gravity_"):
+            continue
+        if s[name].dtype.kind in "if":
+            found.append(numbers(name, recording.column(name).astype(float), 6))
+        elif s[name].nunique() <= 30:
+            found.append(_labels(name, s[name]))
+    return [_compact(a) for a in found if (a.bin >= 0).any()]
+
+
+def motion(recording: BenchRecording) -> tuple[np.ndarray, np.ndarray]:
+    """Rate of the commanded pressure (n,), kPa/s, over the last 0.2 s, and time since it last moved (n,), s.
+
+    Of several chambers the rate is their sum's, since loading means more air in all.
+    """
+    rate, held = np.zeros(len(recording)), np.zeros(len(recording))
+    p = _command(recording)
+    quiet = 1e-3 * max(float(np.ptp(p)), 1e-9)
+    for rows in recording.trials().values():
+        t, q = recording.column("time_s")[rows], p[rows]
+        back = np.minimum(np.searchsorted(t, t - 0.2), np.maximum(np.arange(len(t)) - 1, 0))
+        span = np.maximum(t - t[back], 1e-9)
+        rate[rows] = np.where(np.arange(len(t)) > 0, (q - q[back]).sum(1) / span, 0.0)
+        moved = np.r_[True, np.abs(np.diff(q, axis=0)).max(1, initial=0.0) > quiet]
+        held[rows] = t - t[np.maximum.accumulate(np.where(moved, np.arange(len(t)), 0))]
+    return rate, held
+
+
+def is_still(recording: BenchRecording, rate: np.ndarray) -> np.ndarray:
+    """Mask (n,) of samples at which the command stands."""
+    return np.abs(rate) <= STILL_1_PER_S * max(float(np.ptp(_command(recording))), 1e-9)
+
+
+def _command(recording: BenchRecording) -> np.ndarray:
+    """(n, chambers)."""
+    return recording.samples[recording.pressure_columns].to_numpy(float)
+
+
+def numbers(name: str, value: np.ndarray, bins: int) -> Axis:
+    """Few distinct numbers are bins of their own; otherwise equal steps over the range."""
+    distinct = np.unique(value[np.isfinite(value)])
+    if len(distinct) <= bins:
+        place = np.searchsorted(distinct, value)
+        return Axis(name, value, np.where(np.isfinite(value), place, -1), [f"{x:g}" for x in distinct])
+    edges = np.linspace(distinct[0], distinct[-1], bins + 1)
+    place = np.clip(np.searchsorted(edges, value, side="right") - 1, 0, bins - 1)
+    digits = max(0, int(np.ceil(-np.log10((edges[1] - edges[0]) / 2))))
+    shown = [f"{x:.{digits}f}" for x in np.round(edges, digits) + 0.0]  # + 0.0 makes -0 a 0
+    labels = [f"{a} to {b}" for a, b in zip(shown[:-1], shown[1:], strict=True)]
+    return Axis(name, value, np.where(np.isfinite(value), place, -1), labels)
+
+
+def _rates(rate: np.ndarray, still: np.ndarray) -> Axis:
+    """Holds, then thirds of the moving samples by the size of their rate; ramps of one speed share a bin."""
+    size = np.abs(rate)
+    moving = size[~still]
+    if len(moving) == 0:
+        return Axis("rate", rate, np.zeros(len(rate), int), ["hold"])
+    edges = np.unique(np.round(np.quantile(moving, [0, 1 / 3, 2 / 3, 1]), 6))
+    edges = edges if len(edges) > 1 else np.r_[edges, edges[-1] + 1]
+    at = 1 + np.clip(np.searchsorted(edges, size, side="right") - 1, 0, len(edges) - 2)
+    labels = [f"{a:.3g} to {b:.3g} kPa/s" for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    return Axis("rate", rate, np.where(still, 0, at), ["hold", *labels])
+
+
+def _labels(name: str, column: pd.Series) -> Axis:
+    at, labels = pd.factorize(column)
+    return Axis(name, None, at, [str(x) for x in labels])
+
+
+def _compact(axis: Axis) -> Axis:
+    """Drops empty bins."""
+    used = np.unique(axis.bin[axis.bin >= 0])
+    place = np.full(len(axis.labels) + 1, -1)
+    place[used] = np.arange(len(used))
+    return Axis(axis.name, axis.value, place[axis.bin], [axis.labels[i] for i in used])
+
+
+def unit_of(name: str) -> str:
+    """Unit in a column's name, for axis titles."""
+    m = re.search(r"_(kpa|mm|rad|s|c|g)$", name)
+    return {"kpa": "kPa", "mm": "mm", "rad": "rad", "s": "s", "c": "°C", "g": "g"}[m[1]] if m else ""

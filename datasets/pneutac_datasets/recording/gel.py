@@ -1,0 +1,252 @@
+"""A gel's bench recording, ready to fit and to score: checked images and what pressed each of them."""
+
+import math
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+import pandas as pd
+from PIL import Image
+
+from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_sim.errors import InputError
+from pneutac_sim.gel.indenter import INDENTERS, Press
+from pneutac_sim.gel.photograph import Photograph
+from pneutac_sim.gel.probe import THICKNESS_MM
+
+MIRROR_SAMPLES = 4  # photographs from which a mirrored axis can be told
+AGREE_MM = 0.5  # by which a contact's place in pixels and in millimetres may differ
+WINDOW_MM = (3.0, 200.0)  # smallest and largest width of a gel's image
+ASSUMED_RADIUS_MM = 3.0  # of a ball that the recording does not tell: the scale of the light takes it up
+
+
+@dataclass
+class GelSample:
+    """One photograph under an indenter.
+
+    Attributes:
+        name: the image's path as the recording names it.
+        role: `calibration`, `heldout`, `known_depth` or another label.
+        image: uint8 (H, W, 3).
+        rest: image without contact of the same session: the row's `rest_image`, else the recording's.
+        clock: when in the recording, 0 to 1: by `time_s` where it runs on, else by trial, else by row.
+        press: what pressed where.
+        x_px: column of the contact centre.
+        y_px: row of the contact centre.
+        radius_px: contact radius.
+    """
+
+    name: str
+    role: str
+    image: np.ndarray
+    rest: np.ndarray
+    clock: float
+    press: Press
+    x_px: float
+    y_px: float
+    radius_px: float
+
+    @property
+    def photograph(self) -> Photograph:
+        """What a fit needs of it."""
+        return Photograph(self.press, self.image, self.rest, self.clock)
+
+
+@dataclass
+class GelRecording:
+    """Photographs of one gel at one size.
+
+    Attributes:
+        rest: image without contact, uint8 (H, W, 3).
+        px_per_mm: scale of the images.
+        thickness_mm: gel thickness.
+        samples: one photograph each.
+        warnings: one sentence for each thing that had to be assumed.
+    """
+
+    rest: np.ndarray
+    px_per_mm: float
+    thickness_mm: float
+    samples: list[GelSample]
+    warnings: list[str] = field(default_factory=list)
+
+    @classmethod
+    def load(cls, recording: BenchRecording) -> "GelRecording":
+        """Reads and checks every image and indenter of a gel's recording.
+
+        Raises:
+            InputError: one sentence naming the file, the row (the first is row 1) or field, and the remedy.
+        """
+        file, meta = recording.folder / "recording.json", recording.meta
+        scale = meta.get("px_per_mm")
+        if isinstance(scale, bool) or not isinstance(scale, int | float) or not 0 < scale < math.inf:
+            raise InputError(
+                f"{file}: field 'px_per_mm' is {scale!r}; give the images' pixels per millimetre."
+            )
+        if not meta.get("rest_image"):
+            raise InputError(f"{file}: field 'rest_image' is missing; name the image without contact.")
+        size = meta.get("gel_size_mm")
+        thickness = float(size[2]) if isinstance(size, list) and len(size) == 3 else THICKNESS_MM
+        out = cls(_rgb(recording, meta["rest_image"]), float(scale), thickness, [], list(recording.warnings))
+        width_mm = out.rest.shape[1] / out.px_per_mm
+        if not WINDOW_MM[0] <= width_mm <= WINDOW_MM[1]:
+            raise InputError(
+                f"{file}: px_per_mm is {out.px_per_mm:g}, so that the image would be {width_mm:.3g} mm wide; "
+                f"a gel's is {WINDOW_MM[0]:g} to {WINDOW_MM[1]:g} mm."
+            )
+        clocks, rests = _clock(recording.samples), {meta["rest_image"]: out.rest}
+        for (i, row), clock in zip(recording.samples.iterrows(), clocks, strict=True):
+            where, own = f"{recording.folder}, row {i + 1}", row.get("rest_image")
+            own = own if isinstance(own, dict) or (isinstance(own, str) and own) else meta["rest_image"]
+            name = own if isinstance(own, str) else where
+            if name not in rests:
+                rests[name] = _rgb(recording, own)
+                _same_size(rests[name], out.rest, f"{where}: rest image '{name}'")
+            out.samples.append(_sample(recording, row, where, out, rests[name], clock))
+        presses = [s.name for s in out.samples if s.role == "calibration"]
+        if len(presses) > 1:
+            out.warnings.append(f"{len(presses)} rows have the role calibration; the first is used.")
+        out.warnings += _misplaced(out)
+        return out
+
+    @property
+    def calibration(self) -> GelSample:
+        """The sample to fit to: the first with role `calibration`."""
+        for sample in self.samples:
+            if sample.role == "calibration":
+                return sample
+        raise InputError(
+            "The recording has no row with role 'calibration'; "
+            "add a column 'role' and mark one indentation with it."
+        )
+
+
+def _clock(samples: pd.DataFrame) -> np.ndarray:
+    """When each image was taken, 0 to 1: by `time_s` where it runs on, else by trial, else by row."""
+    for name in ("time_s", "trial"):
+        time = samples[name].to_numpy(float)
+        if np.ptp(time) > 0 and (np.diff(time) >= 0).all():
+            return (time - time[0]) / np.ptp(time)
+    return np.arange(len(samples)) / max(len(samples) - 1, 1)
+
+
+def _misplaced(data: "GelRecording") -> list[str]:
+    """A note for each axis along which the images show contacts opposite to where the rows put them."""
+    shown, stated = [], []
+    for s in data.samples:
+        if np.array_equal(s.image, s.rest):
+            continue
+        squared = np.square(
+            cv2.GaussianBlur(s.image.astype(np.float32) - s.rest, (0, 0), s.radius_px / 3)
+        ).sum(2)
+        squared[squared < 0.25 * squared.max()] = 0
+        y, x = np.indices(squared.shape)
+        shown.append([(x * squared).sum() / squared.sum(), (y * squared).sum() / squared.sum()])
+        stated.append([s.x_px, s.y_px])
+    if len(shown) < MIRROR_SAMPLES:
+        return []
+    shown, stated = (np.array(a) - np.mean(a, 0) for a in (shown, stated))
+    out = []
+    for axis, name in enumerate("xy"):
+        norm = np.sqrt(np.square(shown[:, axis]).sum() * np.square(stated[:, axis]).sum())
+        if norm > 0 and (shown[:, axis] * stated[:, axis]).sum() < -0.8 * norm:
+            out.append(f"the images show contacts opposite to {name}_mm: it, or they, are mirrored.")
+    return out
+
+
+def _same_size(image: np.ndarray, rest: np.ndarray, what: str) -> None:
+    if image.shape != rest.shape:
+        raise InputError(
+            f"{what} is {image.shape[1]} x {image.shape[0]} pixels but the rest image is "
+            f"{rest.shape[1]} x {rest.shape[0]}; give images of one size."
+        )
+
+
+def _rgb(recording: BenchRecording, value) -> np.ndarray:
+    """Reads an image that must be RGB with 8 bits a channel."""
+    image = recording.image(value)
+    if isinstance(value, str):
+        with Image.open(recording.folder / value) as im:
+            deep = "16" in im.mode or any("16" in str(tile[3]) for tile in im.tile)
+            what = {"L": "grey", "1": "black and white", "P": "a palette", "I": "grey with 32 bits"}.get(
+                im.mode
+            )
+            what = (
+                "of 16 bits a channel"
+                if deep
+                else "with an alpha channel, so not opaque"
+                if "A" in im.mode
+                else what
+            )
+            if what or im.mode not in ("RGB", "YCbCr"):
+                raise InputError(
+                    f"{recording.folder / value} is {what or im.mode}; "
+                    "convert it to plain RGB with 8 bits a channel."
+                )
+    return image
+
+
+def _sample(
+    recording: BenchRecording,
+    row: pd.Series,
+    where: str,
+    gel: GelRecording,
+    rest: np.ndarray,
+    clock: float,
+) -> GelSample:
+    image = _rgb(recording, row["image"])
+    _same_size(image, rest, f"{where}: image '{row['image']}'")
+
+    def value(name: str) -> float | None:
+        return float(row[name]) if name in row and pd.notna(row[name]) else None
+
+    def one(*names: str) -> float | None:
+        return next((v for v in map(value, names) if v is not None), None)
+
+    kind = str(row["indenter"])
+    if kind not in INDENTERS:
+        raise InputError(f"{where}: indenter is '{kind}'; it must be one of {', '.join(INDENTERS)}.")
+    h, w = image.shape[:2]
+    x_px, x_mm = value("contact_x_px"), value("x_mm")
+    y_px, y_mm = value("contact_y_px"), value("y_mm")
+    if (x_px is None and x_mm is None) or (y_px is None and y_mm is None):
+        raise InputError(
+            f"{where}: the contact's place is empty; fill x_mm and y_mm, or contact_x_px, contact_y_px."
+        )
+    for axis, px, mm, size in (("x", x_px, x_mm, w), ("y", y_px, y_mm, h)):
+        if px is not None and mm is not None and abs((px - size / 2) / gel.px_per_mm - mm) > AGREE_MM:
+            raise InputError(
+                f"{where}: {axis}_mm is {mm:g} but contact_{axis}_px, {px:g}, lies at "
+                f"{(px - size / 2) / gel.px_per_mm:.3g} mm from the image's centre; correct one of them."
+            )
+    x_px = w / 2 + x_mm * gel.px_per_mm if x_px is None else x_px
+    y_px = h / 2 + y_mm * gel.px_per_mm if y_px is None else y_px
+    size = one("indenter_radius_mm", "indenter_size_mm")
+    if kind in ("cube", "edge"):
+        size = one("indenter_size_mm", "indenter_radius_mm")
+    radius_px, depth = value("contact_radius_px"), value("depth_mm")
+    if size is None and kind == "sphere" and radius_px is not None:
+        size = ASSUMED_RADIUS_MM
+        note = f"indenter_radius_mm is empty; a ball of {size:g} mm is assumed, which scales the light alone."
+        if note not in gel.warnings:
+            gel.warnings.append(note)
+    if size is None:
+        raise InputError(f"{where}: indenter_radius_mm or indenter_size_mm is empty; give the {kind}'s size.")
+    if depth is None and kind == "sphere" and radius_px is not None:
+        depth = (radius_px / gel.px_per_mm) ** 2 / size  # Hertz: a^2 = R d
+    if depth is None:
+        raise InputError(f"{where}: depth_mm is empty; give it, or contact_radius_px of a sphere.")
+    if depth > gel.thickness_mm:
+        raise InputError(
+            f"{where}: depth_mm is {depth:g} but the gel is {gel.thickness_mm:g} mm thick; give millimetres, "
+            "or gel_size_mm in recording.json."
+        )
+    try:
+        x, y = (x_px - w / 2) / gel.px_per_mm, (y_px - h / 2) / gel.px_per_mm
+        press = Press(kind, size, x, y, depth, value("yaw_rad") or 0.0)
+    except InputError as e:
+        raise InputError(f"{where}: {e}") from e
+    if radius_px is None:
+        radius_px = press.contact_radius_mm * gel.px_per_mm
+    role = str(row.get("role", ""))
+    return GelSample(str(row["image"]), role, image, rest, float(clock), press, x_px, y_px, radius_px)

@@ -1,0 +1,88 @@
+"""Photographs of a bench recording, with their masks and cameras."""
+
+import re
+
+import numpy as np
+
+from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_sim.errors import InputError
+from pneutac_sim.splat.camera import Camera
+
+
+def masked_cameras(recording: BenchRecording) -> list[str]:
+    """Names of cameras that took both images and masks.
+
+    Columns `image` and `mask` are those of the only camera that `recording.json` describes.
+
+    Raises:
+        InputError: there are columns `image` and `mask`, but not one camera only.
+    """
+    names = [str(c).removeprefix("image_") for c in recording.samples if re.match(r"image_\w", str(c))]
+    names = [n for n in names if recording.has(f"mask_{n}")]
+    if names or not (recording.has("image") and recording.has("mask")):
+        return names
+    told = recording.meta.get("cameras")
+    if not isinstance(told, dict) or len(told) != 1:
+        many = isinstance(told, dict) and len(told) > 1
+        wrong = (
+            f"{', '.join(told)}; name the columns image_<camera> and mask_<camera>"
+            if many
+            else "none; describe it"
+        )
+        raise InputError(
+            f"{recording.folder / 'recording.json'}: columns 'image' and 'mask' are those of one camera, but "
+            f"field 'cameras' describes {wrong}."
+        )
+    return list(told)
+
+
+def column_of(recording: BenchRecording, kind: str, camera: str) -> str:
+    """Column of a camera's `image` or `mask`: `image_<camera>`, or `image` where there is no such column.
+
+    Args:
+        recording: with photographs.
+        kind: `image` or `mask`.
+        camera: its name.
+    """
+    own = f"{kind}_{camera}"
+    single = not recording.has(own) and recording.has(kind) and masked_cameras(recording) == [camera]
+    return kind if single else own
+
+
+def read_camera(recording: BenchRecording, name: str) -> Camera:
+    """A camera of a recording, base frame; the size of its pictures is that of the first.
+
+    Raises:
+        InputError: `recording.json` does not describe it, or does so wrongly.
+    """
+    told = recording.meta.get("cameras")
+    if not isinstance(told, dict) or name not in told or not isinstance(told[name], dict):
+        raise InputError(
+            f"{recording.folder / 'recording.json'}: field 'cameras' does not describe '{name}'; give it "
+            '{"intrinsics": 3x3 in px, "extrinsics": 4x4 from base to camera in m}.'
+        )
+    height, width = recording.image(recording.column(column_of(recording, "image", name))[0]).shape[:2]
+    lens = told[name].get("distortion", ())
+    try:
+        return Camera(told[name].get("intrinsics"), told[name].get("extrinsics"), width, height, lens)
+    except InputError as e:
+        raise InputError(f"{recording.folder / 'recording.json'}: camera '{name}': {e}") from e
+
+
+def read_photograph(recording: BenchRecording, row: int, camera: str) -> tuple[np.ndarray, np.ndarray]:
+    """One photograph: RGB uint8 (H, W, 3) and its mask bool (H, W).
+
+    Raises:
+        InputError: no such camera, or the mask is of another size than the image.
+    """
+    columns = {kind: column_of(recording, kind, camera) for kind in ("image", "mask")}
+    image = recording.image(recording.column(columns["image"])[row])
+    mask = recording.image(recording.column(columns["mask"])[row])[..., 0] > 127
+    if mask.shape != image.shape[:2]:
+        sizes = (f"{a.shape[1]} x {a.shape[0]}" for a in (mask, image))
+        raise InputError(
+            "{}: {} of row {} has {} pixels, its image {}; give both the same size.".format(
+                recording.folder, columns["mask"], row + 1, *sizes
+            )
+        )
+    return image, mask

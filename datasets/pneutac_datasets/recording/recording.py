@@ -1,0 +1,165 @@
+"""A bench recording: measurements of one device, as a folder with `recording.json` and a table of samples."""
+
+import io
+import json
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from PIL import Image, UnidentifiedImageError
+
+from pneutac_datasets.recording import blocks, reading, rules
+from pneutac_sim.errors import InputError
+
+
+@dataclass
+class BenchRecording:
+    """Measurements of one device.
+
+    Attributes:
+        folder: where it was read from.
+        meta: the fields of `recording.json`.
+        samples: one row a sample, in time order within each trial, numbers as float64.
+        device: `finger`, `arm` or `gel`.
+        warnings: one sentence for each thing that is poor but usable.
+    """
+
+    folder: Path
+    meta: dict
+    samples: pd.DataFrame
+    device: str
+    warnings: list[str] = field(default_factory=list)
+
+    @classmethod
+    def load(cls, path: str | Path) -> "BenchRecording":
+        """Reads a recording's folder, or a LeRobotDataset's root with the same columns as feature names.
+
+        Raises:
+            InputError: one sentence with file, column, row (the first row of data is row 1) and remedy.
+        """
+        folder = Path(path)
+        meta = reading.read_meta(folder)
+        rules.check_meta(meta, folder / "recording.json")
+        if not meta.get("lerobot"):
+            rules.device_of(meta, pd.DataFrame(), folder)
+        table, file = reading.read_table(folder, meta)
+        device = rules.device_of(meta, table, folder)
+        samples, warnings = rules.check_samples(table, device, meta, file)
+        return cls(folder, meta, samples.reset_index(drop=True), device, warnings)
+
+    def write(self, path: str | Path) -> Path:
+        """Writes `recording.json` and the samples (CSV unless `meta` names a .parquet) into a folder."""
+        path = Path(path)
+        path.mkdir(parents=True, exist_ok=True)
+        meta = {k: v for k, v in self.meta.items() if k != "lerobot"} | {"device": self.device}
+        meta.setdefault("samples", "samples.csv")
+        file = path / meta["samples"]
+        if file.suffix == ".parquet":
+            self.samples.to_parquet(file, index=False)
+        else:
+            self.samples.to_csv(file, index=False, float_format="%.7g")
+        (path / "recording.json").write_text(json.dumps(meta, indent=1) + "\n")
+        return path
+
+    # ---------------------------------------------------------------- what it holds
+
+    @property
+    def length_mm(self) -> float | None:
+        """Length of the straight device, None where the recording does not tell."""
+        return float(self.meta["length_mm"]) if self.meta.get("length_mm") is not None else None
+
+    @property
+    def spine_joint_positions_mm(self) -> list[float] | None:
+        """Arc lengths of the spine joints, None where the recording does not tell."""
+        joints = self.meta.get("spine_joint_positions_mm")
+        return [float(x) for x in joints] if joints is not None else None
+
+    def __len__(self) -> int:
+        return len(self.samples)
+
+    def has(self, column: str) -> bool:
+        """Whether the samples have this column."""
+        return column in self.samples.columns
+
+    def column(self, name: str) -> np.ndarray:
+        """One column as an array (n,); raises InputError where it is missing."""
+        if name not in self.samples.columns:
+            raise InputError(f"{self.folder}: column '{name}' is missing; it has {', '.join(self.samples)}.")
+        return self.samples[name].to_numpy()
+
+    @property
+    def observations(self) -> list[str]:
+        """Columns that a model of the device predicts (markers, angles, curvatures, images)."""
+        return rules.observations(self.samples, self.device)
+
+    @property
+    def pressure_columns(self) -> list[str]:
+        """Commanded pressure, one column a chamber."""
+        return [c for c in self.samples if re.fullmatch(r"pressure_cmd_(\d+_)?kpa", c)]
+
+    @property
+    def conditions(self) -> list[str]:
+        """All other columns: under which circumstances a sample was taken."""
+        known = {"trial", "time_s", *self.observations, *self.pressure_columns}
+        return [c for c in self.samples if c not in known and not re.fullmatch(r"(image|mask)(_\w+)?", c)]
+
+    def trials(self) -> dict[int, slice]:
+        """Trial number to its rows, in order."""
+        trial = self.samples["trial"].to_numpy()
+        edges = np.r_[0, np.flatnonzero(trial[1:] != trial[:-1]) + 1, len(trial)]
+        return {int(trial[a]): slice(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True)}
+
+    def image(self, value) -> np.ndarray:
+        """Reads an image named in a column (relative path, or bytes kept in Parquet).
+
+        Returns:
+            RGB uint8 (H, W, 3).
+        """
+        if isinstance(value, dict) and value.get("bytes"):
+            source, shown = io.BytesIO(value["bytes"]), "an image of the dataset"
+        else:
+            if not isinstance(value, (str, dict)):
+                raise InputError(f"{self.folder}: a row names no image (or mask) where one is needed.")
+            shown = self.folder / str(value.get("path") if isinstance(value, dict) else value)
+            if not shown.resolve().is_relative_to(self.folder.resolve()):
+                raise InputError(f"{self.folder}: image '{value}' lies outside the recording's folder.")
+            if not shown.is_file():
+                raise InputError(f"{shown} is missing, though the recording names it as an image.")
+            source = shown
+        try:
+            with Image.open(source) as im:
+                return np.asarray(im.convert("RGB"))
+        except (UnidentifiedImageError, OSError) as e:
+            raise InputError(f"{shown} cannot be read as an image: {e}.") from e
+
+    def keep(self, rows: np.ndarray) -> "BenchRecording":
+        """The same recording with only the rows where the mask (n,) is true."""
+        samples = self.samples[np.asarray(rows, bool)].reset_index(drop=True)
+        return BenchRecording(self.folder, self.meta, samples, self.device, list(self.warnings))
+
+    # ---------------------------------------------------------------- train and held-out parts
+
+    def blocks(self) -> np.ndarray:
+        """Block number of each sample (n,): pieces of time inside one trial, program and orientation."""
+        return blocks.time_blocks(self.samples)
+
+    def split(self, seed: int = 0, fractions: tuple[float, ...] = (0.7, 0.3)) -> tuple[np.ndarray, ...]:
+        """Parts by whole blocks of time, stratified by program, orientation, temperature and payload.
+
+        A gel is split by role instead where it has one: `calibration` trains, everything else is held out.
+
+        Args:
+            seed: decides which blocks go where.
+            fractions: share of each part; three numbers make train, validation and an untouched test part.
+
+        Returns:
+            One boolean mask (n,) a part; every sample is in exactly one.
+        """
+        if self.device == "gel" and self.has("role") and len(fractions) == 2:
+            train = (self.samples["role"] == "calibration").to_numpy()
+            if train.any():
+                return train, ~train
+        part = blocks.assign(self.samples, self.blocks(), seed, fractions)
+        return tuple(part == i for i in range(len(fractions)))

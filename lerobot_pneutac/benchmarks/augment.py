@@ -1,0 +1,110 @@
+"""`pneutac benchmark augment`: demonstrations a minute, yield, and where the time goes, for each task."""
+
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from lerobot_pneutac.cli.options import parse_options
+from lerobot_pneutac.reports.page import write_result
+from lerobot_pneutac.verbs.augment import AugmentConfig, DatasetRef, augment
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import CONTROL_HZ, DEMONSTRATION_S, TASK_NAMES
+
+
+@dataclass
+class BenchmarkAugmentConfig:
+    """Options of `pneutac benchmark augment`.
+
+    Attributes:
+        tasks: which ones.
+        demonstrations: scripted ones, recorded first.
+        episodes: new ones.
+        seed: decides everything.
+        workers: processes; default one a core.
+        out: folder of the datasets, `result.json` and `table.md`.
+    """
+
+    tasks: tuple[str, ...] = TASK_NAMES
+    demonstrations: int = 4
+    episodes: int = 20
+    seed: int = 1
+    workers: int | None = None
+    out: Path = Path("outputs/benchmark_augment")
+
+    def __post_init__(self):
+        self.out = Path(self.out)
+        for task in self.tasks:
+            if task not in TASK_NAMES:
+                raise InputError(f"--tasks has '{task}'; the tasks are {', '.join(TASK_NAMES)}.")
+        least = {"demonstrations": 2, "episodes": 1} | ({} if self.workers is None else {"workers": 1})
+        for name, number in least.items():
+            if getattr(self, name) < number:
+                raise InputError(f"--{name} is {getattr(self, name)}; it must be {number} or more.")
+        if not self.tasks:
+            raise InputError("Give at least one of --tasks.")
+
+
+def main(argv: list[str]) -> None:
+    """Records, augments and prints the table."""
+    cfg = parse_options(BenchmarkAugmentConfig, argv)
+    console = Console()
+    rows = [_measure(cfg, task, console) for task in cfg.tasks]
+    table = Table(title="Augmentation")
+    for name in rows[0]:
+        table.add_column(name, justify="left" if name == "task" else "right")
+    for row in rows:
+        table.add_row(*(x if isinstance(x, str) else f"{x:.3g}" for x in row.values()))
+    console.print(table)
+    write_result(cfg.out, {"rows": rows})
+    lines = ["| " + " | ".join(rows[0]) + " |", "|" + "---|" * len(rows[0])]
+    for row in rows:
+        lines.append("| " + " | ".join(x if isinstance(x, str) else f"{x:.3g}" for x in row.values()) + " |")
+    (cfg.out / "table.md").write_text("\n".join(lines) + "\n")
+
+
+def _measure(cfg: BenchmarkAugmentConfig, task: str, console: Console) -> dict:
+    """One row of the table."""
+    from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
+    from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
+    from lerobot_robot_pneutac.teleoperators.config_pneutac_scripted import PneutacScriptedConfig
+    from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
+    from pneutac_datasets.demonstrations.record import record_episodes
+
+    recorded, made = cfg.out / f"recorded_{task}", cfg.out / f"made_{task}"
+    for folder in (recorded, made, made.with_name(made.name + ".work")):
+        shutil.rmtree(folder, ignore_errors=True)
+    cfg.out.mkdir(parents=True, exist_ok=True)
+    robot = PneutacSim(PneutacSimConfig(id="twin", task=task, seed=cfg.seed))
+    teleop = PneutacScripted(
+        PneutacScriptedConfig(id="scripted", seed=cfg.seed, episode_steps=DEMONSTRATION_S * CONTROL_HZ)
+    )
+    record_episodes(
+        robot, teleop, f"local/{recorded.name}", recorded, cfg.demonstrations, CONTROL_HZ, task, True
+    )
+    summary, _ = augment(
+        AugmentConfig(
+            dataset=DatasetRef(f"local/{recorded.name}", recorded),
+            output=DatasetRef(f"local/{made.name}", made),
+            task=task,
+            episodes=cfg.episodes,
+            seed=cfg.seed,
+            workers=cfg.workers,
+        ),
+        console,
+    )
+    s = summary["seconds"]
+    parts = {k: s[k] for k in ("physics", "touch", "execution", "writing")}
+    total = sum(parts.values())
+    return {
+        "task": task,
+        "demonstrations a minute": 60 * summary["kept"] / summary["wall_s"],
+        "yield (%)": 100 * summary["kept"] / summary["attempts"],
+        "planner steps a second and worker": s["planner_steps"] / (s["physics"] + s["touch"]),
+        "planner physics (%)": 100 * parts["physics"] / total,
+        "planner touch (%)": 100 * parts["touch"] / total,
+        "carrying out (%)": 100 * parts["execution"] / total,
+        "writing (%)": 100 * parts["writing"] / total,
+    }

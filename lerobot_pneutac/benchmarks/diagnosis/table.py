@@ -1,0 +1,160 @@
+"""Scores the blind benchmark, prints its table and draws the confusion matrix."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+from rich.console import Console
+from rich.table import Table
+
+from lerobot_pneutac.reports.page import write_result
+
+NAMED = ("missing_effect", "insufficient_form")
+
+
+def right(a: dict) -> bool:
+    """Whether an answer counts as right.
+
+    effect: the headline names an accepted effect. pair: both are among the effects found. none: nothing is
+    found and nothing suspected. unknown: the verdict is `unknown_effect`.
+    """
+    if a["kind"] == "effect":
+        return a["verdict"] in NAMED and a["selected"][0] in a["truth"]["accepts"][0]
+    if a["kind"] == "pair":
+        return a["verdict"] in NAMED and all(set(x) & set(a["selected"]) for x in a["truth"]["accepts"])
+    return a["verdict"] == ("adequate" if a["kind"] == "none" else "unknown_effect")
+
+
+def answered(a: dict) -> str:
+    """The headline: an effect's name, or the verdict where none is named."""
+    return a["selected"][0] if a["verdict"] in NAMED else a["verdict"]
+
+
+def extra(a: dict) -> list[str]:
+    """Effects found that were not hidden."""
+    accepted = {n for x in a["truth"]["accepts"] for n in x}
+    return [e for e in a["selected"] if e not in accepted] if a["verdict"] in NAMED else []
+
+
+def groups(answers: list[dict]) -> dict[str, list[dict]]:
+    """Answers by kind and strength."""
+    out: dict[str, list[dict]] = {}
+    for a in answers:
+        name = f"one effect, strength {a['strength']:g}" if a["kind"] == "effect" else a["kind"]
+        out.setdefault(name, []).append(a)
+    return out
+
+
+def summary(answers: list[dict]) -> list[dict]:
+    """One row a group: how many were right, with Wilson's 95 % interval, and the errors."""
+    rows = []
+    for name, members in groups(answers).items():
+        n, k = len(members), sum(map(right, members))
+        lo, hi = wilson(k, n)
+        rows.append(
+            {
+                "group": name, "recordings": n, "right": k, "share": k / n, "ci95": [lo, hi],
+                "before": float(np.mean([a["before"] for a in members])),
+                "after": float(np.mean([a["after"] for a in members])),
+                "noise": float(np.mean([a["noise_floor"] for a in members])),
+                "removed": float(np.mean([a["reduction"] for a in members])),
+                "with_extra": sum(bool(extra(a)) for a in members),
+                "seconds": float(np.median([a["seconds"] for a in members])),
+            }
+        )  # fmt: skip
+    return rows
+
+
+def wilson(k: int, n: int, z: float = 1.96) -> tuple[float, float]:
+    """Wilson's interval of a share."""
+    p = k / n
+    middle = (p + z * z / (2 * n)) / (1 + z * z / n)
+    half = z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n)) / (1 + z * z / n)
+    return max(0.0, middle - half), min(1.0, middle + half)
+
+
+def write_table(answers: list[dict], out: Path, console: Console) -> None:
+    """Prints the table; writes `result.json`, `table.md` and `confusion.png` into `out`."""
+    rows = summary(answers)
+    table = Table(title="blind diagnosis")
+    for head in ("", "right", "95 %", "error before", "after", "noise", "removed", "extra", "s"):
+        table.add_column(head)
+    lines = [
+        "| recordings | right | 95 % interval | error before, mm | after, mm | noise, mm | avoidable error "
+        "removed | with an extra effect | median s |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    for r in rows:
+        cells = [
+            f"{r['group']}", f"{r['right']} of {r['recordings']}", f"{r['ci95'][0]:.0%}-{r['ci95'][1]:.0%}",
+            f"{r['before']:.2f}", f"{r['after']:.2f}", f"{r['noise']:.2f}", f"{r['removed']:.0%}",
+            f"{r['with_extra']}", f"{r['seconds']:.0f}",
+        ]  # fmt: skip
+        table.add_row(*cells)
+        lines.append("| " + " | ".join(cells) + " |")
+    console.print(table)
+    lines += ["", "| hidden | strength | right | answers | error before, mm | after, mm | removed |"]
+    lines += ["|---|---|---|---|---|---|---|"]
+    for (name, strength), members in _by_effect(answers).items():
+        said: dict[str, int] = {}
+        for a in members:
+            said[answered(a)] = said.get(answered(a), 0) + 1
+        words = ", ".join(f"{k} {v}" for k, v in sorted(said.items(), key=lambda x: -x[1]))
+        before, after, removed = (np.mean([a[k] for a in members]) for k in ("before", "after", "reduction"))
+        lines.append(
+            f"| {name} | {strength:g} | {sum(map(right, members))} of {len(members)} | {words} | "
+            f"{before:.2f} | {after:.2f} | {removed:.0%} |"
+        )
+    wrong = [a for a in answers if not right(a)]
+    write_result(out, {"groups": rows, "wrong": wrong})
+    (out / "table.md").write_text("\n".join(lines) + "\n")
+    Image.fromarray(confusion(answers)).save(out / "confusion.png", optimize=True)
+    console.print(f"table: {out / 'table.md'}, picture: {out / 'confusion.png'}", highlight=False)
+
+
+def _by_effect(answers: list[dict]) -> dict[tuple[str, float], list[dict]]:
+    out: dict[tuple[str, float], list[dict]] = {}
+    for a in answers:
+        out.setdefault((a["effects"].replace(",", " + "), a["strength"]), []).append(a)
+    return out
+
+
+def confusion(answers: list[dict]) -> np.ndarray:
+    """Hidden (rows) against headline (columns), as a picture uint8 (H, W, 3); share of each row by colour."""
+    shown = [a for a in answers if a["kind"] != "pair"]
+    rows = list(dict.fromkeys(a["effects"] for a in shown))
+    said = {answered(a) for a in shown}
+    last = ["adequate", "unknown_effect", "ambiguous"]
+    columns = [r for r in rows if r in said] + sorted(said - set(rows) - set(last)) + last
+    count = np.zeros((len(rows), len(columns)), int)
+    good = np.zeros_like(count)
+    for a in shown:
+        i, j = rows.index(a["effects"]), columns.index(answered(a))
+        count[i, j] += 1
+        good[i, j] += right(a)
+    cell, left, top = 30, 190, 150
+    image = Image.new("RGB", (left + cell * len(columns) + 10, top + cell * len(rows) + 10), "white")
+    draw, font = ImageDraw.Draw(image), ImageFont.load_default(13)
+    for i, row in enumerate(rows):
+        draw.text((left - 8, top + cell * (i + 0.5)), row, fill="#1b2430", font=font, anchor="rm")
+        for j in range(len(columns)):
+            share = count[i, j] / max(count[i].sum(), 1)
+            full = (11, 110, 153) if good[i, j] else (184, 68, 47)
+            colour = tuple(round(255 - share * (255 - c)) for c in full) if count[i, j] else (246, 248, 250)
+            box = (
+                left + cell * j + 1,
+                top + cell * i + 1,
+                left + cell * (j + 1) - 1,
+                top + cell * (i + 1) - 1,
+            )
+            draw.rectangle(box, fill=colour)
+            if count[i, j]:
+                centre = (left + cell * (j + 0.5), top + cell * (i + 0.5))
+                ink = "white" if share > 0.5 else "#1b2430"
+                draw.text(centre, str(count[i, j]), fill=ink, font=font, anchor="mm")
+    for j, name in enumerate(columns):
+        label = Image.new("RGB", (top - 10, 18), "white")
+        ImageDraw.Draw(label).text((0, 9), name, fill="#1b2430", font=font, anchor="lm")
+        image.paste(label.rotate(90, expand=True), (left + cell * j + 6, 4))
+    return np.asarray(image)

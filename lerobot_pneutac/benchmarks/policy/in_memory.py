@@ -1,0 +1,196 @@
+"""Training of `pneutac_bc` from memory: each frame is decoded once, pooled, and kept.
+
+lerobot-train decodes every frame anew for every sample, which takes most of its time. The loss, the optimiser
+and the checkpoints are the same here.
+"""
+
+import copy
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from lerobot.configs import FeatureType, PolicyFeature
+from lerobot.policies import make_pre_post_processors
+from lerobot.utils.constants import ACTION, OBS_STATE
+
+from lerobot_pneutac.benchmarks.policy.frames import Frames
+from lerobot_robot_pneutac.policy.configuration_pneutac_bc import TACTILE, PneutacBCConfig
+from lerobot_robot_pneutac.policy.modeling_pneutac_bc import PneutacBCPolicy
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import ACTION_NAMES, IMAGE_SHAPE, STATE_NAMES
+
+VALIDATION_BATCH = 1024
+
+
+@dataclass
+class Training:
+    """What a training came to.
+
+    Attributes:
+        curve: a row every few updates: `update`, `loss` (mean since the row before, with the noise of
+            training) and, where episodes are held out, `held_out`, the loss on them without that noise.
+        best: update whose weights the policy has now.
+        held_out: loss of these weights on the episodes held out; None where there are none.
+        lr: learning rate of the optimiser at the beginning.
+    """
+
+    curve: list[dict]
+    best: int
+    held_out: float | None
+    lr: float
+
+
+def new_policy(use_tactile: bool, lr: float, seed: int, device: str) -> PneutacBCPolicy:
+    """A policy with random weights and no rest image yet."""
+    inputs = {OBS_STATE: PolicyFeature(FeatureType.STATE, (len(STATE_NAMES),))}
+    if use_tactile:
+        inputs[TACTILE] = PolicyFeature(FeatureType.VISUAL, (IMAGE_SHAPE[2], *IMAGE_SHAPE[:2]))
+    config = PneutacBCConfig(
+        device=device,
+        use_tactile=use_tactile,
+        optimizer_lr=lr,
+        action_feature_names=list(ACTION_NAMES),
+        input_features=inputs,
+        output_features={ACTION: PolicyFeature(FeatureType.ACTION, (len(ACTION_NAMES),))},
+    )
+    torch.manual_seed(seed)
+    return PneutacBCPolicy(config).to(device)
+
+
+def held_out_episodes(episodes: int, share: float, seed: int) -> list[int]:
+    """Episodes for validation: a share of all, at least one, and never all.
+
+    Raises:
+        InputError: there are fewer than two episodes.
+    """
+    if episodes < 2:
+        raise InputError(f"There are {episodes} demonstrations; one more than is held out, so 2, are needed.")
+    n = min(max(round(share * episodes), 1), episodes - 1)
+    return sorted(np.random.default_rng(seed).permutation(episodes)[:n].tolist())
+
+
+def train(
+    policy: PneutacBCPolicy,
+    frames: Frames,
+    updates: int,
+    batch: int,
+    seed: int,
+    held_out: list[int] = (),
+    rows: int = 40,
+    progress: Callable[[int, float], None] = lambda update, loss: None,
+) -> Training:
+    """Trains with the optimiser that the policy's options name; where the policy is, `cpu` or `cuda`.
+
+    The policy takes the rest image of the data, as in lerobot-train. With episodes held out it ends with the
+    weights that have the lowest loss on them, else with the last.
+
+    Args:
+        policy: with new weights or those of another training.
+        frames: the data.
+        updates: gradient steps.
+        batch: samples of each.
+        seed: decides order and noise.
+        held_out: episodes that are not trained on.
+        rows: rows of the curve, about.
+        progress: is told update and loss with every row.
+
+    Raises:
+        InputError: a number is too small, no frame is left, the rest image is another sensor's, or the loss
+            is not finite.
+    """
+    for name, value in (("updates", updates), ("batch", batch)):
+        if value < 1:
+            raise InputError(f"{name} is {value}; it must be 1 or more.")
+    away = np.isin(frames.episode, list(held_out))
+    if away.all():
+        raise InputError("All episodes are held out; leave at least one to train on.")
+    device = next(policy.parameters()).device
+    policy.learn_from(frames.demonstrations, None if frames.rest is None else frames.rest.to(device))
+    data = _Data(frames, policy, device)
+    torch.manual_seed(seed)
+    order = _batches(np.flatnonzero(~away), batch, np.random.default_rng(seed))
+    optimiser = policy.config.get_optimizer_preset().build(policy.get_optim_params())
+    scheduler = policy.config.get_scheduler_preset().build(optimiser, updates)
+    every, total, best = max(updates // rows, 1), 0.0, (np.inf, updates, None)
+    curve, since = [], 0
+    policy.train()
+    for update in range(1, updates + 1):
+        loss, _ = policy.loss(*data.at(next(order)))
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        scheduler.step()
+        total, since = total + loss.detach(), since + 1
+        if update % every and update != updates:
+            continue
+        row = {"update": update, "loss": float(total) / since}
+        total, since = 0.0, 0
+        if away.any():
+            row["held_out"] = _mean_loss(policy, data, np.flatnonzero(away))
+            if row["held_out"] < best[0]:
+                best = row["held_out"], update, copy.deepcopy(policy.state_dict())
+        curve.append(row)
+        progress(update, row["loss"])
+    if best[2] is not None:
+        policy.load_state_dict(best[2])
+    policy.eval()
+    held_out_loss = float(best[0]) if best[2] is not None else None
+    return Training(curve, best[1], held_out_loss, policy.config.optimizer_lr)
+
+
+def save(policy: PneutacBCPolicy, training: Training, folder: str | Path) -> Path:
+    """Writes `checkpoints/<update>/pretrained_model` as lerobot-train does; returns that folder."""
+    folder = Path(folder) / "checkpoints" / f"{training.best:06d}" / "pretrained_model"
+    policy.save_pretrained(folder)
+    for processor in make_pre_post_processors(policy.config):
+        processor.save_pretrained(folder)
+    return folder
+
+
+def as_dict(training: Training) -> dict:
+    """For JSON."""
+    return asdict(training)
+
+
+class _Data:
+    """Samples where the policy is; the differences stay in half precision until they are used."""
+
+    def __init__(self, frames: Frames, policy: PneutacBCPolicy, device: torch.device):
+        arrays = (frames.state, frames.previous, frames.first, frames.action)
+        self._arrays = [torch.from_numpy(a).to(device) for a in arrays]
+        self._difference = None
+        if policy.encoder is not None:
+            if frames.difference is None:
+                raise InputError(f"'{frames.demonstrations.name}' was read without its tactile images.")
+            self._difference = torch.from_numpy(frames.difference).to(device)
+        self._device = device
+
+    def at(self, rows: np.ndarray) -> tuple[torch.Tensor | None, ...]:
+        """Arguments of `PneutacBCPolicy.loss`."""
+        rows = torch.from_numpy(rows).to(self._device)
+        difference = None if self._difference is None else self._difference[rows].float()
+        return *(a[rows] for a in self._arrays), difference
+
+
+def _batches(rows: np.ndarray, batch: int, rng: np.random.Generator) -> Iterator[np.ndarray]:
+    """Endless batches; every row comes once before any comes again."""
+    waiting = rows[:0]
+    while True:
+        while len(waiting) < batch:
+            waiting = np.concatenate([waiting, rng.permutation(rows)])
+        yield waiting[:batch]
+        waiting = waiting[batch:]
+
+
+@torch.no_grad()
+def _mean_loss(policy: PneutacBCPolicy, data: _Data, rows: np.ndarray) -> float:
+    """Mean over samples, without noise."""
+    policy.eval()
+    total = 0.0
+    for start in range(0, len(rows), VALIDATION_BATCH):
+        some = rows[start : start + VALIDATION_BATCH]
+        total += policy.loss(*data.at(some))[0].item() * len(some)
+    policy.train()
+    return total / len(rows)

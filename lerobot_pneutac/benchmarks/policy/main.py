@@ -1,0 +1,170 @@
+"""`pneutac benchmark policy`: what augmentation, touch and more demonstrations do for a policy's success.
+
+The stand-in for reality plays the real robot: demonstrations are recorded on it and policies tried on it,
+while augmentation and reinforcement learning know the twin alone. Finished units of work are kept, so a
+benchmark that was stopped goes on with the same command.
+"""
+
+import importlib.util
+import os
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+from lerobot_pneutac.benchmarks.policy.plan import CONDITIONS, MAX_SEED, MAX_TRIALS, plan
+from lerobot_pneutac.cli.options import parse_options
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import FIDELITIES, TASK_NAMES
+
+_FAST = {
+    "tasks": ("switch",),
+    "seeds": (0,),
+    "trials": 1,
+    "demonstrations": 2,
+    "augmented": 3,
+    "pretrain_updates": 30,
+    "finetune_updates": 10,
+    "batch": 16,
+    "ppo_steps": 2000,
+}
+
+
+@dataclass
+class BenchmarkPolicyConfig:
+    """Options of `pneutac benchmark policy`.
+
+    Attributes:
+        tasks: which ones.
+        conditions: which ones; see the table.
+        seeds: each has demonstrations, networks and trials of its own.
+        trials: of each policy; the same starts for all policies of a seed.
+        demonstrations: on the stand-in.
+        augmented: demonstrations made from these, or by the actor of PPO.
+        pretrain_updates: gradient steps before fine-tuning.
+        finetune_updates: of fine-tuning; conditions without pre-training make all on their data.
+        batch: samples of a gradient step.
+        lr: learning rate of Adam, where each stage begins.
+        finetune_lr: the same while fine-tuning: lower, lest few demonstrations make the many forgotten.
+        select: `last`, the weights after the last update; `held_out`, those with the lowest loss on a tenth
+            of the demonstrations, at least one, which are then not trained on.
+        ppo_steps: control steps of reinforcement learning.
+        device: `cpu` or `cuda`, of the training; default cuda where there is one.
+        jobs: processes; default one a core.
+        twin: folder of the twin for augmentation and reinforcement learning; default the built-in one.
+        fidelity: how finger and gel deform there: `probe`, by formulas, which every twin has, `surrogate`, by
+            networks that fit the twin, or `mpm`.
+        twin_before: folder of a twin before it was corrected: a second table compares it with `twin`, by
+            augmented data alone, and fine-tuned.
+        fast: a tiny size, for checks; other options of size are not looked at.
+        out: folder of all units, `result.json`, `table.md` and `report.html`.
+    """
+
+    tasks: tuple[str, ...] = TASK_NAMES
+    conditions: tuple[str, ...] = tuple(CONDITIONS)
+    seeds: tuple[int, ...] = (0, 1, 2)
+    trials: int = 10
+    demonstrations: int = 10
+    augmented: int = 100
+    pretrain_updates: int = 6000
+    finetune_updates: int = 2000
+    batch: int = 64
+    lr: float = 3e-4
+    finetune_lr: float = 3e-5
+    select: str = "last"
+    ppo_steps: int = 400_000
+    device: str | None = None
+    jobs: int | None = None
+    twin: Path | None = None
+    fidelity: str = "probe"
+    twin_before: Path | None = None
+    fast: bool = False
+    out: Path = Path("outputs/benchmark_policy")
+
+    def __post_init__(self):
+        self.out = Path(self.out).absolute()
+        if self.fast:
+            vars(self).update(_FAST)
+        self.jobs = self.jobs if self.jobs is not None else len(os.sched_getaffinity(0))
+        self._check_lists()
+        for name in ("augmented", "pretrain_updates", "finetune_updates", "batch", "ppo_steps", "jobs"):
+            if getattr(self, name) < 1:
+                raise InputError(f"--{name} is {getattr(self, name)}; it must be 1 or more.")
+        if not 1 <= self.trials <= MAX_TRIALS:
+            raise InputError(f"--trials is {self.trials}; it must be from 1 to {MAX_TRIALS}.")
+        if self.demonstrations < 2:
+            raise InputError(f"--demonstrations is {self.demonstrations}; it must be 2 or more.")
+        for name in ("lr", "finetune_lr"):
+            if not 0 < getattr(self, name) < 1:
+                raise InputError(f"--{name} is {getattr(self, name)}; it must be between 0 and 1.")
+        if self.select not in ("last", "held_out"):
+            raise InputError(f"--select is '{self.select}'; it must be last or held_out.")
+        self._check_twins()
+        self._check_device()
+
+    def _check_lists(self) -> None:
+        for option, known in (("tasks", TASK_NAMES), ("conditions", tuple(CONDITIONS))):
+            values = getattr(self, option)
+            unknown = [v for v in values if v not in known]
+            if unknown or len(set(values)) != len(values):
+                raise InputError(f"--{option} is {list(values)}; give some of {', '.join(known)}, each once.")
+        if not self.tasks or not (self.conditions or self.twin_before):
+            raise InputError("Give at least one of --tasks and one of --conditions.")
+        seeds = self.seeds
+        if not seeds or len(set(seeds)) != len(seeds) or not all(0 <= s < MAX_SEED for s in seeds):
+            raise InputError(f"--seeds is {list(seeds)}; give different numbers from 0 to {MAX_SEED - 1}.")
+
+    def _check_twins(self) -> None:
+        if self.fidelity not in FIDELITIES:
+            raise InputError(f"--fidelity is '{self.fidelity}'; it must be one of {', '.join(FIDELITIES)}.")
+        for name in ("twin", "twin_before"):
+            path = getattr(self, name)
+            if path is None:
+                continue
+            if not (Path(path) / "twin.yaml").is_file():
+                raise InputError(f"--{name} is '{path}', which holds no twin.yaml; give a twin's folder.")
+            setattr(self, name, Path(path).absolute())
+
+    def _check_device(self) -> None:
+        import torch
+
+        there = torch.cuda.is_available()
+        self.device = self.device if self.device is not None else ("cuda" if there else "cpu")
+        if self.device not in ("cpu", "cuda"):
+            raise InputError(f"--device is '{self.device}'; choose cpu or cuda.")
+        if self.device == "cuda" and not there:
+            raise InputError("--device is 'cuda', but PyTorch finds no GPU; use cpu.")
+        if "ppo" in self.conditions and importlib.util.find_spec("stable_baselines3") is None:
+            raise InputError(
+                "The condition 'ppo' needs Stable-Baselines3; install lerobot_robot_pneutac[rl]."
+            )
+
+
+def main(argv: list[str]) -> None:
+    """Runs the benchmark and prints its table."""
+    cfg, console = parse_options(BenchmarkPolicyConfig, argv), Console()
+    from lerobot_pneutac.benchmarks.policy.run import finished, run_units
+    from lerobot_pneutac.benchmarks.policy.table import write
+
+    units, start = plan(cfg), time.monotonic()
+    before = sum(finished(cfg.out, unit) is not None for unit in units)
+    console.print(f"{len(units)} units of work in {cfg.out}, {before} of them done before.", highlight=False)
+    columns = (TextColumn("{task.description:.60}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True) as bar:
+        row = bar.add_task("starting", total=1.0)
+        done, failed, faults = run_units(
+            cfg.out,
+            units,
+            cfg.jobs,
+            lambda share, words: bar.update(row, completed=share, description=words),
+        )
+    for name, why in failed.items():
+        console.print(f"[yellow]not done:[/] {name}: {why}", highlight=False)
+    report = write(cfg, done, failed, time.monotonic() - start, console)
+    console.print(f"Report: {report}", highlight=False)
+    if not any(unit.kind == "evaluate" and unit.name in done for unit in units):
+        raise InputError(f"No policy could be tried; '{cfg.out / 'table.md'}' says why.")
+    if faults:
+        raise InputError(f"{', '.join(faults)} ended in a fault; each one's log.txt tells which.")

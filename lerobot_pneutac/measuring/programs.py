@@ -1,0 +1,126 @@
+"""Pressure programs for the bench: built-in ones, a table, or the experiment that a diagnosis proposes."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from lerobot_pneutac.diagnosis.programs import menu
+from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_sim.errors import InputError
+
+BUILTIN = ("steps", "ramps", "holds", "loops", "all")
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One contiguous piece of a program.
+
+    Attributes:
+        program: its label.
+        time_s: (n,) rising from 0.
+        pressure_kpa: (n,) set-points.
+    """
+
+    program: str
+    time_s: np.ndarray
+    pressure_kpa: np.ndarray
+
+
+def read_program(given: str, max_kpa: float, hz: float, recording: Path | None = None) -> list[Trial]:
+    """The trials of a program.
+
+    Args:
+        given: a name of `BUILTIN`, a CSV with `time_s` and `pressure_cmd_kpa` (and `trial`, `program`), or
+            the `result.json` of `pneutac diagnose`.
+        max_kpa: top of the built-in programs, which no program may exceed.
+        hz: samples per second.
+        recording: what was diagnosed, for a `result.json`.
+
+    Raises:
+        InputError: it cannot be read, or a pressure lies outside 0 to `max_kpa`.
+    """
+    if given in BUILTIN:
+        trials = [t for name in BUILTIN[:-1] if given in (name, "all") for t in _builtin(name, max_kpa, hz)]
+    elif not Path(given).is_file():
+        raise InputError(f"--program={given} is neither a file nor one of {', '.join(BUILTIN)}.")
+    elif Path(given).suffix == ".json":
+        trials = [_proposed(Path(given), recording, hz)]
+    else:
+        trials = _table(Path(given), hz)
+    for t in trials:
+        low, high = float(t.pressure_kpa.min()), float(t.pressure_kpa.max())
+        if low < 0 or high > max_kpa:
+            raise InputError(
+                f"The program '{t.program}' goes from {low:g} to {high:g} kPa; --max_kpa allows 0 to"
+                f" {max_kpa:g}."
+            )
+    return trials
+
+
+def _builtin(name: str, top: float, hz: float) -> list[Trial]:
+    """Short trials, so that an interruption costs little; each starts and ends at 0."""
+    stairs = np.r_[np.linspace(0, 1, 6), np.linspace(1, 0, 6)[1:]]
+    shapes = {
+        # name: (duration in s of a unit, breakpoints as (unit of time, share of the top))
+        "steps": [[(k + j, s) for k, s in enumerate(stairs) for j in (0.0, 0.999)]],
+        "ramps": [[(0, 0), (T / 2, 1), (T, 0)] for T in (4.0, 8.0, 16.0)],
+        "holds": [[(0, 0), (0.5, 0), (0.501, s), (12, s), (12.001, 0), (16, 0)] for s in (0.5, 1.0)],
+        "loops": [
+            [(0, 0), (2, 0.8), (4, 0.4), (6, 1.0), (8, 0.2), (10, 0.6), (12, 0)],
+            [(0, 0), (3, 1.0), (6, 0.5), (9, 1.0), (12, 0)],
+        ],
+    }[name]
+    unit_s = 3.0 if name == "steps" else 1.0
+    return [_sampled(name, np.array(points) * [unit_s, top], hz) for points in shapes]
+
+
+def _sampled(name: str, points: np.ndarray, hz: float) -> Trial:
+    """A trial through breakpoints (k, 2), (s, kPa)."""
+    time_s = np.arange(round(points[-1, 0] * hz) + 1) / hz
+    return Trial(name, time_s, np.interp(time_s, points[:, 0], points[:, 1]))
+
+
+def _table(path: Path, hz: float) -> list[Trial]:
+    try:
+        table = pd.read_csv(path)
+    except (ValueError, OSError) as e:
+        raise InputError(f"{path} cannot be read as a table: {e}.") from e
+    for column in ("time_s", "pressure_cmd_kpa"):
+        if column not in table:
+            raise InputError(f"{path}: column '{column}' is missing; it has {', '.join(table)}.")
+        values = pd.to_numeric(table[column], errors="coerce")
+        if not np.isfinite(values).all():
+            row = int(np.flatnonzero(~np.isfinite(values))[0]) + 1
+            raise InputError(f"{path}: column '{column}' has no finite number in row {row}.")
+    trials = []
+    for number, rows in table.groupby(table.get("trial", pd.Series(0, table.index)), sort=False):
+        time_s = rows["time_s"].to_numpy(float) - rows["time_s"].iloc[0]
+        if len(rows) < 2 or (np.diff(time_s) <= 0).any():
+            raise InputError(f"{path}: the time of trial {number} must rise over two rows at least.")
+        grid = np.arange(round(time_s[-1] * hz) + 1) / hz
+        # A command holds until the next row's: steps stay steps.
+        held = np.searchsorted(time_s, grid + 1e-9, side="right") - 1
+        label = str(rows["program"].iloc[0]) if "program" in rows else path.stem
+        trials.append(Trial(label, grid, rows["pressure_cmd_kpa"].to_numpy(float)[held]))
+    return trials
+
+
+def _proposed(path: Path, recording: Path | None, hz: float) -> Trial:
+    """The program on the diagnosis' menu that its advice names."""
+    try:
+        advice = json.loads(path.read_text())["next_experiment"]
+    except (ValueError, KeyError, TypeError) as e:
+        raise InputError(f"{path} is no result of pneutac diagnose: 'next_experiment' is missing.") from e
+    if recording is None:
+        raise InputError("--program=result.json needs --recording, the folder that was diagnosed.")
+    for p in menu(BenchRecording.load(recording)):
+        columns = [c for c in p.samples if c.startswith("pressure_cmd")]
+        if p.advice in advice and len(columns) == 1:
+            s = p.samples
+            time_s = s["time_s"].to_numpy(float)
+            grid = np.arange(round(time_s[-1] * hz) + 1) / hz
+            return Trial(p.name, grid, np.interp(grid, time_s, s[columns[0]].to_numpy(float)))
+    raise InputError(f"{path} proposes what no pressure program does; read and do it by hand: {advice}")

@@ -1,0 +1,177 @@
+"""Options of `pneutac render`, and which of them a finger, an arm or a gel takes."""
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from pneutac_datasets.recording.rules import an
+from pneutac_sim.effects.registry import get_effect, of_body
+from pneutac_sim.errors import InputError
+from pneutac_sim.gel.indenter import Press
+from pneutac_sim.gel.model import GelModel
+from pneutac_sim.twin import Twin
+
+FPS = 15
+COMPUTED = ("session_time_s", "length_mm", "bending_pressure_kpa")  # columns of effects that nobody gives
+
+# What a device takes, and what it is where it is not given.
+SEEN = {"recording": None, "camera": None, "view": None}
+FINGER = {"pressure_kpa": [0.0, 5.0, 10.0, 15.0], "seconds": 1.0, "particles": 4000} | SEEN
+ARM = FINGER | {"pressure_kpa": [0.0, 0.0, 0.0, 10.0, 0.0, 0.0, 0.0, 10.0, 0.0, 0.0, 0.0, 10.0]}
+GEL = {"indenter": "sphere", "size_mm": 4.0, "depth_mm": 1.4, "x_mm": 0.0, "y_mm": 0.0}
+
+
+@dataclass
+class View:
+    """From where a body is seen, hanging from its base.
+
+    Attributes:
+        azimuth_deg: round its length, from the side on which a bend goes to the right towards the bend.
+        elevation_deg: from below (-90) through level to above (90).
+        distance_lengths: from the middle of its motion, in lengths of the body.
+    """
+
+    azimuth_deg: float = 30.0
+    elevation_deg: float = 10.0
+    distance_lengths: float = 4.0
+
+    def __post_init__(self):
+        if not np.isfinite([self.azimuth_deg, self.elevation_deg]).all() or abs(self.elevation_deg) > 90:
+            raise InputError(
+                f"--view.azimuth_deg is {self.azimuth_deg} and --view.elevation_deg {self.elevation_deg}; "
+                "give numbers, the elevation between -90 and 90."
+            )
+        if not 1.5 <= self.distance_lengths <= 100:
+            raise InputError(
+                f"--view.distance_lengths is {self.distance_lengths}; from there the camera does not see the "
+                "body: give 1.5 to 100."
+            )
+
+
+@dataclass
+class RenderConfig:
+    """Options of `pneutac render`; those of another device are refused, so they are None where not given.
+
+    Attributes:
+        twin: folder of the twin.
+        pressure_kpa: finger: pressures, one after the other; arm: three numbers for each pose.
+            Left out: those of the recording; without one 0, 5, 10, 15, for an arm at rest, then 10 in one
+            chamber after the other.
+        seconds: that each pressure takes in the film: half the time to get there, half to stay. Left out: 1.
+        conditions: what the twin's effects ask for, such as {temperature_c: 30}.
+        recording: photographs to put beside a finger or an arm, which has to be calibrated by images.
+        camera: which of the recording's; left out: the first.
+        view: without a recording: any other view, in the twin's looks where it has them.
+        indenter: for a gel: sphere, cylinder, cube, edge or cone. Left out: sphere.
+        size_mm: of the indenter: radius, or side of cube and edge. Left out: 4.
+        depth_mm: how deep it is pressed into the gel. Left out: 1.4.
+        x_mm: where, along image columns from the middle. Left out: 0.
+        y_mm: where, along image rows. Left out: 0.
+        particles: of a finger or an arm, about. Left out: 4000.
+        device: auto, cpu or cuda.
+        out: folder for pictures, film.mp4, report.html and result.json.
+    """
+
+    twin: Path | None = None
+    pressure_kpa: list[float] | None = None
+    seconds: float | None = None
+    conditions: dict[str, float] = field(default_factory=dict)
+    recording: Path | None = None
+    camera: str | None = None
+    view: View | None = None
+    indenter: str | None = None
+    size_mm: float | None = None
+    depth_mm: float | None = None
+    x_mm: float | None = None
+    y_mm: float | None = None
+    particles: int | None = None
+    device: str = "auto"
+    out: Path = Path("outputs/render")
+
+    def __post_init__(self):
+        if self.twin is None:
+            raise InputError("Give the twin's folder with --twin=DIR.")
+        if self.pressure_kpa is not None and not (self.pressure_kpa and np.isfinite(self.pressure_kpa).all()):
+            raise InputError(f"--pressure_kpa is {self.pressure_kpa}; give finite numbers, as in [0,5,10].")
+        if self.seconds is not None and not (np.isfinite(self.seconds) and self.seconds >= 2 / FPS):
+            raise InputError(f"--seconds is {self.seconds}; a pressure needs at least {2 / FPS:.2f} s.")
+        if self.particles is not None and self.particles < 100:
+            raise InputError(f"--particles is {self.particles}; a body needs at least 100.")
+        for name, value in self.conditions.items():
+            if not np.isfinite(value):
+                raise InputError(f"--conditions has {name}: {value}; give a finite number.")
+
+
+def filled(config: RenderConfig, twin: Twin) -> RenderConfig:
+    """Options with the defaults of the twin's device.
+
+    Raises:
+        InputError: an option or a condition is given that this twin has no use for.
+    """
+    own = {"finger": FINGER, "arm": ARM, "gel": GEL}[twin.device]
+    for name in FINGER if own is GEL else GEL:
+        if getattr(config, name) is not None:
+            raise InputError(
+                f"--{name} is of {'a finger or an arm' if own is GEL else 'a gel'}, but the twin at "
+                f"{config.twin} is of {an(twin.device)}; omit it."
+            )
+    if config.camera is not None and config.recording is None:
+        raise InputError(
+            "--camera is of a recording; give its folder with --recording=DIR, or choose a view with "
+            "--view.azimuth_deg and --view.elevation_deg."
+        )
+    if config.view is not None and config.recording is not None:
+        raise InputError("--view and --recording exclude each other; omit one.")
+    _check_conditions(config, twin)
+    if config.recording is not None:
+        own = {name: value for name, value in own.items() if name != "pressure_kpa"}
+    return replace(config, **{name: value for name, value in own.items() if getattr(config, name) is None})
+
+
+def deepest_press(config: RenderConfig, gel: GelModel) -> Press:
+    """The indenter where it is deepest.
+
+    Raises:
+        InputError: it goes too deep, or nothing of it touches the gel's window.
+    """
+    press = Press(config.indenter, config.size_mm, config.x_mm, config.y_mm, config.depth_mm)
+    deepest = 0.8 * gel.thickness_mm
+    if config.depth_mm >= deepest:
+        raise InputError(
+            f"--depth_mm is {config.depth_mm}; the gel is {gel.thickness_mm:g} mm thick: press less than "
+            f"{deepest:.2g} mm."
+        )
+    for name, side, reach in zip(("x_mm", "y_mm"), gel.window_mm, _footprint_mm(press), strict=True):
+        place, most = getattr(config, name), side / 2 + reach
+        if not abs(place) < most:
+            raise InputError(
+                f"--{name} is {place:g}, where the {config.indenter} misses the gel's window; give a place "
+                f"between {-most:.3g} and {most:.3g}."
+            )
+    return press
+
+
+def _check_conditions(config: RenderConfig, twin: Twin) -> None:
+    effects = [get_effect(name) for name in of_body(twin.effects)]
+    asked = sorted({column for effect in effects for column in effect.columns} - set(COMPUTED))
+    for name in config.conditions:
+        if name not in asked:
+            told = f"its effects ask for {', '.join(asked)}" if asked else "its effects ask for none, omit it"
+            raise InputError(
+                f"--conditions has '{name}', which the twin at {config.twin} has no use for: {told}."
+            )
+
+
+def _footprint_mm(press: Press) -> tuple[float, float]:
+    """Half the extent, along x and y, of what lies below the resting surface."""
+    s, d = press.size_mm, press.depth_mm
+    if press.indenter == "edge":
+        return s / 2, min(d, s / np.sqrt(2))
+    reach = {
+        "sphere": np.sqrt(d * (2 * s - d)) if d < s else s,
+        "cylinder": s,
+        "cone": min(d, s),
+        "cube": s / 2,
+    }[press.indenter]
+    return reach, reach

@@ -1,0 +1,112 @@
+"""The report of an augmentation: yield, reasons, how the new touch follows the recorded one."""
+
+from pathlib import Path
+
+import numpy as np
+import plotly.graph_objects as go
+from lerobot.datasets import LeRobotDataset
+from lerobot.utils.constants import OBS_STATE
+
+from lerobot_pneutac.reports.page import Report, write_result
+from pneutac_datasets.demonstrations.augment.reference import Reference, onset_sigma_m
+from pneutac_datasets.demonstrations.episodes import AREA, EE
+from pneutac_sim.features import CONTROL_HZ
+
+SHOWN = 4  # recorded demonstrations whose touch is drawn
+
+
+def write_augment_report(cfg, summary: dict, references: list[Reference]) -> Path:
+    """Writes `report.html` and `result.json` into `cfg.out`.
+
+    Args:
+        cfg: the `AugmentConfig`.
+        summary: of `augment_guided`.
+        references: the recorded demonstrations.
+    """
+    share = summary["kept"] / summary["attempts"]
+    sigma_mm = 1e3 * onset_sigma_m(references)
+    rmse = [line["area_rmse"] for line in summary["provenance"] if "area_rmse" in line]
+    report = Report(f"{summary['kept']} demonstrations from {len(references)}")
+    report.lead(
+        f"{summary['attempts']} variants were tried and {summary['kept']} did the task ({100 * share:.0f} %),"
+        f" in {summary['wall_s'] / 60:.1f} minutes."
+    )
+    report.text(
+        "Contacts of the recorded demonstrations begin within "
+        + " / ".join(f"{s:.1f}" for s in sigma_mm)
+        + " mm (standard deviation in x / y / z); objects and reference trajectories were moved together by"
+        " as much in x and y."
+    )
+    late = {line["late_commands"] for line in summary["provenance"] if "late_commands" in line}
+    if late:
+        report.text(
+            "Until the touch the recorded paths fit the twin best where commands act"
+            f" {max(late)} control steps late; so they do in the new demonstrations."
+        )
+    rows = [{"variants": "kept", "number": summary["kept"]}]
+    rows += [{"variants": f"rejected: {r}", "number": n} for r, n in summary["rejected"].items()]
+    report.table(rows, "Yield")
+    scenes = [
+        {
+            "demonstration": r.source,
+            "works in the twin": s["works"],
+            "contact area RMSE": s["area_rmse"],
+            "object moved (mm)": ", ".join(f"{1e3 * x:.1f}" for x in s["shift_m"][:2]),
+        }
+        for r, s in zip(references, summary["scenes"], strict=False)
+    ]
+    report.table(scenes, "Where the object stood: the replay of each recorded demonstration in the twin")
+    report.heading("Touch")
+    report.figure(_touch(cfg, summary, references), "Contact area: recorded (thick) and new (thin)")
+    report.figure(_paths(cfg, references), "Where the contacts begin, from above")
+    write_result(
+        cfg.out,
+        {
+            "method": cfg.method,
+            "kept": summary["kept"],
+            "attempts": summary["attempts"],
+            "yield": share,
+            "rejected": summary["rejected"],
+            "onset_sigma_mm": sigma_mm,
+            "area_rmse": float(np.mean(rmse)) if rmse else None,
+            "wall_s": summary["wall_s"],
+            "demonstrations_per_minute": 60 * summary["kept"] / summary["wall_s"],
+            "seconds": summary["seconds"],
+            "scenes": summary["scenes"],
+        },
+    )
+    return report.write(cfg.out)
+
+
+def _states(cfg) -> list[np.ndarray]:
+    """(T, 20) of each new demonstration."""
+    dataset = LeRobotDataset(cfg.output.repo_id, cfg.output.root, video_backend="pyav")
+    state = np.stack(dataset.hf_dataset.with_format("numpy")[OBS_STATE])
+    rows = (dataset.meta.episodes[i] for i in range(dataset.num_episodes))
+    return [state[r["dataset_from_index"] : r["dataset_to_index"]] for r in rows]
+
+
+def _touch(cfg, summary: dict, references: list[Reference]) -> go.Figure:
+    figure, colours = go.Figure(), ("#0b6e99", "#c2410c", "#15803d", "#7e22ce")
+    sources = [line["source_episode"] for line in summary["provenance"]]
+    for state, source in zip(_states(cfg), sources, strict=True):
+        if source < SHOWN:
+            t = np.arange(len(state)) / CONTROL_HZ
+            line = {"color": colours[source], "width": 0.7}
+            figure.add_scatter(x=t, y=state[:, AREA], mode="lines", line=line, showlegend=False)
+    for r in references[:SHOWN]:
+        t, line = np.arange(len(r)) / CONTROL_HZ, {"color": colours[r.source], "width": 3}
+        figure.add_scatter(x=t, y=r.area, mode="lines", line=line, name=f"demonstration {r.source}")
+    figure.update_layout(xaxis_title="time (s)", yaxis_title="contact area (share of the image)")
+    return figure
+
+
+def _paths(cfg, references: list[Reference]) -> go.Figure:
+    new = [s[np.flatnonzero(s[:, AREA] > 0)[0], EE] for s in _states(cfg) if (s[:, AREA] > 0).any()]
+    old = [r.flange_m[r.onset] for r in references]
+    figure = go.Figure()
+    for name, points, size in (("new", new, 6), ("recorded", old, 12)):
+        x, y, _ = 1e3 * np.array(points).T
+        figure.add_scatter(x=x, y=y, mode="markers", name=name, marker={"size": size})
+    figure.update_layout(xaxis_title="flange x (mm)", yaxis_title="flange y (mm)")
+    return figure

@@ -1,0 +1,253 @@
+"""The page of `pneutac compare`: measured against model, loops, residuals by condition, maps, history."""
+
+from pathlib import Path
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from lerobot_pneutac.reports.page import Report
+from pneutac_datasets.recording.axes import numbers, unit_of
+
+MEASURED, MODEL, TRAIN, HELDOUT, FLOOR = "#1b2430", "#d1495b", "#9bb1c4", "#0b6e99", "#e0a100"
+POINTS = 1500  # a line: more cannot be seen on a screen
+
+
+def write_report(c, result: dict, out: str | Path) -> Path:
+    """Writes `report.html` into folder `out`.
+
+    Args:
+        c: a `Comparison`.
+        result: its summary.
+        out: folder.
+    """
+    report = Report(f"Twin against recording: {Path(c.recording.folder).name}")
+    report.lead(result["sentence"])
+    unit = c.unit
+    report.table(
+        [
+            {"part": part, f"error, {unit}": result["error"][key]}
+            for part, key in (("held out", "heldout"), ("train", "train"), ("all", "all"))
+        ]
+        + [{"part": "noise floor", f"error, {unit}": c.noise.value}],
+        f"Root mean square distance, simulated {c.simulated}. Noise floor: {c.noise.how}. The held-out part "
+        "is made of whole blocks of time.",
+    )
+    if c.out_of_range is not None:
+        report.table(
+            [{"range of the action network": "samples outside it", "share": f"{100 * c.out_of_range:.2g}%"}]
+        )
+    if c.said:
+        report.heading("What the checks found")
+        report.text("\n\n".join(c.said))
+    report.heading("Over time")
+    report.figure(
+        over_time(c, result), "Measured and modelled; the worst passages are shaded.", 130 + 150 * c.counted
+    )
+    report.heading("Loops")
+    report.figure(loops(c), "The same against the commanded pressure: a loop shows history.", 420)
+    if len(result["history"]) > 1:
+        report.heading("The twin's history")
+        report.figure(ladder(result), "Errors as each version recorded them, on its own recording.", 340)
+    report.heading("Where it fails")
+    report.figure(heat_map(c), "Error by pressure and by how it moves; white: no samples.", 380)
+    shown = {n: r for n, r in result["by"].items() if len(r) > 1}
+    report.figure(
+        by_condition(shown, c), "Error under each condition; the line is the noise floor.",
+        60 + 260 * ((len(shown) + 1) // 2),
+    )  # fmt: skip
+    report.figure(residuals(c), "Residual of each sample (a sample of them), measured minus model.", 420)
+    report.heading("Worst passages")
+    report.table(result["worst"])
+    return report.write(out)
+
+
+def _thin(index: np.ndarray, value: np.ndarray, count: int = POINTS) -> np.ndarray:
+    """About `count` of the indices (n,): first, lowest and highest of each stretch, so that peaks stay."""
+    if len(index) <= count:
+        return index
+    keep = []
+    for part in np.array_split(np.arange(len(index)), count // 3):
+        keep += [part[0], part[np.argmin(value[part])], part[np.argmax(value[part])]]
+    return index[np.unique(keep)]
+
+
+def _session_time(c) -> tuple[np.ndarray, dict[int, float]]:
+    """Time with the trials laid end to end (n,), and where each trial starts."""
+    t, at, shift = np.zeros(len(c.recording)), 0.0, {}
+    for trial, rows in c.recording.trials().items():
+        own = c.recording.column("time_s")[rows]
+        t[rows] = own - own[0] + at
+        shift[trial] = at - own[0]
+        at = t[rows][-1] + 1.0
+    return t, shift
+
+
+def over_time(c, result: dict) -> go.Figure:
+    """Each counted column over the session."""
+    figure = make_subplots(
+        c.counted + 1, 1, shared_xaxes=True, vertical_spacing=0.03,
+        row_heights=[1.0] * c.counted + [0.6],
+    )  # fmt: skip
+    t, shift = _session_time(c)
+    for i, name in enumerate(c.columns[: c.counted]):
+        for values, colour, label in (
+            (c.measured[:, i], MEASURED, "measured"),
+            (c.model[:, i], MODEL, "model"),
+        ):
+            x, y = [], []
+            for rows in c.recording.trials().values():
+                index = np.arange(rows.start, rows.stop)
+                index = _thin(index, values[index], max(60, POINTS * len(index) // len(t)))
+                x += [*t[index].round(3), None]
+                y += [*values[index].round(4), None]
+            figure.add_scatter(
+                x=x, y=y, name=label, legendgroup=label, showlegend=i == 0, mode="lines",
+                line={"color": colour, "width": 1.2}, row=i + 1, col=1,
+            )  # fmt: skip
+        figure.update_yaxes(title_text=_title(name), row=i + 1, col=1)
+    command = c.recording.samples[c.recording.pressure_columns].to_numpy(float)
+    for k, name in enumerate(c.recording.pressure_columns):
+        index = _thin(np.arange(len(t)), command[:, k])
+        figure.add_scatter(
+            x=t[index].round(3), y=command[index, k].round(3), name=name, mode="lines",
+            line={"width": 1}, row=c.counted + 1, col=1,
+        )  # fmt: skip
+    figure.update_yaxes(title_text="kPa", row=c.counted + 1, col=1)
+    for p in result["worst"]:
+        a, b = p["from_s"] + shift[p["trial"]], p["to_s"] + shift[p["trial"]]
+        figure.add_vrect(x0=a, x1=b, fillcolor=FLOOR, opacity=0.3, line_width=0)
+    figure.update_xaxes(title_text="session, s", row=c.counted + 1, col=1)
+    return figure
+
+
+def _main_column(c) -> int:
+    """The counted column that moves most."""
+    return int(np.argmax(np.var(c.measured[:, : c.counted], axis=0)))
+
+
+def loops(c) -> go.Figure:
+    """The main column against the first chamber's command (or the one that varies most)."""
+    i = _main_column(c)
+    columns = c.recording.pressure_columns
+    k = int(np.argmax([np.var(c.recording.column(n)) for n in columns]))
+    p = c.recording.column(columns[k])
+    figure = go.Figure()
+    for trial, rows in list(c.recording.trials().items())[:12]:
+        index = np.arange(rows.start, rows.stop)
+        index = index[:: max(1, len(index) // 1200)]
+        for values, colour, label in ((c.measured, MEASURED, "measured"), (c.model, MODEL, "model")):
+            figure.add_scatter(
+                x=p[index].round(3), y=values[index, i].round(4), name=label, legendgroup=label,
+                showlegend=rows.start == 0, mode="lines", line={"color": colour, "width": 1}, opacity=0.7,
+                hovertemplate=f"trial {trial}: %{{y}} at %{{x}} kPa",
+            )  # fmt: skip
+    figure.update_layout(xaxis_title=_title(columns[k]), yaxis_title=_title(c.columns[i]))
+    return figure
+
+
+def heat_map(c) -> go.Figure:
+    """Error over pressure and signed rate."""
+    p = c.recording.samples[c.recording.pressure_columns].to_numpy(float).mean(1)
+    across = numbers("pressure", p, 10)
+    rate, still, size = c.rate, c.still, np.abs(c.rate)
+    slow = np.median(size[~still]) if (~still).any() else 0.0
+    names = ["falls fast", "falls slowly", "held", "rises slowly", "rises fast"]
+    down = np.where(still, 2, np.where(rate < 0, np.where(size > slow, 0, 1), np.where(size > slow, 4, 3)))
+    z = np.full((5, len(across.labels)), np.nan)
+    for a in range(5):
+        for b in range(len(across.labels)):
+            at = (down == a) & (across.bin == b)
+            if at.any():
+                z[a, b] = np.sqrt(c.squared[at].mean())
+    top = max(float(np.nanmax(z)), 1e-9)  # plotly heeds zmin only where zmax is given too
+    z = np.where(np.isfinite(z), z.round(4), None).tolist()
+    bar = {"title": c.unit}
+    figure = go.Figure(
+        go.Heatmap(
+            z=z,
+            x=across.labels,
+            y=names,
+            colorscale="YlOrRd",
+            zmin=0,
+            zmax=top,
+            colorbar=bar,
+            hoverongaps=False,
+        )
+    )
+    figure.update_layout(xaxis_title="commanded pressure, kPa", yaxis_title="pressure")
+    return figure
+
+
+def by_condition(by: dict[str, list[dict]], c) -> go.Figure:
+    """Bars of train and held-out error for each axis."""
+    rows = max(1, (len(by) + 1) // 2)
+    figure = make_subplots(
+        rows, 2, subplot_titles=[_title(n) for n in by], vertical_spacing=0.32 / rows, horizontal_spacing=0.09
+    )
+    for k, (_, bins) in enumerate(by.items()):
+        at = {"row": k // 2 + 1, "col": k % 2 + 1}
+        x = [b["value"] for b in bins]
+        for key, colour, name in (("error", TRAIN, "all"), ("heldout", HELDOUT, "held out")):
+            figure.add_bar(
+                x=x, y=[b[key] for b in bins], name=name, marker_color=colour, legendgroup=name,
+                showlegend=k == 0, **at,
+            )  # fmt: skip
+        if c.noise.value > 0:
+            figure.add_hline(y=c.noise.value, line={"color": FLOOR, "dash": "dash", "width": 1.5}, **at)
+        figure.update_xaxes(type="category", tickfont={"size": 10}, **at)
+    return figure
+
+
+def residuals(c) -> go.Figure:
+    """Residual of the main column against a condition that the reader picks."""
+    i = _main_column(c)
+    rng = np.random.default_rng(0)
+    some = np.sort(rng.choice(len(c.measured), min(3000, len(c.measured)), replace=False))
+    y = (c.measured - c.model)[some, i]
+    choices = [(a.name, a.value) for a in c.axes if a.value is not None and np.ptp(a.value) > 0]
+    choices.append(("session time, s", _session_time(c)[0]))
+    figure = go.Figure()
+    for k, (_, value) in enumerate(choices):
+        figure.add_scattergl(
+            x=value[some].round(4), y=y.round(4), mode="markers", visible=k == 0, showlegend=False,
+            marker={"size": 3, "color": np.where(c.train[some], TRAIN, HELDOUT).tolist(), "opacity": 0.6},
+        )  # fmt: skip
+    buttons = [
+        {
+            "label": name,
+            "method": "update",
+            "args": [{"visible": [k == j for j in range(len(choices))]}, {"xaxis.title.text": _title(name)}],
+        }
+        for k, (name, _) in enumerate(choices)
+    ]
+    figure.update_layout(
+        xaxis_title=_title(choices[0][0]),
+        yaxis_title=f"residual of {_title(c.columns[i])}",
+        updatemenus=[{"buttons": buttons, "x": 0, "xanchor": "left", "y": 1.15, "yanchor": "top"}],
+    )
+    return figure
+
+
+def ladder(result: dict) -> go.Figure:
+    """Train and held-out error of each version that was judged in the unit of this comparison."""
+    known = [e for e in result["history"] if e["unit"] == result["unit"]]
+    entries = [e for e in known if e["heldout"] is not None or e["train"] is not None]
+    x = [f"{e['version']}: {e['change']}" for e in entries]
+    figure = go.Figure()
+    for key, colour, name in (("train", TRAIN, "train"), ("heldout", HELDOUT, "held out")):
+        figure.add_scatter(
+            x=x, y=[e[key] for e in entries], name=name, mode="lines+markers",
+            line={"color": colour, "width": 2.5, "shape": "hv"}, marker={"size": 9},
+        )  # fmt: skip
+    if result["noise_floor"] > 0:
+        figure.add_hline(
+            y=result["noise_floor"], line={"color": FLOOR, "dash": "dash"}, annotation_text="noise"
+        )
+    figure.update_yaxes(rangemode="tozero", title_text=result["unit"])
+    return figure
+
+
+def _title(name: str) -> str:
+    unit = unit_of(name)
+    return f"{name.rpartition('_')[0].replace('_', ' ')}, {unit}" if unit else name.replace("_", " ")

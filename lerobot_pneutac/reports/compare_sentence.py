@@ -1,0 +1,92 @@
+"""What a comparison says in one sentence, and how a bin of an axis is called in it.
+
+`c` is a `compare.Comparison` throughout.
+"""
+
+import numpy as np
+
+from pneutac_datasets.recording.axes import Axis
+from pneutac_datasets.recording.rules import plural
+
+FEW_ROWS = 50  # below this no place where the error is large says anything
+
+
+def sentence(c) -> str:
+    """What a newcomer should take away."""
+    squared = c.squared
+    held, where = squared[~c.train], " where it was not fitted"
+    if not len(held):
+        held, where = squared, ""
+    error = float(np.sqrt(held.mean()))
+    what = {"mm": "tip", "rad": "bend", "1/m": "curvature"}.get(c.unit, "device")
+    who = "The twin" if c.fidelity == "pipeline" else "The twin's full simulation"
+    said = f"{who} misses the measured {what} by {error:.3g} {c.unit}{where}"
+    if not _moves(c):
+        return (
+            "The commanded pressure never moves in this recording, so nothing about bending can be learnt "
+            f"from it; record steps or ramps. {said}."
+        )
+    if c.noise.value > 0:
+        times = error / c.noise.value
+        if times < 1.1:
+            return f"{said}: no more than the noise of the measurement ({c.noise.value:.2g} {c.unit})."
+        said += f", {times:.3g} times the noise of the measurement ({c.noise.value:.2g} {c.unit})"
+    if len(squared) < FEW_ROWS:
+        return f"{said}; {plural(len(squared), 'row')} cannot tell where it is worst, so record longer."
+    peak = _peak(c)
+    return f"{said}; it is worst {peak}." if peak else f"{said}."
+
+
+_PHRASES = {
+    ("direction", "loading"): "while the pressure rises",
+    ("direction", "unloading"): "while the pressure falls",
+    ("direction", "hold"): "while the pressure is held",
+    ("rate", "hold"): "while the pressure is held",
+    "hold_time_s": "after a hold of {0}",
+    "program": "in program '{0}'",
+    "gravity": "with gravity along ({0})",
+    "trial": "in trial {0}",
+    "pressure_cmd_kpa": "at {0} kPa",
+    "pressure_kpa": "where the measured pressure is {0} kPa",
+    "temperature_c": "at {0} °C",
+}
+
+
+def _moves(c) -> bool:
+    """Whether the commanded pressure moves at all."""
+    return bool(
+        np.ptp(c.recording.samples[c.recording.pressure_columns].to_numpy(float), axis=0).max() > 1e-3
+    )
+
+
+def phrase(axis: Axis, i: int) -> str:
+    """Bin `i` of an axis in words."""
+    label = axis.labels[i]
+    if axis.name == "rate" and label != "hold":
+        moving = [x for x in axis.labels if x != "hold"]
+        how = (
+            ""
+            if len(moving) == 1
+            else {moving[0]: " slowly", moving[-1]: " fast"}.get(label, " at middle speed")
+        )
+        return f"when the pressure moves{how}"
+    said = _PHRASES.get((axis.name, label)) or _PHRASES.get(axis.name, "where {1} is {0}")
+    return said.format(label, axis.name)
+
+
+def _peak(c) -> str:
+    """Where the error stands out most against all the rest."""
+    squared = c.squared
+    best, where = 1.5, ""
+    for axis in c.axes:
+        if len(axis.labels) < 2:
+            continue
+        for i in range(len(axis.labels)):
+            at = axis.bin == i
+            if at.mean() < 0.02 or at.all():
+                continue
+            ratio = np.sqrt(squared[at].mean() / max(squared[~at].mean(), 1e-300))
+            if ratio > best:
+                best = ratio
+                where = phrase(axis, i)
+    return where

@@ -1,0 +1,118 @@
+"""The trained actor: a small network and how it is kept, in PyTorch alone."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save_file
+from torch import nn
+
+from lerobot_pneutac.rl.env import ACTOR_SIZE, GRID
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import ACTION_NAMES
+
+WEIGHTS_FILE, CARD_FILE = "actor.safetensors", "actor.json"
+
+
+def layers(inputs: int, hidden: tuple[int, ...]) -> nn.Sequential:
+    """Fully connected layers with tanh between them, and after the last."""
+    sizes = (inputs, *hidden)
+    parts = [f for a, b in zip(sizes, sizes[1:], strict=False) for f in (nn.Linear(a, b), nn.Tanh())]
+    return nn.Sequential(*parts)
+
+
+class Actor(nn.Module):
+    """Takes what is felt to the mean action.
+
+    Attributes:
+        card: what is known of it: task, training, success.
+    """
+
+    def __init__(self, hidden: tuple[int, ...], card: dict | None = None):
+        super().__init__()
+        self.body, self.head = layers(ACTOR_SIZE, hidden), nn.Linear(hidden[-1], len(ACTION_NAMES))
+        self.hidden, self.card = tuple(hidden), dict(card or {})
+
+    def forward(self, observation: torch.Tensor) -> torch.Tensor:
+        """Mean actions (N, 4), not limited, of observations (N, ACTOR_SIZE)."""
+        return self.head(self.body(observation))
+
+    @torch.no_grad()
+    def act(self, observation: np.ndarray) -> np.ndarray:
+        """The mean action (4,) in [-1, 1] of one observation (ACTOR_SIZE,); `to_action` gives its units."""
+        mean = self(torch.as_tensor(observation, dtype=torch.float32)[None])[0]
+        return mean.clamp(-1, 1).double().numpy()
+
+    def save(self, folder: str | Path) -> None:
+        """Writes `actor.safetensors` and `actor.json`."""
+        folder = Path(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        tensors = {k: v.detach().cpu().contiguous() for k, v in self.state_dict().items()}
+        save_file(tensors, folder / WEIGHTS_FILE)
+        card = {"hidden": list(self.hidden), "grid": list(GRID), **self.card}
+        (folder / CARD_FILE).write_text(json.dumps(card, indent=2) + "\n")
+
+    @classmethod
+    def load(cls, folder: str | Path) -> "Actor":
+        """Reads an actor; raises InputError where a file is missing, damaged or of another observation."""
+        folder = Path(folder)
+        for name in (WEIGHTS_FILE, CARD_FILE):
+            if not (folder / name).is_file():
+                raise InputError(f"'{folder}' holds no {name}; give a folder that `pneutac ppo` wrote.")
+        try:
+            card = json.loads((folder / CARD_FILE).read_text())
+            hidden = tuple(int(n) for n in card.pop("hidden"))
+            grid = tuple(card.pop("grid"))
+            actor = cls(hidden, card)
+        except (ValueError, KeyError, TypeError, AttributeError, IndexError) as e:
+            raise InputError(
+                f"'{folder / CARD_FILE}' is not an actor's card with 'hidden' and 'grid'; train it anew."
+            ) from e
+        if grid != GRID:
+            raise InputError(f"'{folder / CARD_FILE}' has the grid {grid}; an actor here has {GRID}.")
+        try:
+            tensors = load_file(folder / WEIGHTS_FILE)
+            actor.load_state_dict(tensors)
+        except (SafetensorError, RuntimeError) as e:
+            raise InputError(
+                f"'{folder / WEIGHTS_FILE}' is damaged or not of the network that {CARD_FILE} names."
+            ) from e
+        if not all(t.isfinite().all() for t in tensors.values()):
+            raise InputError(f"'{folder / WEIGHTS_FILE}' holds numbers that are not finite; train it anew.")
+        return actor.eval()
+
+
+def try_actor(actor: Actor, env, episodes: int, seed: int) -> dict:
+    """Rolls the mean actions out.
+
+    Args:
+        actor: the actor.
+        env: a `PpoEnv`.
+        episodes: how many.
+        seed: of the starts.
+
+    Returns:
+        `success` (share), `episodes`, `return` (mean), `steps` (mean length), `failures` (text to count).
+    """
+    wins, returns, lengths, failures = 0, [], [], {}
+    for k in range(episodes):
+        observed, _ = env.reset(seed=seed if k == 0 else None)
+        returns.append(0.0)
+        over, n = False, 0
+        while not over:
+            observed, reward, terminated, truncated, info = env.step(actor.act(observed["actor"]))
+            returns[-1] += reward
+            over, n = terminated or truncated, n + 1
+        wins += info["is_success"]
+        lengths.append(n)
+        if info["failure"]:
+            failures[info["failure"]] = failures.get(info["failure"], 0) + 1
+    return {
+        "success": wins / episodes,
+        "episodes": episodes,
+        "return": float(np.mean(returns)),
+        "steps": float(np.mean(lengths)),
+        "failures": failures,
+    }

@@ -1,0 +1,149 @@
+"""A task for reinforcement learning: the actor feels, the critic sees the object as well."""
+
+from dataclasses import replace
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+
+from lerobot_pneutac.rl.reward import Moment, reward_terms, total
+from lerobot_pneutac.rl.task import TaskView
+from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, MAX_PRESSURE_KPA
+from pneutac_sim.gel.probe import COLS, ROWS
+from pneutac_sim.twin import Twin
+from pneutac_sim.world.panda import HOME_JOINTS
+from pneutac_sim.world.varied import Variation, VariedWorld
+from pneutac_sim.world.world import WORKSPACE_HIGH, WORKSPACE_LOW
+
+GRID = (10, 8)  # cells of the actor's probe grid, rows and columns
+STEPS = 200  # control steps of an episode; fewer than of a trial, for more starts
+JOINT_RANGE_RAD, JOINT_RATE_RAD_S = 0.6, 0.4  # what a joint moves about home, and how fast, in these tasks
+PROPRIOCEPTION = 18  # joints, their rates, flange, pressure
+ACTOR_SIZE = PROPRIOCEPTION + len(ACTION_LOW) + GRID[0] * GRID[1]
+FRICTION, BEND_GAIN = (0.8, 1.25), (0.93, 1.07)  # ranges of randomisation, factors
+_LIMIT = 20.0  # observations are clipped there; none comes near it in a trial that goes well
+
+_ROWS = np.arange(GRID[0]) * ROWS // GRID[0]
+_COLS = np.arange(GRID[1]) * COLS // GRID[1]
+_MIDDLE, _HALF = (WORKSPACE_LOW + WORKSPACE_HIGH) / 2, (WORKSPACE_HIGH - WORKSPACE_LOW) / 2
+
+
+def pool(depth_mm: np.ndarray) -> np.ndarray:
+    """Deepest point (mm) of each cell of a coarse grid `GRID`, from a probe grid (80, 59)."""
+    return np.maximum.reduceat(np.maximum.reduceat(depth_mm, _ROWS, 0), _COLS, 1)
+
+
+def to_action(normal: np.ndarray) -> np.ndarray:
+    """An action (..., 4) as `features.ACTION_NAMES` from one in [-1, 1]; what exceeds these is clipped."""
+    share = (np.clip(normal, -1, 1) + 1) / 2
+    return ACTION_LOW + share * (ACTION_HIGH - ACTION_LOW)
+
+
+def actor_observation(state: np.ndarray, depth_mm: np.ndarray, previous: np.ndarray) -> np.ndarray:
+    """What the actor observes: proprioception, its last action, and the probe grid.
+
+    Args:
+        state: (20,) as `features.STATE_NAMES`; its contact area needs an image and is left out.
+        depth_mm: probe grid (80, 59), mm.
+        previous: last action (4,), each entry in [-1, 1].
+
+    Returns:
+        (ACTOR_SIZE,) float32, entries of about one.
+    """
+    parts = (
+        (state[:7] - HOME_JOINTS) / JOINT_RANGE_RAD,
+        state[7:14] / JOINT_RATE_RAD_S,
+        (state[14:17] - _MIDDLE) / _HALF,
+        state[19:] * (2 / MAX_PRESSURE_KPA) - 1,
+        previous,
+        pool(depth_mm).ravel(),
+    )
+    return np.clip(np.concatenate(parts), -_LIMIT, _LIMIT).astype(np.float32)
+
+
+class PpoEnv(gymnasium.Env):
+    """A task with a shaped reward, in the world whose finger and gel follow formulas.
+
+    Observation: `actor` (ACTOR_SIZE,), see `actor_observation`, and `object`, the object's state, for the
+    critic alone. Action (4,) in [-1, 1], see `to_action`. `info` has `terms`, the reward's terms before
+    their weights, `is_success` and `failure`. An episode terminates on success and failure.
+
+    Attributes:
+        world: the world inside.
+        view: the task's goal and object.
+        randomise: whether friction and bend of the finger change with every episode.
+    """
+
+    metadata = {"render_modes": []}
+
+    def __init__(
+        self, task: str = "switch", twin: Twin | None = None, randomise: bool = True, length: int = STEPS
+    ):
+        """An environment with a task.
+
+        Args:
+            task: `switch`, `egg` or `card`.
+            twin: the finger with its gel; default the built-in one.
+            randomise: whether friction and bend change with every episode.
+            length: control steps after which a trial is cut off.
+
+        Raises:
+            InputError: the task is unknown, or the twin is not a finger's.
+        """
+        self.world = VariedWorld(task, twin, "probe", "probe")
+        self.view = TaskView(self.world)
+        self.randomise, self._length = randomise, length
+        self.action_space = spaces.Box(-1.0, 1.0, (len(ACTION_LOW),), np.float32)
+        size = self.view.size + 2  # with friction and bend gain
+        self.observation_space = spaces.Dict(
+            {
+                "actor": spaces.Box(-_LIMIT, _LIMIT, (ACTOR_SIZE,), np.float32),
+                "object": spaces.Box(-_LIMIT, _LIMIT, (size,), np.float32),
+            }
+        )
+
+    def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[dict, dict]:
+        """Starts an episode; a seed decides it and all that follow."""
+        super().reset(seed=seed)
+        rng = self.np_random
+        if self.randomise:
+            self.world.variation = replace(
+                Variation(), friction=rng.uniform(*FRICTION), bend_gain=rng.uniform(*BEND_GAIN)
+            )
+        observed = self.world.reset(int(rng.integers(2**31)))
+        self._previous, self._done = np.zeros(len(ACTION_LOW)), 0
+        self._moment = self._look()
+        return self._observe(observed.state), {"is_success": False, "failure": ""}
+
+    def step(self, action: np.ndarray) -> tuple[dict, float, bool, bool, dict]:
+        """One control step."""
+        normal = np.clip(action, -1, 1).astype(float)
+        observed = self.world.step(to_action(normal))
+        moment = self._look()
+        terms = reward_terms(self._moment, moment, self.view.goal.depth_mm, self._previous, normal)
+        self._moment, self._previous = moment, normal
+        self._done += 1
+        info = {
+            "terms": terms,
+            "is_success": moment.success,
+            "failure": self.world.failure or "",
+        }
+        over = moment.success or moment.failure
+        return self._observe(observed.state), total(terms), over, self._done >= self._length, info
+
+    def _look(self) -> Moment:
+        return Moment(
+            self.view.progress(),
+            self.view.distance_m(),
+            float(self.world.touch.depth_mm.max()),
+            bool(self.world.success),
+            self.world.failure is not None,
+        )
+
+    def _observe(self, state: np.ndarray) -> dict[str, np.ndarray]:
+        v = self.world.variation
+        hidden = np.concatenate([self.view.state(), [5 * (v.friction - 1), 10 * (v.bend_gain - 1)]])
+        return {
+            "actor": actor_observation(state, self.world.touch.depth_mm, self._previous),
+            "object": np.clip(hidden, -_LIMIT, _LIMIT).astype(np.float32),
+        }

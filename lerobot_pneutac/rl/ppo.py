@@ -1,0 +1,206 @@
+"""Proximal policy optimisation (Schulman et al., 2017) with an actor that feels and a critic that sees more.
+
+The library is Stable-Baselines3: it adds one package to what is installed already, runs worlds of one core
+each in processes, and takes a policy whose two networks read different parts of the observation.
+rsl-rl-lib has such actors and critics built in, but is made for thousands of worlds on a GPU, which these are
+not, and brings a dozen packages. What is kept on disk are safetensors and JSON; the library's own archive
+holds pickles and is not used.
+"""
+
+import functools
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import torch
+from stable_baselines3 import PPO
+from stable_baselines3.common.policies import MultiInputActorCriticPolicy
+from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv, VecMonitor
+from torch import nn
+
+from lerobot_pneutac.rl.actor import Actor, layers, try_actor
+from lerobot_pneutac.rl.checkpoint import CHECKPOINT, Keeper
+from lerobot_pneutac.rl.env import ACTOR_SIZE, PpoEnv
+from lerobot_pneutac.rl.reward import WEIGHTS
+from pneutac_sim.errors import InputError
+from pneutac_sim.twin import Twin
+
+TEST_SEED = 1_000_000  # starts of the test are none of the training's
+
+
+@dataclass(frozen=True)
+class PpoSettings:
+    """Numbers of the optimiser.
+
+    Attributes:
+        hidden: sizes of the hidden layers of actor and critic.
+        update_steps: steps of all worlds together between two updates, about.
+        batch: samples of a gradient step.
+        epochs: passes over the steps of an update.
+        learning_rate: of Adam.
+        discount: of the reward, per step.
+        trace: lambda of the generalised advantage estimate.
+        clip: how far a probability ratio may move in one update.
+        entropy: weight of the entropy bonus.
+        log_std: logarithm of the first standard deviation of the actions, which reach from -1 to 1.
+    """
+
+    hidden: tuple[int, ...] = (128, 128)
+    update_steps: int = 2048
+    batch: int = 256
+    epochs: int = 8
+    learning_rate: float = 1e-3
+    discount: float = 0.99
+    trace: float = 0.95
+    clip: float = 0.2
+    entropy: float = 0.001
+    log_std: float = -0.5
+
+
+class Asymmetric(nn.Module):
+    """Hidden layers of both networks: the actor's read the first `ACTOR_SIZE` entries, the critic's all."""
+
+    def __init__(self, inputs: int, hidden: tuple[int, ...]):
+        super().__init__()
+        self.latent_dim_pi = self.latent_dim_vf = hidden[-1]
+        self.actor, self.critic = layers(ACTOR_SIZE, hidden), layers(inputs, hidden)
+
+    def forward(self, features: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Hidden features (N, hidden) of actor and critic."""
+        return self.forward_actor(features), self.forward_critic(features)
+
+    def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
+        """The actor's; what follows its own part of the observation is cut off."""
+        return self.actor(features[:, :ACTOR_SIZE])
+
+    def forward_critic(self, features: torch.Tensor) -> torch.Tensor:
+        """The critic's."""
+        return self.critic(features)
+
+
+class AsymmetricPolicy(MultiInputActorCriticPolicy):
+    """The library's Gaussian policy around `Asymmetric`; `actor` comes before `object` in the features."""
+
+    def _build_mlp_extractor(self) -> None:
+        self.mlp_extractor = Asymmetric(self.features_dim, tuple(self.net_arch))
+
+
+def make_worlds(task: str, twin: Twin | None, envs: int, parallel: bool, **options) -> VecEnv:
+    """Worlds stepped together, each in a process of its own where `parallel`."""
+    make = functools.partial(PpoEnv, task, twin, **options)
+    worlds = SubprocVecEnv([make] * envs) if parallel else DummyVecEnv([make] * envs)
+    return VecMonitor(worlds)
+
+
+def make_ppo(worlds: VecEnv, seed: int, device: str, settings: PpoSettings) -> PPO:
+    """The optimiser with new networks."""
+    per_world = max(settings.update_steps // worlds.num_envs, 2)
+    return PPO(
+        AsymmetricPolicy,
+        worlds,
+        n_steps=per_world,
+        batch_size=min(settings.batch, per_world * worlds.num_envs),
+        n_epochs=settings.epochs,
+        learning_rate=settings.learning_rate,
+        gamma=settings.discount,
+        gae_lambda=settings.trace,
+        clip_range=settings.clip,
+        ent_coef=settings.entropy,
+        policy_kwargs={"net_arch": list(settings.hidden), "log_std_init": settings.log_std},
+        seed=seed,
+        device=device,
+    )
+
+
+def train_ppo(
+    task: str,
+    twin: Twin | None,
+    seed: int,
+    steps: int,
+    out: str | Path,
+    envs: int = 8,
+    parallel: bool = False,
+    device: str = "cpu",
+    settings: PpoSettings | None = None,
+    tries: int = 50,
+    progress: Callable[[int, str], None] = lambda done, text: None,
+    **options,
+) -> dict:
+    """Trains an actor, and goes on where a training in `out` was stopped.
+
+    `out` gets `actor.safetensors`, `actor.json`, `curve.json` and, after every update,
+    `checkpoint.safetensors` with networks and optimiser. A training that goes on starts new episodes, so its
+    numbers are not those that an uninterrupted one would have had.
+
+    Args:
+        task: `switch`, `egg` or `card`.
+        twin: the finger with its gel; None for the built-in one.
+        seed: decides networks and starts.
+        steps: control steps of all worlds together, at least.
+        out: folder.
+        envs: number of worlds.
+        parallel: whether each has a process of its own.
+        device: `cpu` or `cuda`, of the networks.
+        settings: of the optimiser.
+        tries: trials of the test after training.
+        progress: is told steps done and a few words after every update.
+        **options: of `PpoEnv`.
+
+    Returns:
+        what `actor.json` holds: `task`, `seed`, `steps`, `seconds`, `steps_per_s`, `settings`, `weights` and,
+        under `test`, the result of `try_actor` on starts that the training had not.
+
+    Raises:
+        InputError: a number is too small, the device is missing, or `out` holds another training.
+    """
+    for name, value in (("steps", steps), ("envs", envs), ("tries", tries)):
+        if value < 1:
+            raise InputError(f"{name} is {value}; it must be 1 or more.")
+    if device.startswith("cuda") and not torch.cuda.is_available():
+        raise InputError(f"The device is '{device}', but PyTorch finds no GPU; use 'cpu'.")
+    settings, out = settings or PpoSettings(), Path(out)
+    env = PpoEnv(task, twin, **options)  # refuses a bad task or twin before anything is written
+    run = {"task": task, "twin": _identity(twin), "seed": seed, "settings": asdict(settings)}
+    run = json.loads(json.dumps(run | {"weights": WEIGHTS, "options": options}))
+    worlds = make_worlds(task, twin, envs, parallel, **options)
+    try:
+        model = make_ppo(worlds, seed, device, settings)
+        keeper = Keeper(out, run, progress)
+        if (out / CHECKPOINT).exists():
+            keeper.resume(model)
+        out.mkdir(parents=True, exist_ok=True)
+        worlds.seed(seed * 1009 + model.num_timesteps)
+        if model.num_timesteps < steps:
+            model.learn(steps - model.num_timesteps, keeper, reset_num_timesteps=False)
+            keeper.save()
+    finally:
+        worlds.close()
+    actor = actor_of(model, settings)
+    seconds = keeper.curve[-1]["seconds"]
+    progress(model.num_timesteps, f"trying the actor on {tries} new starts")
+    actor.card = run | {
+        "steps": model.num_timesteps,
+        "seconds": seconds,
+        "steps_per_s": model.num_timesteps / seconds,
+        "test": try_actor(actor, env, tries, TEST_SEED + seed),
+    }
+    actor.save(out)
+    return actor.card
+
+
+def actor_of(model: PPO, settings: PpoSettings) -> Actor:
+    """A copy of the actor's networks, on the CPU."""
+    actor = Actor(settings.hidden)
+    actor.body.load_state_dict(model.policy.mlp_extractor.actor.state_dict())
+    actor.head.load_state_dict(model.policy.action_net.state_dict())
+    return actor.eval()
+
+
+def _identity(twin: Twin | None) -> str | None:
+    """Which finger it is; None for the built-in one."""
+    if twin is None:
+        return None
+    from pneutac_sim.surrogate.fingerprint import fingerprint  # it brings Taichi, which training needs not
+
+    return fingerprint(twin)

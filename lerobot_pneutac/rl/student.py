@@ -1,0 +1,127 @@
+"""Demonstrations of a trained actor, for a student that has a camera instead of a probe grid."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from lerobot.utils.constants import ACTION, OBS_STR
+from lerobot.utils.feature_utils import combine_feature_dicts, hw_to_dataset_features
+
+from lerobot_pneutac.rl.actor import Actor
+from lerobot_pneutac.rl.env import STEPS, actor_observation, to_action
+from pneutac_datasets.demonstrations.episodes import Episode, save_episode
+from pneutac_datasets.demonstrations.writing import create_dataset, quiet_encoders
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import ACTION_NAMES, CONTROL_HZ, IMAGE_NAME, IMAGE_SHAPE, STATE_NAMES
+from pneutac_sim.twin import Twin
+from pneutac_sim.world.world import World
+
+ROBOT = "pneutac"  # type of the robot in recorded demonstrations, so that they merge
+PATIENCE = 10  # trials for each demonstration that is wanted
+
+
+@dataclass
+class Recorded:
+    """What a recording came to.
+
+    Attributes:
+        root: the dataset's folder.
+        episodes: demonstrations in it, all successful.
+        trials: rollouts that they took.
+    """
+
+    root: Path
+    episodes: int
+    trials: int
+
+    @property
+    def success(self) -> float:
+        """Share of the rollouts that succeeded, with the noise."""
+        return self.episodes / self.trials
+
+
+def record_student(
+    actor_dir: str | Path,
+    task: str,
+    twin: Twin | None,
+    fidelity: str,
+    episodes: int,
+    seed: int,
+    root: str | Path,
+    repo_id: str,
+    noise: float = 0.05,
+    use_videos: bool = False,
+    progress: Callable[[int, int], None] = lambda done, trials: None,
+) -> Recorded:
+    """Writes a LeRobotDataset with the features of recorded demonstrations; rollouts that fail are left out.
+
+    Stored are the actor's means; the robot carries them out with noise, so that the student also sees what to
+    do beside the path.
+
+    Args:
+        actor_dir: folder of the actor.
+        task: `switch`, `egg` or `card`; must be the actor's.
+        twin: the finger with its gel; None for the built-in one.
+        fidelity: how finger and gel deform, see `World`.
+        episodes: demonstrations wanted.
+        seed: of starts and noise.
+        root: folder of the dataset, which must not exist.
+        repo_id: its name.
+        noise: standard deviation, of actions in [-1, 1].
+        use_videos: store the tactile images as video instead of PNG.
+        progress: is told demonstrations and trials after each trial.
+
+    Raises:
+        InputError: the actor is missing, damaged or another task's, a number is out of range, `root` exists,
+            or the actor succeeds too rarely.
+    """
+    actor = Actor.load(actor_dir)
+    if actor.card.get("task", task) != task:
+        raise InputError(f"The actor in '{actor_dir}' was trained on '{actor.card['task']}', not '{task}'.")
+    if episodes < 1:
+        raise InputError(f"episodes is {episodes}; it must be 1 or more.")
+    if not 0 <= noise <= 1:
+        raise InputError(f"noise is {noise}; it must be from 0 to 1.")
+    world = World(task, twin, "image", fidelity)
+    features = combine_feature_dicts(
+        hw_to_dataset_features(dict.fromkeys(ACTION_NAMES, float), ACTION, use_videos),
+        hw_to_dataset_features(
+            dict.fromkeys(STATE_NAMES, float) | {IMAGE_NAME: IMAGE_SHAPE}, OBS_STR, use_videos
+        ),
+    )
+    dataset = create_dataset(repo_id, root, CONTROL_HZ, features, ROBOT, use_videos, STEPS)
+    rng = np.random.default_rng(seed)
+    kept = trials = 0
+    with quiet_encoders():
+        try:
+            while kept < episodes:
+                if trials >= PATIENCE * max(kept + 1, 2):
+                    raise InputError(
+                        f"The actor in '{actor_dir}' succeeded in {kept} of {trials} trials with fidelity"
+                        f" '{fidelity}'; train it for longer, or lower the noise."
+                    )
+                episode = roll_out(actor, world, rng, noise)
+                trials += 1
+                if world.success:
+                    save_episode(dataset, episode)
+                    kept += 1
+                progress(kept, trials)
+        finally:
+            dataset.finalize()
+    return Recorded(Path(root), kept, trials)
+
+
+def roll_out(actor: Actor, world: World, rng: np.random.Generator, noise: float) -> Episode:
+    """One trial from a start that `rng` draws, until success, failure or the last step."""
+    observed = world.reset(int(rng.integers(2**31)))
+    previous = np.zeros(len(ACTION_NAMES))
+    states, actions, images = [], [], []
+    while len(states) < STEPS and not (world.success or world.failure):
+        mean = actor.act(actor_observation(observed.state, world.touch.depth_mm, previous))
+        states.append(observed.state)
+        actions.append(to_action(mean).astype(np.float32))
+        images.append(observed.tactile)
+        previous = np.clip(mean + noise * rng.standard_normal(len(mean)), -1, 1)
+        observed = world.step(to_action(previous))
+    return Episode(np.array(states), np.array(actions), np.array(images), world.task.description, CONTROL_HZ)

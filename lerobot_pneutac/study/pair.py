@@ -1,0 +1,86 @@
+"""A twin and the recording it is weighed against: whether they fit together, and whether there is enough."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.rules import an, plural
+from pneutac_sim.errors import InputError
+from pneutac_sim.finger import Bench, Pipeline
+from pneutac_sim.twin import Twin
+
+LONGER = "Record ten minutes with steps, slow and fast ramps and long holds, in several trials."
+
+
+def require(options, *names: str) -> None:
+    """Raises InputError where a folder that the verb needs was not given."""
+    for name in names:
+        if getattr(options, name) is None:
+            raise InputError(f"Give the {name}'s folder with --{name}=DIR.")
+
+
+def same_device(twin: Twin, recording: BenchRecording, twin_path: Path, verb: str) -> None:
+    """Raises InputError where the two are of different devices."""
+    if recording.device != twin.device:
+        raise InputError(
+            f"{recording.folder} is of {an(recording.device)} and {twin_path} of {an(twin.device)}; "
+            f"{verb} a twin with a recording of its own device."
+        )
+
+
+def load_pair(twin_path: Path, recording_path: Path, verb: str = "diagnose") -> tuple[Twin, BenchRecording]:
+    """The twin and a recording that may be diagnosed; raises InputError where they do not fit together."""
+    twin, recording = Twin.load(twin_path), BenchRecording.load(recording_path)
+    if recording.device == "gel":
+        if twin.device != "gel" and not twin.gel:
+            same_device(twin, recording, twin_path, verb)
+        return twin, recording
+    same_device(twin, recording, twin_path, verb)
+    if recording.length_mm is not None and abs(recording.length_mm - twin.length_mm) > 0.02 * twin.length_mm:
+        raise InputError(
+            f"{recording_path}/recording.json: length_mm is {recording.length_mm:g}, the twin's is "
+            f"{twin.length_mm:g}; make the twin with `pneutac new --twin=DIR --recording={recording_path}`."
+        )
+    recording.warnings += other_unit(twin, recording)
+    return twin, recording
+
+
+def other_unit(twin: Twin, recording: BenchRecording) -> list[str]:
+    """A note where a calibrated twin would roll itself up at the recording's pressures."""
+    gain = twin.parameters.get("gain_rad_per_kpa")
+    if gain is None or gain.ci95 is None:
+        return []
+    top = {c: float(np.abs(recording.column(c)).max()) for c in recording.pressure_columns}
+    name = max(top, key=top.get)
+    if gain.value * top[name] < 2 * math.pi:
+        return []
+    return [
+        f"Column '{name}' reaches {top[name]:.4g}, which would turn each joint of the calibrated twin more "
+        "than once around; if it is not in kPa, convert it (pascal: divide by 1000)."
+    ]
+
+
+def enough_rows(twin: Twin, recording: BenchRecording, effects: list[str], train: np.ndarray) -> None:
+    """Raises InputError where the training samples are too few to fit a twin with these effects at all.
+
+    Args:
+        twin: where the fit would start.
+        recording: as it would be fitted.
+        effects: switched on.
+        train: (n,) mask of training samples.
+    """
+    bench = Bench.of(recording, twin, source="command")
+    pipeline = Pipeline.of(twin, bench.inputs, effects)
+    count = sum(
+        not spec.fixed and name.rpartition(".")[0] not in pipeline.left_out
+        for name, spec in zip(pipeline.names, pipeline.specs, strict=True)
+    )
+    if train.sum() * len(bench.columns) <= count:
+        least = math.ceil((count + 1) / len(bench.columns) / max(train.mean(), 0.5))
+        file = recording.folder / recording.meta.get("samples", "")
+        raise InputError(
+            f"{file} has {plural(len(recording), 'row')}, and fitting the {count} parameters takes at least "
+            f"{least} (hundreds to tell effects apart); {LONGER[0].lower()}{LONGER[1:]}"
+        )

@@ -1,0 +1,162 @@
+"""What a calibration takes from a recording with photographs: pressures, photographs, which are held out."""
+
+import re
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pneutac_datasets.recording.photographs import column_of, masked_cameras, read_camera, read_photograph
+from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_sim.errors import InputError
+from pneutac_sim.photo_fit.objective import Photograph
+from pneutac_sim.splat.camera import Camera
+
+NEAR_KPA = 0.25  # of a training level
+LIKE = 0.9  # cosine from which two cameras look along the same line and tell the same
+
+
+@dataclass(frozen=True)
+class PhotoSession:
+    """Photographs of a body at rest under T pressures.
+
+    Attributes:
+        pressures: (T, chambers) kPa, without repetition.
+        train: (T,) bool; the others are held out.
+        cameras: names of those that are fitted, then of the others.
+        fitted: how many.
+        photographs: of all rows and fitted cameras; `state` counts `pressures`.
+        markers_mm: (T, 3) mean tip at each pressure where the recording tells it: to judge, never to fit.
+        conditions: means of the other columns that are numbers.
+    """
+
+    pressures: np.ndarray
+    train: np.ndarray
+    cameras: list[str]
+    fitted: int
+    photographs: list[Photograph]
+    markers_mm: np.ndarray | None
+    conditions: dict[str, float]
+
+    def of(self, states: np.ndarray) -> list[Photograph]:
+        """Photographs at the pressures where `states` (T,) is true, counted among these alone."""
+        index = np.cumsum(states) - 1
+        return [replace(p, state=int(index[p.state])) for p in self.photographs if states[p.state]]
+
+    @property
+    def rest(self) -> Photograph:
+        """The photograph nearest to no pressure, from the first camera."""
+        least = np.argsort(np.abs(self.pressures).sum(1), kind="stable")
+        by_state = {p.state: p for p in reversed(self.photographs)}
+        return by_state[int(next(s for s in least if self.train[s]))]
+
+
+def read_session(recording: BenchRecording, levels_kpa: tuple[float, ...]) -> PhotoSession:
+    """Photographs of a finger or an arm.
+
+    Of each hold of a pressure the last photograph counts, taken to be at rest. Cameras that look along the
+    same line as an earlier one, from the front or from behind, are not fitted.
+
+    Args:
+        recording: of a finger or an arm.
+        levels_kpa: pressures to fit, of an arm those of each chamber; all others are held out.
+
+    Raises:
+        InputError: no masks, a bad mask, a pressure that is missing or in other units, too few levels.
+    """
+    names = masked_cameras(recording)
+    if not names:
+        raise InputError(
+            f"{recording.folder}: no camera has both an image_<camera> and a mask_<camera> column; add masks "
+            "(white where the body is) to calibrate by images."
+        )
+    levels, rows, state = held_levels(recording)
+    train = (np.abs(levels[..., None] - np.asarray(levels_kpa)).min(-1) < NEAR_KPA).all(1)
+    if train.sum() < 2:
+        told = ", ".join(f"{v:g}" for v in np.unique(levels)[:12])
+        raise InputError(
+            f"{recording.folder}: {train.sum()} of its pressures ({told} kPa) are training levels "
+            f"({', '.join(f'{v:g}' for v in levels_kpa)}); choose at least two with --train_kpa."
+        )
+    cameras = {name: read_camera(recording, name) for name in names}
+    chosen = _crossing(cameras)
+    photographs = [
+        read_held(recording, row, s, name, cameras[name])
+        for name in chosen
+        for row, s in zip(rows, state, strict=True)
+    ]
+    tips = [f"tip_{a}_mm" for a in "xyz"]
+    markers = None
+    if all(recording.has(c) for c in tips):
+        seen = np.stack([recording.column(c).astype(float)[rows] for c in tips], 1)
+        markers = np.stack([seen[state == s].mean(0) for s in range(len(levels))])
+    others = [n for n in names if n not in chosen]
+    return PhotoSession(
+        levels, train, chosen + others, len(chosen), photographs, markers, mean_conditions(recording)
+    )
+
+
+def held_levels(recording: BenchRecording) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pressures under which a body was photographed at rest.
+
+    Args:
+        recording: of a finger or an arm.
+
+    Returns:
+        Pressures (T, chambers) kPa, rising and without repetition; rows (n,) that end a hold; the pressure of
+        each of these rows (n,), counted in the first.
+
+    Raises:
+        InputError: a row has no pressure.
+    """
+    pressure = np.stack([recording.column(c).astype(float) for c in recording.pressure_columns], 1)
+    if not np.isfinite(pressure).all():
+        row = int(np.argmin(np.isfinite(pressure).all(1)))
+        raise InputError(
+            f"{recording.folder}: row {row + 1} has no pressure; every photograph needs one, in kPa."
+        )
+    rows = _holds(recording, pressure)
+    levels, state = np.unique(pressure[rows].round(6), axis=0, return_inverse=True)
+    return levels, rows, state.ravel()
+
+
+def read_held(recording: BenchRecording, row: int, state: int, name: str, camera: Camera) -> Photograph:
+    """The photograph that a camera took in a row, at pressure number `state`.
+
+    Raises:
+        InputError: an image or a mask is missing or bad.
+    """
+    image, mask = read_photograph(recording, row, name)
+    if not 1e-3 < mask.mean() < 0.9:
+        raise InputError(
+            f"{recording.folder}: {column_of(recording, 'mask', name)} of row {row + 1} covers "
+            f"{mask.mean():.1%} of the picture; it must be white where the body is and black elsewhere."
+        )
+    told = f"{recording.folder}, {column_of(recording, 'image', name)} of row {row + 1}"
+    return Photograph(int(state), camera, image, mask, told)
+
+
+def mean_conditions(recording: BenchRecording) -> dict[str, float]:
+    """Means of the columns that are neither photographs nor pressures nor markers but numbers."""
+    conditions = {}
+    for name in recording.conditions:
+        column = recording.samples[name]
+        if column.dtype.kind in "fi" and not re.match(r"pressure|camera", name) and np.isfinite(column).all():
+            conditions[name] = float(column.mean())
+    return conditions
+
+
+def _holds(recording: BenchRecording, pressure: np.ndarray) -> np.ndarray:
+    """Rows that end a hold of one pressure within a trial."""
+    trial = recording.column("trial")
+    goes_on = (trial[1:] == trial[:-1]) & (np.abs(np.diff(pressure, axis=0)) < 1e-6).all(1)
+    return np.flatnonzero(np.append(~goes_on, True))
+
+
+def _crossing(cameras: dict[str, Camera]) -> list[str]:
+    """The first camera, and those whose line of sight crosses that of all before."""
+    out: list[str] = []
+    for name, camera in cameras.items():
+        axis = camera.extrinsics[2, :3]
+        if all(abs(axis @ cameras[o].extrinsics[2, :3]) < LIKE for o in out):
+            out.append(name)
+    return out

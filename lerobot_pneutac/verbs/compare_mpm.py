@@ -1,0 +1,141 @@
+"""A twin's markers by full material points, for `pneutac compare --fidelity=mpm`."""
+
+from dataclasses import replace
+
+import numpy as np
+from rich.console import Console
+from rich.progress import track
+
+from pneutac_datasets.recording.axes import Axis
+from pneutac_datasets.recording.rules import plural
+from pneutac_sim.errors import InputError
+from pneutac_sim.finger import Bench, Pipeline
+from pneutac_sim.finger.inputs import Inputs
+from pneutac_sim.finger.pipeline import BENDING_PRESSURE, Run
+from pneutac_sim.finger.stages import Drive
+from pneutac_sim.mpm import devices
+from pneutac_sim.mpm.solve import MpmDiverged, solve_equilibrium
+from pneutac_sim.mpm.total_lagrangian import Loads, TotalLagrangian
+from pneutac_sim.twin import Twin
+
+SAMPLES = 200
+DIGITS = 6  # joint targets that agree in so many, rad, are one equilibrium
+
+
+def spread(count: int, samples: int, seed: int = 0) -> np.ndarray:
+    """Rows to simulate, rising: one anywhere in each of `samples` equal stretches, so that no period is hit.
+
+    Args:
+        count: of rows.
+        samples: at most so many.
+        seed: decides which.
+    """
+    if count <= samples:
+        return np.arange(count)
+    edges = np.linspace(0, count, samples + 1)
+    at = np.random.default_rng(seed).uniform(edges[:-1], edges[1:])
+    return np.unique(np.minimum(at.astype(int), count - 1))
+
+
+def by_mpm(c, twin: Twin, bench: Bench, samples: int, seed: int, console: Console | None = None):
+    """A `Comparison` at some of the samples, with a model by material points.
+
+    Args:
+        c: by the pipeline.
+        twin: a finger's or an arm's.
+        bench: what `c` was made from.
+        samples: at most so many.
+        seed: decides which.
+        console: shows progress; None for nowhere.
+
+    Raises:
+        InputError: an effect cannot act on material points, or a body finds no rest.
+    """
+    at = spread(len(bench), samples, seed)
+    model, solved = markers_by_mpm(twin, bench, at, console)
+    every = np.zeros(len(bench), bool)
+    every[at] = True
+    return replace(
+        c,
+        recording=c.recording.keep(every),
+        measured=c.measured[at],
+        model=model,
+        train=c.train[at],
+        axes=[axis for axis in (_thinned(a, at) for a in c.axes) if axis.labels],
+        rate=c.rate[at],
+        still=c.still[at],
+        pressure=None if c.pressure is None else c.pressure[at],
+        simulated=f"by full material points at {len(at)} of {plural(len(bench), 'sample')}, spread over the "
+        f"recording ({plural(solved, 'different pose')})",
+        fidelity="mpm",
+    )
+
+
+def _thinned(axis: Axis, at: np.ndarray) -> Axis:
+    """An axis of the samples `at` (k,) alone, without empty bins."""
+    used, place = np.unique(axis.bin[at], return_inverse=True)
+    none = int(used[0] == -1)
+    value = None if axis.value is None else axis.value[at]
+    return Axis(axis.name, value, place - none, [axis.labels[i] for i in used[none:]])
+
+
+def markers_by_mpm(
+    twin: Twin, bench: Bench, samples: np.ndarray, console: Console | None = None
+) -> tuple[np.ndarray, int]:
+    """Columns of a recording as a body of material points at rest would show them.
+
+    The pipeline gives the joint targets of all samples, so that effects with a memory miss none. At those of
+    `samples` the body is brought to rest; its spine is then observed as the pipeline's is.
+
+    Args:
+        twin: a finger's or an arm's.
+        bench: the recording, whole.
+        samples: (k,) rows of it.
+        console: shows progress; None for nowhere.
+
+    Returns:
+        (k, D) values of `bench.columns`, and how many equilibria it took.
+    """
+    solver = devices.BODIES[twin.device](twin)
+    pipeline = Pipeline.of(twin, bench.inputs)
+    run = pipeline.run(bench.inputs, pipeline.theta(twin, bench.inputs.pressure_range_kpa))
+    targets, inverse = np.unique(run.joints[samples].round(DIGITS), axis=0, return_inverse=True)
+    joints, tips = _at_rest(solver, targets, console)
+    joints, tips = joints[inverse.ravel()], tips[inverse.ravel()]
+    axes = pipeline.geometry.axes
+    bend = np.zeros((len(samples), 2))
+    bend[:, :axes] = joints.reshape(len(samples), -1, axes).sum(1)
+    seen = _observed(pipeline, run, bench.inputs.thin(samples), np.hstack([1e3 * tips, bend]))
+    pressure = run.pressure_kpa[samples]
+    return pipeline.outputs(
+        replace(run, pressure_kpa=pressure, joints=joints, markers=seen), bench.columns
+    ), len(targets)
+
+
+def _at_rest(
+    solver: TotalLagrangian, targets: np.ndarray, console: Console | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Angles (m, H) and tips (m, 3) m at joint targets (m, H), each begun from the one nearest in bend."""
+    joints, tips = np.empty_like(targets), np.empty((len(targets), 3))
+    centred = targets - targets.mean(0)
+    order = np.argsort(centred @ np.linalg.svd(centred, full_matrices=False)[2][0], kind="stable")
+    shown = track(order, "material points", console=console, transient=True, disable=console is None)
+    warm = False
+    for i in shown:
+        try:
+            rest = solve_equilibrium(solver, Loads(q_cmd=targets[i][None]), warm=warm)
+        except MpmDiverged as e:
+            raise InputError(f"{e.finding}; compare by --fidelity=pipeline, or leave that sample out.") from e
+        joints[i], tips[i] = rest.q[0], devices.spine_points(solver, rest.q)[0, -1]
+        warm = True
+    return joints, tips
+
+
+def _observed(pipeline: Pipeline, run: Run, inputs: Inputs, markers: np.ndarray) -> np.ndarray:
+    """Markers (k, 5) of the body as the pipeline's effects of the observation show them."""
+    drive = next(i for i, link in enumerate(pipeline.chain) if isinstance(link, Drive))
+    conditions = inputs.at_samples({BENDING_PRESSURE: run.signals[drive].mean(axis=1)})
+    for link in pipeline.chain[pipeline.reads_joints + 1 :]:
+        state = np.zeros(link.state_size(markers.shape[1]))
+        markers = link(markers, inputs.sample_dt_s, run.theta, conditions, state)
+    return markers

@@ -1,0 +1,147 @@
+"""`pneutac doctor`: what is installed, what answers, and what to do where something does not."""
+
+import importlib.metadata
+import os
+import platform
+import shutil
+import sys
+from pathlib import Path
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+OK, NOTE, FAIL = "[green]ok[/]", "[yellow]note[/]", "[red]missing[/]"
+DEV = Path("/dev")
+Check = tuple[str, str, str, str]  # name, state, what was found, remedy
+
+
+def check_packages() -> list[Check]:
+    """Versions of the packages that the work rests on."""
+    rows = [("Python", OK if sys.version_info >= (3, 12) else FAIL, platform.python_version(), "")]
+    for name in ("lerobot", "torch", "mujoco", "numba", "gymnasium", "numpy", "pyserial"):
+        try:
+            rows.append((name, OK, importlib.metadata.version(name), ""))
+        except importlib.metadata.PackageNotFoundError:
+            rows.append((name, FAIL, "not installed", f"uv pip install {name}"))
+    return rows
+
+
+def check_plugin() -> Check:
+    """Whether LeRobot finds the plugin and can make its robot."""
+    from lerobot.robots import RobotConfig
+    from lerobot.utils.import_utils import register_third_party_plugins
+
+    register_third_party_plugins()
+    if "pneutac_sim" in RobotConfig.get_known_choices():
+        return ("LeRobot plugin", OK, "--robot.type=pneutac_sim is known to LeRobot", "")
+    remedy = "install this distribution into LeRobot's environment: uv pip install -e ."
+    return ("LeRobot plugin", FAIL, "LeRobot does not list pneutac_sim", remedy)
+
+
+def check_gpu() -> Check:
+    """The accelerator that torch sees."""
+    import torch
+
+    if torch.cuda.is_available():
+        return ("GPU", OK, torch.cuda.get_device_name(0), "")
+    return ("GPU", NOTE, "none; everything runs on the CPU", "")
+
+
+def check_rendering() -> Check:
+    """Whether the world can be drawn without a display."""
+    from pneutac_sim.world import World
+
+    world = World("switch", touch="none")
+    world.reset(seed=0)
+    world.render(64, 48)
+    if world.renders_with_gl:
+        return ("3-D rendering", OK, f"MuJoCo with MUJOCO_GL={os.environ.get('MUJOCO_GL', 'default')}", "")
+    remedy = "install libegl1 and libgl1 (Mesa) for camera views; a drawing is shown until then"
+    return ("3-D rendering", NOTE, "no OpenGL", remedy)
+
+
+def check_ports() -> Check:
+    """Serial ports that a pressure controller may sit on."""
+    from serial.tools import list_ports
+
+    ports = [p.device for p in list_ports.comports()]
+    if not ports:
+        return ("serial ports", NOTE, "none", "needed only for a real pressure controller")
+    blocked = [p for p in ports if not os.access(p, os.R_OK | os.W_OK)]
+    if blocked:
+        return ("serial ports", FAIL, f"no permission on {', '.join(blocked)}", _join("dialout"))
+    return ("serial ports", OK, ", ".join(ports), "")
+
+
+def check_cameras() -> Check:
+    """Video devices."""
+    devices = sorted(str(p) for p in DEV.glob("video*"))
+    if not devices:
+        return ("cameras", NOTE, "none", "needed only for a real DIGIT or a bench camera")
+    blocked = [p for p in devices if not os.access(p, os.R_OK | os.W_OK)]
+    if blocked:
+        return ("cameras", FAIL, f"no permission on {', '.join(blocked)}", _join("video"))
+    return ("cameras", OK, ", ".join(devices), "")
+
+
+def check_digit() -> Check:
+    """DIGITs by the serial number that `--robot.digit.serial` takes."""
+    from lerobot_robot_pneutac.cameras.digit_devices import find_digits
+
+    digits = find_digits()
+    if not digits:
+        return ("DIGIT", NOTE, "none", "needed only on the bench; plug it in, without a hub")
+    return ("DIGIT", OK, ", ".join(f"{d.serial} at {d.path}" for d in digits), "")
+
+
+def check_arm() -> Check:
+    """The library that drives a Panda."""
+    try:
+        return ("Panda", OK, f"franky {importlib.metadata.version('franky-control')}", "")
+    except importlib.metadata.PackageNotFoundError:
+        remedy = "needed only for a real arm: uv pip install -e '.[panda]' in PneuTac's folder"
+        return ("Panda", NOTE, "franky is not installed", remedy)
+
+
+def _join(group: str) -> str:
+    return f"sudo usermod -aG {group} $USER, then log in again"
+
+
+def check_home() -> Check:
+    """LeRobot keeps calibration and datasets in HF_HOME, which must be writable."""
+    from huggingface_hub.constants import HF_HOME
+
+    home = Path(HF_HOME)
+    parent = next(p for p in (home, *home.parents) if p.exists())
+    free = shutil.disk_usage(parent).free / 1e9
+    if not os.access(parent, os.W_OK):
+        return ("HF_HOME", FAIL, f"{home} is not writable", "set HF_HOME to a folder of your own")
+    return ("HF_HOME", OK if free > 5 else NOTE, f"{home}, {free:.0f} GB free", "")
+
+
+CHECKS = (
+    check_plugin, check_gpu, check_rendering, check_ports, check_cameras, check_digit, check_arm, check_home
+)  # fmt: skip
+
+
+def main(argv: list[str]) -> None:
+    """Runs every check and prints one table; exits with 1 where something needed is missing."""
+    if argv in (["-h"], ["--help"]):
+        print("usage: pneutac doctor\n\nTells what is installed and what answers; takes no options.")
+        return
+    if argv:
+        sys.exit("pneutac doctor takes no options.")
+    rows = check_packages()
+    for check in CHECKS:
+        try:
+            rows.append(check())
+        except (ImportError, OSError) as e:  # a package or a system's library: what is looked for
+            name = check.__name__.removeprefix("check_")
+            rows.append((name, FAIL, f"{type(e).__name__}: {e}", "install what is missing, then ask again"))
+    table = Table("", "state", "found", "remedy", box=None, header_style="dim")
+    for name, state, found, remedy in rows:
+        table.add_row(name, state, escape(found), escape(remedy))
+    Console().print(table)
+    if any(state == FAIL for _, state, _, _ in rows):
+        sys.exit(1)

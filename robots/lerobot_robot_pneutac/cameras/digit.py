@@ -1,0 +1,168 @@
+"""The camera `digit`: a DIGIT tactile sensor, read in the background as LeRobot reads any USB camera.
+
+The stream sizes, the turned image and the LEDs behind the zoom control are those of the sensor's published
+interface (digit-interface, firmware 2.00 and later).
+"""
+
+import logging
+import time
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from lerobot.cameras.configs import Cv2Backends, Cv2Rotation
+from lerobot.cameras.opencv import OpenCVCamera, OpenCVCameraConfig
+from lerobot.utils.decorators import check_if_already_connected
+from lerobot.utils.errors import DeviceNotConnectedError
+
+from lerobot_robot_pneutac.cameras.config_digit import DigitConfig
+from lerobot_robot_pneutac.cameras.digit_devices import DigitDevice, find_digits
+from lerobot_robot_pneutac.hardware.parts import HardwareFault
+from pneutac_sim.errors import InputError
+
+logger = logging.getLogger(__name__)
+
+RGB_FIRMWARE = 200  # 2.00 is the first whose LEDs are set one by one
+START_S = 1.0  # a USB camera's first image may take longer than those after it
+
+
+class Digit(OpenCVCamera):
+    """Images are RGB uint8, 320 rows and 240 columns in QVGA, upright as the simulated sensor's.
+
+    Every reading method raises `HardwareFault` once the sensor is unplugged, or has sent no new image for
+    `frozen_s`.
+
+    Attributes:
+        device: the sensor that was found, while connected.
+    """
+
+    def __init__(self, config: DigitConfig):
+        # The device path is known only when the serial number has been looked up.
+        super().__init__(
+            OpenCVCameraConfig(
+                index_or_path=Path(),
+                fps=config.fps,
+                width=config.width,
+                height=config.height,
+                rotation=Cv2Rotation.ROTATE_270,
+                backend=Cv2Backends.V4L2,
+            )
+        )
+        self.options = config
+        self.device: DigitDevice | None = None
+        self._fault: str | None = None
+        self._raw: np.ndarray | None = None
+        self._new_image_s = 0.0
+
+    def __str__(self) -> str:
+        return f"DIGIT {self.options.serial}"
+
+    @staticmethod
+    def find_cameras() -> list[dict[str, Any]]:
+        """Serial number, device path and firmware of every connected DIGIT."""
+        return [
+            {"type": "digit", "id": d.serial, "path": str(d.path), "firmware": d.firmware}
+            for d in find_digits()
+        ]
+
+    @check_if_already_connected
+    def connect(self, warmup: bool = True) -> None:
+        """Finds the sensor, sets stream and LEDs, starts reading.
+
+        Args:
+            warmup: whether to read for a second, in which the exposure settles.
+
+        Raises:
+            InputError: no DIGIT with this serial number is connected, or its firmware is too old.
+            HardwareFault: the sensor cannot be opened or does not take its settings.
+        """
+        device = self._find()
+        self.index_or_path = str(device.path)
+        self._fault, self._raw = None, None
+        try:
+            super().connect(warmup)
+        except (ConnectionError, RuntimeError, TimeoutError) as error:
+            if isinstance(error, HardwareFault):
+                raise
+            raise HardwareFault(
+                f"{self} at {device.path} cannot be used ({error}); close other programs that read it and"
+                " check that your user is in the group 'video'."
+            ) from error
+        self.device = device
+
+    def read(self, color_mode=None) -> np.ndarray:
+        """Waits for the next image; uint8 (H, W, 3)."""
+        self._check()
+        return super().read(color_mode)
+
+    def async_read(self, timeout_ms: float = 200) -> np.ndarray:
+        """The newest image not yet handed out, waiting for one at most `timeout_ms`; uint8 (H, W, 3)."""
+        self._check()
+        try:
+            return super().async_read(min(timeout_ms, 1e3 * self._patience_s))
+        except (TimeoutError, RuntimeError):
+            self._check()
+            raise
+
+    def read_latest(self, max_age_ms: int = 500) -> np.ndarray:
+        """The newest image at once; uint8 (H, W, 3)."""
+        self._check()
+        return super().read_latest(max_age_ms)
+
+    def _find(self) -> DigitDevice:
+        found = {d.serial: d for d in find_digits()}
+        device = found.get(self.options.serial)
+        if device is None:
+            there = ", ".join(found) or "none"
+            raise InputError(f"No DIGIT with serial '{self.options.serial}' is connected; found: {there}.")
+        if device.firmware < RGB_FIRMWARE:
+            raise InputError(
+                f"{self} has firmware {device.firmware / 100:.2f}, which cannot set LEDs; update it to 2.00."
+            )
+        return device
+
+    def _configure_capture_settings(self) -> None:
+        super()._configure_capture_settings()
+        red, green, blue = self.options.led
+        value = red << 8 | green << 4 | blue
+        if not self.videocapture.set(cv2.CAP_PROP_ZOOM, value):
+            raise HardwareFault(f"{self} does not take LED brightness {self.options.led}; plug it in afresh.")
+        actual = self.videocapture.get(cv2.CAP_PROP_ZOOM)
+        if actual != value:
+            logger.warning("%s was told LED setting %d and reports %d.", self, value, actual)
+        self._new_image_s = time.perf_counter()
+
+    def _read_from_hardware(self) -> np.ndarray:
+        """One raw image, BGR and lying; a broken one is skipped."""
+        stop, capture = self.stop_event, self.videocapture
+        while not stop.is_set():
+            whole, image = capture.read()
+            if whole:
+                return image
+            if not Path(self.index_or_path).exists():
+                self._fault = f"{self} was unplugged; plug it in and connect again."
+                break
+            time.sleep(1 / self.fps)
+        raise DeviceNotConnectedError(f"{self} no longer reads.")
+
+    def _postprocess_image(self, image: np.ndarray) -> np.ndarray:
+        result = super()._postprocess_image(image)
+        # Without light there is no noise to tell images apart.
+        if not any(self.options.led) or self._raw is None or not np.array_equal(image, self._raw):
+            self._new_image_s = time.perf_counter()
+        self._raw = image
+        return result
+
+    @property
+    def _patience_s(self) -> float:
+        return START_S if self._raw is None else self.options.frozen_s
+
+    def _check(self) -> None:
+        if not self.is_connected:
+            return  # said by LeRobot's own check
+        if self._fault:
+            raise HardwareFault(self._fault)
+        age_s = time.perf_counter() - self._new_image_s
+        if age_s > self._patience_s:
+            raise HardwareFault(f"{self} has sent no new image for {age_s:.2f} s; plug it in afresh.")

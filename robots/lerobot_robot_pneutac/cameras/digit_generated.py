@@ -1,0 +1,92 @@
+"""The camera `digit_generated`: pictures of the built-in gel at a camera's pace."""
+
+import math
+import time
+from typing import Any
+
+import numpy as np
+from lerobot.cameras import Camera
+from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
+
+from lerobot_robot_pneutac.cameras.config_digit_generated import DigitGeneratedConfig
+
+BALL_RADIUS_M = 0.004
+
+
+class DigitGenerated(Camera):
+    """Frame k is the gel at k / fps seconds after connecting.
+
+    A ball presses with depth D (1 - cos(2 pi t / T)) / 2 in the middle, D and T from the options.
+    """
+
+    def __init__(self, config: DigitGeneratedConfig):
+        super().__init__(config)
+        self.config = config
+        self._start_s: float | None = None
+
+    def __str__(self) -> str:
+        return "DIGIT (generated)"
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether `connect` was called."""
+        return self._start_s is not None
+
+    @staticmethod
+    def find_cameras() -> list[dict[str, Any]]:
+        """None: a generated sensor is not found but made."""
+        return []
+
+    def connect(self, warmup: bool = True) -> None:
+        """Starts the clock."""
+        if self.is_connected:
+            raise DeviceAlreadyConnectedError(f"{self} is already connected.")
+        from pneutac_sim.gel.probe import SPHERE
+        from pneutac_sim.gel.sensor import TactileSensor
+
+        self._kind, self._sensor = SPHERE, TactileSensor()
+        self._start_s, self._last = time.perf_counter(), -1
+        self._image(1)  # compiles before the clock runs
+        self._start_s = time.perf_counter()
+
+    def read(self) -> np.ndarray:
+        """Waits for the next frame; uint8 (320, 240, 3)."""
+        return self.async_read(timeout_ms=2000 / self.fps)
+
+    def async_read(self, timeout_ms: float = 200) -> np.ndarray:
+        """The newest frame not yet handed out, uint8 (320, 240, 3).
+
+        Raises:
+            TimeoutError: it comes later than `timeout_ms`.
+        """
+        wait_s = (self._last + 1) / self.fps - self._time_s()
+        if wait_s > 1e-3 * timeout_ms:
+            raise TimeoutError(f"{self} has its next frame in {wait_s:.3f} s and was given {timeout_ms} ms.")
+        if wait_s > 0:
+            time.sleep(wait_s)
+        self._last = max(self._last + 1, math.floor(self._time_s() * self.fps))
+        return self._image(self._last)
+
+    def read_latest(self, max_age_ms: int = 500) -> np.ndarray:
+        """The newest frame at once, uint8 (320, 240, 3)."""
+        return self._image(math.floor(self._time_s() * self.fps))
+
+    def disconnect(self) -> None:
+        """Stops."""
+        self._time_s()
+        self._start_s = None
+
+    def _time_s(self) -> float:
+        if not self.is_connected:
+            raise DeviceNotConnectedError(f"{self} is not connected; call connect() first.")
+        return time.perf_counter() - self._start_s
+
+    def _image(self, frame: int) -> np.ndarray:
+        c = self.config
+        if not c.press_period_s:
+            return self._sensor.rest_image.copy()
+        phase = 2 * math.pi * frame / self.fps / c.press_period_s
+        depth_m = 0.5e-3 * c.press_depth_mm * (1 - math.cos(phase))
+        centre = [0.0, 0.0, BALL_RADIUS_M - depth_m]
+        grid = self._sensor.probe([self._kind], [[BALL_RADIUS_M] * 3], [centre], [np.eye(3)])
+        return self._sensor.image(grid)

@@ -1,0 +1,264 @@
+"""The policy `pneutac_bc`: |tactile - rest| through a convolutional encoder, with the state into an MLP.
+
+The paper's policy network and loss (Sec. "Policy training"): a 64-D embedding of the tactile difference
+beside a 24-D observation {q, q', x, s/N, log(1+s), p, a_(t-1)}, two hidden layers of 256, 4-D action.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from huggingface_hub import ModelCard
+from lerobot.policies.pretrained import PreTrainedPolicy
+from lerobot.utils.constants import ACTION, OBS_STATE
+from safetensors import safe_open
+from torch import Tensor, nn
+
+from lerobot_robot_pneutac.policy.configuration_pneutac_bc import TACTILE, PneutacBCConfig
+from lerobot_robot_pneutac.policy.model_card import Demonstrations, checkpoint_step, model_card
+from lerobot_robot_pneutac.policy.rest_image import check_same_sensor, rest_image_of
+from lerobot_robot_pneutac.policy.tactile_encoder import DIFFERENCE_SCALE, EMBEDDING, TactileEncoder
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, STATE_NAMES
+
+# (centre, scale) of the state's channels: physical ranges of table-top work in front of a Panda whose flange
+# points down, much narrower than the robot's limits so that millimetres of position matter to the network.
+_JOINTS = (0.0, 0.0, 0.0, -2.55, 0.0, 2.55, np.pi / 4)
+_RANGES = (
+    *((q, 0.3) for q in _JOINTS),  # rad
+    *((0.0, 0.3) for _ in _JOINTS),  # rad/s
+    (0.46, 0.01),  # ee_x, m
+    (0.0, 0.01),  # ee_y, m
+    (0.28, 0.01),  # ee_z, m
+    (0.0, 0.1),  # s / N
+    (4.0, 4.0),  # log(1 + s)
+    (7.5, 7.5),  # kPa
+)
+_CONTACT = [STATE_NAMES.index("contact_area.pos"), STATE_NAMES.index("contact_pixels.pos")]
+_PRESSURE = STATE_NAMES.index("pressure.pos")
+HIDDEN = 256
+
+
+class PneutacBCPolicy(PreTrainedPolicy):
+    """Behaviour cloning from touch and proprioception; keeps its own previous action between calls.
+
+    Attributes:
+        encoder: of the tactile image; None with `use_tactile=False`.
+    """
+
+    config_class = PneutacBCConfig
+    name = "pneutac_bc"
+
+    def __init__(self, config: PneutacBCConfig, dataset_meta=None, **kwargs):
+        """A policy with random weights.
+
+        Args:
+            config: options, with the features of the data.
+            dataset_meta: LeRobotDatasetMetadata of the training data; its rest image becomes the policy's,
+                also where weights of another training are loaded afterwards.
+            **kwargs: what else LeRobot passes (dataset statistics) and this policy has no use for.
+
+        Raises:
+            InputError: features or dataset do not fit.
+        """
+        super().__init__(config)
+        self._dataset_rest = self._demonstrations = None
+        if dataset_meta is not None:
+            config.check_dataset(dataset_meta)
+        config.validate_features()
+        if dataset_meta is not None:
+            self._demonstrations = Demonstrations.of(dataset_meta)
+            self._dataset_rest = rest_image_of(dataset_meta) if config.use_tactile else None
+
+        self.encoder = TactileEncoder() if config.use_tactile else None
+        channels = [i for i in range(len(STATE_NAMES)) if config.use_tactile or i not in _CONTACT]
+        low, high = torch.tensor(ACTION_LOW), torch.tensor(ACTION_HIGH)
+        centre, scale = torch.tensor(_RANGES, dtype=torch.float32).T
+        for name, value in {
+            "_channels": torch.tensor(channels),
+            "_action_low": low,
+            "_action_high": high,
+            "_action_centre": (low + high) / 2,
+            "_action_scale": (high - low) / 2,
+        }.items():
+            self.register_buffer(name, value, persistent=False)
+        # Saved with the weights, which mean nothing with another scale.
+        self.register_buffer("_state_centre", centre.clone())
+        self.register_buffer("_state_scale", scale.clone())
+        width = len(channels) + len(low) + (EMBEDDING if config.use_tactile else 0)
+        self.mlp = nn.Sequential(
+            nn.Linear(width, HIDDEN),
+            nn.ReLU(),
+            nn.Linear(HIDDEN, HIDDEN),
+            nn.ReLU(),
+            nn.Linear(HIDDEN, len(low)),
+        )
+        self._take_dataset_rest()
+        self.reset()
+
+    @classmethod
+    def _load_as_safetensor(cls, model, model_file, map_location, strict):
+        """Loads weights; a rest image from the present dataset outlives the one in the file.
+
+        Raises:
+            InputError: the file lacks weights or holds others, or the two rest images cannot be of the same
+                kind of sensor.
+        """
+        with safe_open(model_file, "pt") as file:
+            other = sorted(set(file.keys()) ^ set(model.state_dict()))
+        if other:
+            raise InputError(
+                f"'{model_file}' does not hold the weights of this policy (differs in {', '.join(other)});"
+                " its use_tactile was another, or another version trained it: train anew."
+            )
+        model = super()._load_as_safetensor(model, model_file, map_location, strict)
+        if model._dataset_rest is not None:
+            check_same_sensor(model.encoder.rest_image, model._dataset_rest, model._demonstrations.name)
+            model._take_dataset_rest()
+        return model
+
+    def learn_from(self, demonstrations: Demonstrations, rest: Tensor | None) -> None:
+        """Takes another dataset's rest image (3, 320, 240), None without touch, and its name for the card.
+
+        Raises:
+            InputError: the rest image cannot be of the kind of sensor that the policy knows.
+        """
+        if self.encoder is not None:
+            check_same_sensor(self.encoder.rest_image, rest, demonstrations.name)
+        self._demonstrations, self._dataset_rest = demonstrations, rest if self.encoder is not None else None
+        self._take_dataset_rest()
+
+    def _take_dataset_rest(self) -> None:
+        if self._dataset_rest is not None:
+            self.encoder.rest_image.copy_(self._dataset_rest)
+
+    # ------------------------------------------------------------ model card
+
+    def _save_pretrained(self, save_directory: Path, **kwargs) -> None:
+        """Saves options, weights and the model card (README.md)."""
+        super()._save_pretrained(save_directory, **kwargs)
+        self._card(checkpoint_step(Path(save_directory)), None).save(Path(save_directory) / "README.md")
+
+    def generate_model_card(self, *args, cfg=None, **kwargs) -> ModelCard:
+        """The card that LeRobot pushes to the Hub with the weights; `cfg` is the TrainPipelineConfig."""
+        return self._card(None, cfg)
+
+    def _card(self, steps, train) -> ModelCard:
+        rest = None
+        if self.encoder is not None and not self.encoder.rest_image.isnan().any():
+            rest = tuple((255 * self.encoder.rest_image.mean((1, 2))).tolist())
+        return model_card(self.config, self._demonstrations, rest, steps, train)
+
+    def get_optim_params(self):
+        """All parameters."""
+        return self.parameters()
+
+    def reset(self) -> None:
+        """Forgets the previous action; to be called when an episode starts."""
+        self._previous: Tensor | None = None
+
+    # ------------------------------------------------------------ training
+
+    def forward(self, batch: dict[str, Tensor]) -> tuple[Tensor, dict[str, float]]:
+        """The paper's loss: mean of |1000 (dx - dx*)|^2 (mm^2 per step) plus mean of (p - p*)^2 (kPa^2).
+
+        Args:
+            batch: `action` (B, 2, 4), the previous and the present one; `action_is_pad` (B, 2), true where
+                there is none; `observation.state` (B, 20); the tactile image (B, 3, 320, 240) in [0, 1].
+
+        Returns:
+            loss, and its two terms by name.
+
+        Raises:
+            InputError: the loss is not finite.
+        """
+        previous, target = batch[ACTION].unbind(1)
+        hidden = batch[f"{ACTION}_is_pad"][:, 0]
+        return self.loss(batch[OBS_STATE], previous, hidden, target, self._difference(batch))
+
+    def loss(
+        self, state: Tensor, previous: Tensor, hidden: Tensor, target: Tensor, difference: Tensor | None
+    ) -> tuple[Tensor, dict[str, float]]:
+        """What `forward` returns, of samples whose images are prepared.
+
+        Args:
+            state: (B, 20).
+            previous: action (B, 4) of the frame before.
+            hidden: (B,), true where there is none.
+            target: action (B, 4) to be learnt.
+            difference: (B, 3, 80, 60) from `TactileEncoder.difference`; None without touch.
+        """
+        if self.training:
+            state = state.clone()
+            state[:, _PRESSURE] += self.config.pressure_noise_kpa * torch.randn_like(state[:, _PRESSURE])
+            drawn = torch.rand(len(hidden), device=hidden.device)
+            hidden = hidden | (drawn < self.config.previous_action_dropout)
+            if difference is not None:
+                drift = self.config.brightness_noise_levels * torch.randn_like(difference[:, :, :1, :1])
+                grain = self.config.pixel_noise_levels * torch.rand_like(difference[:, :1, :1, :1])
+                noise = drift + grain * torch.randn(difference.shape, device=difference.device)
+                difference = difference + noise / (255 * DIFFERENCE_SCALE)
+        previous = torch.where(hidden[:, None], self._hold(state), previous)
+        error = self._predict(state, difference, previous) - target
+        # Velocity m/s to displacement per step mm.
+        motion = (error[:, :3] * (1000 / self.config.control_hz)).square().sum(1).mean()
+        pressure = error[:, 3].square().mean()
+        loss = motion + pressure
+        if not loss.isfinite():
+            raise InputError(
+                "The loss is not finite: the dataset contains NaN, or the learning rate is too high."
+            )
+        return loss, {"motion_mm2": motion.item(), "pressure_kpa2": pressure.item()}
+
+    # ------------------------------------------------------------ inference
+
+    @torch.no_grad()
+    def select_action(self, batch: dict[str, Tensor], **kwargs) -> Tensor:
+        """The next action (B, 4), within the action limits; remembered as the previous one.
+
+        Raises:
+            InputError: an observation is not finite or has another shape, or there is no rest image.
+        """
+        self._previous = self.predict_action_chunk(batch)[:, 0]
+        return self._previous
+
+    @torch.no_grad()
+    def predict_action_chunk(self, batch: dict[str, Tensor], **kwargs) -> Tensor:
+        """The next action as a chunk of one, (B, 1, 4); remembers nothing."""
+        self.eval()
+        state = batch[OBS_STATE]
+        if state.shape[1:] != (len(STATE_NAMES),):
+            raise InputError(
+                f"The state has the shape {tuple(state.shape[1:])}; it must be ({len(STATE_NAMES)},)."
+            )
+        previous = self._hold(state) if self._previous is None else self._previous
+        action = self._predict(state, self._difference(batch), previous)
+        if not action.isfinite().all():
+            raise InputError("The policy's action is not finite: its weights or an observation contain NaN.")
+        return action.clamp(self._action_low, self._action_high)[:, None]
+
+    # ------------------------------------------------------------ network
+
+    def _hold(self, state: Tensor) -> Tensor:
+        """The action (B, 4) that holds still: no velocity, and the pressure that there is."""
+        hold = torch.zeros(len(state), len(self._action_low), device=state.device)
+        hold[:, 3] = state[:, _PRESSURE]
+        return hold
+
+    def _difference(self, batch: dict[str, Tensor]) -> Tensor | None:
+        """What the tactile images of a batch show beyond the rest image; None without touch."""
+        if self.encoder is None:
+            return None
+        if batch.get(TACTILE) is None:
+            raise InputError(f"The observation has no '{TACTILE}'; pneutac_bc was trained with touch.")
+        return self.encoder.difference(batch[TACTILE])
+
+    def _predict(self, state: Tensor, difference: Tensor | None, previous: Tensor) -> Tensor:
+        """Action (B, 4), m/s and kPa, not clipped, from state (B, 20), difference, previous action (B, 4)."""
+        parts = [
+            ((state - self._state_centre) / self._state_scale)[:, self._channels],
+            (previous - self._action_centre) / self._action_scale,
+        ]
+        if self.encoder is not None:
+            parts.insert(0, self.encoder(difference))
+        return self.mlp(torch.cat(parts, 1)) * self._action_scale + self._action_centre

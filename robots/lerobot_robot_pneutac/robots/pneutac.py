@@ -1,0 +1,177 @@
+"""The robot `pneutac`: arm, pressure controller and tactile camera behind LeRobot's Robot interface."""
+
+import logging
+from typing import Any
+
+import numpy as np
+from lerobot.cameras import make_cameras_from_configs
+from lerobot.robots import Robot
+from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
+
+from lerobot_robot_pneutac.features import POSE_NAMES, PneutacFeatures
+from lerobot_robot_pneutac.hardware.safety import Guard
+from lerobot_robot_pneutac.hardware.tactile import Tactile, latest
+from lerobot_robot_pneutac.robots.config_pneutac import PneutacConfig
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import (
+    ACTION_HIGH,
+    ACTION_LOW,
+    ACTION_NAMES,
+    CONTROL_HZ,
+    IMAGE_NAME,
+    STATE_NAMES,
+)
+
+logger = logging.getLogger(__name__)
+
+
+class Pneutac(PneutacFeatures, Robot):
+    """The real robot; its features are those of `pneutac_sim`, and so are its datasets and policies.
+
+    An action is a dict of `features.ACTION_NAMES`; a pose, as lerobot-rollout sends it between episodes,
+    moves the arm towards that pose. Every action passes the `Guard`, which see for limits and faults.
+
+    Attributes:
+        cameras: `tactile` and those of the configuration.
+        guard: while connected.
+    """
+
+    config_class = PneutacConfig
+
+    def __init__(self, config: PneutacConfig):
+        super().__init__(config)
+        self.config = config
+        self.guard: Guard | None = None
+        self._arm = config.arm.make()
+        self._pressure = config.pressure.make()
+        self.cameras = make_cameras_from_configs({IMAGE_NAME: config.digit} | config.cameras)
+        self._tactile = Tactile(self.cameras[IMAGE_NAME])
+
+    @property
+    def observation_features(self) -> dict[str, type | tuple]:
+        """Those of every robot of the plugin, then other cameras."""
+        extra = {name: (c.height, c.width, 3) for name, c in self.config.cameras.items()}
+        return super().observation_features | extra
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether `connect` succeeded; also after a fault, until `disconnect`."""
+        return self.guard is not None
+
+    @property
+    def is_calibrated(self) -> bool:
+        """Always true: the rest image is taken anew on every connect."""
+        return True
+
+    def connect(self, calibrate: bool = True) -> None:
+        """Connects every part; the chamber is vented, the arm rests, and the gel must be free of contact.
+
+        Raises:
+            HardwareFault: a part does not answer; those that did are let go again.
+            InputError: `limits.pressure_kpa` is above what the controller takes.
+        """
+        if self.is_connected:
+            raise DeviceAlreadyConnectedError(f"{self} is already connected.")
+        try:
+            self._pressure.connect()
+            self._pressure.vent()
+            if self._pressure.max_kpa < self.config.limits.pressure_kpa:
+                raise InputError(
+                    f"limits.pressure_kpa is {self.config.limits.pressure_kpa:g}, but the pressure controller"
+                    f" takes {self._pressure.max_kpa:g} kPa at most; give"
+                    f" --robot.limits.pressure_kpa={self._pressure.max_kpa:g} or a higher max_kpa."
+                )
+            self._arm.connect()
+            self._tactile.connect()
+            for name in self.config.cameras:
+                self.cameras[name].connect()
+            guard = Guard(self._arm, self._pressure, self.config.limits)
+            guard.look()
+        except BaseException:
+            self._let_go()
+            raise
+        self.guard = guard
+        guard.start()
+
+    def calibrate(self) -> None:
+        """Nothing to do."""
+
+    def configure(self) -> None:
+        """Nothing to do."""
+
+    def get_observation(self) -> dict[str, Any]:
+        """State (floats) and images; raises HardwareFault, and everything halts, where a part fails."""
+        guard = self._need_guard()
+        arm, kpa = guard.look()
+        with guard.failing("reading the cameras"):
+            image = self._tactile.read()
+            contact = self._tactile.contact(image)
+            extra = {name: latest(self.cameras[name], name) for name in self.config.cameras}
+        values = [
+            *arm.joints_rad, *arm.joints_rad_s, *arm.flange_m, contact.area, contact.log_pixels, kpa
+        ]  # fmt: skip
+        state = {name: float(v) for name, v in zip(STATE_NAMES, values, strict=True)}
+        return state | {IMAGE_NAME: image} | extra
+
+    def send_action(self, action: dict[str, Any]) -> dict[str, float]:
+        """Carries an action out as far as the limits allow, and returns at once.
+
+        Returns:
+            what was carried out.
+
+        Raises:
+            HardwareFault: a part failed, a limit is broken, or many actions in a row were refused.
+            InputError: keys are missing, or a value is no number; everything halts.
+        """
+        guard = self._need_guard()
+        names = next((n for n in (ACTION_NAMES, POSE_NAMES) if set(n) <= action.keys()), None)
+        try:
+            if names is None:
+                raise InputError(
+                    f"The action has the keys {', '.join(action)}; the robot takes {', '.join(ACTION_NAMES)},"
+                    f" or the pose {', '.join(POSE_NAMES)}."
+                )
+            values = _numbers(action, names)
+        except InputError:
+            guard.halt()
+            raise
+        if names == POSE_NAMES:
+            velocity = (values[:3] - guard.look()[0].flange_m) * CONTROL_HZ
+            # Far away is no fault of a pose, infinitely far is.
+            near = np.clip(velocity, ACTION_LOW[:3], ACTION_HIGH[:3])
+            values[:3] = np.where(np.isfinite(velocity), near, velocity)
+        return dict(zip(ACTION_NAMES, guard.act(values).tolist(), strict=True))
+
+    def disconnect(self) -> None:
+        """Stops the arm, vents the chamber and lets every part go; never fails on a part."""
+        guard = self._need_guard()
+        try:
+            guard.close()
+        finally:
+            self.guard = None
+            self._let_go()
+
+    def _let_go(self) -> None:
+        """Disconnects all that was connected; one part's trouble does not keep the next one."""
+        for part in (self._pressure, self._arm, *self.cameras.values()):
+            try:
+                if getattr(part, "is_connected", True):
+                    part.disconnect()
+            except Exception as e:
+                logger.error("Letting go of %s: %s", type(part).__name__, e)
+
+    def _need_guard(self) -> Guard:
+        if self.guard is None:
+            raise DeviceNotConnectedError(f"{self} is not connected; call connect() first.")
+        return self.guard
+
+
+def _numbers(action: dict[str, Any], names: tuple[str, ...]) -> np.ndarray:
+    """Those values of an action; raises InputError where one is no number."""
+    values = []
+    for name in names:
+        try:
+            values.append(float(action[name]))
+        except (TypeError, ValueError):
+            raise InputError(f"The action's '{name}' is {action[name]!r}; it must be a number.") from None
+    return np.array(values)

@@ -1,0 +1,161 @@
+"""The robot `pneutac_sim`: the simulated world behind LeRobot's Robot interface."""
+
+from typing import Any
+
+import numpy as np
+from lerobot.robots import Robot
+from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
+
+from lerobot_robot_pneutac.features import POSE_NAMES, PneutacFeatures
+from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import (
+    ACTION_HIGH,
+    ACTION_LOW,
+    ACTION_NAMES,
+    CONTROL_HZ,
+    IMAGE_NAME,
+    STATE_NAMES,
+)
+
+EE = slice(STATE_NAMES.index("ee_x.pos"), STATE_NAMES.index("ee_z.pos") + 1)
+# A pose command this near to one of the task's starts brings the arm home; their jitter is less.
+HOME_RADIUS_M = 0.010
+
+_connected: list["PneutacSim"] = []
+
+
+class PneutacSim(PneutacFeatures, Robot):
+    """A simulated robot that moves on by one control step (1/15 s) with every action that it is sent.
+
+    An action is a dict of `features.ACTION_NAMES`, clipped to its limits. Two more dicts are taken:
+
+    - with the additional key `reset` (true) the scene starts afresh after the step, as a person would put the
+      object back between demonstrations;
+    - a pose (`ee_x.pos`, `ee_y.pos`, `ee_z.pos`, `pressure.pos`, other keys are ignored), as lerobot-rollout
+      sends it between episodes and at the end, moves the arm one step towards that pose. A pose at the task's
+      home starts the scene afresh.
+
+    Attributes:
+        world: the world, while connected.
+        successes: for each finished episode whether the task was done when the scene started afresh.
+        cameras: empty; the tactile image comes with the observation.
+    """
+
+    config_class = PneutacSimConfig
+
+    def __init__(self, config: PneutacSimConfig):
+        super().__init__(config)
+        self.config = config
+        self.cameras: dict = {}
+        self.world = None
+        self.successes: list[bool] = []
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether the world exists."""
+        return self.world is not None
+
+    @property
+    def is_calibrated(self) -> bool:
+        """Always true: a twin is calibrated by `pneutac calibrate`."""
+        return True
+
+    def connect(self, calibrate: bool = True) -> None:
+        """Builds the world and starts the first episode."""
+        if self.is_connected:
+            raise DeviceAlreadyConnectedError(f"{self} is already connected.")
+        self.world = _world(self.config)
+        self._observation = self.world.reset(self.config.seed)
+        self._moved = False
+        _connected.append(self)
+
+    def calibrate(self) -> None:
+        """Nothing to do."""
+
+    def configure(self) -> None:
+        """Nothing to do."""
+
+    def get_observation(self) -> dict[str, Any]:
+        """The present state (floats) and tactile image, uint8 (320, 240, 3)."""
+        self._need_world()
+        state = zip(STATE_NAMES, self._observation.state.tolist(), strict=True)
+        return dict(state) | {IMAGE_NAME: self._observation.tactile}
+
+    def send_action(self, action: dict[str, Any]) -> dict[str, float]:
+        """Moves the world on by one control step.
+
+        Returns:
+            the action that was carried out, after clipping.
+
+        Raises:
+            InputError: keys are missing, or a value is not a finite number.
+        """
+        self._need_world()
+        if set(ACTION_NAMES) <= action.keys():
+            self._step([action[name] for name in ACTION_NAMES])
+        elif set(POSE_NAMES) <= action.keys():
+            self._go_to(np.array([action[name] for name in POSE_NAMES], float))
+        else:
+            raise InputError(
+                f"The action has the keys {', '.join(action)}; the robot takes {', '.join(ACTION_NAMES)}, or"
+                f" the pose {', '.join(POSE_NAMES)}."
+            )
+        sent = dict(zip(ACTION_NAMES, np.asarray(self.world.command, float).tolist(), strict=True))
+        if action.get("reset"):
+            self.reset()
+        return sent
+
+    def reset(self) -> None:
+        """Starts the scene afresh at the next random start."""
+        self.successes.append(bool(self.world.success))
+        self._observation = self.world.reset()
+        self._moved = False
+
+    def disconnect(self) -> None:
+        """Frees the world."""
+        self._need_world()
+        _connected.remove(self)
+        self.world.close()
+        self.world = None
+
+    def _step(self, action) -> None:
+        self._observation = self.world.step(action)
+        self._moved = True
+
+    def _go_to(self, pose: np.ndarray) -> None:
+        """One step towards a pose: (4,) flange position m, pressure kPa."""
+        task = self.world.task
+        away = pose[:3] - task.home_m
+        away[1] -= np.clip(away[1], min(task.starts_m), max(task.starts_m))
+        if np.linalg.norm(away) < HOME_RADIUS_M:  # of the line on which all starts lie
+            if self._moved:
+                self.reset()
+            return
+        velocity = (pose[:3] - self._observation.state[EE]) * CONTROL_HZ
+        self._step(np.clip(np.append(velocity, pose[3]), ACTION_LOW, ACTION_HIGH))
+
+    def _need_world(self) -> None:
+        if not self.is_connected:
+            raise DeviceNotConnectedError(f"{self} is not connected; call connect() first.")
+
+
+def connected_robot() -> PneutacSim:
+    """The simulated robot that is connected in this process; raises InputError where there is none."""
+    if not _connected:
+        raise InputError(
+            "pneutac_scripted drives a simulated robot of the same process and none is connected; use"
+            " --robot.type=pneutac_sim."
+        )
+    return _connected[-1]
+
+
+def _world(config: PneutacSimConfig):
+    from pneutac_sim.twin import Twin
+    from pneutac_sim.world.standin import StandinWorld
+    from pneutac_sim.world.world import World
+
+    if config.standin:
+        return StandinWorld(config.task)
+    twin = Twin.load(config.twin) if config.twin else None
+    return World(config.task, twin, touch="image", fidelity=config.fidelity)

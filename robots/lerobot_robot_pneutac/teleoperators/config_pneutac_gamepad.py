@@ -1,0 +1,25 @@
+"""Options of the teleoperator `pneutac_gamepad`."""
+
+from dataclasses import dataclass
+
+from draccus.utils import DecodingError
+from lerobot.teleoperators import TeleoperatorConfig
+
+from lerobot_robot_pneutac.teleoperators.velocity_teleop import VelocityTeleopConfig
+
+
+@TeleoperatorConfig.register_subclass("pneutac_gamepad")
+@dataclass(kw_only=True)
+class PneutacGamepadConfig(VelocityTeleopConfig):
+    """Sticks move the robot, triggers the pressure; docs/teleoperation.md has the map.
+
+    Attributes:
+        dead_zone: share of a stick's or trigger's travel that counts as rest.
+    """
+
+    dead_zone: float = 0.1
+
+    def __post_init__(self):
+        super().__post_init__()
+        if not 0 <= self.dead_zone < 1:
+            raise DecodingError((), f"--teleop.dead_zone is {self.dead_zone}; it must be from 0 to below 1.")

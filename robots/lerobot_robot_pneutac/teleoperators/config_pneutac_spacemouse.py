@@ -1,0 +1,13 @@
+"""Options of the teleoperator `pneutac_spacemouse`."""
+
+from dataclasses import dataclass
+
+from lerobot.teleoperators import TeleoperatorConfig
+
+from lerobot_robot_pneutac.teleoperators.velocity_teleop import VelocityTeleopConfig
+
+
+@TeleoperatorConfig.register_subclass("pneutac_spacemouse")
+@dataclass(kw_only=True)
+class PneutacSpacemouseConfig(VelocityTeleopConfig):
+    """A 3Dconnexion SpaceMouse; docs/teleoperation.md has the map."""

@@ -1,0 +1,62 @@
+"""Pressure programs of `pneutac measure`: built-in ones, tables, and what a diagnosis proposes."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from lerobot_pneutac.diagnosis.programs import menu
+from lerobot_pneutac.measuring.programs import read_program
+from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_sim.errors import InputError
+
+
+def test_built_in_programs_cover_the_range_and_start_and_end_at_zero():
+    trials = read_program("all", 12.0, 15.0)
+    assert {t.program for t in trials} == {"steps", "ramps", "holds", "loops"}
+    for t in trials:
+        assert t.pressure_kpa[[0, -1]].max() < 0.02 * 12 and t.pressure_kpa.min() >= 0
+        np.testing.assert_allclose(np.diff(t.time_s), 1 / 15)
+    assert max(t.pressure_kpa.max() for t in trials) == pytest.approx(12.0)
+    slopes = [np.gradient(t.pressure_kpa, t.time_s).max() for t in trials if t.program == "ramps"]
+    np.testing.assert_allclose(slopes, [6.0, 3.0, 1.5], rtol=0.05)
+
+
+def test_a_table_is_held_from_row_to_row(tmp_path):
+    file = tmp_path / "mine.csv"
+    file.write_text("time_s,pressure_cmd_kpa\n5,0\n6,8\n7,8\n")
+    (trial,) = read_program(str(file), 10.0, 10.0)
+    np.testing.assert_allclose(trial.pressure_kpa, [0] * 10 + [8] * 11)
+    assert trial.program == "mine"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("time_s\n0\n", "'pressure_cmd_kpa' is missing"),
+        ("time_s,pressure_cmd_kpa\n0,1\n1,x\n", "no finite number in row 2"),
+        ("time_s,pressure_cmd_kpa\n1,1\n0,1\n", "must rise"),
+        ("time_s,pressure_cmd_kpa\n0,1\n1,60\n", "--max_kpa allows 0 to 15"),
+    ],
+)
+def test_a_bad_table_is_named(tmp_path, text, said):
+    (tmp_path / "bad.csv").write_text(text)
+    with pytest.raises(InputError, match=said):
+        read_program(str(tmp_path / "bad.csv"), 15.0, 15.0)
+
+
+def test_the_experiment_that_a_diagnosis_proposes_can_be_driven(tmp_path):
+    time_s = np.arange(100) / 10
+    samples = pd.DataFrame({"trial": 0, "time_s": time_s, "pressure_cmd_kpa": 5 + 5 * np.sin(time_s)})
+    samples["tip_z_mm"] = samples["tip_x_mm"] = samples["pressure_cmd_kpa"]
+    folder = BenchRecording(tmp_path, {"length_mm": 110.0}, samples, "finger").write(tmp_path / "r")
+    hold = next(p for p in menu(BenchRecording.load(folder)) if p.name == "long hold")
+    result = tmp_path / "result.json"
+    result.write_text(json.dumps({"next_experiment": f"To tell creep from leak: {hold.advice}"}))
+    (trial,) = read_program(str(result), 15.0, 15.0, folder)
+    assert trial.program == "long hold"
+    assert trial.pressure_kpa[(trial.time_s > 1) & (trial.time_s < 79)].std() == pytest.approx(0, abs=1e-9)
+    result.write_text(json.dumps({"next_experiment": "Hang weights on it."}))
+    with pytest.raises(InputError, match="Hang weights"):
+        read_program(str(result), 15.0, 15.0, folder)

@@ -1,0 +1,188 @@
+"""The reinforcement learner's world: reward by term, what actor and critic see, Gymnasium's rules."""
+
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from lerobot_pneutac.rl.env import ACTOR_SIZE, GRID, PpoEnv, pool, to_action
+from lerobot_pneutac.rl.reward import WEIGHTS, Moment, reward_terms, total
+from lerobot_pneutac.rl.task import GOALS, TaskView
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, TASK_NAMES
+from pneutac_sim.world.world import World
+
+STILL = np.zeros(4)
+
+
+def move(env: PpoEnv, direction: np.ndarray, steps: int = 5) -> dict[str, float]:
+    """Sums of the weighted terms while the flange moves along `direction` (3,) at full speed."""
+    action = np.append(direction / np.abs(direction).max(), -1.0)
+    sums = dict.fromkeys(WEIGHTS, 0.0)
+    for _ in range(steps):
+        for name, value in env.step(action)[4]["terms"].items():
+            sums[name] += WEIGHTS[name] * value
+    return sums
+
+
+@pytest.mark.parametrize("task", TASK_NAMES)
+def test_follows_gymnasium_and_repeats_under_a_seed(task):
+    env = PpoEnv(task)
+    check_env(env, skip_render_check=True)
+    runs = []
+    for _ in range(2):
+        first, _ = env.reset(seed=5)
+        runs.append((first, env.step(np.array([0.5, 0.1, -0.2, 0.3], np.float32))[0]))
+    for a, b in zip(*runs, strict=True):
+        assert all(np.array_equal(a[k], b[k]) for k in a)
+    other, _ = env.reset()
+    assert not np.array_equal(other["object"], runs[0][0]["object"])
+
+
+@pytest.mark.parametrize("task", TASK_NAMES)
+def test_approach_is_earned_towards_the_object_and_paid_back_away_from_it(task):
+    env = PpoEnv(task, randomise=False)
+    env.reset(seed=1)
+    way = env.view.contact_point_m() - env.world.gel_m
+    there = move(env, way)
+    assert there["approach"] > 0.1 * WEIGHTS["approach"] * np.linalg.norm(way)
+    back = move(env, -way, 8)
+    assert back["approach"] < 0
+    assert there["progress"] == pytest.approx(0, abs=0.02)
+
+
+def test_approach_sums_to_the_distance_covered():
+    env = PpoEnv("switch", randomise=False)
+    env.reset(seed=2)
+    before, rng, terms = env.view.distance_m(), np.random.default_rng(0), []
+    for _ in range(20):
+        terms.append(env.step(rng.uniform(-1, 1, 4))[4]["terms"]["approach"])
+    assert sum(terms) == pytest.approx(before - env.view.distance_m(), abs=1e-12)
+
+
+def test_each_term_has_its_sign():
+    rest = Moment(progress=0.2, distance_m=0.05, depth_mm=0.0)
+
+    def weighed(name, after=rest, action=STILL):
+        return WEIGHTS[name] * reward_terms(rest, after, 0.8, STILL, action)[name]
+
+    assert all(weighed(name) == 0 for name in WEIGHTS)
+    assert weighed("progress", Moment(0.3, 0.05, 0.0)) > 0 > weighed("progress", Moment(0.1, 0.05, 0.0))
+    assert weighed("contact", Moment(0.2, 0.05, 0.1)) > 0
+    at, deeper = (weighed("depth", Moment(0.2, 0.05, mm)) for mm in (0.8, 1.2))
+    assert at > deeper > 0
+    assert weighed("depth", Moment(0.2, 0.05, 2.4)) == 0
+    assert weighed("success", Moment(0.2, 0.05, 0.0, success=True)) > 0
+    assert weighed("failure", Moment(0.2, 0.05, 0.0, failure=True)) < 0
+    assert weighed("action_rate", action=np.array([1.0, 0, 0, 0])) < 0
+
+
+def test_success_is_worth_more_than_staying_in_contact():
+    resting = reward_terms(Moment(0, 0, 0.8), Moment(0, 0, 0.8), 0.8, STILL, STILL)
+    done = reward_terms(Moment(0, 0, 0.8), Moment(0, 0, 0.8, success=True), 0.8, STILL, STILL)
+    assert total(done) > 100 * total(resting) > 0
+
+
+def test_flipping_the_lever_is_progress_and_ends_the_trial():
+    env = PpoEnv("switch", randomise=False)
+    env.reset(seed=0)
+    lever = env.world.data.joint("lever")
+    lever.qpos = env.view._inner().well_rad
+    rewards = []
+    for _ in range(12):
+        _, reward, terminated, _, info = env.step(STILL)
+        rewards.append(reward)
+        if terminated:
+            break
+    assert terminated and info["is_success"]
+    assert sum(rewards) > WEIGHTS["success"] + 0.8 * WEIGHTS["progress"]
+
+
+def test_a_second_card_is_progress_lost():
+    env = PpoEnv("card", randomise=False)
+    env.reset(seed=0)
+    assert env.view.progress() == pytest.approx(0, abs=1e-3)
+    env.world.data.joint("card_1").qpos = 0.01
+    alone = env.view.progress()
+    env.world.data.joint("card_1").qpos = 0.0
+    env.world.data.joint("card_2").qpos = 0.01  # carries the first with it
+    assert alone > 0.3 > 0 > env.view.progress()
+
+
+def test_the_actor_does_not_see_the_object_but_the_critic_does():
+    env = PpoEnv("switch", randomise=False)
+    before, _ = env.reset(seed=3)
+    model, data = env.world.model, env.world.data
+    model.body("switch").pos[1] += 0.03
+    data.joint("lever").qvel = 0.3
+    import mujoco
+
+    mujoco.mj_kinematics(model, data)
+    env.world.touch.sense(data)
+    after = env._observe(env.world._observe().state)
+    assert np.array_equal(before["actor"], after["actor"])
+    assert not np.array_equal(before["object"], after["object"])
+    assert before["actor"].shape == (ACTOR_SIZE,)
+
+
+def test_the_actor_feels_a_touch_as_the_touch_pipeline_does():
+    world = World("switch", touch="area", fidelity="probe")
+    world.reset(0)
+    felt = World("switch", touch="probe", fidelity="probe")
+    felt.reset(0)
+    view = TaskView(world)
+    for _ in range(60):
+        way = view.contact_point_m() - world.gel_m
+        action = np.append(0.08 * way / np.linalg.norm(way), 5.0)
+        world.step(action)
+        felt.step(action)
+        if world.touch.pixels:
+            break
+    grid = felt.touch.depth_mm
+    assert world.touch.pixels and np.array_equal(grid, world.touch.depth_mm)
+    assert pool(grid).max() == grid.max() > 0
+
+
+def test_pooling_keeps_the_place_of_a_touch():
+    depth = np.zeros((80, 59), np.float32)
+    depth[79, 0] = 0.7
+    cells = pool(depth)
+    assert cells.shape == GRID and cells[-1, 0] == np.float32(0.7) and np.count_nonzero(cells) == 1
+
+
+def test_randomised_worlds_differ_in_what_only_the_critic_sees():
+    env = PpoEnv("switch")
+    seen = {tuple(env.reset(seed=k)[0]["object"][-2:].tolist()) for k in range(5)}
+    assert len(seen) == 5
+
+
+def test_actions_span_the_robots_limits():
+    assert np.allclose(to_action(np.ones(4)), ACTION_HIGH) and np.allclose(to_action(-np.ones(4)), ACTION_LOW)
+    assert np.allclose(to_action(9 * np.ones(4)), ACTION_HIGH)
+
+
+def test_every_task_has_a_goal_and_an_unknown_one_is_refused():
+    assert set(GOALS) == set(TASK_NAMES)
+    with pytest.raises(InputError, match="no task 'door'"):
+        PpoEnv("door")
+
+
+def test_pushing_at_the_contact_point_earns_every_term_and_flips_the_switch():
+    env = PpoEnv("switch")
+    env.reset(seed=0)
+    sums, touched, over = dict.fromkeys(WEIGHTS, 0.0), False, False
+    while not over:  # a controller that sees the object
+        way = env.view.contact_point_m() - env.world.gel_m
+        touched |= env.world.press_mm > 0.12
+        beyond = way + (0.004, 0, 0)
+        action = (
+            np.append([0.25, *(20 * way[1:])], 0.8)
+            if touched
+            else np.append(beyond / max(np.abs(way).max(), 0.02), -0.5)
+        )
+        _, _, terminated, truncated, info = env.step(action)
+        over = terminated or truncated
+        for name, value in info["terms"].items():
+            sums[name] += value
+    assert info["is_success"] and sums["success"] == 1 and sums["failure"] == 0
+    assert sums["progress"] == pytest.approx(1, abs=0.05)
+    assert sums["approach"] > 0.02 and sums["contact"] > 5 and sums["depth"] > 3

@@ -1,0 +1,242 @@
+"""Training by PPO: what the actor reads, going on, reloading, returns that rise, a student's dataset."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+pytest.importorskip("stable_baselines3", reason="PPO needs the extra 'rl' (stable-baselines3)")
+
+from lerobot_pneutac.cli import ppo as ppo_command
+from lerobot_pneutac.rl.actor import Actor, try_actor
+from lerobot_pneutac.rl.env import PpoEnv
+from lerobot_pneutac.rl.ppo import PpoSettings, actor_of, make_ppo, make_worlds, train_ppo
+from pneutac_sim.errors import InputError
+from pneutac_sim.twin import Twin
+
+SMALL = PpoSettings(hidden=(32, 32), update_steps=128, batch=64, epochs=2)
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """A tiny training in two goes."""
+    out = tmp_path_factory.mktemp("ppo") / "switch"
+    for steps in (128, 300):
+        card = train_ppo("switch", None, 1, steps, out, envs=2, settings=SMALL, tries=2)
+    return out, card
+
+
+def observations(n: int = 6) -> list[dict[str, np.ndarray]]:
+    env = PpoEnv("switch")
+    rng, seen = np.random.default_rng(0), [env.reset(seed=0)[0]]
+    return seen + [env.step(rng.uniform(-1, 1, 4))[0] for _ in range(n - 1)]
+
+
+def test_only_the_critic_reads_the_objects_state():
+    worlds = make_worlds("switch", None, 1, False)
+    model = make_ppo(worlds, 0, "cpu", SMALL)
+    one = {k: torch.as_tensor(np.stack([o[k] for o in observations()])) for k in ("actor", "object")}
+    two = {"actor": one["actor"], "object": one["object"] + 1}
+    with torch.no_grad():
+        a, b = (model.policy.get_distribution(o).distribution.mean for o in (one, two))
+        v, w = (model.policy.predict_values(o) for o in (one, two))
+    assert torch.equal(a, b)
+    assert (v - w).abs().min() > 1e-4
+    actor = actor_of(model, SMALL)
+    with torch.no_grad():
+        assert torch.allclose(actor(one["actor"]), a, atol=1e-6)
+
+
+def test_a_training_goes_on_and_its_curve_is_finite(trained):
+    out, card = trained
+    curve = json.loads((out / "curve.json").read_text())
+    assert [row["steps"] for row in curve] == [128, 256, 384] and card["steps"] == 384
+    assert all(
+        np.isfinite([row["seconds"], row["action_std"], *row["terms"].values()]).all() for row in curve
+    )
+    assert all(a["seconds"] < b["seconds"] for a, b in zip(curve, curve[1:], strict=False))
+    assert 0 <= card["test"]["success"] <= 1 and np.isfinite(card["test"]["return"])
+    assert {p.name for p in out.iterdir()} == {
+        "actor.json",
+        "actor.safetensors",
+        "checkpoint.safetensors",
+        "curve.json",
+    }
+
+
+def test_a_finished_training_is_left_as_it_is(trained):
+    out, card = trained
+    before = (out / "actor.safetensors").read_bytes()
+    assert train_ppo("switch", None, 1, 300, out, envs=2, settings=SMALL, tries=2)["steps"] == card["steps"]
+    assert (out / "actor.safetensors").read_bytes() == before
+
+
+def test_a_checkpoint_restores_networks_and_optimiser(trained):
+    from lerobot_pneutac.rl.checkpoint import Keeper
+
+    out, card = trained
+    run = {k: card[k] for k in ("task", "twin", "seed", "settings", "weights", "options")}
+    model = make_ppo(make_worlds("switch", None, 2, False), 7, "cpu", SMALL)
+    Keeper(out, run, lambda *_: None).resume(model)
+    actor = Actor.load(out)
+    for o in observations():
+        assert np.allclose(actor_of(model, SMALL).act(o["actor"]), actor.act(o["actor"]), atol=1e-7)
+    state = model.policy.optimizer.state_dict()["state"]
+    assert len(state) == len(list(model.policy.parameters()))
+    assert state[0]["step"] == 3 * SMALL.epochs * 2 and state[1]["exp_avg_sq"].max() > 0
+
+
+def test_a_reloaded_actor_acts_the_same(trained, tmp_path):
+    actor = Actor.load(trained[0])
+    actor.save(tmp_path / "copy")
+    again = Actor.load(tmp_path / "copy")
+    assert all(np.array_equal(actor.act(o["actor"]), again.act(o["actor"])) for o in observations())
+    env = PpoEnv("switch", length=20)
+    assert try_actor(actor, env, 2, 3) == try_actor(again, env, 2, 3)
+
+
+@pytest.mark.parametrize(
+    ("options", "match"),
+    [
+        ({"steps": 0}, "steps is 0"),
+        ({"envs": 0}, "envs is 0"),
+        ({"task": "door"}, "no task 'door'"),
+        ({"seed": 2}, "another seed"),
+        ({"task": "egg"}, "another task"),
+        ({"twin": replace(Twin.builtin(), device="arm")}, "device is 'arm'"),
+    ],
+)
+def test_bad_input_is_refused(trained, options, match):
+    given = {
+        "task": "switch",
+        "twin": None,
+        "seed": 1,
+        "steps": 300,
+        "envs": 2,
+        "settings": SMALL,
+        "tries": 2,
+    }
+    with pytest.raises(InputError, match=match):
+        train_ppo(out=trained[0], **(given | options))
+
+
+def test_damaged_files_are_refused(trained, tmp_path):
+    with pytest.raises(InputError, match="holds no actor.safetensors"):
+        Actor.load(tmp_path)
+    for name, match in (("actor.json", "not an actor's card"), ("actor.safetensors", "damaged")):
+        folder = tmp_path / name
+        Actor.load(trained[0]).save(folder)
+        (folder / name).write_text("{}")
+        with pytest.raises(InputError, match=match):
+            Actor.load(folder)
+    broken = tmp_path / "broken"
+    broken.mkdir()
+    (broken / "checkpoint.safetensors").write_bytes(b"nonsense")
+    with pytest.raises(InputError, match="damaged; delete it"):
+        train_ppo("switch", None, 1, 300, broken, envs=2, settings=SMALL, tries=2)
+
+
+@pytest.mark.parametrize(
+    ("options", "match"),
+    [
+        ([], "--out=DIR"),
+        (["--task=door"], "--task is 'door'"),
+        (["--device=tpu"], "--device is 'tpu'"),
+        (["--steps=0"], "--steps is 0"),
+        (["--seed=-1"], "--seed is -1"),
+        (["--twin=nowhere"], "holds no twin.yaml"),
+        (["--student.fidelity=exact"], "--student.fidelity is 'exact'"),
+    ],
+)
+def test_bad_options_are_refused(tmp_path, options, match):
+    with pytest.raises(InputError, match=match):
+        ppo_command.main(([f"--out={tmp_path / 'a'}"] if options else []) + options)
+    assert not (tmp_path / "a").exists()
+
+
+def test_returns_rise_where_coming_near_is_all_there_is_to_learn(tmp_path):
+    quick = PpoSettings(hidden=(32, 32), update_steps=512, batch=128, learning_rate=2e-3, discount=0.9)
+    options = {"length": 10, "randomise": False}
+    train_ppo("switch", None, 0, 6000, tmp_path, envs=4, settings=quick, tries=2, **options)
+    curve = json.loads((tmp_path / "curve.json").read_text())
+    approach = [row["terms"]["approach"] for row in curve]
+    assert np.mean(approach[-3:]) > np.mean(approach[:3]) + 0.02
+    assert np.mean([r["return"] for r in curve[-3:]]) > np.mean([r["return"] for r in curve[:3]]) + 0.15
+
+
+def test_a_students_dataset_has_the_features_of_recorded_demonstrations(tmp_path, monkeypatch):
+    from lerobot.datasets import LeRobotDataset
+    from lerobot.utils.constants import ACTION, OBS_STR
+    from lerobot.utils.feature_utils import combine_feature_dicts, hw_to_dataset_features
+
+    from lerobot_pneutac.rl import student as ppo_student
+    from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
+    from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
+    from pneutac_datasets.demonstrations.episodes import load_episode
+    from pneutac_sim.features import ACTION_HIGH, ACTION_LOW
+    from pneutac_sim.world.world import World
+
+    monkeypatch.setattr(ppo_student, "STEPS", 6)
+    ended = iter([False, True] * 20)  # of the first trial no demonstration is made
+    outcome = []
+    monkeypatch.setattr(World, "success", property(lambda w: bool(outcome and outcome[-1])))
+    rolled = ppo_student.roll_out
+
+    def roll_out(*args):
+        outcome.clear()
+        episode = rolled(*args)
+        outcome.append(next(ended))
+        return episode
+
+    monkeypatch.setattr(ppo_student, "roll_out", roll_out)
+    actor = Actor((16,), {"task": "switch"})
+    actor.save(tmp_path / "actor")
+    root = tmp_path / "demos"
+    done = ppo_student.record_student(
+        tmp_path / "actor", "switch", None, "probe", 2, 3, root, "local/student", noise=0.1
+    )
+    assert (done.episodes, done.trials, done.success) == (2, 4, 0.5)
+    dataset = LeRobotDataset("local/student", root)
+    robot = PneutacSim(PneutacSimConfig(task="switch"))
+    recorded = combine_feature_dicts(
+        hw_to_dataset_features(robot.action_features, ACTION, False),
+        hw_to_dataset_features(robot.observation_features, OBS_STR, False),
+    )
+    assert all(dict(dataset.features[k]) == f for k, f in recorded.items())
+    assert dataset.meta.robot_type == robot.name and dataset.num_episodes == 2
+    episode = load_episode(dataset, 1)
+    assert len(episode) == 6 and episode.images.shape[1:] == (320, 240, 3)
+    assert (episode.action >= ACTION_LOW - 1e-6).all() and (episode.action <= ACTION_HIGH + 1e-6).all()
+    assert np.ptp(episode.state[:, 14]) > 0  # the arm moved
+
+
+def test_a_student_of_another_task_or_of_a_failing_actor_is_refused(tmp_path, monkeypatch):
+    from lerobot_pneutac.rl import student as ppo_student
+
+    Actor((16,), {"task": "egg"}).save(tmp_path / "actor")
+
+    def record(task, **options):
+        n, noise = options.get("episodes", 1), options.get("noise", 0.0)
+        ppo_student.record_student(
+            tmp_path / "actor",
+            task,
+            None,
+            "probe",
+            n,
+            0,
+            tmp_path / "d",
+            "local/d",
+            noise,
+        )
+
+    with pytest.raises(InputError, match="trained on 'egg', not 'switch'"):
+        record("switch")
+    with pytest.raises(InputError, match="episodes is 0"):
+        record("egg", episodes=0)
+    with pytest.raises(InputError, match="noise is 2"):
+        record("egg", noise=2.0)
+    monkeypatch.setattr(ppo_student, "STEPS", 2)
+    with pytest.raises(InputError, match="succeeded in 0 of 20 trials"):
+        record("egg")

@@ -1,0 +1,95 @@
+"""`pneutac add`: the error falls and a version is written, or nothing is written and the numbers are told."""
+
+import json
+
+import pytest
+
+from lerobot_pneutac.verbs import add as verb
+from lerobot_pneutac.verbs import calibrate
+from lerobot_pneutac.verbs.compare import compare, summarize
+from pneutac_datasets.generate.hidden.generate import generate
+from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_sim.errors import InputError
+from pneutac_sim.twin import Twin
+
+
+@pytest.fixture(scope="module")
+def pair(tmp_path_factory):
+    """A short recording with hidden creep, and a plain twin of the same finger."""
+    folder = tmp_path_factory.mktemp("add")
+    generate(["creep"], folder / "recording", 5003, minutes=3.0, hz=10)
+    recording = BenchRecording.load(folder / "recording")
+    twin = Twin("finger", recording.length_mm, recording.spine_joint_positions_mm)
+    return twin.save(folder / "twin"), folder / "recording"
+
+
+def test_adding_the_hidden_effect_writes_the_next_version(pair, tmp_path):
+    twin, recording = pair
+    verb.main([f"--twin={twin}", f"--recording={recording}", "--effect=creep", f"--out={tmp_path}"])
+    result = json.loads((tmp_path / "result.json").read_text())
+    assert result["after"]["heldout"] < 0.5 * result["before"]["heldout"]
+    assert result["after"]["heldout_ci95"][1] < result["before"]["heldout_ci95"][0]
+    assert any(p["value"] > 0.01 for p in result["parameters"].values())
+    page = (tmp_path / "report.html").read_text().split("<main>")[1].split("<script>")[0]
+    assert "Your finger creeps" in page and "(a ratio)" in (tmp_path / "report.html").read_text()
+    new = Twin.load(twin)
+    assert "creep" in new.effects and new.history[-1]["change"] == "added creep"
+    assert new.history[-1]["heldout"] == pytest.approx(result["after"]["heldout"])
+    assert (twin / "history" / "000" / "twin.yaml").is_file()
+    with pytest.raises(InputError, match="has the effect 'creep' already"):
+        verb.main([f"--twin={twin}", f"--recording={recording}", "--effect=creep"])
+
+
+def test_what_the_data_check_found_is_told(pair, tmp_path, capsys):
+    r = BenchRecording.load(pair[1])
+    r.samples = r.samples.drop(columns=["pressure_kpa"])
+    r.write(tmp_path / "blind")
+    twin = Twin("finger", r.length_mm, r.spine_joint_positions_mm).save(tmp_path / "twin")
+    verb.main([f"--twin={twin}", f"--recording={tmp_path / 'blind'}", "--effect=creep"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "There is no measured pressure" in said and "of what could be avoided" in said
+
+
+def test_an_effect_that_does_not_help_is_refused_with_numbers(pair, tmp_path):
+    _, recording = pair
+    r = BenchRecording.load(recording)
+    twin = Twin("finger", r.length_mm, r.spine_joint_positions_mm).save(tmp_path / "twin")
+    before = (twin / "twin.yaml").read_text()
+    with pytest.raises(
+        InputError, match=r"Nothing was written: with leak the held-out error goes from [\d.]+ to"
+    ):
+        verb.main([f"--twin={twin}", f"--recording={recording}", "--effect=leak"])
+    assert (twin / "twin.yaml").read_text() == before and not (twin / "history").exists()
+
+
+def test_unknown_effect_lists_the_valid_ones(pair):
+    twin, recording = pair
+    with pytest.raises(InputError, match="no effect 'crep'.*creep"):
+        verb.main([f"--twin={twin}", f"--recording={recording}", "--effect=crep"])
+
+
+def test_an_effect_without_its_column_is_refused(pair, tmp_path):
+    _, recording = pair
+    r = BenchRecording.load(recording)
+    r.samples = r.samples.drop(columns=["temperature_c"])
+    r.write(tmp_path / "cold")
+    twin = Twin("finger", r.length_mm, r.spine_joint_positions_mm).save(tmp_path / "twin")
+    with pytest.raises(InputError, match="record column temperature_c"):
+        verb.main([f"--twin={twin}", f"--recording={tmp_path / 'cold'}", "--effect=thermal"])
+
+
+def test_every_verb_sees_the_fall_of_a_pneumatic_effect(tmp_path):
+    """Errors are counted from the command, so a slow valve is in them although the pressure was measured."""
+    generate(["valve_lag"], tmp_path / "recording", 5004, minutes=3.0, hz=10)
+    recording = BenchRecording.load(tmp_path / "recording")
+    folder = Twin("finger", recording.length_mm, recording.spine_joint_positions_mm).save(tmp_path / "twin")
+    calibrate.main([f"--twin={folder}", f"--recording={recording.folder}"])
+
+    def heldout():
+        twin = Twin.load(folder)
+        return summarize(compare(twin, recording), twin)["error"]["heldout"]
+
+    plain = heldout()
+    assert Twin.load(folder).history[-1]["heldout"] == pytest.approx(plain, rel=0.02)
+    verb.main([f"--twin={folder}", f"--recording={recording.folder}", "--effect=valve_lag"])
+    assert heldout() < 0.5 * plain

@@ -1,0 +1,162 @@
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata, merge_datasets
+from lerobot.utils.constants import ACTION, OBS_STATE
+
+from lerobot_pneutac.verbs import augment as verb
+from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
+from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
+from lerobot_robot_pneutac.teleoperators.config_pneutac_scripted import PneutacScriptedConfig
+from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
+from pneutac_datasets.demonstrations.episodes import TACTILE
+from pneutac_datasets.demonstrations.record import record_episodes
+from pneutac_datasets.demonstrations.writing import create_dataset
+from pneutac_sim.errors import InputError
+
+QUICK = ["--planner.samples=4", "--planner.elites=2", "--planner.iterations=1", "--planner.horizon=6"]
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    root = tmp_path_factory.mktemp("augment") / "demos"
+    robot = PneutacSim(PneutacSimConfig(id="t", task="switch", seed=3, fidelity="probe"))
+    teleop = PneutacScripted(PneutacScriptedConfig(id="t", seed=3, episode_steps=80))
+    return record_episodes(robot, teleop, "local/demos", root, 2, 15, "flip the switch", False)
+
+
+def options(recorded, out, *more) -> list[str]:
+    return [
+        "--dataset.repo_id=local/demos",
+        f"--dataset.root={recorded}",
+        f"--output.repo_id=local/{out.name}",
+        f"--output.root={out}",
+        "--fidelity=probe",
+        "--workers=1",
+        *QUICK,
+        *more,
+    ]
+
+
+def table(root) -> tuple[np.ndarray, np.ndarray]:
+    dataset = LeRobotDataset(f"local/{root.name}", root, video_backend="pyav")
+    rows = dataset.hf_dataset.with_format("numpy")
+    return np.stack(rows[OBS_STATE]), np.stack(rows[ACTION])
+
+
+@pytest.fixture(scope="module")
+def made(recorded, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("made")
+    verb.main(options(recorded, folder / "more", "--episodes=3", "--seed=5", f"--out={folder / 'report'}"))
+    return folder
+
+
+def test_output_has_the_sources_features_and_merges(recorded, made, tmp_path):
+    old = LeRobotDatasetMetadata("local/demos", recorded)
+    new = LeRobotDatasetMetadata("local/more", made / "more")
+    assert (new.features, new.fps, new.robot_type) == (old.features, old.fps, old.robot_type)
+    assert new.total_episodes == 3
+    assert new.stats[OBS_STATE]["mean"].shape == (20,)
+    merged = merge_datasets(
+        [LeRobotDataset("local/demos", recorded), LeRobotDataset("local/more", made / "more")],
+        output_repo_id="local/merged",
+        output_dir=tmp_path / "merged",
+    )
+    assert merged.num_episodes == 5
+    frame = merged[merged.num_frames - 1]
+    assert frame["task"] == "flip the switch"
+    assert frame[TACTILE].shape == (3, 320, 240)
+
+
+def test_provenance_and_report_tell_what_was_done(made):
+    lines = [json.loads(x) for x in (made / "more" / "meta" / "provenance.jsonl").read_text().splitlines()]
+    assert [x["episode"] for x in lines] == [0, 1, 2]
+    for x in lines:
+        assert x["seed"] == 5
+        assert x["source_episode"] in (0, 1)
+        assert x["cost"] > 0
+        assert x["shift_m"][2] == 0
+        assert all(r["reason"] for r in x["rejected"])
+    result = json.loads((made / "report" / "result.json").read_text())
+    assert result["kept"] == 3
+    assert result["attempts"] == 3 + sum(result["rejected"].values())
+    assert "Contact area" in (made / "report" / "report.html").read_text()
+    assert not (made / "more.work").exists()
+
+
+def test_an_image_is_that_of_its_state(made):
+    dataset = LeRobotDataset("local/more", made / "more", video_backend="pyav")
+    state = np.stack(dataset.hf_dataset.with_format("numpy")[OBS_STATE])
+    rest = dataset[0][TACTILE].numpy()
+    touching = int(state[:, 17].argmax())
+    changed = np.abs(dataset[touching][TACTILE].numpy() - rest).mean(0) > 12 / 255
+    assert changed.mean() == pytest.approx(state[touching, 17], abs=0.02)
+
+
+def command(recorded, out) -> list[str]:
+    code = "from lerobot_pneutac.verbs.augment import main; import sys; main(sys.argv[1:])"
+    return [sys.executable, "-c", code, *options(recorded, out, "--episodes=3", "--seed=5")]
+
+
+def test_killed_and_resumed_equals_uninterrupted(recorded, made, tmp_path):
+    out = tmp_path / "again"
+    work = tmp_path / "again.work"
+    run = subprocess.Popen(command(recorded, out), env=os.environ, stdout=subprocess.DEVNULL)
+    deadline = time.monotonic() + 600  # on a busy machine
+    while not list(work.glob("episode_*.npz")) and run.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.02)
+    run.send_signal(signal.SIGKILL)
+    run.wait()
+    assert not out.exists()
+    assert list(work.glob("episode_*.npz"))
+    with pytest.raises(InputError, match="another seed; delete that folder"):
+        verb.main(options(recorded, out, "--episodes=3", "--seed=6"))
+    verb.main(options(recorded, out, "--episodes=3", "--seed=5"))
+    for one, two in zip(table(made / "more"), table(out), strict=True):
+        np.testing.assert_array_equal(one, two)
+    name = "meta/provenance.jsonl"
+    assert (out / name).read_text() == (made / "more" / name).read_text()
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["again"]
+
+
+def test_naive_through_the_same_verb(recorded, tmp_path):
+    verb.main(options(recorded, tmp_path / "naive", "--episodes=2", "--method=naive"))
+    assert LeRobotDatasetMetadata("local/naive", tmp_path / "naive").total_episodes == 2
+    lines = (tmp_path / "naive" / "meta" / "provenance.jsonl").read_text().splitlines()
+    assert [json.loads(x)["source_episode"] for x in lines] == [0, 1]
+
+
+def test_bad_input_is_named(recorded, made, tmp_path):
+    def refused(*more, match):
+        with pytest.raises(InputError, match=match):
+            verb.main(options(recorded, tmp_path / "o", *more))
+
+    refused("--task=bottle", match="--task is 'bottle'; it must be one of switch, egg, card")
+    refused("--method=magic", match="--method is 'magic'; it must be one of tactile, naive")
+    refused("--episodes=0", match="--episodes is 0; it must be 1 or more")
+    refused("--planner.replan=9", match="--planner.replan is 9; it must be at most --planner.horizon")
+    refused(f"--twin={tmp_path}", match="holds no twin.yaml")
+    refused(f"--dataset.root={tmp_path / 'none'}", match="holds no LeRobotDataset")
+    refused(f"--output.root={made / 'more'}", match="exists; give a new folder")
+    with pytest.raises(InputError, match="Give --dataset.repo_id and --dataset.root"):
+        verb.main(["--output.repo_id=local/o", f"--output.root={tmp_path / 'o'}"])
+    features = LeRobotDatasetMetadata("local/demos", recorded).features
+    ours = {k: features[k] for k in (OBS_STATE, ACTION, TACTILE)}
+    for name, fps, chosen, match in (
+        ("fast", 30, ours, "Dataset 'local/demos' has 30 fps; the world runs at 15"),
+        ("blind", 15, {k: ours[k] for k in (OBS_STATE, ACTION)}, "demonstrations have exactly"),
+    ):
+        dataset = create_dataset("local/demos", tmp_path / name, fps, chosen, "pneutac", False, 2)
+        frame = {OBS_STATE: np.zeros(20, np.float32), ACTION: np.zeros(4, np.float32), "task": "x"}
+        if TACTILE in chosen:
+            frame[TACTILE] = np.zeros((320, 240, 3), np.uint8)
+        dataset.add_frame(frame)
+        dataset.save_episode()
+        dataset.finalize()
+        refused(f"--dataset.root={tmp_path / name}", match=match)

@@ -1,0 +1,246 @@
+import json
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from lerobot_pneutac.benchmarks.baselines.pasted import shift
+from lerobot_pneutac.verbs.calibrate import main
+from lerobot_pneutac.verbs.fit_gel import render, scores_of, wanted
+from pneutac_datasets.generate.gel import HEIGHT, WIDTH, write_gel_recording
+from pneutac_datasets.recording.gel import GelRecording
+from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_sim.effects.optics import SENSOR
+from pneutac_sim.effects.registry import get_effect
+from pneutac_sim.errors import InputError
+from pneutac_sim.gel.fit import fit_gel
+from pneutac_sim.gel.layout import Orientation
+from pneutac_sim.gel.metrics import ImageScores
+from pneutac_sim.gel.model import GelModel
+from pneutac_sim.gel.sensor import TactileSensor
+from pneutac_sim.twin import Twin
+
+
+@pytest.fixture(scope="module")
+def generated(tmp_path_factory):
+    return write_gel_recording(tmp_path_factory.mktemp("generated"), seed=0).folder
+
+
+@pytest.fixture(scope="module")
+def out(generated, tmp_path_factory):
+    """Results of a calibration to generated images with every effect of a sensor."""
+    folder = tmp_path_factory.mktemp("out")
+    run(folder / "twin", generated, f"--out={folder}")
+    return folder
+
+
+@pytest.fixture
+def twin(out):
+    return out / "twin"
+
+
+@pytest.fixture
+def recording(generated, tmp_path):
+    """A copy to spoil."""
+    return Path(shutil.copytree(generated, tmp_path / "recording"))
+
+
+def run(twin, recording, *more):
+    main([f"--twin={twin}", f"--recording={recording}", *more])
+
+
+def test_generated_pair_beats_rest_and_pasted_difference_on_held_out_images(out):
+    result = json.loads((out / "result.json").read_text())
+    ours, pasted, rest = (result["methods"][k] for k in ("this model", "difference pasted", "rest image"))
+    for other in (pasted, rest):
+        assert ours["rmse"] < 0.85 * other["rmse"]
+        assert ours["contact_rmse"] < 0.75 * other["contact_rmse"]
+    assert ours["contact_dncc"] > max(0.9, pasted["contact_dncc"])
+    assert result["image"]["n"] == 6 and result["image"]["rest_rmse"] == rest["rmse"]
+    assert 1 <= result["error"]["heldout"] / result["image"]["rmse"] < 1.1, "root mean square over images"
+    assert set(result) >= {"parameters", "error", "evaluations", "seconds", "image"}
+    page = (out / "report.html").read_text()
+    assert "data:image/png;base64" in page and "http://" not in page.replace("http://www.w3.org", "")
+    assert (out / "tactile.png").is_file()
+
+
+def test_the_twin_renders_what_was_calibrated(generated, twin):
+    """The twin's sensor predicts a held-out photograph better than the generated DIGIT or the rest image."""
+    sensor = TactileSensor(Twin.load(twin))
+    recording = BenchRecording.load(generated)
+    row = recording.samples[recording.samples["role"] == "heldout"].iloc[0]
+    real = recording.image(row["image"]).astype(float)
+    position = np.array([row["x_mm"], row["y_mm"], 3.0 - row["depth_mm"]]) * 1e-3
+    ours = sensor.image(sensor.probe([2], [[0.003, 0, 0]], [position], [np.eye(3)]))
+    assert np.std(ours - real) < 0.7 * np.std(sensor.rest_image - real)
+    np.testing.assert_array_equal(sensor.rest_image, recording.image("rest.png"))
+
+
+def test_a_finger_twin_gets_the_gel_as_its_next_version_and_keeps_its_effects(generated, tmp_path):
+    twin = Twin.builtin()
+    twin.effects["creep"] = get_effect("creep").start(15.0)
+    twin.save_version(tmp_path, "made", "", {"train": None, "heldout": None, "unit": "mm"})
+    run(tmp_path, generated, "--effects=rest_colour")
+    read = Twin.load(tmp_path)
+    assert read.device == "finger" and len(read.history) == 2
+    assert read.parameters == twin.parameters and read.effects["creep"] == twin.effects["creep"]
+    assert list(read.effects) == ["creep", "rest_colour"]
+    assert read.history[-1]["unit"] == "levels" and read.history[-1]["train"] > 0
+    assert GelModel.from_twin(read).rest_image.shape == (320, 240, 3)
+
+
+def test_effects_asked_for_are_fitted_and_kept_at_the_next_calibration(generated, tmp_path):
+    """`none` is the paper's linear model; what a twin has decides where nothing is asked for."""
+    twin = tmp_path / "twin"
+    run(twin, generated, "--effects=none", f"--out={tmp_path / 'out'}")
+    assert Twin.load(twin).effects == {} and GelModel.from_twin(Twin.load(twin)).effects == {}
+    result = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert result["make"] == "" and not any("near_light" in p for p in result["parameters"])
+    assert "--effects=none" in (tmp_path / "out" / "report.html").read_text()
+    run(twin, generated)
+    assert Twin.load(twin).effects == {}
+    run(twin, generated, "--effects=photometric_nonlinearity,rest_colour")
+    run(twin, generated)
+    read = Twin.load(twin)
+    assert set(read.effects) == {"photometric_nonlinearity", "rest_colour"} and len(read.history) == 4
+
+
+def test_a_new_twin_gets_every_effect_of_a_sensor(twin):
+    assert set(Twin.load(twin).effects) == set(SENSOR)
+    assert wanted(None, Twin.builtin()) == list(SENSOR), "a finger without a gel has no light yet"
+
+
+def test_without_a_recording_the_output_says_that_the_images_are_generated(tmp_path, capsys, monkeypatch):
+    monkeypatch.delenv("PNEUTAC_DATA", raising=False)
+    main([f"--twin={tmp_path / 'twin'}", f"--out={tmp_path / 'out'}", "--effects=none"])
+    said = capsys.readouterr().out
+    assert "GENERATED images, not photographs" in said and "real tactile" not in said
+    assert Twin.load(tmp_path / "twin").history[-1]["recording"] == "generated images (seed 0)"
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "from two photographs" not in page and "Above real" not in page
+    assert f"--out={tmp_path / 'out'}" in page and "/generated" not in page
+
+
+def test_same_recording_same_twin(generated, twin, tmp_path):
+    run(tmp_path, generated)
+    a, b = Twin.load(twin), Twin.load(tmp_path)
+    assert a.gel == b.gel and a.effects == b.effects
+
+
+def test_larger_images_end_as_the_sensors_own_size(recording, tmp_path):
+    """Photographs at twice the resolution give the same light, and a twin at 240 x 320."""
+    run(tmp_path / "small", recording, "--effects=rest_colour")
+    for file in recording.rglob("*.png"):
+        Image.open(file).resize((2 * WIDTH, 2 * HEIGHT), Image.Resampling.BILINEAR).save(file)
+    meta = json.loads((recording / "recording.json").read_text())
+    (recording / "recording.json").write_text(json.dumps(meta | {"px_per_mm": 2 * meta["px_per_mm"]}))
+    table = BenchRecording.load(recording)
+    table.samples["contact_radius_px"] *= 2
+    table.write(recording)
+    run(tmp_path / "large", recording, "--effects=rest_colour")
+    small, large = (GelModel.from_twin(Twin.load(tmp_path / n)) for n in ("small", "large"))
+    assert large.rest_image.shape == (320, 240, 3) and large.px_per_mm == pytest.approx(small.px_per_mm)
+    np.testing.assert_allclose(large.light, small.light, atol=4)
+
+
+def test_shift_moves_and_fills_with_zeros():
+    image = np.arange(12).reshape(3, 4, 1)
+    assert shift(image, 1, -1)[..., 0].tolist() == [[0, 4, 5, 6], [0, 8, 9, 10], [0, 0, 0, 0]]
+    np.testing.assert_array_equal(shift(image, 0, 0), image)
+
+
+def swap(folder):
+    rest, press = folder / "rest.png", folder / "images" / "ball_0.png"
+    a, b = rest.read_bytes(), press.read_bytes()
+    rest.write_bytes(b)
+    press.write_bytes(a)
+
+
+def alike(folder):
+    shutil.copy(folder / "rest.png", folder / "images" / "ball_0.png")
+
+
+def sixteen_bits(folder):
+    import cv2
+
+    file = folder / "images" / "ball_0.png"
+    cv2.imwrite(str(file), cv2.imread(str(file)).astype(np.uint16) * 256)
+
+
+def no_calibration(folder):
+    text = (folder / "samples.csv").read_text()
+    (folder / "samples.csv").write_text(text.replace("calibration", "heldout"))
+
+
+@pytest.mark.parametrize(
+    "spoil, says",
+    [
+        (swap, "swapped"),
+        (alike, "same picture"),
+        (sixteen_bits, "16 bits"),
+        (no_calibration, "no row with role 'calibration'"),
+    ],
+)
+def test_bad_recordings_get_one_sentence_and_leave_no_twin(spoil, says, recording, tmp_path):
+    spoil(recording)
+    with pytest.raises(InputError, match=says) as e:
+        run(tmp_path / "twin", recording)
+    assert "\n" not in str(e.value)
+    assert not (tmp_path / "twin" / "twin.yaml").exists()
+
+
+def test_a_twin_of_another_device_and_a_folder_of_other_things_are_refused(generated, tmp_path):
+    Twin(device="arm").save(tmp_path / "arm")
+    with pytest.raises(InputError, match="'arm'"):
+        run(tmp_path / "arm", generated)
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "thesis.txt").write_text("do not touch")
+    with pytest.raises(InputError, match="something else"):
+        run(tmp_path / "full", generated)
+
+
+def test_bad_options_get_one_sentence(generated, tmp_path):
+    for argv, says in [
+        ([f"--recording={generated}"], "--twin=DIR"),
+        ([f"--twin={tmp_path}", f"--recording={generated}", "--effects=glow"], "'glow' is no optics effect"),
+        (
+            [f"--twin={tmp_path}", f"--recording={generated}", "--effects=creep"],
+            "'creep' is no optics effect",
+        ),
+        (
+            [f"--twin={tmp_path}", f"--recording={generated}", "--effects=shadow,illumination_drift"],
+            "'illumination_drift' needs more than one pair",
+        ),
+        ([f"--twin={tmp_path}", f"--out={generated / 'rest.png'}"], "is a file"),
+    ]:
+        with pytest.raises(InputError, match=says) as e:
+            main(argv)
+        assert "\n" not in str(e.value)
+
+
+@pytest.mark.parametrize(
+    "name, role, rmse, contact_rmse, contact_dncc, make",
+    [
+        ("digit_nagoya", "heldout", 6.2, 8.5, 0.90, "DIGIT"),
+        ("digit_fots", "heldout", 8.5, 14.0, 0.92, "DIGIT"),
+        ("gelsight_thu", "known_depth", 4.4, 9.5, 0.96, ""),
+    ],
+)
+def test_real_sensors(name, role, rmse, contact_rmse, contact_dncc, make):
+    """On photographs of real sensors the model beats the rest image and the pasted difference."""
+    if "PNEUTAC_DATA" not in os.environ:
+        pytest.skip("PNEUTAC_DATA is unset: there are no real photographs to calibrate to")
+    folder = Path(os.environ["PNEUTAC_DATA"]) / "tactile" / name
+    data = GelRecording.load(BenchRecording.load(folder))
+    pair = data.calibration
+    fit = fit_gel(pair.rest, pair.image, pair.press, data.px_per_mm, thickness_mm=data.thickness_mm)
+    assert fit.make == make and fit.orientation == Orientation()
+    picks = [i for i, s in enumerate(data.samples) if s.role == role]
+    scores = [scores_of(data, images) for images in render(fit.gel, data).values()]
+    ours, pasted, rest = (ImageScores.mean([rows[i] for i in picks]) for rows in scores)
+    assert ours.rmse < min(rmse, 0.8 * pasted.rmse, 0.7 * rest.rmse)
+    assert ours.contact_rmse < min(contact_rmse, 0.75 * pasted.contact_rmse)
+    assert ours.contact_dncc > max(contact_dncc, pasted.contact_dncc)

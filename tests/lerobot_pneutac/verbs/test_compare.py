@@ -1,0 +1,214 @@
+"""`pneutac new` and `pneutac compare`: the result's contract, where it fails, bad input."""
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lerobot_pneutac.reports.compare import heat_map
+from lerobot_pneutac.reports.compare_sentence import phrase
+from lerobot_pneutac.verbs import compare, new
+from lerobot_pneutac.verbs.compare import train_mask
+from lerobot_pneutac.verbs.fit_body import fit_body
+from pneutac_datasets.generate.hidden.generate import generate
+from pneutac_datasets.recording.axes import Axis, axes, motion
+from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_sim.errors import InputError
+from pneutac_sim.surrogate.fingerprint import fingerprint
+from pneutac_sim.surrogate.network import MARGIN, ActionNetwork
+from pneutac_sim.surrogate.networks import builtin
+from pneutac_sim.twin import Twin
+
+CONTRACT = ["pressure_cmd_kpa", "direction", "rate", "hold_time_s", "program", "trial", "gravity"]
+CONTRACT += ["temperature_c", "payload_g"]
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory):
+    """A recording without and one with creep of the same finger, and a twin fitted to the first."""
+    root = tmp_path_factory.mktemp("bench")
+    for name in ("none", "creep"):
+        generate(name, root / name, seed=3, minutes=2, hz=20)
+    new.main([f"--twin={root / 'twin'}", f"--recording={root / 'none'}"])
+    r = BenchRecording.load(root / "none")
+    found = fit_body(Twin.load(root / "twin"), r)
+    found.twin.save_version(root / "twin", "calibrated", str(root / "none"), {**found.error, "unit": "mm"})
+    return root
+
+
+def run(bench, recording, out):
+    compare.main([f"--twin={bench / 'twin'}", f"--recording={bench / recording}", f"--out={out}"])
+    return json.loads((out / "result.json").read_text())
+
+
+def test_a_right_twin_has_no_more_than_the_noise_everywhere(bench, tmp_path):
+    result = run(bench, "none", tmp_path)
+    truth = json.loads((bench / "truth" / "none.json").read_text())
+    assert result["unit"] == "mm"
+    assert result["noise_floor"] == pytest.approx(truth["noise_floor_mm"], rel=0.2)
+    assert result["error"]["heldout"] == pytest.approx(truth["noise_floor_mm"], rel=0.1)
+    assert "no more than the noise" in result["sentence"]
+    assert [h["change"] for h in result["history"]] == ["calibrated"]
+    assert result["history"][0]["heldout"] == pytest.approx(result["error"]["heldout"])
+    assert result["pressure"]["error"]["heldout"] < 0.1
+
+
+def test_a_wrong_twin_shows_where_it_fails(bench, tmp_path, capsys):
+    result = run(bench, "creep", tmp_path)
+    assert set(CONTRACT) <= set(result["by"])
+    assert result["error"]["heldout"] > 2 * result["noise_floor"]
+    n, total = result["samples"], result["error"]["all"] ** 2 * result["samples"]
+    for name in set(CONTRACT) - {"hold_time_s"}:  # every sample is in one bin, and the bins make up the whole
+        rows = result["by"][name]
+        assert sum(r["n"] for r in rows) == n, name
+        assert sum(r["error"] ** 2 * r["n"] for r in rows) == pytest.approx(total), name
+        assert sum(r["share"] for r in rows) == pytest.approx(1.0), name
+    worst = result["worst"]
+    assert len(worst) == 5 and [w["error"] for w in worst] == sorted(
+        (w["error"] for w in worst), reverse=True
+    )
+    assert worst[0]["error"] > result["error"]["all"]
+    for w in worst:
+        assert set(w) >= {"trial", "from_s", "to_s", "error"} and 0 < w["to_s"] - w["from_s"] <= 2.0
+    assert re.match(r"The twin misses the measured tip by [\d.]+ mm .* times the noise", result["sentence"])
+    assert "The twin misses" in " ".join(capsys.readouterr().out.split())
+
+
+def test_the_report_stands_alone_and_is_small(bench, tmp_path):
+    run(bench, "creep", tmp_path)
+    page = (tmp_path / "report.html").read_text()
+    assert page.count("Plotly.newPlot(") >= 5
+    own = re.sub(r"<script>/\*\*.*?</script>", "", page, count=1, flags=re.S)  # without the library itself
+    assert not re.search(r"(src|href)=\"https?:", own)
+    assert len(own) < 2_000_000 and len(page) < 7_500_000
+    for text in ("Where it fails", "Loops", "Worst passages", "Over time"):
+        assert text in page
+
+
+def test_samples_beyond_the_training_of_the_action_network_are_told(bench, tmp_path):
+    def with_network(at_most_kpa: float, mark: str) -> dict:
+        twin = Twin.load(bench / "twin")
+        network = ActionNetwork.load(builtin("action"))
+        high, low = network.high.copy(), network.low.copy()
+        high[:4], low[:4], high[-1], low[-1] = 9.0, -9.0, at_most_kpa, -9.0
+        file = replace(network, fingerprint=mark, high=high, low=low).save(tmp_path / "action.safetensors")
+        twin.networks = {"action": file}
+        twin.save(tmp_path / "twin")
+        compare.main(
+            [f"--twin={tmp_path / 'twin'}", f"--recording={bench / 'none'}", f"--out={tmp_path / 'o'}"]
+        )
+        return json.loads((tmp_path / "o" / "result.json").read_text())
+
+    assert run(bench, "none", tmp_path / "without")["out_of_range"] is None
+    own = fingerprint(Twin.load(bench / "twin"))
+    limit = 8.0
+    result = with_network(limit, own)
+    margin = MARGIN * (limit + 9.0)  # still counted as in range
+    command = BenchRecording.load(bench / "none").column("pressure_cmd_kpa")
+    assert result["out_of_range"] == pytest.approx((command > limit + margin).mean(), abs=0.02)
+    assert 0.05 < result["out_of_range"] < 0.95
+    said = " ".join(result["checks"])
+    assert "of samples lie outside what the twin's action network was trained with" in said
+    assert "samples outside it" in (tmp_path / "o" / "report.html").read_text()
+    result = with_network(1e3, own)
+    assert result["out_of_range"] == 0 and "All samples lie within" in " ".join(result["checks"])
+    result = with_network(1e3, "another")
+    assert result["out_of_range"] is None
+    assert f"run `pneutac surrogate --twin={tmp_path / 'twin'}`" in " ".join(result["checks"])
+
+
+def test_the_split_of_the_fit_is_used_again(bench):
+    r = BenchRecording.load(bench / "none")
+    twin = Twin.load(bench / "twin")
+    np.testing.assert_array_equal(train_mask(twin, r), r.split(0)[0])
+    twin.history.append({"recording": str(bench / "none"), "seed": 5})
+    expected = r.split(5)[0]
+    np.testing.assert_array_equal(train_mask(twin, r), expected)
+    assert (train_mask(twin, BenchRecording.load(bench / "creep")) != expected).any()
+
+
+def test_direction_rate_and_hold_time_follow_the_command(bench):
+    r = BenchRecording.load(bench / "none")
+    rate, held = motion(r)
+    p, t = r.column("pressure_cmd_kpa"), r.column("time_s")
+    slow = (r.column("program") == "triangle_slow") & (r.column("trial") == 0)
+    inner = np.flatnonzero(slow)[10:-10]
+    expected = np.gradient(p[inner], t[inner])
+    assert np.median(np.abs(rate[inner] - expected)) < 1e-4 * np.abs(expected).max()
+    assert held[slow].max() < 0.3
+    hold = np.flatnonzero(r.column("program") == "long_hold")
+    assert held[hold].max() == pytest.approx(11.0, abs=0.5)  # 55 s in a ten-minute session
+    by = {a.name: a for a in axes(r)}
+    way = np.asarray(by["direction"].labels)[by["direction"].bin[inner]]
+    right = way == np.where(expected > 0, "loading", "unloading")
+    assert right.mean() > 0.97  # all but the samples right after a turning point
+    assert np.asarray(by["direction"].labels)[by["direction"].bin[hold[60]]] == "hold"
+
+
+def test_new_takes_the_geometry_and_never_overwrites(bench, tmp_path):
+    twin, meta = Twin.load(bench / "twin"), BenchRecording.load(bench / "none").meta
+    assert twin.length_mm == meta["length_mm"]
+    assert twin.spine_joint_positions_mm == pytest.approx(meta["spine_joint_positions_mm"])
+    before = (bench / "twin" / "twin.yaml").read_bytes()
+    with pytest.raises(InputError, match="already holds a twin"):
+        new.main([f"--twin={bench / 'twin'}", "--device=finger"])
+    assert (bench / "twin" / "twin.yaml").read_bytes() == before
+    for device, joints in (("finger", 4), ("arm", 6), ("gel", 0)):
+        new.main([f"--twin={tmp_path / device}", f"--device={device}"])
+        made = Twin.load(tmp_path / device)
+        assert made.device == device and len(made.spine_joint_positions_mm) == joints
+    with pytest.raises(InputError, match="must be one of finger, arm, gel"):
+        new.main([f"--twin={tmp_path / 'x'}", "--device=claw"])
+    with pytest.raises(InputError, match="omit one"):
+        new.main([f"--twin={tmp_path / 'x'}", "--device=arm", f"--recording={bench / 'none'}"])
+
+
+def test_bad_input_is_refused_before_work_starts(bench, tmp_path):
+    new.main([f"--twin={tmp_path / 'arm'}", "--device=arm"])
+    with pytest.raises(InputError, match="is of a finger and .* of an arm; compare .* own device"):
+        compare.main([f"--twin={tmp_path / 'arm'}", f"--recording={bench / 'none'}"])
+    with pytest.raises(InputError, match="There is no twin"):
+        compare.main([f"--twin={tmp_path / 'nothing'}", f"--recording={bench / 'none'}"])
+    with pytest.raises(InputError, match="no bench recording"):
+        compare.main([f"--twin={bench / 'twin'}", f"--recording={tmp_path / 'nothing'}"])
+    with pytest.raises(InputError, match="Give the recording's folder with --recording=DIR"):
+        compare.main([f"--twin={bench / 'twin'}"])
+
+
+@pytest.mark.parametrize("rows", [1, 3, 40])
+def test_the_poorest_recording_still_compares(bench, tmp_path, rows):
+    r = BenchRecording.load(bench / "none")
+    r.keep(np.arange(len(r)) < rows).write(tmp_path / "poor")
+    compare.main([f"--twin={bench / 'twin'}", f"--recording={tmp_path / 'poor'}", f"--out={tmp_path / 'o'}"])
+    result = json.loads((tmp_path / "o" / "result.json").read_text())
+    assert result["samples"] == rows and any("one trial only" in s for s in result["checks"])
+    assert "worst at" not in result["sentence"] and "worst where" not in result["sentence"]
+
+
+def test_a_constant_command_and_too_few_rows_lead_the_headline(bench, tmp_path):
+    r = BenchRecording.load(bench / "creep")
+    moving = np.flatnonzero(np.diff(r.column("pressure_cmd_kpa")))[0]
+    r.samples["tip_z_mm"] += 20.0
+    few = r.keep(np.isin(np.arange(len(r)), moving + np.arange(20))).write(tmp_path / "few")
+    r.samples["pressure_cmd_kpa"] = 20.0
+    for folder, start, end in (
+        (r.write(tmp_path / "constant"), "The commanded pressure never moves", "where it was not fitted."),
+        (few, "The twin misses", "20 rows cannot tell where it is worst, so record longer."),
+    ):
+        result = run(bench, folder, tmp_path / "o")
+        assert result["sentence"].startswith(start) and result["sentence"].endswith(end)
+
+
+def test_the_heat_map_begins_at_zero(bench):
+    c = compare.compare(Twin.load(bench / "twin"), BenchRecording.load(bench / "creep"))
+    heat = heat_map(c).data[0]
+    assert heat.zmin == 0 and heat.zmax == pytest.approx(np.nanmax(np.array(heat.z, float)), abs=1e-3)
+
+
+def test_a_rate_is_told_in_words():
+    axis = Axis("rate", None, np.arange(4), ["hold", "0.1 to 2 kPa/s", "2 to 7 kPa/s", "7 to 165 kPa/s"])
+    said = [phrase(axis, i) for i in range(4)]
+    assert said[0] == "while the pressure is held" and said[3] == "when the pressure moves fast"
+    assert len(set(said)) == 4 and not any("kPa" in s for s in said)

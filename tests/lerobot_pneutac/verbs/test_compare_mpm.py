@@ -1,0 +1,115 @@
+"""`pneutac compare --fidelity=mpm`: effects act in the full simulation, which samples it takes."""
+
+import json
+from functools import partial
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from lerobot_pneutac.verbs import compare
+from lerobot_pneutac.verbs.compare_mpm import markers_by_mpm, spread
+from lerobot_pneutac.verbs.fit_body import fit_body
+from pneutac_datasets.generate.hidden.generate import generate
+from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_sim.effects.registry import get_effect
+from pneutac_sim.errors import InputError
+from pneutac_sim.finger import Bench, simulate
+from pneutac_sim.gel.model import GelModel
+from pneutac_sim.mpm import devices
+from pneutac_sim.twin import Twin, Value
+
+SAMPLES = 25
+
+
+@pytest.fixture(autouse=True)
+def coarse(monkeypatch):
+    few = {"finger": partial(devices.finger, particles=600), "arm": partial(devices.arm, particles=600)}
+    monkeypatch.setattr(devices, "BODIES", few)
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory):
+    """A recording of a finger that creeps, a twin without and one with creep, both fitted to it."""
+    root = tmp_path_factory.mktemp("creeping")
+    recording = generate("creep", root / "creep", seed=3, minutes=2, hz=10)
+    recording = BenchRecording.load(root / "creep")
+    twin = Twin.builtin()
+    twin.length_mm = recording.length_mm
+    twin.spine_joint_positions_mm = recording.spine_joint_positions_mm
+    for name, effects in (("without", []), ("with", ["creep"])):
+        twin.effects = {e: {p.name: Value(p.default) for p in get_effect(e).parameters} for e in effects}
+        fit_body(twin, recording).twin.save(root / name)
+    return root
+
+
+def test_an_effect_acts_in_the_full_simulation(bench, tmp_path):
+    error = {}
+    for twin in ("without", "with"):
+        for fidelity, options in (("pipeline", []), ("mpm", [f"--samples={SAMPLES}"])):
+            out = tmp_path / twin / fidelity
+            common = [f"--twin={bench / twin}", f"--recording={bench / 'creep'}", f"--out={out}"]
+            compare.main([*common, f"--fidelity={fidelity}", *options])
+            result = json.loads((out / "result.json").read_text())
+            assert result["fidelity"] == fidelity
+            error[twin, fidelity] = result["error"]["all"]
+    assert result["samples"] == SAMPLES
+    assert f"at {SAMPLES} of 1327 samples" in result["simulated"]
+    assert f"at {SAMPLES} of 1327 samples" in (out / "report.html").read_text()
+    assert result["sentence"].startswith("The twin's full simulation misses")
+    for rows in (result["by"][n] for n in ("direction", "program", "pressure_cmd_kpa")):
+        assert sum(r["n"] for r in rows) == SAMPLES and all(r["n"] for r in rows)
+    fall = {f: error["without", f] - error["with", f] for f in ("pipeline", "mpm")}
+    assert fall["pipeline"] > 1.0 and fall["mpm"] > 0.5 * fall["pipeline"]
+
+
+@pytest.mark.parametrize("device", ["finger", "arm"])
+def test_a_stiff_spine_follows_the_pipeline(device):
+    """Where the controller is stiff against the body, both simulations are the same, observation and all."""
+    chambers = 1 if device == "finger" else 3
+    names = ["pressure_cmd_kpa"] if chambers == 1 else [f"pressure_cmd_{i}_kpa" for i in (1, 2, 3)]
+    pressure = np.zeros((6, chambers))
+    pressure[:, 0] = np.linspace(0, 8, 6)
+    pressure[3:, 1:] = 6.0 * np.arange(chambers - 1)
+    table = pd.DataFrame(dict(zip(names, pressure.T, strict=True)) | {"trial": 0, "time_s": np.arange(6.0)})
+    table = table.assign(**dict.fromkeys(("tip_x_mm", "tip_y_mm", "tip_z_mm"), 0.0))
+    table = table.assign(curvature_x_1_per_m=0.0) if device == "arm" else table.assign(bend_angle_rad=0.0)
+    twin = Twin(device, 110.0 if device == "finger" else 200.0)
+    twin.parameters["gain_rad_per_kpa"] = Value(0.02)
+    twin.parameters["spine_stiffness_nm_per_rad"] = Value(2000.0)
+    twin.effects["base_tilt"] = {p.name: Value(0.1) for p in get_effect("base_tilt").parameters}
+    bench = Bench.of(BenchRecording(None, {}, table, device), twin, source="command")
+    model = simulate(twin, bench).model
+    rows = np.array([0, 2, 4, 5, 5])
+    seen, poses = markers_by_mpm(twin, bench, rows)
+    assert poses == 4
+    np.testing.assert_allclose(seen[:, :3], model[rows, :3], atol=5e-3 * twin.length_mm)
+    np.testing.assert_allclose(seen[:, 3], model[rows, 3], rtol=5e-3, atol=1e-3)
+
+
+def test_samples_are_spread(tmp_path):
+    assert spread(7, 10).tolist() == list(range(7))
+    at = spread(1000, 50, seed=1)
+    assert len(at) == 50 and (at // 20 == np.arange(50)).all()
+    assert len(np.unique(np.diff(at))) > 10  # no period
+
+
+def test_what_cannot_be_simulated_is_told(bench, tmp_path):
+    recording = f"--recording={bench / 'creep'}"
+    for options, said in (
+        (["--fidelity=exact"], "choose pipeline or mpm"),
+        (["--samples=50"], "together with --fidelity=mpm"),
+        (["--fidelity=mpm", "--samples=1"], "2 or more"),
+    ):
+        with pytest.raises(InputError, match=said):
+            compare.main([f"--twin={bench / 'with'}", recording, *options])
+    twin = Twin.load(bench / "with")
+    twin.effects["elongation"] = {p.name: Value(p.default) for p in get_effect("elongation").parameters}
+    twin.save(tmp_path / "longer")
+    with pytest.raises(InputError, match="'elongation' does not act in the material point model"):
+        compare.main([f"--twin={tmp_path / 'longer'}", recording, "--fidelity=mpm"])
+    gel = Twin("gel", 16.0)
+    GelModel.builtin().into_twin(gel)
+    gel.save(tmp_path / "gel")
+    with pytest.raises(InputError, match="give|own device"):
+        compare.main([f"--twin={tmp_path / 'gel'}", recording, "--fidelity=mpm"])

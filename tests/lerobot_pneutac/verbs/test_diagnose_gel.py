@@ -1,0 +1,95 @@
+import json
+
+import numpy as np
+import pytest
+
+from lerobot_pneutac.verbs.add import main as add
+from lerobot_pneutac.verbs.calibrate import main as calibrate
+from lerobot_pneutac.verbs.compare import main as compare
+from lerobot_pneutac.verbs.diagnose import main as diagnose
+from pneutac_datasets.generate.hidden_gel import SIZES, write_hidden_gel
+from pneutac_sim.errors import InputError
+from pneutac_sim.twin import Twin
+
+
+def linear_twin(folder, recording):
+    """The paper's linear model of a recording's sensor."""
+    calibrate([f"--twin={folder}", f"--recording={recording.folder}", "--effects=none"])
+    return folder
+
+
+def run(verb, out, twin, recording, *more):
+    verb([f"--twin={twin}", f"--recording={recording.folder}", f"--out={out}", *more])
+    return json.loads((out / "result.json").read_text())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("effect", SIZES)
+def test_a_hidden_effect_is_named_added_and_lowers_the_error(effect, tmp_path, capsys):
+    recording = write_hidden_gel(tmp_path / "recording", [effect], seed=3, images=12)
+    twin = linear_twin(tmp_path / "twin", recording)
+    found = run(diagnose, tmp_path / "d", twin, recording)
+    assert found["selected"] == [effect] and found["verdict"] == "missing_effect"
+    assert found["reduction"] > 0.9 and found["after"]["heldout"] < 1.1 * found["noise_floor"]
+    truth = json.loads((tmp_path / "recording_truth.json").read_text())[effect]
+    fitted = found["parameters"][effect]
+    beside = {k: v for k, v in fitted.items() if k.startswith(("along", "across", "deep"))}
+    assert all(abs(v) < 15 for v in beside.values()), "terms that the truth does without stay small"
+    kept = {k: v for k, v in fitted.items() if "edge" not in k and k not in beside}
+    neutral = {"shift": 0.0, "turn": 0.0, "drift": 0.0, "scale": 1.0, "gain": 1.0}
+    for name, value in kept.items():
+        at = neutral.get(name.split("_")[0], 0.0)
+        assert value - at == pytest.approx(truth[name] - at, rel=0.35, abs=0.02), name
+    assert "image/png;base64" in (tmp_path / "d" / "report.html").read_text()
+
+    before = run(compare, tmp_path / "c1", twin, recording)["error"]["heldout"]
+    added = run(add, tmp_path / "a", twin, recording, f"--effect={effect}")
+    assert added["after"]["heldout"] < added["before"]["heldout"] and added["version"] == 1
+    after = run(compare, tmp_path / "c2", twin, recording)["error"]["heldout"]
+    assert after < 0.85 * before, "the stored twin predicts better"
+    assert list(Twin.load(twin).effects) == [effect]
+    capsys.readouterr()
+
+
+def test_nothing_is_found_where_nothing_is_hidden(tmp_path, capsys):
+    recording = write_hidden_gel(tmp_path / "recording", [], seed=4, images=12)
+    twin = linear_twin(tmp_path / "twin", recording)
+    found = run(diagnose, tmp_path / "d", twin, recording)
+    assert found["selected"] == [] and found["verdict"] == "adequate"
+    with pytest.raises(InputError, match="no sure fall"):
+        add([f"--twin={twin}", f"--recording={recording.folder}", "--effect=shadow"])
+    assert Twin.load(twin).effects == {} and len(Twin.load(twin).history) == 1
+    assert "Nothing is missing" in capsys.readouterr().out
+
+
+def test_too_few_images_are_no_verdict(tmp_path, capsys):
+    recording = write_hidden_gel(tmp_path / "recording", ["shadow"], images=5)
+    twin = linear_twin(tmp_path / "twin", recording)
+    assert run(diagnose, tmp_path / "d", twin, recording)["verdict"] == "ambiguous"
+    assert "left to judge by" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("effect", "said"),
+    [("creep", "does not act on a gel"), ("shadows", "There is no effect 'shadows'")],
+)
+def test_other_effects_are_refused(effect, said, tmp_path):
+    recording = write_hidden_gel(tmp_path / "recording", [], images=2)
+    Twin(device="gel", length_mm=16.0).save(tmp_path / "twin")
+    with pytest.raises(InputError, match=said):
+        add([f"--twin={tmp_path / 'twin'}", f"--recording={recording.folder}", f"--effect={effect}"])
+
+
+def test_a_recording_of_one_pair_cannot_be_judged(tmp_path):
+    recording = write_hidden_gel(tmp_path / "recording", [], images=2)
+    recording.keep(np.array([True, False])).write(recording.folder)
+    twin = linear_twin(tmp_path / "twin", recording)
+    with pytest.raises(InputError, match="nothing can be judged"):
+        diagnose([f"--twin={twin}", f"--recording={recording.folder}"])
+
+
+def test_a_finger_without_a_gel_is_refused(tmp_path):
+    recording = write_hidden_gel(tmp_path / "recording", [], images=2)
+    Twin.builtin().save(tmp_path / "finger")
+    with pytest.raises(InputError, match="of a gel"):
+        diagnose([f"--twin={tmp_path / 'finger'}", f"--recording={recording.folder}"])

@@ -1,0 +1,63 @@
+"""`pneutac doctor` names what is missing and its remedy, on a machine that lacks anything."""
+
+import os
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import pytest
+
+from lerobot_pneutac.verbs import doctor
+from lerobot_robot_pneutac.cameras import digit_devices
+
+
+def told(capsys) -> str:
+    return " ".join(capsys.readouterr().out.split())
+
+
+@pytest.fixture(autouse=True)
+def wide(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "300")
+
+
+def test_a_package_that_cannot_be_imported_is_a_row_and_not_an_end():
+    program = (
+        "import sys; sys.modules['mujoco'] = None; from lerobot_pneutac.verbs.doctor import main; main([])"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120)
+    said = " ".join(done.stdout.split())
+    assert done.returncode == 1
+    assert "import of mujoco halted" in said and "HF_HOME" in said  # the checks after it are there too
+
+
+def test_ports_without_permission_and_a_digit_are_told(monkeypatch, capsys, tmp_path):
+    from serial.tools import list_ports
+
+    monkeypatch.setattr(list_ports, "comports", lambda: [SimpleNamespace(device="/dev/ttyACM7")])
+    monkeypatch.setattr(os, "access", lambda path, mode: "ttyACM7" not in str(path))
+    usb = tmp_path / "usb"
+    (usb / "1-1:1.0" / "video4linux" / "video3").mkdir(parents=True)
+    for file, text in (("product", "DIGIT"), ("serial", "D20001"), ("bcdDevice", "0200")):
+        (usb / file).write_text(text)
+    node = tmp_path / "class" / "video3"
+    node.mkdir(parents=True)
+    (node / "index").write_text("0")
+    (node / "device").symlink_to(usb / "1-1:1.0")
+    monkeypatch.setattr(digit_devices, "SYSFS", tmp_path / "class")
+    with pytest.raises(SystemExit):
+        doctor.main([])
+    said = told(capsys)
+    assert "no permission on /dev/ttyACM7 sudo usermod -aG dialout" in said
+    assert "D20001 at /dev/video3" in said
+
+
+def test_a_version_that_is_not_there_is_missing(monkeypatch):
+    version = doctor.importlib.metadata.version
+
+    def without_numba(name):
+        if name == "numba":
+            raise doctor.importlib.metadata.PackageNotFoundError(name)
+        return version(name)
+
+    monkeypatch.setattr(doctor.importlib.metadata, "version", without_numba)
+    assert ("numba", doctor.FAIL, "not installed", "uv pip install numba") in doctor.check_packages()

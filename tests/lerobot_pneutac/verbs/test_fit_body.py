@@ -1,0 +1,100 @@
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from lerobot_pneutac.verbs.calibrate import main
+from lerobot_pneutac.verbs.fit_body import fit_body
+from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_sim.effects import get_effect
+from pneutac_sim.errors import InputError
+from pneutac_sim.finger import Bench, Inputs, Pipeline, simulate
+from pneutac_sim.twin import Twin
+
+
+def stairs(n=2400, hz=20):
+    t = np.arange(n) / hz
+    level = np.random.default_rng(5).uniform(0, 15, n // 120 + 1).repeat(120)[:n]
+    return {"trial": (t // 60).astype(int), "time_s": t, "pressure_cmd_kpa": level}
+
+
+def write(folder, truth, measured=False, noise=0.1):
+    """A recording of a device like this twin, with the pressure as its sensor sees it."""
+    table = stairs()
+    inputs = Inputs.from_samples(table)
+    model = Pipeline.of(truth, inputs)
+    run = model.run(inputs, model.theta(truth, 15.0))
+    rng = np.random.default_rng(0)
+    for name in ("tip_x_mm", "tip_z_mm"):
+        table[name] = model.outputs(run, [name])[:, 0] + noise * rng.normal(size=len(table["time_s"]))
+    if measured:
+        table["pressure_kpa"] = run.pressure_kpa[:, 0] + 0.02 * rng.normal(size=len(table["time_s"]))
+    meta = {"device": "finger", "length_mm": 110.0, "samples": "samples.csv"}
+    return BenchRecording(folder, meta, pd.DataFrame(table), "finger").write(folder)
+
+
+def truth(*effects):
+    twin = Twin.builtin()
+    for name in effects:
+        twin.effects[name] = get_effect(name).start(15.0)
+    return twin
+
+
+def test_calibrate_finds_the_parameters_and_writes_the_next_version(tmp_path, capsys):
+    folder = write(tmp_path / "bench", truth())
+    start = Twin()
+    start.save(tmp_path / "twin")
+    main([f"--twin={tmp_path / 'twin'}", f"--recording={folder}", f"--out={tmp_path / 'out'}"])
+    result = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert result["error"]["heldout"] == pytest.approx(0.1 * np.sqrt(2), rel=0.1)
+    assert result["before"]["heldout"] > 5 and result["evaluations"] > 10
+    rest = result["parameters"]["rest_pressure_kpa"]
+    assert rest["ci95"][0] <= 10.70 <= rest["ci95"][1] and rest["unit"] == "kPa"
+    assert result["parameters"]["joint_stiffness_nm_per_rad"]["note"] == "held"
+    twin = Twin.load(tmp_path / "twin")
+    assert twin.parameter("rest_pressure_kpa") == pytest.approx(10.70, abs=0.1)
+    entry = twin.history[-1]
+    assert entry["version"] == 0 and entry["heldout"] == pytest.approx(result["error"]["heldout"])
+    # what was held out can be found again, and the saved twin has that very error there
+    recording = BenchRecording.load(folder)
+    heldout = recording.split(entry["seed"])[1]
+    p = simulate(twin, recording)
+    assert p.bench.error(p.residual, heldout) == pytest.approx(entry["heldout"], rel=1e-6)
+    report = (tmp_path / "out" / "report.html").read_text()
+    assert "rest_pressure_kpa" in report and "held-out residual" in report
+    assert "rest_pressure_kpa" in capsys.readouterr().out
+
+
+def test_measured_pressure_tells_the_valve_from_the_creep(tmp_path):
+    """The fast part of creep looks like a slow valve in the pose, but not in the pressure."""
+    both = truth("valve_lag", "creep")
+    both.effects["valve_lag"]["fill_time_s"].value = 0.6
+    both.effects["creep"]["weight_1_3s"].value = 0.4
+    recording = BenchRecording.load(write(tmp_path / "bench", both, measured=True))
+    start = truth("valve_lag", "creep")
+    found = fit_body(start, recording)
+    assert [f.unit for f in found.fits] == ["kPa", "mm"]
+    assert found.twin.effects["valve_lag"]["fill_time_s"].value == pytest.approx(0.6, rel=0.03)
+    assert found.twin.effects["creep"]["weight_1_3s"].value == pytest.approx(0.4, abs=0.05)
+    assert found.error["heldout"] < 0.3
+    command = Bench.of(recording, found.twin, source="command")
+    assert command.error(simulate(found.twin, command).residual) < 0.3
+
+
+def test_a_bound_is_called_out_in_table_and_result(tmp_path, capsys):
+    slow = truth("dead_time")
+    slow.effects["dead_time"]["delay_s"].value = 1.9
+    folder = write(tmp_path / "bench", slow)
+    truth("dead_time").save(tmp_path / "twin")
+    main([f"--twin={tmp_path / 'twin'}", f"--recording={folder}", f"--out={tmp_path / 'out'}"])
+    result = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert "upper bound" in result["parameters"]["dead_time.delay_s"]["note"]
+    assert "upper" in capsys.readouterr().out
+
+
+def test_photographs_alone_are_refused(tmp_path):
+    table = pd.DataFrame(stairs(100)).assign(image="a.png")
+    recording = BenchRecording(tmp_path, {"device": "finger"}, table, "finger")
+    with pytest.raises(InputError, match="tip_x_mm"):
+        fit_body(Twin.builtin(), recording)

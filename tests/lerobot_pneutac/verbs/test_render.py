@@ -1,0 +1,224 @@
+"""`pneutac render`: pictures of material points, a film, and what is kept when it is interrupted."""
+
+import json
+from functools import partial
+
+import av
+import numpy as np
+import pytest
+from PIL import Image
+
+from lerobot_pneutac.rendering import particles as particle_picture
+from lerobot_pneutac.rendering.options import RenderConfig, deepest_press, filled
+from lerobot_pneutac.verbs import render
+from pneutac_sim.effects.registry import get_effect
+from pneutac_sim.errors import InputError
+from pneutac_sim.gel.model import GelModel
+from pneutac_sim.gel.probe import BOX, CONE, CYLINDER, SPHERE
+from pneutac_sim.mpm import devices, solve
+from pneutac_sim.twin import PAPER_FINGER, Twin, Value
+
+
+@pytest.fixture
+def finger(tmp_path):
+    return Twin.builtin().save(tmp_path / "finger")
+
+
+def inked(path) -> np.ndarray:
+    """(H, W) where a picture is not paper, without the caption below."""
+    image = np.asarray(Image.open(path)).astype(int)
+    return (np.abs(image - particle_picture.PAPER).sum(-1) > 60)[:-50]
+
+
+def test_finger_is_seen_bending(finger, tmp_path):
+    out = tmp_path / "out"
+    render.main(
+        [f"--twin={finger}", "--pressure_kpa=[0,15]", "--seconds=0.4", "--particles=600", f"--out={out}"]
+    )
+    result = json.loads((out / "result.json").read_text())
+    assert result["complete"] and result["frames"] == 7
+    still = result["stills"]
+    bend = 4 * PAPER_FINGER["gain_rad_per_kpa"] * (np.array([0, 15]) + PAPER_FINGER["rest_pressure_kpa"])
+    assert [r["pressure_kpa"] for r in still] == [0, 15]
+    assert np.array([r["tip_z_mm"] for r in still]) == pytest.approx(110 * bend / 2, rel=0.15)  # small arcs
+    # the drawn body goes to the right, where +z is, and up
+    a, b = (inked(out / r["picture"]) for r in still)
+    assert np.flatnonzero(b.any(0)).max() > np.flatnonzero(a.any(0)).max() + 50
+    assert np.flatnonzero(b.any(1)).max() < np.flatnonzero(a.any(1)).max() - 20
+    with av.open(str(out / "film.mp4")) as film:
+        assert sum(1 for _ in film.decode(video=0)) == 7 + render.FPS
+    assert "data:video/mp4" in (out / "report.html").read_text()
+
+
+def test_gel_shows_the_imprint_where_it_is(tmp_path, monkeypatch):
+    twin = Twin("gel", 16.0)
+    GelModel.builtin().into_twin(twin)
+    twin.save(tmp_path / "gel")
+    monkeypatch.setattr(devices, "gel", partial(devices.gel, counts=(30, 41, 7)))
+    monkeypatch.setattr(render, "PRESS_FRAMES", 2)
+    out = tmp_path / "out"
+    render.main([f"--twin={tmp_path / 'gel'}", "--depth_mm=1.0", "--x_mm=2", "--y_mm=-3", f"--out={out}"])
+    still = json.loads((out / "result.json").read_text())["stills"]
+    assert [r["depth_mm"] for r in still] == [0.5, 1.0]
+    assert still[1]["face_mm"] == pytest.approx(1.0, abs=0.06)
+    assert still[1]["force_n"] > 2 * still[0]["force_n"] > 0
+    # the white line of the cut lies at the row of the press: y = -3 of 16 mm
+    image = np.asarray(Image.open(out / still[1]["picture"])).astype(int)
+    line = np.flatnonzero((image[24:-66, 20:40] > 225).all((1, 2)))
+    assert len(line) and line.mean() / (480 - 90) == pytest.approx(0.5 - 3 / 16, abs=0.03)
+
+
+def test_what_is_finished_is_kept_when_interrupted(tmp_path):
+    def frames():
+        picture = particle_picture.blank(64, 48)
+        yield render.Frame(picture, {"pressure_kpa": 0.0})
+        yield render.Frame(picture)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        render.render("finger", render.Film(frames(), 9, "Nothing."), tmp_path)
+    result = json.loads((tmp_path / "result.json").read_text())
+    assert not result["complete"] and result["frames"] == 2 and len(result["stills"]) == 1
+    assert (tmp_path / "finger_1.png").is_file() and (tmp_path / "film.mp4").is_file()
+
+
+def test_nearer_balls_hide_farther_ones():
+    image = particle_picture.blank(40, 40)
+    view = (np.array([1.0, 0, 0]), np.array([0, 1.0, 0]))  # seen from +z
+    points = np.array([[0, 0, 1.0], [0, 0, -1.0]])
+    red_near = np.array([[200.0, 0, 0], [0, 0, 200.0]])
+    particle_picture.draw_particles(image, points, red_near, 0.5, view, 20.0, (20.0, 20.0))
+    r, _, b = image[20, 20].astype(int)
+    assert r > 100 > b
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--pressure_kpa=[]"], "finite numbers"),
+        (["--seconds=0"], "at least"),
+        (["--particles=3"], "at least 100"),
+        (["--conditions={gravity_z: .nan}"], "gravity_z: nan; give a finite number"),
+        (["--conditions={temperature_c: 30}"], "'temperature_c', which .* its effects ask for none"),
+        (["--indenter=cube"], "--indenter is of a gel, but the twin at .* is of a finger; omit it"),
+        (["--size_mm=4"], "--size_mm is of a gel"),
+        (["--depth_mm=1.4"], "--depth_mm is of a gel"),
+        (["--x_mm=0"], "--x_mm is of a gel"),
+        (["--y_mm=0"], "--y_mm is of a gel"),
+        (["--camera=front"], "--camera is of a recording; give its folder with --recording=DIR"),
+        (["--recording=x", "--view.azimuth_deg=3"], "--view and --recording exclude each other"),
+        (["--view.elevation_deg=91"], "between -90 and 90"),
+        (["--view.azimuth_deg=.nan"], "--view.azimuth_deg is nan"),
+        (["--view.distance_lengths=1"], "does not see the body: give 1.5 to 100"),
+    ],
+)
+def test_bad_options_are_named_and_write_nothing(finger, tmp_path, options, said):
+    with pytest.raises(InputError, match=said):
+        render.main([f"--twin={finger}", f"--out={tmp_path / 'out'}", *options])
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_missing_twin_is_asked_for():
+    with pytest.raises(InputError, match=r"^Give the twin's folder with --twin=DIR\.$"):
+        render.main(["--pressure_kpa=[0,5]"])
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--pressure_kpa=[0,5]"], "--pressure_kpa is of a finger or an arm, but the twin at .* is of a gel"),
+        (["--particles=4000"], "--particles is of a finger or an arm"),
+        (["--seconds=1"], "--seconds is of a finger or an arm"),
+        (["--view.azimuth_deg=3"], "--view is of a finger or an arm"),
+        (["--recording=x"], "--recording is of a finger or an arm"),
+        (["--conditions={temperature_c: 30}"], "'temperature_c'.*ask for none"),
+        (["--x_mm=50"], "--x_mm is 50, where the sphere misses the gel's window; give a place between -"),
+        (["--y_mm=-50"], "--y_mm is -50, where the sphere misses"),
+        (["--y_mm=.nan"], "--y_mm is nan"),
+    ],
+)
+def test_what_a_gel_has_no_use_for_is_refused(tmp_path, options, said):
+    folder = Twin("gel", 16.0).save(tmp_path / "gel")
+    with pytest.raises(InputError, match=said):
+        render.main([f"--twin={folder}", f"--out={tmp_path / 'out'}", *options])
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("indenter", ["sphere", "cylinder", "cube", "edge", "cone"])
+def test_a_press_is_refused_just_where_the_indenter_leaves_the_window(indenter):
+    """Against the lowest points of the indenter's own surface, as the probe grid sees it."""
+    gel = GelModel.builtin()
+    given = partial(RenderConfig, "twin", indenter=indenter, size_mm=3.0, depth_mm=1.0)
+    press = deepest_press(given(x_mm=0.0, y_mm=0.0), gel)
+    reach = np.abs(below_surface(press)).max(0)
+    for axis, name in enumerate(("x_mm", "y_mm")):
+        edge = gel.window_mm[axis] / 2 + reach[axis]
+        at = {"x_mm": 0.0, "y_mm": 0.0}
+        deepest_press(given(**at | {name: edge - 0.1}), gel)
+        with pytest.raises(InputError, match=f"--{name} is .*{indenter} misses"):
+            deepest_press(given(**at | {name: edge + 0.1}), gel)
+
+
+def below_surface(press) -> np.ndarray:
+    """(P, 2) places in mm, near the press, where the indenter reaches below z = 0."""
+    kinds, sizes, positions, rotations = press.shapes()
+    x = np.linspace(-5, 5, 201)
+    grid = np.stack(np.meshgrid(x, x, np.linspace(-press.depth_mm, 0, 51)), -1).reshape(-1, 3)
+    local = (grid - 1e3 * positions[0]) @ rotations[0]
+    size = 1e3 * sizes[0]
+    across, z = np.hypot(local[:, 0], local[:, 1]), local[:, 2]
+    inside = {
+        SPHERE: np.linalg.norm(local, axis=1) <= size[0],
+        CYLINDER: (across <= size[0]) & (np.abs(z) <= size[1]),
+        CONE: (across <= z + size[1]) & (z <= size[1]),
+        BOX: (np.abs(local) <= size + 1e-9).all(1),
+    }[kinds[0]]
+    return grid[inside, :2]
+
+
+def test_conditions_that_effects_ask_for_are_taken_and_others_named(tmp_path):
+    twin = Twin.builtin()
+    twin.effects["thermal"] = {p.name: Value(p.default) for p in get_effect("thermal").parameters}
+    folder = twin.save(tmp_path / "twin")
+    config = RenderConfig(folder, conditions={"temperature_c": 30.0})
+    assert filled(config, twin).conditions == {"temperature_c": 30.0}
+    with pytest.raises(InputError, match="'temperatur', which .* ask for temperature_c"):
+        filled(RenderConfig(folder, conditions={"temperatur": 30.0}), twin)
+
+
+def test_every_device_has_defaults_that_it_takes(tmp_path):
+    for device in ("finger", "arm", "gel"):
+        twin = Twin(device)
+        config = filled(RenderConfig(tmp_path), twin)
+        assert (config.pressure_kpa is None) == (device == "gel") == (config.indenter is not None)
+        if device == "arm":
+            assert np.reshape(config.pressure_kpa, (-1, 3)).any(0).all()
+
+
+@pytest.mark.parametrize(
+    ("device", "said"),
+    [("finger", "lower --pressure_kpa, more --particles, or a thicker mesh"), ("gel", "--depth_mm")],
+)
+def test_where_no_rest_is_found_the_options_that_help_are_named(tmp_path, monkeypatch, device, said):
+    twin = Twin.builtin() if device == "finger" else Twin("gel", 16.0)
+    folder = twin.save(tmp_path / "twin")
+    monkeypatch.setattr(devices, "gel", partial(devices.gel, counts=(30, 41, 7)))
+    monkeypatch.setattr(solve, "solve_equilibrium", partial(solve.solve_equilibrium, max_substeps=25))
+    few = ["--particles=600"] if device == "finger" else []
+    with pytest.raises(InputError, match=f"is not at rest after .* was asked; .*{said}") as refused:
+        render.main([f"--twin={folder}", "--device=cpu", f"--out={tmp_path / 'out'}", *few])
+    assert "warm" not in str(refused.value) and "substeps, or" not in str(refused.value)
+
+
+def test_an_effect_without_its_condition_is_named(tmp_path):
+    twin = Twin.builtin()
+    twin.effects["payload"] = {"share": Value(1.0)}
+    folder = twin.save(tmp_path / "twin")
+    with pytest.raises(InputError, match="payload.*payload_g"):
+        render.main([f"--twin={folder}", f"--out={tmp_path / 'out'}"])
+
+
+def test_too_deep_a_press_is_refused(tmp_path):
+    folder = Twin("gel", 16.0).save(tmp_path / "gel")
+    with pytest.raises(InputError, match="2.5 mm thick"):
+        render.main([f"--twin={folder}", "--depth_mm=2.4"])

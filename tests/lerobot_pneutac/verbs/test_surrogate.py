@@ -1,0 +1,137 @@
+"""`pneutac surrogate`: a twin's own effect reaches the world, interrupted runs go on, bad input."""
+
+import json
+
+import numpy as np
+import pytest
+
+from lerobot_pneutac.verbs import new, surrogate
+from pneutac_sim.errors import InputError
+from pneutac_sim.surrogate import collect
+from pneutac_sim.twin import Twin, Value
+from pneutac_sim.world.world import World
+
+TINY = ["--trajectories=6", "--seconds=0.1", "--particles=600", "--device=cpu"]
+STIFFENING = {"linear_1_per_kpa": Value(0.02), "quadratic_1_per_kpa2": Value(0.0)}
+
+
+def train(twin, *options) -> None:
+    surrogate.main([f"--twin={twin}", *TINY, *options])
+
+
+def bend_rad(twin: Twin | None, fidelity: str) -> float:
+    """Sum of the joint angles in free air at 15 kPa."""
+    world = World("switch", twin, touch="none", fidelity=fidelity)
+    for _ in range(30):
+        world.step(np.array([0.0, 0.0, 0.02, 15.0]))
+    return float(world.spine_rad.sum())
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """A twin that stiffens, trained in two goes: the first is interrupted after four trajectories."""
+    folder = tmp_path_factory.mktemp("stiffening") / "twin"
+    twin = Twin.builtin()
+    twin.effects["stiffening"] = dict(STIFFENING)
+    twin.save(folder)
+    whole, moved = collect._move, []
+
+    def once(twin, plan, batch, device):
+        if moved:
+            raise KeyboardInterrupt
+        moved.append(batch)
+        return whole(twin, plan, batch, device)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(collect, "_move", once)
+        with pytest.raises(KeyboardInterrupt):
+            train(folder)
+    kept = {f: f.stat().st_mtime_ns for f in folder.glob("surrogate_data/*/action_*.safetensors")}
+    assert len(kept) == 4 and not (folder / "action.safetensors").exists()
+    train(folder, f"--out={folder.parent / 'out'}")
+    return folder, kept
+
+
+@pytest.mark.slow
+def test_an_effect_of_the_twin_is_seen_in_the_world_through_its_own_networks(trained):
+    folder, _ = trained
+    twin = Twin.load(folder)
+    change = bend_rad(twin, "surrogate") - bend_rad(None, "surrogate")
+    wanted = bend_rad(twin, "probe") - bend_rad(None, "probe")
+    assert abs(wanted) > 0.05
+    assert change == pytest.approx(wanted, rel=0.1)
+
+
+@pytest.mark.slow
+def test_an_interrupted_run_goes_on_with_what_it_has(trained):
+    folder, kept = trained
+    assert all(f.stat().st_mtime_ns == then for f, then in kept.items())
+    assert len(list(folder.glob("surrogate_data/*/action_*.safetensors"))) == 6
+
+
+@pytest.mark.slow
+def test_the_result_tells_errors_and_where_the_networks_are_from(trained):
+    folder, _ = trained
+    networks = json.loads((folder.parent / "out" / "result.json").read_text())["networks"]
+    assert networks["action"]["source"] == "trained" and networks["perception"]["source"].startswith(
+        "shipped"
+    )
+    errors = networks["action"]["errors"]
+    assert errors["trajectories"] == 1 and 0 < errors["position_deg"] < errors["bare_position_deg"]
+    assert "| joint angle, held out |" in (folder / surrogate.CARD).read_text()
+    assert (folder.parent / "out" / "report.html").is_file()
+
+
+def test_shipped_networks_are_taken_for_the_finger_that_they_were_trained_for(tmp_path):
+    Twin.builtin().save(tmp_path / "twin")
+    train(tmp_path / "twin")
+    stored = Twin.load(tmp_path / "twin")
+    assert set(stored.networks) == {"action", "perception"}
+    assert not (tmp_path / "twin" / surrogate.DATA).exists()
+    assert bend_rad(stored, "surrogate") == bend_rad(None, "surrogate")
+
+
+def test_a_damaged_network_of_the_twin_is_refused(tmp_path):
+    Twin.builtin().save(tmp_path / "twin")
+    train(tmp_path / "twin")
+    for name in ("action", "perception"):
+        file = tmp_path / "twin" / f"{name}.safetensors"
+        whole = file.read_bytes()
+        file.write_bytes(whole[: len(whole) // 2])
+        with pytest.raises(InputError, match=f"{name}.safetensors.* train .*with `pneutac surrogate`"):
+            World("switch", Twin.load(tmp_path / "twin"), touch="none", fidelity="surrogate")
+        file.write_bytes(whole)
+
+
+def test_twins_that_cannot_be_trained_are_refused(tmp_path):
+    for device in ("arm", "gel"):
+        new.main([f"--twin={tmp_path / device}", f"--device={device}"])
+        with pytest.raises(InputError, match=f"is the twin of an? {device}, .* give a finger's with --twin"):
+            train(tmp_path / device)
+    twin = Twin.builtin()
+    del twin.parameters["gain_rad_per_kpa"]
+    twin.save(tmp_path / "finger")
+    with pytest.raises(InputError, match=r"no gain_rad_per_kpa.* run `pneutac calibrate --twin="):
+        train(tmp_path / "finger")
+    with pytest.raises(InputError, match="There is no twin"):
+        train(tmp_path / "nothing")
+
+
+@pytest.mark.parametrize(
+    "option, said",
+    [
+        ("--trajectories=5", "--trajectories=5 are too few to train on; give 6 or more"),
+        ("--contacts=8", "--contacts=8 are too few to train on, .* give 9 or more"),
+        ("--device=tpu", "--device is 'tpu'; choose auto, cpu or cuda"),
+        ("--seconds=0", r"duration_s is 0.0; it must lie in \[0.02, 600\]"),
+    ],
+)
+def test_options_that_cannot_work_are_refused_before_anything_is_collected(tmp_path, option, said):
+    twin = Twin.builtin()
+    twin.effects["stiffening"] = dict(STIFFENING)
+    twin.save(tmp_path / "twin")
+    with pytest.raises(InputError, match=said):
+        train(tmp_path / "twin", option)
+    assert not list((tmp_path / "twin").glob("**/action_*"))
+    with pytest.raises(InputError, match="Give the twin's folder with --twin=DIR"):
+        surrogate.main([])

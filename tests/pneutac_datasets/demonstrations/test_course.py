@@ -1,0 +1,115 @@
+"""The course of a demonstration through a new scene follows the touch, not the clock."""
+
+import numpy as np
+import pytest
+
+from pneutac_datasets.demonstrations.augment.course import EARLY, LATE_RELEASE, LATE_TOUCH, Course
+from pneutac_datasets.demonstrations.augment.reference import Reference
+
+FIRST, END, LENGTH = 40, 70, 90
+
+
+@pytest.fixture
+def reference():
+    """Along x at 1 mm a frame, in contact from FIRST to END."""
+    flange, area = np.zeros((LENGTH, 3)), np.zeros(LENGTH)
+    flange[:, 0] = 1e-3 * np.arange(LENGTH)
+    area[FIRST:END] = 0.1
+    return Reference(0, flange, area, np.zeros((LENGTH, 4)), "push")
+
+
+def go(course, touched, steps, flange_m=(0.0, 0.0, 0.0)):
+    """Frames of so many steps; the last is None where a touch has not come."""
+    frames = []
+    for _ in range(steps):
+        frames.append(course.frame if course.advance(touched, np.array(flange_m)) else None)
+        if frames[-1] is None:
+            break
+    return frames
+
+
+def test_a_touch_as_demonstrated_leads_through_it_frame_by_frame(reference):
+    course = Course(reference, 0.0)
+    assert go(course, False, FIRST)[-1] == FIRST - 1
+    frames = go(course, True, END - FIRST, reference.flange_m[FIRST])
+    assert frames == list(range(FIRST, END)) and course.in_contact
+    np.testing.assert_allclose(course.offset_m, 0, atol=1e-12)
+
+
+@pytest.mark.parametrize("step", [3, 25, FIRST - 1])
+def test_an_early_touch_begins_the_contact_where_it_came(reference, step):
+    course = Course(reference, 0.004)
+    go(course, False, step)
+    assert not course.offset_m.any()  # the way there stays
+    there = np.array([0.01, 0.001, 0.002])
+    assert go(course, True, 1, there) == [FIRST]
+    assert course.in_contact
+    # Along the way as it was touched, to the side as the object stands.
+    np.testing.assert_allclose(course.offset_m, [0.01 - 1e-3 * FIRST, 0.004, 0.002])
+
+
+def test_who_waits_too_long_has_missed_the_object(reference):
+    course = Course(reference, 0.0)
+    frames = go(course, False, LENGTH)
+    assert frames[-1] is None and course.waiting
+    assert len(frames) == FIRST + LATE_TOUCH + 1
+    late = Course(reference, 0.0)
+    go(late, False, FIRST + LATE_TOUCH)
+    assert go(late, True, 1)[0] == FIRST
+
+
+def test_a_contact_ends_when_the_touch_is_gone(reference):
+    course = Course(reference, 0.0)
+    go(course, False, FIRST)
+    go(course, True, END - FIRST - EARLY + 1, reference.flange_m[FIRST])
+    assert go(course, False, 2)[-1] == END  # gone for two frames: released early
+    assert not course.in_contact
+    held = Course(reference, 0.0)
+    go(held, False, FIRST)
+    frames = go(held, True, END - FIRST + LATE_RELEASE - 1, reference.flange_m[FIRST])
+    assert max(frames) == END - 1 and held.in_contact  # it is still felt, so it goes on
+    assert held.offset_m[0] > 5e-3  # and so does the path
+    assert go(held, True, 3)[-1] is None  # but not for ever: it is not let go while it is felt
+
+
+def test_a_brush_after_a_firm_touch_is_no_touch(reference):
+    course = Course(reference, 0.0)
+    go(course, 0.0, FIRST)
+    go(course, 0.1, END - FIRST - 2, reference.flange_m[FIRST])
+    assert go(course, 0.01, 3)[-1] >= END and not course.in_contact
+    felt = Course(reference, 0.0)
+    go(felt, 0.0, FIRST)
+    go(felt, 0.1, END - FIRST - 2, reference.flange_m[FIRST])
+    assert go(felt, 0.04, 3)[-1] < END and felt.in_contact  # less than it was, and a touch
+
+
+def test_a_demonstration_that_ends_in_contact_is_not_over_when_the_touch_flickers(reference):
+    reference.area[END:] = 0.1
+    course = Course(reference, 0.0)
+    go(course, False, FIRST)
+    go(course, True, LENGTH - FIRST - 8, reference.flange_m[FIRST])
+    frames = go(course, False, 8 + LATE_RELEASE - 1)
+    assert None not in frames and course.in_contact
+    assert course.offset_m[0] > 5e-3  # the path goes on
+    assert go(course, False, 3)[-1] is None
+
+
+def test_a_short_bump_need_not_come_and_is_no_contact(reference):
+    reference.area[20:22] = 0.05
+    assert len(reference.contacts) == 2
+    course = Course(reference, 0.0)
+    assert None not in go(course, False, FIRST)
+    bumped = Course(reference, 0.0)
+    go(bumped, False, 15)
+    assert go(bumped, True, 1) == [FIRST]
+
+
+def test_a_contact_ends_where_the_air_is_let_out():
+    """What the finger brushes on its way back, however firmly, is no part of it."""
+    area, action = np.zeros(LENGTH), np.zeros((LENGTH, 4))
+    area[FIRST : END - 5], area[END - 2 : END] = 0.3, 0.2
+    action[FIRST:END, 3] = np.linspace(3, 12, END - FIRST)
+    r = Reference(0, np.zeros((LENGTH, 3)), area, action, "push")
+    assert r.contacts == [(FIRST, END)]
+    action[END - 4 :, 3] = 0.0
+    assert r.contacts == [(FIRST, END - 4)]

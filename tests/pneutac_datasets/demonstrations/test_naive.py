@@ -1,0 +1,173 @@
+import numpy as np
+import pytest
+from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata, merge_datasets
+from lerobot.utils.constants import ACTION, OBS_STATE
+
+from pneutac_datasets.demonstrations import naive
+from pneutac_datasets.demonstrations.episodes import (
+    AREA,
+    EE,
+    PIXELS,
+    PRESSURE,
+    TACTILE,
+    Episode,
+    save_episode,
+)
+from pneutac_datasets.demonstrations.naive import augment_naive, vary
+from pneutac_datasets.demonstrations.writing import create_dataset, quiet_encoders
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import (
+    ACTION_HIGH,
+    ACTION_LOW,
+    ACTION_NAMES,
+    IMAGE_SHAPE,
+    N_PIXELS,
+    STATE_HIGH,
+    STATE_LOW,
+    STATE_NAMES,
+)
+
+FPS = 15
+SLOPE = np.zeros((3, 7))
+SLOPE[0, 1] = 2.0  # rad/m
+
+
+def demonstration(speed=0.03, length=40, contact=(20, 30)) -> Episode:
+    """Straight motion along x at constant speed; joint 2 follows; a grey gel brightens in contact."""
+    t = np.arange(length) / FPS
+    state = np.zeros((length, 20))
+    state[:, EE] = np.stack([0.4 + speed * t, 0 * t, 0.3 + 0 * t], 1)
+    state[:, 1] = 2.0 * speed * t
+    state[:, 8] = 2.0 * speed
+    state[:, 3] = -2.5
+    state[:, 5] = 2.5
+    state[contact[0] : contact[1], AREA] = 0.1
+    state[:, PIXELS] = np.log1p(state[:, AREA] * N_PIXELS)
+    state[:, PRESSURE] = 6.0
+    action = np.zeros((length, 4))
+    action[:, 0], action[:, 3] = speed, 6.0
+    images = np.full((length, *IMAGE_SHAPE), 100, np.uint8)
+    images[contact[0] : contact[1], 100:200, 80:160] = 140
+    return Episode(state, action, images, "push", FPS)
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory):
+    root = tmp_path_factory.mktemp("naive") / "source"
+    features = {
+        OBS_STATE: {"dtype": "float32", "shape": (20,), "names": list(STATE_NAMES)},
+        ACTION: {"dtype": "float32", "shape": (4,), "names": list(ACTION_NAMES)},
+        TACTILE: {
+            "dtype": "video",
+            "shape": IMAGE_SHAPE,
+            "names": ["height", "width", "channels"],
+            "info": {"is_depth_map": False},
+        },
+    }
+    dataset = create_dataset("local/source", root, FPS, features, "pneutac", True, 40)
+    with quiet_encoders():
+        for speed in (0.03, 0.05):
+            e = demonstration(speed)
+            e.state, e.action = e.state.astype(np.float32), e.action.astype(np.float32)
+            save_episode(dataset, e)
+        dataset.finalize()
+    return root
+
+
+def read(root, name, key):
+    dataset = LeRobotDataset(f"local/{name}", root, video_backend="pyav")
+    return np.array(dataset.hf_dataset.with_format("numpy")[key])
+
+
+def test_features_stay_and_datasets_merge(source, tmp_path):
+    out = augment_naive(source, "local/source", tmp_path / "more", "local/more", 3, seed=1)
+    old = LeRobotDatasetMetadata("local/source", source)
+    new = LeRobotDatasetMetadata("local/more", out)
+    assert (new.features, new.fps, new.robot_type) == (old.features, old.fps, old.robot_type)
+    assert new.total_episodes == 3
+    merged = merge_datasets(
+        [LeRobotDataset("local/source", source), LeRobotDataset("local/more", out)],
+        output_repo_id="local/merged",
+        output_dir=tmp_path / "merged",
+    )
+    assert merged.num_episodes == 5
+    assert merged.num_frames == old.total_frames + new.total_frames
+    assert merged[merged.num_frames - 1]["task"] == "push"
+
+
+def test_same_seed_same_dataset_other_seed_another(source, tmp_path):
+    states = []
+    for name, seed in (("a", 1), ("b", 1), ("c", 2)):
+        augment_naive(source, "local/source", tmp_path / name, f"local/{name}", 1, seed)
+        states.append(read(tmp_path / name, name, OBS_STATE))
+    np.testing.assert_array_equal(states[0], states[1])
+    assert states[0].shape != states[2].shape or np.abs(states[0] - states[2]).max() > 1e-4
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_varied_demonstrations_stay_within_bounds_and_consistent(seed):
+    rng = np.random.default_rng(seed)
+    e = vary(demonstration(), demonstration(0.05, 50, (15, 40)) if seed % 2 else None, SLOPE, rng)
+    assert e.state.dtype == e.action.dtype == np.float32
+    assert ((e.state >= STATE_LOW) & (e.state <= STATE_HIGH)).all()
+    assert ((e.action >= ACTION_LOW) & (e.action <= ACTION_HIGH)).all()
+    assert len(e.state) == len(e.action) == len(e.images)
+    # Contact pixels follow from the area, pressure and its command keep together.
+    np.testing.assert_allclose(e.state[:, PIXELS], np.log1p(e.state[:, AREA] * N_PIXELS), rtol=1e-4)
+    np.testing.assert_allclose(e.state[:, PRESSURE], e.action[:, 3], rtol=1e-5)
+    # The commanded velocity leads where the flange goes: integrated, it ends where the path ends.
+    travelled = np.cumsum(e.action[:-1, :3], 0) / FPS
+    path = e.state[1:, EE] - e.state[0, EE]
+    np.testing.assert_allclose(travelled, path, atol=0.0015)
+    # And joint 2 goes with it, in angle and in rate.
+    turned = np.cumsum(e.state[:-1, 8]) / FPS
+    np.testing.assert_allclose(turned, e.state[1:, 1] - e.state[0, 1], atol=0.003)
+
+
+def test_displacement_fades_before_contact(monkeypatch):
+    for name, nothing in (("SPEED", (1.0, 1.0)), ("PRESSURE_GAIN", 0.0), ("CONTRAST", (1.0, 1.0))):
+        monkeypatch.setattr(naive, name, nothing)
+    monkeypatch.setattr(naive, "BRIGHTNESS", 0.0)
+    e = demonstration()
+    v = vary(e, None, SLOPE, np.random.default_rng(1))
+    assert np.linalg.norm(v.state[0, EE] - e.state[0, EE]) > 0.001
+    np.testing.assert_allclose(v.state[20:], e.state[20:], atol=1e-6)
+    np.testing.assert_allclose(v.action[20:], e.action[20:], atol=1e-6)
+    np.testing.assert_array_equal(v.images, e.images)
+
+
+def test_mixing_aligns_the_contacts():
+    a, b = demonstration(0.03, 40, (20, 30)), demonstration(0.05, 60, (10, 50))
+    b.images[10:50, 100:200, 80:160] = 180
+    m = naive._mix(a, b, 0.25)
+    touched = m.state[:, AREA] > 1e-6
+    assert touched[20:30].all()
+    assert not touched[:19].any()
+    assert not touched[31:].any()
+    np.testing.assert_allclose(m.state[20:30, AREA], 0.1)
+    assert (m.images[25, 150, 120] == 150).all()
+    assert (m.images[5] == 100).all()
+
+
+def test_appearance_changes_contact_and_brightness_but_not_the_order(source):
+    e = demonstration()
+    v = naive._change_appearance(e.images, np.random.default_rng(3)).astype(float)
+    rest, contact = v[0, 0, 0], v[25, 150, 120]
+    assert (np.abs(rest - 100) > 0).any()
+    assert (np.abs(rest - 100) < 10).all()
+    ratio = (contact - rest) / 40
+    assert ((ratio > 0.75) & (ratio < 1.3)).all()
+
+
+def test_bad_input_is_named(source, tmp_path):
+    with pytest.raises(InputError, match="holds no LeRobotDataset"):
+        augment_naive(tmp_path / "none", "local/none", tmp_path / "o", "local/o", 1, 0)
+    with pytest.raises(InputError, match="exists; give a new folder"):
+        augment_naive(source, "local/source", tmp_path, "local/o", 1, 0)
+    features = {OBS_STATE: {"dtype": "float32", "shape": (20,), "names": list(STATE_NAMES)}}
+    bare = create_dataset("local/bare", tmp_path / "bare", FPS, features, "pneutac", False, 2)
+    bare.add_frame({OBS_STATE: np.zeros(20, np.float32), "task": "x"})
+    bare.save_episode()
+    bare.finalize()
+    with pytest.raises(InputError, match="has the features observation.state; demonstrations have exactly"):
+        augment_naive(tmp_path / "bare", "local/bare", tmp_path / "o", "local/o", 1, 0)

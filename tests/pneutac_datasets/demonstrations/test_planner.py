@@ -1,0 +1,351 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pneutac_datasets.demonstrations.augment import episode as augment_episode
+from pneutac_datasets.demonstrations.augment.episode import AugmentSetup, Generator, Variant
+from pneutac_datasets.demonstrations.augment.planner import CemPlanner, PlannerConfig, demonstration_cost
+from pneutac_datasets.demonstrations.augment.reference import Reference, onset_sigma_m
+from pneutac_datasets.demonstrations.augment.scene import FEEDBACK_HZ, command_latency, follow
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import ACTION_HIGH, STATE_NAMES
+from pneutac_sim.world.expert import ScriptedExpert
+from pneutac_sim.world.gantry import Gantry
+from pneutac_sim.world.varied import Variation, VariedWorld
+
+
+def demonstrate(task: str, seed: int, late: int = 0) -> tuple[Reference, bool]:
+    """A scripted demonstration, with ten frames after its end; commands act `late` control steps too late."""
+    world = VariedWorld(task, touch="area", fidelity="probe")
+    world.variation = Variation(late_commands=late)
+    observation = world.reset(seed)
+    expert, rng = None, np.random.default_rng(seed)
+    expert = ScriptedExpert(world, rng)
+    states, actions = [], []
+    left = 10
+    while len(actions) < 140 and left:
+        action = expert.action()
+        states.append(observation.state)
+        actions.append(action)
+        observation = world.step(action)
+        left -= world.success
+    state = np.array(states, float)
+    r = Reference(seed, state[:, 14:17], state[:, 17], np.array(actions, float), task)
+    return r, world.success
+
+
+def demonstrations(task: str, count: int, late: int = 0) -> list[Reference]:
+    found = []
+    for seed in range(1, 12):
+        r, done = demonstrate(task, seed, late)
+        if done:
+            found.append(r)
+        if len(found) == count:
+            return found
+    raise AssertionError(f"the expert fails at {task}")
+
+
+@pytest.fixture(scope="module")
+def switch():
+    """Generator with four demonstrations of the switch, acted late by a control step, and their scenes."""
+    recorded = demonstrations("switch", 4, late=1)
+    setup = AugmentSetup(recorded, "switch", None, "probe", PlannerConfig(), 1, candidates=24)
+    generator = Generator(setup, touch="area")
+    return generator, [generator.scene(i) for i in range(4)]
+
+
+def test_cost_is_the_papers_sum():
+    H, c = 3, PlannerConfig(area_weight=2.0, position_weight=50.0, smoothness_weight=0.01)
+    area, goal = np.array([0.1, 0.2, 0.3]), np.array([0.1, 0.1, 0.1])
+    x, x_goal = np.zeros((H, 3)), np.array([[0.01, 0, 0], [0, 0.02, 0], [0, 0, 0]])
+    actions = np.tile(ACTION_HIGH * 0.5, (H, 1)).astype(float)
+    actions[2, 3] = 0.0
+    previous = np.zeros(4)
+    expected = 2.0 * (0.01 + 0.04) + 50 * (1e-4 + 4e-4) + 0.01 * (4 * 0.25 + 0.25)
+    assert demonstration_cost(area, goal, x, x_goal, actions, previous, c) == pytest.approx(expected)
+    assert demonstration_cost(goal, goal, x_goal, x_goal, actions * 0, previous, c) == 0.0
+
+
+def synthetic(source: int, onset_m, onset: int = 5) -> Reference:
+    flange, area = np.zeros((10, 3)), np.zeros(10)
+    flange[onset] = onset_m
+    area[onset:8] = 0.1
+    return Reference(source, flange, area, np.zeros((10, 4)), "push")
+
+
+def test_sigma_is_that_of_the_contact_onsets():
+    points = np.random.default_rng(0).normal(0.4, [0.01, 0.004, 0.0], (40, 3))
+    sigma = onset_sigma_m([synthetic(i, p) for i, p in enumerate(points)])
+    np.testing.assert_allclose(sigma, points.std(0, ddof=1))
+    assert synthetic(0, points[0]).contact_phase == (1, 10)
+    with pytest.raises(InputError, match="needs two demonstrations"):
+        onset_sigma_m([synthetic(0, points[0])])
+    untouched = synthetic(3, points[0])
+    untouched.area[:] = 0
+    with pytest.raises(InputError, match="Episode 3 never touches"):
+        onset_sigma_m([untouched, untouched])
+
+
+def test_bad_numbers_are_named():
+    with pytest.raises(InputError, match="Episode 7 holds numbers that are not finite"):
+        synthetic(7, [np.nan, 0, 0])
+    with pytest.raises(InputError, match=r"--planner.horizon is 1; it must be 2 or more"):
+        PlannerConfig(horizon=1, replan=1)
+    with pytest.raises(InputError, match=r"--planner.elites is 20; it must be at most --planner.samples"):
+        PlannerConfig(elites=20)
+    with pytest.raises(InputError, match=r"--planner.area_weight is nan"):
+        PlannerConfig(area_weight=float("nan"))
+
+
+@pytest.mark.parametrize("task", ["switch", "egg", "card"])
+def test_gantry_goes_the_arms_way(task):
+    r = demonstrations(task, 1)[0]
+    world = VariedWorld(task, touch="area", fidelity="probe")
+    gantry = Gantry(world)
+    world.variation = Variation(start_m=tuple(r.flange_m[0]))
+    world.reset(r.source)
+    gantry.mirror(world)
+    flange, area = gantry.rollout(r.action)
+    gel = gantry.gel_m
+    ours = []
+    for action in r.action:
+        world.step(action)
+        ours.append([*world.flange_m, world.touch.area])
+    ours = np.array(ours)
+    assert np.abs(flange - ours[:, :3]).max() < 2e-4
+    assert np.linalg.norm(gel - world.gel_m) < 1e-3
+    assert np.sqrt(np.mean((area - ours[:, 3]) ** 2)) < 0.02
+    # And from the middle of the contact, twice alike.
+    middle = r.onset + 3
+    world.reset(r.source)
+    for action in r.action[:middle]:
+        world.step(action)
+    gantry.mirror(world)
+    again = [gantry.rollout(r.action[middle : middle + 8]) for _ in range(2)]
+    np.testing.assert_array_equal(again[0][0], again[1][0])
+    np.testing.assert_array_equal(again[0][1], again[1][1])
+    np.testing.assert_allclose(again[0][0], ours[middle : middle + 8, :3], atol=2e-4)
+    np.testing.assert_allclose(again[0][1], ours[middle : middle + 8, 3], atol=0.03)
+    # What was sent and acts too late goes first.
+    world.variation = replace(world.variation, late_commands=2)
+    world.reset(r.source)
+    for action in r.action[: middle + 2]:
+        world.step(action)
+    gantry.mirror(world)
+    late = gantry.rollout(r.action[middle + 2 : middle + 10])
+    np.testing.assert_allclose(late[0], ours[middle : middle + 8, :3], atol=2e-4)
+    np.testing.assert_allclose(late[1], ours[middle : middle + 8, 3], atol=0.03)
+
+
+def test_variation_moves_the_object_and_scales_the_bend():
+    world = VariedWorld("switch", touch="area", fidelity="probe")
+    bar = world.data.geom("bar")
+    world.reset(4)
+    place, start = bar.xpos.copy(), world.flange_m
+    world.variation = Variation(tuple(start + [0.02, 0, 0]), (0.03, -0.01, 0.0), 1.2, 0.5)
+    for _ in range(2):  # it does not add up
+        world.reset(4)
+    np.testing.assert_allclose(bar.xpos - place, [0.03, -0.01, 0.0], atol=1e-6)
+    assert world.flange_m[0] - start[0] == pytest.approx(0.02, abs=0.0085)
+    assert world.model.geom("pad").friction[0] == pytest.approx(0.5)
+    bends = []
+    for gain in (1.0, 1.2):
+        world.variation = Variation(bend_gain=gain)
+        world.reset(4)
+        rest = world.spine_rad
+        for _ in range(20):
+            world.step([0, 0, 0, 8.0])
+        bends.append(np.sum(world.spine_rad - rest))
+    assert bends[1] / bends[0] == pytest.approx(1.2, rel=0.05)
+
+
+def test_following_leads_back_to_the_path():
+    actions = np.zeros((60, 4))
+    led = follow(actions, np.array([0.01, 0.0, 0.0]), np.zeros(3))
+    assert led[:, 0].sum() / 15 == pytest.approx(-0.01, rel=0.02)
+    assert not led[:, 1:].any()
+
+
+def test_the_touch_tells_where_the_object_stood(switch):
+    """Replayed there, they do the task, and it is where the object was; 1 is to feel nothing."""
+    generator, scenes = switch
+    assert all(scene.works for scene in scenes)
+    felt = [np.sqrt(np.mean(r.area[slice(*r.contact_phase)] ** 2)) for r in generator.setup.references]
+    left = [scene.area_rmse / f for scene, f in zip(scenes, felt, strict=True)]
+    assert max(left) < 1
+    beside = []
+    for r, scene in zip(generator.setup.references, scenes, strict=True):
+        bars = []
+        for seed, shift in ((r.source, (0.0, 0.0, 0.0)), (scene.seed, scene.shift_m)):
+            generator.world.variation = Variation(shift_m=shift)
+            generator.world.reset(seed)
+            bars.append(generator.world.data.geom("bar").xpos.copy())
+        beside.append(np.linalg.norm(bars[1] - bars[0]))
+    assert max(beside) < 0.015  # where the switch may stand is 80 mm by 64 mm
+    assert np.mean(beside) < 0.010
+
+
+@pytest.mark.parametrize("late", [0, 1, 3])
+def test_the_free_way_tells_how_late_commands_act(late):
+    references = demonstrations("switch", 2, late)
+    world = VariedWorld("switch", touch="area", fidelity="probe")
+    assert command_latency(world, Gantry(world), references) == late
+
+
+def test_what_is_laid_out_around_a_hand_is_what_a_reset_lays_out():
+    """For every task: the object under the hand as at the start, and tried actions meet it alike."""
+    for task in ("switch", "egg", "card"):
+        r = demonstrations(task, 1)[0]
+        world = VariedWorld(task, touch="area", fidelity="probe")
+        gantry, shift = Gantry(world), (0.01, -0.004, 0.0)
+        world.variation = Variation(tuple(r.flange_m[0]), shift)
+        world.reset(r.source)
+        gantry.mirror(world)
+        flange, area = gantry.rollout(r.action)
+        world.variation = Variation(tuple(r.flange_m[0]), (0.0, 0.0, -5.0))
+        world.reset(r.source)  # the same jitter of the hand
+        gantry.mirror(world)
+        assert not gantry.rollout(r.action)[1].any()
+        gantry.stage(77, (0.0, 0.03, 0.0))
+        gantry.rollout(r.action)
+        gantry.stage(r.source, shift)
+        again, felt = gantry.rollout(r.action)
+        n = int(np.flatnonzero(area)[0]) + 5 if area.any() else len(area)
+        np.testing.assert_allclose(again[:n], flange[:n], atol=1e-4)
+        np.testing.assert_allclose(felt[:n], area[:n], atol=0.02)
+
+
+def test_planning_brings_touch_and_path_back_to_the_demonstrated_ones():
+    """From the middle of each contact, with a warm start that leaves both."""
+    world, config = VariedWorld("switch", touch="area", fidelity="probe"), PlannerConfig()
+    gantry = Gantry(world)
+    touch_alone = replace(config, position_weight=0.0, smoothness_weight=0.0)
+    left, left_of_touch = [], []
+    for r in demonstrations("switch", 4):
+        middle = r.onset + 3
+        world.variation = Variation(start_m=tuple(r.flange_m[0]))
+        world.reset(r.source)
+        for action in r.action[:middle]:
+            world.step(action)
+        assert world.touch.area > 0
+        gantry.mirror(world)
+        ahead = slice(middle + 1, middle + 1 + config.horizon)
+        goals = r.area[ahead], r.flange_m[ahead], r.action[middle - 1]
+
+        def costs(actions, c, area_goal, goal, previous):
+            position, area = gantry.rollout(actions)
+            return demonstration_cost(area, area_goal, position, goal, actions, previous, c)
+
+        def plan(c, warm, area_goal, goal, previous):
+            planner = CemPlanner(gantry, c, np.random.default_rng(0))
+            return planner.plan(warm, previous, area_goal, goal), planner.cost
+
+        warm = r.action[middle : middle + config.horizon] + [0.012, 0.0, 0.004, 0.8]
+        found, cost = plan(config, warm, *goals)
+        assert cost == pytest.approx(costs(found, config, *goals))
+        left.append(cost / costs(warm, config, *goals))
+        left_of_touch.append(costs(found, touch_alone, *goals) / costs(warm, touch_alone, *goals))
+        assert plan(replace(config, samples=20, iterations=4), warm, *goals)[1] < cost
+    for ratios in (left, left_of_touch):
+        assert max(ratios) < 0.9
+        assert np.mean(ratios) < 0.6
+
+
+def test_who_plans_and_touches_does_the_task_and_who_replays_blindly_may_not(switch, monkeypatch):
+    """Without the wandering of the free way, which alone decides whether some variants touch at all."""
+    monkeypatch.setattr(augment_episode, "START_M", 0.0)
+    monkeypatch.setattr(augment_episode, "PUSH_M_S", 0.0)
+    generator, scenes = switch
+    planned, blind = [], []
+    for source in range(4):
+        for shift in ((0.006, 0.0, 0.0), (-0.005, 0.004, 0.0)):
+            variant = Variant(source, shift, 1.1, 0.3, 0.96)
+            for plan, trials in ((True, planned), (False, blind)):
+                trial = generator.carry_out(variant, scenes[source], np.random.default_rng(source), plan=plan)
+                if trial.area_rmse < 1:  # it touched
+                    trials.append(trial)
+    assert len(planned) >= 5
+    assert all(t.reason is None for t in planned)
+    assert any(t.reason for t in blind)
+    # The touch lasts longer or shorter than the demonstrated one, frame by frame; areas are up to 0.5.
+    assert np.median([t.area_rmse for t in planned]) < 0.2
+
+
+def test_the_free_way_wanders_and_its_actions_lead_back(switch):
+    """Else all variants go one way, and who leaves it finds nothing to imitate."""
+    generator, scenes = switch
+    away, led = [], []
+    for seed in range(8):
+        r = generator.setup.references[seed % 2]
+        variant = Variant(seed % 2, (0.0, 0.0, 0.0), 1.0, 0.0, 1.0)
+        trial = generator.carry_out(variant, scenes[seed % 2], np.random.default_rng(seed))
+        x, area = STATE_NAMES.index("ee_x.pos"), STATE_NAMES.index("contact_area.pos")
+        touch = np.flatnonzero(trial.state[:, area] > 0)
+        n = min(r.onset, touch[0] if len(touch) else len(trial.action)) - 2
+        away.append(trial.state[:n, x : x + 3] - r.flange_m[:n])
+        led.append(trial.action[:n, :3] - r.action[:n, :3])
+    away, led = np.concatenate(away)[:, 1], np.concatenate(led)[:, 1]  # across: nothing is clipped there
+    assert 0.002 < away.std() < 0.010
+    assert np.polyfit(away, led, 1)[0] == pytest.approx(-FEEDBACK_HZ, rel=0.1)
+
+
+def test_an_object_that_stands_where_the_hand_starts_gives_no_demonstration():
+    """A carton in the finger opens at once; kept, it would be a demonstration of a frame."""
+    setup = AugmentSetup(demonstrations("egg", 2), "egg", None, "probe", PlannerConfig(), 1, candidates=24)
+    generator = Generator(setup, touch="area")
+    scene = generator.scene(0)
+    assert scene.works
+    for ahead, words in ((0.0, None), (-0.06, augment_episode.IN_THE_WAY)):
+        variant = Variant(0, (ahead, 0.0, 0.0), 1.0, 0.0, 1.0)
+        trial = generator.carry_out(variant, scene, np.random.default_rng(0))
+        assert trial.reason == words
+        assert (len(trial.action) > 10) == (words is None)
+
+
+@pytest.mark.parametrize(("steps", "short"), [(augment_episode.SHORTEST - 1, True), (30, False)])
+def test_what_is_done_at_once_is_no_demonstration(switch, monkeypatch, steps, short):
+    generator, scenes = switch
+    world = generator.world
+    taken, step = [], world.step
+    monkeypatch.setattr(world, "step", lambda action: (taken.append(action), step(action))[1])
+    monkeypatch.setattr(world.task.inner, "success", lambda: len(taken) >= steps)
+    variant = Variant(0, (0.0, 0.0, 0.0), 1.0, 0.0, 1.0)
+    trial = generator.carry_out(variant, scenes[0], np.random.default_rng(0), plan=False)
+    assert len(trial.action) == steps
+    assert trial.reason == (augment_episode.IN_THE_WAY if short else None)
+
+
+def test_a_demonstration_keeps_its_turn(switch, monkeypatch):
+    """Else those that are hard to vary would be left out, and with them what they alone show."""
+    generator, scenes = switch
+    tried, real = [], generator.carry_out
+    works = [False] * 6 + [True]
+
+    def carry_out(variant, scene, rng):
+        tried.append(variant.source)
+        trial = real(variant, scene, rng, plan=False)
+        return replace(trial, reason=None if works[len(tried) - 1] else "no")
+
+    monkeypatch.setattr(generator, "carry_out", carry_out)
+    _, line = generator.episode(6, scenes)
+    assert tried == [2] * 7
+    assert len(line["rejected"]) == 6
+    assert all(r["late_commands"] == 1 for r in line["rejected"])
+
+
+def test_an_episode_is_a_function_of_seed_and_index(switch):
+    generator, scenes = switch
+    quick = PlannerConfig(horizon=6, samples=4, elites=2, iterations=1)
+    generator.setup = replace(generator.setup, planner=quick)
+    generator.world.step([0.05, 0, 0, 9.0])  # whatever was done before
+    first, line = generator.episode(1, scenes)
+    generator.scene(0)
+    again, same = generator.episode(1, scenes)
+    np.testing.assert_array_equal(first.action, again.action)
+    np.testing.assert_array_equal(first.state, again.state)
+    assert line == same
+    assert first.reason is None
+    other, _ = generator.episode(3, scenes)
+    n = min(len(other.action), len(first.action))
+    assert np.abs(other.action[:n] - first.action[:n]).max() > 1e-4

@@ -1,0 +1,91 @@
+import numpy as np
+import pytest
+from lerobot.datasets import (
+    LeRobotDataset,
+    aggregate_pipeline_dataset_features,
+    create_initial_features,
+)
+from lerobot.processor import make_default_processors
+from lerobot.utils.constants import ACTION, DEFAULT_FEATURES, OBS_IMAGES, OBS_STATE
+from lerobot.utils.feature_utils import combine_feature_dicts
+
+from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
+from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
+from lerobot_robot_pneutac.teleoperators.config_pneutac_scripted import PneutacScriptedConfig
+from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
+from pneutac_datasets.demonstrations.record import record_episodes
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import STATE_NAMES
+
+
+@pytest.fixture
+def devices(tmp_path):
+    def make(steps=90, seed=1):
+        calibration = {"calibration_dir": tmp_path / "calibration"}
+        robot = PneutacSim(PneutacSimConfig(id="sim", seed=seed, **calibration))
+        config = PneutacScriptedConfig(id="script", seed=seed, episode_steps=steps, **calibration)
+        return robot, PneutacScripted(config)
+
+    return make
+
+
+def read(root, key):
+    dataset = LeRobotDataset("local/x", root, video_backend="pyav")
+    return np.array(dataset.hf_dataset.with_format("numpy")[key])
+
+
+def test_records_successful_demonstrations_frame_by_frame(devices, tmp_path):
+    robot, teleop = devices()
+    root = record_episodes(robot, teleop, "local/x", tmp_path / "x", 2, 15, "flip the switch", True)
+    dataset = LeRobotDataset("local/x", root, video_backend="pyav")
+    assert (dataset.num_episodes, dataset.fps) == (2, 15)
+    starts = [e["dataset_from_index"] for e in dataset.meta.episodes]
+    ends = [e["dataset_to_index"] for e in dataset.meta.episodes]
+    assert max(np.subtract(ends, starts)) < 90  # an episode ends when the task is done
+    assert dataset.meta.robot_type == "pneutac"
+    assert sum(robot.successes) == 2
+    state, action = read(root, OBS_STATE), read(root, ACTION)
+    # The action of a frame shows its effect in the next: the pressure is the one commanded.
+    p = STATE_NAMES.index("pressure.pos")
+    for start, end in zip(starts, ends, strict=True):
+        assert state[start, p] == 0
+        np.testing.assert_allclose(state[start + 1 : end, p], action[start : end - 1, 3], atol=1e-5)
+    # Image and contact area belong together: the video shows a change where the area says contact.
+    area = state[:, STATE_NAMES.index("contact_area.pos")]
+    first, most = (dataset[i][f"{OBS_IMAGES}.tactile"] * 255 for i in (0, int(area.argmax())))
+    assert (first - most).abs().max() > 20
+    rest = [i for i in range(len(area)) if area[i] == 0][-1]
+    assert (first - dataset[rest][f"{OBS_IMAGES}.tactile"] * 255).abs().mean() < 3
+
+
+def test_features_are_those_of_lerobot_record(devices, tmp_path):
+    robot, teleop = devices(steps=3)
+    action, _, observation = make_default_processors()
+    expected = combine_feature_dicts(
+        aggregate_pipeline_dataset_features(
+            action, create_initial_features(action=robot.action_features), use_videos=False
+        ),
+        aggregate_pipeline_dataset_features(
+            observation,
+            create_initial_features(observation=robot.observation_features),
+            use_videos=False,
+        ),
+    )
+    with pytest.raises(InputError, match="scripted demonstrations failed and 0 succeeded"):
+        record_episodes(robot, teleop, "local/x", tmp_path / "x", 1, 15, "flip", False)
+    robot, teleop = devices()
+    root = record_episodes(robot, teleop, "local/y", tmp_path / "y", 1, 15, "flip", False)
+    found = LeRobotDataset("local/y", root, video_backend="pyav").meta.features
+    assert {k: f for k, f in found.items() if k not in DEFAULT_FEATURES} == expected
+
+
+def test_same_seeds_same_dataset(devices, tmp_path):
+    for name in ("a", "b"):
+        record_episodes(*devices(), "local/x", tmp_path / name, 1, 15, "flip", True)
+    for key in (OBS_STATE, ACTION):
+        np.testing.assert_array_equal(read(tmp_path / "a", key), read(tmp_path / "b", key))
+
+
+def test_an_existing_folder_is_refused(devices, tmp_path):
+    with pytest.raises(InputError, match="exists; give a new folder"):
+        record_episodes(*devices(), "local/x", tmp_path, 1, 15, "flip", True)

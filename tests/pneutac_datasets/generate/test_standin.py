@@ -1,0 +1,54 @@
+import numpy as np
+import pytest
+from PIL import Image
+
+from pneutac_datasets.generate.standin import main, write_finger, write_gel
+from pneutac_datasets.recording.gel import GelRecording
+from pneutac_sim.finger import Bench
+from pneutac_sim.finger.fit import fit
+from pneutac_sim.twin import Twin
+from pneutac_sim.world.standin import CREEP, VALVE_LAG, standin_gel, standin_twin
+
+
+@pytest.fixture(scope="module")
+def finger(tmp_path_factory):
+    return write_finger(tmp_path_factory.mktemp("standin") / "finger", seed=1, minutes=2)
+
+
+def test_the_seed_decides_the_finger(finger, tmp_path):
+    again, other = (write_finger(tmp_path / str(s), seed=s, minutes=2) for s in (1, 2))
+    assert again.samples.equals(finger.samples)
+    assert not other.samples["tip_x_mm"].equals(finger.samples["tip_x_mm"])
+
+
+def test_lag_and_creep_can_be_told_from_the_recording(finger):
+    assert set(finger.trials()) == {0, 1, 2}
+    bench = Bench.of(finger, Twin.builtin())
+    plain = fit(Twin.builtin(), bench, effects=[])
+    creeping = fit(Twin.builtin(), bench, effects=["creep"])
+    assert creeping.train < 0.5 * plain.train
+    weights = [creeping.twin.effects["creep"][k].value for k in CREEP]
+    assert sum(weights) == pytest.approx(sum(CREEP.values()), rel=0.25)
+    command, gauge = finger.column("pressure_cmd_kpa"), finger.column("pressure_kpa")
+    assert np.sqrt(np.mean((command - gauge) ** 2)) > 0.5  # the valve
+    assert standin_twin().effects["valve_lag"]["vent_time_s"].value == VALVE_LAG["vent_time_s"]
+
+
+def test_the_gel_recording_loads_and_shows_its_presses(tmp_path):
+    data = GelRecording.load(write_gel(tmp_path / "gel", seed=1))
+    assert data.calibration.press.depth_mm == 0.9
+    assert sum(s.role == "heldout" for s in data.samples) >= 10
+    assert data.warnings == []
+    for s in data.samples[:4]:
+        change = np.abs(s.image.astype(int) - s.rest).mean(2)
+        inside = s.photograph.near(data.px_per_mm, 1.0)
+        assert change[inside].mean() > 3 * change[~s.photograph.near(data.px_per_mm)].mean()
+    rest = np.asarray(Image.open(tmp_path / "gel" / "rest.png"))
+    assert (rest == standin_gel().rest_image).all()
+
+
+def test_the_command_says_where_it_wrote(tmp_path, capsys):
+    assert main([f"--out={tmp_path}", "--minutes=1"]) == 0
+    assert f"finger: {tmp_path / 'finger'}" in capsys.readouterr().out
+    assert main([f"--out={tmp_path}", "--minutes=0"]) == 1
+    assert "minutes must be 1 to 60" in capsys.readouterr().err

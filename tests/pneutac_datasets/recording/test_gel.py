@@ -1,0 +1,200 @@
+"""A gel's recording: which rest image and which clock each photograph has, sizes, depths, bad input."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from PIL import Image
+
+from pneutac_datasets.generate.hidden_gel import write_hidden_gel
+from pneutac_datasets.recording.gel import ASSUMED_RADIUS_MM, GelRecording, _clock
+from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_sim.errors import InputError
+from pneutac_sim.gel.probe import THICKNESS_MM
+
+COLOURS = {"rest.png": 60, "later.png": 90, "a.png": 100, "b.png": 110, "c.png": 120}
+META = {"device": "gel", "rest_image": "rest.png", "samples": "samples.csv", "px_per_mm": 20.0}
+
+
+@pytest.fixture
+def write(tmp_path):
+    """Writes and loads a recording of three plain pictures with these columns and fields."""
+
+    def write(columns=(), fields=(), drop=()):
+        for name, level in COLOURS.items():
+            Image.new("RGB", (60, 80), (level, level, level)).save(tmp_path / name)
+        table = {"role": ["calibration", "heldout", "heldout"], "trial": [0, 0, 0], "time_s": [0.0] * 3}
+        table |= {"image": ["a.png", "b.png", "c.png"], "indenter": "sphere", "indenter_radius_mm": 2.0}
+        table |= {"x_mm": [0.0, 0.5, -0.5], "y_mm": [0.0, 1.0, -1.0], "depth_mm": 0.5}
+        table = {k: v for k, v in (table | dict(columns)).items() if k not in drop}
+        pd.DataFrame(table).to_csv(tmp_path / "samples.csv", index=False)
+        meta = {k: v for k, v in (META | dict(fields)).items() if v is not None}
+        (tmp_path / "recording.json").write_text(json.dumps(meta))
+        return GelRecording.load(BenchRecording.load(tmp_path))
+
+    return write
+
+
+def clocks(data):
+    return [s.clock for s in data.samples]
+
+
+# ---------------------------------------------------------------- rest images
+
+
+def test_without_a_column_every_photograph_has_the_recordings_rest_image(write):
+    data = write()
+    assert all(s.rest is data.rest for s in data.samples) and (data.rest == 60).all()
+
+
+def test_a_row_may_have_a_rest_image_of_its_own(write):
+    data = write({"rest_image": ["", "later.png", "later.png"]})
+    assert data.samples[0].rest is data.rest
+    assert (data.samples[1].rest == 90).all()
+    assert data.samples[2].rest is data.samples[1].rest, "one session, one image"
+    photograph = data.samples[1].photograph
+    assert photograph.rest is data.samples[1].rest and (photograph.image == 110).all()
+
+
+def test_naming_the_recordings_own_rest_image_is_the_same_session(write):
+    data = write({"rest_image": ["rest.png", "", "later.png"]})
+    assert data.samples[0].rest is data.samples[1].rest is data.rest
+
+
+@pytest.mark.parametrize(
+    "spoil, says",
+    [
+        (lambda f: Image.new("RGB", (40, 80)).save(f), "row 2: rest image 'later.png' is 40 x 80 pixels"),
+        (lambda f: Image.new("L", (60, 80)).save(f), "later.png is grey"),
+        (lambda f: Image.new("RGBA", (60, 80)).save(f), "later.png is with an alpha channel"),
+        (lambda f: f.write_text("no picture"), "later.png cannot be read"),
+        (lambda f: f.unlink(), "later.png is missing"),
+    ],
+)
+def test_a_bad_rest_image_of_a_row_gets_one_sentence(spoil, says, write, tmp_path):
+    write({"rest_image": ["", "later.png", ""]})
+    spoil(tmp_path / "later.png")
+    with pytest.raises(InputError, match=says) as e:
+        GelRecording.load(BenchRecording.load(tmp_path))
+    assert "\n" not in str(e.value)
+
+
+# ---------------------------------------------------------------- clock
+
+
+@pytest.mark.parametrize(
+    "columns, expected",
+    [
+        ({"time_s": [10.0, 30.0, 50.0]}, [0, 0.5, 1]),
+        ({"time_s": [0.0, 1.0, 4.0], "trial": 7}, [0, 0.25, 1]),
+        ({"trial": [2, 3, 6]}, [0, 0.25, 1]),
+        ({}, [0, 0.5, 1]),
+    ],
+    ids=["time", "time before trial", "trial", "row"],
+)
+def test_the_clock_goes_by_time_else_by_trial_else_by_row(columns, expected, write):
+    assert clocks(write(columns)) == pytest.approx(expected)
+
+
+def test_a_single_photograph_is_at_the_start(write, tmp_path):
+    write()
+    recording = BenchRecording.load(tmp_path).keep([True, False, False])
+    assert clocks(GelRecording.load(recording)) == [0]
+
+
+# ---------------------------------------------------------------- what pressed where
+
+
+def test_places_in_millimetres_and_pixels_agree(write):
+    data = write()
+    s = data.samples[1]
+    assert (s.x_px, s.y_px) == (30 + 10, 40 + 20)
+    data = write({"contact_x_px": [30, 40, 20], "contact_y_px": [40, 60, 20]}, drop=("x_mm", "y_mm"))
+    t = data.samples[1]
+    assert (t.press.x_mm, t.press.y_mm) == (s.press.x_mm, s.press.y_mm) == (0.5, 1.0)
+    assert s.radius_px == pytest.approx(20 * np.sqrt(2.0 * 0.5)), "Hertz: a^2 = R d"
+
+
+def test_depth_and_radius_are_read_from_the_contacts_radius_where_they_are_empty(write):
+    columns = {"contact_radius_px": 20.0, "depth_mm": np.nan, "indenter_radius_mm": np.nan}
+    data = write(columns)
+    press = data.samples[0].press
+    assert press.size_mm == ASSUMED_RADIUS_MM and press.depth_mm == pytest.approx(1 / ASSUMED_RADIUS_MM)
+    assert sum("is assumed" in w for w in data.warnings) == 1
+
+
+def test_the_gels_thickness_is_its_stated_size(write):
+    assert write().thickness_mm == THICKNESS_MM
+    assert write(fields={"gel_size_mm": [12, 16, 4.0]}).thickness_mm == 4.0
+
+
+def test_the_calibration_is_the_row_that_says_so(write):
+    assert write({"role": ["heldout", "calibration", "calibration"]}).calibration.name == "b.png"
+    with pytest.raises(InputError, match="no row with role 'calibration'"):
+        _ = write({"role": "heldout"}).calibration
+
+
+@pytest.mark.parametrize(
+    "columns, fields, drop, says",
+    [
+        ({"indenter": "thumb"}, {}, (), "row 1: indenter is 'thumb'"),
+        ({"x_mm": [0, np.nan, 0]}, {}, (), "row 2: the contact's place is empty"),
+        ({"depth_mm": [0.5, 0.5, np.nan]}, {}, (), "row 3: depth_mm is empty"),
+        ({"depth_mm": [0.5, -0.5, 0.5]}, {}, (), "row 2: depth_mm of the sphere is -0.5"),
+        ({"indenter": "cube", "indenter_radius_mm": np.nan}, {}, (), "give the cube's size"),
+        ({}, {"px_per_mm": None}, (), "px_per_mm"),
+        ({}, {"px_per_mm": -2}, (), "px_per_mm"),
+        ({}, {"rest_image": None}, (), "rest_image"),
+        ({"rest_image": "../secret.png"}, {}, (), "outside"),
+    ],
+)
+def test_bad_rows_and_fields_get_one_sentence(columns, fields, drop, says, write):
+    with pytest.raises(InputError, match=says) as e:
+        write(columns, fields, drop)
+    assert "\n" not in str(e.value)
+
+
+def test_a_photograph_of_another_size_is_refused(write, tmp_path):
+    write()
+    Image.new("RGB", (60, 60)).save(tmp_path / "c.png")
+    with pytest.raises(InputError, match="row 3: image 'c.png' is 60 x 60 pixels .* 60 x 80"):
+        GelRecording.load(BenchRecording.load(tmp_path))
+
+
+def test_a_clock_that_restarts_with_each_trial_gives_way_to_the_trials():
+    table = pd.DataFrame({"trial": [0, 0, 1, 1, 2], "time_s": [0.0, 1.0, 0.0, 1.0, 0.0]})
+    np.testing.assert_allclose(_clock(table), [0, 0, 0.5, 0.5, 1])
+
+
+# ---------------------------------------------------------------- labels that cannot be
+
+
+def test_labels_that_run_against_the_images_are_noted(tmp_path):
+    recording = write_hidden_gel(tmp_path / "presses", [], images=6)
+    assert GelRecording.load(recording).warnings == []
+    recording.samples["x_mm"] *= -1
+    assert GelRecording.load(recording).warnings == [
+        "the images show contacts opposite to x_mm: it, or they, are mirrored."
+    ]
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "said"),
+    [
+        ("contact_x_px", 10.0, "row 1: x_mm is 0.4 but contact_x_px, 10, lies at -5.5 mm"),
+        ("depth_mm", 800.0, "row 1: depth_mm is 800 but the gel is 2.5 mm thick"),
+    ],
+)
+def test_impossible_labels_get_one_sentence(column, value, said, tmp_path):
+    recording = write_hidden_gel(tmp_path / "presses", [], images=2)
+    recording.samples.loc[0, column] = value
+    with pytest.raises(InputError, match=said):
+        GelRecording.load(recording)
+
+
+def test_a_scale_that_makes_no_gel_gets_one_sentence(tmp_path):
+    recording = write_hidden_gel(tmp_path / "presses", [], images=2)
+    recording.meta["px_per_mm"] = 2000.0
+    with pytest.raises(InputError, match="px_per_mm is 2000, so that the image would be 0.12 mm wide"):
+        GelRecording.load(recording)

@@ -1,0 +1,319 @@
+"""Bench recordings survive a round trip, bad ones say what to do, and parts are whole blocks of time."""
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from PIL import Image
+
+from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_sim.errors import InputError
+
+META = {"device": "finger", "length_mm": 110.0, "samples": "samples.csv"}
+
+
+def table(n=400, trials=4):
+    """A quasi-static finger on ramps up and down: `trials` trials of n / trials samples at 20 Hz."""
+    m = n // trials
+    p = np.tile(40 * (1 - np.abs(np.linspace(-1, 1, m))), trials)
+    bend = 0.02 * p
+    return pd.DataFrame(
+        {
+            "trial": np.repeat(np.arange(trials), m),
+            "program": np.repeat([f"program_{i % 2}" for i in range(trials)], m),
+            "time_s": np.tile(np.arange(m) / 20, trials),
+            "pressure_cmd_kpa": p,
+            "tip_x_mm": 110 * np.sinc(bend / np.pi),
+            "tip_y_mm": 0.0,
+            "tip_z_mm": 55 * bend,
+            "temperature_c": 21.0,
+        }
+    )
+
+
+def write(folder, samples=None, **meta):
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "recording.json").write_text(json.dumps(META | meta))
+    (table() if samples is None else samples).to_csv(folder / "samples.csv", index=False)
+    return folder
+
+
+def test_csv_and_parquet_give_the_same_samples(tmp_path):
+    a = BenchRecording.load(write(tmp_path / "a"))
+    a.meta["samples"] = "samples.parquet"
+    b = BenchRecording.load(a.write(tmp_path / "b"))
+    pd.testing.assert_frame_equal(a.samples, b.samples)
+    assert b.device == "finger" and b.length_mm == 110.0
+    assert b.observations == ["tip_x_mm", "tip_y_mm", "tip_z_mm"]
+    assert b.conditions == ["program", "temperature_c"]
+    assert list(b.trials()) == [0, 1, 2, 3] and b.trials()[2] == slice(200, 300)
+
+
+def test_a_lerobot_dataset_with_the_same_columns_is_a_recording(tmp_path):
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+    tip = ["tip_x_mm", "tip_y_mm", "tip_z_mm"]
+    scalar = {"dtype": "float32", "shape": (1,), "names": None}
+    features = {
+        "pressure_cmd_kpa": scalar,
+        "observation.tip": {"dtype": "float32", "shape": (3,), "names": tip},
+    }
+    root = tmp_path / "set"
+    dataset = LeRobotDataset.create("me/bench", fps=20, features=features, root=root, use_videos=False)
+    samples = table(100, 2)
+    for _, g in samples.groupby("trial"):
+        for row in g.itertuples():
+            dataset.add_frame(
+                {
+                    "pressure_cmd_kpa": np.array([row.pressure_cmd_kpa], np.float32),
+                    "observation.tip": np.array([row.tip_x_mm, row.tip_y_mm, row.tip_z_mm], np.float32),
+                    "task": "bench",
+                }
+            )
+        dataset.save_episode()
+    dataset.finalize()
+    r = BenchRecording.load(root)
+    assert r.device == "finger" and len(r.trials()) == 2
+    np.testing.assert_allclose(
+        r.samples[["time_s", "pressure_cmd_kpa", *tip]].to_numpy(float),
+        samples[["time_s", "pressure_cmd_kpa", *tip]].to_numpy(float),
+        atol=1e-4,
+    )
+
+
+def break_(column, row, value):
+    def change(samples):
+        samples[column] = samples[column].astype(object)
+        samples.loc[row, column] = value
+        return samples
+
+    return change
+
+
+BAD = {
+    "missing column": (
+        lambda s: s.drop(columns="pressure_cmd_kpa"),
+        "'pressure_cmd_kpa' is missing; add .* in kPa",
+    ),
+    "unit in the name": (
+        lambda s: s.rename(columns={"pressure_cmd_kpa": "pressure_cmd_pa"}),
+        "there is 'pressure_cmd_pa'",
+    ),
+    "no observation": (lambda s: s.drop(columns=["tip_x_mm", "tip_y_mm", "tip_z_mm"]), "tip_x_mm"),
+    "pascal": (lambda s: s.assign(pressure_cmd_kpa=1000 * s.pressure_cmd_kpa), "pascal.*divide"),
+    "measured in bar": (lambda s: s.assign(pressure_kpa=s.pressure_cmd_kpa / 100), "'pressure_kpa', row 50"),
+    "metres": (
+        lambda s: s.assign(**{f"tip_{a}_mm": s[f"tip_{a}_mm"] / 1000 for a in "xyz"}),
+        "metres.*multiply",
+    ),
+    "degrees": (lambda s: s.assign(bend_angle_rad=s.pressure_cmd_kpa), "degrees"),
+    "kelvin": (lambda s: s.assign(temperature_c=294.0), "kelvin"),
+    "gravity in m/s2": (lambda s: s.assign(gravity_x=9.81, gravity_y=0, gravity_z=0), "unit vector"),
+    "half a gravity vector": (lambda s: s.assign(gravity_x=1.0), "'gravity_y' is missing"),
+    "time backwards": (
+        break_("time_s", 12, 0.01),
+        r"'time_s', row 13 \(line 14 of the file\) goes back.*sort",
+    ),
+    "milliseconds": (
+        lambda s: s.assign(time_s=np.round(s.time_s * 1e4)),
+        "time_s.*milliseconds; divide it by 1000",
+    ),
+    "many doubled stamps": (lambda s: s.assign(time_s=np.round(s.time_s, 1)), "repeats the stamp.*digits"),
+    "nan": (
+        break_("tip_x_mm", 12, np.nan),
+        r"'tip_x_mm', row 13 \(line 14 of the file\) is empty \(1 such row\).*delete",
+    ),
+    "inf": (break_("tip_z_mm", 3, np.inf), "'tip_z_mm', row 4"),
+    "text": (
+        break_("pressure_cmd_kpa", 7, "n/a!"),
+        r"'pressure_cmd_kpa', row 8 \(line 9 of the file\) is 'n/a!'",
+    ),
+    "condition with a hole": (break_("temperature_c", 0, np.nan), "'temperature_c', row 1"),
+    "fractional trial": (lambda s: s.assign(trial=s.trial + 0.5), "'trial', row 1"),
+    "trial resumed": (lambda s: pd.concat([s, s[s.trial == 0]]), "'trial', row 401 .*goes back to trial 0"),
+    "no rows": (lambda s: s.iloc[:0], "no rows"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_table_is_one_sentence_with_file_column_and_remedy(tmp_path, case):
+    change, message = BAD[case]
+    write(tmp_path / "r", change(table()))
+    with pytest.raises(InputError, match=message) as e:
+        BenchRecording.load(tmp_path / "r")
+    text = str(e.value)
+    assert "samples.csv" in text and "\n" not in text and text.endswith(".")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", "recording.json is not valid JSON"),
+        ("[1]", "JSON object"),
+        ('{"device": "claw"}', "'claw'; it must be one of finger, arm, gel"),
+        ('{"length_mm": 110}', "'device' is missing"),
+        ('{"device": "finger", "length_mm": 0.11}', "only be metres"),
+        ('{"device": "finger", "length_mm": NaN}', "length_mm"),
+        ('{"device": "finger", "length_mm": 110, "spine_joint_positions_mm": [50, 10]}', "spine_joint"),
+        *(
+            (f'{{"device": "finger", "length_mm": 110, "samples": "samples.csv", "noise": {noise}}}', message)
+            for noise, message in (
+                ('"0.2"', "noise.*standard deviation"),
+                ("0.2", "noise.*standard deviation"),
+                ("[0.2]", "noise.*standard deviation"),
+                ('{"tip_x_mm": -1}', "'noise' of 'tip_x_mm' is -1"),
+                ('{"tip_x_mm": "0.2"}', "'noise' of 'tip_x_mm' is '0.2'"),
+                ('{"tip_x_mm": NaN}', "'noise' of 'tip_x_mm' is nan"),
+                ('{"tipx": 0.2}', "'tipx', which is not measured"),
+                ('{"temperature_c": 0.2}', "'temperature_c', which is not measured"),
+                ('{"tip_x_mm": 0.2, "tip_z_mm": 0.2}', "does not name 'tip_y_mm'"),
+            )
+        ),
+        ('{"device": "finger", "samples": "other.csv"}', "other.csv is missing"),
+        ('{"device": "finger", "samples": "../r2/samples.csv"}', "inside the folder"),
+        ('{"device": "finger", "samples": "samples.pkl"}', "samples"),
+    ],
+)
+def test_bad_metadata_names_the_field(tmp_path, text, message):
+    write(tmp_path / "r")
+    write(tmp_path / "r2")
+    (tmp_path / "r" / "recording.json").write_text(text)
+    with pytest.raises(InputError, match=message):
+        BenchRecording.load(tmp_path / "r")
+
+
+def test_missing_folder_and_garbage_files_are_refused(tmp_path):
+    with pytest.raises(InputError, match="no bench recording"):
+        BenchRecording.load(tmp_path / "nowhere")
+    folder = write(tmp_path / "r")
+    (folder / "samples.csv").write_bytes(bytes(range(256)))
+    with pytest.raises(InputError, match=r"samples\.csv"):
+        BenchRecording.load(folder)
+    (folder / "samples.csv").write_text("")
+    with pytest.raises(InputError, match=r"samples\.csv"):
+        BenchRecording.load(folder)
+    (folder / "samples.parquet").write_bytes(b"PAR1 no")
+    (folder / "recording.json").write_text(json.dumps(META | {"samples": "samples.parquet"}))
+    with pytest.raises(InputError, match="Parquet"):
+        BenchRecording.load(folder)
+
+
+def test_a_two_gigabyte_csv_is_refused_before_it_is_read(tmp_path):
+    folder = write(tmp_path / "r")
+    with (folder / "samples.csv").open("r+b") as f:
+        f.truncate(2 * 2**30)  # sparse: takes no space on disk
+    with pytest.raises(InputError, match=r"2\.0 GB.*\.parquet"):
+        BenchRecording.load(folder)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda s: s.assign(pressure_cmd_kpa=20.0), "constant at 20 kPa"),
+        (lambda s: s[s.trial == 0], "one trial only"),
+        (lambda s: s.iloc[:3], "only 3 rows"),
+        (break_("time_s", 12, 11 / 20), "0.55 s of trial 0 (1 such row); it is left out"),
+        (lambda s: s.drop(columns="tip_z_mm"), "z, in which the device bends, was not measured"),
+    ],
+)
+def test_poor_data_loads_with_a_warning(tmp_path, change, message):
+    r = BenchRecording.load(write(tmp_path / "r", change(table())))
+    assert any(message in w for w in r.warnings)
+    assert all((np.diff(r.column("time_s")[s]) > 0).all() for s in r.trials().values())
+
+
+def test_a_table_with_semicolons_says_so(tmp_path):
+    folder = write(tmp_path / "r")
+    table().to_csv(folder / "samples.csv", sep=";", index=False)
+    with pytest.raises(InputError, match="separated by semicolons; save it with commas"):
+        BenchRecording.load(folder)
+
+
+def test_stated_noise_of_every_tip_column_is_accepted(tmp_path):
+    noise = {"tip_x_mm": 0.2, "tip_y_mm": 0.2, "tip_z_mm": 1}
+    assert BenchRecording.load(write(tmp_path / "r", noise=noise)).meta["noise"] == noise
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        lambda n: np.where(np.arange(n) < n / 2, 0.0, 30.0),
+        lambda n: np.random.default_rng(0).uniform(0, 40, n).round(3),
+    ],
+    ids=["creep under one load", "cycles faster than the logger"],
+)
+def test_a_recording_of_days_is_no_clock_in_milliseconds(tmp_path, command):
+    s = table(8000, 1)
+    s = s.assign(time_s=60.0 * np.arange(len(s)), pressure_cmd_kpa=command(len(s)))
+    r = BenchRecording.load(write(tmp_path / "r", s))
+    assert any("if the clock counts milliseconds" in w for w in r.warnings)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("fractions", [(0.7, 0.3), (0.6, 0.2, 0.2)])
+def test_parts_are_whole_blocks_and_hold_every_condition(seed, fractions):
+    s = table(4000, 8)
+    flipped = s.trial == 5
+    s = s.assign(gravity_x=np.where(flipped, -1.0, 1.0), gravity_y=0.0, gravity_z=0.0)
+    s["temperature_c"] = np.where(s.trial >= 4, 30.0, 21.0) + 0.2 * np.sin(s.time_s)
+    r = BenchRecording(Path("r"), META, s, "finger")
+    parts = r.split(seed, fractions)
+    assert (np.sum(parts, axis=0) == 1).all()
+    block = r.blocks()
+    for mask, share in zip(parts, fractions, strict=True):
+        assert set(block[mask]).isdisjoint(block[~mask])
+        assert mask.mean() == pytest.approx(share, abs=0.1)
+        assert set(s.program[mask]) == set(s.program)
+        assert (
+            (mask & flipped).any()
+            and (s.temperature_c[mask] > 25).any()
+            and (s.temperature_c[mask] < 25).any()
+        )
+    for b in np.unique(block):  # a block is one stretch of one trial, long against the sampling time
+        rows = np.flatnonzero(block == b)
+        assert (np.diff(rows) == 1).all() and len(rows) >= 20 and s.trial[rows].nunique() == 1
+    again = r.split(seed, fractions)
+    assert all((a == b).all() for a, b in zip(parts, again, strict=True))
+    assert any((a != b).any() for a, b in zip(parts, r.split(seed + 100, fractions), strict=True))
+
+
+def test_gel_recording_splits_by_role_and_reads_images(tmp_path):
+    folder = tmp_path / "gel"
+    folder.mkdir()
+    picture = np.random.default_rng(0).integers(0, 255, (32, 24, 3), np.uint8)
+    Image.fromarray(picture).save(folder / "a.png")
+    (folder / "recording.json").write_text(
+        json.dumps({"device": "gel", "rest_image": "a.png", "px_per_mm": 20, "samples": "samples.csv"})
+    )
+    pd.DataFrame(
+        {
+            "trial": range(4),
+            "time_s": 0,
+            "image": "a.png",
+            "indenter": "sphere",
+            "role": ["calibration", "heldout", "heldout", "known_depth"],
+            "depth_mm": [np.nan, 0.4, 0.5, 0.6],
+        }
+    ).to_csv(folder / "samples.csv", index=False)
+    r = BenchRecording.load(folder)
+    train, heldout = r.split()
+    assert train.tolist() == [True, False, False, False] and (train != heldout).all()
+    np.testing.assert_array_equal(r.image(r.samples.image[0]), picture)
+    for name, message in (("b.png", "b.png is missing"), ("../x.png", "outside")):
+        with pytest.raises(InputError, match=message):
+            r.image(name)
+    (folder / "b.png").write_text("no picture")
+    with pytest.raises(InputError, match="cannot be read as an image"):
+        r.image("b.png")
+
+
+@pytest.mark.parametrize("name", ["asu_segment", "sopra_segment", "three_bellow_arm"])
+def test_real_recordings_load_and_split(name):
+    if "PNEUTAC_DATA" not in os.environ:
+        pytest.skip("PNEUTAC_DATA does not name a folder with real recordings")
+    r = BenchRecording.load(Path(os.environ["PNEUTAC_DATA"]) / "soft" / name)
+    train, heldout = r.split()
+    assert 0.15 < heldout.mean() < 0.45 and (train ^ heldout).all()

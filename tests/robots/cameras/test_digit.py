@@ -1,0 +1,108 @@
+import time
+
+import cv2
+import draccus
+import numpy as np
+import pytest
+from draccus.utils import DecodingError
+from lerobot.cameras import CameraConfig
+from lerobot.cameras.utils import make_cameras_from_configs
+from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
+
+from lerobot_robot_pneutac.cameras import digit_devices
+from lerobot_robot_pneutac.cameras.config_digit import DigitConfig
+from lerobot_robot_pneutac.cameras.digit import Digit
+from lerobot_robot_pneutac.hardware.parts import HardwareFault
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import IMAGE_SHAPE
+
+
+def test_finds_the_sensor_by_serial_on_its_image_node(sensor, connected, tmp_path):
+    connected()
+    assert sensor.paths == [str(tmp_path / "dev" / "video4")]
+    assert [c["id"] for c in Digit.find_cameras()] == ["D1", "D2", "D3"]
+
+
+def test_wrong_serial_names_those_found(sensor, connected, monkeypatch, tmp_path):
+    with pytest.raises(InputError, match="'D7' is connected; found: D1, D2, D3"):
+        connected(serial="D7")
+    monkeypatch.setattr(digit_devices, "SYSFS", tmp_path / "nothing")
+    with pytest.raises(InputError, match="found: none"):
+        connected()
+
+
+def test_lights_are_set_as_the_sensor_takes_them(sensor, connected, caplog):
+    connected(led=(1, 2, 15))
+    assert sensor.controls[cv2.CAP_PROP_ZOOM] == 0x12F
+    assert (sensor.controls[cv2.CAP_PROP_FRAME_WIDTH], sensor.controls[cv2.CAP_PROP_FRAME_HEIGHT]) == (
+        320,
+        240,
+    )
+
+
+def test_refused_settings_and_old_firmware_are_said(sensor, connected):
+    sensor.refuses = cv2.CAP_PROP_ZOOM
+    with pytest.raises(HardwareFault, match="LED brightness"):
+        connected()
+    sensor.refuses = cv2.CAP_PROP_FPS
+    with pytest.raises(HardwareFault, match="DIGIT D2 at .*video4 cannot be used.*fps=30.*'video'"):
+        connected()
+    with pytest.raises(InputError, match="firmware 1.01"):
+        connected(serial="D3")
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"resolution": "HD"}, "'HD'; it must be QVGA or VGA"),
+        ({"fps": 15}, "fps of the DIGIT is 15; QVGA has 30 and 60"),
+        ({"fps": 60, "resolution": "VGA"}, "VGA has 15 and 30"),
+        ({"led": (0, 16, 0)}, "from 0 to 15"),
+        ({"frozen_s": 0.05}, "exceed two frames"),
+        ({"width": 320, "height": 240}, "240 px wide and 320 px high"),
+    ],
+)
+def test_bad_options_are_one_sentence(options, text):
+    with pytest.raises(DecodingError, match=text):
+        DigitConfig(serial="D2", **options)
+
+
+def test_lerobot_makes_it_from_a_command_line_option(sensor):
+    options = {"type": "digit", "serial": "D2", "led": [15, 0, 15], "fps": 60}
+    cameras = make_cameras_from_configs({"tactile": draccus.decode(CameraConfig, options)})
+    assert type(cameras["tactile"]).__name__ == "Digit"
+    assert (cameras["tactile"].height, cameras["tactile"].width, 3) == IMAGE_SHAPE
+    assert cameras["tactile"].fps == 60
+
+
+def test_image_is_upright_rgb_as_the_simulated_one(sensor, connected):
+    image = connected(warmup=True).read()
+    assert image.shape == IMAGE_SHAPE and image.dtype == np.uint8
+    assert any(np.array_equal(image, noisy.astype(np.uint8)) for noisy in sensor.noisy)
+
+
+def test_background_reading_keeps_the_sensors_pace_and_hands_out_the_newest(sensor, connected):
+    camera = connected(fps=60)
+    start, before = time.perf_counter(), sensor.count
+    for _ in range(45):
+        camera.async_read(1000)
+    elapsed, sent = time.perf_counter() - start, sensor.count - before
+    assert sent >= 44 and 0.95 * 44 / 60 < elapsed < 3.0  # no image twice; a busy computer misses some
+    start, before = time.perf_counter(), sensor.count
+    for _ in range(100):
+        camera.read_latest()
+    assert time.perf_counter() - start < 0.5 and sensor.count - before < 100
+    time.sleep(0.2)  # a slow reader gets the last image, not the oldest
+    seen = sensor.count
+    image = camera.async_read(0)
+    shown = [np.array_equal(image, noisy.astype(np.uint8)) for noisy in sensor.noisy].index(True)
+    assert (shown - seen) % len(sensor.noisy) in (7, 0, 1)
+
+
+def test_reading_needs_a_connection(sensor, connected):
+    camera = connected()
+    with pytest.raises(DeviceAlreadyConnectedError):
+        camera.connect()
+    camera.disconnect()
+    with pytest.raises(DeviceNotConnectedError):
+        camera.async_read()

@@ -1,0 +1,79 @@
+import types
+
+import numpy as np
+import pytest
+from draccus.utils import DecodingError
+from lerobot.cameras.utils import make_cameras_from_configs
+from lerobot.utils.errors import DeviceNotConnectedError
+
+from lerobot_robot_pneutac.cameras import digit_generated
+from lerobot_robot_pneutac.cameras.config_digit_generated import DigitGeneratedConfig
+from lerobot_robot_pneutac.cameras.rest_image import capture_rest_image
+from lerobot_robot_pneutac.hardware.parts import HardwareFault
+from pneutac_sim.features import IMAGE_SHAPE
+from pneutac_sim.gel.builtin import rest_image
+from pneutac_sim.gel.contact import contact_area
+
+REST = rest_image(IMAGE_SHAPE)
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """Time that passes only in `sleep` and where a test moves it."""
+    clock = types.SimpleNamespace(now_s=100.0)
+
+    def sleep(seconds):
+        clock.now_s += seconds + 1e-6
+
+    fake = types.SimpleNamespace(perf_counter=lambda: clock.now_s, sleep=sleep)
+    monkeypatch.setattr(digit_generated, "time", fake)
+    return clock
+
+
+def generated(**options):
+    camera = make_cameras_from_configs({"tactile": DigitGeneratedConfig(**options)})["tactile"]
+    camera.connect()
+    return camera
+
+
+def test_at_rest_it_shows_the_gels_rest_image(clock):
+    camera = generated()
+    assert (camera.height, camera.width, 3) == IMAGE_SHAPE
+    np.testing.assert_array_equal(capture_rest_image(camera, frames=3), REST)
+    camera.disconnect()
+    with pytest.raises(DeviceNotConnectedError):
+        camera.read()
+
+
+def test_the_ball_comes_and_goes_once_a_period(clock):
+    camera = generated(fps=30, press_period_s=1.0)
+    areas = [contact_area(camera.read(), REST).area for _ in range(31)]
+    assert areas[0] == areas[30] == 0.0
+    assert np.argmax(areas) == pytest.approx(15, abs=1) and max(areas) > 0.01
+    with pytest.raises(HardwareFault, match="was refused"):
+        capture_rest_image(camera, frames=24)
+
+
+def test_frames_come_at_the_cameras_pace(clock):
+    camera = generated(fps=30)
+    camera.read()
+    start_s = clock.now_s
+    for _ in range(15):
+        camera.async_read()
+    assert clock.now_s - start_s == pytest.approx(0.5, abs=1e-3)
+    with pytest.raises(TimeoutError, match="next frame in 0.03"):
+        camera.async_read(timeout_ms=20)
+    clock.now_s += 1.0  # a slow reader gets the newest frame and then waits for the next one
+    camera.async_read(timeout_ms=0)
+    start_s = clock.now_s
+    camera.async_read()
+    assert 0 < clock.now_s - start_s <= 1 / 30 + 1e-3
+    camera.read_latest()
+    assert clock.now_s - start_s <= 1 / 30 + 1e-3
+
+
+def test_bad_options_are_one_sentence():
+    with pytest.raises(DecodingError, match="must be 240 and 320"):
+        DigitGeneratedConfig(width=320, height=240)
+    with pytest.raises(DecodingError, match="press_period_s -1"):
+        DigitGeneratedConfig(press_period_s=-1)

@@ -1,0 +1,51 @@
+import os
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from lerobot_robot_pneutac.cameras.rest_image import capture_rest_image
+from lerobot_robot_pneutac.hardware.parts import HardwareFault
+from pneutac_sim.features import IMAGE_SHAPE
+from pneutac_sim.gel.contact import contact_area
+
+
+def test_rest_image_averages_noise_away(sensor, connected):
+    image = capture_rest_image(connected(fps=60), frames=16)
+    error = np.abs(image.astype(float) - sensor.upright)
+    assert error.mean() < 0.8 < np.abs(sensor.noisy[0] - sensor.upright).mean()
+
+
+@pytest.mark.parametrize("moves", ["ball", "light"])
+def test_rest_image_refuses_motion(sensor, connected, moves):
+    spot = np.zeros(IMAGE_SHAPE)
+    spot[100:130, 50:80] = 12.0
+
+    def frame(k):
+        change = spot * (k % 12 > 8) if moves == "ball" else 0.5 * k
+        return np.clip(sensor.noisy[k % 8] + change, 0, 255)
+
+    sensor.frame = frame
+    with pytest.raises(HardwareFault, match=r"rest image of DIGIT D2 was refused.*levels within 24 frames"):
+        capture_rest_image(connected(fps=60), frames=24)
+
+
+def test_recorded_frames_pass_unchanged_and_show_their_contact(sensor, connected):
+    if "PNEUTAC_DATA" not in os.environ:
+        pytest.skip("PNEUTAC_DATA is not set: no recorded DIGIT frames")
+    folder = Path(os.environ["PNEUTAC_DATA"]) / "tactile" / "digit_nagoya"
+    rest = cv2.imread(str(folder / "rest_sphere.jpg"))[..., ::-1]
+    pressed = cv2.imread(str(folder / "images" / "sphere_frame_4.jpg"))[..., ::-1]
+    noise = np.random.default_rng(0).integers(-1, 2, (4, *rest.shape))
+    shown = [rest]
+    sensor.frame = lambda k: np.clip(shown[0] + noise[k % 4], 0, 255)
+    camera = connected(resolution="VGA")
+    quiet = capture_rest_image(camera, frames=8)
+    assert quiet.shape == (640, 480, 3)
+    assert np.abs(quiet.astype(float) - rest).max() <= 1
+    assert contact_area(camera.read(), quiet).area < 0.001
+    shown[0] = pressed
+    camera.read()
+    # The recording's table puts a disc of 62 px radius here, 3.9 % of the image; light reaches further.
+    assert contact_area(camera.read(), quiet).area > 0.02

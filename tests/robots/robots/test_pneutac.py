@@ -1,0 +1,309 @@
+import threading
+import time
+
+import numpy as np
+import pytest
+from draccus.utils import DecodingError
+from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
+
+from lerobot_robot_pneutac.cameras.config_digit_generated import DigitGeneratedConfig
+from lerobot_robot_pneutac.hardware.arms import PandaConfig, SimulatedArmConfig
+from lerobot_robot_pneutac.hardware.limits import Limits
+from lerobot_robot_pneutac.hardware.parts import COMMAND_S, HardwareFault
+from lerobot_robot_pneutac.robots.config_pneutac import PneutacConfig, PressureConfig
+from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
+from lerobot_robot_pneutac.robots.pneutac import Pneutac
+from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import ACTION_NAMES, STATE_NAMES
+
+EE = ("ee_x.pos", "ee_y.pos", "ee_z.pos")
+
+
+def config(tmp_path, **kwargs) -> PneutacConfig:
+    parts = {
+        "arm": SimulatedArmConfig(),
+        "pressure": PressureConfig(type="simulated"),
+        "digit": DigitGeneratedConfig(),
+    }
+    return PneutacConfig(id="bench", calibration_dir=tmp_path, **(parts | kwargs))
+
+
+@pytest.fixture
+def make_robot(tmp_path):
+    robots = []
+
+    def make(**kwargs) -> Pneutac:
+        robots.append(Pneutac(config(tmp_path, **kwargs)))
+        robots[-1].connect()
+        return robots[-1]
+
+    yield make
+    for robot in robots:
+        if robot.is_connected:
+            robot.disconnect()
+
+
+@pytest.fixture
+def robot(make_robot):
+    return make_robot()
+
+
+def act(dx=0.0, dy=0.0, dz=0.0, pressure=0.0) -> dict:
+    return dict(zip(ACTION_NAMES, (dx, dy, dz, pressure), strict=True))
+
+
+def position(robot) -> np.ndarray:
+    observation = robot.get_observation()
+    return np.array([observation[name] for name in EE])
+
+
+def until(true, seconds=3.0):
+    end = time.monotonic() + seconds
+    while not true() and time.monotonic() < end:
+        time.sleep(0.01)
+    return true()
+
+
+def at_rest(robot) -> bool:
+    before = robot._arm.state().flange_m
+    time.sleep(0.05)
+    return np.array_equal(robot._arm.state().flange_m, before)
+
+
+def vented(robot) -> bool:
+    return until(lambda: robot._pressure.pressure() < 0.01)
+
+
+# ---------------------------------------------------------------- as a LeRobot robot
+
+
+def test_features_equal_the_simulated_robots(tmp_path):
+    real = Pneutac(config(tmp_path))
+    simulated = PneutacSim(PneutacSimConfig(id="sim", calibration_dir=tmp_path))
+    assert real.name == simulated.name
+    assert list(real.observation_features.items()) == list(simulated.observation_features.items())
+    assert list(real.action_features.items()) == list(simulated.action_features.items())
+
+
+def test_more_cameras_come_after_what_policies_know(make_robot):
+    robot = make_robot(cameras={"front": DigitGeneratedConfig(fps=15)})
+    assert list(robot.observation_features)[-2:] == ["tactile", "front"]
+    observation = robot.get_observation()
+    assert list(observation) == list(robot.observation_features)
+    assert observation["front"].shape == robot.observation_features["front"] == (320, 240, 3)
+
+
+def test_observation_is_what_the_parts_sense(robot):
+    observation = robot.get_observation()
+    assert list(observation) == list(robot.observation_features)
+    assert all(type(observation[name]) is float for name in STATE_NAMES)
+    state = robot._arm.state()
+    np.testing.assert_allclose([observation[f"joint_{i}.pos"] for i in range(1, 8)], state.joints_rad)
+    np.testing.assert_allclose([observation[name] for name in EE], state.flange_m)
+    assert observation["contact_area.pos"] == observation["contact_pixels.pos"] == 0
+    assert observation["tactile"].dtype == np.uint8
+
+
+def test_contact_is_told_against_the_rest_image_of_the_connect(robot, monkeypatch):
+    rest = robot.get_observation()["tactile"]
+    touched = rest.copy()
+    touched[100:140, 60:90] ^= 128
+    monkeypatch.setattr(robot.cameras["tactile"], "read_latest", lambda max_age_ms: touched)
+    observation = robot.get_observation()
+    assert observation["contact_area.pos"] == pytest.approx(40 * 30 / (320 * 240))
+    assert observation["contact_pixels.pos"] == pytest.approx(np.log1p(1200))
+
+
+def test_the_flange_follows_velocities_and_holds_its_orientation(robot):
+    start, matrix = position(robot), robot._arm._forward(robot._arm.state().joints_rad)[:3, :3]
+    begin = time.monotonic()
+    for _ in range(12):
+        robot.send_action(act(dx=0.06, dy=-0.03))
+        time.sleep(1 / 30)
+    robot.send_action(act())
+    seconds = time.monotonic() - begin
+    moved = position(robot) - start
+    np.testing.assert_allclose(moved, np.array([0.06, -0.03, 0]) * seconds, atol=3e-3)
+    turned = robot._arm._forward(robot._arm.state().joints_rad)[:3, :3]
+    np.testing.assert_allclose(turned, matrix, atol=5e-3)
+
+
+def test_the_pressure_follows_the_set_point(robot):
+    for _ in range(20):
+        sent = robot.send_action(act(pressure=6.0))
+        time.sleep(1 / 30)
+    assert sent["pressure.pos"] == 6.0
+    assert robot.get_observation()["pressure.pos"] == pytest.approx(6.0, abs=0.5)
+
+
+def test_a_pose_is_approached_as_lerobot_rollout_asks(robot):
+    goal = position(robot) + [0.02, 0.01, -0.02]
+    pose = dict(zip((*EE, "pressure.pos"), [*goal, -0.1], strict=True)) | {"joint_1.pos": 0.0}
+
+    def there():
+        robot.send_action(pose)
+        return np.abs(position(robot) - goal).max() < 1e-3
+
+    assert until(there)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("ee_x.pos", np.inf, "dx.vel is inf"),
+        ("ee_z.pos", np.nan, "dz.vel is nan"),
+        ("pressure.pos", 1000.0, "pressure.pos is 1000"),
+    ],
+)
+def test_a_pose_that_is_none_is_refused(robot, caplog, name, value, said):
+    pose = dict(zip((*EE, "pressure.pos"), [*position(robot), 0.0], strict=True))
+    sent = robot.send_action(pose | {name: value})
+    assert robot.guard.refused == 1 and said in caplog.text
+    assert list(sent.values()) == [0, 0, 0, 0]
+
+
+def test_connecting_twice_or_not_at_all_is_said(robot):
+    with pytest.raises(DeviceAlreadyConnectedError):
+        robot.connect()
+    robot.disconnect()
+    for call in (robot.get_observation, lambda: robot.send_action(act()), robot.disconnect):
+        with pytest.raises(DeviceNotConnectedError):
+            call()
+
+
+def test_missing_parts_are_named(tmp_path):
+    for name, given in (("arm", None), ("pressure", PressureConfig()), ("digit", None)):
+        with pytest.raises(DecodingError, match=f"--robot.{name}.type is missing"):
+            config(tmp_path, **{name: given})
+    with pytest.raises(DecodingError, match="--robot.arm.ip is missing"):
+        PandaConfig()
+    with pytest.raises(DecodingError, match="taken"):
+        config(tmp_path, cameras={"tactile": DigitGeneratedConfig()})
+
+
+def test_limits_come_from_the_configuration(make_robot):
+    robot = make_robot(limits=Limits(speed_m_s=0.02, pressure_kpa=3.0))
+    time.sleep(0.1)
+    sent = robot.send_action(act(dx=0.1, pressure=9.0))
+    assert sent["dx.vel"] == 0.02
+    assert sent["pressure.pos"] == 3.0
+
+
+def test_a_controller_that_takes_less_than_the_limit_is_told_before_anything_moves(tmp_path):
+    robot = Pneutac(config(tmp_path, pressure=PressureConfig(type="simulated", options={"max_kpa": 10.0})))
+    with pytest.raises(InputError, match="limits.pressure_kpa is 15, but .* 10 kPa at most"):
+        robot.connect()
+    assert not robot.is_connected
+
+
+# ---------------------------------------------------------------- faults
+
+
+def inflate(robot):
+    for _ in range(5):
+        robot.send_action(act(dx=0.05, pressure=5.0))
+        time.sleep(0.03)
+    assert robot._pressure.pressure() > 1
+
+
+def test_without_actions_the_arm_rests_and_the_chamber_keeps_its_pressure_for_a_while(robot):
+    inflate(robot)
+    time.sleep(COMMAND_S + 0.1)
+    assert at_rest(robot)
+    assert robot._pressure.pressure() > 4
+    assert vented(robot)
+    robot.get_observation()  # no fault
+
+
+@pytest.mark.parametrize("error", [TimeoutError("frame is 0.7 s old"), HardwareFault("It was unplugged.")])
+def test_a_frozen_or_lost_camera_halts_everything(robot, monkeypatch, error):
+    inflate(robot)
+
+    def read_latest(max_age_ms):
+        raise error
+
+    monkeypatch.setattr(robot.cameras["tactile"], "read_latest", read_latest)
+    with pytest.raises(HardwareFault, match="camera 'tactile' gives no picture"):
+        robot.get_observation()
+    assert at_rest(robot) and vented(robot)
+    with pytest.raises(HardwareFault, match="camera 'tactile'"):
+        robot.send_action(act())
+    robot.disconnect()
+    assert not robot.is_connected
+
+
+def test_a_picture_that_is_half_a_second_old_is_a_lost_camera(robot, monkeypatch):
+    camera = robot.cameras["tactile"]
+    asked = []
+    monkeypatch.setattr(camera, "read_latest", lambda max_age_ms: asked.append(max_age_ms) or camera.read())
+    robot.get_observation()
+    assert asked == [500]
+
+
+def test_a_lost_arm_vents_the_chamber_although_nothing_is_asked(robot, monkeypatch):
+    inflate(robot)
+
+    def lost():
+        raise HardwareFault("The arm is gone.")
+
+    monkeypatch.setattr(robot._arm, "state", lost)
+    assert vented(robot)
+    with pytest.raises(HardwareFault, match="arm is gone"):
+        robot.send_action(act())
+    robot.disconnect()
+
+
+@pytest.mark.parametrize(
+    ("action", "said"),
+    [({"shoulder.pos": 1.0}, "dx.vel"), (act() | {"dy.vel": "fast"}, "'dy.vel' is 'fast'")],
+)
+def test_what_is_no_action_halts_and_is_named(robot, action, said):
+    inflate(robot)
+    with pytest.raises(InputError, match=said):
+        robot.send_action(action)
+    assert at_rest(robot) and vented(robot)
+
+
+def test_ctrl_c_while_a_picture_is_awaited_halts_before_lerobot_saves(robot, monkeypatch):
+    inflate(robot)
+
+    def read_latest(max_age_ms):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(robot.cameras["tactile"], "read_latest", read_latest)
+    with pytest.raises(KeyboardInterrupt):
+        robot.get_observation()
+    assert at_rest(robot) and vented(robot)
+
+
+@pytest.mark.parametrize("part", ["_arm", "digit"])
+def test_a_part_that_does_not_answer_lets_the_others_go(tmp_path, monkeypatch, part):
+    robot = Pneutac(config(tmp_path))
+    broken = robot.cameras["tactile"] if part == "digit" else robot._arm
+
+    def connect(*_):
+        raise HardwareFault("No answer.")
+
+    monkeypatch.setattr(broken, "connect", connect)
+    with pytest.raises(HardwareFault, match="No answer"):
+        robot.connect()
+    assert not robot.is_connected
+    with pytest.raises(HardwareFault, match="not connected"):
+        robot._pressure.pressure()
+    monkeypatch.undo()
+    robot.connect()
+    robot.disconnect()
+
+
+def test_a_touch_during_the_rest_image_is_refused(tmp_path):
+    robot = Pneutac(config(tmp_path, digit=DigitGeneratedConfig(press_period_s=0.5)))
+    with pytest.raises(HardwareFault, match="nothing touch"):
+        robot.connect()
+
+
+def test_disconnect_ends_all_threads_also_where_a_part_fails(robot, monkeypatch):
+    monkeypatch.setattr(robot._arm, "disconnect", lambda: 1 / 0)
+    robot.disconnect()
+    assert not [t for t in threading.enumerate() if t.name.startswith("pneutac-")]
+    assert not robot.cameras["tactile"].is_connected

@@ -1,0 +1,157 @@
+import numpy as np
+import pytest
+from draccus.utils import DecodingError
+from lerobot.rollout.context import HardwareContext
+from lerobot.rollout.strategies import core
+from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
+
+from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
+from lerobot_robot_pneutac.robots.pneutac_sim import HOME_RADIUS_M, PneutacSim
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import ACTION_HIGH, ACTION_NAMES, CONTROL_HZ, STATE_NAMES
+from pneutac_sim.twin import Twin
+from pneutac_sim.world.standin import StandinWorld
+
+EE = ("ee_x.pos", "ee_y.pos", "ee_z.pos")
+
+
+@pytest.fixture
+def make_robot(tmp_path):
+    robots = []
+
+    def make(**kwargs) -> PneutacSim:
+        robots.append(PneutacSim(PneutacSimConfig(id="sim", calibration_dir=tmp_path, **kwargs)))
+        robots[-1].connect()
+        return robots[-1]
+
+    yield make
+    for robot in robots:
+        if robot.is_connected:
+            robot.disconnect()
+
+
+def act(dx=0.0, dy=0.0, dz=0.0, pressure=0.0, **more) -> dict:
+    return dict(zip(ACTION_NAMES, (dx, dy, dz, pressure), strict=True)) | more
+
+
+def position(robot) -> np.ndarray:
+    observation = robot.get_observation()
+    return np.array([observation[name] for name in EE])
+
+
+def test_features_are_known_before_connecting_and_survive_lerobot_rollout(tmp_path):
+    robot = PneutacSim(PneutacSimConfig(id="sim", calibration_dir=tmp_path))
+    assert robot.name == "pneutac"
+    scalars = [k for k, v in robot.observation_features.items() if v is float]
+    assert scalars == list(STATE_NAMES)
+    assert list(robot.action_features) == list(ACTION_NAMES)
+    # lerobot-rollout silently leaves out every scalar that ends otherwise.
+    assert all(k.endswith((".pos", ".vel")) for k in [*scalars, *robot.action_features])
+    assert robot.observation_features["tactile"] == (320, 240, 3)
+    assert len(robot.cameras) == 0
+
+
+def test_observation_is_what_the_features_say(make_robot):
+    robot = make_robot()
+    observation = robot.get_observation()
+    assert list(observation) == list(robot.observation_features)
+    assert all(isinstance(observation[name], float) for name in STATE_NAMES)
+    assert observation["tactile"].shape == (320, 240, 3)
+    assert observation["tactile"].dtype == np.uint8
+
+
+def test_an_action_moves_the_flange_by_its_velocity_for_a_control_step(make_robot):
+    robot = make_robot()
+    start = position(robot)
+    for _ in range(15):
+        robot.send_action(act(dy=0.04, pressure=3.0))
+    assert position(robot) - start == pytest.approx([0, 0.04, 0], abs=0.003)
+    assert robot.get_observation()["pressure.pos"] == pytest.approx(3.0)
+
+
+def test_actions_are_clipped_and_the_sent_one_returned(make_robot):
+    sent = make_robot().send_action(act(dx=9.0, dz=-0.01, pressure=99.0))
+    assert sent == pytest.approx(act(dx=ACTION_HIGH[0], dz=-0.01, pressure=ACTION_HIGH[3]))
+
+
+def test_bad_actions_are_named(make_robot):
+    robot = make_robot()
+    with pytest.raises(InputError, match="not finite"):
+        robot.send_action(act(dx=float("nan")))
+    with pytest.raises(InputError, match="the robot takes dx.vel, dy.vel, dz.vel, pressure.pos"):
+        robot.send_action({"delta_x": 1.0})
+
+
+def test_same_seed_same_starts_and_each_reset_another(make_robot):
+    def starts(seed):
+        robot = make_robot(seed=seed)
+        found = [position(robot)]
+        for _ in range(2):
+            robot.send_action(act(dx=0.01, reset=True))
+            found.append(position(robot))
+        robot.disconnect()
+        return np.array(found)
+
+    first, again, other = starts(1), starts(1), starts(2)
+    assert (first == again).all()
+    assert np.linalg.norm(first[0] - first[1]) > 1e-4
+    assert np.linalg.norm(first[1] - first[2]) > 1e-4
+    assert np.linalg.norm(first[0] - other[0]) > 1e-4
+
+
+def test_a_pose_is_approached(make_robot):
+    robot = make_robot()
+    goal = position(robot) + [0.0, 0.04, 0.03]
+    for _ in range(20):
+        robot.send_action(dict(zip(EE, goal, strict=True)) | {"pressure.pos": 2.0})
+    assert position(robot) == pytest.approx(goal, abs=0.002)
+    assert robot.successes == []
+
+
+def test_lerobots_return_to_the_start_brings_a_fresh_scene_once(make_robot, monkeypatch):
+    robot = make_robot()
+    initial = {k: v for k, v in robot.get_observation().items() if k.endswith(".pos")}
+    start = position(robot)
+    for _ in range(15):
+        robot.send_action(act(dy=0.08, pressure=5.0))
+    assert np.linalg.norm(position(robot) - start) > 0.05
+    monkeypatch.setattr(core, "precise_sleep", lambda _: None)
+    hardware = HardwareContext(robot_wrapper=robot, teleop=None, initial_position=initial)
+    core.RolloutStrategy._return_to_initial_position(hardware, duration_s=1)
+    assert np.linalg.norm(position(robot) - robot.world.task.home_m) < HOME_RADIUS_M
+    assert robot.successes == [False]
+    core.RolloutStrategy._return_to_initial_position(hardware, duration_s=1)
+    assert robot.successes == [False]
+
+
+def test_connection_is_checked(tmp_path, make_robot):
+    robot = PneutacSim(PneutacSimConfig(id="sim", calibration_dir=tmp_path))
+    for call in (robot.get_observation, robot.disconnect, lambda: robot.send_action(act())):
+        with pytest.raises(DeviceNotConnectedError):
+            call()
+    with pytest.raises(DeviceAlreadyConnectedError):
+        make_robot().connect()
+
+
+def test_bad_options_are_named(tmp_path):
+    with pytest.raises(DecodingError, match="'juggle'; it must be one of switch, egg, card"):
+        PneutacSimConfig(task="juggle")
+    with pytest.raises(DecodingError, match="holds no twin.yaml"):
+        PneutacSimConfig(twin=tmp_path)
+
+
+def test_the_standin_acts_late_and_has_no_twin(make_robot, tmp_path):
+    robot = make_robot(standin=True)
+    assert isinstance(robot.world, StandinWorld)
+    start = position(robot)
+    sent = robot.send_action(act(dy=0.1, pressure=5.0))
+    assert sent == pytest.approx(act(dy=0.1, pressure=5.0))
+    assert position(robot) == pytest.approx(start, abs=1e-3)
+    for _ in range(3):
+        robot.send_action(act(pressure=5.0))
+    assert position(robot)[1] - start[1] == pytest.approx(0.1 / CONTROL_HZ, abs=1e-3)
+    Twin.builtin().save(tmp_path)
+    with pytest.raises(DecodingError, match="leave --robot.twin and --robot.fidelity out"):
+        PneutacSimConfig(standin=True, twin=tmp_path)
+    with pytest.raises(DecodingError, match="leave --robot.twin and --robot.fidelity out"):
+        PneutacSimConfig(standin=True, fidelity="mpm")

@@ -1,0 +1,76 @@
+import numpy as np
+import pytest
+from draccus.utils import DecodingError
+from lerobot.envs.factory import make_env
+from lerobot.envs.utils import env_to_policy_features, preprocess_observation
+
+from lerobot_robot_pneutac.env import PneutacEnvConfig, PneutacStandinConfig
+from pneutac_sim.world.standin import StandinWorld
+
+
+def test_environment_gives_what_the_config_promises():
+    config = PneutacEnvConfig(task="switch", episode_length=3)
+    env = make_env(config, n_envs=1)["pneutac"][0]
+    observation, _ = env.reset(seed=[1])
+    found = {k: tuple(v.shape[1:]) for k, v in preprocess_observation(observation).items()}
+    promised = {k: f.shape for k, f in env_to_policy_features(config).items()}
+    assert promised.pop("action") == env.single_action_space.shape
+    assert found == promised
+    for step in range(3):
+        *_, truncated, _ = env.step(np.zeros((1, 4), np.float32))
+        assert truncated[0] == (step == 2)
+    env.close()
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"task": "juggle"}, "'juggle'; it must be one of switch, egg, card"),
+        ({"fps": 30}, "controlled at 15 Hz"),
+        ({"episode_length": 0}, "at least 1 step"),
+        ({"twin": "/nowhere"}, "holds no twin.yaml"),
+    ],
+)
+def test_bad_options_are_named(options, said):
+    with pytest.raises(DecodingError, match=said):
+        PneutacEnvConfig(**options)
+
+
+def test_a_twin_folder_reaches_the_world(tmp_path):
+    from pneutac_sim.twin import Twin
+
+    twin = Twin.builtin()
+    twin.parameters["gain_rad_per_kpa"].value *= 0.5
+    twin.save(tmp_path)
+    env = make_env(PneutacEnvConfig(twin=tmp_path, fidelity="probe"), n_envs=1)["pneutac"][0]
+    world = env.envs[0].unwrapped.world
+    assert world.twin.parameter("gain_rad_per_kpa") == pytest.approx(0.5 * 0.01114)
+    env.close()
+
+
+def test_fidelity_reaches_the_world():
+    assert PneutacEnvConfig(fidelity="mpm").gym_kwargs["fidelity"] == "mpm"
+    with pytest.raises(DecodingError, match="surrogate, mpm, probe"):
+        PneutacEnvConfig(fidelity="fem")
+    env = make_env(PneutacEnvConfig(fidelity="mpm"), n_envs=1)["pneutac"][0]
+    assert env.envs[0].unwrapped.world.finger is not None
+    env.close()
+
+
+def test_the_standin_is_an_environment_of_its_own():
+    config = PneutacStandinConfig(task="card", episode_length=2)
+    env = make_env(config, n_envs=1)["pneutac_standin"][0]
+    assert isinstance(env.envs[0].unwrapped.world, StandinWorld)
+    observation, _ = env.reset(seed=[1])
+    found = {k: tuple(v.shape[1:]) for k, v in preprocess_observation(observation).items()}
+    promised = {k: f.shape for k, f in env_to_policy_features(config).items()}
+    assert promised.pop("action") == env.single_action_space.shape
+    assert found == promised
+    for step in range(2):
+        *_, truncated, _ = env.step(np.zeros((1, 4), np.float32))
+        assert truncated[0] == (step == 1)
+    env.close()
+    with pytest.raises(DecodingError, match="'foam'; it must be one of layer, mpm"):
+        PneutacStandinConfig(gel="foam")
+    with pytest.raises(DecodingError, match="'juggle'; it must be one of"):
+        PneutacStandinConfig(task="juggle")
