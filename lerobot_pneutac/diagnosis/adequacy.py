@@ -7,14 +7,14 @@ same way, and takes the ratio of held-out error to floor. Nineteen of twenty dra
 import numpy as np
 
 from pneutac_datasets.recording.noise import headline, noise_floor
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 
 DRAWS = 60
 TOLERANCE = 1.10  # the floor itself is known to some percent only, and nobody cares for a leftover that small
 
 
 def noise_limit(
-    recording: BenchRecording,
+    recording: Recording,
     residual: np.ndarray,
     mask: np.ndarray,
     sigma: np.ndarray,
@@ -38,7 +38,7 @@ def noise_limit(
     truth = recording.samples[columns].to_numpy(float) - residual
     train = max(int((~mask).sum()), 1)
     rng = np.random.default_rng([seed, 11])
-    again = BenchRecording(recording.folder, recording.meta, recording.samples.copy(), recording.device)
+    again = Recording(recording.folder, recording.meta, recording.samples.copy(), recording.device)
     ratio = np.empty(DRAWS)
     for i in range(DRAWS):
         noise = sigma * rng.normal(size=truth.shape)

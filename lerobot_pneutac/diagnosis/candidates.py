@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import all_effects
 from pneutac_sim.finger.inputs import conditions_of
 from pneutac_sim.twin import Twin
@@ -25,7 +25,7 @@ class Untested:
     reason: str
 
 
-def sort_candidates(recording: BenchRecording, twin: Twin) -> tuple[list[str], list[Untested]]:
+def sort_candidates(recording: Recording, twin: Twin) -> tuple[list[str], list[Untested]]:
     """Effects to try and those that cannot be tried; what the twin has already is in neither."""
     names, untested = [], []
     known = conditions_of(recording.samples, recording.device)

@@ -16,7 +16,7 @@ import numpy as np
 
 from lerobot_pneutac.diagnosis.fits import Fit
 from lerobot_pneutac.diagnosis.score import promising
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.finger.bench import Bench, simulate
 from pneutac_sim.finger.fit import fit
 from pneutac_sim.twin import Twin
@@ -58,7 +58,7 @@ class Job:
 class Prepared:
     """A recording with its training samples, prepared once for each pair of target and source."""
 
-    def __init__(self, recording: BenchRecording, train: np.ndarray):
+    def __init__(self, recording: Recording, train: np.ndarray):
         self.recording, self.train = recording, train
         self._benches: dict[tuple[str, str], Bench] = {}
 
@@ -98,7 +98,7 @@ def _active(found, pressure_range_kpa: float) -> int:
 _prepared: Prepared | None = None
 
 
-def _begin(recording: BenchRecording, train: np.ndarray) -> None:
+def _begin(recording: Recording, train: np.ndarray) -> None:
     global _prepared
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent alone answers to Ctrl-C
     _prepared = Prepared(recording, train)
@@ -120,7 +120,7 @@ class Engine:
 
     def __init__(
         self,
-        recording: BenchRecording,
+        recording: Recording,
         train: np.ndarray,
         jobs: int = 1,
         done: Callable[[], None] = lambda: None,

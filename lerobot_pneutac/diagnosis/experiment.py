@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lerobot_pneutac.diagnosis.programs import Program, menu
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger.bench import Bench
@@ -39,7 +39,7 @@ class Separation:
 
 
 def separations(
-    recording: BenchRecording, a: Twin, b: Twin, floor: float, effects: tuple[str, ...] = ()
+    recording: Recording, a: Twin, b: Twin, floor: float, effects: tuple[str, ...] = ()
 ) -> list[Separation]:
     """All experiments of the menu, the one that separates two twins most first.
 
@@ -72,8 +72,8 @@ def separations(
     return sorted(found, key=lambda s: -s.score)
 
 
-def _predict(recording: BenchRecording, program: Program, a: Twin, b: Twin):
-    planned = BenchRecording(recording.folder, recording.meta, program.samples, recording.device)
+def _predict(recording: Recording, program: Program, a: Twin, b: Twin):
+    planned = Recording(recording.folder, recording.meta, program.samples, recording.device)
     out = []
     for twin in (a, b):
         bench = Bench.of(planned, twin, source="command", start="held")

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 
 SHUFFLES = 200
 
@@ -35,7 +35,7 @@ class Fingerprint:
 
 
 def fingerprints(
-    recording: BenchRecording, residual: np.ndarray, pressure: np.ndarray, seed: int = 0
+    recording: Recording, residual: np.ndarray, pressure: np.ndarray, seed: int = 0
 ) -> list[Fingerprint]:
     """All contrasts that the recording's columns allow, the most telling first.
 
@@ -71,7 +71,7 @@ def fingerprints(
     return sorted(found, key=lambda f: -(f.share - f.chance))
 
 
-def contrasts(recording: BenchRecording, p: np.ndarray) -> dict[str, tuple[str, np.ndarray]]:
+def contrasts(recording: Recording, p: np.ndarray) -> dict[str, tuple[str, np.ndarray]]:
     """Effect to words and contrast (n, k); `p` (n,) is the pressure over its largest."""
     s = recording.samples
     dt = steps(recording)
@@ -103,7 +103,7 @@ def contrasts(recording: BenchRecording, p: np.ndarray) -> dict[str, tuple[str, 
     return {k: (w, x.reshape(len(p), -1)) for k, (w, x) in made.items()}
 
 
-def steps(recording: BenchRecording) -> np.ndarray:
+def steps(recording: Recording) -> np.ndarray:
     """(n,) seconds since the sample before, infinite at the first of a trial."""
     dt = np.r_[np.inf, np.diff(recording.column("time_s"))]
     for rows in recording.trials().values():

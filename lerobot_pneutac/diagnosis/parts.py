@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pneutac_datasets.recording import blocks
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 
 FRACTIONS = (0.5, 0.25, 0.25)
 FEW_BLOCKS = 10  # below this a third part would hold a block or two: validation is then the test as well
@@ -43,7 +43,7 @@ class Parts:
         return not np.array_equal(self.validation, self.test)
 
 
-def deal(recording: BenchRecording, seed: int, choose: bool = True) -> Parts:
+def deal(recording: Recording, seed: int, choose: bool = True) -> Parts:
     """Splits by whole blocks of time, stratified by condition.
 
     Args:
@@ -69,7 +69,7 @@ def deal(recording: BenchRecording, seed: int, choose: bool = True) -> Parts:
     return Parts(train, validation, test, unit, stratum[first])
 
 
-def _refine(recording: BenchRecording, block: np.ndarray) -> np.ndarray:
+def _refine(recording: Recording, block: np.ndarray) -> np.ndarray:
     """Finer blocks (n,) where a condition has too few of them for every part to get some."""
     stratum = blocks.strata(recording.samples, block)
     count = np.bincount(stratum)[stratum]

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.twin import Twin
 
@@ -18,7 +18,7 @@ SMOOTH_SAMPLES = 2.0
 JUST_NOISE = 1.1  # pressure error over its noise up to which the model's pressure is as good as the measured
 
 
-def measured_columns(recording: BenchRecording) -> list[str]:
+def measured_columns(recording: Recording) -> list[str]:
     """Columns of measured pressure, empty where one is missing or tells nothing."""
     columns = [c.replace("pressure_cmd", "pressure") for c in recording.pressure_columns]
     for command, measured in zip(recording.pressure_columns, columns, strict=True):
@@ -30,7 +30,7 @@ def measured_columns(recording: BenchRecording) -> list[str]:
     return columns
 
 
-def sensor_noise(recording: BenchRecording, columns: list[str]) -> float:
+def sensor_noise(recording: Recording, columns: list[str]) -> float:
     """Noise of the measured pressures together, kPa.
 
     From second differences, whose variance is six times that of white noise; their median is blind to steps.
@@ -49,9 +49,7 @@ def is_pneumatic(effect: str) -> bool:
     return get_effect(effect).stage == "pneumatics" and effect != "sensor_offset"
 
 
-def driven_by(
-    recording: BenchRecording, columns: list[str], residual: np.ndarray, noise: float
-) -> BenchRecording:
+def driven_by(recording: Recording, columns: list[str], residual: np.ndarray, noise: float) -> Recording:
     """The recording with the best guess of the true pressure in its measured columns.
 
     The model's pressure plus the smoothed rest; where the rest is noise alone, the model's pressure.

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 
 SECONDS = 120.0
 HZ = 10.0
@@ -26,7 +26,7 @@ class Program:
     samples: pd.DataFrame
 
 
-def menu(recording: BenchRecording) -> list[Program]:
+def menu(recording: Recording) -> list[Program]:
     """All experiments that make sense for this recording's columns."""
     s = recording.samples
     command = s[recording.pressure_columns].to_numpy(float)
@@ -90,7 +90,7 @@ def menu(recording: BenchRecording) -> list[Program]:
     return [Program(name, advice, _table(recording, t, p, change)) for name, advice, p, change in made]
 
 
-def _table(recording: BenchRecording, t: np.ndarray, p: np.ndarray, change: dict) -> pd.DataFrame:
+def _table(recording: Recording, t: np.ndarray, p: np.ndarray, change: dict) -> pd.DataFrame:
     """All columns of the recording: conditions and markers at their usual value, the command as given."""
     table = pd.DataFrame({"trial": np.zeros(len(t), int), "time_s": t})
     for i, c in enumerate(recording.pressure_columns):

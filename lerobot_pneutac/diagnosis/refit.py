@@ -9,7 +9,7 @@ from lerobot_pneutac.diagnosis import pneumatics
 from lerobot_pneutac.diagnosis.engine import Engine, StageFitter
 from lerobot_pneutac.diagnosis.experiment import predict
 from lerobot_pneutac.diagnosis.parts import Parts
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.finger.bench import Bench
 from pneutac_sim.twin import Twin
 
@@ -33,7 +33,7 @@ class Refit:
 
 def refit(
     twin: Twin,
-    recording: BenchRecording,
+    recording: Recording,
     effects: list[str],
     parts: Parts,
     done: Callable[[], None] = lambda: None,

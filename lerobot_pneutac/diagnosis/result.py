@@ -13,7 +13,7 @@ from lerobot_pneutac.diagnosis.profile import Profile
 from lerobot_pneutac.diagnosis.rivals import Rival
 from lerobot_pneutac.diagnosis.verdict import Evidence
 from pneutac_datasets.recording.noise import NoiseFloor
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.twin import Twin
 
 
@@ -66,7 +66,7 @@ class Diagnosis:
         pressure_error: error of the modelled pressure before and after, and its noise, kPa.
     """
 
-    recording: BenchRecording
+    recording: Recording
     findings: list[str]
     noise: NoiseFloor
     parts: Parts

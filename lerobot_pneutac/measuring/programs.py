@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from lerobot_pneutac.diagnosis.programs import menu
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 
 BUILTIN = ("steps", "ramps", "holds", "loops", "all")
@@ -116,7 +116,7 @@ def _proposed(path: Path, recording: Path | None, hz: float) -> Trial:
         raise InputError(f"{path} is no result of pneutac diagnose: 'next_experiment' is missing.") from e
     if recording is None:
         raise InputError("--program=result.json needs --recording, the folder that was diagnosed.")
-    for p in menu(BenchRecording.load(recording)):
+    for p in menu(Recording.load(recording)):
         columns = [c for c in p.samples if c.startswith("pressure_cmd")]
         if p.advice in advice and len(columns) == 1:
             s = p.samples

@@ -17,7 +17,7 @@ from lerobot_pneutac.study.photographs import (
     read_held,
 )
 from pneutac_datasets.recording.photographs import read_camera
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.rules import an
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm.body import Body
@@ -59,7 +59,7 @@ def read_recorded(twin: Twin, config: RenderConfig) -> Recorded:
     Raises:
         InputError: another device's recording, a camera that it does not have, a twin without looks.
     """
-    recording = BenchRecording.load(config.recording)
+    recording = Recording.load(config.recording)
     if recording.device != twin.device:
         raise InputError(
             f"{recording.folder} is of {an(recording.device)} and {config.twin} of {an(twin.device)}; give a "

@@ -23,7 +23,7 @@ from lerobot_pneutac.study.pair import enough_rows
 from pneutac_datasets.recording.checks import check
 from pneutac_datasets.recording.mounts import on_one_mount
 from pneutac_datasets.recording.noise import headline, noise_floor
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect, of_body
 from pneutac_sim.finger.bench import Bench
 from pneutac_sim.twin import Twin
@@ -31,7 +31,7 @@ from pneutac_sim.twin import Twin
 
 def diagnose(
     twin: Twin,
-    recording: BenchRecording,
+    recording: Recording,
     seed: int = 0,
     jobs: int = 1,
     tell: Callable[[str, int], None] = lambda text, fits: None,

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.rules import an, plural
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import Bench, Pipeline
@@ -21,7 +21,7 @@ def require(options, *names: str) -> None:
             raise InputError(f"Give the {name}'s folder with --{name}=DIR.")
 
 
-def same_device(twin: Twin, recording: BenchRecording, twin_path: Path, verb: str) -> None:
+def same_device(twin: Twin, recording: Recording, twin_path: Path, verb: str) -> None:
     """Raises InputError where the two are of different devices."""
     if recording.device != twin.device:
         raise InputError(
@@ -30,9 +30,9 @@ def same_device(twin: Twin, recording: BenchRecording, twin_path: Path, verb: st
         )
 
 
-def load_pair(twin_path: Path, recording_path: Path, verb: str = "diagnose") -> tuple[Twin, BenchRecording]:
+def load_pair(twin_path: Path, recording_path: Path, verb: str = "diagnose") -> tuple[Twin, Recording]:
     """The twin and a recording that may be diagnosed; raises InputError where they do not fit together."""
-    twin, recording = Twin.load(twin_path), BenchRecording.load(recording_path)
+    twin, recording = Twin.load(twin_path), Recording.load(recording_path)
     if recording.device == "gel":
         if twin.device != "gel" and not twin.gel:
             same_device(twin, recording, twin_path, verb)
@@ -47,7 +47,7 @@ def load_pair(twin_path: Path, recording_path: Path, verb: str = "diagnose") -> 
     return twin, recording
 
 
-def other_unit(twin: Twin, recording: BenchRecording) -> list[str]:
+def other_unit(twin: Twin, recording: Recording) -> list[str]:
     """A note where a calibrated twin would roll itself up at the recording's pressures."""
     gain = twin.parameters.get("gain_rad_per_kpa")
     if gain is None or gain.ci95 is None:
@@ -62,7 +62,7 @@ def other_unit(twin: Twin, recording: BenchRecording) -> list[str]:
     ]
 
 
-def enough_rows(twin: Twin, recording: BenchRecording, effects: list[str], train: np.ndarray) -> None:
+def enough_rows(twin: Twin, recording: Recording, effects: list[str], train: np.ndarray) -> None:
     """Raises InputError where the training samples are too few to fit a twin with these effects at all.
 
     Args:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pneutac_datasets.recording.photographs import column_of, masked_cameras, read_camera, read_photograph
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.photo_fit.objective import Photograph
 from pneutac_sim.splat.camera import Camera
@@ -50,7 +50,7 @@ class PhotoSession:
         return by_state[int(next(s for s in least if self.train[s]))]
 
 
-def read_session(recording: BenchRecording, levels_kpa: tuple[float, ...]) -> PhotoSession:
+def read_session(recording: Recording, levels_kpa: tuple[float, ...]) -> PhotoSession:
     """Photographs of a finger or an arm.
 
     Of each hold of a pressure the last photograph counts, taken to be at rest. Cameras that look along the
@@ -95,7 +95,7 @@ def read_session(recording: BenchRecording, levels_kpa: tuple[float, ...]) -> Ph
     )
 
 
-def held_levels(recording: BenchRecording) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def held_levels(recording: Recording) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Pressures under which a body was photographed at rest.
 
     Args:
@@ -119,7 +119,7 @@ def held_levels(recording: BenchRecording) -> tuple[np.ndarray, np.ndarray, np.n
     return levels, rows, state.ravel()
 
 
-def read_held(recording: BenchRecording, row: int, state: int, name: str, camera: Camera) -> Photograph:
+def read_held(recording: Recording, row: int, state: int, name: str, camera: Camera) -> Photograph:
     """The photograph that a camera took in a row, at pressure number `state`.
 
     Raises:
@@ -135,7 +135,7 @@ def read_held(recording: BenchRecording, row: int, state: int, name: str, camera
     return Photograph(int(state), camera, image, mask, told)
 
 
-def mean_conditions(recording: BenchRecording) -> dict[str, float]:
+def mean_conditions(recording: Recording) -> dict[str, float]:
     """Means of the columns that are neither photographs nor pressures nor markers but numbers."""
     conditions = {}
     for name in recording.conditions:
@@ -145,7 +145,7 @@ def mean_conditions(recording: BenchRecording) -> dict[str, float]:
     return conditions
 
 
-def _holds(recording: BenchRecording, pressure: np.ndarray) -> np.ndarray:
+def _holds(recording: Recording, pressure: np.ndarray) -> np.ndarray:
     """Rows that end a hold of one pressure within a trial."""
     trial = recording.column("trial")
     goes_on = (trial[1:] == trial[:-1]) & (np.abs(np.diff(pressure, axis=0)) < 1e-6).all(1)

@@ -22,7 +22,7 @@ from lerobot_pneutac.verbs.diagnose import progress
 from pneutac_datasets.recording.checks import check
 from pneutac_datasets.recording.mounts import on_one_mount
 from pneutac_datasets.recording.noise import NoiseFloor, noise_floor
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin
@@ -149,7 +149,7 @@ def main(argv: list[str]) -> None:
         console.print(f"report: {_page(added, result).write(cfg.out)}", highlight=False)
 
 
-def add(twin: Twin, recording: BenchRecording, effect: str, seed: int = 0, done=lambda: None) -> Added:
+def add(twin: Twin, recording: Recording, effect: str, seed: int = 0, done=lambda: None) -> Added:
     """Fits the twin with and without an effect and compares them on held-out blocks.
 
     Raises:

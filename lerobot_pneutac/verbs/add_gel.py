@@ -9,13 +9,13 @@ from lerobot_pneutac.reports.sentences import percent
 from lerobot_pneutac.study.gel import Bench, at_bound
 from lerobot_pneutac.verbs.diagnose_gel import load_gel, own_effects
 from lerobot_pneutac.verbs.fit_gel import for_twin
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.optics import OPTICS
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin
 
 
-def run(twin: Twin, recording: BenchRecording, cfg, console: Console) -> None:
+def run(twin: Twin, recording: Recording, cfg, console: Console) -> None:
     """The verb, for a gel.
 
     Raises:

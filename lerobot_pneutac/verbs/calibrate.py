@@ -67,9 +67,9 @@ def calibrate(cfg: CalibrateConfig, scratch: Path, console: Console) -> dict:
         scratch: a folder for generated data.
         console: where the table and remarks go.
     """
-    from pneutac_datasets.recording.recording import BenchRecording
+    from pneutac_datasets.recording.recording import Recording
 
-    recording = BenchRecording.load(cfg.recording or _default_recording(scratch, cfg.seed, console))
+    recording = Recording.load(cfg.recording or _default_recording(scratch, cfg.seed, console))
     for warning in recording.warnings:
         console.print(f"[yellow]note:[/] {warning}", highlight=False)
     twin = _twin(cfg.twin, recording, console)

@@ -15,7 +15,7 @@ from pneutac_datasets.recording.axes import Axis, axes, is_still, motion
 from pneutac_datasets.recording.checks import check
 from pneutac_datasets.recording.mounts import on_one_mount
 from pneutac_datasets.recording.noise import NoiseFloor, noise_floor
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import Bench, simulate
 from pneutac_sim.twin import Twin
@@ -82,7 +82,7 @@ class Comparison:
             with; None where it has none.
     """
 
-    recording: BenchRecording
+    recording: Recording
     said: list[str]
     columns: tuple[str, ...]
     counted: int
@@ -109,7 +109,7 @@ def main(argv: list[str]) -> None:
     """Runs the verb."""
     config = parse_options(CompareConfig, argv)
     twin = Twin.load(config.twin)
-    recording = BenchRecording.load(config.recording)
+    recording = Recording.load(config.recording)
     if not (recording.device == "gel" and twin.gel):
         same_device(twin, recording, config.twin, "compare")
     if recording.device == "gel":
@@ -134,7 +134,7 @@ def main(argv: list[str]) -> None:
 
 def compare(
     twin: Twin,
-    recording: BenchRecording,
+    recording: Recording,
     seed: int = 0,
     fidelity: str = "pipeline",
     samples: int | None = None,
@@ -191,7 +191,7 @@ def _out_of_range(twin: Twin, bench: Bench) -> tuple[float | None, str | None]:
     return out_of_range(twin, bench)
 
 
-def train_mask(twin: Twin, recording: BenchRecording, seed: int = 0) -> np.ndarray:
+def train_mask(twin: Twin, recording: Recording, seed: int = 0) -> np.ndarray:
     """Samples (n,) that the twin may have been fitted to.
 
     The last version fitted on this very recording tells the `seed` of its split; other recordings are split
@@ -237,7 +237,7 @@ def summarize(c: Comparison, twin: Twin) -> dict:
     }
 
 
-def _pressure_error(recording: BenchRecording, twin: Twin) -> np.ndarray | None:
+def _pressure_error(recording: Recording, twin: Twin) -> np.ndarray | None:
     """(n,) squared distance of the pneumatics from the measured pressure, from the command."""
     measured = [n.replace("cmd_", "") for n in recording.pressure_columns]
     if not all(map(recording.has, measured)):

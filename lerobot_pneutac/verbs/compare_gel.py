@@ -10,7 +10,7 @@ from rich.console import Console
 from lerobot_pneutac.reports.page import Report, write_result
 from lerobot_pneutac.verbs.fit_gel import picture_grid, predict, scores_of
 from pneutac_datasets.recording.gel import GelRecording
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.fit import slope_light
 from pneutac_sim.gel.layout import Layout, Orientation, recognise
@@ -22,7 +22,7 @@ QUIET_RADII = 3.0  # beyond so many contact radii the image should equal the res
 WORST = 5
 
 
-def compare_gel(twin: Twin, recording: BenchRecording, out: Path | None, console: Console) -> dict:
+def compare_gel(twin: Twin, recording: Recording, out: Path | None, console: Console) -> dict:
     """Renders every image's indentation with the twin, scores and reports.
 
     The recording's own rest images, scale and, if it has a row of role `calibration`, half of the drift of

@@ -12,7 +12,7 @@ from lerobot_pneutac.reports.sentences import percent
 from lerobot_pneutac.study.gel import GelStudy, Trial, maps, study
 from lerobot_pneutac.verbs.compare_gel import seen_by
 from pneutac_datasets.recording.gel import GelRecording
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.optics import OPTICS
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.pair import check_pair
@@ -21,7 +21,7 @@ from pneutac_sim.twin import Twin
 MAP_GAIN = 4.0  # maps are shown this many times brighter
 
 
-def load_gel(twin: Twin, recording: BenchRecording) -> tuple[GelModel, GelRecording]:
+def load_gel(twin: Twin, recording: Recording) -> tuple[GelModel, GelRecording]:
     """The gel as the recording's images show it, and the recording, whose calibration pair is checked.
 
     Raises:
@@ -38,7 +38,7 @@ def own_effects(twin: Twin) -> list[str]:
     return [e for e in twin.effects if e in OPTICS]
 
 
-def diagnose_gel(twin: Twin, recording: BenchRecording, seed: int, tell, done) -> tuple[GelStudy, dict]:
+def diagnose_gel(twin: Twin, recording: Recording, seed: int, tell, done) -> tuple[GelStudy, dict]:
     """Studies the recording; returns the study and the content of `result.json`."""
     start = time.monotonic()
     gel, data = load_gel(twin, recording)
@@ -231,7 +231,7 @@ def write_page(s: GelStudy, result: dict, out: Path) -> Path:
     return page.write(out)
 
 
-def run(twin: Twin, recording: BenchRecording, cfg, console: Console) -> None:
+def run(twin: Twin, recording: Recording, cfg, console: Console) -> None:
     """The verb, for a gel."""
     from lerobot_pneutac.verbs.diagnose import progress
 

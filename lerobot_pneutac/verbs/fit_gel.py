@@ -11,7 +11,7 @@ from lerobot_pneutac.benchmarks.baselines.pasted import Pasted
 from lerobot_pneutac.reports.page import Report, write_result
 from lerobot_pneutac.study.gel import at_bound
 from pneutac_datasets.recording.gel import GelRecording, GelSample
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.optics import OPTICS, SENSOR
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import IMAGE_SHAPE
@@ -26,7 +26,7 @@ OURS, PASTED, REST = "this model", "difference pasted", "rest image"
 PICTURES = 6  # held-out images in the picture grid
 
 
-def calibrate_gel(twin: Twin, recording: BenchRecording, cfg, console: Console) -> dict:
+def calibrate_gel(twin: Twin, recording: Recording, cfg, console: Console) -> dict:
     """Fits, saves the twin's next version, prints the table, writes result, pictures and report.
 
     Args:

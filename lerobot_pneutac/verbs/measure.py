@@ -18,7 +18,7 @@ from lerobot_pneutac.measuring.programs import Trial, read_program
 from lerobot_robot_pneutac import DigitConfig  # noqa: F401  registers the tactile cameras
 from lerobot_robot_pneutac.hardware.parts import COMMAND_S, HardwareFault, PressureController
 from lerobot_robot_pneutac.robots.config_pneutac import PressureConfig
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 
 BASE_IMAGES = 15
@@ -116,7 +116,7 @@ def main(argv: list[str]) -> None:
         raise InputError(str(e)) from e
 
 
-def measure(cfg: MeasureConfig, console: Console) -> BenchRecording:
+def measure(cfg: MeasureConfig, console: Console) -> Recording:
     """Drives the program; the recording holds every trial that was finished, however it ends.
 
     Raises:
@@ -163,7 +163,7 @@ def measure(cfg: MeasureConfig, console: Console) -> BenchRecording:
         else:
             console.print("No trial was finished; nothing is kept.")
             shutil.rmtree(cfg.out, ignore_errors=True)
-    return BenchRecording.load(cfg.out)
+    return Recording.load(cfg.out)
 
 
 class _Bench:
@@ -241,7 +241,7 @@ class _Bench:
             },
         }
         samples = pd.DataFrame(self._rows)
-        new = BenchRecording(self._cfg.out, meta, samples, "finger").write(self._cfg.out / "new")
+        new = Recording(self._cfg.out, meta, samples, "finger").write(self._cfg.out / "new")
         for name in ("recording.json", "samples.csv"):  # the table last: a trial in it is kept
             (new / name).replace(self._cfg.out / name)
         new.rmdir()

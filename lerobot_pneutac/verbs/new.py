@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from lerobot_pneutac.cli.options import parse_options
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.rules import an
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import Pipeline
@@ -60,7 +60,7 @@ def main(argv: list[str]) -> None:
         raise InputError(f"{config.twin} already holds a twin; choose another folder, or delete that one.")
     if config.device is not None and config.device not in DEVICES:
         raise InputError(f"--device is '{config.device}'; it must be one of {', '.join(DEVICES)}.")
-    recording = BenchRecording.load(config.recording) if config.recording is not None else None
+    recording = Recording.load(config.recording) if config.recording is not None else None
     if recording is not None and config.device not in (None, recording.device):
         raise InputError(
             f"--device is '{config.device}', but {config.recording} is of {an(recording.device)}; omit one."
@@ -79,7 +79,7 @@ def main(argv: list[str]) -> None:
     )
 
 
-def _read_body(config: NewConfig, device: str, recording: BenchRecording | None) -> UserMesh | None:
+def _read_body(config: NewConfig, device: str, recording: Recording | None) -> UserMesh | None:
     if config.mesh is None:
         return None
     if device == "gel":
@@ -125,7 +125,7 @@ def write_geometry(twin: Twin, folder: Path) -> None:
 
 def new_twin(
     device: str,
-    recording: BenchRecording | None = None,
+    recording: Recording | None = None,
     length_mm: float | None = None,
     body: UserMesh | None = None,
 ) -> Twin:

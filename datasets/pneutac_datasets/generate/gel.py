@@ -10,7 +10,7 @@ import numpy as np
 from PIL import Image
 
 from pneutac_datasets.generate.presses import press_row, write_session
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.gel.indenter import Press
 
 WIDTH, HEIGHT, PX_PER_MM = 240, 320, 20.0
@@ -26,7 +26,7 @@ _LEDS = (
 _AMBIENT, _EXPOSURE = 0.2, 100.0
 
 
-def write_gel_recording(folder: str | Path, seed: int = 0, heldout: int = 6) -> BenchRecording:
+def write_gel_recording(folder: str | Path, seed: int = 0, heldout: int = 6) -> Recording:
     """Writes a rest image, one calibration and several held-out indentations by a ball of 3 mm radius.
 
     Args:

@@ -8,7 +8,7 @@ from PIL import Image
 
 from pneutac_datasets.generate.gel import NOISE_LEVELS, PX_PER_MM
 from pneutac_datasets.generate.presses import ball_press, press_row, write_session
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.optics import CHANNELS, OPTICS
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.model import GelModel
@@ -28,9 +28,7 @@ SIZES = {
 }
 
 
-def write_hidden_gel(
-    folder: str | Path, hidden: list[str], seed: int = 0, images: int = 16
-) -> BenchRecording:
+def write_hidden_gel(folder: str | Path, hidden: list[str], seed: int = 0, images: int = 16) -> Recording:
     """Writes a rest image and indentations by three balls, made by the built-in gel with more effects.
 
     Args:

@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 from pneutac_datasets.generate.photo_cameras import CAMERAS, knocked, place_camera
 from pneutac_datasets.generate.photo_plan import default_pressures, hidden_twin, joints_of, session
 from pneutac_datasets.generate.photo_scene import Studio, photograph, ragged
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm import devices
@@ -76,7 +76,7 @@ def write_photographs(
     particles: int = 6000,
     after_s: tuple[float, ...] = (),
     conditions: dict | None = None,
-) -> BenchRecording:
+) -> Recording:
     """Photographs a hidden device at each pressure.
 
     By default each is held for long by itself (one trial a pressure). With `after_s` all are one trial, in
@@ -147,7 +147,7 @@ def write_photographs(
         },
         "notes": "Generated.",
     }
-    BenchRecording(folder, meta, pd.concat([table, pd.DataFrame(seen)], axis=1), device).write(folder)
+    Recording(folder, meta, pd.concat([table, pd.DataFrame(seen)], axis=1), device).write(folder)
     truth = {
         "parameters": {k: v.value for k, v in twin.parameters.items()},
         "joints_rad": q.tolist(),
@@ -160,7 +160,7 @@ def write_photographs(
     file = folder.parent / "truth" / f"{folder.name}.json"
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_text(json.dumps(truth, indent=1) + "\n")
-    return BenchRecording.load(folder)
+    return Recording.load(folder)
 
 
 def _empty(camera: str) -> str:

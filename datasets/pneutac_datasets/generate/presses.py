@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.gel.indenter import Press
 
 BALLS_MM = (3.0, 2.0, 4.0)
@@ -33,7 +33,7 @@ def press_row(i: int, image: str, press: Press) -> dict:
     }
 
 
-def write_session(folder: Path, rows: list[dict], px_per_mm: float, notes: str) -> BenchRecording:
+def write_session(folder: Path, rows: list[dict], px_per_mm: float, notes: str) -> Recording:
     """Writes what is known of the images that `folder` holds already; returns the recording as loaded."""
     meta = {
         "rest_image": "rest.png",
@@ -42,5 +42,5 @@ def write_session(folder: Path, rows: list[dict], px_per_mm: float, notes: str) 
         "generated": True,
         "notes": notes,
     }
-    BenchRecording(folder, meta, pd.DataFrame(rows), "gel").write(folder)
-    return BenchRecording.load(folder)
+    Recording(folder, meta, pd.DataFrame(rows), "gel").write(folder)
+    return Recording.load(folder)

@@ -14,7 +14,7 @@ from PIL import Image
 
 from pneutac_datasets.generate.hidden.programs import Trial, session
 from pneutac_datasets.generate.presses import ball_press, press_row, write_session
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import MAX_PRESSURE_KPA
 from pneutac_sim.finger.inputs import Inputs
@@ -28,7 +28,7 @@ MARKER_NOISE_MM = 0.3
 PRESSES = 16
 
 
-def write_finger(folder: str | Path, seed: int = 0, minutes: float = 6.0, hz: float = 20.0) -> BenchRecording:
+def write_finger(folder: str | Path, seed: int = 0, minutes: float = 6.0, hz: float = 20.0) -> Recording:
     """Writes a session with the stand-in's finger: stairs, triangles, loops, holds, steps, and two repeats.
 
     The pressure is logged by the gauge of the robot, so that air and body can be told apart.
@@ -74,11 +74,11 @@ def write_finger(folder: str | Path, seed: int = 0, minutes: float = 6.0, hz: fl
         "samples": "samples.csv",
         "notes": "Generated: the stand-in for reality.",
     }
-    BenchRecording(Path(folder), meta, pd.concat(table, ignore_index=True), "finger").write(folder)
-    return BenchRecording.load(folder)
+    Recording(Path(folder), meta, pd.concat(table, ignore_index=True), "finger").write(folder)
+    return Recording.load(folder)
 
 
-def write_gel(folder: str | Path, seed: int = 0) -> BenchRecording:
+def write_gel(folder: str | Path, seed: int = 0) -> Recording:
     """Writes a rest image and `PRESSES` presses by balls into the stand-in's gel, the first to calibrate by.
 
     Args:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 
 STILL_1_PER_S = 0.005  # of the range of pressures: a slower change counts as a hold
 HOLD_EDGES_S = (0.0, 1.0, 3.0, 10.0, 30.0, 100.0, np.inf)
@@ -29,7 +29,7 @@ class Axis:
     labels: list[str]
 
 
-def axes(recording: BenchRecording) -> list[Axis]:
+def axes(recording: Recording) -> list[Axis]:
     """Every axis that this recording's columns allow, also those along which it never varied.
 
     For a finger or an arm: commanded pressures, `direction` (loading, unloading, hold), `rate` (kPa/s),
@@ -61,7 +61,7 @@ def axes(recording: BenchRecording) -> list[Axis]:
     return [_compact(a) for a in found if (a.bin >= 0).any()]
 
 
-def motion(recording: BenchRecording) -> tuple[np.ndarray, np.ndarray]:
+def motion(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
     """Rate of the commanded pressure (n,), kPa/s, over the last 0.2 s, and time since it last moved (n,), s.
 
     Of several chambers the rate is their sum's, since loading means more air in all.
@@ -79,12 +79,12 @@ def motion(recording: BenchRecording) -> tuple[np.ndarray, np.ndarray]:
     return rate, held
 
 
-def is_still(recording: BenchRecording, rate: np.ndarray) -> np.ndarray:
+def is_still(recording: Recording, rate: np.ndarray) -> np.ndarray:
     """Mask (n,) of samples at which the command stands."""
     return np.abs(rate) <= STILL_1_PER_S * max(float(np.ptp(_command(recording))), 1e-9)
 
 
-def _command(recording: BenchRecording) -> np.ndarray:
+def _command(recording: Recording) -> np.ndarray:
     """(n, chambers)."""
     return recording.samples[recording.pressure_columns].to_numpy(float)
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from pneutac_datasets.recording.noise import headline
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.rules import plural
 
 LONGEST_EXCURSION_S = 2.0
@@ -11,7 +11,7 @@ EXPLAINED_BY_S = 2.0  # a pressure change this long before can still move the ti
 STARTED_BY_S = 1.0  # a trial may begin with a step that came before its first sample
 
 
-def check(recording: BenchRecording) -> tuple[BenchRecording, list[str]]:
+def check(recording: Recording) -> tuple[Recording, list[str]]:
     """Finds faults and leaves out the rows that are certainly wrong.
 
     Returns:
@@ -35,7 +35,7 @@ def check(recording: BenchRecording) -> tuple[BenchRecording, list[str]]:
     return clean, said
 
 
-def _jumps(recording: BenchRecording) -> tuple[list[str], np.ndarray]:
+def _jumps(recording: Recording) -> tuple[list[str], np.ndarray]:
     """Rows of excursions: the marker leaves faster than anything explains and is back within two seconds."""
     bad = np.zeros(len(recording), bool)
     columns, _ = headline(recording)
@@ -141,7 +141,7 @@ def _local_median(x: np.ndarray, window: int) -> np.ndarray:
     return median_filter(x, size=2 * window + 1, mode="nearest")
 
 
-def _frozen(recording: BenchRecording) -> tuple[list[str], np.ndarray]:
+def _frozen(recording: Recording) -> tuple[list[str], np.ndarray]:
     """Rows where every observed number repeats for half a second and more while the pressure moves."""
     bad = np.zeros(len(recording), bool)
     columns = [c for c in recording.observations if not c.startswith("image")]
@@ -173,7 +173,7 @@ def _left_out(bad: np.ndarray) -> str:
     return f"{plural(n, 'row')} {'is' if n == 1 else 'are'} left out"
 
 
-def _saturation(recording: BenchRecording) -> list[str]:
+def _saturation(recording: Recording) -> list[str]:
     """Columns that stick to their largest or smallest number while the command varies."""
     command = recording.samples[recording.pressure_columns].to_numpy(float)
     measured = [c for c in (n.replace("cmd_", "") for n in recording.pressure_columns) if recording.has(c)]
@@ -191,7 +191,7 @@ def _saturation(recording: BenchRecording) -> list[str]:
     return said
 
 
-def _clock(recording: BenchRecording) -> list[str]:
+def _clock(recording: Recording) -> list[str]:
     gaps, longest, where = 0, 0.0, ""
     for trial, rows in recording.trials().items():
         t = recording.column("time_s")[rows]
@@ -210,7 +210,7 @@ def _clock(recording: BenchRecording) -> list[str]:
     ]
 
 
-def _closed_loop(recording: BenchRecording) -> list[str]:
+def _closed_loop(recording: Recording) -> list[str]:
     """Whether the command answers to the measured motion (Granger's test on the command's own steps).
 
     A programmed command is predictable from its own past and owes nothing to the noise of the marker; a

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from PIL import Image
 
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.indenter import INDENTERS, Press
 from pneutac_sim.gel.photograph import Photograph
@@ -71,7 +71,7 @@ class GelRecording:
     warnings: list[str] = field(default_factory=list)
 
     @classmethod
-    def load(cls, recording: BenchRecording) -> "GelRecording":
+    def load(cls, recording: Recording) -> "GelRecording":
         """Reads and checks every image and indenter of a gel's recording.
 
         Raises:
@@ -162,7 +162,7 @@ def _same_size(image: np.ndarray, rest: np.ndarray, what: str) -> None:
         )
 
 
-def _rgb(recording: BenchRecording, value) -> np.ndarray:
+def _rgb(recording: Recording, value) -> np.ndarray:
     """Reads an image that must be RGB with 8 bits a channel."""
     image = recording.image(value)
     if isinstance(value, str):
@@ -187,7 +187,7 @@ def _rgb(recording: BenchRecording, value) -> np.ndarray:
 
 
 def _sample(
-    recording: BenchRecording,
+    recording: Recording,
     row: pd.Series,
     where: str,
     gel: GelRecording,

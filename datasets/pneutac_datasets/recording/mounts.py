@@ -8,7 +8,7 @@ a twin against a recording looks at it through `on_one_mount`.
 
 import numpy as np
 
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.finger import Bench, fit, simulate
 from pneutac_sim.twin import Twin
 
@@ -20,8 +20,8 @@ TIP = ["tip_x_mm", "tip_y_mm", "tip_z_mm"]
 
 
 def on_one_mount(
-    recording: BenchRecording, twin: Twin, train: np.ndarray, refit: bool = True
-) -> tuple[BenchRecording, list[str]]:
+    recording: Recording, twin: Twin, train: np.ndarray, refit: bool = True
+) -> tuple[Recording, list[str]]:
     """The recording as if all sessions had been mounted alike, and a sentence where they were not.
 
     What a straight line in the pressure leaves of the shift is taken from what the twin misses each session
@@ -41,7 +41,7 @@ def on_one_mount(
     return _settle(aligned, alike, found.residual, train), said
 
 
-def align_mounts(recording: BenchRecording, length_mm: float) -> tuple[BenchRecording, list[str], list[int]]:
+def align_mounts(recording: Recording, length_mm: float) -> tuple[Recording, list[str], list[int]]:
     """Moves trials that were mounted differently onto the mount of the first one.
 
     Args:
@@ -92,7 +92,7 @@ def align_mounts(recording: BenchRecording, length_mm: float) -> tuple[BenchReco
         + (f", and in {_trials(turned)} the same pressure bends it another way" if turned else "")
         + "); these trials are turned and shifted onto the first mount."
     )
-    clean = BenchRecording(recording.folder, recording.meta, samples, recording.device, recording.warnings)
+    clean = Recording(recording.folder, recording.meta, samples, recording.device, recording.warnings)
     return clean, [said], alike
 
 
@@ -102,9 +102,7 @@ def _trials(numbers: list[str]) -> str:
     return f"trials {', '.join(first)} and {last}" if first else f"trial {last}"
 
 
-def _settle(
-    recording: BenchRecording, trials: list[int], residual: np.ndarray, train: np.ndarray
-) -> BenchRecording:
+def _settle(recording: Recording, trials: list[int], residual: np.ndarray, train: np.ndarray) -> Recording:
     """Shifts these trials by what a fitted twin misses them by on average over training samples."""
     samples = recording.samples.copy()
     tip = samples[TIP].to_numpy(float)
@@ -114,10 +112,10 @@ def _settle(
         if (rows & train).any():
             tip[rows] -= residual[rows & train].mean(0)
     samples[TIP] = tip
-    return BenchRecording(recording.folder, recording.meta, samples, recording.device, recording.warnings)
+    return Recording(recording.folder, recording.meta, samples, recording.device, recording.warnings)
 
 
-def _same(recording: BenchRecording, a: int, b: int) -> bool:
+def _same(recording: Recording, a: int, b: int) -> bool:
     """Whether two samples were taken under equal conditions."""
     s = recording.samples
     return all(abs(s[c].iloc[a] - s[c].iloc[b]) <= tol for c, tol in CONDITIONS.items() if c in s)

@@ -11,7 +11,7 @@ from itertools import combinations
 import numpy as np
 
 from pneutac_datasets.recording import rules
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 
 HOLD_S = 1.0  # pressure at rest for this long before a sample counts as held
 WINDOW_S = 0.4
@@ -38,12 +38,12 @@ class NoiseFloor:
     by_column: dict[str, float]
 
 
-def headline(recording: BenchRecording) -> tuple[list[str], str]:
+def headline(recording: Recording) -> tuple[list[str], str]:
     """The columns whose Euclidean distance is `the error`, and its unit: tip, else angle, else curvature."""
     return rules.headline(recording.observations)
 
 
-def noise_floor(recording: BenchRecording) -> NoiseFloor:
+def noise_floor(recording: Recording) -> NoiseFloor:
     """Estimates the noise from repeats, else from what the file states, else from held pressure."""
     columns, unit = headline(recording)
     numeric = [c for c in recording.observations if not c.startswith("image")]
@@ -75,7 +75,7 @@ def _norm(by: dict[str, float], columns: list[str]) -> float:
     return float(np.sqrt(sum(by[c] ** 2 for c in columns)))
 
 
-def repeats(recording: BenchRecording) -> list[tuple[np.ndarray, np.ndarray, int]]:
+def repeats(recording: Recording) -> list[tuple[np.ndarray, np.ndarray, int]]:
     """Pairs of stretches run under equal conditions.
 
     Returns:
@@ -114,7 +114,7 @@ def repeats(recording: BenchRecording) -> list[tuple[np.ndarray, np.ndarray, int
 _TOLERANCES = {"gravity_x": 0.1, "gravity_y": 0.1, "gravity_z": 0.1, "temperature_c": 1.0, "payload_g": 0.1}
 
 
-def _runs(recording: BenchRecording) -> list[tuple[int, int]]:
+def _runs(recording: Recording) -> list[tuple[int, int]]:
     """First and last+1 row of each trial, cut also where the program changes."""
     runs = []
     for rows in recording.trials().values():
@@ -138,7 +138,7 @@ def _detrended(x: np.ndarray, window: int) -> np.ndarray:
     return ((x - (x @ q) @ q.T) * np.sqrt(window / max(window - 2, 1))).ravel()
 
 
-def held(recording: BenchRecording) -> np.ndarray:
+def held(recording: Recording) -> np.ndarray:
     """Mask (n,): the commanded pressure has not moved for `HOLD_S` before this sample."""
     out = np.zeros(len(recording), bool)
     for rows in recording.trials().values():
@@ -150,7 +150,7 @@ def held(recording: BenchRecording) -> np.ndarray:
     return out
 
 
-def _from_holds(recording: BenchRecording, columns: list[str]) -> tuple[dict[str, float], str]:
+def _from_holds(recording: Recording, columns: list[str]) -> tuple[dict[str, float], str]:
     mask = held(recording)
     at_rest = mask.mean() > 0.02 and mask.sum() >= 40
     still = np.ptp(recording.samples[recording.pressure_columns].to_numpy(float), axis=0).max() < 1e-3

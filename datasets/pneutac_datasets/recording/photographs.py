@@ -4,12 +4,12 @@ import re
 
 import numpy as np
 
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.splat.camera import Camera
 
 
-def masked_cameras(recording: BenchRecording) -> list[str]:
+def masked_cameras(recording: Recording) -> list[str]:
     """Names of cameras that took both images and masks.
 
     Columns `image` and `mask` are those of the only camera that `recording.json` describes.
@@ -36,7 +36,7 @@ def masked_cameras(recording: BenchRecording) -> list[str]:
     return list(told)
 
 
-def column_of(recording: BenchRecording, kind: str, camera: str) -> str:
+def column_of(recording: Recording, kind: str, camera: str) -> str:
     """Column of a camera's `image` or `mask`: `image_<camera>`, or `image` where there is no such column.
 
     Args:
@@ -49,7 +49,7 @@ def column_of(recording: BenchRecording, kind: str, camera: str) -> str:
     return kind if single else own
 
 
-def read_camera(recording: BenchRecording, name: str) -> Camera:
+def read_camera(recording: Recording, name: str) -> Camera:
     """A camera of a recording, base frame; the size of its pictures is that of the first.
 
     Raises:
@@ -69,7 +69,7 @@ def read_camera(recording: BenchRecording, name: str) -> Camera:
         raise InputError(f"{recording.folder / 'recording.json'}: camera '{name}': {e}") from e
 
 
-def read_photograph(recording: BenchRecording, row: int, camera: str) -> tuple[np.ndarray, np.ndarray]:
+def read_photograph(recording: Recording, row: int, camera: str) -> tuple[np.ndarray, np.ndarray]:
     """One photograph: RGB uint8 (H, W, 3) and its mask bool (H, W).
 
     Raises:

@@ -15,7 +15,7 @@ from pneutac_sim.errors import InputError
 
 
 @dataclass
-class BenchRecording:
+class Recording:
     """Measurements of one device.
 
     Attributes:
@@ -33,7 +33,7 @@ class BenchRecording:
     warnings: list[str] = field(default_factory=list)
 
     @classmethod
-    def load(cls, path: str | Path) -> "BenchRecording":
+    def load(cls, path: str | Path) -> "Recording":
         """Reads a recording's folder, or a LeRobotDataset's root with the same columns as feature names.
 
         Raises:
@@ -134,10 +134,10 @@ class BenchRecording:
         except (UnidentifiedImageError, OSError) as e:
             raise InputError(f"{shown} cannot be read as an image: {e}.") from e
 
-    def keep(self, rows: np.ndarray) -> "BenchRecording":
+    def keep(self, rows: np.ndarray) -> "Recording":
         """The same recording with only the rows where the mask (n,) is true."""
         samples = self.samples[np.asarray(rows, bool)].reset_index(drop=True)
-        return BenchRecording(self.folder, self.meta, samples, self.device, list(self.warnings))
+        return Recording(self.folder, self.meta, samples, self.device, list(self.warnings))
 
     # ---------------------------------------------------------------- train and held-out parts
 

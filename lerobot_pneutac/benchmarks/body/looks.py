@@ -21,7 +21,7 @@ from rich.table import Table
 from lerobot_pneutac.benchmarks.body.main import BenchmarkBodyConfig
 from lerobot_pneutac.reports.page import write_result
 from pneutac_datasets.recording.photographs import read_camera, read_photograph
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.splat.body import fit_body_looks
 from pneutac_sim.splat.follow import carried
 from pneutac_sim.splat.rasteriser import rasterise
@@ -129,7 +129,7 @@ def photographs(cfg: BenchmarkBodyConfig, seed: int, out: Path) -> tuple:
     folder = out / f"photographs_{seed}_{cfg.step_kpa:g}kpa"
     if not (folder / "recording.json").is_file():
         write_photographs(folder, seed, pressures_kpa=pressures)
-    recording = BenchRecording.load(folder)
+    recording = Recording.load(folder)
     truth = json.loads((folder.parent / "truth" / f"{folder.name}.json").read_text())["parameters"]
     parameters = {k: Value(v) for k, v in truth.items()}
     twin = Twin("finger", recording.length_mm, recording.spine_joint_positions_mm, parameters)

@@ -7,7 +7,7 @@ import numpy as np
 
 from pneutac_datasets.generate.photo_plan import joints_of
 from pneutac_datasets.generate.photographs import Disturbances, write_photographs
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import in_order
 from pneutac_sim.finger import Bench, Pipeline, fit
 from pneutac_sim.finger.inputs import CHAMBERS
@@ -95,11 +95,11 @@ class Case:
         return f"{self.recording}_{self.evaluations}_{self.particles}"
 
 
-def take_photographs(case: Case, folder: Path) -> BenchRecording:
+def take_photographs(case: Case, folder: Path) -> Recording:
     """The case's recording inside `folder`; one that is complete there is not taken again."""
     path = folder / case.recording
     if (folder / "truth" / f"{case.recording}.json").is_file():  # what is written last
-        return BenchRecording.load(path)
+        return Recording.load(path)
     hidden = HIDDEN.get(case.hidden, Hidden())
     if case.device == "arm":
         single = np.eye(CHAMBERS["arm"])
@@ -123,7 +123,7 @@ def take_photographs(case: Case, folder: Path) -> BenchRecording:
     )
 
 
-def photographed(recording: BenchRecording) -> BenchRecording:
+def photographed(recording: Recording) -> Recording:
     """The part that is calibrated by images: photographs of the base as it was first."""
     kept = np.ones(len(recording), bool)
     for name in DOWN:
@@ -132,14 +132,14 @@ def photographed(recording: BenchRecording) -> BenchRecording:
     return recording.keep(kept)
 
 
-def heldout(recording: BenchRecording) -> np.ndarray:
+def heldout(recording: Recording) -> np.ndarray:
     """(n,) bool: samples at pressures that nothing is fitted to."""
     pressure = np.stack([recording.column(c) for c in recording.pressure_columns], 1).astype(float)
     told = np.array(HELDOUT_KPA)[:, None] if pressure.shape[1] == 1 else np.array(ARM_HELDOUT_KPA)
     return (np.abs(pressure[:, None] - told).max(-1) < 1e-6).any(1)
 
 
-def first_twin(recording: BenchRecording) -> Twin:
+def first_twin(recording: Recording) -> Twin:
     """Where a calibration starts: the paper's finger, or an arm as `pneutac new` makes it."""
     twin = Twin.builtin() if recording.device == "finger" else Twin(recording.device)
     twin.length_mm = recording.length_mm
@@ -150,7 +150,7 @@ def first_twin(recording: BenchRecording) -> Twin:
     return twin
 
 
-def add_effect(twin: Twin, recording: BenchRecording, name: str) -> Twin:
+def add_effect(twin: Twin, recording: Recording, name: str) -> Twin:
     """The twin with an effect (empty: without one), fitted to the markers that may be seen.
 
     Gain and rest pressure go with it. How the bend is spread over the joints stays as photographs told: the
@@ -163,7 +163,7 @@ def add_effect(twin: Twin, recording: BenchRecording, name: str) -> Twin:
 
 
 def at_rest(
-    twin: Twin, recording: BenchRecording, rows: np.ndarray, particles: int, device: str
+    twin: Twin, recording: Recording, rows: np.ndarray, particles: int, device: str
 ) -> tuple[np.ndarray, np.ndarray]:
     """Joint angles (n, H), rad, and tips (n, 3), mm, of material points at these samples (mask).
 

@@ -143,13 +143,13 @@ def solve(case: Case, folder: Path) -> None:
     """Generates one recording, diagnoses it blindly, then looks up the truth and writes both."""
     from lerobot_pneutac.study.body import diagnose
     from pneutac_datasets.generate.hidden.generate import generate
-    from pneutac_datasets.recording.recording import BenchRecording
+    from pneutac_datasets.recording.recording import Recording
     from pneutac_sim.twin import Twin
 
     with tempfile.TemporaryDirectory() as tmp:
         hidden = Path(tmp) / "recording"
         generate(case.effects.split(","), hidden, case.seed, case.strength, case.minutes)
-        recording = BenchRecording.load(hidden)
+        recording = Recording.load(hidden)
         twin = Twin(recording.device, recording.length_mm, recording.spine_joint_positions_mm)
         began = time.perf_counter()
         d = diagnose(twin, recording, seed=case.seed)

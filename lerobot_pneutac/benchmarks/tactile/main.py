@@ -15,7 +15,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from lerobot_pneutac.cli.options import parse_options
 from pneutac_datasets.recording.gel import GelRecording, GelSample
 from pneutac_datasets.recording.reading import read_meta
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.metrics import score
 
@@ -84,7 +84,7 @@ class TactileSet:
         Raises:
             InputError: it has not, or cannot be read.
         """
-        data = GelRecording.load(BenchRecording.load(folder))
+        data = GelRecording.load(Recording.load(folder))
         try:
             first = data.calibration
         except InputError as e:

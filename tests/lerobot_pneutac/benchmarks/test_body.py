@@ -26,7 +26,7 @@ from lerobot_pneutac.benchmarks.body.shape_case import (
 )
 from lerobot_pneutac.benchmarks.body.shape_table import errors, mean_sem, parameter_row, write_tables
 from pneutac_datasets.generate.photo_plan import hidden_twin, session
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.splat.rasteriser import Rendering
@@ -92,7 +92,7 @@ def test_bad_options_are_named():
         BenchmarkBodyConfig(fingers=0, arms=0, hidden=0)
 
 
-def recorded(name: str, tmp_path: Path) -> tuple[BenchRecording, np.ndarray]:
+def recorded(name: str, tmp_path: Path) -> tuple[Recording, np.ndarray]:
     """Markers of a finger with a hidden effect, and its true tips."""
     hidden, twin = HIDDEN[name], hidden_twin(3, "finger")
     for effect, values in hidden.disturbances.effects.items():
@@ -100,10 +100,10 @@ def recorded(name: str, tmp_path: Path) -> tuple[BenchRecording, np.ndarray]:
         twin.effects[effect] = get_effect(effect).neutral() | told
     table = session(LEVELS, "finger", hidden.after_s, DOWN if hidden.turned_deg else {})
     everything = np.ones(len(table), bool)
-    _, tips = at_rest(twin, BenchRecording(tmp_path, {}, table, "finger"), everything, 2000, "auto")
+    _, tips = at_rest(twin, Recording(tmp_path, {}, table, "finger"), everything, 2000, "auto")
     seen = tips + np.random.default_rng(0).normal(0, 0.3, tips.shape)
     table = table.assign(**{f"tip_{a}_mm": seen[:, i] for i, a in enumerate("xyz")})
-    return BenchRecording(tmp_path, {"length_mm": 110.0}, table, "finger"), tips
+    return Recording(tmp_path, {"length_mm": 110.0}, table, "finger"), tips
 
 
 def test_an_effect_added_from_markers_lowers_the_error_where_nothing_was_fitted(tmp_path):
@@ -134,7 +134,7 @@ def test_markers_of_held_out_pressures_are_not_looked_at(tmp_path):
 
 def test_a_tilted_base_turns_the_tips(tmp_path):
     table = session(LEVELS[:2], "finger", (), {})
-    recording = BenchRecording(tmp_path, {}, table, "finger")
+    recording = Recording(tmp_path, {}, table, "finger")
     twin, both = hidden_twin(3, "finger"), np.ones(2, bool)
     q, straight = at_rest(twin, recording, both, FEW, "auto")
     twin.effects["base_tilt"] = get_effect("base_tilt").neutral() | {"pitch_rad": Value(0.1)}
@@ -147,10 +147,10 @@ def test_a_tilted_base_turns_the_tips(tmp_path):
 def test_photographs_of_the_turned_base_are_not_fitted_and_arms_have_held_out_pressures(tmp_path):
     turned = {k: np.repeat([v, 0.5], 2) for k, v in DOWN.items()}
     table = session(np.array([0.0, 9.0, 0.0, 9.0]), "finger", (), turned)
-    kept = photographed(BenchRecording(tmp_path, {}, table, "finger"))
+    kept = photographed(Recording(tmp_path, {}, table, "finger"))
     assert kept.column("trial").tolist() == [0, 1]
     pressures = np.array([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], *ARM_HELDOUT_KPA])
-    arm = BenchRecording(tmp_path, {}, session(pressures, "arm", (), {}), "arm")
+    arm = Recording(tmp_path, {}, session(pressures, "arm", (), {}), "arm")
     assert heldout(arm).tolist() == [False, False] + [True] * len(ARM_HELDOUT_KPA)
 
 

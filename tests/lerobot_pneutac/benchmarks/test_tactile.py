@@ -16,7 +16,7 @@ from lerobot_pneutac.benchmarks.tactile.methods import FOUND_ALONE, METHODS, mak
 from lerobot_pneutac.benchmarks.tactile.picture import columns
 from lerobot_pneutac.benchmarks.tactile.table import SCORES, ahead, mean_sem, shown
 from pneutac_datasets.generate.gel import write_gel_recording
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.layout import DIGIT
 from pneutac_sim.gel.metrics import rmse
@@ -47,7 +47,7 @@ def result(out: Path) -> dict:
 
 
 def test_scores_are_means_over_held_out_images_alone(data, out):
-    recording = BenchRecording.load(data / "first")
+    recording = Recording.load(data / "first")
     rest = recording.image("rest.png")
     held = recording.samples[recording.samples["role"] == "heldout"]["image"]
     errors = [rmse(rest, recording.image(i)) for i in held]
@@ -182,7 +182,7 @@ def test_bad_folders_end_in_one_sentence(data, tmp_path, monkeypatch):
     with pytest.raises(InputError, match="is a file"):
         main([f"--data={data}", f"--out={data / 'first' / 'rest.png'}"])
     shutil.copytree(data / "first", tmp_path / "data" / "bare")
-    recording = BenchRecording.load(tmp_path / "data" / "bare")
+    recording = Recording.load(tmp_path / "data" / "bare")
     for roles, says in (("calibration", "bare has no held-out image"), ("heldout", "bare.*no row with role")):
         recording.samples["role"] = roles
         recording.write(tmp_path / "data" / "bare")

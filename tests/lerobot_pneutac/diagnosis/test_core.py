@@ -9,7 +9,7 @@ from lerobot_pneutac.diagnosis.fingerprints import fingerprints, lagged, play, s
 from lerobot_pneutac.diagnosis.fits import Fit, effective_count
 from lerobot_pneutac.diagnosis.parts import deal
 from lerobot_pneutac.diagnosis.selection import select
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 
 N, HZ = 4000, 10.0
 
@@ -33,7 +33,7 @@ def make_recording(seed=0, noise=0.3):
             "tip_z_mm": p + noise * rng.normal(size=N),
         }
     )
-    return BenchRecording(None, {"length_mm": 110.0}, table, "finger")
+    return Recording(None, {"length_mm": 110.0}, table, "finger")
 
 
 class LinearFitter:

@@ -8,7 +8,7 @@ from lerobot_pneutac.diagnosis.engine import Engine, StageFitter
 from lerobot_pneutac.diagnosis.experiment import predict
 from lerobot_pneutac.diagnosis.parts import deal
 from lerobot_pneutac.diagnosis.profile import Profile, profile
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.finger.bench import Bench
 from pneutac_sim.finger.confidence import Z95
 from pneutac_sim.twin import Twin, Value
@@ -33,7 +33,7 @@ def record(pressures, effects, seed):
             "tip_z_mm": 0.0,
         }
     )
-    recording = BenchRecording(None, {"length_mm": 110.0}, table, "finger")
+    recording = Recording(None, {"length_mm": 110.0}, table, "finger")
     plain = {"gain_rad_per_kpa": 0.004, "gain_alpha": 0.1, "gain_beta": 0.05, "rest_pressure_kpa": 3.0}
     twin = Twin(parameters={k: Value(v) for k, v in plain.items()})
     twin.effects = {e: {k: Value(v) for k, v in values.items()} for e, values in effects.items()}

@@ -8,7 +8,7 @@ import pytest
 
 from lerobot_pneutac.diagnosis.programs import menu
 from lerobot_pneutac.measuring.programs import read_program
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 
 
@@ -50,8 +50,8 @@ def test_the_experiment_that_a_diagnosis_proposes_can_be_driven(tmp_path):
     time_s = np.arange(100) / 10
     samples = pd.DataFrame({"trial": 0, "time_s": time_s, "pressure_cmd_kpa": 5 + 5 * np.sin(time_s)})
     samples["tip_z_mm"] = samples["tip_x_mm"] = samples["pressure_cmd_kpa"]
-    folder = BenchRecording(tmp_path, {"length_mm": 110.0}, samples, "finger").write(tmp_path / "r")
-    hold = next(p for p in menu(BenchRecording.load(folder)) if p.name == "long hold")
+    folder = Recording(tmp_path, {"length_mm": 110.0}, samples, "finger").write(tmp_path / "r")
+    hold = next(p for p in menu(Recording.load(folder)) if p.name == "long hold")
     result = tmp_path / "result.json"
     result.write_text(json.dumps({"next_experiment": f"To tell creep from leak: {hold.advice}"}))
     (trial,) = read_program(str(result), 15.0, 15.0, folder)

@@ -8,7 +8,7 @@ from lerobot_pneutac.verbs import add as verb
 from lerobot_pneutac.verbs import calibrate
 from lerobot_pneutac.verbs.compare import compare, summarize
 from pneutac_datasets.generate.hidden.generate import generate
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin
 
@@ -18,7 +18,7 @@ def pair(tmp_path_factory):
     """A short recording with hidden creep, and a plain twin of the same finger."""
     folder = tmp_path_factory.mktemp("add")
     generate(["creep"], folder / "recording", 5003, minutes=3.0, hz=10)
-    recording = BenchRecording.load(folder / "recording")
+    recording = Recording.load(folder / "recording")
     twin = Twin("finger", recording.length_mm, recording.spine_joint_positions_mm)
     return twin.save(folder / "twin"), folder / "recording"
 
@@ -41,7 +41,7 @@ def test_adding_the_hidden_effect_writes_the_next_version(pair, tmp_path):
 
 
 def test_what_the_data_check_found_is_told(pair, tmp_path, capsys):
-    r = BenchRecording.load(pair[1])
+    r = Recording.load(pair[1])
     r.samples = r.samples.drop(columns=["pressure_kpa"])
     r.write(tmp_path / "blind")
     twin = Twin("finger", r.length_mm, r.spine_joint_positions_mm).save(tmp_path / "twin")
@@ -52,7 +52,7 @@ def test_what_the_data_check_found_is_told(pair, tmp_path, capsys):
 
 def test_an_effect_that_does_not_help_is_refused_with_numbers(pair, tmp_path):
     _, recording = pair
-    r = BenchRecording.load(recording)
+    r = Recording.load(recording)
     twin = Twin("finger", r.length_mm, r.spine_joint_positions_mm).save(tmp_path / "twin")
     before = (twin / "twin.yaml").read_text()
     with pytest.raises(
@@ -70,7 +70,7 @@ def test_unknown_effect_lists_the_valid_ones(pair):
 
 def test_an_effect_without_its_column_is_refused(pair, tmp_path):
     _, recording = pair
-    r = BenchRecording.load(recording)
+    r = Recording.load(recording)
     r.samples = r.samples.drop(columns=["temperature_c"])
     r.write(tmp_path / "cold")
     twin = Twin("finger", r.length_mm, r.spine_joint_positions_mm).save(tmp_path / "twin")
@@ -81,7 +81,7 @@ def test_an_effect_without_its_column_is_refused(pair, tmp_path):
 def test_every_verb_sees_the_fall_of_a_pneumatic_effect(tmp_path):
     """Errors are counted from the command, so a slow valve is in them although the pressure was measured."""
     generate(["valve_lag"], tmp_path / "recording", 5004, minutes=3.0, hz=10)
-    recording = BenchRecording.load(tmp_path / "recording")
+    recording = Recording.load(tmp_path / "recording")
     folder = Twin("finger", recording.length_mm, recording.spine_joint_positions_mm).save(tmp_path / "twin")
     calibrate.main([f"--twin={folder}", f"--recording={recording.folder}"])
 

@@ -12,7 +12,7 @@ from lerobot_pneutac.verbs.calibrate import main
 from lerobot_pneutac.verbs.fit_gel import render, scores_of, wanted
 from pneutac_datasets.generate.gel import HEIGHT, WIDTH, write_gel_recording
 from pneutac_datasets.recording.gel import GelRecording
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.optics import SENSOR
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
@@ -70,7 +70,7 @@ def test_generated_pair_beats_rest_and_pasted_difference_on_held_out_images(out)
 def test_the_twin_renders_what_was_calibrated(generated, twin):
     """The twin's sensor predicts a held-out photograph better than the generated DIGIT or the rest image."""
     sensor = TactileSensor(Twin.load(twin))
-    recording = BenchRecording.load(generated)
+    recording = Recording.load(generated)
     row = recording.samples[recording.samples["role"] == "heldout"].iloc[0]
     real = recording.image(row["image"]).astype(float)
     position = np.array([row["x_mm"], row["y_mm"], 3.0 - row["depth_mm"]]) * 1e-3
@@ -137,7 +137,7 @@ def test_larger_images_end_as_the_sensors_own_size(recording, tmp_path):
         Image.open(file).resize((2 * WIDTH, 2 * HEIGHT), Image.Resampling.BILINEAR).save(file)
     meta = json.loads((recording / "recording.json").read_text())
     (recording / "recording.json").write_text(json.dumps(meta | {"px_per_mm": 2 * meta["px_per_mm"]}))
-    table = BenchRecording.load(recording)
+    table = Recording.load(recording)
     table.samples["contact_radius_px"] *= 2
     table.write(recording)
     run(tmp_path / "large", recording, "--effects=rest_colour")
@@ -234,7 +234,7 @@ def test_real_sensors(name, role, rmse, contact_rmse, contact_dncc, make):
     if "PNEUTAC_DATA" not in os.environ:
         pytest.skip("PNEUTAC_DATA is unset: there are no real photographs to calibrate to")
     folder = Path(os.environ["PNEUTAC_DATA"]) / "tactile" / name
-    data = GelRecording.load(BenchRecording.load(folder))
+    data = GelRecording.load(Recording.load(folder))
     pair = data.calibration
     fit = fit_gel(pair.rest, pair.image, pair.press, data.px_per_mm, thickness_mm=data.thickness_mm)
     assert fit.make == make and fit.orientation == Orientation()

@@ -14,7 +14,7 @@ from lerobot_pneutac.verbs.compare import train_mask
 from lerobot_pneutac.verbs.fit_body import fit_body
 from pneutac_datasets.generate.hidden.generate import generate
 from pneutac_datasets.recording.axes import Axis, axes, motion
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.surrogate.fingerprint import fingerprint
 from pneutac_sim.surrogate.network import MARGIN, ActionNetwork
@@ -32,7 +32,7 @@ def bench(tmp_path_factory):
     for name in ("none", "creep"):
         generate(name, root / name, seed=3, minutes=2, hz=20)
     new.main([f"--twin={root / 'twin'}", f"--recording={root / 'none'}"])
-    r = BenchRecording.load(root / "none")
+    r = Recording.load(root / "none")
     found = fit_body(Twin.load(root / "twin"), r)
     found.twin.save_version(root / "twin", "calibrated", str(root / "none"), {**found.error, "unit": "mm"})
     return root
@@ -106,7 +106,7 @@ def test_samples_beyond_the_training_of_the_action_network_are_told(bench, tmp_p
     limit = 8.0
     result = with_network(limit, own)
     margin = MARGIN * (limit + 9.0)  # still counted as in range
-    command = BenchRecording.load(bench / "none").column("pressure_cmd_kpa")
+    command = Recording.load(bench / "none").column("pressure_cmd_kpa")
     assert result["out_of_range"] == pytest.approx((command > limit + margin).mean(), abs=0.02)
     assert 0.05 < result["out_of_range"] < 0.95
     said = " ".join(result["checks"])
@@ -120,17 +120,17 @@ def test_samples_beyond_the_training_of_the_action_network_are_told(bench, tmp_p
 
 
 def test_the_split_of_the_fit_is_used_again(bench):
-    r = BenchRecording.load(bench / "none")
+    r = Recording.load(bench / "none")
     twin = Twin.load(bench / "twin")
     np.testing.assert_array_equal(train_mask(twin, r), r.split(0)[0])
     twin.history.append({"recording": str(bench / "none"), "seed": 5})
     expected = r.split(5)[0]
     np.testing.assert_array_equal(train_mask(twin, r), expected)
-    assert (train_mask(twin, BenchRecording.load(bench / "creep")) != expected).any()
+    assert (train_mask(twin, Recording.load(bench / "creep")) != expected).any()
 
 
 def test_direction_rate_and_hold_time_follow_the_command(bench):
-    r = BenchRecording.load(bench / "none")
+    r = Recording.load(bench / "none")
     rate, held = motion(r)
     p, t = r.column("pressure_cmd_kpa"), r.column("time_s")
     slow = (r.column("program") == "triangle_slow") & (r.column("trial") == 0)
@@ -148,7 +148,7 @@ def test_direction_rate_and_hold_time_follow_the_command(bench):
 
 
 def test_new_takes_the_geometry_and_never_overwrites(bench, tmp_path):
-    twin, meta = Twin.load(bench / "twin"), BenchRecording.load(bench / "none").meta
+    twin, meta = Twin.load(bench / "twin"), Recording.load(bench / "none").meta
     assert twin.length_mm == meta["length_mm"]
     assert twin.spine_joint_positions_mm == pytest.approx(meta["spine_joint_positions_mm"])
     before = (bench / "twin" / "twin.yaml").read_bytes()
@@ -179,7 +179,7 @@ def test_bad_input_is_refused_before_work_starts(bench, tmp_path):
 
 @pytest.mark.parametrize("rows", [1, 3, 40])
 def test_the_poorest_recording_still_compares(bench, tmp_path, rows):
-    r = BenchRecording.load(bench / "none")
+    r = Recording.load(bench / "none")
     r.keep(np.arange(len(r)) < rows).write(tmp_path / "poor")
     compare.main([f"--twin={bench / 'twin'}", f"--recording={tmp_path / 'poor'}", f"--out={tmp_path / 'o'}"])
     result = json.loads((tmp_path / "o" / "result.json").read_text())
@@ -188,7 +188,7 @@ def test_the_poorest_recording_still_compares(bench, tmp_path, rows):
 
 
 def test_a_constant_command_and_too_few_rows_lead_the_headline(bench, tmp_path):
-    r = BenchRecording.load(bench / "creep")
+    r = Recording.load(bench / "creep")
     moving = np.flatnonzero(np.diff(r.column("pressure_cmd_kpa")))[0]
     r.samples["tip_z_mm"] += 20.0
     few = r.keep(np.isin(np.arange(len(r)), moving + np.arange(20))).write(tmp_path / "few")
@@ -202,7 +202,7 @@ def test_a_constant_command_and_too_few_rows_lead_the_headline(bench, tmp_path):
 
 
 def test_the_heat_map_begins_at_zero(bench):
-    c = compare.compare(Twin.load(bench / "twin"), BenchRecording.load(bench / "creep"))
+    c = compare.compare(Twin.load(bench / "twin"), Recording.load(bench / "creep"))
     heat = heat_map(c).data[0]
     assert heat.zmin == 0 and heat.zmax == pytest.approx(np.nanmax(np.array(heat.z, float)), abs=1e-3)
 

@@ -11,7 +11,7 @@ from PIL import Image
 from lerobot_pneutac.verbs.calibrate import main as calibrate
 from lerobot_pneutac.verbs.compare import main as compare
 from pneutac_datasets.generate.gel import write_gel_recording
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +35,7 @@ def turned(bench, folder, flip_x=False, flip_y=False, bgr=False):
         image = np.asarray(Image.open(file))
         image = image[:: -1 if flip_y else 1, :: -1 if flip_x else 1, :: -1 if bgr else 1]
         Image.fromarray(np.ascontiguousarray(image)).save(file)
-    recording = BenchRecording.load(folder)
+    recording = Recording.load(folder)
     recording.samples["x_mm"] *= -1 if flip_x else 1
     recording.samples["y_mm"] *= -1 if flip_y else 1
     recording.write(folder)

@@ -11,7 +11,7 @@ from lerobot_pneutac.verbs import compare
 from lerobot_pneutac.verbs.compare_mpm import markers_by_mpm, spread
 from lerobot_pneutac.verbs.fit_body import fit_body
 from pneutac_datasets.generate.hidden.generate import generate
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import Bench, simulate
@@ -33,7 +33,7 @@ def bench(tmp_path_factory):
     """A recording of a finger that creeps, a twin without and one with creep, both fitted to it."""
     root = tmp_path_factory.mktemp("creeping")
     recording = generate("creep", root / "creep", seed=3, minutes=2, hz=10)
-    recording = BenchRecording.load(root / "creep")
+    recording = Recording.load(root / "creep")
     twin = Twin.builtin()
     twin.length_mm = recording.length_mm
     twin.spine_joint_positions_mm = recording.spine_joint_positions_mm
@@ -78,7 +78,7 @@ def test_a_stiff_spine_follows_the_pipeline(device):
     twin.parameters["gain_rad_per_kpa"] = Value(0.02)
     twin.parameters["spine_stiffness_nm_per_rad"] = Value(2000.0)
     twin.effects["base_tilt"] = {p.name: Value(0.1) for p in get_effect("base_tilt").parameters}
-    bench = Bench.of(BenchRecording(None, {}, table, device), twin, source="command")
+    bench = Bench.of(Recording(None, {}, table, device), twin, source="command")
     model = simulate(twin, bench).model
     rows = np.array([0, 2, 4, 5, 5])
     seen, poses = markers_by_mpm(twin, bench, rows)

@@ -19,7 +19,7 @@ from lerobot_pneutac.study.pair import load_pair
 from lerobot_pneutac.verbs import diagnose as verb
 from pneutac_datasets.generate.hidden.generate import generate
 from pneutac_datasets.recording.mounts import align_mounts
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin, Value
 
@@ -39,7 +39,7 @@ def bench(tmp_path_factory):
         path = folder / f"{effect}_{seed}"
         if not path.is_dir():
             generate([effect], path, seed, minutes=minutes, hz=10)
-        return BenchRecording.load(path)
+        return Recording.load(path)
 
     return make
 
@@ -176,7 +176,7 @@ def test_pressures_far_above_the_calibrated_are_noted(bench, tmp_path):
 
 def test_effects_without_their_column_are_listed_with_the_remedy(bench):
     recording = bench("none")
-    poor = BenchRecording(
+    poor = Recording(
         recording.folder, recording.meta, recording.samples.drop(columns=["temperature_c"]), "finger"
     )
     d = diagnose(twin_of(recording), poor)
@@ -237,7 +237,7 @@ def test_the_proposed_experiment_separates_the_rivals(bench):
 
 def test_measuring_pressure_is_proposed_for_lag_against_creep(bench):
     recording = bench("none")
-    blind = BenchRecording(
+    blind = Recording(
         recording.folder, recording.meta, recording.samples.drop(columns=["pressure_kpa"]), "finger"
     )
     a, b = twin_of(recording), twin_of(recording)
@@ -250,7 +250,7 @@ def test_measuring_pressure_is_proposed_for_lag_against_creep(bench):
 def test_trials_of_another_mount_are_moved_onto_the_first(bench):
     recording = bench("none")
     trials = list(recording.trials().values())
-    turned = BenchRecording(recording.folder, recording.meta, recording.samples.copy(), "finger")
+    turned = Recording(recording.folder, recording.meta, recording.samples.copy(), "finger")
     rows = turned.samples.index[trials[1]]
     turned.samples.loc[rows, ["tip_y_mm", "tip_z_mm"]] *= -1
     turned.samples.loc[rows, "tip_x_mm"] += 20.0
@@ -266,7 +266,7 @@ def real(name):
     root = os.environ.get("PNEUTAC_DATA")
     if not root or not (Path(root) / "soft" / name).is_dir():
         pytest.skip("PNEUTAC_DATA is unset: no real recordings here")
-    return BenchRecording.load(Path(root) / "soft" / name)
+    return Recording.load(Path(root) / "soft" / name)
 
 
 @pytest.mark.slow

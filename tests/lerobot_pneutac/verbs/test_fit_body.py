@@ -6,7 +6,7 @@ import pytest
 
 from lerobot_pneutac.verbs.calibrate import main
 from lerobot_pneutac.verbs.fit_body import fit_body
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import Bench, Inputs, Pipeline, simulate
@@ -31,7 +31,7 @@ def write(folder, truth, measured=False, noise=0.1):
     if measured:
         table["pressure_kpa"] = run.pressure_kpa[:, 0] + 0.02 * rng.normal(size=len(table["time_s"]))
     meta = {"device": "finger", "length_mm": 110.0, "samples": "samples.csv"}
-    return BenchRecording(folder, meta, pd.DataFrame(table), "finger").write(folder)
+    return Recording(folder, meta, pd.DataFrame(table), "finger").write(folder)
 
 
 def truth(*effects):
@@ -57,7 +57,7 @@ def test_calibrate_finds_the_parameters_and_writes_the_next_version(tmp_path, ca
     entry = twin.history[-1]
     assert entry["version"] == 0 and entry["heldout"] == pytest.approx(result["error"]["heldout"])
     # what was held out can be found again, and the saved twin has that very error there
-    recording = BenchRecording.load(folder)
+    recording = Recording.load(folder)
     heldout = recording.split(entry["seed"])[1]
     p = simulate(twin, recording)
     assert p.bench.error(p.residual, heldout) == pytest.approx(entry["heldout"], rel=1e-6)
@@ -71,7 +71,7 @@ def test_measured_pressure_tells_the_valve_from_the_creep(tmp_path):
     both = truth("valve_lag", "creep")
     both.effects["valve_lag"]["fill_time_s"].value = 0.6
     both.effects["creep"]["weight_1_3s"].value = 0.4
-    recording = BenchRecording.load(write(tmp_path / "bench", both, measured=True))
+    recording = Recording.load(write(tmp_path / "bench", both, measured=True))
     start = truth("valve_lag", "creep")
     found = fit_body(start, recording)
     assert [f.unit for f in found.fits] == ["kPa", "mm"]
@@ -95,6 +95,6 @@ def test_a_bound_is_called_out_in_table_and_result(tmp_path, capsys):
 
 def test_photographs_alone_are_refused(tmp_path):
     table = pd.DataFrame(stairs(100)).assign(image="a.png")
-    recording = BenchRecording(tmp_path, {"device": "finger"}, table, "finger")
+    recording = Recording(tmp_path, {"device": "finger"}, table, "finger")
     with pytest.raises(InputError, match="tip_x_mm"):
         fit_body(Twin.builtin(), recording)

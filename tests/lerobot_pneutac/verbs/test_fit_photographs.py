@@ -14,7 +14,7 @@ from rich.console import Console
 from lerobot_pneutac.study.photographs import read_session
 from lerobot_pneutac.verbs.calibrate import CalibrateConfig, calibrate
 from lerobot_pneutac.verbs.fit_photographs import search_key, training_levels
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.splat.body import looks_from_twin
 from pneutac_sim.twin import Twin
@@ -64,8 +64,8 @@ def drawn(tmp_path_factory):
     }
     joints = list(twin.spine_joint_positions_mm)
     meta = {"device": "finger", "length_mm": 110.0, "spine_joint_positions_mm": joints, "cameras": told}
-    BenchRecording(folder, meta, pd.DataFrame(rows), "finger").write(folder)
-    return BenchRecording.load(folder)
+    Recording(folder, meta, pd.DataFrame(rows), "finger").write(folder)
+    return Recording.load(folder)
 
 
 def config(tmp_path, recording, **options):
@@ -81,10 +81,10 @@ def altered(recording, folder, **changes):
     samples = recording.samples.copy()
     for name, values in changes.items():
         samples = samples.drop(columns=name) if values is None else samples.assign(**{name: values})
-    BenchRecording(folder, recording.meta, samples, "finger").write(folder)
+    Recording(folder, recording.meta, samples, "finger").write(folder)
     for file in recording.folder.glob("*.png"):
         (folder / file.name).write_bytes(file.read_bytes())
-    return BenchRecording.load(folder)
+    return Recording.load(folder)
 
 
 @pytest.fixture(scope="module")
@@ -198,7 +198,7 @@ def test_the_only_camera_needs_no_name_in_the_columns(drawn, tmp_path):
         plain_folder := tmp_path / "one" / "2_mask_front.png"
     )
     with pytest.raises(InputError, match="mask of row 3 covers 0.0%"):
-        read_session(BenchRecording.load(plain_folder.parent), LEVELS)
+        read_session(Recording.load(plain_folder.parent), LEVELS)
 
 
 def test_an_interrupted_search_says_what_is_kept(drawn, tmp_path, monkeypatch):

@@ -16,7 +16,7 @@ from lerobot_pneutac.measuring.camera import DICTIONARY, Intrinsics, MarkerTrack
 from lerobot_pneutac.verbs import compare, measure, new
 from lerobot_robot_pneutac.hardware import pressure as pressure_module
 from lerobot_robot_pneutac.hardware.simulated_pressure import SimulatedPressure
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 
 SIZE = (640, 480)
@@ -260,7 +260,7 @@ def test_a_chessboard_gives_the_camera_back(tmp_path, capsys):
 
 def test_a_run_is_a_recording_with_true_tips_that_compare_accepts(bench, tmp_path):
     measure.main(bench + ["--digit.type=digit_generated"])
-    r = BenchRecording.load(tmp_path / "run")
+    r = Recording.load(tmp_path / "run")
     assert r.device == "finger" and r.length_mm == LENGTH and not r.warnings
     assert len(r.trials()) == 3
     tips = np.stack([r.column(f"tip_{a}_mm") for a in "xyz"], axis=1)
@@ -293,7 +293,7 @@ def test_an_end_within_a_trial_keeps_those_before_it_and_vents(bench, tmp_path, 
     monkeypatch.setattr(measure._Bench, "run", ends_in_the_third)
     with pytest.raises(KeyboardInterrupt if isinstance(end, KeyboardInterrupt) else InputError):
         measure.main(bench)
-    r = BenchRecording.load(tmp_path / "run")
+    r = Recording.load(tmp_path / "run")
     assert list(r.trials()) == [0, 1] and len(r) == sum(taken)
     assert sorted(p.name for p in (tmp_path / "run/images").iterdir()) == ["trial_000", "trial_001"]
     assert BenchRendered.chamber._target_kpa == 0.0
@@ -311,7 +311,7 @@ def test_ctrl_c_just_after_a_trial_came_into_the_table_keeps_its_pictures(bench,
     monkeypatch.setattr(Path, "replace", pressed)
     with pytest.raises(KeyboardInterrupt):
         measure.main(bench)
-    r = BenchRecording.load(tmp_path / "run")
+    r = Recording.load(tmp_path / "run")
     assert list(r.trials()) == [0]
     assert r.image(r.column("image_camera")[-1]).shape == (480, 640, 3)
 
@@ -325,7 +325,7 @@ def test_a_slow_camera_costs_samples_and_not_the_programs_pace(bench, tmp_path, 
 
     monkeypatch.setattr(BenchRendered, "async_read", slow)
     measure.main(bench)
-    r = BenchRecording.load(tmp_path / "run")
+    r = Recording.load(tmp_path / "run")
     assert len(r) < 0.5 * 3 * 21
     late = r.column("time_s")[r.column("trial") == 1].max() - 1.3
     assert late < 2.0  # 21 samples of 0.2 s each would end 2.9 s late

@@ -10,7 +10,7 @@ from PIL import Image
 from lerobot_pneutac.rendering.options import View
 from lerobot_pneutac.rendering.view import FOV_DEG, HEIGHT, view_camera
 from lerobot_pneutac.verbs import render
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm import devices
@@ -49,7 +49,7 @@ def drawn(tmp_path_factory):
         rows.append(row | {"image_front": f"{i}.png", "mask_front": f"{i}_mask.png"})
     told = {"intrinsics": camera.intrinsics.tolist(), "extrinsics": camera.extrinsics.tolist()}
     meta = {"device": "finger", "length_mm": 110.0, "cameras": {"front": told}}
-    BenchRecording(folder, meta, pd.DataFrame(rows[::-1]), "finger").write(folder)
+    Recording(folder, meta, pd.DataFrame(rows[::-1]), "finger").write(folder)
     return root
 
 
@@ -137,12 +137,12 @@ def test_without_looks_stretch_is_seen(drawn, tmp_path):
 
 
 def test_what_cannot_be_shown_is_told(drawn, tmp_path):
-    recording = BenchRecording.load(drawn / "recording")
+    recording = Recording.load(drawn / "recording")
     Twin.builtin().save(tmp_path / "plain")
     Twin("arm", 200.0).save(tmp_path / "arm")
     meta = json.loads(json.dumps(recording.meta))
     meta["cameras"]["front"]["extrinsics"][0][3] += 10.0
-    away = BenchRecording(tmp_path, meta, recording.samples, "finger").write(tmp_path / "away")
+    away = Recording(tmp_path, meta, recording.samples, "finger").write(tmp_path / "away")
     for file in recording.folder.glob("*.png"):
         (away / file.name).write_bytes(file.read_bytes())
     for twin, folder, options, said in (

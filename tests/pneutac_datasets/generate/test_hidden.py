@@ -13,7 +13,7 @@ from pneutac_datasets.generate.hidden.__main__ import main
 from pneutac_datasets.generate.hidden.generate import FULL_MISFIT, disturbance_names, effect_names, generate
 from pneutac_datasets.recording.checks import check
 from pneutac_datasets.recording.noise import noise_floor
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 
 QUICK = {"minutes": 2.0, "hz": 20.0}
@@ -31,7 +31,7 @@ def misfit(recording):
 
 def test_none_is_a_memoryless_curve_and_noise(tmp_path):
     truth = generate("none", tmp_path / "r", seed=5, **QUICK)
-    r = BenchRecording.load(tmp_path / "r")
+    r = Recording.load(tmp_path / "r")
     assert truth["effects"] == [] and truth["verdict"] == "adequate" and truth["misfit_mm"] < 0.01
     assert misfit(r) == pytest.approx(truth["noise_floor_mm"], rel=0.03)
     assert noise_floor(r).value == pytest.approx(truth["noise_floor_mm"], rel=0.2)
@@ -42,7 +42,7 @@ def test_none_is_a_memoryless_curve_and_noise(tmp_path):
 @pytest.mark.parametrize("name", [*effect_names(), *disturbance_names()])
 def test_a_full_effect_stands_well_above_the_noise(tmp_path, name):
     truth = generate(name, tmp_path / "r", seed=2, **QUICK)
-    r = BenchRecording.load(tmp_path / "r")
+    r = Recording.load(tmp_path / "r")
     assert truth["misfit_mm"] > 0.75 * FULL_MISFIT * truth["noise_floor_mm"]
     assert truth["details"][0]["form"]
     single_valued = {"gain_saturation", "stiffening", "camera_misalignment", "base_tilt"}
@@ -65,7 +65,7 @@ def test_pairs_act_together(tmp_path):
     truth = generate(["creep", "valve_lag"], tmp_path / "r", seed=4, **QUICK)
     assert [d["name"] for d in truth["details"]] == ["creep", "valve_lag"]
     assert truth["misfit_mm"] > max(d["misfit_alone_mm"] for d in truth["details"])
-    r = BenchRecording.load(tmp_path / "r")
+    r = Recording.load(tmp_path / "r")
     lag = r.column("pressure_kpa") - r.column("pressure_cmd_kpa")
     assert np.abs(lag).max() > 0.1 * np.ptp(r.column("pressure_cmd_kpa"))
 
@@ -82,7 +82,7 @@ def test_the_answer_is_not_in_the_recordings_folder(tmp_path):
     assert sorted(p.name for p in (tmp_path / "r").iterdir()) == ["recording.json", "samples.csv"]
     assert "gravity" not in (tmp_path / "r" / "recording.json").read_text()
     other = generate("none", tmp_path / "s", seed=1, **QUICK)
-    a, b = (BenchRecording.load(tmp_path / f) for f in "rs")
+    a, b = (Recording.load(tmp_path / f) for f in "rs")
     assert a.meta == b.meta and list(a.samples) == list(b.samples)
     assert json.loads((tmp_path / "truth" / "r.json").read_text())["effects"] == ["gravity"]
     assert json.loads((tmp_path / "truth" / "s.json").read_text()) == other
@@ -90,7 +90,7 @@ def test_the_answer_is_not_in_the_recordings_folder(tmp_path):
 
 def test_the_session_has_every_program_and_condition(tmp_path):
     generate("none", tmp_path / "r", seed=6)
-    r = BenchRecording.load(tmp_path / "r")
+    r = Recording.load(tmp_path / "r")
     s = r.samples
     assert s["time_s"].groupby(s["trial"]).max().sum() == pytest.approx(600, rel=0.15)
     assert {

@@ -17,7 +17,7 @@ from pneutac_datasets.generate.photographs import (
     write_photographs,
 )
 from pneutac_datasets.recording.photographs import read_camera, read_photograph
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger.kinematics import forward_kinematics
 from pneutac_sim.mpm import devices
@@ -214,11 +214,11 @@ def test_bad_input_is_named(finger):
         write_photographs(finger.folder.parent / "nan", 0, pressures_kpa=[np.nan])
     with pytest.raises(InputError, match="does not describe 'side'"):
         read_camera(finger, "side")
-    broken = BenchRecording(finger.folder, json.loads(json.dumps(finger.meta)), finger.samples, "finger")
+    broken = Recording(finger.folder, json.loads(json.dumps(finger.meta)), finger.samples, "finger")
     broken.meta["cameras"]["front"]["intrinsics"] = [[1, 2], [3, 4]]
     with pytest.raises(InputError, match="camera 'front': .*intrinsics"):
         read_camera(broken, "front")
     swapped = finger.samples.assign(mask_front="small.png")
     cv2.imwrite(str(finger.folder / "small.png"), np.zeros((10, 10), np.uint8))
     with pytest.raises(InputError, match="give both the same size"):
-        read_photograph(BenchRecording(finger.folder, finger.meta, swapped, "finger"), 0, "front")
+        read_photograph(Recording(finger.folder, finger.meta, swapped, "finger"), 0, "front")

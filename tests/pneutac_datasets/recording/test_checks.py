@@ -9,7 +9,7 @@ import pytest
 
 from pneutac_datasets.recording.checks import check
 from pneutac_datasets.recording.noise import noise_floor, repeats
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 
 HZ = 50
 
@@ -40,7 +40,7 @@ def recording(seed=0, noise=0.1, trials=3, seconds=40, measured=True, **columns)
             )
         )
     samples = pd.concat(frames, ignore_index=True).assign(**columns)
-    return BenchRecording(Path("r"), {"device": "finger", "length_mm": 100.0}, samples, "finger")
+    return Recording(Path("r"), {"device": "finger", "length_mm": 100.0}, samples, "finger")
 
 
 def test_a_clean_recording_is_left_alone():
@@ -119,7 +119,7 @@ def test_feedback_is_told_from_a_program(closed):
     s = pd.DataFrame(
         {"trial": 0, "time_s": np.arange(n) / 20, "pressure_cmd_kpa": p, "bend_angle_rad": y / 40}
     )
-    _, said = check(BenchRecording(Path("r"), {}, s, "finger"))
+    _, said = check(Recording(Path("r"), {}, s, "finger"))
     assert any("follows the measured motion" in x for x in said) == closed
 
 
@@ -159,7 +159,7 @@ def test_stated_noise_is_used_where_nothing_repeats():
 def test_real_tracker_jumps_are_found_and_left_out():
     if "PNEUTAC_DATA" not in os.environ:
         pytest.skip("PNEUTAC_DATA does not name a folder with real recordings")
-    r = BenchRecording.load(Path(os.environ["PNEUTAC_DATA"]) / "soft" / "three_bellow_arm")
+    r = Recording.load(Path(os.environ["PNEUTAC_DATA"]) / "soft" / "three_bellow_arm")
     clean, said = check(r)
     assert any("tracker jumps" in s and "1.40 s" in s for s in said)
     assert 20 <= len(r) - len(clean) < 250

@@ -9,7 +9,7 @@ from PIL import Image
 
 from pneutac_datasets.generate.hidden_gel import write_hidden_gel
 from pneutac_datasets.recording.gel import ASSUMED_RADIUS_MM, GelRecording, _clock
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.probe import THICKNESS_MM
 
@@ -31,7 +31,7 @@ def write(tmp_path):
         pd.DataFrame(table).to_csv(tmp_path / "samples.csv", index=False)
         meta = {k: v for k, v in (META | dict(fields)).items() if v is not None}
         (tmp_path / "recording.json").write_text(json.dumps(meta))
-        return GelRecording.load(BenchRecording.load(tmp_path))
+        return GelRecording.load(Recording.load(tmp_path))
 
     return write
 
@@ -76,7 +76,7 @@ def test_a_bad_rest_image_of_a_row_gets_one_sentence(spoil, says, write, tmp_pat
     write({"rest_image": ["", "later.png", ""]})
     spoil(tmp_path / "later.png")
     with pytest.raises(InputError, match=says) as e:
-        GelRecording.load(BenchRecording.load(tmp_path))
+        GelRecording.load(Recording.load(tmp_path))
     assert "\n" not in str(e.value)
 
 
@@ -99,7 +99,7 @@ def test_the_clock_goes_by_time_else_by_trial_else_by_row(columns, expected, wri
 
 def test_a_single_photograph_is_at_the_start(write, tmp_path):
     write()
-    recording = BenchRecording.load(tmp_path).keep([True, False, False])
+    recording = Recording.load(tmp_path).keep([True, False, False])
     assert clocks(GelRecording.load(recording)) == [0]
 
 
@@ -159,7 +159,7 @@ def test_a_photograph_of_another_size_is_refused(write, tmp_path):
     write()
     Image.new("RGB", (60, 60)).save(tmp_path / "c.png")
     with pytest.raises(InputError, match="row 3: image 'c.png' is 60 x 60 pixels .* 60 x 80"):
-        GelRecording.load(BenchRecording.load(tmp_path))
+        GelRecording.load(Recording.load(tmp_path))
 
 
 def test_a_clock_that_restarts_with_each_trial_gives_way_to_the_trials():

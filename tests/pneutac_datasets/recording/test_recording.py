@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from PIL import Image
 
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 
 META = {"device": "finger", "length_mm": 110.0, "samples": "samples.csv"}
@@ -42,9 +42,9 @@ def write(folder, samples=None, **meta):
 
 
 def test_csv_and_parquet_give_the_same_samples(tmp_path):
-    a = BenchRecording.load(write(tmp_path / "a"))
+    a = Recording.load(write(tmp_path / "a"))
     a.meta["samples"] = "samples.parquet"
-    b = BenchRecording.load(a.write(tmp_path / "b"))
+    b = Recording.load(a.write(tmp_path / "b"))
     pd.testing.assert_frame_equal(a.samples, b.samples)
     assert b.device == "finger" and b.length_mm == 110.0
     assert b.observations == ["tip_x_mm", "tip_y_mm", "tip_z_mm"]
@@ -75,7 +75,7 @@ def test_a_lerobot_dataset_with_the_same_columns_is_a_recording(tmp_path):
             )
         dataset.save_episode()
     dataset.finalize()
-    r = BenchRecording.load(root)
+    r = Recording.load(root)
     assert r.device == "finger" and len(r.trials()) == 2
     np.testing.assert_allclose(
         r.samples[["time_s", "pressure_cmd_kpa", *tip]].to_numpy(float),
@@ -143,7 +143,7 @@ def test_bad_table_is_one_sentence_with_file_column_and_remedy(tmp_path, case):
     change, message = BAD[case]
     write(tmp_path / "r", change(table()))
     with pytest.raises(InputError, match=message) as e:
-        BenchRecording.load(tmp_path / "r")
+        Recording.load(tmp_path / "r")
     text = str(e.value)
     assert "samples.csv" in text and "\n" not in text and text.endswith(".")
 
@@ -182,23 +182,23 @@ def test_bad_metadata_names_the_field(tmp_path, text, message):
     write(tmp_path / "r2")
     (tmp_path / "r" / "recording.json").write_text(text)
     with pytest.raises(InputError, match=message):
-        BenchRecording.load(tmp_path / "r")
+        Recording.load(tmp_path / "r")
 
 
 def test_missing_folder_and_garbage_files_are_refused(tmp_path):
     with pytest.raises(InputError, match="no bench recording"):
-        BenchRecording.load(tmp_path / "nowhere")
+        Recording.load(tmp_path / "nowhere")
     folder = write(tmp_path / "r")
     (folder / "samples.csv").write_bytes(bytes(range(256)))
     with pytest.raises(InputError, match=r"samples\.csv"):
-        BenchRecording.load(folder)
+        Recording.load(folder)
     (folder / "samples.csv").write_text("")
     with pytest.raises(InputError, match=r"samples\.csv"):
-        BenchRecording.load(folder)
+        Recording.load(folder)
     (folder / "samples.parquet").write_bytes(b"PAR1 no")
     (folder / "recording.json").write_text(json.dumps(META | {"samples": "samples.parquet"}))
     with pytest.raises(InputError, match="Parquet"):
-        BenchRecording.load(folder)
+        Recording.load(folder)
 
 
 def test_a_two_gigabyte_csv_is_refused_before_it_is_read(tmp_path):
@@ -206,7 +206,7 @@ def test_a_two_gigabyte_csv_is_refused_before_it_is_read(tmp_path):
     with (folder / "samples.csv").open("r+b") as f:
         f.truncate(2 * 2**30)  # sparse: takes no space on disk
     with pytest.raises(InputError, match=r"2\.0 GB.*\.parquet"):
-        BenchRecording.load(folder)
+        Recording.load(folder)
 
 
 @pytest.mark.parametrize(
@@ -220,7 +220,7 @@ def test_a_two_gigabyte_csv_is_refused_before_it_is_read(tmp_path):
     ],
 )
 def test_poor_data_loads_with_a_warning(tmp_path, change, message):
-    r = BenchRecording.load(write(tmp_path / "r", change(table())))
+    r = Recording.load(write(tmp_path / "r", change(table())))
     assert any(message in w for w in r.warnings)
     assert all((np.diff(r.column("time_s")[s]) > 0).all() for s in r.trials().values())
 
@@ -229,12 +229,12 @@ def test_a_table_with_semicolons_says_so(tmp_path):
     folder = write(tmp_path / "r")
     table().to_csv(folder / "samples.csv", sep=";", index=False)
     with pytest.raises(InputError, match="separated by semicolons; save it with commas"):
-        BenchRecording.load(folder)
+        Recording.load(folder)
 
 
 def test_stated_noise_of_every_tip_column_is_accepted(tmp_path):
     noise = {"tip_x_mm": 0.2, "tip_y_mm": 0.2, "tip_z_mm": 1}
-    assert BenchRecording.load(write(tmp_path / "r", noise=noise)).meta["noise"] == noise
+    assert Recording.load(write(tmp_path / "r", noise=noise)).meta["noise"] == noise
 
 
 @pytest.mark.parametrize(
@@ -248,7 +248,7 @@ def test_stated_noise_of_every_tip_column_is_accepted(tmp_path):
 def test_a_recording_of_days_is_no_clock_in_milliseconds(tmp_path, command):
     s = table(8000, 1)
     s = s.assign(time_s=60.0 * np.arange(len(s)), pressure_cmd_kpa=command(len(s)))
-    r = BenchRecording.load(write(tmp_path / "r", s))
+    r = Recording.load(write(tmp_path / "r", s))
     assert any("if the clock counts milliseconds" in w for w in r.warnings)
 
 
@@ -259,7 +259,7 @@ def test_parts_are_whole_blocks_and_hold_every_condition(seed, fractions):
     flipped = s.trial == 5
     s = s.assign(gravity_x=np.where(flipped, -1.0, 1.0), gravity_y=0.0, gravity_z=0.0)
     s["temperature_c"] = np.where(s.trial >= 4, 30.0, 21.0) + 0.2 * np.sin(s.time_s)
-    r = BenchRecording(Path("r"), META, s, "finger")
+    r = Recording(Path("r"), META, s, "finger")
     parts = r.split(seed, fractions)
     assert (np.sum(parts, axis=0) == 1).all()
     block = r.blocks()
@@ -298,7 +298,7 @@ def test_gel_recording_splits_by_role_and_reads_images(tmp_path):
             "depth_mm": [np.nan, 0.4, 0.5, 0.6],
         }
     ).to_csv(folder / "samples.csv", index=False)
-    r = BenchRecording.load(folder)
+    r = Recording.load(folder)
     train, heldout = r.split()
     assert train.tolist() == [True, False, False, False] and (train != heldout).all()
     np.testing.assert_array_equal(r.image(r.samples.image[0]), picture)
@@ -314,6 +314,6 @@ def test_gel_recording_splits_by_role_and_reads_images(tmp_path):
 def test_real_recordings_load_and_split(name):
     if "PNEUTAC_DATA" not in os.environ:
         pytest.skip("PNEUTAC_DATA does not name a folder with real recordings")
-    r = BenchRecording.load(Path(os.environ["PNEUTAC_DATA"]) / "soft" / name)
+    r = Recording.load(Path(os.environ["PNEUTAC_DATA"]) / "soft" / name)
     train, heldout = r.split()
     assert 0.15 < heldout.mean() < 0.45 and (train ^ heldout).all()

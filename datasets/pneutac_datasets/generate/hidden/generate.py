@@ -9,7 +9,7 @@ import pandas as pd
 
 from pneutac_datasets.generate.hidden.bench import Bench, fit_plain, make_bench, rms_distance
 from pneutac_datasets.generate.hidden.foreign import REGISTRY, Foreign, is_disturbance
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 
 # A full effect leaves the plain model at this many times the noise floor.
@@ -102,7 +102,7 @@ def generate(
         "samples": "samples.csv",
         "notes": "Generated.",
     }
-    BenchRecording(out, meta, pd.DataFrame(table), "finger").write(out)
+    Recording(out, meta, pd.DataFrame(table), "finger").write(out)
     truth = {
         "effects": names,
         "strength": strength if names else 0.0,

@@ -7,7 +7,7 @@ import pytest
 
 from pneutac_datasets.generate.gel import write_gel_recording
 from pneutac_datasets.recording.gel import GelRecording
-from pneutac_datasets.recording.recording import BenchRecording
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.gel.metrics import ImageScores, score
 from pneutac_sim.gel.pair import Pair
 
@@ -23,7 +23,7 @@ def photographs():
         if "PNEUTAC_DATA" not in os.environ:
             pytest.skip("PNEUTAC_DATA is unset: there are no real photographs to compare with")
         folder = Path(os.environ["PNEUTAC_DATA"]) / "tactile" / name
-        return GelRecording.load(BenchRecording.load(folder))
+        return GelRecording.load(Recording.load(folder))
 
     return load
 
