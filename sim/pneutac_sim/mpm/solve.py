@@ -8,9 +8,6 @@ import numpy as np
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm.lagrangian_kernels import LEAST_J
 from pneutac_sim.mpm.total_lagrangian import Loads, TotalLagrangian
-from pneutac_sim.mpm.updated_lagrangian import UpdatedLagrangian
-
-Solver = TotalLagrangian | UpdatedLagrangian
 
 CHUNK = {"cpu": 25, "cuda": 50}  # substeps between two looks at the residual
 RAMP = 160  # substeps in which an indenter that begins inside the body is driven in
@@ -56,7 +53,7 @@ class Equilibrium:
 
 
 def solve_equilibrium(
-    solver: Solver,
+    solver: TotalLagrangian,
     loads: Loads,
     tolerance: float = 1e-2,
     max_substeps: int = 20_000,
@@ -168,7 +165,7 @@ class Trajectory:
 
 
 def simulate(
-    solver: Solver,
+    solver: TotalLagrangian,
     loads: Callable[[float], Loads] | Loads,
     duration_s: float,
     frame_s: float,
@@ -224,7 +221,7 @@ def _round(rate: np.ndarray) -> np.ndarray:
     return 2.0 ** (np.floor(4 * np.log2(rate)) / 4)
 
 
-def _outside(solver: Solver) -> None:
+def _outside(solver: TotalLagrangian) -> None:
     """Refuses to begin a motion with an indenter well inside a body: it would be shot away."""
     if not solver.touching:
         return
@@ -238,7 +235,7 @@ def _outside(solver: Solver) -> None:
         )
 
 
-def _retreat(solver: Solver, loads: Loads) -> np.ndarray | None:
+def _retreat(solver: TotalLagrangian, loads: Loads) -> np.ndarray | None:
     """(B, 3) m by which an indenter that overlaps the body must go back along its axis, or None."""
     if not solver.touching:
         return None
@@ -250,7 +247,7 @@ def _retreat(solver: Solver, loads: Loads) -> np.ndarray | None:
     return overlap[:, None] * axis
 
 
-def _joints_rest(solver: Solver, loads: Loads, tolerance: float) -> bool:
+def _joints_rest(solver: TotalLagrangian, loads: Loads, tolerance: float) -> bool:
     if not solver.spine:
         return True
     q, _, soft = solver.angles()
@@ -260,7 +257,7 @@ def _joints_rest(solver: Solver, loads: Loads, tolerance: float) -> bool:
     return bool((np.abs(torque + soft) < max(tolerance, 1e-3) * scale + 1e-7).all())
 
 
-def _finite(solver: Solver, value: np.ndarray, substeps: int) -> None:
+def _finite(solver: TotalLagrangian, value: np.ndarray, substeps: int) -> None:
     if not np.isfinite(value).all():
         worst = int(np.argmin(np.isfinite(value)))
         raise MpmDiverged(

@@ -8,12 +8,12 @@ solver, whose particles have then left the lattice, creeps by 4 %.
 
 import numpy as np
 import pytest
+from updated_lagrangian import UpdatedLagrangian
 
 from pneutac_sim.mpm.body import Body, Material
 from pneutac_sim.mpm.solve import simulate, solve_equilibrium
 from pneutac_sim.mpm.spine import Spine
 from pneutac_sim.mpm.total_lagrangian import Loads, TotalLagrangian
-from pneutac_sim.mpm.updated_lagrangian import UpdatedLagrangian
 
 SOLVERS = (TotalLagrangian, UpdatedLagrangian)
 REST = {TotalLagrangian: 2e-3, UpdatedLagrangian: 2e-4}  # of the forces from outside, of those inside

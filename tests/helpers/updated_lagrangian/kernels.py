@@ -14,7 +14,7 @@ from pneutac_sim.mpm import lagrangian_kernels as rows
 from pneutac_sim.mpm.lagrangian_kernels import LOAD, arrays, first_piola, floats, ints, matrix9, vector3
 from pneutac_sim.mpm.runtime import ti
 from pneutac_sim.mpm.spine_kernels import bend
-from pneutac_sim.mpm.updated_links import hinges_move, lever, side_of, through
+from updated_lagrangian.links import hinges_move, lever, side_of, through
 
 reals = ti.types.ndarray(dtype=ti.f64, ndim=1)
 vectors = ti.types.ndarray(dtype=ti.types.vector(3, ti.f64), ndim=1)

@@ -2,7 +2,7 @@
 
 It shares the bodies, the loads and the contact law with `TotalLagrangian` and nothing of its discretisation:
 particles carry the deformation and the grid stays where it is, so each checks the other. It is slow, uses
-float64, and is written to be read beside the paper cited in `updated_kernels`.
+float64, and is written to be read beside the paper cited in `kernels`.
 
 Choices where the papers leave one:
 
@@ -19,13 +19,13 @@ import numpy as np
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm import lagrangian_kernels as rows
-from pneutac_sim.mpm import updated_kernels as kern
 from pneutac_sim.mpm.body import Body, Material
 from pneutac_sim.mpm.rest_grid import RestGrid
 from pneutac_sim.mpm.runtime import start, ti
 from pneutac_sim.mpm.spine import Spine
 from pneutac_sim.mpm.total_lagrangian import CFL, TotalLagrangian
-from pneutac_sim.mpm.updated_links import skin_gradient, strips
+from updated_lagrangian import kernels as kern
+from updated_lagrangian.links import skin_gradient, strips
 
 MARGIN = 3  # cells of the box round the body
 STRIDE = 50  # substeps until the box is laid anew

@@ -1,6 +1,6 @@
 """The rigid links of the reference solver: which nodes lie across one (CPIC), and the motion of the hinges.
 
-[M] as in `updated_kernels`. A link has no momentum of its own but, each substep, that of all transfers that
+[M] as in `kernels`. A link has no momentum of its own but, each substep, that of all transfers that
 cross it, so the hinges have the inertia of just this material.
 """
 
