@@ -7,6 +7,13 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from pneutac_datasets.generate.hidden import (  # noqa: F401
+    actuation,
+    body,
+    disturbances,
+    observation,
+    pneumatics,
+)
 from pneutac_datasets.generate.hidden.bench import Bench, fit_plain, make_bench, rms_distance
 from pneutac_datasets.generate.hidden.foreign import REGISTRY, Foreign, is_disturbance
 from pneutac_datasets.recording.recording import Recording
