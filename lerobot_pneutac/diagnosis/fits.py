@@ -6,6 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
+from pneutac_sim.finger.quantities import squared_distance
 from pneutac_sim.twin import Twin
 
 
@@ -38,7 +39,7 @@ class Fit:
     @property
     def squared(self) -> np.ndarray:
         """(n,) squared Euclidean distance."""
-        return (self.residual**2).sum(1)
+        return squared_distance(self.residual)
 
 
 class Fitter(Protocol):

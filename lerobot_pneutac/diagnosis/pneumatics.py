@@ -11,6 +11,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect
+from pneutac_sim.finger.quantities import rms
 from pneutac_sim.twin import Twin
 
 MAD = 1.4826
@@ -61,7 +62,7 @@ def driven_by(recording: Recording, columns: list[str], residual: np.ndarray, no
         noise: of the measured pressure, kPa.
     """
     rest = np.zeros_like(residual)
-    if np.sqrt((residual**2).sum(1).mean()) > JUST_NOISE * noise:
+    if rms(residual) > JUST_NOISE * noise:
         for rows in recording.trials().values():
             rest[rows] = gaussian_filter1d(residual[rows], SMOOTH_SAMPLES, axis=0, mode="nearest")
     samples = recording.samples.copy()

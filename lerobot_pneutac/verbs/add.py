@@ -25,6 +25,7 @@ from pneutac_datasets.recording.noise import NoiseFloor, noise_floor
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
+from pneutac_sim.finger.quantities import root_mean, squared_distance
 from pneutac_sim.twin import Twin
 
 
@@ -89,10 +90,10 @@ class Added:
 
     def errors(self, residual: np.ndarray) -> dict:
         """Training and held-out error, and the interval of the latter."""
-        squared = (residual**2).sum(1)
+        squared = squared_distance(residual)
         lo, hi = np.sqrt(np.quantile(self.judge.mse(squared), [0.025, 0.975]))
         return {
-            "train": math.sqrt(squared[self.parts.train].mean()),
+            "train": root_mean(squared[self.parts.train]),
             "heldout": math.sqrt(self.judge.value(squared)),
             "heldout_ci95": [float(lo), float(hi)],
         }

@@ -18,6 +18,7 @@ from pneutac_datasets.recording.noise import NoiseFloor, noise_floor
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import Bench, simulate
+from pneutac_sim.finger.quantities import root_mean, squared_distance
 from pneutac_sim.twin import Twin
 
 PASSAGE_S = 2.0
@@ -102,7 +103,7 @@ class Comparison:
     @property
     def squared(self) -> np.ndarray:
         """(n,) squared Euclidean distance."""
-        return ((self.measured - self.model)[:, : self.counted] ** 2).sum(1)
+        return squared_distance((self.measured - self.model)[:, : self.counted])
 
 
 def main(argv: list[str]) -> None:
@@ -242,7 +243,7 @@ def _pressure_error(recording: Recording, twin: Twin) -> np.ndarray | None:
     measured = [n.replace("cmd_", "") for n in recording.pressure_columns]
     if not all(map(recording.has, measured)):
         return None
-    return (simulate(twin, Bench.of(recording, twin, target="pressure")).residual ** 2).sum(1)
+    return squared_distance(simulate(twin, Bench.of(recording, twin, target="pressure")).residual)
 
 
 def by_axis(axis: Axis, squared: np.ndarray, train: np.ndarray) -> list[dict]:
@@ -291,7 +292,7 @@ def _rms(x: np.ndarray, squares: bool = True) -> float | None:
     """Root of the mean of squares (n,), or of the squares of (n,); None where there is none."""
     if len(x) == 0:
         return None
-    return float(np.sqrt(np.mean(x if squares else x**2)))
+    return root_mean(x if squares else x**2)
 
 
 def _show(c: Comparison, result: dict) -> None:

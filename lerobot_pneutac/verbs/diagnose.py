@@ -26,6 +26,7 @@ from lerobot_pneutac.study.body import diagnose
 from lerobot_pneutac.study.pair import load_pair, require
 from lerobot_pneutac.verbs import diagnose_gel
 from pneutac_sim.errors import InputError
+from pneutac_sim.finger.quantities import root_mean, squared_distance
 
 LITTLE_ALONE = 0.03  # share of the avoidable error: an effect that alone removes less looks like nothing
 
@@ -135,8 +136,8 @@ def result(d: Diagnosis, advice: str) -> dict:
     train = d.parts.train
 
     def errors(residual: np.ndarray) -> dict:
-        squared = (residual**2).sum(1)
-        return {"train": math.sqrt(squared[train].mean()), "heldout": math.sqrt(d.judge.value(squared))}
+        squared = squared_distance(residual)
+        return {"train": root_mean(squared[train]), "heldout": math.sqrt(d.judge.value(squared))}
 
     share, interval = d.removed
     return {

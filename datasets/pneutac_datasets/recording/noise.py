@@ -12,6 +12,7 @@ import numpy as np
 
 from pneutac_datasets.recording import rules
 from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.finger import quantities
 
 HOLD_S = 1.0  # pressure at rest for this long before a sample counts as held
 WINDOW_S = 0.4
@@ -39,8 +40,8 @@ class NoiseFloor:
 
 
 def headline(recording: Recording) -> tuple[list[str], str]:
-    """The columns whose Euclidean distance is `the error`, and its unit: tip, else angle, else curvature."""
-    return rules.headline(recording.observations)
+    """The columns whose Euclidean distance is the error, and its unit; see `finger.quantities`."""
+    return quantities.headline(recording.observations, recording.device)
 
 
 def noise_floor(recording: Recording) -> NoiseFloor:

@@ -7,13 +7,9 @@ import numpy as np
 import pandas as pd
 
 from pneutac_sim.errors import InputError
+from pneutac_sim.finger import quantities
 from pneutac_sim.twin import DEVICES
 
-OBSERVATIONS = {
-    "finger": r"tip_[xyz]_mm|bend_angle_rad|q_\d+_rad",
-    "arm": r"tip_[xyz]_mm|bend_angle_rad|q_\d+_rad|curvature_[xy]_1_per_m",
-    "gel": r"image",
-}
 LABELS = r"program|image(_\w+)?|mask(_\w+)?|role|indenter|depth_source"
 
 # A soft actuator bursts well below 20 bar, so a larger number is another unit. A tip cannot be much further
@@ -21,18 +17,6 @@ LABELS = r"program|image(_\w+)?|mask(_\w+)?|role|indenter|depth_source"
 MAX_PRESSURE_KPA = 2000.0
 DAY_S = 86400.0
 MAX_DUPLICATES = 0.01  # share of rows with a doubled stamp that a logger's rounding explains
-
-# What counts as the error, in this order of preference: prefix of the columns, unit.
-HEADLINES = (("tip_", "mm"), ("bend_", "rad"), ("q_", "rad"), ("curvature_", "1/m"))
-
-
-def headline(observed: list[str]) -> tuple[list[str], str]:
-    """The observed columns whose Euclidean distance is `the error`, and its unit."""
-    for prefix, unit in HEADLINES:
-        columns = [c for c in observed if c.startswith(prefix)]
-        if columns:
-            return columns, unit
-    return [], ""
 
 
 def plural(n: int, noun: str) -> str:
@@ -105,12 +89,12 @@ def _check_noise(samples: pd.DataFrame, device: str, meta: dict, file: Path) -> 
     seen = observations(samples, device)
     source = file.parent / "recording.json"
     for name in stated:
-        if name not in seen and not (name in samples and re.fullmatch(r"pressure_(\d+_)?kpa", name)):
+        if name not in seen and not (name in samples and re.fullmatch(quantities.PRESSURE.pattern, name)):
             raise InputError(
                 f"{source}: field 'noise' names '{name}', which is not measured in {file.name}; "
                 f"name {', '.join(seen)}."
             )
-    missing = [c for c in headline(seen)[0] if stated and c not in stated]
+    missing = [c for c in quantities.headline(seen, device)[0] if stated and c not in stated]
     if missing:
         raise InputError(
             f"{source}: field 'noise' does not name '{missing[0]}', which the error counts too; "
@@ -172,7 +156,9 @@ def _near(name: str, samples: pd.DataFrame) -> str:
 
 def observations(samples: pd.DataFrame, device: str) -> list[str]:
     """Columns that a model of the device predicts, in the table's order."""
-    return [c for c in samples.columns if re.fullmatch(OBSERVATIONS[device], c)]
+    if device == "gel":
+        return [c for c in samples.columns if c == "image"]
+    return quantities.observations(samples.columns, device)
 
 
 def _numbers(samples: pd.DataFrame, device: str, file: Path) -> pd.DataFrame:

@@ -1,23 +1,16 @@
 """A recording prepared for the model: what drives it, what was measured, and in which unit errors count."""
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pneutac_sim.errors import InputError
+from pneutac_sim.finger import quantities
 from pneutac_sim.finger.inputs import Inputs, pressure_columns
 from pneutac_sim.finger.pipeline import Pipeline
 from pneutac_sim.twin import Twin
 
-# What an error is counted in, in this order of preference: the first kind that was measured.
-KINDS = (
-    (r"tip_[xyz]_mm", "mm"),
-    (r"bend_angle_rad", "rad"),
-    (r"curvature_[xy]_1_per_m", "1/m"),
-    (r"q_\d+_rad", "rad"),
-)
 TARGETS = ("pose", "pressure")
 
 
@@ -73,26 +66,24 @@ class Bench:
             missing = [c for c in names if c not in samples]
             if missing:
                 raise InputError(f"The recording has no measured pressure (column '{missing[0]}').")
-            groups = [(names, "kPa")]
+            groups = [(names, quantities.PRESSURE.unit)]
         else:
-            groups = [([c for c in samples if re.fullmatch(k, str(c))], unit) for k, unit in KINDS]
-            groups = [g for g in groups if g[0]]
+            groups = quantities.measured(samples, twin.device)
             if not groups:
                 raise InputError(
                     "The recording has no tip_x_mm, tip_z_mm, bend_angle_rad, curvature or q_1_rad column."
                 )
         unit = groups[0][1]
         columns = [c for names, _ in groups for c in names]
-        worth = {"mm": 1.0, "kPa": 1.0, "rad": 1.0, "1/m": 1.0}
-        if unit == "mm":  # a finger that bends by 1 rad moves its tip by half its length
-            worth |= {"rad": 0.5 * twin.length_mm, "1/m": 0.5e-3 * twin.length_mm**2}
         inputs = Inputs.from_samples(samples, twin.device, twin.length_mm, source, start)
         trial = np.asarray(samples["trial"])
         return cls(
             inputs=inputs,
             columns=tuple(columns),
             measured=np.stack([np.asarray(samples[c], dtype=float) for c in columns], axis=1),
-            scale=np.array([worth[u] for names, u in groups for _ in names]),
+            scale=np.array(
+                [quantities.weight(u, unit, twin.length_mm) for names, u in groups for _ in names]
+            ),
             counted=len(groups[0][0]),
             unit=unit,
             device=twin.device,
@@ -104,8 +95,8 @@ class Bench:
 
     def error(self, residual: np.ndarray, mask: np.ndarray | None = None) -> float:
         """Root mean square Euclidean distance over samples of a residual (n, D), in `unit`."""
-        r = residual[:, : self.counted] if mask is None else residual[mask, : self.counted]
-        return float(np.sqrt((r * r).sum(axis=1).mean())) if len(r) else float("nan")
+        counted = residual[:, : self.counted]
+        return quantities.rms(counted if mask is None else counted[mask])
 
     def thin(self, samples: np.ndarray) -> "Bench":
         """Only these samples (indices, (k,)); the model still runs through all of them."""

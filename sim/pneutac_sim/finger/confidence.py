@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pneutac_sim.finger.quantities import rms
+
 Z95 = 1.959964
 
 
@@ -103,7 +105,7 @@ def confidence(J: np.ndarray, residual: np.ndarray, adjacent: np.ndarray, at_bou
     return Confidence(
         rho=rho,
         n_effective=n / inflation,
-        sigma=float(np.sqrt((residual**2).sum(axis=1).mean())),
+        sigma=rms(residual),
         sd=sd * np.sqrt(variance * inflation),
         correlation=correlation,
     )

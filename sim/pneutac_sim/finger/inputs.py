@@ -1,12 +1,12 @@
 """What drives the model: pressures, time steps and conditions of a table of samples."""
 
-import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from pneutac_sim.errors import InputError
+from pneutac_sim.finger.quantities import observations
 
 CHAMBERS = {"finger": 1, "arm": 3}
 SOURCES = ("auto", "command", "measured")
@@ -101,7 +101,7 @@ class Inputs:
             measured=use_measured,
             pressure_range_kpa=float(max(scale, np.abs(pressure).max(), 1e-3)),
         )
-        if start == "vented" or (start == "auto" and _starts_vented(pressure, first, samples)):
+        if start == "vented" or (start == "auto" and _starts_vented(pressure, first, samples, device)):
             return inputs._with_vented_rows()
         return inputs
 
@@ -193,15 +193,13 @@ def _session_time(time: np.ndarray, first: np.ndarray) -> np.ndarray:
     return out
 
 
-def _starts_vented(pressure: np.ndarray, first: np.ndarray, samples: Mapping) -> bool:
+def _starts_vented(pressure: np.ndarray, first: np.ndarray, samples: Mapping, device: str) -> bool:
     """Whether trials start at rest although their first pressure is not zero.
 
     Trials that begin with a constant pressure tell: if they start from rest, their first poses agree and only
     their later poses follow the pressure.
     """
-    poses = [
-        c for c in samples if re.fullmatch(r"tip_[xyz]_mm|bend_angle_rad|curvature_[xy]_1_per_m|q_\d+_rad", c)
-    ]
+    poses = observations(samples, device)
     if not poses:
         return False
     span = np.ptp(pressure)
