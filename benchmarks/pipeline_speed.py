@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from pneutac_sim.effects import all_effects, get_effect
-from pneutac_sim.finger import Bench, Inputs, Pipeline, PressurePipeline, fit
+from pneutac_sim.finger import BodyData, Inputs, Pipeline, PressurePipeline, fit
 from pneutac_sim.twin import Twin, Value
 
 N, HZ, TOP = 12_000, 20, 15.0
@@ -68,7 +68,7 @@ def main() -> None:
     noise = 0.2 * np.random.default_rng(0).normal(size=(N, 2))
     table["tip_x_mm"], table["tip_z_mm"] = (model.outputs(run, ["tip_x_mm", "tip_z_mm"]) + noise).T
     recording = type("Recording", (), {"samples": pd.DataFrame(table), "device": "finger"})
-    bench = Bench.of(recording, truth)
+    bench = BodyData.of(recording, truth)
     train = np.arange(N) // 300 % 3 > 0
     warm = fit(Twin(), bench, [], train).twin
     for label, twin, effects, starts in (

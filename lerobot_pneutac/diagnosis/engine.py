@@ -17,7 +17,7 @@ import numpy as np
 from lerobot_pneutac.diagnosis.fits import Fit
 from lerobot_pneutac.diagnosis.score import promising
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.finger.bench import Bench, simulate
+from pneutac_sim.finger.data import BodyData, simulate
 from pneutac_sim.finger.fit import fit
 from pneutac_sim.twin import Twin
 
@@ -60,16 +60,16 @@ class Prepared:
 
     def __init__(self, recording: Recording, train: np.ndarray):
         self.recording, self.train = recording, train
-        self._benches: dict[tuple[str, str], Bench] = {}
+        self._benches: dict[tuple[str, str], BodyData] = {}
 
-    def bench(self, twin: Twin, target: str, source: str) -> Bench:
+    def bench(self, twin: Twin, target: str, source: str) -> BodyData:
         """The recording as the simulator wants it."""
         if (target, source) not in self._benches:
-            self._benches[target, source] = Bench.of(self.recording, twin, source=source, target=target)
+            self._benches[target, source] = BodyData.of(self.recording, twin, source=source, target=target)
         return self._benches[target, source]
 
 
-def lean(found, bench: Bench, effects: tuple[str, ...]) -> Fit:
+def lean(found, bench: BodyData, effects: tuple[str, ...]) -> Fit:
     """What the diagnosis keeps of a simulator's fit."""
     return Fit(
         effects=tuple(effects),

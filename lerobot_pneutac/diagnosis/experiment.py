@@ -8,7 +8,7 @@ from lerobot_pneutac.diagnosis.programs import Program, menu
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
-from pneutac_sim.finger.bench import Bench
+from pneutac_sim.finger.data import BodyData
 from pneutac_sim.finger.pipeline import Pipeline
 from pneutac_sim.twin import Twin
 
@@ -76,7 +76,7 @@ def _predict(recording: Recording, program: Program, a: Twin, b: Twin):
     planned = Recording(recording.folder, recording.meta, program.samples, recording.device)
     out = []
     for twin in (a, b):
-        bench = Bench.of(planned, twin, source="command", start="held")
+        bench = BodyData.of(planned, twin, source="command", start="held")
         try:
             seen, pressure = predict(twin, bench)
         except InputError:  # a load too heavy for the joints under these conditions
@@ -87,7 +87,7 @@ def _predict(recording: Recording, program: Program, a: Twin, b: Twin):
     return out[0], out[1], list(bench.columns[: bench.counted])
 
 
-def predict(twin: Twin, bench: Bench) -> tuple[np.ndarray, np.ndarray]:
+def predict(twin: Twin, bench: BodyData) -> tuple[np.ndarray, np.ndarray]:
     """What a twin predicts: headline columns (n, k) and pressure in the chambers (n, chambers), kPa."""
     pipeline = Pipeline.of(twin, bench.inputs)
     run = pipeline.run(bench.inputs, pipeline.theta(twin, bench.inputs.pressure_range_kpa))

@@ -16,11 +16,11 @@ from lerobot_pneutac.diagnosis.engine import Prepared, StageFitter
 from lerobot_pneutac.diagnosis.fits import Fit, effective_count
 from lerobot_pneutac.diagnosis.parts import Parts
 from pneutac_sim.effects.registry import get_effect
-from pneutac_sim.finger.bench import Bench
 from pneutac_sim.finger.confidence import Z95
+from pneutac_sim.finger.data import BodyData
 from pneutac_sim.finger.least_squares import minimise
 from pneutac_sim.finger.pipeline import Pipeline
-from pneutac_sim.finger.problem import Limits, Problem
+from pneutac_sim.finger.problem import Bounds, Problem
 from pneutac_sim.twin import Twin
 
 POINTS = 6  # most values tried on each side; one or two do where the model is nearly linear
@@ -94,7 +94,7 @@ class ProfileJob:
         """Follows the valley to both sides."""
         bench = prepared.bench(self.twin, self.target, self.source)
         pipeline = Pipeline.of(self.twin, bench.inputs, list(self.effects))
-        limits = Limits(pipeline, bench.inputs.pressure_range_kpa)
+        limits = Bounds(pipeline, bench.inputs.pressure_range_kpa)
         valley = _Valley(self, pipeline, limits, bench.thin(np.flatnonzero(prepared.train)))
         (low, below), (high, above) = valley.follow(-1), valley.follow(1)
         spec = pipeline.specs[valley.held]
@@ -113,7 +113,7 @@ class ProfileJob:
 class _Valley:
     """Training residuals with one parameter held and the others at their best."""
 
-    def __init__(self, job: ProfileJob, pipeline: Pipeline, limits: Limits, bench: Bench):
+    def __init__(self, job: ProfileJob, pipeline: Pipeline, limits: Bounds, bench: BodyData):
         self._pipeline, self._limits, self._bench = pipeline, limits, bench
         self.theta = pipeline.theta(job.twin, bench.inputs.pressure_range_kpa)
         self.held = pipeline.names.index(job.name)

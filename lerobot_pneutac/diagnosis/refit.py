@@ -10,7 +10,7 @@ from lerobot_pneutac.diagnosis.engine import Engine, StageFitter
 from lerobot_pneutac.diagnosis.experiment import predict
 from lerobot_pneutac.diagnosis.parts import Parts
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.finger.bench import Bench
+from pneutac_sim.finger.data import BodyData
 from pneutac_sim.twin import Twin
 
 
@@ -49,7 +49,7 @@ def refit(
     """
     columns = pneumatics.measured_columns(recording)
     air_names = tuple(e for e in effects if pneumatics.is_pneumatic(e))
-    bench = Bench.of(recording, twin, source="command")
+    bench = BodyData.of(recording, twin, source="command")
     if not columns or not air_names:
         with Engine(recording, parts.train, 1, done) as engine:
             found = StageFitter(engine, twin, "pose", "command").fit_all([tuple(effects)])[0]

@@ -25,7 +25,7 @@ from pneutac_datasets.recording.mounts import on_one_mount
 from pneutac_datasets.recording.noise import headline, noise_floor
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect, of_body
-from pneutac_sim.finger.bench import Bench
+from pneutac_sim.finger.data import BodyData
 from pneutac_sim.twin import Twin
 
 
@@ -97,7 +97,7 @@ def diagnose(
         more, also = find_rivals(None, air, [], parts, air_noise, seed, tell)
         rivals, correlated = more + rivals, also + correlated
 
-    bench = Bench.of(recording, twin, source="command")
+    bench = BodyData.of(recording, twin, source="command")
     y = bench.measured[:, : bench.counted]
 
     def residual(model: Twin) -> np.ndarray:

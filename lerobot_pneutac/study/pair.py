@@ -8,7 +8,7 @@ import numpy as np
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.rules import an, plural
 from pneutac_sim.errors import InputError
-from pneutac_sim.finger import Bench, Pipeline
+from pneutac_sim.finger import BodyData, Pipeline
 from pneutac_sim.twin import Twin
 
 LONGER = "Record ten minutes with steps, slow and fast ramps and long holds, in several trials."
@@ -71,7 +71,7 @@ def enough_rows(twin: Twin, recording: Recording, effects: list[str], train: np.
         effects: switched on.
         train: (n,) mask of training samples.
     """
-    bench = Bench.of(recording, twin, source="command")
+    bench = BodyData.of(recording, twin, source="command")
     pipeline = Pipeline.of(twin, bench.inputs, effects)
     count = sum(
         not spec.fixed and name.rpartition(".")[0] not in pipeline.left_out

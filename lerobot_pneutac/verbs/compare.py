@@ -17,7 +17,7 @@ from pneutac_datasets.recording.mounts import on_one_mount
 from pneutac_datasets.recording.noise import NoiseFloor, noise_floor
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
-from pneutac_sim.finger import Bench, simulate
+from pneutac_sim.finger import BodyData, simulate
 from pneutac_sim.finger.quantities import root_mean, squared_distance
 from pneutac_sim.twin import Twin
 
@@ -155,9 +155,9 @@ def compare(
     train = train_mask(twin, clean, seed)
     clean, moved = on_one_mount(clean, twin, train, refit=False)
     said += moved
-    prediction = simulate(twin, Bench.of(clean, twin, source="command"))
+    prediction = simulate(twin, BodyData.of(clean, twin, source="command"))
     said += [f"Effect '{name}' could not act: {why}." for name, why in prediction.left_out.items()]
-    bench = prediction.bench
+    bench = prediction.data
     outside, told = _out_of_range(twin, bench)
     said += [told] if told else []
     rate = motion(clean)[0]
@@ -184,7 +184,7 @@ def compare(
     return by_mpm(whole, twin, bench, samples or SAMPLES, seed, console)
 
 
-def _out_of_range(twin: Twin, bench: Bench) -> tuple[float | None, str | None]:
+def _out_of_range(twin: Twin, bench: BodyData) -> tuple[float | None, str | None]:
     if not twin.networks:
         return None, None
     from lerobot_pneutac.verbs.compare_networks import out_of_range
@@ -243,7 +243,7 @@ def _pressure_error(recording: Recording, twin: Twin) -> np.ndarray | None:
     measured = [n.replace("cmd_", "") for n in recording.pressure_columns]
     if not all(map(recording.has, measured)):
         return None
-    return squared_distance(simulate(twin, Bench.of(recording, twin, target="pressure")).residual)
+    return squared_distance(simulate(twin, BodyData.of(recording, twin, target="pressure")).residual)
 
 
 def by_axis(axis: Axis, squared: np.ndarray, train: np.ndarray) -> list[dict]:

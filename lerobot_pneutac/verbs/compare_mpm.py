@@ -9,7 +9,7 @@ from rich.progress import track
 from pneutac_datasets.recording.axes import Axis
 from pneutac_datasets.recording.rules import plural
 from pneutac_sim.errors import InputError
-from pneutac_sim.finger import Bench, Pipeline
+from pneutac_sim.finger import BodyData, Pipeline
 from pneutac_sim.finger.inputs import Inputs
 from pneutac_sim.finger.pipeline import BENDING_PRESSURE, Run
 from pneutac_sim.finger.stages import Drive
@@ -37,7 +37,7 @@ def spread(count: int, samples: int, seed: int = 0) -> np.ndarray:
     return np.unique(np.minimum(at.astype(int), count - 1))
 
 
-def by_mpm(c, twin: Twin, bench: Bench, samples: int, seed: int, console: Console | None = None):
+def by_mpm(c, twin: Twin, bench: BodyData, samples: int, seed: int, console: Console | None = None):
     """A `Comparison` at some of the samples, with a model by material points.
 
     Args:
@@ -80,7 +80,7 @@ def _thinned(axis: Axis, at: np.ndarray) -> Axis:
 
 
 def markers_by_mpm(
-    twin: Twin, bench: Bench, samples: np.ndarray, console: Console | None = None
+    twin: Twin, bench: BodyData, samples: np.ndarray, console: Console | None = None
 ) -> tuple[np.ndarray, int]:
     """Columns of a recording as a body of material points at rest would show them.
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pneutac_sim.finger import Bench, Pipeline
+from pneutac_sim.finger import BodyData, Pipeline
 from pneutac_sim.surrogate.finger import SurrogateFinger
 from pneutac_sim.surrogate.fingerprint import fingerprint
 from pneutac_sim.surrogate.network import ActionNetwork
@@ -12,7 +12,7 @@ from pneutac_sim.surrogate.programs import bending_pressure
 from pneutac_sim.twin import Twin
 
 
-def out_of_range(twin: Twin, bench: Bench) -> tuple[float | None, str | None]:
+def out_of_range(twin: Twin, bench: BodyData) -> tuple[float | None, str | None]:
     """Share of samples whose bending pressure or joint angles lie outside the training, and a sentence.
 
     Each sample's joints are brought to rest under the network, as in the world; those states count.

@@ -16,7 +16,7 @@ from lerobot_pneutac.study.pair import enough_rows
 from pneutac_datasets.recording.checks import check
 from pneutac_datasets.recording.mounts import on_one_mount
 from pneutac_sim.errors import InputError
-from pneutac_sim.finger import Bench, Fit, Pipeline, fit, simulate
+from pneutac_sim.finger import BodyData, Pipeline, PipelineFit, fit, simulate
 from pneutac_sim.twin import Twin
 
 
@@ -36,8 +36,8 @@ class BodyFit:
     """
 
     twin: Twin
-    fits: list[Fit]
-    bench: Bench
+    fits: list[PipelineFit]
+    bench: BodyData
     train: np.ndarray
     before: float | None
     error: dict[str, float | None]
@@ -65,14 +65,14 @@ def fit_body(twin: Twin, recording, seed: int = 0) -> BodyFit:
     train, heldout = recording.split(seed)
     enough_rows(twin, recording, list(twin.effects), train)
     recording, said = on_one_mount(recording, twin, train)
-    bench = Bench.of(recording, twin)
-    command = Bench.of(recording, twin, source="command")
+    bench = BodyData.of(recording, twin)
+    command = BodyData.of(recording, twin, source="command")
     start, before = twin, simulate(twin, bench)
     fits = []
     air = [name for name in twin.effects if name in before.left_out and bench.inputs.measured]
     air = [name for name in air if "measured pressure" in before.left_out[name]]
     if air:
-        fits.append(fit(twin, Bench.of(recording, twin, target="pressure"), None, train, air, seed=seed))
+        fits.append(fit(twin, BodyData.of(recording, twin, target="pressure"), None, train, air, seed=seed))
         twin = fits[0].twin
     fits.append(fit(twin, bench, train=train, seed=seed))
     after = fits[-1].twin

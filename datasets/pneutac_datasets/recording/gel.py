@@ -11,7 +11,7 @@ from PIL import Image
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.indenter import INDENTERS, Press
-from pneutac_sim.gel.photograph import Photograph
+from pneutac_sim.gel.photograph import PressPhotograph
 from pneutac_sim.gel.probe import THICKNESS_MM
 
 MIRROR_SAMPLES = 4  # photographs from which a mirrored axis can be told
@@ -47,9 +47,9 @@ class GelSample:
     radius_px: float
 
     @property
-    def photograph(self) -> Photograph:
+    def photograph(self) -> PressPhotograph:
         """What a fit needs of it."""
-        return Photograph(self.press, self.image, self.rest, self.clock)
+        return PressPhotograph(self.press, self.image, self.rest, self.clock)
 
 
 @dataclass

@@ -9,7 +9,7 @@ a twin against a recording looks at it through `on_one_mount`.
 import numpy as np
 
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.finger import Bench, fit, simulate
+from pneutac_sim.finger import BodyData, fit, simulate
 from pneutac_sim.twin import Twin
 
 FAR = 0.05  # of the device's length: further apart at rest than any creep leaves it
@@ -36,7 +36,7 @@ def on_one_mount(
     aligned, said, alike = align_mounts(recording, twin.length_mm)
     if not said:
         return recording, []
-    bench = Bench.of(aligned, twin)
+    bench = BodyData.of(aligned, twin)
     found = fit(twin, bench, train=train, starts=2) if refit else simulate(twin, bench)
     return _settle(aligned, alike, found.residual, train), said
 

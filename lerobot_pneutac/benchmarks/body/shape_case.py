@@ -9,7 +9,7 @@ from pneutac_datasets.generate.photo_plan import joints_of
 from pneutac_datasets.generate.photographs import Disturbances, write_photographs
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import in_order
-from pneutac_sim.finger import Bench, Pipeline, fit
+from pneutac_sim.finger import BodyData, Pipeline, fit
 from pneutac_sim.finger.inputs import CHAMBERS
 from pneutac_sim.mpm import devices
 from pneutac_sim.mpm.solve import solve_equilibrium
@@ -156,7 +156,7 @@ def add_effect(twin: Twin, recording: Recording, name: str) -> Twin:
     Gain and rest pressure go with it. How the bend is spread over the joints stays as photographs told: the
     tip alone hardly tells it, and a fit of everything would lose it.
     """
-    bench = Bench.of(recording, twin, source="command", start="held")
+    bench = BodyData.of(recording, twin, source="command", start="held")
     new = [name] if name else []
     only = ["gain_rad_per_kpa", "rest_pressure_kpa", *new]
     return fit(twin, bench, [*twin.effects, *new], ~heldout(recording), only).twin

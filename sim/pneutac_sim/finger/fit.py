@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.finger.bench import Bench
 from pneutac_sim.finger.confidence import Z95, Confidence, confidence, independent
+from pneutac_sim.finger.data import BodyData
 from pneutac_sim.finger.least_squares import minimise
 from pneutac_sim.finger.pipeline import Pipeline
-from pneutac_sim.finger.problem import Limits, Problem
+from pneutac_sim.finger.problem import Bounds, Problem
 from pneutac_sim.finger.starts import rough_drive, starting_points
 from pneutac_sim.twin import Twin
 
@@ -27,7 +27,7 @@ BY_IMAGES = "calibrated by images"  # how a twin's history calls it
 
 
 @dataclass(frozen=True)
-class Fit:
+class PipelineFit:
     """The outcome of `fit`.
 
     Attributes:
@@ -76,12 +76,12 @@ def fit(
     only: Sequence[str] | None = None,
     starts: int = 4,
     seed: int = 0,
-) -> Fit:
+) -> PipelineFit:
     """Fits all parameters of a twin with these effects to the training samples of a recording.
 
     Args:
         twin: where the fit starts.
-        recording: a bench recording, or a `Bench` prepared from one (faster for many fits).
+        recording: a bench recording, or a `BodyData` prepared from one (faster for many fits).
         effects: switched on; None for the twin's own.
         train: (n,) samples to fit; None for all.
         only: fit these and hold the rest: names of parameters, or of effects for all of theirs. None for all;
@@ -94,64 +94,64 @@ def fit(
         InputError: there are fewer training samples than parameters.
     """
     began = time.perf_counter()
-    bench = recording if isinstance(recording, Bench) else Bench.of(recording, twin)
-    mask = np.ones(len(bench), bool) if train is None else np.asarray(train, bool)
-    pipeline = Pipeline.of(twin, bench.inputs, effects)
-    limits = Limits(pipeline, bench.inputs.pressure_range_kpa)
-    if bench.unit == "kPa" and only is None:  # the pressure knows nothing of the body behind it
+    data = recording if isinstance(recording, BodyData) else BodyData.of(recording, twin)
+    mask = np.ones(len(data), bool) if train is None else np.asarray(train, bool)
+    pipeline = Pipeline.of(twin, data.inputs, effects)
+    bounds = Bounds(pipeline, data.inputs.pressure_range_kpa)
+    if data.unit == "kPa" and only is None:  # the pressure knows nothing of the body behind it
         only = [e.name for e in pipeline.effects if e.stage == "pneumatics"]
     free = _free(pipeline, only)
     seen = any(entry["change"] == BY_IMAGES for entry in twin.history)
-    if only is None and seen and not any(c.startswith("q_") for c in bench.columns):
+    if only is None and seen and not any(c.startswith("q_") for c in data.columns):
         free = np.array([i for i in free if pipeline.names[i] not in _PROFILE], int)
-    if mask.sum() * len(bench.columns) <= len(free):
+    if mask.sum() * len(data.columns) <= len(free):
         raise InputError(
             f"There are {int(mask.sum())} training samples for {len(free)} parameters; record more, or fit "
             "fewer."
         )
 
-    theta = pipeline.theta(twin, bench.inputs.pressure_range_kpa)
+    theta = pipeline.theta(twin, data.inputs.pressure_range_kpa)
     chosen = np.flatnonzero(mask)
-    thin = bench.thin(chosen[:: max(1, len(chosen) // _COARSE)])
-    problem = Problem(pipeline, thin, theta, limits, free)
-    anchors = sorted([theta, rough_drive(pipeline, thin, theta, limits, free)], key=problem.cost)
-    whole = Problem(pipeline, bench.thin(chosen), anchors[0], limits, free)
-    told = independent(whole.jacobian(np.clip(limits.scaled(anchors[0], free), 0.01, 0.99)))
+    thin = data.thin(chosen[:: max(1, len(chosen) // _COARSE)])
+    problem = Problem(pipeline, thin, theta, bounds, free)
+    anchors = sorted([theta, rough_drive(pipeline, thin, theta, bounds, free)], key=problem.cost)
+    whole = Problem(pipeline, data.thin(chosen), anchors[0], bounds, free)
+    told = independent(whole.jacobian(np.clip(bounds.scaled(anchors[0], free), 0.01, 0.99)))
     not_identified = dict.fromkeys(
         (pipeline.names[i] for i in free[~told]), "the recording cannot tell it from the other parameters"
     )
     free = free[told]
 
-    points = starting_points(anchors, pipeline, limits, free, starts, np.random.default_rng(seed))
-    tried = [Problem(pipeline, thin, point, limits, free) for point in points]
+    points = starting_points(anchors, pipeline, bounds, free, starts, np.random.default_rng(seed))
+    tried = [Problem(pipeline, thin, point, bounds, free) for point in points]
     found = [
-        minimise(p.residual, p.jacobian, limits.scaled(point, free), _COARSE_STEPS)
+        minimise(p.residual, p.jacobian, bounds.scaled(point, free), _COARSE_STEPS)
         for p, point in zip(tried, points, strict=True)
     ]
     best = min(range(len(found)), key=lambda i: found[i].cost)
-    final = Problem(pipeline, whole.bench, points[best], limits, free)
+    final = Problem(pipeline, whole.data, points[best], bounds, free)
     v = minimise(final.residual, final.jacobian, found[best].v).v
     theta = final.theta(v)
 
-    residual = bench.measured - pipeline.outputs(pipeline.run(bench.inputs, theta), bench.columns)
+    residual = data.measured - pipeline.outputs(pipeline.run(data.inputs, theta), data.columns)
     edge = (v < _EDGE) | (v > 1 - _EDGE)
-    known = confidence(final.jacobian(v), residual[mask] * bench.scale, bench.adjacent[mask], edge)
-    ci95, at_bound = _intervals(pipeline, limits, free, v, known.sd), {}
+    known = confidence(final.jacobian(v), residual[mask] * data.scale, data.adjacent[mask], edge)
+    ci95, at_bound = _intervals(pipeline, bounds, free, v, known.sd), {}
     for j in np.flatnonzero(edge):
-        bound = (limits.upper if v[j] > 0.5 else limits.lower)[free[j]]
+        bound = (bounds.upper if v[j] > 0.5 else bounds.lower)[free[j]]
         if bound != pipeline.specs[free[j]].neutral:
             at_bound[pipeline.names[free[j]]] = "upper" if v[j] > 0.5 else "lower"
     for j in np.flatnonzero((2 * Z95 * known.sd > 1) & ~edge):
         not_identified[pipeline.names[free[j]]] = "its interval spans everything that physics allows"
-    return Fit(
+    return PipelineFit(
         twin=pipeline.update(twin, theta, ci95),
         pipeline=pipeline,
         theta=theta,
         free=free,
         residual=residual,
-        train=bench.error(residual, mask),
-        heldout=bench.error(residual, ~mask),
-        unit=bench.unit,
+        train=data.error(residual, mask),
+        heldout=data.error(residual, ~mask),
+        unit=data.unit,
         confidence=known,
         ci95=ci95,
         at_bound=at_bound,
@@ -161,10 +161,10 @@ def fit(
     )
 
 
-def _intervals(pipeline: Pipeline, limits: Limits, free: np.ndarray, v: np.ndarray, sd: np.ndarray) -> dict:
+def _intervals(pipeline: Pipeline, bounds: Bounds, free: np.ndarray, v: np.ndarray, sd: np.ndarray) -> dict:
     """Name to 95 % interval, within the bounds; a logarithmic parameter has it around its logarithm."""
-    low = limits.value(np.clip(v - Z95 * sd, 0, 1), free)
-    high = limits.value(np.clip(v + Z95 * sd, 0, 1), free)
+    low = bounds.value(np.clip(v - Z95 * sd, 0, 1), free)
+    high = bounds.value(np.clip(v + Z95 * sd, 0, 1), free)
     return {pipeline.names[i]: (float(a), float(b)) for i, a, b in zip(free, low, high, strict=True)}
 
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from pneutac_sim.finger.pipeline import Pipeline
-from pneutac_sim.finger.stages import EffectLink, Loads, Markers
+from pneutac_sim.finger.stages import EffectLink, LoadLink, Markers
 from pneutac_sim.twin import Twin
 
 
@@ -27,7 +27,7 @@ class PressurePipeline:
         self._model = Pipeline.of(twin)
         self._theta = self._model.theta(twin)
         self._arm = self._model.geometry.axes == 2
-        links = [e for e in self._model.chain if not isinstance(e, Loads)]
+        links = [e for e in self._model.chain if not isinstance(e, LoadLink)]
         self._links = links[: [isinstance(e, Markers) for e in links].index(True)]
         self.reset()
 

@@ -3,14 +3,14 @@
 One model for `finger` (N joints in a plane), `arm` (three chambers, two bending axes) and any single bending
 segment, used by calibration, comparison, diagnosis, and step by step in the environment.
 
-    from pneutac_sim.finger import Bench, Pipeline, PressurePipeline, fit, simulate
+    from pneutac_sim.finger import BodyData, Pipeline, PressurePipeline, fit, simulate
 
     simulate(twin, recording)                 # -> Prediction: model, measured, residual (n, D), unit, error
-    bench = Bench.of(recording, twin)         # prepares a recording once for many fits and simulations
-    f = fit(twin, bench, effects=["creep"], train=mask)     # refits everything; f.twin is the new twin
-    model = Pipeline.of(twin, bench.inputs, effects=[...])  # parameters `model.names`, e.g. creep.weight_4s
-    run = model.run(bench.inputs, theta)      # theta (P,); run.markers (n, 5), run.joints, run.pressure_kpa
-    model.run(bench.inputs, theta2, reuse=run)    # repeats only what follows the first changed parameter
+    data = BodyData.of(recording, twin)         # prepares a recording once for many fits and simulations
+    f = fit(twin, data, effects=["creep"], train=mask)     # refits everything; f.twin is the new twin
+    model = Pipeline.of(twin, data.inputs, effects=[...])  # parameters `model.names`, e.g. creep.weight_4s
+    run = model.run(data.inputs, theta)      # theta (P,); run.markers (n, 5), run.joints, run.pressure_kpa
+    model.run(data.inputs, theta2, reuse=run)    # repeats only what follows the first changed parameter
     online = PressurePipeline(twin)
     online.step(pressure_cmd_kpa, dt_s)       # -> joint targets (N,), one control step
 
@@ -34,7 +34,15 @@ from pneutac_sim.effects.effect import Parameter
 from pneutac_sim.effects.registry import get_effect, in_order, of_body
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger.inputs import Inputs
-from pneutac_sim.finger.stages import BodyLink, Drive, EffectLink, Geometry, Loads, Markers, base_parameters
+from pneutac_sim.finger.stages import (
+    BodyLink,
+    Drive,
+    EffectLink,
+    Geometry,
+    LoadLink,
+    Markers,
+    base_parameters,
+)
 from pneutac_sim.twin import Twin, Value
 
 BENDING_PRESSURE = "bending_pressure_kpa"
@@ -107,7 +115,7 @@ class Pipeline:
                 )
         base = len(base_parameters(geometry))
         drive = Drive(geometry, tuple(range(base - 1)))
-        loads = [Loads(geometry, tuple(links["loads"]), base - 1)] if links["loads"] else []
+        loads = [LoadLink(geometry, tuple(links["loads"]), base - 1)] if links["loads"] else []
         body = [BodyLink(e.effect, e.indices, drive) for e in links["joints"]]
         to_joints = [*links["pneumatics"], *links["actuation"], drive]
         to_markers = [*to_joints, *loads, *body, Markers(geometry)]

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from pneutac_sim.finger.bench import Bench
+from pneutac_sim.finger.data import BodyData
 from pneutac_sim.finger.pipeline import Pipeline, Run
 
 
-class Limits:
+class Bounds:
     """Bounds of all parameters of a pipeline, and their map to [0, 1] (of the logarithm where that matters).
 
     Attributes:
@@ -16,10 +16,10 @@ class Limits:
     """
 
     def __init__(self, pipeline: Pipeline, pressure_range_kpa: float):
-        limits = np.array([p.limits(pressure_range_kpa) for p in pipeline.specs])
+        bounds = np.array([p.limits(pressure_range_kpa) for p in pipeline.specs])
         self._log = np.array([p.log for p in pipeline.specs])
-        self.default, self.lower, self.upper = limits.T
-        every = np.arange(len(limits))
+        self.default, self.lower, self.upper = bounds.T
+        every = np.arange(len(bounds))
         self._bottom, self._top = self._inner(self.lower, every), self._inner(self.upper, every)
 
     def _inner(self, x: np.ndarray, index: np.ndarray) -> np.ndarray:
@@ -41,9 +41,9 @@ class Problem:
 
     Args:
         pipeline: the model.
-        bench: the recording, whole or thinned.
+        data: the recording, whole or thinned.
         theta: (P,) values of the parameters that are not free.
-        limits: bounds of all parameters.
+        bounds: bounds of all parameters.
         free: (F,) indices of the free ones.
 
     Attributes:
@@ -53,22 +53,22 @@ class Problem:
     def __init__(
         self,
         pipeline: Pipeline,
-        bench: Bench,
+        data: BodyData,
         theta: np.ndarray,
-        limits: Limits,
+        bounds: Bounds,
         free: np.ndarray,
     ):
-        self.pipeline, self.bench, self.limits = pipeline, bench, limits
+        self.pipeline, self.data, self.bounds = pipeline, data, bounds
         self.free = np.asarray(free, int)
         self.evaluations = 0
         self._theta = theta
-        self._measured = self._scaled(bench.measured)
+        self._measured = self._scaled(data.measured)
         self._last: Run | None = None
 
     def theta(self, v: np.ndarray) -> np.ndarray:
         """All parameters (P,)."""
         theta = self._theta.copy()
-        theta[self.free] = self.limits.value(v, self.free)
+        theta[self.free] = self.bounds.value(v, self.free)
         return theta
 
     def residual(self, v: np.ndarray) -> np.ndarray:
@@ -97,10 +97,10 @@ class Problem:
 
     def _run(self, theta: np.ndarray, reuse: Run | None) -> Run:
         self.evaluations += 1
-        return self.pipeline.run(self.bench.inputs, theta, reuse)
+        return self.pipeline.run(self.data.inputs, theta, reuse)
 
     def _values(self, run: Run) -> np.ndarray:
-        return self._scaled(self.pipeline.outputs(run, self.bench.columns))
+        return self._scaled(self.pipeline.outputs(run, self.data.columns))
 
     def _scaled(self, values: np.ndarray) -> np.ndarray:
-        return (values * self.bench.scale).ravel()
+        return (values * self.data.scale).ravel()

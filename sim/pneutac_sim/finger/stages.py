@@ -1,6 +1,6 @@
 """The links of the pipeline's chain: each changes one signal and keeps its own state.
 
-pressure (m, chambers) -> Drive -> joints (m, N) or (m, 2 N) -> Loads -> joints -> Markers -> markers (m, 5).
+pressure (m, chambers) -> Drive -> joints (m, N) or (m, 2 N) -> loads -> joints -> Markers -> markers (m, 5).
 Effects sit between them. Every link reads its parameters from one vector `theta` by index.
 """
 
@@ -156,7 +156,7 @@ class BodyLink(EffectLink):
 
 
 @dataclass(frozen=True)
-class Loads:
+class LoadLink:
     """Static equilibrium with the loads that effects put on the body."""
 
     geometry: Geometry

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from pneutac_sim.finger.bench import Bench
+from pneutac_sim.finger.data import BodyData
 from pneutac_sim.finger.pipeline import Pipeline
-from pneutac_sim.finger.problem import Limits, Problem
+from pneutac_sim.finger.problem import Bounds, Problem
 
 # Tried for each joint: rad at the largest pressure, rest pressure over the largest one, angle over 2 pi.
 _GAIN = (-0.7, -0.3, -0.12, -0.04, 0.02, 0.04, 0.08, 0.12, 0.2, 0.3, 0.5, 0.8)
@@ -13,21 +13,21 @@ _ANGLE = tuple(np.arange(-6, 6) / 12)
 
 
 def rough_drive(
-    pipeline: Pipeline, bench: Bench, theta: np.ndarray, limits: Limits, free: np.ndarray
+    pipeline: Pipeline, data: BodyData, theta: np.ndarray, bounds: Bounds, free: np.ndarray
 ) -> np.ndarray:
     """The best of a coarse grid over gain, rest pressure and the chambers' directions, without any effect.
 
     Args:
         pipeline: with its effects.
-        bench: thinned; the grid has 72 points for a finger, 264 for an arm.
+        data: thinned; the grid has 72 points for a finger, 264 for an arm.
         theta: (P,) all other parameters.
-        limits: of the pipeline.
+        bounds: of the pipeline.
         free: (F,) indices of parameters that may change.
 
     Returns:
         (P,) parameters.
     """
-    p = bench.inputs.pressure_range_kpa
+    p = data.inputs.pressure_range_kpa
     tried = {
         "gain_rad_per_kpa": [s / p for s in _GAIN],
         "rest_pressure_kpa": [s * p for s in _REST],
@@ -35,7 +35,7 @@ def rough_drive(
     }
     axes = {pipeline.names.index(k): v for k, v in tried.items() if k in pipeline.names}
     axes = {
-        i: [x for x in values if limits.lower[i] <= x <= limits.upper[i]]
+        i: [x for x in values if bounds.lower[i] <= x <= bounds.upper[i]]
         for i, values in axes.items()
         if i in free
     }
@@ -43,8 +43,8 @@ def rough_drive(
         axes[pipeline.names.index("chamber_handedness")] = [-1.0, 1.0]
     if not axes:
         return theta
-    bare = Pipeline(pipeline.geometry, (), bench.inputs.measured)
-    problem = Problem(bare, bench, theta[: len(bare.names)], Limits(bare, p), np.zeros(0, int))
+    bare = Pipeline(pipeline.geometry, (), data.inputs.measured)
+    problem = Problem(bare, data, theta[: len(bare.names)], Bounds(bare, p), np.zeros(0, int))
     best, lowest = theta, np.inf
     for values in np.stack(np.meshgrid(*axes.values(), indexing="ij"), axis=-1).reshape(-1, len(axes)):
         trial = theta.copy()
@@ -58,7 +58,7 @@ def rough_drive(
 def starting_points(
     anchors: list[np.ndarray],
     pipeline: Pipeline,
-    limits: Limits,
+    bounds: Bounds,
     free: np.ndarray,
     starts: int,
     rng: np.random.Generator,
@@ -72,6 +72,6 @@ def starting_points(
     random = np.array([i for i in free if "." in pipeline.names[i]], int)
     while len(points) < starts and len(random):
         theta = anchors[0].copy()
-        theta[random] = limits.value(rng.uniform(0.02, 0.6, len(random)), random)
+        theta[random] = bounds.value(rng.uniform(0.02, 0.6, len(random)), random)
         points.append(theta)
     return points

@@ -20,7 +20,7 @@ from pneutac_sim.gel.layout import DIGIT, Layout, Orientation, recognise
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.optics import gradient
 from pneutac_sim.gel.pair import check_pair
-from pneutac_sim.gel.photograph import Photograph, gains, press_depth, registered, session_light, to_grid
+from pneutac_sim.gel.photograph import PressPhotograph, gains, press_depth, registered, session_light, to_grid
 from pneutac_sim.gel.probe import COLS, ROWS, THICKNESS_MM
 from pneutac_sim.gel.session import fit_drift, fit_registration, unregistered
 from pneutac_sim.gel.surface import DECAY_MM, surface
@@ -80,12 +80,12 @@ def fit_gel(
     """
     check_pair(rest, indentation, press, px_per_mm)
     gel = GelModel(rest, np.zeros((3, 2)), np.zeros(3), px_per_mm, thickness_mm)
-    return fit_photographs(gel, [Photograph(press, indentation, rest)], effects, makes)
+    return fit_photographs(gel, [PressPhotograph(press, indentation, rest)], effects, makes)
 
 
 def fit_photographs(
     gel: GelModel,
-    photographs: Sequence[Photograph],
+    photographs: Sequence[PressPhotograph],
     effects: Sequence[str],
     makes: Sequence[Layout] = (DIGIT,),
     near: GelModel | None = None,
@@ -121,7 +121,7 @@ def fit_photographs(
     return best
 
 
-def slope_light(gel: GelModel, pair: Photograph) -> np.ndarray:
+def slope_light(gel: GelModel, pair: PressPhotograph) -> np.ndarray:
     """L (3, 2) of the paper's linear model fitted to one pair, levels per unit slope."""
     return _Problem(gel, [pair], []).linear()
 
@@ -129,7 +129,7 @@ def slope_light(gel: GelModel, pair: Photograph) -> np.ndarray:
 class _Problem:
     """The least-squares problem of some photographs and effects."""
 
-    def __init__(self, gel: GelModel, photographs: Sequence[Photograph], effects: list[str]):
+    def __init__(self, gel: GelModel, photographs: Sequence[PressPhotograph], effects: list[str]):
         self.gel, self.effects, self.photographs = gel, effects, photographs
         self.cell = gel.window_mm[0] / COLS, gel.window_mm[1] / ROWS
         self.depths = [press_depth(registered(p.press, gel), gel) for p in photographs]

@@ -24,7 +24,7 @@ KEPT = 0.5  # share of a pair's drift that the session's other photographs are e
 
 
 @dataclass
-class Photograph:
+class PressPhotograph:
     """One indentation.
 
     Attributes:
@@ -72,7 +72,7 @@ def registered(press: Press, gel: GelModel) -> Press:
     return replace(press, x_mm=x, y_mm=y, yaw_rad=press.yaw_rad + v["turn_rad"])
 
 
-def session_light(pair: Photograph, px_per_mm: float) -> np.ndarray:
+def session_light(pair: PressPhotograph, px_per_mm: float) -> np.ndarray:
     """Change of the light since the rest image, smooth over the image, (80, 59, 3) levels.
 
     A gain and a quadratic in x and y for each channel, fitted away from the contact; zero where hardly
@@ -105,7 +105,7 @@ class Predictor:
         pair: a photograph of the session whose drift of light is known, None for no drift.
     """
 
-    def __init__(self, gel: GelModel, pair: Photograph | None = None):
+    def __init__(self, gel: GelModel, pair: PressPhotograph | None = None):
         self._gel, self._pair = gel, pair
         self._sensors: dict[int, tuple] = {}
         self._drift = None

@@ -9,7 +9,7 @@ from pneutac_sim.effects.optics import CHANNELS, OPTICS
 from pneutac_sim.gel.channel import ERROR_LEVELS, INDEPENDENT
 from pneutac_sim.gel.model import GelModel, rest_weight
 from pneutac_sim.gel.optics import light
-from pneutac_sim.gel.photograph import Photograph, press_depth, registered, to_grid
+from pneutac_sim.gel.photograph import PressPhotograph, press_depth, registered, to_grid
 from pneutac_sim.gel.probe import COLS, ROWS
 from pneutac_sim.gel.surface import surface
 
@@ -17,7 +17,7 @@ GAIN_SD = 0.01  # how far the brightness of one photograph may be off a steady d
 STEP_MM = 0.05  # by which presses are moved to see what the images do
 
 
-def fit_drift(gel: GelModel, photographs: Sequence[Photograph]) -> dict[str, float]:
+def fit_drift(gel: GelModel, photographs: Sequence[PressPhotograph]) -> dict[str, float]:
     """Parameters of `illumination_drift`, from the pixels away from the contacts."""
     effect = OPTICS["illumination_drift"]
     sd = np.array(effect.prior_sd).reshape(2, 3)
@@ -43,7 +43,7 @@ def unregistered() -> dict[str, float]:
 
 def fit_registration(
     gel: GelModel,
-    photographs: Sequence[Photograph],
+    photographs: Sequence[PressPhotograph],
     masks: Sequence[np.ndarray],
     seen: Sequence[np.ndarray],
     rests: Sequence[np.ndarray],

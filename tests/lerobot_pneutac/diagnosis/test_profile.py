@@ -9,8 +9,8 @@ from lerobot_pneutac.diagnosis.experiment import predict
 from lerobot_pneutac.diagnosis.parts import deal
 from lerobot_pneutac.diagnosis.profile import Profile, profile
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.finger.bench import Bench
 from pneutac_sim.finger.confidence import Z95
+from pneutac_sim.finger.data import BodyData
 from pneutac_sim.twin import Twin, Value
 
 HZ = 10.0
@@ -37,7 +37,7 @@ def record(pressures, effects, seed):
     plain = {"gain_rad_per_kpa": 0.004, "gain_alpha": 0.1, "gain_beta": 0.05, "rest_pressure_kpa": 3.0}
     twin = Twin(parameters={k: Value(v) for k, v in plain.items()})
     twin.effects = {e: {k: Value(v) for k, v in values.items()} for e, values in effects.items()}
-    tip = predict(twin, Bench.of(recording, twin, source="command"))[0]
+    tip = predict(twin, BodyData.of(recording, twin, source="command"))[0]
     noise = NOISE_MM * np.random.default_rng(seed).normal(size=tip.shape)
     table[["tip_x_mm", "tip_z_mm"]] = tip + noise
     return recording

@@ -14,7 +14,7 @@ from pneutac_datasets.generate.hidden.generate import generate
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
-from pneutac_sim.finger import Bench, simulate
+from pneutac_sim.finger import BodyData, simulate
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.mpm import devices
 from pneutac_sim.twin import Twin, Value
@@ -78,7 +78,7 @@ def test_a_stiff_spine_follows_the_pipeline(device):
     twin.parameters["gain_rad_per_kpa"] = Value(0.02)
     twin.parameters["spine_stiffness_nm_per_rad"] = Value(2000.0)
     twin.effects["base_tilt"] = {p.name: Value(0.1) for p in get_effect("base_tilt").parameters}
-    bench = Bench.of(Recording(None, {}, table, device), twin, source="command")
+    bench = BodyData.of(Recording(None, {}, table, device), twin, source="command")
     model = simulate(twin, bench).model
     rows = np.array([0, 2, 4, 5, 5])
     seen, poses = markers_by_mpm(twin, bench, rows)

@@ -9,7 +9,7 @@ from lerobot_pneutac.verbs.fit_body import fit_body
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects import get_effect
 from pneutac_sim.errors import InputError
-from pneutac_sim.finger import Bench, Inputs, Pipeline, simulate
+from pneutac_sim.finger import BodyData, Inputs, Pipeline, simulate
 from pneutac_sim.twin import Twin
 
 
@@ -60,7 +60,7 @@ def test_calibrate_finds_the_parameters_and_writes_the_next_version(tmp_path, ca
     recording = Recording.load(folder)
     heldout = recording.split(entry["seed"])[1]
     p = simulate(twin, recording)
-    assert p.bench.error(p.residual, heldout) == pytest.approx(entry["heldout"], rel=1e-6)
+    assert p.data.error(p.residual, heldout) == pytest.approx(entry["heldout"], rel=1e-6)
     report = (tmp_path / "out" / "report.html").read_text()
     assert "rest_pressure_kpa" in report and "held-out residual" in report
     assert "rest_pressure_kpa" in capsys.readouterr().out
@@ -78,7 +78,7 @@ def test_measured_pressure_tells_the_valve_from_the_creep(tmp_path):
     assert found.twin.effects["valve_lag"]["fill_time_s"].value == pytest.approx(0.6, rel=0.03)
     assert found.twin.effects["creep"]["weight_1_3s"].value == pytest.approx(0.4, abs=0.05)
     assert found.error["heldout"] < 0.3
-    command = Bench.of(recording, found.twin, source="command")
+    command = BodyData.of(recording, found.twin, source="command")
     assert command.error(simulate(found.twin, command).residual) < 0.3
 
 

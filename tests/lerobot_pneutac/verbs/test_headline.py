@@ -9,7 +9,7 @@ from lerobot_pneutac.verbs.fit_body import fit_body
 from pneutac_datasets.recording.noise import headline
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.finger import quantities
-from pneutac_sim.finger.bench import Bench, simulate
+from pneutac_sim.finger.data import BodyData, simulate
 from pneutac_sim.twin import Twin
 
 
@@ -26,7 +26,7 @@ def arm_recording(folder, n=240, hz=10):
     table = pd.DataFrame(samples | {c: np.zeros(n) for c in columns})
     made = Recording(folder, {"device": "arm", "length_mm": 280.0}, table, "arm")
     prediction = simulate(twin, made)
-    order = [prediction.bench.columns.index(c) for c in columns]
+    order = [prediction.data.columns.index(c) for c in columns]
     noise = np.array([0.01, 0.01, 0.05, 0.05]) * rng.normal(size=(n, 4))
     table[columns] = prediction.model[:, order] + noise
     return Recording.load(made.write(folder)), twin
@@ -36,7 +36,7 @@ def test_every_verb_counts_the_error_of_an_arm_with_curvature_and_angles_alike(t
     """It used to be counted in rad by one half of the code and in 1/m by the other."""
     recording, twin = arm_recording(tmp_path / "arm")
     columns, unit = headline(recording)
-    bench = Bench.of(recording, twin)
+    bench = BodyData.of(recording, twin)
     assert (list(bench.columns[: bench.counted]), bench.unit) == (columns, unit)
 
     calibrated = fit_body(twin, recording)

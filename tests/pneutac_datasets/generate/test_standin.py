@@ -4,7 +4,7 @@ from PIL import Image
 
 from pneutac_datasets.generate.standin import main, write_finger, write_gel
 from pneutac_datasets.recording.gel import GelRecording
-from pneutac_sim.finger import Bench
+from pneutac_sim.finger import BodyData
 from pneutac_sim.finger.fit import fit
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.standin import CREEP, VALVE_LAG, standin_gel, standin_twin
@@ -23,7 +23,7 @@ def test_the_seed_decides_the_finger(finger, tmp_path):
 
 def test_lag_and_creep_can_be_told_from_the_recording(finger):
     assert set(finger.trials()) == {0, 1, 2}
-    bench = Bench.of(finger, Twin.builtin())
+    bench = BodyData.of(finger, Twin.builtin())
     plain = fit(Twin.builtin(), bench, effects=[])
     creeping = fit(Twin.builtin(), bench, effects=["creep"])
     assert creeping.train < 0.5 * plain.train

@@ -11,7 +11,7 @@ import pytest
 
 from pneutac_sim.effects import all_effects
 from pneutac_sim.errors import InputError
-from pneutac_sim.finger import Bench, fit, simulate
+from pneutac_sim.finger import BodyData, fit, simulate
 from pneutac_sim.twin import Twin
 
 DOC = Path(__file__).parents[3] / "docs" / "add_an_effect.md"
@@ -62,7 +62,7 @@ def test_it_is_fitted_like_any_other(example):
     truth = twin.copy()
     truth.effects["marker_offset"] = all_effects()["marker_offset"].start(15.0)
     truth.effects["marker_offset"]["beside_mm"].value = 12.0
-    seen = simulate(truth, Bench.of(recording, truth)).model
+    seen = simulate(truth, BodyData.of(recording, truth)).model
     recording.samples[["tip_x_mm", "tip_z_mm"]] = seen + 0.1 * np.random.default_rng(0).normal(
         size=seen.shape
     )

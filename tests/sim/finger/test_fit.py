@@ -3,7 +3,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.finger import Bench, fit
+from pneutac_sim.finger import BodyData, fit
 from pneutac_sim.finger.confidence import autocorrelation, independent
 from pneutac_sim.finger.fit import BY_IMAGES
 from pneutac_sim.finger.least_squares import minimise
@@ -109,7 +109,7 @@ def test_what_the_recording_cannot_tell_is_held_and_named(program, recording):
 def test_measured_pressure_is_fitted_by_the_pneumatics_alone(program, recording, with_effects):
     truth = with_effects(Twin.builtin(), {"valve_lag": {"fill_time_s": 0.5, "vent_time_s": 1.2}})
     rec = recording(truth, program(), columns=("tip_x_mm", "tip_z_mm", "pressure_kpa"), noise=0.05)
-    f = fit(truth, Bench.of(rec, truth, target="pressure"), ["valve_lag", "creep"])
+    f = fit(truth, BodyData.of(rec, truth, target="pressure"), ["valve_lag", "creep"])
     assert f.unit == "kPa"
     assert f.free_names == ["valve_lag.fill_time_s", "valve_lag.vent_time_s"]
     assert f.twin.effects["valve_lag"]["fill_time_s"].value == pytest.approx(0.5, rel=0.02)

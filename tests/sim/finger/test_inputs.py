@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.finger import Bench, Inputs, simulate
+from pneutac_sim.finger import BodyData, Inputs, simulate
 from pneutac_sim.twin import Twin
 
 
@@ -42,8 +42,8 @@ def test_a_vented_start_gives_the_lag_something_to_do():
     vented = t | {"tip_z_mm": 2 * t["pressure_cmd_kpa"] * settle(t)}
     twin = Twin.builtin()
     recording = type("Recording", (), {"samples": vented, "device": "finger"})
-    moved = simulate(twin, Bench.of(recording, twin), ["valve_lag"]).model[:, 0]
-    rest = simulate(twin, Bench.of(recording, twin, start="held"), ["valve_lag"]).model[:, 0]
+    moved = simulate(twin, BodyData.of(recording, twin), ["valve_lag"]).model[:, 0]
+    rest = simulate(twin, BodyData.of(recording, twin, start="held"), ["valve_lag"]).model[:, 0]
     assert np.ptp(rest[:40]) < 1e-9 and np.ptp(moved[:40]) > 1
 
 
@@ -76,8 +76,8 @@ def test_bad_inputs_are_refused():
     twin = Twin.builtin()
     recording = type("Recording", (), {"samples": table(), "device": "finger"})
     with pytest.raises(InputError, match="no tip_x_mm"):
-        Bench.of(recording, twin)
+        BodyData.of(recording, twin)
     with pytest.raises(InputError, match="no measured pressure"):
-        Bench.of(recording, twin, target="pressure")
+        BodyData.of(recording, twin, target="pressure")
     with pytest.raises(InputError, match="of a finger, the twin is of a arm|recording is of a finger"):
-        Bench.of(recording, Twin(device="arm"))
+        BodyData.of(recording, Twin(device="arm"))

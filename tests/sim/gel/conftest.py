@@ -6,7 +6,7 @@ import pytest
 from pneutac_sim.effects.optics import CHANNELS, OPTICS
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.gel.photograph import Photograph, gains, press_depth, registered
+from pneutac_sim.gel.photograph import PressPhotograph, gains, press_depth, registered
 from pneutac_sim.gel.sensor import TactileSensor
 
 PLACES = [(0.6, -1.0, 0.9), (-3.0, 4.0, 0.8), (3.0, 4.5, 0.7), (-3.0, -5.0, 1.0), (3.0, -4.5, 0.8)]
@@ -32,7 +32,7 @@ def session(photograph):
         presses = [Press("sphere", 3.0, *p) for p in PLACES[:n]]
         clocks = np.linspace(0, 1, n)
         return [
-            Photograph(p, photograph(gel, p, 2, i, 1.0, c), gel.rest_image, c)
+            PressPhotograph(p, photograph(gel, p, 2, i, 1.0, c), gel.rest_image, c)
             for i, (p, c) in enumerate(zip(presses, clocks, strict=True))
         ]
 

@@ -10,7 +10,7 @@ from pneutac_sim.gel.fit import fit_gel, fit_photographs, slope_light
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.layout import DIGIT, Orientation
 from pneutac_sim.gel.metrics import rmse
-from pneutac_sim.gel.photograph import Photograph, Predictor
+from pneutac_sim.gel.photograph import Predictor, PressPhotograph
 from pneutac_sim.gel.sensor import TactileSensor
 
 BALL = Press("sphere", 3.0, 0.6, -1.0, 0.9)
@@ -89,7 +89,7 @@ def test_images_that_are_mirrored_and_bgr_are_recognised_and_lit_by_the_makes_li
 
 
 def test_the_slopes_light_of_a_pair_is_the_linear_models(linear, photograph):
-    light = slope_light(linear, Photograph(BALL, photograph(linear, BALL, noise=2), linear.rest_image))
+    light = slope_light(linear, PressPhotograph(BALL, photograph(linear, BALL, noise=2), linear.rest_image))
     np.testing.assert_allclose(light, linear.light, rtol=0.1, atol=6)
 
 
@@ -110,7 +110,7 @@ def test_the_threshold_is_the_noise_of_the_quiet_part(linear, photograph):
 )
 def test_one_pair_tells_an_effect_that_shows_at_one_place(effect, tolerance, bent, photograph):
     bent.effects = {effect: bent.effects[effect]}
-    pair = Photograph(BALL, photograph(bent, BALL, noise=2), bent.rest_image)
+    pair = PressPhotograph(BALL, photograph(bent, BALL, noise=2), bent.rest_image)
     found = fit_photographs(bent, [pair], [effect], makes=()).gel.effects
     assert set(found) == {effect}
     for name, rel in tolerance.items():

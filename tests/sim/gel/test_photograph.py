@@ -9,8 +9,8 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.gel.indenter import INDENTERS, Press
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.photograph import (
-    Photograph,
     Predictor,
+    PressPhotograph,
     gains,
     press_depth,
     registered,
@@ -30,7 +30,7 @@ def lit(image, levels):
 def drifted(linear, photograph):
     """A photograph of a contact since whose rest image the light has changed by known levels."""
     image = photograph(linear, BALL)
-    return Photograph(BALL, lit(image, [10, -6, 4]), linear.rest_image)
+    return PressPhotograph(BALL, lit(image, [10, -6, 4]), linear.rest_image)
 
 
 # ---------------------------------------------------------------- where it touches
@@ -82,14 +82,14 @@ def test_the_sessions_light_is_read_away_from_the_contact_and_filled_in_under_it
 
 
 def test_a_gain_of_the_light_is_a_gain_of_the_rest_image(linear, photograph):
-    pair = Photograph(BALL, photograph(linear, BALL, gain=1.06), linear.rest_image)
+    pair = PressPhotograph(BALL, photograph(linear, BALL, gain=1.06), linear.rest_image)
     drift, rest = session_light(pair, 20.0), to_grid(linear.rest_image)
     np.testing.assert_allclose(drift, 0.06 * rest, atol=2.0)
 
 
 def test_nothing_is_told_where_the_contact_fills_the_image(linear, photograph):
     press = Press("sphere", 20.0, 0, 0, 1.5)
-    pair = Photograph(press, lit(photograph(linear, press), [20, 20, 20]), linear.rest_image)
+    pair = PressPhotograph(press, lit(photograph(linear, press), [20, 20, 20]), linear.rest_image)
     assert not session_light(pair, 20.0).any()
 
 
@@ -116,7 +116,7 @@ def test_a_gel_that_knows_the_drift_needs_no_pair(linear, drifted):
     for clock, gain in ((0.0, 1.1), (0.5, 1.0), (1.0, 0.9)):
         image = predictor.image(OTHER, drifted.rest, clock).astype(float)
         bright = drifted.rest[..., 0] < 200
-        far = ~Photograph(OTHER, drifted.image, drifted.rest).near(20.0) & bright
+        far = ~PressPhotograph(OTHER, drifted.image, drifted.rest).near(20.0) & bright
         assert np.median(image[far, 0] / drifted.rest[far, 0]) == pytest.approx(gain, abs=0.01)
         np.testing.assert_allclose(image[far, 1], drifted.rest[far, 1], atol=2)
 
@@ -124,7 +124,7 @@ def test_a_gel_that_knows_the_drift_needs_no_pair(linear, drifted):
 def test_each_photograph_is_predicted_on_its_own_rest_image(linear):
     predictor = Predictor(linear)
     first, second = linear.rest_image, np.full_like(linear.rest_image, 90)
-    far = ~Photograph(OTHER, first, first).near(20.0)
+    far = ~PressPhotograph(OTHER, first, first).near(20.0)
     for rest in (first, second, first):
         np.testing.assert_allclose(predictor.image(OTHER, rest)[far], rest[far].astype(float), atol=3)
 

@@ -15,7 +15,7 @@ TARGETS = ("pose", "pressure")
 
 
 @dataclass(frozen=True)
-class Bench:
+class BodyData:
     """A recording prepared once, for many simulations and fits.
 
     Attributes:
@@ -41,7 +41,7 @@ class Bench:
     @classmethod
     def of(
         cls, recording, twin: Twin, source: str = "auto", target: str = "pose", start: str = "auto"
-    ) -> "Bench":
+    ) -> "BodyData":
         """Prepares a bench recording (anything with `.samples` and `.device`).
 
         Args:
@@ -98,7 +98,7 @@ class Bench:
         counted = residual[:, : self.counted]
         return quantities.rms(counted if mask is None else counted[mask])
 
-    def thin(self, samples: np.ndarray) -> "Bench":
+    def thin(self, samples: np.ndarray) -> "BodyData":
         """Only these samples (indices, (k,)); the model still runs through all of them."""
         return replace(
             self,
@@ -113,14 +113,14 @@ class Prediction:
     """What a twin predicts for a recording.
 
     Attributes:
-        bench: the prepared recording.
-        model: (n, D) predicted values of `bench.columns`.
+        data: the prepared recording.
+        model: (n, D) predicted values of `data.columns`.
         residual: (n, D) measured - model.
-        error: root mean square Euclidean distance in `bench.unit`.
+        error: root mean square Euclidean distance in `data.unit`.
         left_out: effects of the twin that could not act, and why.
     """
 
-    bench: Bench
+    data: BodyData
     model: np.ndarray
     residual: np.ndarray
     error: float
@@ -132,12 +132,12 @@ def simulate(twin: Twin, recording, effects: Sequence[str] | None = None) -> Pre
 
     Args:
         twin: of the same device.
-        recording: a bench recording, or a `Bench` prepared from one.
+        recording: a bench recording, or a `BodyData` prepared from one.
         effects: these instead of the twin's own (those it does not have start at their defaults).
     """
-    bench = recording if isinstance(recording, Bench) else Bench.of(recording, twin)
-    pipeline = Pipeline.of(twin, bench.inputs, effects)
-    run = pipeline.run(bench.inputs, pipeline.theta(twin, bench.inputs.pressure_range_kpa))
-    model = pipeline.outputs(run, bench.columns)
-    residual = bench.measured - model
-    return Prediction(bench, model, residual, bench.error(residual), pipeline.left_out)
+    data = recording if isinstance(recording, BodyData) else BodyData.of(recording, twin)
+    pipeline = Pipeline.of(twin, data.inputs, effects)
+    run = pipeline.run(data.inputs, pipeline.theta(twin, data.inputs.pressure_range_kpa))
+    model = pipeline.outputs(run, data.columns)
+    residual = data.measured - model
+    return Prediction(data, model, residual, data.error(residual), pipeline.left_out)
