@@ -1,20 +1,59 @@
-"""Command line options as dataclasses: a bad one ends in one sentence, as all bad input does."""
+"""Command line options as dataclasses: a bad one ends in one sentence, as all bad input does.
 
+Help texts are the `Attributes:` of the dataclass' docstring, so that they stand in one place.
+"""
+
+import dataclasses
+import difflib
+import inspect
+import re
+import shutil
+import sys
+import textwrap
 import typing
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
 
 import draccus
 
 from pneutac_sim.errors import InputError
 
+PLACEHOLDERS = {str: "TEXT", int: "INT", float: "NUMBER", Path: "PATH"}
+COLUMN = 28  # where help texts begin
+
+
+@dataclass(frozen=True)
+class Option:
+    """One option of a command.
+
+    Attributes:
+        name: with the groups that it is in, such as `planner.horizon`.
+        kind: type of its value, without None; a dataclass for a group of options.
+        default: None where there is none.
+        text: what it says in `--help`.
+    """
+
+    name: str
+    kind: type
+    default: object
+    text: str
+
 
 def parse_options(config_class: type, argv: list[str]):
-    """Reads `--name=value` options into a dataclass that validates itself; `a,b` is the list `[a,b]`.
+    """Reads `--name=value` options into a dataclass that validates itself.
+
+    `a,b` is the list `[a,b]`, a flag may stand without its `=true`, and `--help` prints all and exits.
 
     Raises:
-        InputError: an option is malformed, or the dataclass refuses the values.
+        InputError: an option is unknown or malformed, or the dataclass refuses the values.
     """
+    options = {o.name: o for o in list_options(config_class)}
+    if "-h" in argv or "--help" in argv:
+        print(help_text(config_class))
+        raise SystemExit(0)
     try:
-        return draccus.parse(config_class, args=_with_lists(config_class, argv))
+        return draccus.parse(config_class, args=_completed(options, argv))
     except draccus.ParsingError as e:  # draccus hides what the dataclass itself raised
         cause = e
         while cause.__cause__ is not None and not isinstance(cause, InputError):
@@ -22,13 +61,112 @@ def parse_options(config_class: type, argv: list[str]):
         raise cause if isinstance(cause, InputError) else InputError(" ".join(str(e).split())) from e
 
 
-def _with_lists(config_class: type, argv: list[str]) -> list[str]:
-    """The same arguments, those for tuples in brackets: draccus would take a text letter by letter."""
-    hints = typing.get_type_hints(config_class)
-    lists = {n for n, t in hints.items() if tuple in (typing.get_origin(a) for a in (t, *typing.get_args(t)))}
-    out = []
-    for argument in argv:
-        name, given, value = argument.partition("=")
-        bare = given and name.removeprefix("--") in lists and value and value[0] not in "[{"
-        out.append(f"{name}=[{value}]" if bare else argument)
+def list_options(config_class: type, group: str = "") -> Iterator[Option]:
+    """The options of a dataclass, in its order; those of a nested one follow it as `group.name`."""
+    if hasattr(config_class, "get_known_choices"):  # one class a type, as LeRobot's cameras
+        choices = config_class.get_known_choices()
+        yield Option(f"{group}type", str, None, f"one of {', '.join(sorted(choices))}.")
+        found = (option for choice in choices.values() for option in _fields(choice, group))
+        yield from {o.name: dataclasses.replace(o, default=None) for o in found}.values()
+    else:
+        yield from _fields(config_class, group)
+
+
+def _fields(config_class: type, group: str) -> Iterator[Option]:
+    hints, texts = typing.get_type_hints(config_class), attribute_texts(config_class)
+    for field in dataclasses.fields(config_class):
+        kind = _without_none(hints[field.name])
+        default = None if field.default is dataclasses.MISSING else field.default
+        yield Option(group + field.name, kind, default, texts.get(field.name, ""))
+        if dataclasses.is_dataclass(kind):
+            yield from list_options(kind, f"{group}{field.name}.")
+
+
+def attribute_texts(config_class: type) -> dict[str, str]:
+    """What the docstrings of a class and of those that it extends tell of its attributes."""
+    texts = {}
+    for base in reversed(config_class.__mro__):
+        doc = inspect.cleandoc(base.__doc__ or "").partition("Attributes:\n")[2]
+        section = re.split(r"\n(?=\S)", textwrap.dedent(doc.split("\n\n")[0]))
+        for name, found, text in (entry.partition(":") for entry in section):
+            if found:
+                texts[name.strip()] = " ".join(text.split())
+    return texts
+
+
+def help_text(config_class: type) -> str:
+    """What `--help` prints: the sentence of the command's module, and every option."""
+    sentence = inspect.cleandoc(sys.modules[config_class.__module__].__doc__ or "").split("\n\n")[0]
+    sentence = re.sub(r"^`pneutac [^`]*`: ", "", " ".join(sentence.split()))
+    width = min(110, shutil.get_terminal_size((100, 24)).columns)
+    lines = [f"usage: {sys.argv[0].rpartition('/')[2]} [--option=value ...]", ""]
+    lines += [*textwrap.wrap(sentence[:1].upper() + sentence[1:], width), "", "options:"]
+    extra = (
+        Option("config_path", Path, None, "YAML file of options; those of the command line win."),
+        Option("help", bool, None, "this text."),
+    )
+    for option in (*list_options(config_class), *extra):
+        lines += _help_lines(option, width)
+    return "\n".join(lines)
+
+
+def _help_lines(option: Option, width: int) -> list[str]:
+    left = f"  --{option.name}{_placeholder(option.kind)}"
+    text = option.text
+    shown = option.default
+    shown = ",".join(map(str, shown)) if isinstance(shown, tuple) else shown
+    if shown is not None and shown is not False and shown != "" and not dataclasses.is_dataclass(option.kind):
+        text = f"{text.rstrip('.')} (default {shown})."
+    right = textwrap.wrap(text, max(40, width - COLUMN)) or [""]
+    first = [left + " " * (COLUMN - len(left)) + right.pop(0)] if len(left) < COLUMN - 1 else [left]
+    return first + [" " * COLUMN + line for line in right]
+
+
+def _placeholder(kind: type) -> str:
+    if kind is bool:
+        return ""
+    if dataclasses.is_dataclass(kind):
+        return ".*"
+    if typing.get_origin(kind) is tuple:
+        return "=A,B"
+    return "=" + PLACEHOLDERS.get(kind, "VALUE")
+
+
+def _completed(options: dict[str, Option], argv: list[str]) -> list[str]:
+    """The same arguments as draccus wants them: lists in brackets, which it would else take letter by letter.
+
+    Raises:
+        InputError: an option is unknown, has no value, or something else stands there.
+    """
+    out, rest = [], list(argv)
+    while rest:
+        name, given, value = rest.pop(0).partition("=")
+        if not name.startswith("--"):
+            raise InputError(f"'{name}' is not an option; they are written --name=value.")
+        name = name.removeprefix("--")
+        if name != "config_path" and name not in options:
+            raise InputError(_unknown(name, options))
+        kind = options[name].kind if name in options else Path
+        if not given:
+            stands = rest and not rest[0].startswith("--")
+            if not stands and kind is not bool:
+                raise InputError(f"--{name} has no value; write --{name}=VALUE.")
+            value = rest.pop(0) if stands else "true"
+        if typing.get_origin(kind) is tuple and value and value[0] not in "[{":
+            value = f"[{value}]"
+        out.append(f"--{name}={value}")
     return out
+
+
+def _unknown(name: str, options: dict[str, Option]) -> str:
+    close = difflib.get_close_matches(name, options, n=3, cutoff=0.5)
+    close += [o for o in options if o.rpartition(".")[2] == name and o not in close]
+    if close:
+        return f"There is no option --{name}; did you mean {' or '.join('--' + o for o in close)}?"
+    known = (o.name for o in options.values() if not dataclasses.is_dataclass(o.kind))
+    return f"There is no option --{name}; the options are {', '.join('--' + o for o in known)}."
+
+
+def _without_none(kind: type) -> type:
+    kinds = [k for k in typing.get_args(kind) if k is not type(None)]
+    return kinds[0] if len(kinds) == 1 and type(None) in typing.get_args(kind) else kind

@@ -1,19 +1,51 @@
-from dataclasses import dataclass
+import importlib
+import inspect
+import subprocess
+import sys
+from dataclasses import dataclass, field, is_dataclass
 from pathlib import Path
 
 import pytest
 
-from lerobot_pneutac.cli.options import parse_options
+from lerobot_pneutac.cli import VERBS
+from lerobot_pneutac.cli.benchmark import TABLES
+from lerobot_pneutac.cli.options import list_options, parse_options
 from pneutac_sim.errors import InputError
 
 
 @dataclass
+class Planner:
+    """A group.
+
+    Attributes:
+        horizon: steps that a plan
+            looks ahead.
+    """
+
+    horizon: int = 10
+
+
+@dataclass
 class Options:
+    """Options of a command.
+
+    Attributes:
+        tasks: which ones.
+        seeds: of everything: 100 % of it.
+        size: both.
+        out: folder.
+        program: its name.
+        planner: a group.
+        overwrite: whether what is there goes.
+    """
+
     tasks: tuple[str, ...] = ("a",)
     seeds: tuple[int, ...] | None = None
     size: tuple[int, int] = (1, 2)
     out: Path = Path("x,y")
     program: str = "all"
+    planner: Planner = field(default_factory=Planner)
+    overwrite: bool = False
 
 
 @pytest.mark.parametrize(
@@ -31,3 +63,87 @@ def test_texts_keep_their_commas():
 def test_a_bad_number_in_a_list_is_one_sentence():
     with pytest.raises(InputError, match="seeds"):
         parse_options(Options, ["--seeds=x"])
+
+
+@pytest.mark.parametrize(
+    ("argv", "expected"),
+    [
+        (["--overwrite"], True),
+        (["--overwrite", "--program=x"], True),
+        (["--overwrite=true"], True),
+        (["--overwrite", "true"], True),
+        (["--overwrite=false"], False),
+        ([], False),
+    ],
+)
+def test_a_flag_may_stand_alone(argv, expected):
+    assert parse_options(Options, argv).overwrite is expected
+
+
+@pytest.mark.parametrize(
+    ("argv", "sentence"),
+    [
+        (["--overwrit"], "There is no option --overwrit; did you mean --overwrite?"),
+        (["--horizon=3"], "There is no option --horizon; did you mean --planner.horizon?"),
+        (
+            ["--zzz=3"],
+            "There is no option --zzz; the options are --tasks, --seeds, --size, --out, --program, "
+            "--planner.horizon, --overwrite.",
+        ),
+        (["--out"], "--out has no value; write --out=VALUE."),
+        (["--out", "--overwrite"], "--out has no value; write --out=VALUE."),
+        (["bench"], "'bench' is not an option; they are written --name=value."),
+    ],
+)
+def test_a_wrong_option_is_one_sentence(argv, sentence):
+    with pytest.raises(InputError) as e:
+        parse_options(Options, argv)
+    assert str(e.value) == sentence
+
+
+def test_help_tells_every_option_with_its_default(capsys):
+    with pytest.raises(SystemExit) as e:
+        parse_options(Options, ["--help"])
+    lines = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
+    assert e.value.code == 0
+    for line in (
+        "--tasks=A,B which ones (default a).",
+        "--seeds=A,B of everything: 100 % of it.",
+        "--overwrite whether what is there goes.",
+        "--planner.* a group.",
+        "--planner.horizon=INT steps that a plan looks ahead (default 10).",
+    ):
+        assert line in lines
+
+
+@pytest.mark.parametrize("name", [*VERBS, *(f"benchmark {t}" for t in TABLES)])
+def test_every_option_of_every_verb_has_a_help_text(name):
+    module = importlib.import_module(TABLES[name.split()[1]] if " " in name else VERBS[name][0])
+    configs = [
+        c
+        for n, c in inspect.getmembers(module, inspect.isclass)
+        if n.endswith("Config") and is_dataclass(c) and f"`pneutac {name}`" in (c.__doc__ or "")
+    ]
+    if name in ("benchmark", "doctor"):
+        assert configs == []  # they take none
+        return
+    (config,) = configs
+    mute = [o.name for o in list_options(config) if not o.text and not o.name.startswith(("camera", "digit"))]
+    assert mute == []  # those of LeRobot's cameras are LeRobot's
+
+
+def _pneutac(*argv, **options):
+    command = [sys.executable, "-m", "lerobot_pneutac.cli", *argv]
+    return subprocess.run(command, capture_output=True, text=True, **options)
+
+
+def test_version_and_the_list_of_verbs():
+    assert _pneutac("--version").stdout.startswith("pneutac 0.")
+    listed = _pneutac("--help").stdout
+    assert all(f"  {verb} " in listed for verb in VERBS)
+
+
+def test_a_reader_that_has_seen_enough_is_no_error():
+    command = f"'{sys.executable}' -m lerobot_pneutac.cli --help"
+    out = subprocess.run(["bash", "-c", f"set -o pipefail; {command} | true"], capture_output=True, text=True)
+    assert out.stderr == ""
