@@ -34,9 +34,9 @@ def knocked(camera: Camera, turn_deg: float, shift_mm: float, rng: np.random.Gen
         v = rng.normal(size=3)
         return size * v / np.linalg.norm(v)
 
-    told = camera.extrinsics
-    eye = -told[:3, :3].T @ told[:3, 3] + 1e-3 * way(shift_mm)
+    nominal = camera.extrinsics
+    eye = -nominal[:3, :3].T @ nominal[:3, 3] + 1e-3 * way(shift_mm)
     extrinsics = np.eye(4)
-    extrinsics[:3, :3] = Rotation.from_rotvec(np.radians(way(turn_deg))).as_matrix() @ told[:3, :3]
+    extrinsics[:3, :3] = Rotation.from_rotvec(np.radians(way(turn_deg))).as_matrix() @ nominal[:3, :3]
     extrinsics[:3, 3] = -extrinsics[:3, :3] @ eye
     return Camera(camera.intrinsics, extrinsics, camera.width, camera.height)

@@ -11,7 +11,6 @@ An effect is hidden in it so, here with two photographs a pressure, 2 s and 60 s
     write_photographs("outputs/photos", seed=3, disturbances=creeping, after_s=(2, 60))
 """
 
-import json
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
@@ -24,12 +23,14 @@ from scipy.spatial.transform import Rotation
 from pneutac_datasets.generate.photo_cameras import CAMERAS, knocked, place_camera
 from pneutac_datasets.generate.photo_plan import default_pressures, hidden_twin, joints_of, session
 from pneutac_datasets.generate.photo_scene import Studio, photograph, ragged
+from pneutac_datasets.generate.truth import write_truth
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm import devices
 from pneutac_sim.mpm.solve import solve_equilibrium
 from pneutac_sim.mpm.total_lagrangian import Loads
+from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.carry import carry
 from pneutac_sim.twin import Twin, Value
 
@@ -107,32 +108,58 @@ def write_photographs(
     pressure = default_pressures(device) if pressures_kpa is None else np.asarray(pressures_kpa, float)
     table = session(pressure, device, after_s, conditions or {})
     meshes, rest, q, tips = bent_meshes(twin, joints_of(twin, table), particles)
+    # a base that is turned in its mount turns all that is seen of the body
     tilt = Rotation.from_euler("y", -wrong.tilt_deg, degrees=True).as_matrix()
+    tips = 1e3 * tips @ tilt.T
+    for mesh in meshes:
+        mesh.vertices = mesh.vertices @ tilt.T
     rng = np.random.default_rng([seed, 12])
     length = 1e-3 * twin.length_mm
-    width = 1e-3 * devices.parameter(twin, "width_mm")
-    studio = Studio.random(rng, length, width)
-    told = {name: place_camera(name, length, rng) for name in CAMERAS[device]}
-    true = {n: knocked(c, wrong.camera_deg, wrong.camera_mm, rng) for n, c in told.items()}
+    studio = Studio.random(rng, length, 1e-3 * devices.parameter(twin, "width_mm"))
+    nominal = {name: place_camera(name, length, rng) for name in CAMERAS[device]}
+    actual = {n: knocked(c, wrong.camera_deg, wrong.camera_mm, rng) for n, c in nominal.items()}
     folder = Path(folder)
+    observed = _photograph_all(folder, meshes, rest, studio, actual, tips, wrong.mask_px, rng)
+    samples = pd.concat([table, pd.DataFrame(observed)], axis=1)
+    Recording(folder, _metadata(twin, nominal), samples, device).write(folder)
+    write_truth(
+        folder,
+        {
+            "parameters": {k: v.value for k, v in twin.parameters.items()},
+            "joints_rad": q.tolist(),
+            "tips_mm": tips.tolist(),
+            "disturbances": asdict(wrong),
+            "camera_extrinsics": {name: c.extrinsics.tolist() for name, c in actual.items()},
+            "seed": seed,
+            "recording": folder.name,
+        },
+    )
+    return Recording.load(folder)
+
+
+def _photograph_all(folder, meshes, rest, studio, cameras, tips_mm, mask_px, rng) -> list[dict]:
+    """Photographs the empty bench and each mesh by each camera; returns the columns of each sample."""
     (folder / "images").mkdir(parents=True, exist_ok=True)
-    for name, camera in true.items():
+    for name, camera in cameras.items():
         Image.fromarray(photograph(None, rest, studio, camera, rng)[0]).save(folder / _empty(name))
-    tips = 1e3 * tips @ tilt.T
-    seen = []
+    observed = []
     for i, mesh in enumerate(meshes):
-        mesh.vertices = mesh.vertices @ tilt.T
-        row = {}
-        for name, camera in true.items():
+        columns = {}
+        for name, camera in cameras.items():
             image, mask = photograph(mesh, rest, studio, camera, rng)
-            mask = ragged(mask, wrong.mask_px, rng)
+            mask = ragged(mask, mask_px, rng)
             for kind, picture in (("image", image), ("mask", np.uint8(255) * mask)):
-                row[f"{kind}_{name}"] = f"images/{i:03d}_{kind}_{name}.png"
-                Image.fromarray(picture).save(folder / row[f"{kind}_{name}"])
-        tip = tips[i] + MARKER_NOISE_MM * rng.normal(size=3)
-        seen.append(row | {f"tip_{a}_mm": x for a, x in zip("xyz", tip, strict=True)})
-    meta = {
-        "device": device,
+                columns[f"{kind}_{name}"] = f"images/{i:03d}_{kind}_{name}.png"
+                Image.fromarray(picture).save(folder / columns[f"{kind}_{name}"])
+        tip = tips_mm[i] + MARKER_NOISE_MM * rng.normal(size=3)
+        observed.append(columns | {f"tip_{a}_mm": x for a, x in zip("xyz", tip, strict=True)})
+    return observed
+
+
+def _metadata(twin: Twin, cameras: dict[str, Camera]) -> dict:
+    """`recording.json`, with the cameras where they are believed to stand."""
+    return {
+        "device": twin.device,
         "length_mm": twin.length_mm,
         "spine_joint_positions_mm": list(twin.spine_joint_positions_mm),
         "samples": "samples.csv",
@@ -143,24 +170,10 @@ def write_photographs(
                 "extrinsics": c.extrinsics.tolist(),
                 "background": _empty(name),
             }
-            for name, c in told.items()
+            for name, c in cameras.items()
         },
         "notes": "Generated.",
     }
-    Recording(folder, meta, pd.concat([table, pd.DataFrame(seen)], axis=1), device).write(folder)
-    truth = {
-        "parameters": {k: v.value for k, v in twin.parameters.items()},
-        "joints_rad": q.tolist(),
-        "tips_mm": tips.tolist(),
-        "disturbances": asdict(wrong),
-        "camera_extrinsics": {name: c.extrinsics.tolist() for name, c in true.items()},
-        "seed": seed,
-        "recording": folder.name,
-    }
-    file = folder.parent / "truth" / f"{folder.name}.json"
-    file.parent.mkdir(parents=True, exist_ok=True)
-    file.write_text(json.dumps(truth, indent=1) + "\n")
-    return Recording.load(folder)
 
 
 def _empty(camera: str) -> str:

@@ -1,18 +1,12 @@
-"""`python -m pneutac_datasets.generate.standin --out=DIR`: the stand-in on the bench, finger and gel.
+"""The stand-in on the bench, finger and gel: what one measures of a real finger before making its twin."""
 
-`DIR/finger` holds a session of pressure programs with a tracked tip, `DIR/gel` a rest image, one press to
-calibrate by and more to score on: what one would measure of a real finger before making its twin.
-"""
-
-import argparse
-import sys
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 from PIL import Image
 
-from pneutac_datasets.generate.hidden.programs import Trial, session
+from pneutac_datasets.generate.hidden.programs import ProgramTrial, session
 from pneutac_datasets.generate.presses import ball_press, press_row, write_session
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
@@ -46,7 +40,7 @@ def write_finger(folder: str | Path, seed: int = 0, minutes: float = 6.0, hz: fl
         raise InputError(f"minutes={minutes}, hz={hz}: minutes must be 1 to 60 and hz 5 to 50.")
     rng = np.random.default_rng([seed, 3])
     hanging = (1.0, 0.0, 0.0)
-    trials = [Trial(t.label, t.command) for t in session(MAX_PRESSURE_KPA, 60 * minutes, hz, rng)[:3]]
+    trials = [ProgramTrial(t.label, t.command) for t in session(MAX_PRESSURE_KPA, 60 * minutes, hz, rng)[:3]]
     twin, every = standin_twin(), round(FINE_HZ / hz)
     table = []
     for number, trial in enumerate(trials):
@@ -97,24 +91,3 @@ def write_gel(folder: str | Path, seed: int = 0) -> Recording:
         Image.fromarray(camera.photograph(sensor.image(press_depth(press, gel)))).save(folder / name)
         rows.append(press_row(i, name, press))
     return write_session(folder, rows, gel.px_per_mm, "Generated: the stand-in for reality.")
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Writes both recordings and says where they are."""
-    parser = argparse.ArgumentParser(prog="python -m pneutac_datasets.generate.standin", description=__doc__)
-    parser.add_argument("--out", required=True, type=Path, help="folder of the two recordings")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--minutes", type=float, default=6.0, help="length of the finger's session")
-    o = parser.parse_args(argv)
-    try:
-        write_finger(o.out / "finger", o.seed, o.minutes)
-        write_gel(o.out / "gel", o.seed)
-    except InputError as e:
-        sys.stderr.write(f"{e}\n")
-        return 1
-    sys.stdout.write(f"finger: {o.out / 'finger'}\ngel: {o.out / 'gel'}\n")
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -31,7 +31,7 @@ def test_a_hidden_effect_is_named_added_and_lowers_the_error(effect, tmp_path, c
     found = run(diagnose, tmp_path / "d", twin, recording)
     assert found["selected"] == [effect] and found["verdict"] == "missing_effect"
     assert found["reduction"] > 0.9 and found["after"]["heldout"] < 1.1 * found["noise_floor"]
-    truth = json.loads((tmp_path / "recording_truth.json").read_text())[effect]
+    truth = json.loads((tmp_path / "truth" / "recording.json").read_text())[effect]
     fitted = found["parameters"][effect]
     beside = {k: v for k, v in fitted.items() if k.startswith(("along", "across", "deep"))}
     assert all(abs(v) < 15 for v in beside.values()), "terms that the truth does without stay small"

@@ -5,11 +5,9 @@ import json
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 
 import pneutac_datasets.generate.hidden as hidden
-from pneutac_datasets.generate.hidden.__main__ import main
 from pneutac_datasets.generate.hidden.generate import FULL_MISFIT, disturbance_names, effect_names, generate
 from pneutac_datasets.recording.checks import check
 from pneutac_datasets.recording.noise import noise_floor
@@ -35,8 +33,8 @@ def test_none_is_a_memoryless_curve_and_noise(tmp_path):
     assert truth["effects"] == [] and truth["verdict"] == "adequate" and truth["misfit_mm"] < 0.01
     assert misfit(r) == pytest.approx(truth["noise_floor_mm"], rel=0.03)
     assert noise_floor(r).value == pytest.approx(truth["noise_floor_mm"], rel=0.2)
-    clean, said = check(r)
-    assert said == [] and len(clean) == len(r)
+    clean, warnings = check(r)
+    assert warnings == [] and len(clean) == len(r)
 
 
 @pytest.mark.parametrize("name", [*effect_names(), *disturbance_names()])
@@ -118,16 +116,6 @@ def test_the_forms_are_foreign():
             names = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
             names += [a.name for a in node.names] if isinstance(node, ast.Import) else []
             assert not [n for n in names if n.startswith("pneutac_sim.effects")], file
-
-
-def test_command_line_says_where_the_truth_is(tmp_path, capsys):
-    out = tmp_path / "r"
-    assert main(["--effect=leak", f"--out={out}", "--seed=1", "--minutes=2", "--no-measured-pressure"]) == 0
-    said = capsys.readouterr().out
-    assert str(out) in said and str(tmp_path / "truth" / "r.json") in said and "leak" not in said
-    assert "pressure_kpa" not in pd.read_csv(out / "samples.csv")
-    assert main(["--effect=ghost", f"--out={out}"]) == 1
-    assert "no hidden effect 'ghost'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("option", "value"), [("strength", 0.0), ("minutes", 0.1), ("hz", 1000.0)])

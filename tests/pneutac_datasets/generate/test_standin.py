@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from pneutac_datasets.generate.standin import main, write_finger, write_gel
+from pneutac_datasets.generate.standin import write_finger, write_gel
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_sim.finger import BodyData
 from pneutac_sim.finger.fit import fit
@@ -45,10 +45,3 @@ def test_the_gel_recording_loads_and_shows_its_presses(tmp_path):
         assert change[inside].mean() > 3 * change[~s.photograph.near(data.px_per_mm)].mean()
     rest = np.asarray(Image.open(tmp_path / "gel" / "rest.png"))
     assert (rest == standin_gel().rest_image).all()
-
-
-def test_the_command_says_where_it_wrote(tmp_path, capsys):
-    assert main([f"--out={tmp_path}", "--minutes=1"]) == 0
-    assert f"finger: {tmp_path / 'finger'}" in capsys.readouterr().out
-    assert main([f"--out={tmp_path}", "--minutes=0"]) == 1
-    assert "minutes must be 1 to 60" in capsys.readouterr().err

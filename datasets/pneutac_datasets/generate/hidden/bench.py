@@ -13,7 +13,7 @@ JOINTS = 4
 
 
 @dataclass
-class Bench:
+class HiddenBench:
     """Everything that is fixed before an effect acts.
 
     Attributes:
@@ -58,7 +58,7 @@ class Bench:
         return np.stack([xz[:, 0], np.zeros(len(q)), xz[:, 1]], 1)
 
 
-def make_bench(seed: int, minutes: float, hz: float) -> Bench:
+def make_bench(seed: int, minutes: float, hz: float) -> HiddenBench:
     """A random finger (ranges around the paper's, Sec. IV-A) and a random session."""
     rng = np.random.default_rng([seed, 1])
     length = rng.uniform(80, 130)
@@ -87,7 +87,7 @@ def make_bench(seed: int, minutes: float, hz: float) -> Bench:
     start = np.zeros(sum(sizes) * sub, bool)
     start[np.r_[0, np.cumsum(sizes)[:-1]] * sub] = True
     wander = np.convolve(rng.normal(size=len(start) + 2000), np.ones(2001) / 2001, "valid")[: len(start)]
-    return Bench(
+    return HiddenBench(
         base=base,
         top=float(top),
         dt=1 / (hz * sub),
@@ -104,7 +104,7 @@ def make_bench(seed: int, minutes: float, hz: float) -> Bench:
     )
 
 
-def fit_plain(bench: Bench, tip: np.ndarray) -> np.ndarray:
+def fit_plain(bench: HiddenBench, tip: np.ndarray) -> np.ndarray:
     """Best tip (m, 3) of the plain gain law (gain, alpha, beta, rest pressure refitted) for a given tip.
 
     What stays is the misfit that a missing effect causes. The profile is bounded, since at extreme profiles a

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pneutac_datasets.generate.hidden.bench import Bench
+from pneutac_datasets.generate.hidden.bench import HiddenBench
 
 # The chain, in order. An effect takes the signal of its stage and returns it changed:
 #   command, pressure, drive, body: (n,) kPa on the fine grid;  gauge: what the gauge reads (n,) -> the true
@@ -36,7 +36,7 @@ class Foreign:
     nominal: float
     least: float
     largest: float
-    apply: Callable[[np.ndarray, Bench, float, np.random.Generator], np.ndarray]
+    apply: Callable[[np.ndarray, HiddenBench, float, np.random.Generator], np.ndarray]
 
 
 REGISTRY: dict[str, Foreign] = {}

@@ -1,21 +1,21 @@
 """Makes a bench recording with hidden effects, and keeps the answer apart from it."""
 
-import json
 import zlib
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from pneutac_datasets.generate.hidden import (  # noqa: F401
+from pneutac_datasets.generate.hidden import (  # noqa: F401  they register their effects
     actuation,
     body,
     disturbances,
     observation,
     pneumatics,
 )
-from pneutac_datasets.generate.hidden.bench import Bench, fit_plain, make_bench, rms_distance
+from pneutac_datasets.generate.hidden.bench import HiddenBench, fit_plain, make_bench, rms_distance
 from pneutac_datasets.generate.hidden.foreign import REGISTRY, Foreign, is_disturbance
+from pneutac_datasets.generate.truth import write_truth
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 
@@ -60,26 +60,19 @@ def generate(
     Raises:
         InputError: an unknown effect, or a number out of its range.
     """
-    names = [effects] if isinstance(effects, str) else list(effects)
-    names = [] if names == ["none"] else names
-    for name in names:
-        if name not in REGISTRY:
-            raise InputError(f"There is no hidden effect '{name}'; there are none, {', '.join(REGISTRY)}.")
+    names = _known(effects)
     if not 0 < strength <= 3:
         raise InputError(f"strength is {strength}; it must be above 0 and at most 3.")
     if not 1 <= minutes <= 60 or not 5 <= hz <= 100:
         raise InputError(f"minutes={minutes}, hz={hz}: minutes must be 1 to 60 and hz 5 to 100.")
-    out = Path(out)
-    truth_file = out.parent / "truth" / f"{out.name}.json"
     bench = make_bench(seed, minutes, hz)
     rng = np.random.default_rng([seed, 2])
     noise = float(rng.uniform(0.2, 0.4))
     floor = noise * np.sqrt(3)
-    active, sizes, told = [REGISTRY[n] for n in names], {}, []
+    active, details = [REGISTRY[n] for n in names], []
     for effect in active:
         size, misfit = find_size(effect, bench, seed, strength * FULL_MISFIT * floor, strength * effect.least)
-        sizes[effect.name] = size
-        told.append(
+        details.append(
             {
                 "name": effect.name,
                 "form": effect.form,
@@ -88,20 +81,59 @@ def generate(
                 "misfit_alone_mm": misfit,
             }
         )
-    reading, tip = simulate(bench, active, sizes, seed)
+    reading, tip = simulate(bench, active, {d["name"]: d["size"] for d in details}, seed)
+    samples = _samples(bench, reading if measured_pressure else None, tip, noise, rng)
+    _write_recording(Path(out), bench, samples)
+    truth = {
+        "effects": names,
+        "strength": strength if names else 0.0,
+        "verdict": _verdict(names),
+        "details": details,
+        "marker_noise_mm": noise,
+        "noise_floor_mm": float(floor),
+        "misfit_mm": rms_distance(tip, fit_plain(bench, tip)),
+        "seed": seed,
+        "finger": bench.base,
+        "recording": Path(out).name,
+    }
+    write_truth(out, truth)
+    return truth
+
+
+def _known(effects: str | list[str]) -> list[str]:
+    names = [effects] if isinstance(effects, str) else list(effects)
+    names = [] if names == ["none"] else names
+    for name in names:
+        if name not in REGISTRY:
+            raise InputError(f"There is no hidden effect '{name}'; there are none, {', '.join(REGISTRY)}.")
+    return names
+
+
+def _samples(
+    bench: HiddenBench,
+    reading: np.ndarray | None,
+    tip: np.ndarray,
+    noise_mm: float,
+    rng: np.random.Generator,
+) -> pd.DataFrame:
+    """The recording's columns, with the noise of gauge and tracker."""
     table = {
         "trial": bench.trial,
         "program": bench.label,
         "time_s": np.round(bench.time_s, 4),
         "pressure_cmd_kpa": bench.command[bench.logged],
     }
-    if measured_pressure:
+    if reading is not None:
         table["pressure_kpa"] = reading + PRESSURE_NOISE * bench.top * rng.normal(size=len(reading))
-    seen = tip + noise * rng.normal(size=tip.shape)
-    table |= {f"tip_{a}_mm": seen[:, i] for i, a in enumerate("xyz")}
+    measured = tip + noise_mm * rng.normal(size=tip.shape)
+    table |= {f"tip_{a}_mm": measured[:, i] for i, a in enumerate("xyz")}
     table |= {f"gravity_{a}": bench.gravity[bench.logged, i] for i, a in enumerate("xyz")}
     table["temperature_c"] = np.round(bench.temperature_c[bench.logged], 3)
     table["payload_g"] = bench.payload_g[bench.logged]
+    return pd.DataFrame(table)
+
+
+def _write_recording(out: Path, bench: HiddenBench, samples: pd.DataFrame) -> None:
     meta = {
         "device": "finger",
         "length_mm": bench.base["length_mm"],
@@ -109,22 +141,7 @@ def generate(
         "samples": "samples.csv",
         "notes": "Generated.",
     }
-    Recording(out, meta, pd.DataFrame(table), "finger").write(out)
-    truth = {
-        "effects": names,
-        "strength": strength if names else 0.0,
-        "verdict": _verdict(names),
-        "details": told,
-        "marker_noise_mm": noise,
-        "noise_floor_mm": float(floor),
-        "misfit_mm": rms_distance(tip, fit_plain(bench, tip)),
-        "seed": seed,
-        "finger": bench.base,
-        "recording": out.name,
-    }
-    truth_file.parent.mkdir(parents=True, exist_ok=True)
-    truth_file.write_text(json.dumps(truth, indent=1) + "\n")
-    return truth
+    Recording(out, meta, samples, "finger").write(out)
 
 
 def _verdict(names: list[str]) -> str:
@@ -134,7 +151,7 @@ def _verdict(names: list[str]) -> str:
 
 
 def simulate(
-    bench: Bench, effects: list[Foreign], sizes: dict[str, float], seed: int
+    bench: HiddenBench, effects: list[Foreign], sizes: dict[str, float], seed: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Runs the chain of stages.
 
@@ -171,7 +188,7 @@ def simulate(
 
 
 def find_size(
-    effect: Foreign, bench: Bench, seed: int, target_mm: float, least: float
+    effect: Foreign, bench: HiddenBench, seed: int, target_mm: float, least: float
 ) -> tuple[float, float]:
     """Size of an effect that alone leaves the refitted plain model with this error.
 

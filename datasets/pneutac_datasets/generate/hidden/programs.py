@@ -8,7 +8,7 @@ SLEW_S = 0.2  # regulators limit the slope of their set point; a true step would
 
 
 @dataclass
-class Trial:
+class ProgramTrial:
     """One contiguous run: the commanded pressure and the circumstances.
 
     Attributes:
@@ -42,7 +42,7 @@ class Trial:
         self.label += [label] * n
 
 
-def session(top: float, seconds: float, hz: float, rng: np.random.Generator) -> list[Trial]:
+def session(top: float, seconds: float, hz: float, rng: np.random.Generator) -> list[ProgramTrial]:
     """A whole bench session of about `seconds`.
 
     Args:
@@ -57,7 +57,7 @@ def session(top: float, seconds: float, hz: float, rng: np.random.Generator) -> 
     s = seconds / 600.0
     hang = (1.0, 0.0, 0.0) if rng.random() < 0.5 else (0.0, 0.0, -1.0)
     flip = tuple(-x for x in hang)
-    main = Trial(gravity=hang)
+    main = ProgramTrial(gravity=hang)
     stairs(main, top, 6, 5 * s, hz)
     for label, period in (("triangle_slow", 40), ("triangle_middle", 12), ("triangle_fast", 4)):
         for _ in range(2 if period == 40 else 3):
@@ -72,7 +72,7 @@ def session(top: float, seconds: float, hz: float, rng: np.random.Generator) -> 
     short = np.random.default_rng(rng.integers(2**32))
     state = short.bit_generator.state
     for kwargs in ({}, {}, {"gravity": flip}, {"temperature_c": 30.0}, {"payload_g": 50.0}):
-        trial = Trial(**{"gravity": hang, **kwargs})
+        trial = ProgramTrial(**{"gravity": hang, **kwargs})
         short.bit_generator.state = state  # the same program each time: two of these are repeats
         label = "repeat"
         trial.hold(label, 0.0, 1.5, hz)
@@ -87,7 +87,7 @@ def session(top: float, seconds: float, hz: float, rng: np.random.Generator) -> 
     return runs
 
 
-def stairs(trial: Trial, top: float, levels: int, seconds: float, hz: float) -> None:
+def stairs(trial: ProgramTrial, top: float, levels: int, seconds: float, hz: float) -> None:
     """Up and down again in equal steps, `seconds` on each."""
     trial.hold("stairs", 0.0, 1.5, hz)
     up = np.linspace(0, top, levels)
@@ -95,13 +95,13 @@ def stairs(trial: Trial, top: float, levels: int, seconds: float, hz: float) -> 
         trial.hold("stairs", float(p), seconds, hz)
 
 
-def triangle(trial: Trial, label: str, top: float, period: float, hz: float) -> None:
+def triangle(trial: ProgramTrial, label: str, top: float, period: float, hz: float) -> None:
     """From where it is to `top` and down to nothing."""
     trial.to(label, top, period / 2, hz)
     trial.to(label, 0.0, period / 2, hz)
 
 
-def minor_loops(trial: Trial, top: float, seconds: float, hz: float, rng: np.random.Generator) -> None:
+def minor_loops(trial: ProgramTrial, top: float, seconds: float, hz: float, rng: np.random.Generator) -> None:
     """Ramps between random turning points that lie inside the range, at a middle rate."""
     rate = 1.2 * top / 10
     left = seconds
@@ -113,7 +113,7 @@ def minor_loops(trial: Trial, top: float, seconds: float, hz: float, rng: np.ran
         left -= duration
 
 
-def steps(trial: Trial, top: float, count: int, hz: float, rng: np.random.Generator) -> None:
+def steps(trial: ProgramTrial, top: float, count: int, hz: float, rng: np.random.Generator) -> None:
     """Random levels held for 2 to 6 s."""
     for _ in range(count):
         trial.hold("random_steps", float(rng.uniform(0, top)), float(rng.uniform(2, 6)), hz)
