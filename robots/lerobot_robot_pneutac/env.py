@@ -3,13 +3,13 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from draccus.utils import DecodingError
 from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.envs.configs import EnvConfig
 from lerobot.utils.constants import ACTION, OBS_IMAGES, OBS_STATE
 
 # Registers the Gymnasium ids. Workers of lerobot-eval get them by unpickling this module's config.
 import pneutac_sim  # noqa: F401
+from lerobot_robot_pneutac.options import check_choice, check_twin_folder, refuse_if
 from pneutac_sim.features import (
     ACTION_NAMES,
     CONTROL_HZ,
@@ -52,19 +52,15 @@ class PneutacTaskConfig(EnvConfig):
     )
 
     def __post_init__(self):
-        # LeRobot's commands print a DecodingError as one line and hide any other error's text.
-        if self.task not in TASK_NAMES:
-            raise DecodingError(
-                (), f"--env.task is '{self.task}'; it must be one of {', '.join(TASK_NAMES)}."
-            )
-        if self.fps != CONTROL_HZ:
-            raise DecodingError(
-                (), f"--env.fps is {self.fps}; the simulated robot is controlled at {CONTROL_HZ} Hz."
-            )
-        if self.episode_length < 1:
-            raise DecodingError(
-                (), f"--env.episode_length is {self.episode_length}; it must be at least 1 step."
-            )
+        check_choice("env.task", self.task, TASK_NAMES)
+        refuse_if(
+            self.fps != CONTROL_HZ,
+            f"--env.fps is {self.fps}; the simulated robot is controlled at {CONTROL_HZ} Hz.",
+        )
+        refuse_if(
+            self.episode_length < 1,
+            f"--env.episode_length is {self.episode_length}; it must be at least 1 step.",
+        )
 
     @property
     def gym_kwargs(self) -> dict:
@@ -88,14 +84,8 @@ class PneutacEnvConfig(PneutacTaskConfig):
 
     def __post_init__(self):
         super().__post_init__()
-        if self.fidelity not in FIDELITIES:
-            raise DecodingError(
-                (), f"--env.fidelity is '{self.fidelity}'; it must be one of {', '.join(FIDELITIES)}."
-            )
-        if self.twin is not None and not (Path(self.twin) / "twin.yaml").is_file():
-            raise DecodingError(
-                (), f"--env.twin is '{self.twin}', which holds no twin.yaml; give a twin's folder."
-            )
+        check_choice("env.fidelity", self.fidelity, FIDELITIES)
+        check_twin_folder("env.twin", self.twin)
 
     @property
     def package_name(self) -> str:
@@ -124,10 +114,7 @@ class PneutacStandinConfig(PneutacTaskConfig):
 
     def __post_init__(self):
         super().__post_init__()
-        if self.gel not in STANDIN_GELS:
-            raise DecodingError(
-                (), f"--env.gel is '{self.gel}'; it must be one of {', '.join(STANDIN_GELS)}."
-            )
+        check_choice("env.gel", self.gel, STANDIN_GELS)
 
     @property
     def package_name(self) -> str:

@@ -2,8 +2,9 @@
 
 from dataclasses import dataclass
 
-from draccus.utils import DecodingError
 from lerobot.cameras import CameraConfig
+
+from lerobot_robot_pneutac.options import refuse_if
 
 # What the sensor streams: width and height of its own, lying image in px, and frame rates in Hz.
 STREAMS = {"QVGA": (320, 240, (30, 60)), "VGA": (640, 480, (15, 30))}
@@ -33,31 +34,27 @@ class DigitConfig(CameraConfig):
     frozen_s: float = 0.5
 
     def __post_init__(self):
-        # LeRobot's commands print a DecodingError as one line and hide any other error's text.
-        if self.resolution not in STREAMS:
-            raise DecodingError(
-                (), f"resolution of the DIGIT is '{self.resolution}'; it must be QVGA or VGA."
-            )
+        refuse_if(
+            self.resolution not in STREAMS,
+            f"resolution of the DIGIT is '{self.resolution}'; it must be QVGA or VGA.",
+        )
         columns, rows, rates = STREAMS[self.resolution]
-        if self.fps not in rates:
-            raise DecodingError(
-                (),
-                f"fps of the DIGIT is {self.fps}; {self.resolution} has {rates[0]} and {rates[1]}.",
-            )
-        if len(self.led) != 3 or not all(isinstance(v, int) and 0 <= v <= MAX_LED for v in self.led):
-            raise DecodingError(
-                (), f"led of the DIGIT is {list(self.led)}; give three whole numbers from 0 to {MAX_LED}."
-            )
-        if not self.frozen_s > 2 / self.fps:
-            raise DecodingError(
-                (),
-                f"frozen_s of the DIGIT is {self.frozen_s}; it must exceed two frames, {2 / self.fps:.3f} s.",
-            )
+        refuse_if(
+            self.fps not in rates,
+            f"fps of the DIGIT is {self.fps}; {self.resolution} has {rates[0]} and {rates[1]}.",
+        )
+        refuse_if(
+            len(self.led) != 3 or not all(isinstance(v, int) and 0 <= v <= MAX_LED for v in self.led),
+            f"led of the DIGIT is {list(self.led)}; give three whole numbers from 0 to {MAX_LED}.",
+        )
+        refuse_if(
+            not self.frozen_s > 2 / self.fps,
+            f"frozen_s of the DIGIT is {self.frozen_s}; it must exceed two frames, {2 / self.fps:.3f} s.",
+        )
         size = (rows, columns)  # handed out upright
-        if (self.width or size[0], self.height or size[1]) != size:
-            raise DecodingError(
-                (),
-                f"The DIGIT's image is {size[0]} px wide and {size[1]} px high in {self.resolution};"
-                f" leave out width {self.width} and height {self.height}.",
-            )
+        refuse_if(
+            (self.width or size[0], self.height or size[1]) != size,
+            f"The DIGIT's image is {size[0]} px wide and {size[1]} px high in {self.resolution};"
+            f" leave out width {self.width} and height {self.height}.",
+        )
         self.width, self.height = size

@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 
-from draccus.utils import DecodingError
 from lerobot.cameras import CameraConfig
 
+from lerobot_robot_pneutac.options import refuse_if
 from pneutac_sim.features import IMAGE_SHAPE
 
 
@@ -28,15 +28,12 @@ class DigitGeneratedConfig(CameraConfig):
     press_depth_mm: float = 0.8
 
     def __post_init__(self):
-        # LeRobot's commands print a DecodingError as one line and hide any other error's text.
-        if (self.height, self.width) != IMAGE_SHAPE[:2]:
-            raise DecodingError(
-                (),
-                f"digit_generated is {self.width} wide and {self.height} high; it must be 240 and 320 px.",
-            )
-        if not (self.fps > 0 and self.press_period_s >= 0 and self.press_depth_mm >= 0):
-            raise DecodingError(
-                (),
-                f"digit_generated has fps {self.fps}, press_period_s {self.press_period_s} and press_depth_mm"
-                f" {self.press_depth_mm}; the first must be positive and the others not negative.",
-            )
+        refuse_if(
+            (self.height, self.width) != IMAGE_SHAPE[:2],
+            f"digit_generated is {self.width} wide and {self.height} high; it must be 240 and 320 px.",
+        )
+        refuse_if(
+            not (self.fps > 0 and self.press_period_s >= 0 and self.press_depth_mm >= 0),
+            f"digit_generated has fps {self.fps}, press_period_s {self.press_period_s} and press_depth_mm"
+            f" {self.press_depth_mm}; the first must be positive and the others not negative.",
+        )

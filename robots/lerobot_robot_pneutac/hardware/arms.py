@@ -4,9 +4,9 @@ import abc
 from dataclasses import dataclass
 
 import draccus
-from draccus.utils import DecodingError
 
 from lerobot_robot_pneutac.hardware.parts import Arm
+from lerobot_robot_pneutac.options import refuse_if
 
 
 @dataclass(kw_only=True)
@@ -43,14 +43,15 @@ class PandaConfig(ArmConfig):
     realtime: bool = True
 
     def __post_init__(self):
-        if not self.ip:
-            raise DecodingError((), "--robot.arm.ip is missing; give the Panda's address.")
-        if not 0 < self.dynamics <= 1:
-            raise DecodingError(
-                (), f"--robot.arm.dynamics is {self.dynamics}; it must be above 0 and at most 1."
-            )
-        if min(self.collision_n, self.collision_nm) <= 0:
-            raise DecodingError((), "--robot.arm.collision_n and collision_nm must be positive.")
+        refuse_if(not self.ip, "--robot.arm.ip is missing; give the Panda's address.")
+        refuse_if(
+            not 0 < self.dynamics <= 1,
+            f"--robot.arm.dynamics is {self.dynamics}; it must be above 0 and at most 1.",
+        )
+        refuse_if(
+            min(self.collision_n, self.collision_nm) <= 0,
+            "--robot.arm.collision_n and collision_nm must be positive.",
+        )
 
     def make(self) -> Arm:
         """See `ArmConfig.make`."""

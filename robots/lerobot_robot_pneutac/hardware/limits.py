@@ -4,9 +4,9 @@ import math
 from dataclasses import dataclass, fields
 
 import numpy as np
-from draccus.utils import DecodingError
 
 from lerobot_robot_pneutac.hardware.parts import COMMAND_S
+from lerobot_robot_pneutac.options import refuse_if
 from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, ACTION_NAMES, MAX_PRESSURE_KPA, MAX_SPEED_M_S
 
 STOPPING_S = 0.15  # to come to rest from full speed
@@ -40,27 +40,25 @@ class Limits:
     def __post_init__(self):
         for f in fields(self):
             value = np.asarray(getattr(self, f.name), float)
-            if not np.isfinite(value).all() or (value.ndim == 0 and value <= 0):
-                raise DecodingError(
-                    (), f"limits.{f.name} is {getattr(self, f.name)}; it must be a positive number."
-                )
+            refuse_if(
+                not np.isfinite(value).all() or (value.ndim == 0 and value <= 0),
+                f"limits.{f.name} is {getattr(self, f.name)}; it must be a positive number.",
+            )
         for name, most in (("speed_m_s", MAX_SPEED_M_S), ("pressure_kpa", MAX_PRESSURE_KPA)):
-            if getattr(self, name) > most:
-                raise DecodingError(
-                    (), f"limits.{name} is {getattr(self, name)}; actions reach {most} at most."
-                )
-        if len(self.low_m) != 3 or len(self.high_m) != 3 or not (np.less(self.low_m, self.high_m)).all():
-            raise DecodingError(
-                (),
-                f"limits.low_m is {self.low_m} and limits.high_m {self.high_m}; give three numbers each, the"
-                " first below the second.",
+            refuse_if(
+                getattr(self, name) > most,
+                f"limits.{name} is {getattr(self, name)}; actions reach {most} at most.",
             )
-        if self.overpressure_kpa <= self.pressure_kpa:
-            raise DecodingError(
-                (),
-                f"limits.overpressure_kpa is {self.overpressure_kpa}; it must be above the highest set-point,"
-                f" {self.pressure_kpa}.",
-            )
+        refuse_if(
+            len(self.low_m) != 3 or len(self.high_m) != 3 or not (np.less(self.low_m, self.high_m)).all(),
+            f"limits.low_m is {self.low_m} and limits.high_m {self.high_m}; give three numbers each, the"
+            " first below the second.",
+        )
+        refuse_if(
+            self.overpressure_kpa <= self.pressure_kpa,
+            f"limits.overpressure_kpa is {self.overpressure_kpa}; it must be above the highest set-point,"
+            f" {self.pressure_kpa}.",
+        )
 
     def velocity(self, wanted_m_s: np.ndarray, flange_m: np.ndarray) -> np.ndarray:
         """The part of a velocity that keeps the flange in its box.

@@ -17,14 +17,15 @@ class Tactile:
 
     Args:
         camera: gives RGB frames uint8 of `features.IMAGE_SHAPE`.
+        threshold_levels: of contact, see `pneutac_sim.gel.contact.contact_area`.
 
     Attributes:
-        camera: see above.
+        camera, threshold_levels: see above.
         rest_image: mean of the first frames, once connected.
     """
 
-    def __init__(self, camera: Camera):
-        self.camera = camera
+    def __init__(self, camera: Camera, threshold_levels: float):
+        self.camera, self.threshold_levels = camera, threshold_levels
 
     def connect(self) -> None:
         """Connects and takes the rest image; nothing may touch the gel meanwhile.
@@ -42,7 +43,7 @@ class Tactile:
 
     def contact(self, image: np.ndarray) -> ContactArea:
         """Contact of an image against the rest image."""
-        return contact_area(image, self.rest_image)
+        return contact_area(image, self.rest_image, self.threshold_levels)
 
 
 def latest(camera: Camera, name: str) -> np.ndarray:

@@ -4,12 +4,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pyarrow.parquet as parquet
-from draccus.utils import DecodingError
 from lerobot.configs import FeatureType, NormalizationMode, PreTrainedConfig
 from lerobot.optim import AdamConfig
 from lerobot.optim.schedulers import CosineDecayWithWarmupSchedulerConfig
 from lerobot.utils.constants import ACTION, OBS_IMAGES, OBS_STATE
 
+from lerobot_robot_pneutac.options import refuse_if
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_NAMES, CONTROL_HZ, IMAGE_NAME, IMAGE_SHAPE, STATE_NAMES
 
@@ -55,24 +55,23 @@ class PneutacBCConfig(PreTrainedConfig):
     )
 
     def __post_init__(self):
-        # LeRobot's commands print a DecodingError as one line and hide any other error's text.
         super().__post_init__()
-        if not 0 <= self.previous_action_dropout <= 1:
-            raise DecodingError(
-                (),
-                f"--policy.previous_action_dropout is {self.previous_action_dropout}; it must be in [0, 1].",
-            )
+        refuse_if(
+            not 0 <= self.previous_action_dropout <= 1,
+            f"--policy.previous_action_dropout is {self.previous_action_dropout}; it must be in [0, 1].",
+        )
         for name in ("pressure_noise_kpa", "brightness_noise_levels", "pixel_noise_levels"):
-            if getattr(self, name) < 0:
-                raise DecodingError((), f"--policy.{name} is {getattr(self, name)}; it must not be negative.")
-        if not self.optimizer_lr > 0:
-            raise DecodingError((), f"--policy.optimizer_lr is {self.optimizer_lr}; it must be positive.")
-        if self.control_hz <= 0:
-            raise DecodingError((), f"--policy.control_hz is {self.control_hz}; it must be positive.")
-        if any(mode is not NormalizationMode.IDENTITY for mode in self.normalization_mapping.values()):
-            raise DecodingError(
-                (), "--policy.normalization_mapping must be IDENTITY throughout; pneutac_bc scales by itself."
+            refuse_if(
+                getattr(self, name) < 0, f"--policy.{name} is {getattr(self, name)}; it must not be negative."
             )
+        refuse_if(
+            not self.optimizer_lr > 0, f"--policy.optimizer_lr is {self.optimizer_lr}; it must be positive."
+        )
+        refuse_if(self.control_hz <= 0, f"--policy.control_hz is {self.control_hz}; it must be positive.")
+        refuse_if(
+            any(mode is not NormalizationMode.IDENTITY for mode in self.normalization_mapping.values()),
+            "--policy.normalization_mapping must be IDENTITY throughout; pneutac_bc scales by itself.",
+        )
 
     @property
     def observation_delta_indices(self) -> None:

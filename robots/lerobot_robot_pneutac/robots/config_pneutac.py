@@ -1,6 +1,7 @@
 """Options of the robot `pneutac`."""
 
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from draccus.utils import DecodingError
 from lerobot.cameras import CameraConfig
@@ -8,6 +9,7 @@ from lerobot.robots import RobotConfig
 
 from lerobot_robot_pneutac.hardware.arms import ArmConfig
 from lerobot_robot_pneutac.hardware.limits import Limits
+from lerobot_robot_pneutac.options import check_twin_folder, refuse_if
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import IMAGE_NAME, STATE_NAMES
 
@@ -44,6 +46,11 @@ class PneutacConfig(RobotConfig):
         pressure: `--robot.pressure.type=pneutac_serial --robot.pressure.port=/dev/ttyACM0`, for example.
         limits: kept below any policy.
         digit: the tactile camera, any camera type of LeRobot's, `--robot.digit.type=digit` for example.
+        twin: folder of the sensor's calibrated twin; its gel's contact threshold makes `contact_area.pos` and
+            `contact_pixels.pos` the same as on `pneutac_sim` with that twin. Without it they are those of the
+            built-in twin.
+        contact_threshold: that threshold itself, in place of the twin: mean difference of R, G, B to the rest
+            image, 8-bit levels, above which a pixel is in contact.
         cameras: more cameras, as for every LeRobot robot; a policy trained in simulation knows none.
     """
 
@@ -51,24 +58,48 @@ class PneutacConfig(RobotConfig):
     pressure: PressureConfig = field(default_factory=PressureConfig)
     limits: Limits = field(default_factory=Limits)  # draccus cannot have a nested dataclass come last
     digit: CameraConfig | None = None
+    twin: Path | None = None
+    contact_threshold: float | None = None
     cameras: dict[str, CameraConfig] = field(default_factory=dict)
 
     def __post_init__(self):
-        # LeRobot's commands print a DecodingError as one line and hide any other error's text.
         super().__post_init__()
         for name, given, example in (
             ("arm", self.arm, "panda"),
             ("pressure", self.pressure.type, "pneutac_serial"),
             ("digit", self.digit, "digit"),
         ):
-            if not given:
-                raise DecodingError(
-                    (), f"--robot.{name}.type is missing; give --robot.{name}.type={example}."
-                )
+            refuse_if(not given, f"--robot.{name}.type is missing; give --robot.{name}.type={example}.")
         try:
             self.pressure.make()  # opens nothing
         except InputError as e:
             raise DecodingError((), f"--robot.pressure: {e}") from e
         taken = {IMAGE_NAME, *STATE_NAMES} & self.cameras.keys()
-        if taken:
-            raise DecodingError((), f"--robot.cameras has '{taken.pop()}', which is taken; choose another.")
+        refuse_if(bool(taken), f"--robot.cameras has '{', '.join(taken)}', which is taken; choose another.")
+        self._check_contact()
+
+    def threshold_levels(self) -> float:
+        """The contact threshold, 8-bit levels; raises InputError where the twin's folder is damaged."""
+        from pneutac_sim.gel.model import GelModel
+        from pneutac_sim.twin import Twin
+
+        if self.contact_threshold is not None:
+            return self.contact_threshold
+        return GelModel.from_twin(Twin.load(self.twin) if self.twin else None).threshold_levels
+
+    def _check_contact(self) -> None:
+        check_twin_folder("robot.twin", self.twin)
+        if self.contact_threshold is not None:
+            refuse_if(
+                self.twin is not None,
+                "--robot.twin and --robot.contact_threshold both say where contact begins; give one of them.",
+            )
+            refuse_if(
+                not 0 < self.contact_threshold < 256,
+                f"--robot.contact_threshold is {self.contact_threshold}; it must be above 0 and below 256.",
+            )
+        try:
+            if self.twin is not None:
+                self.threshold_levels()
+        except InputError as e:
+            raise DecodingError((), f"--robot.twin: {e}") from e

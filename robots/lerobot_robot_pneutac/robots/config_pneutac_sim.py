@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from draccus.utils import DecodingError
 from lerobot.robots import RobotConfig
 
+from lerobot_robot_pneutac.options import check_choice, check_twin_folder, refuse_if
 from pneutac_sim.features import FIDELITIES, TASK_NAMES
 
 
@@ -30,23 +30,12 @@ class PneutacSimConfig(RobotConfig):
     standin: bool = False
 
     def __post_init__(self):
-        # LeRobot's commands print a DecodingError as one line and hide any other error's text.
         super().__post_init__()
-        if self.task not in TASK_NAMES:
-            raise DecodingError(
-                (), f"--robot.task is '{self.task}'; it must be one of {', '.join(TASK_NAMES)}."
-            )
-        if self.fidelity not in FIDELITIES:
-            raise DecodingError(
-                (), f"--robot.fidelity is '{self.fidelity}'; it must be one of {', '.join(FIDELITIES)}."
-            )
-        if self.twin is not None and not (Path(self.twin) / "twin.yaml").is_file():
-            raise DecodingError(
-                (), f"--robot.twin is '{self.twin}', which holds no twin.yaml; give a twin's folder."
-            )
-        if self.standin and (self.twin is not None or self.fidelity != "surrogate"):
-            raise DecodingError(
-                (),
-                "--robot.standin=true has a finger and a gel of its own; leave --robot.twin and"
-                " --robot.fidelity out, or the stand-in.",
-            )
+        check_choice("robot.task", self.task, TASK_NAMES)
+        check_choice("robot.fidelity", self.fidelity, FIDELITIES)
+        check_twin_folder("robot.twin", self.twin)
+        refuse_if(
+            self.standin and (self.twin is not None or self.fidelity != "surrogate"),
+            "--robot.standin=true has a finger and a gel of its own; leave --robot.twin and"
+            " --robot.fidelity out, or the stand-in.",
+        )

@@ -45,7 +45,7 @@ class Pneutac(PneutacFeatures, Robot):
         self._arm = config.arm.make()
         self._pressure = config.pressure.make()
         self.cameras = make_cameras_from_configs({IMAGE_NAME: config.digit} | config.cameras)
-        self._tactile = Tactile(self.cameras[IMAGE_NAME])
+        self._tactile = Tactile(self.cameras[IMAGE_NAME], config.threshold_levels())
 
     @property
     def observation_features(self) -> dict[str, type | tuple]:

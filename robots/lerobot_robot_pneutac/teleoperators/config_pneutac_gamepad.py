@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 
-from draccus.utils import DecodingError
 from lerobot.teleoperators import TeleoperatorConfig
 
+from lerobot_robot_pneutac.options import refuse_if
 from lerobot_robot_pneutac.teleoperators.velocity_teleop import VelocityTeleopConfig
 
 
@@ -21,5 +21,7 @@ class PneutacGamepadConfig(VelocityTeleopConfig):
 
     def __post_init__(self):
         super().__post_init__()
-        if not 0 <= self.dead_zone < 1:
-            raise DecodingError((), f"--teleop.dead_zone is {self.dead_zone}; it must be from 0 to below 1.")
+        refuse_if(
+            not 0 <= self.dead_zone < 1,
+            f"--teleop.dead_zone is {self.dead_zone}; it must be from 0 to below 1.",
+        )

@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 
-from draccus.utils import DecodingError
 from lerobot.teleoperators import TeleoperatorConfig
 
+from lerobot_robot_pneutac.options import refuse_if
 from pneutac_sim.features import CONTROL_HZ, DEMONSTRATION_S
 
 
@@ -29,10 +29,8 @@ class PneutacScriptedConfig(TeleoperatorConfig):
     seed: int = 0
 
     def __post_init__(self):
-        # LeRobot's commands print a DecodingError as one line and hide any other error's text.
-        if self.episode_steps < 1 or self.reset_steps < 0:
-            raise DecodingError(
-                (),
-                f"--teleop.episode_steps is {self.episode_steps} and --teleop.reset_steps {self.reset_steps};"
-                " the first must be at least 1 and the second at least 0.",
-            )
+        refuse_if(
+            self.episode_steps < 1 or self.reset_steps < 0,
+            f"--teleop.episode_steps is {self.episode_steps} and --teleop.reset_steps {self.reset_steps};"
+            " the first must be at least 1 and the second at least 0.",
+        )

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from draccus.utils import DecodingError
 from lerobot.teleoperators import TeleoperatorConfig
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
+from lerobot_robot_pneutac.options import refuse_if
 from lerobot_robot_pneutac.teleoperators.base_teleop import BaseTeleop
 from pneutac_sim.features import ACTION_NAMES, MAX_PRESSURE_KPA, MAX_SPEED_M_S
 
@@ -36,16 +36,15 @@ class VelocityTeleopConfig(TeleoperatorConfig):
     max_pressure_kpa: float = MAX_PRESSURE_KPA
 
     def __post_init__(self):
-        # LeRobot's commands print a DecodingError as one line and hide any other error's text.
         for name, most in (("speed_m_s", MAX_SPEED_M_S), ("max_pressure_kpa", MAX_PRESSURE_KPA)):
-            if not 0 < getattr(self, name) <= most:
-                raise DecodingError(
-                    (), f"--teleop.{name} is {getattr(self, name)}; it must be above 0 and at most {most}."
-                )
-        if not 0 < self.pressure_rate_kpa_s < np.inf:
-            raise DecodingError(
-                (), f"--teleop.pressure_rate_kpa_s is {self.pressure_rate_kpa_s}; it must be positive."
+            refuse_if(
+                not 0 < getattr(self, name) <= most,
+                f"--teleop.{name} is {getattr(self, name)}; it must be above 0 and at most {most}.",
             )
+        refuse_if(
+            not 0 < self.pressure_rate_kpa_s < np.inf,
+            f"--teleop.pressure_rate_kpa_s is {self.pressure_rate_kpa_s}; it must be positive.",
+        )
 
 
 class VelocityTeleop(BaseTeleop):

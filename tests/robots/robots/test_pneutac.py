@@ -1,5 +1,6 @@
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,6 +17,8 @@ from lerobot_robot_pneutac.robots.pneutac import Pneutac
 from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_NAMES, STATE_NAMES
+from pneutac_sim.gel.model import GelModel
+from pneutac_sim.twin import Twin
 
 EE = ("ee_x.pos", "ee_y.pos", "ee_z.pos")
 
@@ -115,6 +118,28 @@ def test_contact_is_told_against_the_rest_image_of_the_connect(robot, monkeypatc
     assert observation["contact_pixels.pos"] == pytest.approx(np.log1p(1200))
 
 
+def test_contact_area_is_that_of_the_simulated_robot_with_the_same_twin(make_robot, tmp_path, monkeypatch):
+    twin = Twin.builtin()
+    gel = replace(GelModel.builtin(), threshold_levels=20.0)
+    gel.into_twin(twin)
+    twin.save(tmp_path / "twin")
+    simulated = PneutacSim(PneutacSimConfig(id="sim", calibration_dir=tmp_path, twin=tmp_path / "twin"))
+    simulated.connect()
+    sensor = simulated.world.sensor
+    simulated.disconnect()
+    for options in ({"twin": tmp_path / "twin"}, {"contact_threshold": 20.0}):
+        robot = make_robot(**options)
+        robot._tactile.rest_image = sensor.rest_image
+        image = sensor.rest_image.astype(int)
+        image[100:140, 60:90] += 16  # above 12, below 20
+        image[200:210, 60:90] += 30
+        image = np.clip(image, 0, 255).astype(np.uint8)
+        monkeypatch.setattr(robot.cameras["tactile"], "read_latest", lambda max_age_ms, i=image: i)
+        observation = robot.get_observation()
+        assert observation["contact_area.pos"] == sensor.contact(image).area == 300 / (320 * 240)
+        assert observation["contact_pixels.pos"] == sensor.contact(image).log_pixels
+
+
 def test_the_flange_follows_velocities_and_holds_its_orientation(robot):
     start, matrix = position(robot), robot._arm._forward(robot._arm.state().joints_rad)[:3, :3]
     begin = time.monotonic()
@@ -170,6 +195,19 @@ def test_connecting_twice_or_not_at_all_is_said(robot):
     for call in (robot.get_observation, lambda: robot.send_action(act()), robot.disconnect):
         with pytest.raises(DeviceNotConnectedError):
             call()
+
+
+def test_twin_and_threshold_that_cannot_be_are_refused(tmp_path):
+    with pytest.raises(DecodingError, match="robot.twin is .*, which holds no twin.yaml"):
+        config(tmp_path, twin=tmp_path / "none")
+    with pytest.raises(DecodingError, match="robot.contact_threshold is 0.0; it must be above 0"):
+        config(tmp_path, contact_threshold=0.0)
+    Twin.builtin().save(tmp_path / "twin")
+    with pytest.raises(DecodingError, match="give one of them"):
+        config(tmp_path, twin=tmp_path / "twin", contact_threshold=20.0)
+    (tmp_path / "twin" / "twin.yaml").write_text("device: [")
+    with pytest.raises(DecodingError, match="--robot.twin: "):
+        config(tmp_path, twin=tmp_path / "twin")
 
 
 def test_missing_parts_are_named(tmp_path):

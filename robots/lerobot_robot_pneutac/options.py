@@ -1,0 +1,22 @@
+"""Checks of options, in the one form of error whose text LeRobot's commands show."""
+
+from pathlib import Path
+
+from draccus.utils import DecodingError
+
+
+def refuse_if(wrong: bool, sentence: str) -> None:
+    """Raises what LeRobot's commands print as one line; they hide the text of any other error."""
+    if wrong:
+        raise DecodingError((), sentence)
+
+
+def check_choice(option: str, value: str, choices: tuple[str, ...]) -> None:
+    """Refuses a value that is not among the choices."""
+    refuse_if(value not in choices, f"--{option} is '{value}'; it must be one of {', '.join(choices)}.")
+
+
+def check_twin_folder(option: str, folder: Path | None) -> None:
+    """Refuses a folder without a twin; None is none."""
+    missing = folder is not None and not (Path(folder) / "twin.yaml").is_file()
+    refuse_if(missing, f"--{option} is '{folder}', which holds no twin.yaml; give a twin's folder.")
