@@ -1,4 +1,4 @@
-// Frames of the pressure controller's serial protocol; docs/pressure_protocol.md describes every byte.
+// Frames of the pressure controller's serial protocol; docs/reference/pressure_protocol.md describes every byte.
 #pragma once
 #include <stddef.h>
 #include <stdint.h>

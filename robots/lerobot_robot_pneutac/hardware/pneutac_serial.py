@@ -1,4 +1,4 @@
-"""The pressure controller of `firmware/pressure_controller`, over docs/pressure_protocol.md."""
+"""The pressure controller of `firmware/pressure_controller`, over docs/reference/pressure_protocol.md."""
 
 import logging
 import secrets

@@ -1,4 +1,4 @@
-"""Controllers that answer lines of text: `P 8.00` with the measured `8.02`; docs/pressure_protocol.md."""
+"""Controllers that answer lines of text: `P 8.00` with `8.02` measured; docs/reference/pressure_protocol.md."""
 
 import re
 
@@ -66,7 +66,7 @@ class TextSerial(SerialPressure):
     """A rig that answers each line `P <kPa>` with the measured pressure.
 
     Nothing here proves that a command arrived whole, and whether the chamber is vented when the lines stop is
-    up to the rig: docs/pressure_protocol.md says what to build in.
+    up to the rig: docs/reference/pressure_protocol.md says what to build in.
 
     Args:
         port: serial port, such as /dev/serial/by-id/usb-...

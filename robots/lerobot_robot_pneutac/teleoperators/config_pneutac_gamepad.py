@@ -11,7 +11,7 @@ from lerobot_robot_pneutac.teleoperators.velocity_teleop import VelocityTeleopCo
 @TeleoperatorConfig.register_subclass("pneutac_gamepad")
 @dataclass(kw_only=True)
 class PneutacGamepadConfig(VelocityTeleopConfig):
-    """Sticks move the robot, triggers the pressure; docs/teleoperation.md has the map.
+    """Sticks move the robot, triggers the pressure; docs/how_to/teleoperation.md has the map.
 
     Attributes:
         dead_zone: share of a stick's or trigger's travel that counts as rest.

@@ -10,4 +10,4 @@ from lerobot_robot_pneutac.teleoperators.velocity_teleop import VelocityTeleopCo
 @TeleoperatorConfig.register_subclass("pneutac_keyboard")
 @dataclass(kw_only=True)
 class PneutacKeyboardConfig(VelocityTeleopConfig):
-    """Held keys move the robot; docs/teleoperation.md has the key map."""
+    """Held keys move the robot; docs/how_to/teleoperation.md has the key map."""

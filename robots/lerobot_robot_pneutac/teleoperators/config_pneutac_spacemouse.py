@@ -10,4 +10,4 @@ from lerobot_robot_pneutac.teleoperators.velocity_teleop import VelocityTeleopCo
 @TeleoperatorConfig.register_subclass("pneutac_spacemouse")
 @dataclass(kw_only=True)
 class PneutacSpacemouseConfig(VelocityTeleopConfig):
-    """A 3Dconnexion SpaceMouse; docs/teleoperation.md has the map."""
+    """A 3Dconnexion SpaceMouse; docs/how_to/teleoperation.md has the map."""

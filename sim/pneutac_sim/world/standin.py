@@ -2,8 +2,8 @@
 
 Its finger bends by other numbers and has effects that the built-in twin lacks; its gel is a full elastic
 layer under another light; its joints, gauge and camera are noisy; commands act a control step late and
-tactile images come a control step late. Augmentation and training see its recordings alone: `docs/standin.md`
-lists every difference.
+tactile images come a control step late. Augmentation and training see its recordings alone:
+`docs/concepts/standin.md` lists every difference.
 """
 
 from collections import deque

@@ -1,4 +1,4 @@
-"""The registry, the simulated controller, and the worked example of docs/add_a_pressure_controller.md."""
+"""Registry, simulated controller, and the worked example of docs/how_to/add_a_pressure_controller.md."""
 
 import importlib
 import math
@@ -18,7 +18,7 @@ from lerobot_robot_pneutac.hardware.simulated_pressure import SimulatedPressure
 from lerobot_robot_pneutac.hardware.text_serial import TextSerial
 from pneutac_sim.errors import InputError
 
-DOC = Path(__file__).parents[3] / "docs" / "add_a_pressure_controller.md"
+DOC = Path(__file__).parents[3] / "docs" / "how_to" / "add_a_pressure_controller.md"
 
 
 def blocks(kind):

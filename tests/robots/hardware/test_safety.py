@@ -1,4 +1,4 @@
-"""Every guarantee of docs/real_robot.md about limits and faults, with the fault injected."""
+"""Every guarantee of docs/how_to/real_robot.md about limits and faults, with the fault injected."""
 
 import itertools
 import logging

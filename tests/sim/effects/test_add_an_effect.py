@@ -1,4 +1,4 @@
-"""The worked example of docs/add_an_effect.md, exactly as printed, installed beside the library."""
+"""The worked example of docs/how_to/add_an_effect.md, exactly as printed, installed beside the library."""
 
 import re
 import sys
@@ -14,7 +14,7 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.finger import BodyData, fit, simulate
 from pneutac_sim.twin import Twin
 
-DOC = Path(__file__).parents[3] / "docs" / "add_an_effect.md"
+DOC = Path(__file__).parents[3] / "docs" / "how_to" / "add_an_effect.md"
 
 
 def blocks(kind):
