@@ -1,4 +1,4 @@
-"""Frames of the pressure controller's serial protocol, byte by byte in docs/reference/pressure_protocol.md."""
+"""Frames of the pressure controller's serial protocol; every byte: docs/reference/pressure_protocol.md."""
 
 import binascii
 import struct

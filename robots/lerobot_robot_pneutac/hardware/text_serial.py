@@ -1,4 +1,4 @@
-"""Controllers that answer lines of text: `P 8.00` with `8.02` measured; docs/reference/pressure_protocol.md."""
+"""Controllers that answer lines of text: `P 8.00` with `8.02`; docs/reference/pressure_protocol.md."""
 
 import re
 
