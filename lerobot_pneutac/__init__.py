@@ -1,0 +1,62 @@
+"""Twin, diagnose and train soft pneumatic fingers with camera-based touch, inside LeRobot.
+
+```python
+from lerobot_pneutac import Recording, Twin, add, calibrate, compare, diagnose
+
+recording = Recording.load("bench")
+twin = calibrate(Twin.load("finger"), recording).twin
+print(compare(twin, recording).heldout, diagnose(twin, recording).verdict)
+result = add(twin, recording, "creep")
+result.report("out")
+```
+
+Importing registers the Gymnasium environments `pneutac_sim/switch` and so on, and loads nothing else.
+"""
+
+import importlib
+from typing import TYPE_CHECKING
+
+import pneutac_sim  # noqa: F401  registers the environments
+
+if TYPE_CHECKING:
+    from lerobot_pneutac.verbs.add import Addition, add
+    from lerobot_pneutac.verbs.calibrate import calibrate
+    from lerobot_pneutac.verbs.calibration import Calibration
+    from lerobot_pneutac.verbs.compare import compare
+    from lerobot_pneutac.verbs.comparison import Comparison
+    from lerobot_pneutac.verbs.diagnose import diagnose
+    from lerobot_pneutac.verbs.diagnosis import Diagnosis
+    from pneutac_datasets.recording.recording import Recording
+    from pneutac_sim.errors import InputError
+    from pneutac_sim.twin import Twin
+
+_MODULES = {
+    "Twin": "pneutac_sim.twin",
+    "InputError": "pneutac_sim.errors",
+    "Recording": "pneutac_datasets.recording.recording",
+    "calibrate": "lerobot_pneutac.verbs.calibrate",
+    "Calibration": "lerobot_pneutac.verbs.calibration",
+    "compare": "lerobot_pneutac.verbs.compare",
+    "Comparison": "lerobot_pneutac.verbs.comparison",
+    "diagnose": "lerobot_pneutac.verbs.diagnose",
+    "Diagnosis": "lerobot_pneutac.verbs.diagnosis",
+    "add": "lerobot_pneutac.verbs.add",
+    "Addition": "lerobot_pneutac.verbs.add",
+}
+
+__all__ = [
+    "Addition", "Calibration", "Comparison", "Diagnosis", "InputError", "Recording", "Twin",
+    "add", "calibrate", "compare", "diagnose",
+]  # fmt: skip
+
+
+def __getattr__(name: str):
+    if name not in _MODULES:
+        raise AttributeError(f"module 'lerobot_pneutac' has no attribute '{name}'")
+    value = getattr(importlib.import_module(_MODULES[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lerobot_pneutac.diagnosis.fits import Fit
+from lerobot_pneutac.diagnosis.fits import FittedModel
 from lerobot_pneutac.diagnosis.score import promising
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.finger.data import BodyData, simulate
@@ -45,12 +45,12 @@ class Job:
     source: str
     starts: int
 
-    def run(self, prepared: "Prepared") -> Fit:
+    def run(self, prepared: "Prepared") -> FittedModel:
         """Fits one set of effects."""
         bench = prepared.bench(self.twin, self.target, self.source)
         if self.target == "pressure" and not self.effects:  # nothing to fit: the command is the pressure
             residual = simulate(self.twin, bench, []).residual[:, : bench.counted]
-            return Fit((), residual, 0, replace(self.twin, arrays={}, gel={}, history=[], effects={}))
+            return FittedModel((), residual, 0, replace(self.twin, arrays={}, gel={}, history=[], effects={}))
         found = fit(self.twin, bench, list(self.effects), prepared.train, starts=self.starts)
         return lean(found, bench, self.effects)
 
@@ -69,9 +69,9 @@ class Prepared:
         return self._benches[target, source]
 
 
-def lean(found, bench: BodyData, effects: tuple[str, ...]) -> Fit:
+def lean(found, bench: BodyData, effects: tuple[str, ...]) -> FittedModel:
     """What the diagnosis keeps of a simulator's fit."""
-    return Fit(
+    return FittedModel(
         effects=tuple(effects),
         residual=found.residual[:, : bench.counted],
         count=_active(found, bench.inputs.pressure_range_kpa),
@@ -154,7 +154,9 @@ class Engine:
                 for p in processes:
                     p.terminate()
 
-    def promising(self, fit: Fit, candidates: list[str], least: float, target: str, source: str) -> list[str]:
+    def promising(
+        self, fit: FittedModel, candidates: list[str], least: float, target: str, source: str
+    ) -> list[str]:
         """See `score.promising`."""
         return promising(
             fit, candidates, least, self._prepared.bench(fit.twin, target, source), self._prepared.train
@@ -195,9 +197,11 @@ class StageFitter:
 
     def __init__(self, engine: Engine, twin: Twin, target: str, source: str, starts: int = 4):
         self.engine, self.twin, self.target, self.source, self.starts = engine, twin, target, source, starts
-        self._known: dict[tuple[str, ...], Fit] = {}
+        self._known: dict[tuple[str, ...], FittedModel] = {}
 
-    def fit_all(self, effects: Iterable[tuple[str, ...]], start: Fit | None = None) -> list[Fit]:
+    def fit_all(
+        self, effects: Iterable[tuple[str, ...]], start: FittedModel | None = None
+    ) -> list[FittedModel]:
         """One fit for each set of effects, in order."""
         effects = [tuple(sorted(e)) for e in effects]
         missing = [e for e in dict.fromkeys(effects) if e not in self._known]
@@ -208,7 +212,7 @@ class StageFitter:
         self._known.update(zip(missing, found, strict=True))
         return [self._known[e] for e in effects]
 
-    def promising(self, fit: Fit, candidates: list[str], least: float) -> list[str]:
+    def promising(self, fit: FittedModel, candidates: list[str], least: float) -> list[str]:
         """Those that might lower the training mean square error by the share `least`, by a score test."""
         return self.engine.promising(fit, candidates, least, self.target, self.source)
 

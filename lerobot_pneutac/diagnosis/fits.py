@@ -11,7 +11,7 @@ from pneutac_sim.twin import Twin
 
 
 @dataclass
-class Fit:
+class FittedModel:
     """A model with all its parameters fitted to the training samples.
 
     Attributes:
@@ -45,11 +45,13 @@ class Fit:
 class Fitter(Protocol):
     """Fits models, several at a time where it can."""
 
-    def fit_all(self, effects: Iterable[tuple[str, ...]], start: Fit | None = None) -> list[Fit]:
+    def fit_all(
+        self, effects: Iterable[tuple[str, ...]], start: FittedModel | None = None
+    ) -> list[FittedModel]:
         """One fit for each set of effects, in order, warm-started from `start`."""
         ...
 
-    def promising(self, fit: Fit, candidates: list[str], least: float) -> list[str]:
+    def promising(self, fit: FittedModel, candidates: list[str], least: float) -> list[str]:
         """Those that might lower the training mean square error of `fit` by the share `least` of it."""
         ...
 
@@ -76,7 +78,7 @@ def effective_count(residual: np.ndarray, mask: np.ndarray, least: int = 10) -> 
     return float(min(max(n, least), max(least, n * (1 - rho) / (1 + rho))))
 
 
-def bic(fit: Fit, mask: np.ndarray, n: float, floor: float) -> float:
+def bic(fit: FittedModel, mask: np.ndarray, n: float, floor: float) -> float:
     """Bayesian information criterion on the training samples, n log MSE + k log n.
 
     Args:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lerobot_pneutac.diagnosis.engine import Prepared, StageFitter
-from lerobot_pneutac.diagnosis.fits import Fit, effective_count
+from lerobot_pneutac.diagnosis.fits import FittedModel, effective_count
 from lerobot_pneutac.diagnosis.parts import Parts
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.finger.confidence import Z95
@@ -206,7 +206,7 @@ def _crossing(inside: tuple[float, float], outside: tuple[float, float]) -> floa
 
 
 def profile(
-    fitter: StageFitter, fit: Fit, selected: list[str], parts: Parts, tell: Callable[[str, int], None]
+    fitter: StageFitter, fit: FittedModel, selected: list[str], parts: Parts, tell: Callable[[str, int], None]
 ) -> list[Profile]:
     """Profiles of all parameters of the selected effects.
 

@@ -30,6 +30,11 @@ class Refit:
     at_bound: dict[str, str]
     not_identified: dict[str, str]
 
+    @property
+    def squared(self) -> np.ndarray:
+        """(n,) squared Euclidean distance."""
+        return (self.residual**2).sum(1)
+
 
 def refit(
     twin: Twin,

@@ -7,7 +7,7 @@ import numpy as np
 from lerobot_pneutac.diagnosis.bootstrap import Resampler
 from lerobot_pneutac.diagnosis.candidates import Untested
 from lerobot_pneutac.diagnosis.fingerprints import Fingerprint
-from lerobot_pneutac.diagnosis.fits import Fit
+from lerobot_pneutac.diagnosis.fits import FittedModel
 from lerobot_pneutac.diagnosis.parts import Parts
 from lerobot_pneutac.diagnosis.profile import Profile
 from lerobot_pneutac.diagnosis.rivals import Rival
@@ -39,7 +39,7 @@ class Tested:
 
 
 @dataclass
-class Diagnosis:
+class BodyFindings:
     """Everything that was found; the report and `result.json` are made from it.
 
     Attributes:
@@ -71,7 +71,7 @@ class Diagnosis:
     noise: NoiseFloor
     parts: Parts
     twin: Twin
-    base: Fit
+    base: FittedModel
     before: np.ndarray
     after: np.ndarray
     prediction: np.ndarray

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lerobot_pneutac.diagnosis.bootstrap import Resampler
-from lerobot_pneutac.diagnosis.fits import Fit
+from lerobot_pneutac.diagnosis.fits import FittedModel
 from lerobot_pneutac.diagnosis.parts import Parts
 from lerobot_pneutac.diagnosis.selection import ALIKE, Selection, accepted, rank
 
@@ -29,8 +29,8 @@ class Rival:
     effect: str
     rival: str
     difference: float
-    fit: Fit
-    winner: Fit
+    fit: FittedModel
+    winner: FittedModel
 
 
 def find_rivals(
@@ -74,7 +74,7 @@ def find_rivals(
     return sorted(rivals, key=lambda r: r.difference), pairs
 
 
-def _correlated(fit: Fit, name: str) -> list[tuple[str, str, float]]:
+def _correlated(fit: FittedModel, name: str) -> list[tuple[str, str, float]]:
     """Selected effects whose parameters correlate with those of `name` when both are on."""
     effect = [n.rpartition(".")[0] for n in fit.names]
     out = []

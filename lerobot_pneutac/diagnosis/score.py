@@ -7,7 +7,7 @@ of the residual that this explains bounds, to first order, what a fit could win.
 
 import numpy as np
 
-from lerobot_pneutac.diagnosis.fits import Fit
+from lerobot_pneutac.diagnosis.fits import FittedModel
 from pneutac_sim.finger.data import BodyData
 from pneutac_sim.finger.pipeline import Pipeline
 from pneutac_sim.twin import Twin
@@ -17,7 +17,9 @@ THIN = 3  # every third sample is enough to see a direction
 SIZES = (0.3, 1.0, 3.0)  # of the starting value's distance from doing nothing
 
 
-def promising(fit: Fit, candidates: list[str], least: float, bench: BodyData, train: np.ndarray) -> list[str]:
+def promising(
+    fit: FittedModel, candidates: list[str], least: float, bench: BodyData, train: np.ndarray
+) -> list[str]:
     """Candidates that might lower the training mean square error of `fit` by the share `least` of it.
 
     Args:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from lerobot_pneutac.diagnosis.bootstrap import Resampler
-from lerobot_pneutac.diagnosis.fits import Fit, Fitter, bic, effective_count
+from lerobot_pneutac.diagnosis.fits import FittedModel, Fitter, bic, effective_count
 from lerobot_pneutac.diagnosis.parts import Parts
 from lerobot_pneutac.diagnosis.verdict import MOST
 
@@ -38,15 +38,15 @@ class Selection:
         beside: refused candidate to its fit beside all that were selected.
     """
 
-    base: Fit
-    path: list[Fit]
+    base: FittedModel
+    path: list[FittedModel]
     added: list[str]
-    first: dict[str, Fit]
-    final: Fit
+    first: dict[str, FittedModel]
+    final: FittedModel
     importance: dict[str, float] = field(default_factory=dict)
-    without: dict[str, Fit] = field(default_factory=dict)
+    without: dict[str, FittedModel] = field(default_factory=dict)
     near_miss: list[str] = field(default_factory=list)
-    beside: dict[str, Fit] = field(default_factory=dict)
+    beside: dict[str, FittedModel] = field(default_factory=dict)
 
     @property
     def selected(self) -> list[str]:
@@ -104,14 +104,16 @@ def select(
     return result
 
 
-def accepted(before: Fit, after: Fit, base: Fit, floor: float, judge: Resampler) -> tuple[bool, bool]:
+def accepted(
+    before: FittedModel, after: FittedModel, base: FittedModel, floor: float, judge: Resampler
+) -> tuple[bool, bool]:
     """Whether the held-out error falls for sure and worthwhile; and whether it at least fell worthwhile."""
     drop, low, _ = judge.drop(before.squared, after.squared)
     least = max(WORTH_OF_ROOM * (judge.value(before.squared) - floor**2), worth(base, floor, judge))
     return bool(low > 0 and drop > least), bool(drop > least)
 
 
-def worth(base: Fit, floor: float, judge: Resampler) -> float:
+def worth(base: FittedModel, floor: float, judge: Resampler) -> float:
     """Least fall of the mean square error that is worth an effect."""
     return max(
         WORTH_OF_BASE * (judge.value(base.squared) - floor**2),
@@ -138,7 +140,12 @@ def _best(now, fits, base, parts, floor, judge, result) -> str | None:
 
 
 def _simplest(
-    best: str, order: list[str], now: Fit, fits: dict[str, Fit], floor: float, judge: Resampler
+    best: str,
+    order: list[str],
+    now: FittedModel,
+    fits: dict[str, FittedModel],
+    floor: float,
+    judge: Resampler,
 ) -> str:
     """Among candidates as good as the best, for all that matters, the one with the fewest parameters."""
     room = judge.value(now.squared) - floor**2
@@ -175,7 +182,7 @@ def _check_backward(fitter, start, parts, floor, judge, result, tell) -> None:
     result.added = [e for e in result.added if e in kept]
 
 
-def _replay(fitter, start, result, kept) -> list[Fit]:
+def _replay(fitter, start, result, kept) -> list[FittedModel]:
     """The ladder over the effects that stayed."""
     names, rungs = list(start), [start]
     for e in result.added:
@@ -185,11 +192,11 @@ def _replay(fitter, start, result, kept) -> list[Fit]:
     return fitter.fit_all(rungs, result.final)
 
 
-def _with(fit: Fit, name: str) -> tuple[str, ...]:
+def _with(fit: FittedModel, name: str) -> tuple[str, ...]:
     return tuple(sorted({*fit.effects, name}))
 
 
-def rank(fits: dict[str, Fit], parts: Parts, floor: float) -> list[str]:
+def rank(fits: dict[str, FittedModel], parts: Parts, floor: float) -> list[str]:
     """Candidates by BIC, the best first, with the effective count of the best residual."""
     if not fits:
         return []

@@ -8,7 +8,7 @@ import numpy as np
 from lerobot_pneutac.rendering import particles as draw
 from lerobot_pneutac.rendering.body import Painter, Pose, told
 from lerobot_pneutac.rendering.options import RenderConfig
-from lerobot_pneutac.reports.photographs import differing
+from lerobot_pneutac.rendering.silhouettes import differing
 from lerobot_pneutac.study.photographs import (
     NEAR_KPA,
     held_levels,

@@ -13,20 +13,14 @@ MEASURED, MODEL, TRAIN, HELDOUT, FLOOR = "#1b2430", "#d1495b", "#9bb1c4", "#0b6e
 POINTS = 1500  # a line: more cannot be seen on a screen
 
 
-def write_report(c, result: dict, out: str | Path) -> Path:
-    """Writes `report.html` into folder `out`.
-
-    Args:
-        c: a `Comparison`.
-        result: its summary.
-        out: folder.
-    """
+def comparison_page(c) -> Report:
+    """The report of a `BodyComparison`."""
     report = Report(f"Twin against recording: {Path(c.recording.folder).name}")
-    report.lead(result["sentence"])
+    report.lead(c.sentence)
     unit = c.unit
     report.table(
         [
-            {"part": part, f"error, {unit}": result["error"][key]}
+            {"part": part, f"error, {unit}": c.error[key]}
             for part, key in (("held out", "heldout"), ("train", "train"), ("all", "all"))
         ]
         + [{"part": "noise floor", f"error, {unit}": c.noise.value}],
@@ -37,29 +31,29 @@ def write_report(c, result: dict, out: str | Path) -> Path:
         report.table(
             [{"range of the action network": "samples outside it", "share": f"{100 * c.out_of_range:.2g}%"}]
         )
-    if c.said:
+    if c.findings:
         report.heading("What the checks found")
-        report.text("\n\n".join(c.said))
+        report.text("\n\n".join(c.findings))
     report.heading("Over time")
     report.figure(
-        over_time(c, result), "Measured and modelled; the worst passages are shaded.", 130 + 150 * c.counted
+        over_time(c), "Measured and modelled; the worst passages are shaded.", 130 + 150 * c.counted
     )
     report.heading("Loops")
     report.figure(loops(c), "The same against the commanded pressure: a loop shows history.", 420)
-    if len(result["history"]) > 1:
+    if len(c.history) > 1:
         report.heading("The twin's history")
-        report.figure(ladder(result), "Errors as each version recorded them, on its own recording.", 340)
+        report.figure(ladder(c), "Errors as each version recorded them, on its own recording.", 340)
     report.heading("Where it fails")
     report.figure(heat_map(c), "Error by pressure and by how it moves; white: no samples.", 380)
-    shown = {n: r for n, r in result["by"].items() if len(r) > 1}
+    shown = {n: r for n, r in c.by.items() if len(r) > 1}
     report.figure(
         by_condition(shown, c), "Error under each condition; the line is the noise floor.",
         60 + 260 * ((len(shown) + 1) // 2),
     )  # fmt: skip
     report.figure(residuals(c), "Residual of each sample (a sample of them), measured minus model.", 420)
     report.heading("Worst passages")
-    report.table(result["worst"])
-    return report.write(out)
+    report.table(c.worst)
+    return report
 
 
 def _thin(index: np.ndarray, value: np.ndarray, count: int = POINTS) -> np.ndarray:
@@ -83,7 +77,7 @@ def _session_time(c) -> tuple[np.ndarray, dict[int, float]]:
     return t, shift
 
 
-def over_time(c, result: dict) -> go.Figure:
+def over_time(c) -> go.Figure:
     """Each counted column over the session."""
     figure = make_subplots(
         c.counted + 1, 1, shared_xaxes=True, vertical_spacing=0.03,
@@ -114,7 +108,7 @@ def over_time(c, result: dict) -> go.Figure:
             line={"width": 1}, row=c.counted + 1, col=1,
         )  # fmt: skip
     figure.update_yaxes(title_text="kPa", row=c.counted + 1, col=1)
-    for p in result["worst"]:
+    for p in c.worst:
         a, b = p["from_s"] + shift[p["trial"]], p["to_s"] + shift[p["trial"]]
         figure.add_vrect(x0=a, x1=b, fillcolor=FLOOR, opacity=0.3, line_width=0)
     figure.update_xaxes(title_text="session, s", row=c.counted + 1, col=1)
@@ -207,11 +201,12 @@ def residuals(c) -> go.Figure:
     y = (c.measured - c.model)[some, i]
     choices = [(a.name, a.value) for a in c.axes if a.value is not None and np.ptp(a.value) > 0]
     choices.append(("session time, s", _session_time(c)[0]))
+    colours = np.where(c.train_samples[some], TRAIN, HELDOUT).tolist()
     figure = go.Figure()
     for k, (_, value) in enumerate(choices):
         figure.add_scattergl(
             x=value[some].round(4), y=y.round(4), mode="markers", visible=k == 0, showlegend=False,
-            marker={"size": 3, "color": np.where(c.train[some], TRAIN, HELDOUT).tolist(), "opacity": 0.6},
+            marker={"size": 3, "color": colours, "opacity": 0.6},
         )  # fmt: skip
     buttons = [
         {
@@ -229,9 +224,9 @@ def residuals(c) -> go.Figure:
     return figure
 
 
-def ladder(result: dict) -> go.Figure:
+def ladder(c) -> go.Figure:
     """Train and held-out error of each version that was judged in the unit of this comparison."""
-    known = [e for e in result["history"] if e["unit"] == result["unit"]]
+    known = [e for e in c.history if e["unit"] == c.unit]
     entries = [e for e in known if e["heldout"] is not None or e["train"] is not None]
     x = [f"{e['version']}: {e['change']}" for e in entries]
     figure = go.Figure()
@@ -240,11 +235,9 @@ def ladder(result: dict) -> go.Figure:
             x=x, y=[e[key] for e in entries], name=name, mode="lines+markers",
             line={"color": colour, "width": 2.5, "shape": "hv"}, marker={"size": 9},
         )  # fmt: skip
-    if result["noise_floor"] > 0:
-        figure.add_hline(
-            y=result["noise_floor"], line={"color": FLOOR, "dash": "dash"}, annotation_text="noise"
-        )
-    figure.update_yaxes(rangemode="tozero", title_text=result["unit"])
+    if c.noise_floor > 0:
+        figure.add_hline(y=c.noise_floor, line={"color": FLOOR, "dash": "dash"}, annotation_text="noise")
+    figure.update_yaxes(rangemode="tozero", title_text=c.unit)
     return figure
 
 

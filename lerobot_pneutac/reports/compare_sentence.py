@@ -1,6 +1,6 @@
 """What a comparison says in one sentence, and how a bin of an axis is called in it.
 
-`c` is a `compare.Comparison` throughout.
+`c` is a `BodyComparison` throughout.
 """
 
 import numpy as np
@@ -14,27 +14,27 @@ FEW_ROWS = 50  # below this no place where the error is large says anything
 def sentence(c) -> str:
     """What a newcomer should take away."""
     squared = c.squared
-    held, where = squared[~c.train], " where it was not fitted"
-    if not len(held):
-        held, where = squared, ""
-    error = float(np.sqrt(held.mean()))
+    heldout, where = squared[~c.train_samples], " where it was not fitted"
+    if not len(heldout):
+        heldout, where = squared, ""
+    error = float(np.sqrt(heldout.mean()))
     what = {"mm": "tip", "rad": "bend", "1/m": "curvature"}.get(c.unit, "device")
     who = "The twin" if c.fidelity == "pipeline" else "The twin's full simulation"
-    said = f"{who} misses the measured {what} by {error:.3g} {c.unit}{where}"
+    text = f"{who} misses the measured {what} by {error:.3g} {c.unit}{where}"
     if not _moves(c):
         return (
             "The commanded pressure never moves in this recording, so nothing about bending can be learnt "
-            f"from it; record steps or ramps. {said}."
+            f"from it; record steps or ramps. {text}."
         )
     if c.noise.value > 0:
         times = error / c.noise.value
         if times < 1.1:
-            return f"{said}: no more than the noise of the measurement ({c.noise.value:.2g} {c.unit})."
-        said += f", {times:.3g} times the noise of the measurement ({c.noise.value:.2g} {c.unit})"
+            return f"{text}: no more than the noise of the measurement ({c.noise.value:.2g} {c.unit})."
+        text += f", {times:.3g} times the noise of the measurement ({c.noise.value:.2g} {c.unit})"
     if len(squared) < FEW_ROWS:
-        return f"{said}; {plural(len(squared), 'row')} cannot tell where it is worst, so record longer."
+        return f"{text}; {plural(len(squared), 'row')} cannot tell where it is worst, so record longer."
     peak = _peak(c)
-    return f"{said}; it is worst {peak}." if peak else f"{said}."
+    return f"{text}; it is worst {peak}." if peak else f"{text}."
 
 
 _PHRASES = {
@@ -70,8 +70,8 @@ def phrase(axis: Axis, i: int) -> str:
             else {moving[0]: " slowly", moving[-1]: " fast"}.get(label, " at middle speed")
         )
         return f"when the pressure moves{how}"
-    said = _PHRASES.get((axis.name, label)) or _PHRASES.get(axis.name, "where {1} is {0}")
-    return said.format(label, axis.name)
+    text = _PHRASES.get((axis.name, label)) or _PHRASES.get(axis.name, "where {1} is {0}")
+    return text.format(label, axis.name)
 
 
 def _peak(c) -> str:

@@ -1,12 +1,10 @@
 """The report of a diagnosis: the sentence first, then the evidence as pictures."""
 
-from pathlib import Path
-
 import numpy as np
 import plotly.graph_objects as go
 
 from lerobot_pneutac.diagnosis.experiment import Separation
-from lerobot_pneutac.diagnosis.result import Diagnosis
+from lerobot_pneutac.diagnosis.result import BodyFindings
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.reports.sentences import caveats, how_tested, lead, percent
 
@@ -15,8 +13,8 @@ MOST_POINTS = 4000
 PASSAGE_S = 3.0
 
 
-def write_page(d: Diagnosis, advice: str, separation: Separation | None, out: Path) -> Path:
-    """Writes `report.html`."""
+def diagnosis_page(d: BodyFindings, advice: str, separation: Separation | None) -> Report:
+    """The report of a body's diagnosis."""
     page = Report("What is missing")
     page.lead(lead(d))
     for sentence in caveats(d):
@@ -106,10 +104,10 @@ def write_page(d: Diagnosis, advice: str, separation: Separation | None, out: Pa
     page.text(f"Noise floor {d.noise.value:.3g} {unit}: {d.noise.how}.")
     for sentence in d.findings or ["The data check found nothing to complain about."]:
         page.text(sentence)
-    return page.write(out)
+    return page
 
 
-def ladder(d: Diagnosis) -> go.Figure:
+def ladder(d: BodyFindings) -> go.Figure:
     """Held-out error as effects are added."""
     labels = [label for label, _ in d.ladder]
     rms = [float(np.sqrt(d.judge.value((r**2).sum(1)))) for _, r in d.ladder]
@@ -126,7 +124,7 @@ def ladder(d: Diagnosis) -> go.Figure:
     return figure.update_yaxes(title=f"held-out error ({d.noise.unit})", rangemode="tozero")
 
 
-def reductions(d: Diagnosis) -> go.Figure:
+def reductions(d: BodyFindings) -> go.Figure:
     """Each candidate's share of the avoidable error."""
     shown = d.tested[::-1]
     value = [100 * t.reduction for t in shown]
@@ -143,7 +141,7 @@ def reductions(d: Diagnosis) -> go.Figure:
     return figure.update_xaxes(title="avoidable error removed (%)", range=[min(-10, *value, 0) - 5, 105])
 
 
-def over_time(d: Diagnosis) -> go.Figure:
+def over_time(d: BodyFindings) -> go.Figure:
     """Error before and after, over the commanded pressure on an axis of its own at the right."""
     t = _session_time(d)
     step = max(1, len(t) // MOST_POINTS)
@@ -170,7 +168,7 @@ def over_time(d: Diagnosis) -> go.Figure:
     )  # fmt: skip
 
 
-def axes(d: Diagnosis) -> dict[str, np.ndarray]:
+def axes(d: BodyFindings) -> dict[str, np.ndarray]:
     """Quantities against which the error is drawn."""
     s = d.recording.samples
     p = s[d.recording.pressure_columns].to_numpy(float).mean(1)
@@ -187,7 +185,7 @@ def axes(d: Diagnosis) -> dict[str, np.ndarray]:
     return found
 
 
-def against(d: Diagnosis, name: str, x: np.ndarray) -> go.Figure:
+def against(d: BodyFindings, name: str, x: np.ndarray) -> go.Figure:
     """Root mean square error in bins of equal count."""
     figure = go.Figure()
     edges = np.unique(np.quantile(x, np.linspace(0, 1, 16)))
@@ -201,7 +199,7 @@ def against(d: Diagnosis, name: str, x: np.ndarray) -> go.Figure:
     return figure.update_xaxes(title=name).update_yaxes(title=f"error ({d.noise.unit})", rangemode="tozero")
 
 
-def worst(d: Diagnosis) -> list[dict]:
+def worst(d: BodyFindings) -> list[dict]:
     """The five passages of three seconds with the largest error."""
     trial, t = d.recording.column("trial"), d.recording.column("time_s")
     passage = np.floor(t / PASSAGE_S).astype(int)
@@ -231,7 +229,7 @@ def proposed(s: Separation) -> go.Figure:
     return figure.update_xaxes(title="time (s)").update_yaxes(title=s.columns[min(k, len(s.columns) - 1)])
 
 
-def _session_time(d: Diagnosis) -> np.ndarray:
+def _session_time(d: BodyFindings) -> np.ndarray:
     t = d.recording.column("time_s").astype(float).copy()
     shift = 0.0
     for rows in d.recording.trials().values():

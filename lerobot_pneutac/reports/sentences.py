@@ -4,14 +4,14 @@ import numpy as np
 
 from lerobot_pneutac.diagnosis.experiment import Separation, separations
 from lerobot_pneutac.diagnosis.pneumatics import sensor_noise
-from lerobot_pneutac.diagnosis.result import Diagnosis
+from lerobot_pneutac.diagnosis.result import BodyFindings
 from lerobot_pneutac.study.pair import LONGER
 from pneutac_sim.effects.registry import get_effect
 
 REPEAT = "Run the same program twice, an hour apart: what comes back is the device, what does not is the lab."
 
 
-def lead(d: Diagnosis) -> str:
+def lead(d: BodyFindings) -> str:
     """The one sentence (or two) at the top."""
     device, unit = d.recording.device, d.noise.unit
     e = d.evidence
@@ -62,7 +62,7 @@ def lead(d: Diagnosis) -> str:
     return text
 
 
-def caveats(d: Diagnosis) -> list[str]:
+def caveats(d: BodyFindings) -> list[str]:
     """What the reader must know beside the verdict."""
     said = []
     if d.measured_pressure and d.pressure_error:
@@ -82,7 +82,7 @@ def caveats(d: Diagnosis) -> list[str]:
     return said
 
 
-def _no_pressure(d: Diagnosis) -> str:
+def _no_pressure(d: BodyFindings) -> str:
     """Why the measured pressure tells nothing, and what follows."""
     logged = [c.replace("cmd_", "") for c in d.recording.pressure_columns]
     hidden = "so a slow valve and a creeping body hide each other: a lag may be creep in part."
@@ -99,7 +99,7 @@ def _no_pressure(d: Diagnosis) -> str:
     return "The measured pressure does not move either."
 
 
-def how_tested(d: Diagnosis) -> str:
+def how_tested(d: BodyFindings) -> str:
     """On what the candidates were tried, and why some kind is not among them."""
     if not d.measured_pressure:
         said = "Without a usable measured pressure, effects of air and body are tried on the pose alike."
@@ -119,7 +119,7 @@ def how_tested(d: Diagnosis) -> str:
 _NONE_TRIED = "No {} was tried: the twin as it is leaves nothing of the {} that would be worth one."
 
 
-def next_experiment(d: Diagnosis) -> tuple[str, Separation | None]:
+def next_experiment(d: BodyFindings) -> tuple[str, Separation | None]:
     """What to record next, and the predictions behind it where two models compete."""
     if d.evidence.poor:
         return LONGER, None
@@ -138,7 +138,7 @@ def next_experiment(d: Diagnosis) -> tuple[str, Separation | None]:
     return "Nothing needs to be recorded; go to higher pressure to find where the twin ends.", None
 
 
-def _percent(d: Diagnosis) -> str:
+def _percent(d: BodyFindings) -> str:
     return percent(*d.removed)
 
 

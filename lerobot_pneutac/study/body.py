@@ -1,7 +1,7 @@
 """The whole diagnosis: data check, noise floor, fingerprints, selection, rivals, verdict."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -12,13 +12,16 @@ from lerobot_pneutac.diagnosis.candidates import sort_candidates
 from lerobot_pneutac.diagnosis.engine import Engine, StageFitter
 from lerobot_pneutac.diagnosis.experiment import predict
 from lerobot_pneutac.diagnosis.fingerprints import fingerprints
-from lerobot_pneutac.diagnosis.fits import Fit
+from lerobot_pneutac.diagnosis.fits import FittedModel
 from lerobot_pneutac.diagnosis.parts import deal
 from lerobot_pneutac.diagnosis.profile import profile
-from lerobot_pneutac.diagnosis.result import Diagnosis, Tested
+from lerobot_pneutac.diagnosis.refit import Refit, refit
+from lerobot_pneutac.diagnosis.result import BodyFindings, Tested
 from lerobot_pneutac.diagnosis.rivals import find_rivals
 from lerobot_pneutac.diagnosis.selection import Selection, select
+from lerobot_pneutac.diagnosis.steps import Steps
 from lerobot_pneutac.diagnosis.verdict import Evidence, decide
+from lerobot_pneutac.study.base import Study
 from lerobot_pneutac.study.pair import enough_rows
 from pneutac_datasets.recording.checks import check
 from pneutac_datasets.recording.mounts import on_one_mount
@@ -29,14 +32,14 @@ from pneutac_sim.finger.data import BodyData
 from pneutac_sim.twin import Twin
 
 
-def diagnose(
+def diagnose_body(
     twin: Twin,
     recording: Recording,
     seed: int = 0,
     jobs: int = 1,
     tell: Callable[[str, int], None] = lambda text, fits: None,
     done: Callable[[], None] = lambda: None,
-) -> Diagnosis:
+) -> BodyFindings:
     """Finds what a twin lacks to explain a recording.
 
     Args:
@@ -144,7 +147,7 @@ def diagnose(
     if air:
         pressure = tuple(np.sqrt(test.value(f.squared)) for f in (air.base, air.final)) + (air_noise,)
     drive = driven.samples[measured or recording.pressure_columns].to_numpy(float)
-    return Diagnosis(
+    return BodyFindings(
         recording=recording,
         findings=findings,
         noise=noise,
@@ -171,7 +174,9 @@ def diagnose(
     )
 
 
-def _ladder(base: Fit, air: Selection | None, body: Selection, residual) -> list[tuple[str, np.ndarray]]:
+def _ladder(
+    base: FittedModel, air: Selection | None, body: Selection, residual
+) -> list[tuple[str, np.ndarray]]:
     """Labels and residuals from the twin as it is to the final one, all from the commanded pressure."""
     rungs = [("as it is", base.residual)]
     if air is None:
@@ -183,7 +188,9 @@ def _ladder(base: Fit, air: Selection | None, body: Selection, residual) -> list
     return rungs
 
 
-def _tested(air, body, base: Fit, residual, test: Resampler, floor: float, source: str) -> list[Tested]:
+def _tested(
+    air, body, base: FittedModel, residual, test: Resampler, floor: float, source: str
+) -> list[Tested]:
     out = []
     for name, fit in (air.first if air else {}).items():
         after = (residual(pneumatics.joined(body.base.twin, fit.twin)) ** 2).sum(1)
@@ -202,7 +209,7 @@ def _tested(air, body, base: Fit, residual, test: Resampler, floor: float, sourc
     return sorted(out, key=lambda t: -t.reduction)
 
 
-def parameters(fit: Fit, effect: str) -> dict:
+def parameters(fit: FittedModel, effect: str) -> dict:
     """Parameters of one effect with interval and unit."""
     values = fit.twin.effects.get(effect, {})
     units = {p.name: p.unit for p in get_effect(effect).parameters}
@@ -210,3 +217,50 @@ def parameters(fit: Fit, effect: str) -> dict:
         k: {"value": v.value, "ci95": list(v.ci95) if v.ci95 else None, "unit": units.get(k, "")}
         for k, v in values.items()
     }
+
+
+class BodyStudy(Study):
+    """A recording of a finger or an arm; a sample is a row."""
+
+    def __init__(self, twin: Twin, recording: Recording, seed: int, adding: str | None = None):
+        self.twin, self.seed = twin, seed
+        recording, self.findings = check(recording)
+        self.parts = deal(recording, seed, choose=adding is None)
+        self.own = tuple(of_body(twin.effects))
+        self.candidates, self.untested = sort_candidates(recording, twin)
+        self.recording = recording
+        if adding is not None and self.refusal(adding):
+            return
+        largest = max(self.candidates, key=lambda e: len(get_effect(e).parameters), default=None)
+        tried = adding or largest
+        enough_rows(twin, recording, [*self.own, *([tried] if tried else [])], self.parts.train)
+        self.recording, moved = on_one_mount(recording, twin, self.parts.train)
+        self.findings = self.findings + moved
+        self.noise = noise_floor(self.recording)
+        self.unit = self.noise.unit
+
+    def refit(self, effects: Sequence[str], start: Refit | None, steps: Steps) -> Refit:
+        """Air to the measured pressure, body to the pose."""
+        near = start.twin if start is not None and not pneumatics.is_pneumatic(effects[-1]) else self.twin
+        return refit(near, self.recording, list(effects), self.parts, steps.done)
+
+    def refusal(self, effect: str) -> str:
+        """Why an effect cannot be switched on."""
+        reasons = (
+            f"{self.recording.folder}: effect '{effect}' {u.reason}."
+            for u in self.untested
+            if u.name == effect
+        )
+        return self.already_on(effect) or next(reasons, "")
+
+    def twin_of(self, model: Refit) -> Twin:
+        """The fitted twin."""
+        return model.twin
+
+    def parameters(self, model: Refit, effect: str) -> dict[str, dict]:
+        """Parameters of one effect with interval and unit."""
+        return parameters(model, effect)
+
+    def at_bound(self, model: Refit, effects: Sequence[str]) -> list[str]:
+        """Parameters at a bound."""
+        return list(model.at_bound)

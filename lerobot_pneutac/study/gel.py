@@ -6,20 +6,28 @@ beside the calibration pair train too.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from lerobot_pneutac.diagnosis.bootstrap import Resampler
+from lerobot_pneutac.diagnosis.parts import Parts
+from lerobot_pneutac.diagnosis.steps import Steps
 from lerobot_pneutac.diagnosis.verdict import FEW_UNITS, MOST, Evidence, decide
+from lerobot_pneutac.study.base import Study
 from pneutac_datasets.recording.gel import GelRecording
+from pneutac_datasets.recording.noise import NoiseFloor
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.optics import OPTICS
 from pneutac_sim.errors import InputError
+from pneutac_sim.features import IMAGE_SHAPE
 from pneutac_sim.gel import optics
 from pneutac_sim.gel.fit import GelFit, fit_photographs
 from pneutac_sim.gel.metrics import CONTACT_DISC
 from pneutac_sim.gel.model import GelModel
+from pneutac_sim.gel.pair import check_pair
 from pneutac_sim.gel.photograph import Predictor, session_light
+from pneutac_sim.twin import Twin
 
 MOST_TRAINED = 6  # photographs that train; more cost time and pin the light no better
 WORTH = 0.02  # share of the avoidable error that an effect must remove
@@ -43,10 +51,16 @@ class Trial:
     squares: np.ndarray
     contact: np.ndarray
     residuals: list[np.ndarray]
+    not_identified: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def squared(self) -> np.ndarray:
+        """(n,) mean square error of each photograph."""
+        return self.squares
 
 
 @dataclass
-class GelStudy:
+class GelFindings:
     """What was found.
 
     Attributes:
@@ -174,7 +188,7 @@ def study(
     seed: int = 0,
     tell: Callable[[str, int], None] = lambda text, fits: None,
     done: Callable[[], None] = lambda: None,
-) -> GelStudy:
+) -> GelFindings:
     """Looks for what the effects of a twin leave unexplained.
 
     Args:
@@ -242,7 +256,7 @@ def study(
         at_bound=at_bound(final.fit.gel, selected),
         near_miss=[] if selected else near_miss,
     )
-    return GelStudy(
+    return GelFindings(
         data=data,
         train=bench.train,
         noise=noise,
@@ -259,6 +273,27 @@ def study(
     )
 
 
+def for_twin(gel: GelModel, twin: Twin) -> GelModel:
+    """The gel at the size in which the twin keeps it: 240 x 320, other proportions for a lone gel only."""
+    h, w = gel.rest_image.shape[:2]
+    if twin.device == "gel" and abs(w / h / (IMAGE_SHAPE[1] / IMAGE_SHAPE[0]) - 1) > 0.02:
+        return gel
+    return gel.resized(*IMAGE_SHAPE[:2])
+
+
+def predict(gel: GelModel, data: GelRecording) -> list[np.ndarray]:
+    """Predicted image of every sample; the calibration pair tells how the light drifts."""
+    pair = next((s.photograph for s in data.samples if s.role == "calibration"), None)
+    predictor = Predictor(gel, pair)
+    return [predictor.image(s.press, s.rest, s.clock) for s in data.samples]
+
+
+def seen_by(gel: GelModel, data: GelRecording) -> GelModel:
+    """The same gel in a recording's images: their rest image, scale and thickness."""
+    own = {"rest_image": data.rest, "px_per_mm": data.px_per_mm, "thickness_mm": data.thickness_mm}
+    return replace(gel, **own)
+
+
 def at_bound(gel: GelModel, effects: Sequence[str]) -> list[str]:
     """Parameters of these effects that lie at a bound."""
     return [
@@ -270,7 +305,7 @@ def at_bound(gel: GelModel, effects: Sequence[str]) -> list[str]:
     ]
 
 
-def maps(study: GelStudy, trial: Trial) -> tuple[np.ndarray, np.ndarray]:
+def maps(study: GelFindings, trial: Trial) -> tuple[np.ndarray, np.ndarray]:
     """Where a trial fails on held-out photographs, root mean square over them in levels.
 
     Returns:
@@ -291,3 +326,57 @@ def maps(study: GelStudy, trial: Trial) -> tuple[np.ndarray, np.ndarray]:
         total += np.stack([map_coordinates(r[..., k], at, order=1) for k in range(3)], -1) * inside[..., None]
         count += inside[..., None]
     return plane, total / np.maximum(count, 1)
+
+
+class GelStudy(Study):
+    """Photographs of a gel; a sample is a photograph."""
+
+    unit = "levels"
+
+    def __init__(self, twin: Twin, recording: Recording, seed: int):
+        data = GelRecording.load(recording)
+        pair = data.calibration
+        check_pair(pair.rest, pair.image, pair.press, data.px_per_mm)
+        self.twin, self.recording, self.seed, self.data = twin, recording, seed, data
+        gel = seen_by(GelModel.from_twin(twin), data)
+        self.bench = Bench(replace(gel, effects={}), data, seed)
+        held = ~self.bench.train
+        strata = np.unique([s.role for s in data.samples], return_inverse=True)[1]
+        self.parts = Parts(self.bench.train, held, held, np.arange(len(held)), strata)
+        self.noise = NoiseFloor(self.bench.noise(), None, self.unit, "", {})
+        self.own = tuple(e for e in twin.effects if e in OPTICS)
+        self.candidates, self.untested = [e for e in OPTICS if e not in self.own], []
+        self.findings = data.warnings
+
+    def refit(self, effects: Sequence[str], start: Trial | None, steps: Steps) -> Trial:
+        """Light and these effects, fitted to the training photographs."""
+        out = self.bench.trial(effects, start and start.fit.gel)
+        steps.done()
+        return out
+
+    def refusal(self, effect: str) -> str:
+        """Why an effect cannot be switched on."""
+        if effect not in OPTICS:
+            return f"'{effect}' does not act on a gel's images; give one of {', '.join(OPTICS)}."
+        return self.already_on(effect)
+
+    def errors(self, model: Trial) -> dict:
+        """Also in the contact."""
+        contact = float(np.sqrt(model.contact[self.parts.test].mean()))
+        return super().errors(model) | {"heldout_contact": contact}
+
+    def twin_of(self, model: Trial) -> Twin:
+        """The twin with the fitted gel."""
+        twin = self.twin.copy()
+        for_twin(model.fit.gel, twin).into_twin(twin)
+        return twin
+
+    def parameters(self, model: Trial, effect: str) -> dict[str, dict]:
+        """Value and unit; a fit of light gives no intervals."""
+        units = {p.name: p.unit for p in OPTICS[effect].parameters}
+        values = model.fit.gel.effects[effect]
+        return {k: {"value": v, "ci95": None, "unit": units[k]} for k, v in values.items()}
+
+    def at_bound(self, model: Trial, effects: Sequence[str]) -> list[str]:
+        """Parameters at a bound."""
+        return at_bound(model.fit.gel, effects)

@@ -1,6 +1,7 @@
 """A twin and the recording it is weighed against: whether they fit together, and whether there is enough."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,37 +15,38 @@ from pneutac_sim.twin import Twin
 LONGER = "Record ten minutes with steps, slow and fast ramps and long holds, in several trials."
 
 
-def require(options, *names: str) -> None:
-    """Raises InputError where a folder that the verb needs was not given."""
-    for name in names:
-        if getattr(options, name) is None:
-            raise InputError(f"Give the {name}'s folder with --{name}=DIR.")
+def load_pair(twin_path: Path, recording_path: Path, verb: str) -> tuple[Twin, Recording]:
+    """The twin and a recording from their folders; raises InputError where they are of different devices."""
+    twin, recording = Twin.load(twin_path), Recording.load(recording_path)
+    same_device(twin, recording, twin_path, verb)
+    return twin, recording
 
 
-def same_device(twin: Twin, recording: Recording, twin_path: Path, verb: str) -> None:
-    """Raises InputError where the two are of different devices."""
-    if recording.device != twin.device:
+def same_device(twin: Twin, recording: Recording, twin_name: str | Path, verb: str) -> None:
+    """Raises InputError where the two are of different devices; a gel may be that of a finger."""
+    if recording.device != twin.device and not (recording.device == "gel" and twin.gel):
         raise InputError(
-            f"{recording.folder} is of {an(recording.device)} and {twin_path} of {an(twin.device)}; "
+            f"{recording.folder} is of {an(recording.device)} and {twin_name} of {an(twin.device)}; "
             f"{verb} a twin with a recording of its own device."
         )
 
 
-def load_pair(twin_path: Path, recording_path: Path, verb: str = "diagnose") -> tuple[Twin, Recording]:
-    """The twin and a recording that may be diagnosed; raises InputError where they do not fit together."""
-    twin, recording = Twin.load(twin_path), Recording.load(recording_path)
+def same_body(twin: Twin, recording: Recording, verb: str) -> Recording:
+    """The recording, with a note where one is due; raises InputError where the two do not fit together."""
+    same_device(twin, recording, "the twin", verb)
     if recording.device == "gel":
-        if twin.device != "gel" and not twin.gel:
-            same_device(twin, recording, twin_path, verb)
-        return twin, recording
-    same_device(twin, recording, twin_path, verb)
+        return recording
     if recording.length_mm is not None and abs(recording.length_mm - twin.length_mm) > 0.02 * twin.length_mm:
         raise InputError(
-            f"{recording_path}/recording.json: length_mm is {recording.length_mm:g}, the twin's is "
-            f"{twin.length_mm:g}; make the twin with `pneutac new --twin=DIR --recording={recording_path}`."
+            f"{recording.folder}/recording.json: length_mm is {recording.length_mm:g}, the twin's is "
+            f"{twin.length_mm:g}; make the twin with `pneutac new --twin=DIR --recording={recording.folder}`."
         )
-    recording.warnings += other_unit(twin, recording)
-    return twin, recording
+    return with_unit_note(twin, recording)
+
+
+def with_unit_note(twin: Twin, recording: Recording) -> Recording:
+    """The recording with a warning where its pressures can hardly be in kPa."""
+    return replace(recording, warnings=recording.warnings + other_unit(twin, recording))
 
 
 def other_unit(twin: Twin, recording: Recording) -> list[str]:

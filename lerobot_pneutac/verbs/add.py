@@ -1,247 +1,224 @@
-"""`pneutac add`: switches an effect on in a twin, re-fits everything, shows the error before and after."""
+"""Switches an effect on in a twin, re-fits everything and tells the error before and after."""
 
-import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-from rich.console import Console
-from rich.table import Table
-
-from lerobot_pneutac.cli.options import parse_options
-from lerobot_pneutac.diagnosis import pneumatics
-from lerobot_pneutac.diagnosis.bootstrap import Resampler
-from lerobot_pneutac.diagnosis.candidates import sort_candidates
-from lerobot_pneutac.diagnosis.parts import Parts, deal
-from lerobot_pneutac.diagnosis.refit import Refit, refit
-from lerobot_pneutac.reports.page import Report, write_result
+from lerobot_pneutac.diagnosis.steps import Steps
+from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.reports.sentences import percent
-from lerobot_pneutac.study.pair import enough_rows, load_pair, require
-from lerobot_pneutac.verbs import add_gel
-from lerobot_pneutac.verbs.diagnose import progress
-from pneutac_datasets.recording.checks import check
-from pneutac_datasets.recording.mounts import on_one_mount
-from pneutac_datasets.recording.noise import NoiseFloor, noise_floor
+from lerobot_pneutac.study.base import Study, study_of
+from lerobot_pneutac.study.pair import same_body
+from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect
-from pneutac_sim.errors import InputError
-from pneutac_sim.finger.quantities import root_mean, squared_distance
 from pneutac_sim.twin import Twin
 
 
-@dataclass
-class AddConfig:
-    """Options of `pneutac add`.
-
-    Attributes:
-        twin: the twin's folder; its next version is written there if the error falls.
-        recording: a bench recording of the same finger, arm or gel.
-        effect: name of the effect to switch on.
-        out: folder for `result.json` and `report.html`.
-        seed: decides which blocks of time are held out, and the bootstrap.
-    """
-
-    twin: Path | None = None
-    recording: Path | None = None
-    effect: str = ""
-    out: Path | None = None
-    seed: int = 0
-
-    def __post_init__(self):
-        require(self, "twin", "recording")
-        if not self.effect:
-            raise InputError(
-                "Give the effect with --effect=NAME; `pneutac diagnose` tells which one is missing."
-            )
-        if self.out is not None and self.out.exists() and not self.out.is_dir():
-            raise InputError(f"--out={self.out} is a file; give a folder.")
-
-
-@dataclass
-class Added:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Addition(Result):
     """What switching an effect on did.
 
     Attributes:
         effect: its name.
-        before: the twin without it, re-fitted.
-        after: the twin with it, re-fitted.
-        parts: training and held-out samples.
-        noise: noise floor.
-        fall: of the held-out mean square error: value, lower 1 % and upper 99 % bound.
-        reduction: share of the avoidable error removed, and its 95 % interval.
-        judge: resamples the held-out blocks.
-        said: what the data check found, one sentence each.
+        accepted: whether the held-out error falls for sure.
+        reason: why it was refused, a sentence; empty where it was accepted.
+        twin: with the effect, re-fitted and not yet written; the one that was given where it was refused.
+        unit: of the errors.
+        noise_floor: error that the measurement's own noise makes.
+        before: error without the effect: `train`, `heldout`, `heldout_ci95`; None where nothing was fitted.
+        after: the same with it.
+        reduction: share of the avoidable error that it removes.
+        reduction_ci95: its interval.
+        parameters: name to `value`, `ci95` and `unit`.
+        at_bound: parameters stopped by a bound.
+        not_identified: parameters that the recording cannot tell, and why.
+        physics: what the effect does to this device, a sentence with the fitted numbers.
+        findings: of the data check, one sentence each.
+        recording: that was used.
+        seed: that decided what was held out.
+        saved_to: the twin's folder once it was saved.
     """
 
     effect: str
-    before: Refit
-    after: Refit
-    parts: Parts
-    noise: NoiseFloor
-    fall: tuple[float, float, float]
-    reduction: tuple[float, tuple[float, float]]
-    judge: Resampler
-    said: list[str]
+    accepted: bool
+    reason: str
+    twin: Twin
+    recording: str
+    seed: int
+    unit: str = ""
+    noise_floor: float = 0.0
+    before: dict | None = None
+    after: dict | None = None
+    reduction: float = 0.0
+    reduction_ci95: tuple[float, float] = (0.0, 0.0)
+    parameters: dict[str, dict] | None = None
+    at_bound: tuple[str, ...] = ()
+    not_identified: dict[str, str] | None = None
+    physics: str = ""
+    findings: tuple[str, ...] = ()
+    saved_to: Path | None = None
+
+    def save(self, folder: str | Path) -> "Addition":
+        """Writes the twin as the next version of `folder`; returns the result that knows where it lies."""
+        twin = self.twin.copy()
+        errors = {k: self.after[k] for k in ("train", "heldout")} | {"unit": self.unit, "seed": self.seed}
+        twin.save_version(folder, f"added {self.effect}", self.recording, errors)
+        return replace(self, twin=twin, saved_to=Path(folder))
 
     @property
-    def falls(self) -> bool:
-        """Whether the held-out error falls for sure."""
-        return self.fall[1] > 0
+    def title(self) -> str:
+        """Heading of table and report."""
+        return f"Added {self.effect}" if self.accepted else f"{self.effect} was not added"
 
-    def errors(self, residual: np.ndarray) -> dict:
-        """Training and held-out error, and the interval of the latter."""
-        squared = squared_distance(residual)
-        lo, hi = np.sqrt(np.quantile(self.judge.mse(squared), [0.025, 0.975]))
+    @property
+    def sentence(self) -> str:
+        """What the effect does and by how much the error fell, or why it was refused."""
+        if not self.accepted:
+            return self.reason
+        share = percent(self.reduction, self.reduction_ci95)
+        return (
+            f"{self.physics} With {self.effect} the held-out error fell from {self.before['heldout']:.3g} to "
+            f"{self.after['heldout']:.3g} {self.unit}: {share} of what could be avoided."
+        )
+
+    def rows(self) -> list[dict]:
+        """The error before and after."""
+        rows = []
+        for name, e in (("before", self.before), (f"with {self.effect}", self.after)):
+            if e is not None:
+                interval = "{:.4g} to {:.4g}".format(*e["heldout_ci95"])
+                row = {f"error, {self.unit} (noise {self.noise_floor:.3g})": name, "train": e["train"]}
+                row |= {"held-out": e["heldout"], "95 % interval": interval}
+                rows.append(row | ({"contact": e["heldout_contact"]} if "heldout_contact" in e else {}))
+        return rows
+
+    def remarks(self) -> list[str]:
+        """Bounds, and where the twin lies."""
+        out = [f"[yellow]at a bound:[/] {', '.join(self.at_bound)}"] if self.at_bound else []
+        if self.saved_to:
+            out.append(f"wrote version {self.twin.history[-1]['version']} of {self.saved_to}")
+        return out
+
+    def to_dict(self) -> dict:
+        """The content of `result.json`."""
+        saved = {}
+        if self.saved_to:
+            saved = {"twin": self.saved_to, "version": self.twin.history[-1]["version"]}
         return {
-            "train": root_mean(squared[self.parts.train]),
-            "heldout": math.sqrt(self.judge.value(squared)),
-            "heldout_ci95": [float(lo), float(hi)],
+            "effect": self.effect,
+            "accepted": self.accepted,
+            "reason": self.reason,
+            "unit": self.unit,
+            "noise_floor": self.noise_floor,
+            "before": self.before,
+            "after": self.after,
+            "reduction": self.reduction,
+            "reduction_ci95": list(self.reduction_ci95),
+            "parameters": self.parameters,
+            "at_bound": sorted(self.at_bound),
+            "not_identified": self.not_identified,
+            "checks": list(self.findings),
+            **saved,
         }
 
-
-def main(argv: list[str]) -> None:
-    """Runs the verb."""
-    cfg = parse_options(AddConfig, argv)
-    get_effect(cfg.effect)
-    twin, recording = load_pair(cfg.twin, cfg.recording, "add to")
-    console = Console()
-    if recording.device == "gel":
-        add_gel.run(twin, recording, cfg, console)
-        return
-    with progress(console) as (tell, done):
-        tell(f"fitting with and without {cfg.effect}", 2)
-        added = add(twin, recording, cfg.effect, cfg.seed, done)
-    for sentence in added.said:
-        console.print(f"[yellow]note:[/] {sentence}", highlight=False)
-    before, after = added.errors(added.before.residual), added.errors(added.after.residual)
-    _show(added, before, after, console)
-    unit = added.noise.unit
-    if not added.falls:
-        raise InputError(
-            f"Nothing was written: with {cfg.effect} the held-out error goes from {before['heldout']:.4g} to "
-            f"{after['heldout']:.4g} {unit}, and the change of its square, {-added.fall[0]:+.3g} "
-            f"[{-added.fall[2]:+.3g} to {-added.fall[1]:+.3g}] {unit}^2, is no sure fall; "
-            "`pneutac diagnose` tells what is missing."
+    def page(self) -> Report:
+        """The error before and after, and the parameters."""
+        page = Report(self.title)
+        page.lead(self.sentence)
+        if self.before is not None:
+            page.figure(self._figure())
+            page.table(self.rows())
+        page.table(
+            [
+                {
+                    "parameter": k,
+                    "value": v["value"],
+                    "95 % interval": "{:.4g} to {:.4g}".format(*v["ci95"]) if v["ci95"] else "held",
+                    "unit": v["unit"] or "(a ratio)",
+                }
+                for k, v in (self.parameters or {}).items()
+            ],
+            "Fitted to the training part.",
         )
-    added.after.twin.save_version(
-        cfg.twin,
-        f"added {cfg.effect}",
-        str(cfg.recording),
-        {"train": after["train"], "heldout": after["heldout"], "unit": unit, "seed": cfg.seed},
-    )
-    result = {
-        "effect": cfg.effect,
-        "unit": unit,
-        "noise_floor": added.noise.value,
-        "before": before,
-        "after": after,
-        "reduction": added.reduction[0],
-        "reduction_ci95": list(added.reduction[1]),
-        "parameters": parameters(added.after.twin, cfg.effect),
-        "at_bound": sorted(added.after.at_bound),
-        "not_identified": added.after.not_identified,
-        "checks": added.said,
-        "twin": str(cfg.twin),
-        "version": len(added.after.twin.history) - 1,
-    }
-    console.print(f"wrote version {result['version']} of {cfg.twin}", highlight=False)
-    if cfg.out is not None:
-        write_result(cfg.out, result)
-        console.print(f"report: {_page(added, result).write(cfg.out)}", highlight=False)
+        if self.findings:
+            page.heading("What the data check found")
+            page.text("\n\n".join(self.findings))
+        return page
+
+    def _figure(self):
+        import plotly.graph_objects as go
+
+        figure = go.Figure()
+        for name, e, colour in (("before", self.before, "#9aa5b1"), ("after", self.after, "#0b6e99")):
+            a, b = e["heldout_ci95"]
+            error = {"type": "data", "array": [b - e["heldout"]], "arrayminus": [e["heldout"] - a]}
+            figure.add_bar(x=[name], y=[e["heldout"]], error_y=error, marker_color=colour, showlegend=False)
+        figure.add_hline(y=self.noise_floor, line_dash="dash", annotation_text="noise")
+        return figure.update_yaxes(title=f"held-out error ({self.unit})", rangemode="tozero")
 
 
-def add(twin: Twin, recording: Recording, effect: str, seed: int = 0, done=lambda: None) -> Added:
-    """Fits the twin with and without an effect and compares them on held-out blocks.
+def add(
+    twin: Twin,
+    recording: Recording,
+    effect: str,
+    *,
+    seed: int = 0,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> Addition:
+    """Fits the twin with and without an effect; it is accepted where the held-out error surely falls.
+
+    Whether it falls is decided on validation blocks (or photographs); the errors are those of test blocks.
+    Neither twin nor recording is changed.
+
+    Args:
+        twin: of the recording's device, or a finger with the gel of the recording.
+        recording: of a finger, an arm or a gel.
+        effect: name of the effect to switch on.
+        seed: decides which part is held out, and the bootstrap.
+        progress: called with a text, the fits done and all of them.
 
     Raises:
-        InputError: the effect is on already, is unknown, or the recording lacks the column that it needs.
+        InputError: there is no such effect, the devices differ, or there are too few rows to fit at all.
     """
     get_effect(effect)
-    if effect in twin.effects:
-        raise InputError(
-            f"The twin has the effect '{effect}' already (it has {', '.join(twin.effects)}); "
-            "`pneutac calibrate` re-fits it."
-        )
-    recording, said = check(recording)
-    for u in sort_candidates(recording, twin)[1]:
-        if u.name == effect:
-            raise InputError(f"{recording.folder}: effect '{effect}' {u.reason}.")
-    parts = deal(recording, seed, choose=False)
-    enough_rows(twin, recording, [*twin.effects, effect], parts.train)
-    recording, moved = on_one_mount(recording, twin, parts.train)
-    noise = noise_floor(recording)
-    before = refit(twin, recording, list(twin.effects), parts, done)
-    start = before.twin if not pneumatics.is_pneumatic(effect) else twin
-    after = refit(start, recording, [*twin.effects, effect], parts, done)
-    judge = Resampler(parts.heldout, parts.unit, parts.stratum, seed)
-    b, a = (before.residual**2).sum(1), (after.residual**2).sum(1)
-    reduction = judge.reduction(b, a, noise.value)
-    return Added(effect, before, after, parts, noise, judge.drop(b, a), reduction, judge, said + moved)
-
-
-def parameters(twin: Twin, effect: str) -> dict:
-    """Value, interval and unit of an effect's parameters."""
-    units = {p.name: p.unit for p in get_effect(effect).parameters}
-    return {
-        k: {"value": v.value, "ci95": list(v.ci95) if v.ci95 else None, "unit": units.get(k, "")}
-        for k, v in twin.effects[effect].items()
-    }
-
-
-def _show(added: Added, before: dict, after: dict, console: Console) -> None:
-    table = Table(title=f"error, {added.noise.unit} (noise {added.noise.value:.3g})")
-    for head in ("", "train", "held-out", "95 % interval"):
-        table.add_column(head)
-    for name, e in (("before", before), (f"with {added.effect}", after)):
-        lo, hi = e["heldout_ci95"]
-        table.add_row(name, f"{e['train']:.4g}", f"{e['heldout']:.4g}", f"{lo:.4g} to {hi:.4g}")
-    console.print(table)
-    if added.falls:
-        console.print(_physics(added), highlight=False)
-        console.print(
-            f"{added.effect} removes {percent(*added.reduction)} of what could be avoided", highlight=False
-        )
-    if added.after.at_bound:
-        console.print(f"[yellow]at a bound:[/] {', '.join(added.after.at_bound)}", highlight=False)
-
-
-def _physics(added: Added) -> str:
-    """What the effect does to this device, with the fitted numbers."""
-    twin = added.after.twin
-    values = {k: v.value for k, v in twin.effects[added.effect].items()}
-    return get_effect(added.effect).describe(values, twin.device)
-
-
-def _page(added: Added, result: dict) -> Report:
-    import plotly.graph_objects as go
-
-    unit = added.noise.unit
-    page = Report(f"Added {added.effect}")
-    page.lead(
-        f"{_physics(added)} With {added.effect} the held-out error fell from "
-        f"{result['before']['heldout']:.3g} to {result['after']['heldout']:.3g} {unit}: "
-        f"{percent(*added.reduction)} of what could be avoided."
+    recording, steps = same_body(twin, recording, "add to"), Steps(progress)
+    given = {"effect": effect, "recording": str(recording.folder), "seed": seed}
+    study = study_of(twin, recording, seed, adding=effect)
+    reason = study.refusal(effect)
+    if reason:
+        return Addition(accepted=False, reason=reason, twin=twin, findings=tuple(study.findings), **given)
+    steps.expect(f"fitting with and without {effect}", 2)
+    before = study.refit(study.own, None, steps)
+    after = study.refit((*study.own, effect), before, steps)
+    fall = study.judge.drop(before.squared, after.squared)
+    reduction, interval = study.test.reduction(before.squared, after.squared, study.noise.value)
+    accepted = fall[1] > 0
+    errors = study.errors(before), study.errors(after)
+    return Addition(
+        accepted=accepted,
+        reason="" if accepted else _no_sure_fall(study, effect, *errors, fall),
+        twin=study.twin_of(after) if accepted else twin,
+        unit=study.unit,
+        noise_floor=study.noise.value,
+        before=errors[0],
+        after=errors[1],
+        reduction=reduction,
+        reduction_ci95=interval,
+        parameters=study.parameters(after, effect),
+        at_bound=tuple(study.at_bound(after, [effect])),
+        not_identified=after.not_identified,
+        physics=study.describe(after, effect),
+        findings=tuple(study.findings),
+        **given,
     )
-    figure = go.Figure()
-    for name, e, colour in (("before", result["before"], "#9aa5b1"), ("after", result["after"], "#0b6e99")):
-        a, b = e["heldout_ci95"]
-        error = {"type": "data", "array": [b - e["heldout"]], "arrayminus": [e["heldout"] - a]}
-        figure.add_bar(x=[name], y=[e["heldout"]], error_y=error, marker_color=colour, showlegend=False)
-    figure.add_hline(y=added.noise.value, line_dash="dash", annotation_text="noise")
-    page.figure(figure.update_yaxes(title=f"held-out error ({unit})", rangemode="tozero"))
-    page.table(
-        [
-            {
-                "parameter": k,
-                "value": v["value"],
-                "95 % interval": "{:.4g} to {:.4g}".format(*v["ci95"]) if v["ci95"] else "held",
-                "unit": v["unit"] or "(a ratio)",
-            }
-            for k, v in result["parameters"].items()
-        ],
-        "Fitted to the training blocks.",
+
+
+def _no_sure_fall(study: Study, effect: str, before: dict, after: dict, fall: tuple) -> str:
+    value, low, high = fall
+    return (
+        f"Nothing was written: with {effect} the held-out error goes from {before['heldout']:.4g} to "
+        f"{after['heldout']:.4g} {study.unit}, and the change of its square, {-value:+.3g} "
+        f"[{-high:+.3g} to {-low:+.3g}] {study.unit}^2, is no sure fall; `pneutac diagnose` tells what is "
+        "missing."
     )
-    if added.said:
-        page.heading("What the data check found")
-        page.text("\n\n".join(added.said))
-    return page

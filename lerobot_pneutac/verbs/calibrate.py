@@ -1,124 +1,132 @@
-"""`pneutac calibrate`: fits a twin to a bench recording, in place, as its next version."""
+"""Fits a twin to a bench recording: markers, photographs or tactile images."""
 
 import os
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
-from rich.console import Console
+import numpy as np
 
-from lerobot_pneutac.cli.options import parse_options
+from lerobot_pneutac.verbs.calibration import Calibration
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin
 
-
-@dataclass
-class CalibrateConfig:
-    """Options of `pneutac calibrate`.
-
-    Attributes:
-        twin: folder of the twin; a twin of a gel is begun where there is none.
-        recording: folder of the bench recording. Without it a gel is calibrated from the DIGIT photographs in
-            $PNEUTAC_DATA, or from generated images where that is unset.
-        out: folder for `result.json`, `report.html` and pictures.
-        effects: gel only: optics effects to fit, with commas between, or `none` for the paper's linear model;
-            those that the twin has, if it has been calibrated, else all that one pair of images can tell.
-        by: body only: `images` (photographs with masks) or `markers` (markers and angles); by markers where
-            the recording has them, else by images.
-        train_kpa: body by images: pressures to fit, with commas between; all others are held out.
-        evaluations: body by images: of the search.
-        particles: body by images: of the body, about.
-        seed: decides every random choice.
-    """
-
-    twin: Path | None = None
-    recording: Path | None = None
-    out: Path | None = None
-    effects: str | None = None
-    by: str | None = None
-    train_kpa: str = "0,3,6,9,12,15"
-    evaluations: int = 84
-    particles: int = 4000
-    seed: int = 0
-
-    def __post_init__(self):
-        if self.twin is None:
-            raise InputError("Give the twin's folder with --twin=DIR.")
-        if self.out is not None and self.out.exists() and not self.out.is_dir():
-            raise InputError(f"--out={self.out} is a file; give a folder.")
-        if self.by not in (None, "images", "markers"):
-            raise InputError(f"--by={self.by} is unknown; choose images or markers.")
-        if self.particles < 500 or self.evaluations < 7:
-            raise InputError("--particles must be 500 or more, --evaluations 7 or more.")
+WAYS = ("images", "markers")
+SEARCH = "evaluations.json"  # in the folder where a search by images is kept
+BEST = "best.png"  # there, the best rendering so far
 
 
-def main(argv: list[str]) -> None:
-    """Runs the verb with its command line options."""
-    cfg = parse_options(CalibrateConfig, argv)
-    with TemporaryDirectory() as tmp:
-        calibrate(cfg, Path(tmp), Console())
-
-
-def calibrate(cfg: CalibrateConfig, scratch: Path, console: Console) -> dict:
-    """Fits the twin to the recording and writes both; returns what goes into `result.json`.
+def calibrate(
+    twin: Twin,
+    recording: Recording,
+    *,
+    by: str | None = None,
+    effects: Sequence[str] | None = None,
+    train_kpa: Sequence[float] = (0.0, 3.0, 6.0, 9.0, 12.0, 15.0),
+    evaluations: int = 84,
+    particles: int = 4000,
+    seed: int = 0,
+    keep: Path | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> Calibration:
+    """Fits a twin to a recording; neither is changed.
 
     Args:
-        cfg: the options.
-        scratch: a folder for generated data.
-        console: where the table and remarks go.
-    """
-    from pneutac_datasets.recording.recording import Recording
+        twin: of the recording's device, or a finger for a recording of its gel.
+        recording: of a finger, an arm or a gel.
+        by: of a body: `images` (photographs with masks) or `markers` (markers and angles); by markers where
+            the recording has them, else by images.
+        effects: of a gel: optics effects to fit, none for the paper's linear model; those that the twin has,
+            if it has been calibrated, else all that one pair of images can tell.
+        train_kpa: by images: pressures to fit; all others are held out.
+        evaluations: by images: of the search.
+        particles: by images: of the body, about.
+        seed: decides every random choice.
+        keep: by images: folder in which the search is kept so that an interrupted one goes on.
+        progress: called with a text, the steps done and all of them.
 
-    recording = Recording.load(cfg.recording or _default_recording(scratch, cfg.seed, console))
-    for warning in recording.warnings:
-        console.print(f"[yellow]note:[/] {warning}", highlight=False)
-    twin = _twin(cfg.twin, recording, console)
+    Raises:
+        InputError: the devices differ, or the recording does not serve.
+    """
+    progress = progress or (lambda text, done, total: None)
+    if by not in (None, *WAYS):
+        raise InputError(f"--by={by} is unknown; choose {' or '.join(WAYS)}.")
+    if (twin.device, recording.device) not in ((recording.device, recording.device), ("finger", "gel")):
+        raise InputError(
+            f"{recording.folder} is a recording of a '{recording.device}' but the twin is of a "
+            f"'{twin.device}'; give a twin of that device."
+        )
     if recording.device == "gel":
         from lerobot_pneutac.verbs.fit_gel import calibrate_gel
 
-        return calibrate_gel(twin, recording, cfg, console)
-    from lerobot_pneutac.study.photographs import masked_cameras
+        return calibrate_gel(twin, recording, effects)
+    if by == "images" or (by is None and _photographs_alone(recording)):
+        from lerobot_pneutac.verbs.fit_photographs import PhotoOptions, calibrate_photographs
 
-    markers = [c for c in recording.observations if not c.startswith("image")]
-    if cfg.by == "images" or (cfg.by is None and not markers and masked_cameras(recording)):
-        from lerobot_pneutac.verbs.fit_photographs import calibrate_photographs
-
-        return calibrate_photographs(twin, recording, cfg, console)
+        options = PhotoOptions(training_levels(train_kpa), evaluations, particles, seed)
+        files = (None, None) if keep is None else (keep / SEARCH, keep / BEST)
+        return calibrate_photographs(twin, recording, options, *files, progress)
     from lerobot_pneutac.verbs.fit_body import calibrate_body
 
-    return calibrate_body(twin, recording, cfg, console)
+    return calibrate_body(twin, recording, seed, progress)
 
 
-def _default_recording(scratch: Path, seed: int, console: Console) -> Path:
+def _photographs_alone(recording: Recording) -> bool:
+    """Whether a body's recording has photographs with masks and no markers."""
+    from pneutac_datasets.recording.photographs import masked_cameras
+
+    markers = [c for c in recording.observations if not c.startswith("image")]
+    return not markers and bool(masked_cameras(recording))
+
+
+def training_levels(levels: Sequence[float] | str) -> tuple[float, ...]:
+    """Pressures in kPa, or a text with commas between; raises InputError where they are not two numbers."""
+    shown = levels if isinstance(levels, str) else ",".join(f"{v:g}" for v in levels)
+    try:
+        out = tuple(float(v) for v in (levels.split(",") if isinstance(levels, str) else levels))
+    except ValueError:
+        out = ()
+    if len(out) < 2 or not np.isfinite(out).all():
+        raise InputError(f"--train_kpa={shown} must be at least two pressures in kPa, such as 0,3,6,9,12,15.")
+    return out
+
+
+def default_gel_recording(scratch: Path, seed: int) -> tuple[Path, str]:
+    """A gel's recording where none was given, and a sentence that tells which.
+
+    The DIGIT photographs in $PNEUTAC_DATA, or images generated in folder `scratch` where that is unset.
+    """
     real = Path(os.environ.get("PNEUTAC_DATA", "/nonexistent")) / "tactile" / "digit_nagoya"
     if real.is_dir():
-        console.print(f"No --recording given: using the DIGIT photographs in {real}.", highlight=False)
-        return real
+        return real, f"No --recording given: using the DIGIT photographs in {real}."
     from pneutac_datasets.generate.gel import write_gel_recording
 
-    console.print(
+    return write_gel_recording(scratch / "generated", seed).folder, (
         "[yellow]No --recording given: using GENERATED images, not photographs.[/] "
         "Give --recording=DIR to calibrate to a real sensor."
     )
-    return write_gel_recording(scratch / "generated", seed).folder
 
 
-def _twin(folder: Path, recording, console: Console) -> Twin:
-    """The twin to fit, which must be of the recording's device, or a finger for a gel's recording."""
-    if not (folder / "twin.yaml").exists():
-        if recording.device != "gel":
+def twin_for(folder: Path, recording: Recording) -> Twin:
+    """The twin in a folder; a twin of a gel is begun where there is none yet.
+
+    Raises:
+        InputError: there is none and the recording is of a body, the folder holds something else, or the
+            devices differ.
+    """
+    if (folder / "twin.yaml").exists():
+        twin = Twin.load(folder)
+        if twin.device != recording.device and (twin.device, recording.device) != ("finger", "gel"):
             raise InputError(
-                f"There is no twin at '{folder}'; make one with `pneutac new --twin={folder} "
-                f"--device={recording.device}`."
+                f"{recording.folder} is a recording of a '{recording.device}' but the twin at '{folder}' is "
+                f"of a '{twin.device}'; give a twin of that device."
             )
-        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise InputError(f"'{folder}' holds no twin but something else; give an empty or new folder.")
-        console.print(f"There is no twin at {folder} yet: beginning one of a gel.", highlight=False)
-        return Twin(device="gel", length_mm=16.0)
-    twin = Twin.load(folder)
-    if twin.device != recording.device and (twin.device, recording.device) != ("finger", "gel"):
+        return twin
+    if recording.device != "gel":
         raise InputError(
-            f"{recording.folder} is a recording of a '{recording.device}' but the twin at '{folder}' is of a "
-            f"'{twin.device}'; give a twin of that device."
+            f"There is no twin at '{folder}'; make one with `pneutac new --twin={folder} "
+            f"--device={recording.device}`."
         )
-    return twin
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(f"'{folder}' holds no twin but something else; give an empty or new folder.")
+    return Twin(device="gel", length_mm=16.0)

@@ -1,14 +1,13 @@
 """Compares a gel twin with recorded images: scores, also of the contact alone, and the worst images."""
 
-from dataclasses import replace
-from pathlib import Path
+from dataclasses import dataclass, replace
 
 import numpy as np
-from PIL import Image
-from rich.console import Console
 
-from lerobot_pneutac.reports.page import Report, write_result
-from lerobot_pneutac.verbs.fit_gel import picture_grid, predict, scores_of
+from lerobot_pneutac.reports.page import Report
+from lerobot_pneutac.study.gel import predict, seen_by
+from lerobot_pneutac.verbs.comparison import Comparison, history_of
+from lerobot_pneutac.verbs.fit_gel import picture_grid, scores_of
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
@@ -22,14 +21,149 @@ QUIET_RADII = 3.0  # beyond so many contact radii the image should equal the res
 WORST = 5
 
 
-def compare_gel(twin: Twin, recording: Recording, out: Path | None, console: Console) -> dict:
-    """Renders every image's indentation with the twin, scores and reports.
+@dataclass(frozen=True, eq=False)
+class GelComparison(Comparison):
+    """A gel against photographs.
+
+    Attributes:
+        data: the photographs.
+        predicted: of each, uint8 (H, W, 3).
+        scores: of each.
+        rest_scores: of the rest image alone.
+        name: of the recording.
+        history: of the twin.
+    """
+
+    data: GelRecording
+    predicted: list[np.ndarray]
+    scores: list[ImageScores]
+    rest_scores: list[ImageScores]
+    name: str
+    history: list[dict]
+
+    unit = "levels"
+
+    @property
+    def title(self) -> str:
+        """Heading of the report."""
+        return f"Gel twin against recording: {self.name}"
+
+    @property
+    def findings(self) -> tuple[str, ...]:
+        """What the checks found, one sentence each."""
+        return tuple(self.data.warnings)
+
+    @property
+    def _heldout(self) -> list[int]:
+        return [i for i, s in enumerate(self.data.samples) if s.role != "calibration"]
+
+    @property
+    def error(self) -> dict[str, float | None]:
+        """Root mean square error over the calibration's images and over all others."""
+        train = np.array([s.role == "calibration" for s in self.data.samples])
+        return {"train": _rms(self.scores, train), "heldout": _rms(self.scores, ~train)}
+
+    @property
+    def image(self) -> dict | None:
+        """Mean scores over images whose role is not calibration."""
+        if not self._heldout:
+            return None
+        mean = ImageScores.mean([self.scores[i] for i in self._heldout])
+        rest = ImageScores.mean([self.rest_scores[i] for i in self._heldout])
+        # two equal pictures have an infinite PSNR, which JSON cannot hold; 8-bit rounding ends at 59 dB
+        psnr = {"psnr": min(mean.psnr, 99.0)}
+        return vars(mean) | psnr | {"rest_rmse": rest.rmse, "n": len(self._heldout)}
+
+    @property
+    def noise_floor(self) -> float:
+        """What the picture changes where nothing touches: light, noise and compression."""
+        return _floor(self.data)
+
+    @property
+    def by(self) -> dict[str, list[dict]]:
+        """Error by role, and of held-out images by indenter."""
+        samples, unseen = self.data.samples, self._heldout
+        return {
+            "role": _by(self.scores, [s.role or "others" for s in samples]),
+            "indenter": _by([self.scores[i] for i in unseen], [samples[i].press.indenter for i in unseen]),
+        }
+
+    @property
+    def worst(self) -> list[dict]:
+        """The images with the largest error in the contact."""
+        order = sorted(range(len(self.scores)), key=lambda i: -self.scores[i].contact_rmse)
+        return [
+            {
+                "image": self.data.samples[i].name,
+                "error": self.scores[i].rmse,
+                "contact_rmse": self.scores[i].contact_rmse,
+            }
+            for i in order[:WORST]
+        ]
+
+    @property
+    def sentence(self) -> str:
+        """What a newcomer should take away."""
+        image = self.image
+        if image is None:
+            return (
+                f"The twin misses its calibration image by {self.train:.3g} levels; the recording has no "
+                "other."
+            )
+        return (
+            f"On {image['n']} images that the twin was not fitted to it is {image['rmse']:.3g} levels off "
+            f"(the rest image alone {image['rest_rmse']:.3g}), in the contact {image['contact_rmse']:.3g}."
+        )
+
+    def rows(self) -> list[dict]:
+        """Errors by role."""
+        return self.by["role"]
+
+    def to_dict(self) -> dict:
+        """The content of `result.json`."""
+        how = f"change of the picture further than {QUIET_RADII:g} contact radii from the contact"
+        return {
+            "unit": self.unit,
+            "error": self.error,
+            "noise_floor": self.noise_floor,
+            "noise": {"how": how},
+            "image": self.image,
+            "by": self.by,
+            "worst": self.worst,
+            "history": self.history,
+            "checks": list(self.findings),
+            "sentence": self.sentence,
+        }
+
+    def pictures(self) -> dict[str, np.ndarray]:
+        """Photographs above renderings."""
+        first = next((s for s in self.data.samples if s.role == "calibration"), self.data.samples[0])
+        return {"tactile.png": picture_grid(self.data, self.predicted, first)}
+
+    def page(self) -> Report:
+        """Pictures and scores."""
+        page = Report(self.title)
+        page.lead(self.sentence)
+        page.image(
+            self.pictures()["tactile.png"],
+            "Above the recording, in the middle the twin, below four times the difference.",
+        )
+        if self.image:
+            page.table([self.image], "Means over the images whose role is not calibration.")
+        for name, rows in self.by.items():
+            page.table(rows, f"By {name}.")
+        page.table(self.worst, "Worst images.")
+        return page
+
+
+def compare_gel(twin: Twin, recording: Recording) -> GelComparison:
+    """Renders every image's indentation with the twin and scores it.
 
     The recording's own rest images, scale and, if it has a row of role `calibration`, half of the drift of
     light seen there are used: illumination changes between sessions, and that is no fault of the gel's model.
 
-    Returns:
-        The content of `result.json`.
+    Raises:
+        InputError: the twin has no gel.
     """
     data = GelRecording.load(recording)
     if not twin.gel:
@@ -38,56 +172,16 @@ def compare_gel(twin: Twin, recording: Recording, out: Path | None, console: Con
         )
     gel = seen_by(GelModel.from_twin(twin), data)
     data.warnings += turned(gel, data)
-    ours = predict(gel, data)
-    scores, rest = scores_of(data, ours), scores_of(data, [s.rest for s in data.samples])
-    train = np.array([s.role == "calibration" for s in data.samples])
-    held = [i for i in range(len(scores)) if not train[i]]
-    result = {
-        "unit": "levels",
-        "error": {"train": _rms(scores, train), "heldout": _rms(scores, ~train)},
-        "noise_floor": _floor(data),
-        "noise": {
-            "how": f"change of the picture further than {QUIET_RADII:g} contact radii from the contact"
-        },
-        "image": _image(scores, rest, held),
-        "by": {
-            "role": _by(scores, [s.role or "others" for s in data.samples]),
-            "indenter": _by([scores[i] for i in held], [data.samples[i].press.indenter for i in held]),
-        },
-        "worst": [
-            {"image": data.samples[i].name, "error": scores[i].rmse, "contact_rmse": scores[i].contact_rmse}
-            for i in sorted(range(len(scores)), key=lambda i: -scores[i].contact_rmse)[:WORST]
-        ],
-        "history": [
-            {k: e.get(k) for k in ("version", "change", "train", "heldout", "unit")} for e in twin.history
-        ],
-        "checks": data.warnings,
-    }
-    result["sentence"] = sentence = _sentence(result)
-    console.print(f"[bold]{sentence}[/bold]", highlight=False)
-    for said in data.warnings:
-        console.print(f"[yellow]- {said}[/yellow]", highlight=False)
-    if out is not None:
-        write_result(out, result)
-        first = data.samples[int(np.argmax(train))]
-        picture = picture_grid(data, ours, first)
-        Image.fromarray(picture).save(out / "tactile.png")
-        report = Report(f"Gel twin against recording: {recording.folder.name}")
-        report.lead(sentence)
-        report.image(picture, "Above the recording, in the middle the twin, below four times the difference.")
-        if result["image"]:
-            report.table([result["image"]], "Means over the images whose role is not calibration.")
-        for name, rows in result["by"].items():
-            report.table(rows, f"By {name}.")
-        report.table(result["worst"], "Worst images.")
-        console.print(f"report: {report.write(out)}", highlight=False)
-    return result
-
-
-def seen_by(gel: GelModel, data: GelRecording) -> GelModel:
-    """The same gel in a recording's images: their rest image, scale and thickness."""
-    own = {"rest_image": data.rest, "px_per_mm": data.px_per_mm, "thickness_mm": data.thickness_mm}
-    return replace(gel, **own)
+    predicted = predict(gel, data)
+    rest = [s.rest for s in data.samples]
+    return GelComparison(
+        data=data,
+        predicted=predicted,
+        scores=scores_of(data, predicted),
+        rest_scores=scores_of(data, rest),
+        name=recording.folder.name,
+        history=history_of(twin),
+    )
 
 
 def turned(gel: GelModel, data: GelRecording) -> list[str]:
@@ -106,15 +200,6 @@ def turned(gel: GelModel, data: GelRecording) -> list[str]:
         f"against the twin the recording's images are {orientation}; turn them, or calibrate a twin of "
         "their own."
     ]
-
-
-def _image(scores: list[ImageScores], rest: list[ImageScores], held: list[int]) -> dict | None:
-    if not held:
-        return None
-    mean = ImageScores.mean([scores[i] for i in held])
-    # two equal pictures have an infinite PSNR, which JSON cannot hold; 8-bit rounding ends at 59 dB
-    psnr = {"psnr": min(mean.psnr, 99.0)}
-    return vars(mean) | psnr | {"rest_rmse": ImageScores.mean([rest[i] for i in held]).rmse, "n": len(held)}
 
 
 def _rms(scores: list[ImageScores], mask: np.ndarray) -> float | None:
@@ -140,14 +225,3 @@ def _floor(data: GelRecording) -> float:
         if quiet.any():
             squares.append(np.mean((s.image[quiet].astype(float) - s.rest[quiet]) ** 2))
     return float(np.sqrt(np.mean(squares))) if squares else 0.0
-
-
-def _sentence(result: dict) -> str:
-    image = result["image"]
-    if image is None:
-        error = result["error"]["train"]
-        return f"The twin misses its calibration image by {error:.3g} levels; the recording has no other."
-    return (
-        f"On {image['n']} images that the twin was not fitted to it is {image['rmse']:.3g} levels off "
-        f"(the rest image alone {image['rest_rmse']:.3g}), in the contact {image['contact_rmse']:.3g}."
-    )

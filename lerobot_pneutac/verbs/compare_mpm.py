@@ -3,9 +3,8 @@
 from dataclasses import replace
 
 import numpy as np
-from rich.console import Console
-from rich.progress import track
 
+from lerobot_pneutac.verbs.compare_body import BodyComparison
 from pneutac_datasets.recording.axes import Axis
 from pneutac_datasets.recording.rules import plural
 from pneutac_sim.errors import InputError
@@ -20,6 +19,10 @@ from pneutac_sim.twin import Twin
 
 SAMPLES = 200
 DIGITS = 6  # joint targets that agree in so many, rad, are one equilibrium
+
+
+def quiet(text: str, done: int, total: int) -> None:
+    """Progress that nobody wants to see."""
 
 
 def spread(count: int, samples: int, seed: int = 0) -> np.ndarray:
@@ -37,22 +40,22 @@ def spread(count: int, samples: int, seed: int = 0) -> np.ndarray:
     return np.unique(np.minimum(at.astype(int), count - 1))
 
 
-def by_mpm(c, twin: Twin, bench: BodyData, samples: int, seed: int, console: Console | None = None):
-    """A `Comparison` at some of the samples, with a model by material points.
+def by_mpm(c: BodyComparison, twin: Twin, samples: int, seed: int, progress=quiet) -> BodyComparison:
+    """A comparison at some of the samples, with a model by material points.
 
     Args:
         c: by the pipeline.
         twin: a finger's or an arm's.
-        bench: what `c` was made from.
         samples: at most so many.
         seed: decides which.
-        console: shows progress; None for nowhere.
+        progress: called with a text, the poses done and all of them.
 
     Raises:
         InputError: an effect cannot act on material points, or a body finds no rest.
     """
+    bench = c.bench
     at = spread(len(bench), samples, seed)
-    model, solved = markers_by_mpm(twin, bench, at, console)
+    model, solved = markers_by_mpm(twin, bench, at, progress)
     every = np.zeros(len(bench), bool)
     every[at] = True
     return replace(
@@ -60,7 +63,7 @@ def by_mpm(c, twin: Twin, bench: BodyData, samples: int, seed: int, console: Con
         recording=c.recording.keep(every),
         measured=c.measured[at],
         model=model,
-        train=c.train[at],
+        train_samples=c.train_samples[at],
         axes=[axis for axis in (_thinned(a, at) for a in c.axes) if axis.labels],
         rate=c.rate[at],
         still=c.still[at],
@@ -80,7 +83,7 @@ def _thinned(axis: Axis, at: np.ndarray) -> Axis:
 
 
 def markers_by_mpm(
-    twin: Twin, bench: BodyData, samples: np.ndarray, console: Console | None = None
+    twin: Twin, bench: BodyData, samples: np.ndarray, progress=quiet
 ) -> tuple[np.ndarray, int]:
     """Columns of a recording as a body of material points at rest would show them.
 
@@ -91,7 +94,7 @@ def markers_by_mpm(
         twin: a finger's or an arm's.
         bench: the recording, whole.
         samples: (k,) rows of it.
-        console: shows progress; None for nowhere.
+        progress: called with a text, the poses done and all of them.
 
     Returns:
         (k, D) values of `bench.columns`, and how many equilibria it took.
@@ -100,7 +103,7 @@ def markers_by_mpm(
     pipeline = Pipeline.of(twin, bench.inputs)
     run = pipeline.run(bench.inputs, pipeline.theta(twin, bench.inputs.pressure_range_kpa))
     targets, inverse = np.unique(run.joints[samples].round(DIGITS), axis=0, return_inverse=True)
-    joints, tips = _at_rest(solver, targets, console)
+    joints, tips = _at_rest(solver, targets, progress)
     joints, tips = joints[inverse.ravel()], tips[inverse.ravel()]
     axes = pipeline.geometry.axes
     bend = np.zeros((len(samples), 2))
@@ -112,22 +115,18 @@ def markers_by_mpm(
     ), len(targets)
 
 
-def _at_rest(
-    solver: TotalLagrangian, targets: np.ndarray, console: Console | None
-) -> tuple[np.ndarray, np.ndarray]:
+def _at_rest(solver: TotalLagrangian, targets: np.ndarray, progress) -> tuple[np.ndarray, np.ndarray]:
     """Angles (m, H) and tips (m, 3) m at joint targets (m, H), each begun from the one nearest in bend."""
     joints, tips = np.empty_like(targets), np.empty((len(targets), 3))
     centred = targets - targets.mean(0)
     order = np.argsort(centred @ np.linalg.svd(centred, full_matrices=False)[2][0], kind="stable")
-    shown = track(order, "material points", console=console, transient=True, disable=console is None)
-    warm = False
-    for i in shown:
+    for done, i in enumerate(order):
+        progress("material points", done, len(order))
         try:
-            rest = solve_equilibrium(solver, Loads(q_cmd=targets[i][None]), warm=warm)
+            rest = solve_equilibrium(solver, Loads(q_cmd=targets[i][None]), warm=done > 0)
         except MpmDiverged as e:
             raise InputError(f"{e.finding}; compare by --fidelity=pipeline, or leave that sample out.") from e
         joints[i], tips[i] = rest.q[0], devices.spine_points(solver, rest.q)[0, -1]
-        warm = True
     return joints, tips
 
 

@@ -1,16 +1,14 @@
-"""`pneutac diagnose` for a gel: which optics effect the twin lacks, and where in the image it fails."""
+"""Which optics effect a gel lacks, and where in the image it fails, as a result."""
 
 import time
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
-from lerobot_pneutac.reports.page import Report, write_result
+from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.reports.sentences import percent
-from lerobot_pneutac.study.gel import GelStudy, Trial, maps, study
-from lerobot_pneutac.verbs.compare_gel import seen_by
+from lerobot_pneutac.study.gel import GelFindings, Trial, maps, seen_by, study
+from lerobot_pneutac.verbs.diagnosis import Diagnosis
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.optics import OPTICS
@@ -19,6 +17,69 @@ from pneutac_sim.gel.pair import check_pair
 from pneutac_sim.twin import Twin
 
 MAP_GAIN = 4.0  # maps are shown this many times brighter
+
+
+@dataclass(frozen=True, eq=False)
+class GelDiagnosis(Diagnosis):
+    """What a gel lacks.
+
+    Attributes:
+        found: everything that was found.
+        seconds: wall time.
+    """
+
+    found: GelFindings
+    seconds: float
+
+    verdict = property(lambda self: self.found.verdict)
+    selected = property(lambda self: self.found.selected)
+    findings = property(lambda self: self.found.data.warnings)
+
+    @property
+    def title(self) -> str:
+        """Heading of the table."""
+        return f"held-out error, levels (noise {self.found.noise:.3g})"
+
+    @property
+    def sentence(self) -> str:
+        """What was found."""
+        return lead(self.found)
+
+    @property
+    def next_experiment(self) -> str:
+        """What to record next."""
+        return advice(self.found)
+
+    def rows(self) -> list[dict]:
+        """Each effect."""
+        s, result = self.found, self.to_dict()
+        base, after = result["baseline"], result["after"]
+        heads = ("effect", "whole image", "contact", "avoidable error removed", "")
+        rows = [("(as it is)", f"{base['heldout']:.3g}", f"{base['heldout_contact']:.3g}", "", "")]
+        for e in sorted(result["effects"], key=lambda e: e["heldout"]):
+            added = e["reduction"] is not None
+            how = "found" if e["name"] in s.selected else "" if added else "in the twin; error without it"
+            share = percent(e["reduction"], e["reduction_ci95"]) if added else ""
+            rows.append((e["name"], f"{e['heldout']:.3g}", f"{e['heldout_contact']:.3g}", share, how))
+        if s.selected:
+            rows.append(("(all found)", f"{after['heldout']:.3g}", f"{after['heldout_contact']:.3g}", "", ""))
+        return [dict(zip(heads, row, strict=True)) for row in rows]
+
+    def remarks(self) -> list[str]:
+        """What was fitted to what, the next experiment, the verdict."""
+        return [
+            refitted(self.found, self.to_dict()),
+            f"[bold]Next experiment:[/] {self.next_experiment}",
+            f"verdict: {self.verdict}   ({self.seconds:.0f} s)",
+        ]
+
+    def to_dict(self) -> dict:
+        """The content of `result.json`."""
+        return _result(self.found, self.seconds)
+
+    def page(self) -> Report:
+        """The ladder, and where in the image the twin fails."""
+        return gel_page(self.found, self.to_dict())
 
 
 def load_gel(twin: Twin, recording: Recording) -> tuple[GelModel, GelRecording]:
@@ -38,15 +99,15 @@ def own_effects(twin: Twin) -> list[str]:
     return [e for e in twin.effects if e in OPTICS]
 
 
-def diagnose_gel(twin: Twin, recording: Recording, seed: int, tell, done) -> tuple[GelStudy, dict]:
-    """Studies the recording; returns the study and the content of `result.json`."""
+def diagnose_gel(twin: Twin, recording: Recording, seed: int, tell, done) -> GelDiagnosis:
+    """Studies the recording."""
     start = time.monotonic()
     gel, data = load_gel(twin, recording)
     found = study(gel, data, own_effects(twin), seed, tell, done)
-    return found, _result(found, time.monotonic() - start)
+    return GelDiagnosis(found, time.monotonic() - start)
 
 
-def _result(s: GelStudy, seconds: float) -> dict:
+def _result(s: GelFindings, seconds: float) -> dict:
     base, final = s.base, s.ladder[-1]
 
     def errors(trial: Trial) -> dict:
@@ -104,7 +165,7 @@ def _result(s: GelStudy, seconds: float) -> dict:
     }
 
 
-def lead(s: GelStudy) -> str:
+def lead(s: GelFindings) -> str:
     """What was found, in a sentence or two."""
     before, after = s.heldout(s.base), s.heldout(s.ladder[-1])
     if s.verdict == "ambiguous":
@@ -140,7 +201,7 @@ def lead(s: GelStudy) -> str:
     return text
 
 
-def advice(s: GelStudy) -> str:
+def advice(s: GelFindings) -> str:
     """What to record next."""
     if s.evidence.poor:
         return "Press one ball at ten places all over the window, to several depths; note where and how deep."
@@ -152,7 +213,7 @@ def advice(s: GelStudy) -> str:
     )
 
 
-def refitted(s: GelStudy, result: dict) -> str:
+def refitted(s: GelFindings, result: dict) -> str:
     """What was fitted to what."""
     stored = "" if result["stored"] is None else f"As stored it is {result['stored']:.3g} levels off. "
     return (
@@ -161,30 +222,8 @@ def refitted(s: GelStudy, result: dict) -> str:
     )
 
 
-def show(s: GelStudy, result: dict, console: Console) -> None:
-    """The short table on the terminal."""
-    console.print(f"\n[bold]{result['sentence']}[/]\n", highlight=False)
-    console.print(refitted(s, result), highlight=False)
-    table = Table(title=f"held-out error, levels (noise {s.noise:.3g})")
-    for head in ("effect", "whole image", "contact", "avoidable error removed", ""):
-        table.add_column(head)
-    base = result["baseline"]
-    table.add_row("(as it is)", f"{base['heldout']:.3g}", f"{base['heldout_contact']:.3g}", "", "")
-    for e in sorted(result["effects"], key=lambda e: e["heldout"]):
-        added = e["reduction"] is not None
-        said = "found" if e["name"] in s.selected else "" if added else "in the twin; error without it"
-        share = percent(e["reduction"], e["reduction_ci95"]) if added else ""
-        table.add_row(e["name"], f"{e['heldout']:.3g}", f"{e['heldout_contact']:.3g}", share, said)
-    if s.selected:
-        after = result["after"]
-        table.add_row("(all found)", f"{after['heldout']:.3g}", f"{after['heldout_contact']:.3g}", "", "")
-    console.print(table)
-    console.print(f"[bold]Next experiment:[/] {result['next_experiment']}", highlight=False)
-    console.print(f"verdict: {s.verdict}   ({result['seconds']:.0f} s)", highlight=False)
-
-
-def write_page(s: GelStudy, result: dict, out: Path) -> Path:
-    """Writes `report.html`: the sentence, the ladder, and where in the image the twin fails."""
+def gel_page(s: GelFindings, result: dict) -> Report:
+    """The sentence, the ladder, and where in the image the twin fails."""
     page = Report("What is missing in the light")
     page.lead(result["sentence"])
     page.text(f"Verdict: {s.verdict}. {refitted(s, result)} The images' noise is {s.noise:.3g} levels.")
@@ -228,21 +267,7 @@ def write_page(s: GelStudy, result: dict, out: Path) -> Path:
             for p in OPTICS[e].parameters
         ]
     )
-    return page.write(out)
-
-
-def run(twin: Twin, recording: Recording, cfg, console: Console) -> None:
-    """The verb, for a gel."""
-    from lerobot_pneutac.verbs.diagnose import progress
-
-    with progress(console) as (tell, done):
-        found, result = diagnose_gel(twin, recording, cfg.seed, tell, done)
-    for said in found.data.warnings:
-        console.print(f"[yellow]note:[/] {said}", highlight=False)
-    show(found, result, console)
-    if cfg.out is not None:
-        write_result(cfg.out, result)
-        console.print(f"report: {write_page(found, result, cfg.out)}", highlight=False)
+    return page
 
 
 def _bright(plane: np.ndarray) -> np.ndarray:

@@ -7,18 +7,17 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from lerobot_pneutac.reports.page import write_result
-from lerobot_pneutac.reports.photographs import UNIT, outcome, photo_report, show, strip
+from lerobot_pneutac.rendering.silhouettes import strip
+from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.study.photographs import PhotoSession, read_session
-from pneutac_sim.errors import InputError
+from lerobot_pneutac.verbs.calibration import Calibration
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.finger.fit import BY_IMAGES
 from pneutac_sim.photo_fit.coarse import Coarse, coarse_fit
 from pneutac_sim.photo_fit.confidence import Confidence, confidence
 from pneutac_sim.photo_fit.equilibria import Bodies, Equilibria
-from pneutac_sim.photo_fit.objective import Objective, Photograph, Scores
+from pneutac_sim.photo_fit.objective import SILHOUETTE, Objective, Photograph, Scores
 from pneutac_sim.photo_fit.parameters import BodyParameters, body_parameters
 from pneutac_sim.photo_fit.search import EVALUATIONS, Search, search
 from pneutac_sim.splat.body import fit_body_looks, looks_into_twin
@@ -28,15 +27,34 @@ from pneutac_sim.twin import Twin
 TRAIN_KPA = (0.0, 3.0, 6.0, 9.0, 12.0, 15.0)
 PARTICLES = 4000
 DETAIL = 2  # of the looks that the twin keeps: sharper than one Gaussian a particle, which the search takes
+UNIT = "8-bit levels"
 
 
 @dataclass(frozen=True)
-class PhotoFit:
+class PhotoOptions:
+    """How a body is fitted to photographs.
+
+    Attributes:
+        levels_kpa: pressures to fit; all others are held out.
+        evaluations: of the objective.
+        particles: of the body, about.
+        seed: decides the search.
+        device: of the material points, see `mpm.runtime.start`.
+    """
+
+    levels_kpa: tuple[float, ...] = TRAIN_KPA
+    evaluations: int = EVALUATIONS
+    particles: int = PARTICLES
+    seed: int = 0
+    device: str = "auto"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PhotoCalibration(Calibration):
     """A body calibrated to photographs.
 
     Attributes:
-        twin: the next version, not yet written.
-        parameters: what was fitted.
+        fitted: what was fitted.
         session: the photographs.
         start: from silhouettes alone.
         search: all that was tried.
@@ -45,11 +63,9 @@ class PhotoFit:
         bodies: at rest at every pressure, with the best parameters.
         scores: of the bodies on all photographs, (1, n).
         tip_error_mm: (T,) distance to the markers, or None where the recording has none.
-        seconds: wall time.
     """
 
-    twin: Twin
-    parameters: BodyParameters
+    fitted: BodyParameters
     session: PhotoSession
     start: Coarse
     search: Search
@@ -58,91 +74,227 @@ class PhotoFit:
     bodies: Bodies
     scores: Scores
     tip_error_mm: np.ndarray | None
-    seconds: float
 
-    def mean(self, values: np.ndarray, train: bool) -> float | None:
-        """Mean of (n,) values over fitted or held-out photographs, None where there are none."""
-        chosen = [
-            v
-            for p, v in zip(self.session.photographs, values, strict=True)
-            if self.session.train[p.state] == train
+    @property
+    def title(self) -> str:
+        """Heading of the report."""
+        return f"Calibrated {self.twin.device} by images"
+
+    @property
+    def iou(self) -> dict[str, float | None]:
+        """Mean overlap of silhouettes over fitted and held-out photographs."""
+        return _parts(self.session, self.scores.iou[0])
+
+    @property
+    def tip_mm(self) -> dict[str, float | None] | None:
+        """Root mean square distance to the markers, where there are any."""
+        if self.tip_error_mm is None:
+            return None
+        parts = {"train": self.session.train, "heldout": ~self.session.train}
+        square = self.tip_error_mm**2
+        return {k: float(np.sqrt(square[m].mean())) if m.any() else None for k, m in parts.items()}
+
+    @property
+    def sentence(self) -> str:
+        """How well silhouettes overlap."""
+        tip, iou = self.tip_mm, self.iou
+        text = f"Silhouettes overlap by {iou['train']:.1%} where the twin was fitted"
+        if iou["heldout"] is not None:
+            text += f" and by {iou['heldout']:.1%} at pressures that it has not seen"
+        if tip is not None and tip["heldout"] is not None:
+            text += f"; there its tip misses the marker, which was not fitted, by {tip['heldout']:.2g} mm"
+        return text + "."
+
+    def rows(self) -> list[dict]:
+        """One row a parameter."""
+        return [
+            {
+                "parameter": name,
+                "value": p["value"],
+                "95 % interval": "{:.4g} to {:.4g}".format(*p["ci95"]),
+                "unit": p["unit"],
+                "note": p["note"],
+            }
+            for name, p in self.parameters.items()
         ]
-        return float(np.mean(chosen)) if chosen else None
+
+    def remarks(self) -> list[str]:
+        """Overlap, tip error and what they cost."""
+        iou, tip = self.iou, self.tip_mm
+        tested = "nothing was held out" if iou["heldout"] is None else f"held-out IoU {iou['heldout']:.4f}"
+        if tip is not None and tip["heldout"] is not None:
+            share = 100 * tip["heldout"] / self.twin.length_mm
+            tested += f", held-out tip error {tip['heldout']:.3g} mm ({share:.2g} % of length)"
+        before = f" ({self.search.resumed} of them from before)" if self.search.resumed else ""
+        return [
+            f"IoU {iou['train']:.4f} where it was fitted, {tested}; {self.evaluations} evaluations{before} "
+            f"in {self.seconds:.0f} s{self._now()}"
+        ]
+
+    def to_dict(self) -> dict:
+        """The content of `result.json`."""
+        loss = self.scores.appearance[0] + SILHOUETTE * (1 - self.scores.iou[0])
+        names, session = self.fitted.names, self.session
+        tip = {} if self.tip_mm is None else {"tip_error_mm": self.tip_mm}
+        return super().to_dict() | tip | {
+            "objective": _parts(session, loss),
+            "iou": self.iou,
+            "not_identified": self.confidence.not_identified,
+            "coarse": dict(zip(names, self.fitted.values(self.start.x).tolist(), strict=True)),
+            "cameras": session.cameras[: session.fitted],
+            "train_kpa": session.pressures[session.train].tolist(),
+            "resumed": self.search.resumed,
+        }  # fmt: skip
+
+    def page(self) -> Report:
+        """Parameters, photographs beside renderings, and how the objective fell."""
+        import plotly.graph_objects as go
+
+        page = Report(self.title)
+        page.lead(self.sentence)
+        page.table(
+            self.rows(),
+            "Intervals tell how sharply the silhouettes fix each parameter. A body whose shape or neutral "
+            "axis is not the twin's shifts all of them together, by more than that.",
+        )
+        page.heading("Photographs and renderings")
+        page.text(
+            "Above the photograph, below the twin; then red where only the photograph, blue where only the "
+            "twin."
+        )
+        for pictures, caption in self._strips():
+            page.image(pictures, caption)
+        page.heading("How the objective fell")
+        tried, best = self.search.objectives, {"color": "#0b6e99"}
+        figure = go.Figure()
+        figure.add_scatter(y=tried, mode="markers", name="candidates", marker={"color": "#9aa5b1"})
+        figure.add_scatter(y=np.minimum.accumulate(tried), mode="lines", name="best", line=best)
+        page.figure(
+            figure.update_xaxes(title="evaluation").update_yaxes(title="L1 + 2 (1 - IoU)", type="log")
+        )
+        return page
+
+    def _strips(self):
+        """Pictures of six photographs each, with what they show."""
+        session = self.session
+        shown = sorted(session.photographs, key=lambda p: p.state)
+        for i in range(0, len(shown), 6):
+            some = shown[i : i + 6]
+            if len({p.mask.shape for p in some}) > 1:
+                continue
+            told = [
+                f"{'/'.join(f'{v:g}' for v in session.pressures[p.state])} kPa"
+                f"{'' if session.train[p.state] else ' (held out)'}"
+                for p in some
+            ]
+            yield strip(self.objective, self.bodies.positions[0], some), ", ".join(told)
 
 
-def fit_photographs(
+def calibrate_photographs(
     twin: Twin,
-    recording,
-    levels_kpa: tuple[float, ...] = TRAIN_KPA,
-    evaluations: int = EVALUATIONS,
-    particles: int = PARTICLES,
-    seed: int = 0,
+    recording: Recording,
+    options: PhotoOptions = PhotoOptions(),
     file: Path | None = None,
-    tell=lambda done, objective, value: None,
-    device: str = "auto",
-) -> PhotoFit:
+    best: Path | None = None,
+    progress=lambda text, done, total: None,
+) -> PhotoCalibration:
     """Fits actuation and material to the photographs at the training levels.
 
     Args:
         twin: of the recording's device; what is not fitted stays.
         recording: with `image_<camera>` and `mask_<camera>` columns.
-        levels_kpa: to fit; all other pressures are held out.
-        evaluations: of the objective.
-        particles: of the body, about.
-        seed: decides the search.
+        options: levels, effort and seed.
         file: keeps the search so that an interrupted one goes on; None for nowhere.
-        tell: called after each generation with the evaluations so far, the objective and its least value.
-        device: of the material points, see `mpm.runtime.start`.
+        best: picture of the best rendering so far; None for nowhere.
+        progress: called with a text, the evaluations done and all of them.
 
     Raises:
         InputError: photographs, masks, cameras or pressures do not serve.
     """
     began = time.perf_counter()
-    session = read_session(recording, levels_kpa)
+    progress("silhouettes and looks", 0, options.evaluations)
+    session = read_session(recording, options.levels_kpa)
     span = float(np.abs(session.pressures).max())
     first = body_parameters(twin, span)
     pressures, photographs = session.pressures[session.train], session.of(session.train)
-    start = coarse_fit(first, pressures, photographs, session.conditions, device)
-    parameters = body_parameters(first.twin_at(start.x), span)
-    equilibria = Equilibria(parameters, start.x, pressures, session.conditions, particles, device)
-    rest = session.rest  # the photograph nearest to no pressure gives the looks
+    start = coarse_fit(first, pressures, photographs, session.conditions, options.device)
+    fitted = body_parameters(first.twin_at(start.x), span)
+
+    def bodies(x: np.ndarray, pressures: np.ndarray) -> Equilibria:
+        return Equilibria(fitted, x, pressures, session.conditions, options.particles, options.device)
+
+    equilibria, rest = bodies(start.x, pressures), session.rest  # the photograph nearest to no pressure
     looks = _looks(rest, equilibria, int(np.cumsum(session.train)[rest.state]) - 1)
     objective = Objective(equilibria, photographs, looks)
-    key = search_key(recording, twin, photographs, particles)
+
+    def report(done: int, _: np.ndarray, value: float) -> None:
+        progress(f"best objective {value:.4f}", done, options.evaluations)
+        if best is not None and objective.best is not None:
+            Image.fromarray(strip(objective, objective.best, photographs)).save(best)
+
     found = search(
         objective,
-        parameters,
+        fitted,
         start,
-        evaluations,
-        seed=seed,
+        options.evaluations,
+        seed=options.seed,
         file=file,
-        key=key,
-        tell=lambda done, best, value: tell(done, objective, value),
+        key=search_key(recording, twin, photographs, options.particles),
+        tell=report,
     )
     sure = confidence(objective, found.x)
-    everywhere = Equilibria(parameters, found.x, session.pressures, session.conditions, particles, device)
-    whole = Objective(everywhere, session.photographs, looks)
-    tips = None
-    if session.markers_mm is not None:
-        tips = np.linalg.norm(1e3 * everywhere.first.tips[0] - session.markers_mm, axis=1)
-    new = parameters.twin_at(found.x, sure.ci95)
+    everywhere = bodies(found.x, session.pressures)
+    new = fitted.twin_at(found.x, sure.ci95)
     looks_into_twin(new, _looks(rest, everywhere, rest.state, DETAIL))
-    return PhotoFit(
+    whole = Objective(everywhere, session.photographs, looks)
+    scores = whole.scores(everywhere.first)
+    return PhotoCalibration(
         twin=new,
-        parameters=parameters,
+        parameters=_rows(fitted, found, sure),
+        error=_parts(session, scores.rmse[0]),
+        unit=UNIT,
+        evaluations=len(found.objectives),
+        seconds=time.perf_counter() - began,
+        recording=str(recording.folder),
+        change=BY_IMAGES,
+        seed=options.seed,
+        findings=tuple(recording.warnings),
+        fitted=fitted,
         session=session,
         start=start,
         search=found,
         confidence=sure,
         objective=whole,
         bodies=everywhere.first,
-        scores=whole.scores(everywhere.first),
-        tip_error_mm=tips,
-        seconds=time.perf_counter() - began,
+        scores=scores,
+        tip_error_mm=_tip_error_mm(session, everywhere),
     )
 
 
-def search_key(recording, twin: Twin, photographs: list[Photograph], particles: int) -> str:
+def _rows(fitted: BodyParameters, found: Search, sure: Confidence) -> dict[str, dict]:
+    rows = {}
+    for name, unit, value in zip(fitted.names, fitted.units, fitted.values(found.x), strict=True):
+        unclear = name in sure.not_identified
+        note = "not identified: open by more than a tenth of its range" if unclear else ""
+        rows[name] = {"value": float(value), "ci95": list(sure.ci95[name]), "unit": unit, "note": note}
+    return rows
+
+
+def _parts(session: PhotoSession, values: np.ndarray) -> dict[str, float | None]:
+    """Mean of (n,) values over fitted and over held-out photographs, None where there are none."""
+    train = np.array([session.train[p.state] for p in session.photographs])
+    parts = {"train": train, "heldout": ~train}
+    return {k: float(np.mean(values[m])) if m.any() else None for k, m in parts.items()}
+
+
+def _tip_error_mm(session: PhotoSession, everywhere: Equilibria) -> np.ndarray | None:
+    """(T,) distance to the markers."""
+    if session.markers_mm is None:
+        return None
+    return np.linalg.norm(1e3 * everywhere.first.tips[0] - session.markers_mm, axis=1)
+
+
+def search_key(recording: Recording, twin: Twin, photographs: list[Photograph], particles: int) -> str:
     """What a search depends on beside where it starts: one of another key does not go on.
 
     Args:
@@ -160,79 +312,3 @@ def _looks(photograph: Photograph, equilibria: Equilibria, state: int, detail: i
     p, first = photograph, equilibria.first
     pose = (first.positions[0, state], first.gradients[0, state])
     return fit_body_looks(equilibria.body, *pose, p.image, p.mask, p.camera, detail=detail)
-
-
-def calibrate_photographs(twin: Twin, recording, cfg, console: Console) -> dict:
-    """Fits, saves the twin's next version, prints the table, writes result, report and pictures.
-
-    Args:
-        twin: of the recording's device.
-        recording: of a finger or an arm, with photographs.
-        cfg: `CalibrateConfig`.
-        console: where the table goes.
-
-    Returns:
-        The content of `result.json`.
-    """
-    file = (cfg.out or cfg.twin) / "evaluations.json"
-    levels = training_levels(cfg.train_kpa)
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total}"))
-    evaluated = 0
-    with Progress(*columns, TimeRemainingColumn(), console=console, transient=True) as bar:
-        task = bar.add_task("silhouettes and looks", total=cfg.evaluations)
-
-        def tell(done, objective, value):
-            nonlocal evaluated
-            evaluated = done
-            bar.update(task, completed=done, description=f"best objective {value:.4f}")
-            if cfg.out is not None and objective.best is not None:
-                picture = strip(objective, objective.best, objective.photographs)
-                Image.fromarray(picture).save(cfg.out / "best.png")
-
-        try:
-            found = fit_photographs(
-                twin, recording, levels, cfg.evaluations, cfg.particles, cfg.seed, file, tell
-            )
-        except KeyboardInterrupt:
-            bar.stop()
-            console.print(_stopped(evaluated, file), highlight=False, soft_wrap=True)
-            raise
-    result = outcome(found)
-    found.twin.save_version(
-        cfg.twin,
-        BY_IMAGES,
-        str(recording.folder),
-        {**result["error"], "unit": UNIT, "seed": cfg.seed},
-    )
-    result |= {
-        "recording": str(recording.folder),
-        "twin": str(cfg.twin),
-        "version": found.twin.history[-1]["version"],
-    }
-    if cfg.out is None:
-        file.unlink()
-    show(found, result, console)
-    if cfg.out is not None:
-        write_result(cfg.out, result)
-        console.print(f"report: {photo_report(found, result).write(cfg.out)}", highlight=False)
-    return result
-
-
-def _stopped(evaluated: int, file: Path) -> str:
-    if not evaluated:
-        return "Stopped before the first candidates were evaluated; the twin is as it was."
-    return (
-        f"Stopped after {evaluated} evaluations, kept in {file}; the twin is as it was, and the same command "
-        "goes on from here."
-    )
-
-
-def training_levels(text: str) -> tuple[float, ...]:
-    """Pressures of `--train_kpa`, with commas between; raises InputError where one is no number."""
-    try:
-        levels = tuple(float(v) for v in text.split(","))
-    except ValueError:
-        levels = ()
-    if len(levels) < 2 or not np.isfinite(levels).all():
-        raise InputError(f"--train_kpa={text} must be at least two pressures in kPa, such as 0,3,6,9,12,15.")
-    return levels

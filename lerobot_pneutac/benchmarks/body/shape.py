@@ -28,8 +28,7 @@ from lerobot_pneutac.benchmarks.body.shape_case import (
     take_photographs,
 )
 from lerobot_pneutac.benchmarks.body.shape_table import write_tables
-from lerobot_pneutac.reports.photographs import outcome
-from lerobot_pneutac.verbs.fit_photographs import fit_photographs
+from lerobot_pneutac.verbs.fit_photographs import PhotoOptions, calibrate_photographs
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import Pipeline
 from pneutac_sim.mpm.devices import parameter
@@ -90,19 +89,16 @@ def solve(case: Case, out: Path, device: str = "auto", tell=lambda done: None) -
     file = out / "bodies" / f"{case.key}.search"
     answer = asdict(case) | {"length_mm": recording.length_mm}
     try:
-        found = fit_photographs(
+        found = calibrate_photographs(
             first_twin(recording),
             photographed(recording),
-            TRAIN_KPA,
-            case.evaluations,
-            case.particles,
-            file=file,
-            tell=lambda done, objective, value: tell(done),
-            device=device,
+            PhotoOptions(TRAIN_KPA, case.evaluations, case.particles, device=device),
+            file,
+            progress=lambda text, done, total: tell(done),
         )
     except InputError as e:
         return answer | {"refused": str(e)}
-    told = outcome(found)
+    told = found.to_dict()
     rows, after = heldout(recording), None
     made = {"before": at_rest(found.twin, recording, rows, case.particles, device)}
     if case.hidden:

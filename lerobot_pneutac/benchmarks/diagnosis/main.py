@@ -141,7 +141,7 @@ def _ignore_interrupt() -> None:
 
 def solve(case: Case, folder: Path) -> None:
     """Generates one recording, diagnoses it blindly, then looks up the truth and writes both."""
-    from lerobot_pneutac.study.body import diagnose
+    from lerobot_pneutac.study.body import diagnose_body
     from pneutac_datasets.generate.hidden.generate import generate
     from pneutac_datasets.recording.recording import Recording
     from pneutac_sim.twin import Twin
@@ -152,7 +152,7 @@ def solve(case: Case, folder: Path) -> None:
         recording = Recording.load(hidden)
         twin = Twin(recording.device, recording.length_mm, recording.spine_joint_positions_mm)
         began = time.perf_counter()
-        d = diagnose(twin, recording, seed=case.seed)
+        d = diagnose_body(twin, recording, seed=case.seed)
         answer = asdict(case) | {
             "verdict": d.verdict,
             "selected": d.selected,

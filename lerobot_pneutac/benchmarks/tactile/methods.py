@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lerobot_pneutac.benchmarks.baselines.dot_sim import DotSim
-from lerobot_pneutac.benchmarks.baselines.pasted import Pasted, RestAlone
 from lerobot_pneutac.benchmarks.baselines.tacchi import Tacchi
 from lerobot_pneutac.benchmarks.baselines.taxim import Taxim
+from lerobot_pneutac.study.pasted import Pasted, RestAlone
 from pneutac_datasets.recording.gel import GelRecording, GelSample
 from pneutac_sim.effects.optics import SENSOR
 from pneutac_sim.gel import optics

@@ -6,7 +6,7 @@ import pytest
 
 from lerobot_pneutac.diagnosis.bootstrap import Resampler
 from lerobot_pneutac.diagnosis.fingerprints import fingerprints, lagged, play, steps
-from lerobot_pneutac.diagnosis.fits import Fit, effective_count
+from lerobot_pneutac.diagnosis.fits import FittedModel, effective_count
 from lerobot_pneutac.diagnosis.parts import deal
 from lerobot_pneutac.diagnosis.selection import select
 from pneutac_datasets.recording.recording import Recording
@@ -49,7 +49,7 @@ class LinearFitter:
         for names in effects:
             J = np.stack([np.ones(N), self.p, *(self.columns[n] for n in names)], 1)
             theta = np.linalg.lstsq(J[self.parts.train], self.y[self.parts.train], rcond=None)[0]
-            fits.append(Fit(tuple(names), (self.y - J @ theta)[:, None], J.shape[1]))
+            fits.append(FittedModel(tuple(names), (self.y - J @ theta)[:, None], J.shape[1]))
         return fits
 
     def promising(self, fit, candidates, least):

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from lerobot_pneutac.benchmarks.baselines.pasted import shift
-from lerobot_pneutac.verbs.calibrate import main
+from lerobot_pneutac.cli.calibrate import main
+from lerobot_pneutac.study.pasted import shift
 from lerobot_pneutac.verbs.fit_gel import render, scores_of, wanted
 from pneutac_datasets.generate.gel import HEIGHT, WIDTH, write_gel_recording
 from pneutac_datasets.recording.gel import GelRecording

@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lerobot_pneutac.cli import compare
 from lerobot_pneutac.reports.compare import heat_map
 from lerobot_pneutac.reports.compare_sentence import phrase
-from lerobot_pneutac.verbs import compare, new
-from lerobot_pneutac.verbs.compare import train_mask
-from lerobot_pneutac.verbs.fit_body import fit_body
+from lerobot_pneutac.verbs import new
+from lerobot_pneutac.verbs.compare_body import compare_body, train_mask
+from lerobot_pneutac.verbs.fit_body import calibrate_body
 from pneutac_datasets.generate.hidden.generate import generate
 from pneutac_datasets.recording.axes import Axis, axes, motion
 from pneutac_datasets.recording.recording import Recording
@@ -33,7 +34,7 @@ def bench(tmp_path_factory):
         generate(name, root / name, seed=3, minutes=2, hz=20)
     new.main([f"--twin={root / 'twin'}", f"--recording={root / 'none'}"])
     r = Recording.load(root / "none")
-    found = fit_body(Twin.load(root / "twin"), r)
+    found = calibrate_body(Twin.load(root / "twin"), r)
     found.twin.save_version(root / "twin", "calibrated", str(root / "none"), {**found.error, "unit": "mm"})
     return root
 
@@ -202,7 +203,7 @@ def test_a_constant_command_and_too_few_rows_lead_the_headline(bench, tmp_path):
 
 
 def test_the_heat_map_begins_at_zero(bench):
-    c = compare.compare(Twin.load(bench / "twin"), Recording.load(bench / "creep"))
+    c = compare_body(Twin.load(bench / "twin"), Recording.load(bench / "creep"))
     heat = heat_map(c).data[0]
     assert heat.zmin == 0 and heat.zmax == pytest.approx(np.nanmax(np.array(heat.z, float)), abs=1e-3)
 

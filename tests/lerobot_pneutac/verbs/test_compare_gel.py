@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from lerobot_pneutac.verbs.calibrate import main as calibrate
-from lerobot_pneutac.verbs.compare import main as compare
+from lerobot_pneutac.cli.calibrate import main as calibrate
+from lerobot_pneutac.cli.compare import main as compare
 from pneutac_datasets.generate.gel import write_gel_recording
 from pneutac_datasets.recording.recording import Recording
 

@@ -7,9 +7,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from lerobot_pneutac.verbs import compare
+from lerobot_pneutac.cli import compare
 from lerobot_pneutac.verbs.compare_mpm import markers_by_mpm, spread
-from lerobot_pneutac.verbs.fit_body import fit_body
+from lerobot_pneutac.verbs.fit_body import calibrate_body
 from pneutac_datasets.generate.hidden.generate import generate
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect
@@ -39,7 +39,7 @@ def bench(tmp_path_factory):
     twin.spine_joint_positions_mm = recording.spine_joint_positions_mm
     for name, effects in (("without", []), ("with", ["creep"])):
         twin.effects = {e: {p.name: Value(p.default) for p in get_effect(e).parameters} for e in effects}
-        fit_body(twin, recording).twin.save(root / name)
+        calibrate_body(twin, recording).twin.save(root / name)
     return root
 
 

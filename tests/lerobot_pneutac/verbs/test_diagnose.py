@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lerobot_pneutac.cli import diagnose as verb
 from lerobot_pneutac.diagnosis import engine
 from lerobot_pneutac.diagnosis.experiment import separations
 from lerobot_pneutac.diagnosis.parts import deal
 from lerobot_pneutac.diagnosis.profile import profile
 from lerobot_pneutac.diagnosis.verdict import Evidence, decide
-from lerobot_pneutac.reports.sentences import caveats, next_experiment, percent
-from lerobot_pneutac.study.body import diagnose
-from lerobot_pneutac.study.pair import load_pair
-from lerobot_pneutac.verbs import diagnose as verb
+from lerobot_pneutac.reports.sentences import caveats, lead, next_experiment, percent
+from lerobot_pneutac.study.body import diagnose_body
+from lerobot_pneutac.study.pair import same_body
 from pneutac_datasets.generate.hidden.generate import generate
 from pneutac_datasets.recording.mounts import align_mounts
 from pneutac_datasets.recording.recording import Recording
@@ -63,20 +63,20 @@ def test_the_verb_writes_contract_and_report(bench, tmp_path, capsys):
     assert result["ladder"][-1]["heldout"] == pytest.approx(result["after"]["heldout"])
     html = (tmp_path / "out" / "report.html").read_text()
     assert "How well each parameter is known" in html
-    assert "Your finger creeps" in html and "http" not in html.split("<main>")[1].split("<script>")[0]
+    assert "Your finger creeps" in html and "http" not in html.split("<main>")[1].split("<script")[0]
     assert "Your finger creeps" in " ".join(capsys.readouterr().out.split())
 
 
 def test_nothing_missing_is_adequate(bench):
     recording = bench("none")
-    d = diagnose(twin_of(recording), recording)
+    d = diagnose_body(twin_of(recording), recording)
     assert d.verdict == "adequate" and d.selected == []
     assert d.evidence.before < 1.15
 
 
 def test_measured_pressure_tells_the_valve_from_the_body(bench):
     recording = bench("valve_lag")
-    d = diagnose(twin_of(recording), recording)
+    d = diagnose_body(twin_of(recording), recording)
     assert d.selected[0] in ("valve_lag", "orifice_flow") and d.measured_pressure
     assert "creep" not in d.selected
     assert d.pressure_error[1] < 0.5 * d.pressure_error[0]
@@ -85,23 +85,23 @@ def test_measured_pressure_tells_the_valve_from_the_body(bench):
 
 def test_a_disturbance_is_unknown_and_no_headline(bench):
     recording = bench("disturbance_base_bumps")
-    d = diagnose(twin_of(recording), recording)
+    d = diagnose_body(twin_of(recording), recording)
     assert d.verdict == "unknown_effect"
-    assert "no known effect" in verb.lead(d)
+    assert "no known effect" in lead(d)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("effect", ["hysteresis", "gravity", "leak", "cyclic_softening"])
 def test_hidden_effects_are_named_blindly(bench, effect):
     recording = bench(effect, minutes=10.0, seed=5002)
-    d = diagnose(twin_of(recording), recording)
+    d = diagnose_body(twin_of(recording), recording)
     assert d.verdict in ("missing_effect", "insufficient_form") and d.selected[0] == effect
     assert d.removed[0] > 0.8
 
 
 def test_a_diagnosis_repeats_itself(bench):
     recording = bench("none")
-    a, b = (diagnose(twin_of(recording), recording, seed=3) for _ in range(2))
+    a, b = (diagnose_body(twin_of(recording), recording, seed=3) for _ in range(2))
     assert a.verdict == b.verdict and np.array_equal(a.after, b.after) and a.evidence == b.evidence
 
 
@@ -128,9 +128,9 @@ def test_workers_give_the_same_answer(bench, monkeypatch):
 def test_a_short_recording_is_ambiguous_and_says_what_to_record(bench):
     recording = bench("creep")
     short = recording.keep(np.arange(len(recording)) < 40)
-    d = diagnose(twin_of(recording), short)
+    d = diagnose_body(twin_of(recording), short)
     assert d.verdict == "ambiguous"
-    assert "too short" in verb.lead(d) and "ten minutes" in next_experiment(d)[0]
+    assert "too short" in lead(d) and "ten minutes" in next_experiment(d)[0]
 
 
 def test_constant_pressure_is_ambiguous(bench):
@@ -138,13 +138,13 @@ def test_constant_pressure_is_ambiguous(bench):
     still = recording.keep(np.arange(len(recording)) < 600)
     still.samples["pressure_cmd_kpa"] = 20.0
     still.samples["pressure_kpa"] = 20.0
-    d = diagnose(twin_of(recording), still)
-    assert d.verdict == "ambiguous" and "the commanded pressure never moves" in verb.lead(d)
+    d = diagnose_body(twin_of(recording), still)
+    assert d.verdict == "ambiguous" and "the commanded pressure never moves" in lead(d)
     assert "does not move either" in caveats(d)[0] and "ten minutes" in next_experiment(d)[0]
     still.samples["pressure_kpa"] = recording.samples["pressure_kpa"][:600]
-    d = diagnose(twin_of(recording), still)
+    d = diagnose_body(twin_of(recording), still)
     assert d.verdict == "ambiguous"
-    said = " ".join([verb.lead(d), *caveats(d)])
+    said = " ".join([lead(d), *caveats(d)])
     assert "the commanded pressure never moves" in said and "measured pressure moves" in said
     assert "not measured" not in said
 
@@ -157,7 +157,7 @@ def test_too_few_rows_to_fit_name_the_file_and_what_to_record(bench, tmp_path):
     with pytest.raises(InputError, match=wanted) as e:
         verb.main([f"--twin={twin}", f"--recording={tmp_path / 'three'}"])
     least = int(re.search(r"at least (\d+)", str(e.value))[1])
-    d = diagnose(twin_of(recording), recording.keep(np.arange(len(recording)) < least))
+    d = diagnose_body(twin_of(recording), recording.keep(np.arange(len(recording)) < least))
     assert d.verdict == "ambiguous"
 
 
@@ -170,7 +170,7 @@ def test_pressures_far_above_the_calibrated_are_noted(bench, tmp_path):
         other = recording.keep(np.ones(len(recording), bool))
         other.samples[["pressure_cmd_kpa", "pressure_kpa"]] *= factor
         folder = other.write(tmp_path / f"times_{factor:g}")
-        warnings = load_pair(tmp_path / "twin", folder)[1].warnings
+        warnings = same_body(twin, Recording.load(folder), "diagnose").warnings
         assert any("pascal" in w for w in warnings) == noted
 
 
@@ -179,7 +179,7 @@ def test_effects_without_their_column_are_listed_with_the_remedy(bench):
     poor = Recording(
         recording.folder, recording.meta, recording.samples.drop(columns=["temperature_c"]), "finger"
     )
-    d = diagnose(twin_of(recording), poor)
+    d = diagnose_body(twin_of(recording), poor)
     assert "record column temperature_c" in next(u.reason for u in d.untested if u.name == "thermal")
 
 
@@ -272,14 +272,14 @@ def real(name):
 @pytest.mark.slow
 def test_real_segment_stiffens():
     recording = real("sopra_segment")
-    d = diagnose(twin_of(recording), recording)
+    d = diagnose_body(twin_of(recording), recording)
     assert "stiffening" in d.selected and d.after_error < 0.5 * d.before_error
 
 
 @pytest.fixture(scope="module")
 def fabric_segment():
     recording = real("asu_segment")
-    return diagnose(Twin("finger", recording.length_mm), recording)
+    return diagnose_body(Twin("finger", recording.length_mm), recording)
 
 
 @pytest.mark.slow

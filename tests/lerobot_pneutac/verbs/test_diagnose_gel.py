@@ -3,10 +3,10 @@ import json
 import numpy as np
 import pytest
 
-from lerobot_pneutac.verbs.add import main as add
-from lerobot_pneutac.verbs.calibrate import main as calibrate
-from lerobot_pneutac.verbs.compare import main as compare
-from lerobot_pneutac.verbs.diagnose import main as diagnose
+from lerobot_pneutac.cli.add import main as add
+from lerobot_pneutac.cli.calibrate import main as calibrate
+from lerobot_pneutac.cli.compare import main as compare
+from lerobot_pneutac.cli.diagnose import main as diagnose
 from pneutac_datasets.generate.hidden_gel import SIZES, write_hidden_gel
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin

@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from lerobot_pneutac.verbs.calibrate import main
-from lerobot_pneutac.verbs.fit_body import fit_body
+from lerobot_pneutac.cli.calibrate import main
+from lerobot_pneutac.verbs.fit_body import calibrate_body
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects import get_effect
 from pneutac_sim.errors import InputError
@@ -73,7 +73,7 @@ def test_measured_pressure_tells_the_valve_from_the_creep(tmp_path):
     both.effects["creep"]["weight_1_3s"].value = 0.4
     recording = Recording.load(write(tmp_path / "bench", both, measured=True))
     start = truth("valve_lag", "creep")
-    found = fit_body(start, recording)
+    found = calibrate_body(start, recording)
     assert [f.unit for f in found.fits] == ["kPa", "mm"]
     assert found.twin.effects["valve_lag"]["fill_time_s"].value == pytest.approx(0.6, rel=0.03)
     assert found.twin.effects["creep"]["weight_1_3s"].value == pytest.approx(0.4, abs=0.05)
@@ -97,4 +97,4 @@ def test_photographs_alone_are_refused(tmp_path):
     table = pd.DataFrame(stairs(100)).assign(image="a.png")
     recording = Recording(tmp_path, {"device": "finger"}, table, "finger")
     with pytest.raises(InputError, match="tip_x_mm"):
-        fit_body(Twin.builtin(), recording)
+        calibrate_body(Twin.builtin(), recording)

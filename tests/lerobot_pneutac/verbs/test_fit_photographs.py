@@ -3,7 +3,6 @@
 import io
 import json
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -11,9 +10,11 @@ import pytest
 from PIL import Image
 from rich.console import Console
 
+from lerobot_pneutac.cli.calibrate import CalibrateConfig, run
 from lerobot_pneutac.study.photographs import read_session
-from lerobot_pneutac.verbs.calibrate import CalibrateConfig, calibrate
-from lerobot_pneutac.verbs.fit_photographs import search_key, training_levels
+from lerobot_pneutac.verbs import calibrate as verb
+from lerobot_pneutac.verbs.calibrate import training_levels
+from lerobot_pneutac.verbs.fit_photographs import search_key
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.splat.body import looks_from_twin
@@ -87,6 +88,14 @@ def altered(recording, folder, **changes):
     return Recording.load(folder)
 
 
+def calibrate(cfg, scratch, console):
+    """As the command does; returns what is in `result.json`."""
+    result = run(cfg, scratch, console)
+    if cfg.out is not None:
+        result.report(cfg.out)
+    return result.to_dict()
+
+
 @pytest.fixture(scope="module")
 def calibrated(drawn, tmp_path_factory):
     """Folder of twin and report, and the result."""
@@ -123,17 +132,14 @@ def test_markers_are_never_fitted(drawn, calibrated, tmp_path):
 
 def test_without_markers_photographs_are_fitted(drawn, tmp_path, monkeypatch):
     without = altered(drawn, tmp_path / "without", **{f"tip_{a}_mm": None for a in "xyz"})
-    monkeypatch.setattr(
-        "lerobot_pneutac.verbs.fit_photographs.calibrate_photographs", lambda *a: {"by": "images"}
-    )
-    monkeypatch.setattr("lerobot_pneutac.verbs.fit_body.calibrate_body", lambda *a: {"by": "markers"})
+    monkeypatch.setattr("lerobot_pneutac.verbs.fit_photographs.calibrate_photographs", lambda *a: "images")
+    monkeypatch.setattr("lerobot_pneutac.verbs.fit_body.calibrate_body", lambda *a: "markers")
     for recording, by, used in (
         (without, None, "images"),
         (drawn, None, "markers"),
         (drawn, "images", "images"),
     ):
-        cfg = config(tmp_path, recording, by=by)
-        assert calibrate(cfg, tmp_path, Console(quiet=True))["by"] == used
+        assert verb.calibrate(Twin("finger", 110.0), recording, by=by) == used
 
 
 def test_levels_and_holds(drawn, tmp_path):
@@ -208,10 +214,10 @@ def test_an_interrupted_search_says_what_is_kept(drawn, tmp_path, monkeypatch):
 
         def stopped(*options, generations=generations):
             for k in range(generations):
-                options[-1](7 * (k + 1), SimpleNamespace(best=None), 0.5)
+                options[-1]("best objective 0.5", 7 * (k + 1), 84)
             raise KeyboardInterrupt
 
-        monkeypatch.setattr("lerobot_pneutac.verbs.fit_photographs.fit_photographs", stopped)
+        monkeypatch.setattr("lerobot_pneutac.verbs.fit_photographs.calibrate_photographs", stopped)
         console = Console(record=True, width=200, file=io.StringIO())
         with pytest.raises(KeyboardInterrupt):
             calibrate(cfg, tmp_path, console)

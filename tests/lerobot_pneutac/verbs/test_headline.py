@@ -3,9 +3,9 @@
 import numpy as np
 import pandas as pd
 
-from lerobot_pneutac.study.body import diagnose
+from lerobot_pneutac.study.body import diagnose_body
 from lerobot_pneutac.verbs.compare import compare
-from lerobot_pneutac.verbs.fit_body import fit_body
+from lerobot_pneutac.verbs.fit_body import calibrate_body
 from pneutac_datasets.recording.noise import headline
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.finger import quantities
@@ -39,11 +39,11 @@ def test_every_verb_counts_the_error_of_an_arm_with_curvature_and_angles_alike(t
     bench = BodyData.of(recording, twin)
     assert (list(bench.columns[: bench.counted]), bench.unit) == (columns, unit)
 
-    calibrated = fit_body(twin, recording)
+    calibrated = calibrate_body(twin, recording)
     assert calibrated.bench.unit == "1/m"
     compared = compare(calibrated.twin, recording)
     assert compared.unit == compared.noise.unit == "1/m"
     assert quantities.rms(compared.measured[:, :2] - compared.model[:, :2]) < 2 * compared.noise.value
-    diagnosis = diagnose(calibrated.twin, recording)
+    diagnosis = diagnose_body(calibrated.twin, recording)
     assert diagnosis.noise.unit == "1/m" and diagnosis.before.shape == (len(recording), 2)
     assert diagnosis.verdict == "adequate"

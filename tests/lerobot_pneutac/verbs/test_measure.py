@@ -12,8 +12,9 @@ import pytest
 from lerobot.cameras import Camera, CameraConfig
 from lerobot.cameras import utils as camera_utils
 
+from lerobot_pneutac.cli import compare
 from lerobot_pneutac.measuring.camera import DICTIONARY, Intrinsics, MarkerTracker, calibrate
-from lerobot_pneutac.verbs import compare, measure, new
+from lerobot_pneutac.verbs import measure, new
 from lerobot_robot_pneutac.hardware import pressure as pressure_module
 from lerobot_robot_pneutac.hardware.simulated_pressure import SimulatedPressure
 from pneutac_datasets.recording.recording import Recording

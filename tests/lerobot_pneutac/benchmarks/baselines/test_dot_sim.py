@@ -4,7 +4,7 @@ import torch
 
 from lerobot_pneutac.benchmarks.baselines import dot_sim
 from lerobot_pneutac.benchmarks.baselines.dot_sim import DotSim
-from lerobot_pneutac.benchmarks.baselines.pasted import RestAlone
+from lerobot_pneutac.study.pasted import RestAlone
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.pair import Pair

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lerobot_pneutac.benchmarks.baselines.pasted import Pasted, RestAlone, shift
+from lerobot_pneutac.study.pasted import Pasted, RestAlone, shift
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.pair import Pair
 

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from lerobot_pneutac.benchmarks.baselines.pasted import RestAlone
 from lerobot_pneutac.benchmarks.baselines.tacchi import Tacchi, _change, _start
+from lerobot_pneutac.study.pasted import RestAlone
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.pair import Pair

@@ -1,0 +1,116 @@
+"""`pneutac calibrate`: fits a twin to a bench recording, in place, as its next version."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from rich.console import Console
+
+from lerobot_pneutac.cli.options import parse_options
+from lerobot_pneutac.cli.progress import progress_bar
+from lerobot_pneutac.cli.show import check_out, show, write
+from lerobot_pneutac.verbs.calibrate import (
+    BEST,
+    SEARCH,
+    WAYS,
+    calibrate,
+    default_gel_recording,
+    training_levels,
+    twin_for,
+)
+from lerobot_pneutac.verbs.calibration import Calibration
+from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.errors import InputError
+
+
+@dataclass
+class CalibrateConfig:
+    """Options of `pneutac calibrate`.
+
+    Attributes:
+        twin: folder of the twin; a twin of a gel is begun where there is none.
+        recording: folder of the bench recording. Without it a gel is calibrated from the DIGIT photographs in
+            $PNEUTAC_DATA, or from generated images where that is unset.
+        out: folder for `result.json`, `report.html` and pictures.
+        effects: gel only: optics effects to fit, with commas between, or `none` for the paper's linear model;
+            those that the twin has, if it has been calibrated, else all that one pair of images can tell.
+        by: body only: `images` (photographs with masks) or `markers` (markers and angles); by markers where
+            the recording has them, else by images.
+        train_kpa: body by images: pressures to fit, with commas between; all others are held out.
+        evaluations: body by images: of the search.
+        particles: body by images: of the body, about.
+        seed: decides every random choice.
+    """
+
+    twin: Path | None = None
+    recording: Path | None = None
+    out: Path | None = None
+    effects: str | None = None
+    by: str | None = None
+    train_kpa: str = "0,3,6,9,12,15"
+    evaluations: int = 84
+    particles: int = 4000
+    seed: int = 0
+
+    def __post_init__(self):
+        if self.twin is None:
+            raise InputError("Give the twin's folder with --twin=DIR.")
+        check_out(self.out)
+        if self.by not in (None, *WAYS):
+            raise InputError(f"--by={self.by} is unknown; choose images or markers.")
+        if self.particles < 500 or self.evaluations < 7:
+            raise InputError("--particles must be 500 or more, --evaluations 7 or more.")
+
+
+def main(argv: list[str]) -> None:
+    """Runs the verb with its command line options."""
+    cfg, console = parse_options(CalibrateConfig, argv), Console()
+    with TemporaryDirectory() as scratch:
+        result = run(cfg, Path(scratch), console)
+    show(result, console)
+    write(result, cfg.out, "calibrate", argv, console)
+
+
+def run(cfg: CalibrateConfig, scratch: Path, console: Console) -> Calibration:
+    """Fits and saves the twin's next version; `scratch` is a folder for generated data."""
+    folder, note = cfg.recording, ""
+    if folder is None:
+        folder, note = default_gel_recording(scratch, cfg.seed)
+        console.print(note, highlight=False)
+    recording = Recording.load(folder)
+    twin = twin_for(cfg.twin, recording)
+    if not (cfg.twin / "twin.yaml").exists():
+        console.print(f"There is no twin at {cfg.twin} yet: beginning one of a gel.", highlight=False)
+    effects = None if cfg.effects is None else [e.strip() for e in cfg.effects.split(",") if e != "none"]
+    keep, evaluated = cfg.out or cfg.twin, 0
+    with progress_bar(console) as progress:
+
+        def count(text: str, done: int, total: int) -> None:
+            nonlocal evaluated
+            evaluated = done
+            progress(text, done, total)
+
+        try:
+            result = calibrate(
+                twin, recording, by=cfg.by, effects=effects, train_kpa=training_levels(cfg.train_kpa),
+                evaluations=cfg.evaluations, particles=cfg.particles, seed=cfg.seed, keep=keep,
+                progress=count,
+            )  # fmt: skip
+        except KeyboardInterrupt:
+            console.print(_stopped(evaluated, keep / SEARCH), highlight=False, soft_wrap=True)
+            raise
+    if cfg.out is None:
+        for name in (SEARCH, BEST):
+            (keep / name).unlink(missing_ok=True)
+    if note and recording.meta.get("generated"):  # gone after this run, so their folder would tell nothing
+        result = replace(result, recording=f"generated images (seed {cfg.seed})")
+    return result.save(cfg.twin)
+
+
+def _stopped(evaluated: int, search: Path) -> str:
+    if not evaluated:
+        return "Stopped before the first candidates were evaluated; the twin is as it was."
+    return (
+        f"Stopped after {evaluated} evaluations, kept in {search}; the twin is as it was, and the same "
+        "command goes on from here."
+    )

@@ -1,0 +1,68 @@
+"""What a calibration found: the next version of a twin, its parameters and its error."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Self
+
+from lerobot_pneutac.verbs.result import Result
+from pneutac_sim.twin import Twin
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Calibration(Result):
+    """A calibrated twin; subclasses hold what is particular to markers, photographs and gels.
+
+    Attributes:
+        twin: the next version, not yet written.
+        parameters: name to `value`, `unit` and, of a body, `ci95` and `note`.
+        error: `train` and `heldout` root mean square error in `unit`; None where there is no such part.
+        unit: of the error.
+        evaluations: of the model.
+        seconds: wall time.
+        recording: what it was fitted to.
+        change: what the twin's history says of this version.
+        seed: decided which part was held out; None where roles did.
+        findings: of the checks, one sentence each.
+        saved_to: the twin's folder once it was saved.
+    """
+
+    twin: Twin
+    parameters: dict[str, dict]
+    error: dict[str, float | None]
+    unit: str
+    evaluations: int
+    seconds: float
+    recording: str
+    change: str
+    seed: int | None
+    findings: tuple[str, ...] = ()
+    saved_to: Path | None = None
+
+    def save(self, folder: str | Path) -> Self:
+        """Writes the twin as the next version of `folder`; returns the result that knows where it lies."""
+        twin = self.twin.copy()
+        errors = {**self.error, "unit": self.unit} | ({} if self.seed is None else {"seed": self.seed})
+        twin.save_version(folder, self.change, self.recording, errors)
+        return replace(self, twin=twin, saved_to=Path(folder))
+
+    @property
+    def version(self) -> int | None:
+        """Number of the saved version."""
+        return self.twin.history[-1]["version"] if self.saved_to else None
+
+    def to_dict(self) -> dict:
+        """The content of `result.json`."""
+        where = {"twin": self.saved_to, "version": self.version} if self.saved_to else {}
+        return {
+            "parameters": self.parameters,
+            "error": self.error,
+            "unit": self.unit,
+            "evaluations": self.evaluations,
+            "seconds": self.seconds,
+            "recording": self.recording,
+            **where,
+        }
+
+    def _now(self) -> str:
+        """The end of a remark that tells where the twin is."""
+        return f"; the twin at {self.saved_to} is now version {self.version}" if self.saved_to else ""

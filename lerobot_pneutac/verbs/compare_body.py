@@ -1,0 +1,273 @@
+"""Compares a twin with a recording of a finger or an arm: errors, where they are large, worst passages."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from lerobot_pneutac.reports.compare_sentence import sentence
+from lerobot_pneutac.reports.page import Report
+from lerobot_pneutac.verbs.comparison import Comparison, history_of, rms_of
+from pneutac_datasets.recording.axes import Axis, axes, is_still, motion
+from pneutac_datasets.recording.checks import check
+from pneutac_datasets.recording.mounts import on_one_mount
+from pneutac_datasets.recording.noise import NoiseFloor, noise_floor
+from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.finger import BodyData, simulate
+from pneutac_sim.finger.quantities import squared_distance
+from pneutac_sim.twin import Twin
+
+PASSAGE_S = 2.0
+PASSAGES = 5
+APART_S = 10.0  # between the starts of two: the next-worst place says more than the same one again
+
+
+@dataclass(frozen=True, eq=False)
+class BodyComparison(Comparison):
+    """A twin against a recording, sample by sample.
+
+    Attributes:
+        recording: without the rows that the data check left out.
+        findings: of the data check, one sentence each.
+        columns: (D,) compared columns; the first `counted` make the error.
+        counted: see `columns`.
+        measured: (n, D).
+        model: (n, D).
+        unit: of the error.
+        train_samples: (n,) mask; the other samples are held out.
+        noise: floor of the error.
+        axes: ways to sort the samples.
+        rate: (n,) of the commanded pressure, kPa/s.
+        still: (n,) whether it stands.
+        pressure: (n,) squared error of the measured pressure, kPa^2, or None where none was measured.
+        history: of the twin.
+        bench: what it was made from.
+        simulated: by what, in words.
+        fidelity: `pipeline` or `mpm`.
+        out_of_range: share of the recording's samples outside what the twin's action network was trained
+            with; None where it has none.
+    """
+
+    recording: Recording
+    findings: tuple[str, ...]
+    columns: tuple[str, ...]
+    counted: int
+    measured: np.ndarray
+    model: np.ndarray
+    unit: str
+    train_samples: np.ndarray
+    noise: NoiseFloor
+    axes: list[Axis]
+    rate: np.ndarray
+    still: np.ndarray
+    pressure: np.ndarray | None
+    history: list[dict]
+    bench: BodyData
+    simulated: str = "by the pipeline, at every sample"
+    fidelity: str = "pipeline"
+    out_of_range: float | None = None
+
+    @cached_property
+    def squared(self) -> np.ndarray:
+        """(n,) squared Euclidean distance."""
+        return squared_distance((self.measured - self.model)[:, : self.counted])
+
+    @property
+    def noise_floor(self) -> float:
+        """Error that the measurement's own noise makes."""
+        return self.noise.value
+
+    @property
+    def error(self) -> dict[str, float | None]:
+        """Root mean square error of `all` samples and by part."""
+        train = self.train_samples
+        parts = {"train": self.squared[train], "heldout": self.squared[~train]}
+        return {"all": rms_of(self.squared)} | {k: rms_of(v) for k, v in parts.items()}
+
+    @property
+    def pressure_error(self) -> dict | None:
+        """Error of the modelled pressure by part, kPa, where it was measured."""
+        if self.pressure is None:
+            return None
+        train = self.train_samples
+        return {"train": rms_of(self.pressure[train]), "heldout": rms_of(self.pressure[~train])}
+
+    @property
+    def sentence(self) -> str:
+        """What a newcomer should take away."""
+        return sentence(self)
+
+    @property
+    def by(self) -> dict[str, list[dict]]:
+        """Error under each condition."""
+        return {a.name: by_axis(a, self.squared, self.train_samples) for a in self.axes}
+
+    @cached_property
+    def worst(self) -> list[dict]:
+        """The worst passages of about `PASSAGE_S`, at least two samples each, some time apart."""
+        passages = [p for trial in self.recording.trials() for p in self._worst_of(trial)]
+        return sorted(passages, key=lambda p: -p["error"])[:PASSAGES]
+
+    def _worst_of(self, trial: int) -> list[dict]:
+        rows = self.recording.trials()[trial]
+        t, e = self.recording.column("time_s")[rows], self.squared[rows]
+        begin, sums = np.arange(len(t)), np.r_[0.0, np.cumsum(e)]
+        end = np.maximum(np.searchsorted(t, t + PASSAGE_S, side="right"), np.minimum(begin + 2, len(t)))
+        mean = (sums[end] - sums[:-1]) / (end - begin)
+        free = t <= max(t[0], t[-1] - PASSAGE_S)  # a passage is whole, or the whole of a short trial
+        found = []
+        for a in np.argsort(-mean, kind="stable"):
+            if len(found) == PASSAGES:
+                break
+            if free[a]:
+                free[np.abs(t - t[a]) < APART_S] = False
+                passage = {"trial": trial, "from_s": float(t[a]), "to_s": float(t[end[a] - 1])}
+                passage["error"] = float(np.sqrt(mean[a]))
+                if self.recording.has("program"):
+                    passage["program"] = str(self.recording.column("program")[rows][a])
+                found.append(passage)
+        return found
+
+    def rows(self) -> list[dict]:
+        """The key numbers."""
+
+        def number(x: float | None) -> str:
+            return "-" if x is None else f"{x:.3g} {self.unit}"
+
+        rows = [("simulated", self.simulated)] if self.fidelity != "pipeline" else []
+        rows += [("held-out error", number(self.heldout)), ("train error", number(self.train))]
+        rows.append(("noise floor", f"{number(self.noise.value)} ({self.noise.how})"))
+        if self.pressure_error:
+            e = self.pressure_error["heldout"]
+            rows.append(("pressure, held out", "-" if e is None else f"{e:.3g} kPa"))
+        for p in self.worst[:3]:
+            where = f"trial {p['trial']}, {p['from_s']:.1f} to {p['to_s']:.1f} s"
+            rows.append(("worst passage", f"{number(p['error'])} in {where} {p.get('program', '')}"))
+        if self.out_of_range is not None:
+            rows.append(("out of the network's range", f"{100 * self.out_of_range:.2g}% of samples"))
+        for v in self.history:
+            error = "-" if v["heldout"] is None else f"{v['heldout']:.3g} {v['unit'] or ''}"
+            rows.append((f"version {v['version']}", f"{v['change']}: held out {error}"))
+        return [{"": name, "value": value} for name, value in rows]
+
+    def to_dict(self) -> dict:
+        """The content of `result.json`; numbers without a sample behind them are null."""
+        pressure = self.pressure_error and {
+            "unit": "kPa",
+            "error": self.pressure_error,
+            "means": "measured pressure against what the twin makes of the command",
+        }
+        residual = self.measured - self.model
+        return {
+            "fidelity": self.fidelity,
+            "simulated": self.simulated,
+            "unit": self.unit,
+            "sentence": self.sentence,
+            "error": self.error,
+            "noise_floor": self.noise.value,
+            "noise": {
+                "session": self.noise.session,
+                "how": self.noise.how,
+                "by_column": self.noise.by_column,
+            },
+            "columns": {name: rms_of(residual[:, i] ** 2) for i, name in enumerate(self.columns)},
+            "pressure": pressure,
+            "out_of_range": self.out_of_range,
+            "by": self.by,
+            "worst": self.worst,
+            "history": self.history,
+            "samples": len(self.squared),
+            "checks": list(self.findings),
+        }
+
+    def page(self) -> Report:
+        """Measured against model, loops, residuals by condition, maps, history."""
+        from lerobot_pneutac.reports.compare import comparison_page
+
+        return comparison_page(self)
+
+
+def compare_body(twin: Twin, recording: Recording, seed: int = 0) -> BodyComparison:
+    """Checks the recording, runs the twin from the commanded pressure and sorts the errors.
+
+    Args:
+        twin: of the same device.
+        recording: of a finger or an arm.
+        seed: of the split, where the twin's history does not tell another one for this recording.
+    """
+    clean, findings = check(recording)
+    train = train_mask(twin, clean, seed)
+    clean, moved = on_one_mount(clean, twin, train, refit=False)
+    prediction = simulate(twin, BodyData.of(clean, twin, source="command"))
+    findings += moved
+    findings += [f"Effect '{name}' could not act: {why}." for name, why in prediction.left_out.items()]
+    bench = prediction.data
+    outside, range_finding = _out_of_range(twin, bench)
+    rate = motion(clean)[0]
+    return BodyComparison(
+        recording=clean,
+        findings=(*findings, *([range_finding] if range_finding else [])),
+        columns=bench.columns,
+        counted=bench.counted,
+        measured=bench.measured,
+        model=prediction.model,
+        unit=bench.unit,
+        train_samples=train,
+        noise=noise_floor(clean),
+        axes=axes(clean),
+        rate=rate,
+        still=is_still(clean, rate),
+        pressure=_pressure_error(clean, twin),
+        history=history_of(twin),
+        bench=bench,
+        out_of_range=outside,
+    )
+
+
+def _out_of_range(twin: Twin, bench: BodyData) -> tuple[float | None, str | None]:
+    if not twin.networks:
+        return None, None
+    from lerobot_pneutac.verbs.compare_networks import out_of_range
+
+    return out_of_range(twin, bench)
+
+
+def train_mask(twin: Twin, recording: Recording, seed: int = 0) -> np.ndarray:
+    """Samples (n,) that the twin may have been fitted to.
+
+    The last version fitted on this very recording tells the `seed` of its split; other recordings are split
+    with `seed`.
+    """
+    here = Path(recording.folder).resolve()
+    for entry in reversed(twin.history):
+        if entry.get("seed") is not None and Path(entry.get("recording") or "").resolve() == here:
+            return recording.split(int(entry["seed"]))[0]
+    return recording.split(seed)[0]
+
+
+def _pressure_error(recording: Recording, twin: Twin) -> np.ndarray | None:
+    """(n,) squared distance of the pneumatics from the measured pressure, from the command."""
+    measured = [n.replace("cmd_", "") for n in recording.pressure_columns]
+    if not all(map(recording.has, measured)):
+        return None
+    return squared_distance(simulate(twin, BodyData.of(recording, twin, target="pressure")).residual)
+
+
+def by_axis(axis: Axis, squared: np.ndarray, train: np.ndarray) -> list[dict]:
+    """One row a bin: error, held-out error, number of samples and share of all squared error."""
+    total = max(float(squared.sum()), 1e-300)
+    rows = []
+    for i, label in enumerate(axis.labels):
+        at = axis.bin == i
+        row = {"value": label}
+        if axis.value is not None:
+            row |= {"from": float(axis.value[at].min()), "to": float(axis.value[at].max())}
+        row |= {
+            "error": rms_of(squared[at]),
+            "heldout": rms_of(squared[at & ~train]),
+            "n": int(at.sum()),
+            "share": float(squared[at].sum() / total),
+        }
+        rows.append(row)
+    return rows

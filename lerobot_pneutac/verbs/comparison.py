@@ -1,0 +1,56 @@
+"""What a comparison of a twin with a recording tells; by devices in `compare_body` and `compare_gel`."""
+
+from abc import abstractmethod
+
+import numpy as np
+
+from lerobot_pneutac.verbs.result import Result
+from pneutac_sim.finger.quantities import root_mean
+from pneutac_sim.twin import Twin
+
+
+class Comparison(Result):
+    """A twin against a recording.
+
+    Attributes:
+        unit: of the errors.
+        noise_floor: error that the measurement's own noise makes.
+    """
+
+    unit: str
+    noise_floor: float
+
+    @property
+    @abstractmethod
+    def error(self) -> dict[str, float | None]:
+        """Root mean square error by part, `train` and `heldout` among them; None where a part is empty."""
+
+    @property
+    @abstractmethod
+    def by(self) -> dict[str, list[dict]]:
+        """Under which conditions it fails: axis to one row a bin."""
+
+    @property
+    @abstractmethod
+    def worst(self) -> list[dict]:
+        """Where it fails most."""
+
+    @property
+    def heldout(self) -> float | None:
+        """Error where the twin was not fitted."""
+        return self.error["heldout"]
+
+    @property
+    def train(self) -> float | None:
+        """Error where the twin was fitted."""
+        return self.error["train"]
+
+
+def history_of(twin: Twin) -> list[dict]:
+    """How the error of a twin's versions fell."""
+    return [{k: e.get(k) for k in ("version", "change", "train", "heldout", "unit")} for e in twin.history]
+
+
+def rms_of(squared: np.ndarray) -> float | None:
+    """Root of the mean of squares (n,); None where there is none."""
+    return root_mean(squared) if len(squared) else None
