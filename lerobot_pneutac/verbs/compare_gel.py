@@ -21,7 +21,7 @@ QUIET_RADII = 3.0  # beyond so many contact radii the image should equal the res
 WORST = 5
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class GelComparison(Comparison):
     """A gel against photographs.
 

@@ -43,7 +43,7 @@ def test_every_verb_counts_the_error_of_an_arm_with_curvature_and_angles_alike(t
     assert calibrated.bench.unit == "1/m"
     compared = compare(calibrated.twin, recording)
     assert compared.unit == compared.noise.unit == "1/m"
-    assert quantities.rms(compared.measured[:, :2] - compared.model[:, :2]) < 2 * compared.noise.value
+    assert quantities.rms(compared.measured[:, :2] - compared.model[:, :2]) < 2 * compared.noise_floor
     diagnosis = diagnose_body(calibrated.twin, recording)
     assert diagnosis.noise.unit == "1/m" and diagnosis.before.shape == (len(recording), 2)
     assert diagnosis.verdict == "adequate"
