@@ -1,26 +1,43 @@
 # A fresh machine needs Python >= 3.12 and make. uv is fetched with pip where it is missing.
 PYTHON ?= python3
 UV := $(shell uv --version >/dev/null 2>&1 && echo uv || echo .uv/bin/uv)
+BIN := .venv/bin
+# A file of tests stays in one process; each process computes on one thread, so that they share the cores.
+PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses=auto --maxprocesses=4 --dist=loadfile --no-loadscope-reorder
 
-.PHONY: demo test lint bench
+.PHONY: demo check lint test nightly bench docs
 
 demo: .venv/ready
-	.venv/bin/pneutac demo
+	$(BIN)/pneutac demo
 
-# A file of tests stays in one process; each process computes on one thread, so that they share the cores.
+# Before every commit: under two minutes on two cores.
+check: lint
+	$(PYTEST) -m "not slow and not nightly"
+
+# Everything that CI runs: at most 12 minutes on two cores.
 test: .venv/ready
-	OMP_NUM_THREADS=1 .venv/bin/python -m pytest --numprocesses=auto --maxprocesses=4 --dist=loadfile --no-loadscope-reorder
+	$(PYTEST)
+
+# What is too long for CI: soak, full fuzz, full benchmarks, mutations.
+nightly: .venv/ready
+	$(PYTEST) -m nightly
+	if [ -f tests/mutation.py ]; then $(BIN)/python tests/mutation.py; fi
 
 lint: .venv/ready
-	.venv/bin/ruff check .
-	.venv/bin/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports --no-cache --no-logo
+	$(BIN)/deptry --no-ansi .
+
+docs: .venv/ready
+	$(BIN)/mkdocs build --strict
 
 bench: .venv/ready
-	for f in benchmarks/*_speed.py; do .venv/bin/python $$f || exit 1; done
+	for f in benchmarks/*_speed.py; do $(BIN)/python $$f || exit 1; done
 
 .venv/ready: pyproject.toml constraints.txt
 	@[ "$(UV)" = uv ] || [ -x $(UV) ] || { $(PYTHON) -m venv .uv && .uv/bin/python -m pip install -q uv; }
 	$(UV) venv -q --allow-existing --python 3.12 .venv
-	$(UV) pip install -q --python .venv/bin/python -e '.[dev]' -c constraints.txt
-	@ln -sf "$$(realpath "$$(command -v $(UV))")" .venv/bin/uv
+	$(UV) pip install -q --python $(BIN)/python -e '.[dev]' -c constraints.txt
+	@ln -sf "$$(realpath "$$(command -v $(UV))")" $(BIN)/uv
 	@touch $@

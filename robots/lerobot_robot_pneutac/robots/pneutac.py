@@ -8,9 +8,9 @@ from lerobot.cameras import make_cameras_from_configs
 from lerobot.robots import Robot
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
+from lerobot_robot_pneutac.cameras.tactile import Tactile, latest
 from lerobot_robot_pneutac.features import POSE_NAMES, PneutacFeatures
 from lerobot_robot_pneutac.hardware.safety import Guard
-from lerobot_robot_pneutac.hardware.tactile import Tactile, latest
 from lerobot_robot_pneutac.robots.config_pneutac import PneutacConfig
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import (

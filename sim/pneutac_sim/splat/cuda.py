@@ -2,38 +2,36 @@
 
 import importlib.util
 
+import numpy as np
+
 from pneutac_sim.errors import InputError
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.gaussians import Gaussians
 from pneutac_sim.splat.kernels import BLUR_PX2, LEAST_ALPHA, NEAR_M, TILE
-from pneutac_sim.splat.rasteriser import Rendering, numbers
 
 
-def rasterise(gaussians: Gaussians, camera: Camera, background=(0.0, 0.0, 0.0)) -> Rendering:
+def rasterise(gaussians: Gaussians, camera: Camera, background: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Renders Gaussians as one camera sees them; gsplat compiles its kernels at the first call (minutes).
 
     Args:
         gaussians: what to render.
         camera: from where.
-        background: (3,) 0 to 1.
+        background: (3,) float32, 0 to 1.
+
+    Returns:
+        Image (H, W, 3) and coverage (H, W), float32.
 
     Raises:
-        InputError: gsplat or a CUDA device is missing, or the background is malformed.
+        InputError: gsplat or a CUDA device is missing.
     """
     require()
     import torch
 
-    arrays = (
-        gaussians.means,
-        gaussians.covariances(),
-        gaussians.colours,
-        gaussians.opacities,
-        numbers("background", background, (3,)),
-    )
+    arrays = (gaussians.means, gaussians.covariances(), gaussians.colours, gaussians.opacities, background)
     means, covariances, colours, opacities, behind = (torch.from_numpy(a).cuda() for a in arrays)
     with torch.no_grad():
-        out = rasterise_tensors(means, covariances, colours, opacities, camera, behind)
-    return Rendering(*(t.cpu().numpy() for t in out))
+        image, alpha = rasterise_tensors(means, covariances, colours, opacities, camera, behind)
+    return image.cpu().numpy(), alpha.cpu().numpy()
 
 
 def require() -> None:

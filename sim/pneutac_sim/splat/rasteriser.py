@@ -44,7 +44,7 @@ def rasterise(
     if device == "cuda":
         from pneutac_sim.splat import cuda
 
-        return cuda.rasterise(gaussians, camera, background)
+        return Rendering(*cuda.rasterise(gaussians, camera, numbers("background", background, (3,))))
     if device != "cpu":
         raise InputError(f"A rasteriser's device is 'cpu' or 'cuda', not {device!r}.")
     splats = Splats(camera, gaussians.means, gaussians.covariances(), gaussians.opacities)
