@@ -81,9 +81,7 @@ def _measure(cfg: BenchmarkAugmentConfig, task: str, console: Console) -> dict:
     teleop = PneutacScripted(
         PneutacScriptedConfig(id="scripted", seed=cfg.seed, episode_steps=DEMONSTRATION_S * CONTROL_HZ)
     )
-    record_episodes(
-        robot, teleop, f"local/{recorded.name}", recorded, cfg.demonstrations, CONTROL_HZ, task, True
-    )
+    record_episodes(robot, teleop, f"local/{recorded.name}", recorded, cfg.demonstrations, task, True)
     summary, _ = augment(
         AugmentConfig(
             dataset=DatasetRef(f"local/{recorded.name}", recorded),

@@ -103,11 +103,6 @@ def augment(cfg: AugmentConfig, console: Console) -> tuple[dict, list]:
         sensor = TactileSensor(Twin.load(cfg.twin) if cfg.twin else None)
     meta, references = read_references(cfg.dataset.root, cfg.dataset.repo_id, sensor)
     where = (cfg.output.root, cfg.output.repo_id, cfg.episodes)
-    if cfg.method == "naive":
-        return augment_without_simulator(meta, *where, cfg.seed), references
-    setup = AugmentSetup(
-        references, cfg.task, cfg.twin, cfg.fidelity, cfg.planner, cfg.seed, attempts=cfg.attempts
-    )
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True) as bar:
         row = bar.add_task("starting", total=None)
@@ -115,6 +110,11 @@ def augment(cfg: AugmentConfig, console: Console) -> tuple[dict, list]:
         def show(stage: str, done: int, total: int) -> None:
             bar.update(row, description=stage, completed=done, total=total)
 
+        if cfg.method == "naive":
+            return augment_without_simulator(meta, *where, cfg.seed, show), references
+        setup = AugmentSetup(
+            references, cfg.task, cfg.twin, cfg.fidelity, cfg.planner, cfg.seed, attempts=cfg.attempts
+        )
         return augment_guided(meta, setup, *where, cfg.workers, show), references
 
 

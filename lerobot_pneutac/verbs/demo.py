@@ -220,7 +220,7 @@ class Demo:
         teleop = PneutacScripted(
             PneutacScriptedConfig(id="scripted", seed=cfg.seed + 1000, episode_steps=DEMONSTRATION_S * FPS)
         )
-        record_episodes(robot, teleop, f"local/{rest.name}", rest, cfg.episodes - 1, FPS, TASK_TEXT, True)
+        record_episodes(robot, teleop, f"local/{rest.name}", rest, cfg.episodes - 1, TASK_TEXT, True)
         self.run(
             [
                 "lerobot-edit-dataset",

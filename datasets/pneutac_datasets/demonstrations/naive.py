@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
 from lerobot.utils.constants import OBS_STATE
-from rich.progress import track
 
 from pneutac_datasets.demonstrations.episodes import (
     AREA,
@@ -28,7 +27,7 @@ from pneutac_datasets.demonstrations.episodes import (
     load_episode,
     save_episode,
 )
-from pneutac_datasets.demonstrations.writing import create_dataset, quiet_encoders
+from pneutac_datasets.demonstrations.writing import Progress, create_dataset, no_progress, quiet_encoders
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, N_PIXELS, STATE_HIGH, STATE_LOW
 
@@ -48,6 +47,7 @@ def augment_naive(
     out_repo_id: str,
     episodes: int,
     seed: int,
+    progress: Progress = no_progress,
 ) -> Path:
     """Writes a LeRobotDataset of varied demonstrations that merges with its source.
 
@@ -58,6 +58,7 @@ def augment_naive(
         out_repo_id: its name.
         episodes: number of new demonstrations; the sources take turns.
         seed: decides every variation.
+        progress: is called with a text, and how many of how many demonstrations are made.
 
     Returns:
         `out_root`.
@@ -78,7 +79,8 @@ def augment_naive(
     n = meta.total_episodes
     with quiet_encoders():
         try:
-            for k in track(range(episodes), f"augmenting to {episodes} demonstrations", transient=True):
+            for k in range(episodes):
+                progress("varying demonstrations", k, episodes)
                 rng = np.random.default_rng([seed, k])
                 partner = load(int(rng.integers(n))) if rng.random() < MIX_SHARE else None
                 save_episode(out, vary(load(k % n), partner, slope, rng))

@@ -9,12 +9,12 @@ from pathlib import Path
 from lerobot.datasets import LeRobotDataset
 from lerobot.utils.constants import ACTION, OBS_STR
 from lerobot.utils.feature_utils import build_dataset_frame, combine_feature_dicts, hw_to_dataset_features
-from rich.progress import track
 
 from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
 from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
-from pneutac_datasets.demonstrations.writing import create_dataset, quiet_encoders
+from pneutac_datasets.demonstrations.writing import Progress, create_dataset, no_progress, quiet_encoders
 from pneutac_sim.errors import InputError
+from pneutac_sim.features import CONTROL_HZ
 
 
 def record_episodes(
@@ -23,9 +23,9 @@ def record_episodes(
     repo_id: str,
     root: str | Path,
     episodes: int,
-    fps: int,
     task_text: str,
     use_videos: bool,
+    progress: Progress = no_progress,
 ) -> Path:
     """Records demonstrations of a scripted teleoperator; a failed one is recorded anew, as a person would.
 
@@ -37,9 +37,9 @@ def record_episodes(
         repo_id: name of the dataset.
         root: folder of the dataset, which must not exist.
         episodes: number of demonstrations.
-        fps: frames per second that the dataset states.
         task_text: instruction stored with every frame.
         use_videos: store the tactile images as video instead of PNG.
+        progress: is called with a text, and how many of how many demonstrations are recorded.
 
     Returns:
         `root`.
@@ -52,14 +52,15 @@ def record_episodes(
         hw_to_dataset_features(robot.observation_features, OBS_STR, use_videos),
     )
     length = teleop.config.episode_steps
-    dataset = create_dataset(repo_id, root, fps, features, robot.name, use_videos, length)
+    dataset = create_dataset(repo_id, root, CONTROL_HZ, features, robot.name, use_videos, length)
     ours = [device for device in (teleop, robot) if not device.is_connected]
     for device in ours:
         device.connect()
     failed = 0
     with quiet_encoders():
         try:
-            for done in track(range(episodes), f"recording {episodes} demonstrations", transient=True):
+            for done in range(episodes):
+                progress("recording demonstrations", done, episodes)
                 while not _record_episode(robot, teleop, dataset, task_text):
                     dataset.clear_episode_buffer()
                     failed += 1

@@ -37,14 +37,14 @@ def axes(recording: Recording) -> list[Axis]:
     """
     s = recording.samples
     found = [numbers(c, recording.column(c), 8) for c in recording.pressure_columns]
-    rate, held = motion(recording)
+    rate, rest_s = motion(recording)
     still = is_still(recording, rate)
     way = np.where(still, 2, np.where(rate > 0, 0, 1))
     found.append(Axis("direction", None, way, ["loading", "unloading", "hold"]))
     found.append(_rates(rate, still))
-    at = np.where(still, np.clip(np.searchsorted(HOLD_EDGES_S, held, side="right") - 1, 0, 5), -1)
+    at = np.where(still, np.clip(np.searchsorted(HOLD_EDGES_S, rest_s, side="right") - 1, 0, 5), -1)
     names = [f"{a:g} to {b:g} s" for a, b in zip(HOLD_EDGES_S[:-1], HOLD_EDGES_S[1:], strict=True)]
-    found.append(Axis("hold_time_s", held, at, [*names[:-1], f"over {HOLD_EDGES_S[-2]:g} s"]))
+    found.append(Axis("hold_time_s", rest_s, at, [*names[:-1], f"over {HOLD_EDGES_S[-2]:g} s"]))
     for name in ("program", "trial"):
         if name in s:
             found.append(_labels(name, s[name]))
@@ -66,7 +66,7 @@ def motion(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
 
     Of several chambers the rate is their sum's, since loading means more air in all.
     """
-    rate, held = np.zeros(len(recording)), np.zeros(len(recording))
+    rate, rest_s = np.zeros(len(recording)), np.zeros(len(recording))
     p = _command(recording)
     quiet = 1e-3 * max(float(np.ptp(p)), 1e-9)
     for rows in recording.trials().values():
@@ -75,8 +75,8 @@ def motion(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
         span = np.maximum(t - t[back], 1e-9)
         rate[rows] = np.where(np.arange(len(t)) > 0, (q - q[back]).sum(1) / span, 0.0)
         moved = np.r_[True, np.abs(np.diff(q, axis=0)).max(1, initial=0.0) > quiet]
-        held[rows] = t - t[np.maximum.accumulate(np.where(moved, np.arange(len(t)), 0))]
-    return rate, held
+        rest_s[rows] = t - t[np.maximum.accumulate(np.where(moved, np.arange(len(t)), 0))]
+    return rate, rest_s
 
 
 def is_still(recording: Recording, rate: np.ndarray) -> np.ndarray:

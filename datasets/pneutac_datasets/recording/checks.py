@@ -18,21 +18,21 @@ def check(recording: Recording) -> tuple[Recording, list[str]]:
         The recording without rows where the tracker jumped away and came back or stood still, and one plain
         sentence for each finding (the loader's warnings first).
     """
-    said = list(recording.warnings)
+    findings = list(recording.warnings)
     if recording.device == "gel":
-        return recording, said
+        return recording, findings
     keep = np.ones(len(recording), bool)
-    for finding in (_jumps, _frozen):
-        sentence, bad = finding(recording)
-        said += sentence
+    for look in (_jumps, _frozen):
+        sentences, bad = look(recording)
+        findings += sentences
         keep &= ~bad
-    said += _saturation(recording) + _clock(recording) + _closed_loop(recording)
+    findings += _saturation(recording) + _clock(recording) + _closed_loop(recording)
     if not any(recording.has(c.replace("cmd_", "")) for c in recording.pressure_columns):
-        said.append(
+        findings.append(
             "There is no measured pressure, so a slow valve and a creeping body look alike; log pressure_kpa."
         )
     clean = recording if keep.all() else recording.keep(keep)
-    return clean, said
+    return clean, findings
 
 
 def _jumps(recording: Recording) -> tuple[list[str], np.ndarray]:
@@ -56,25 +56,25 @@ def _jumps(recording: Recording) -> tuple[list[str], np.ndarray]:
             else:
                 first_step = first_step or where
                 steps += 1
-    said = []
+    findings = []
     if bad.mean() > 0.05:
-        said.append(
+        findings.append(
             f"The tracker seems to jump in {bad.mean():.0%} of the rows (first in {first}); so many may be "
             "the device itself, so they are kept: look at the video."
         )
         bad[:] = False
     elif bad.any():
         runs = int(np.sum(np.diff(np.r_[0, bad.astype(int)]) == 1))
-        said.append(
+        findings.append(
             f"The tracker jumps away and comes back {plural(runs, 'time')} (first in {first}); "
             f"{_left_out(bad)}."
         )
     if steps:
-        said.append(
+        findings.append(
             f"The marker shifts suddenly {plural(steps, 'time')} without a change of pressure and stays "
             f"there (first in {first_step}); these rows are kept: a slipped marker or the device itself."
         )
-    return said, bad
+    return findings, bad
 
 
 def excursions(t: np.ndarray, y: np.ndarray, p: np.ndarray) -> list[tuple[int, int, bool]]:
@@ -177,18 +177,18 @@ def _saturation(recording: Recording) -> list[str]:
     """Columns that stick to their largest or smallest number while the command varies."""
     command = recording.samples[recording.pressure_columns].to_numpy(float)
     measured = [c for c in (n.replace("cmd_", "") for n in recording.pressure_columns) if recording.has(c)]
-    said = []
+    findings = []
     for name in [*(c for c in recording.observations if not c.startswith("image")), *measured]:
         x = recording.column(name)
         for extreme, word in ((x.max(), "largest"), (x.min(), "smallest")):
             at = x == extreme
             spread = np.ptp(command[at], axis=0).max() / max(np.ptp(command, axis=0).max(), 1e-9)
             if np.ptp(x) > 0 and at.sum() >= 20 and at.mean() > 0.01 and spread > 0.1:
-                said.append(
+                findings.append(
                     f"Column '{name}' sticks to its {word} number {extreme:g} in {at.mean():.1%} of the rows "
                     "while the command varies: the sensor saturates there."
                 )
-    return said
+    return findings
 
 
 def _clock(recording: Recording) -> list[str]:

@@ -196,43 +196,61 @@ def _sample(
 ) -> GelSample:
     image = _rgb(recording, row["image"])
     _same_size(image, rest, f"{where}: image '{row['image']}'")
-
-    def value(name: str) -> float | None:
-        return float(row[name]) if name in row and pd.notna(row[name]) else None
-
-    def one(*names: str) -> float | None:
-        return next((v for v in map(value, names) if v is not None), None)
-
     kind = str(row["indenter"])
     if kind not in INDENTERS:
         raise InputError(f"{where}: indenter is '{kind}'; it must be one of {', '.join(INDENTERS)}.")
     h, w = image.shape[:2]
-    x_px, x_mm = value("contact_x_px"), value("x_mm")
-    y_px, y_mm = value("contact_y_px"), value("y_mm")
-    if (x_px is None and x_mm is None) or (y_px is None and y_mm is None):
+    x_px, x_mm = _place(row, where, gel.px_per_mm, "x", w)
+    y_px, y_mm = _place(row, where, gel.px_per_mm, "y", h)
+    size_mm, depth_mm = _size_and_depth(row, where, gel, kind)
+    try:
+        press = Press(kind, size_mm, x_mm, y_mm, depth_mm, _number(row, "yaw_rad") or 0.0)
+    except InputError as e:
+        raise InputError(f"{where}: {e}") from e
+    radius_px = _number(row, "contact_radius_px")
+    if radius_px is None:
+        radius_px = press.contact_radius_mm * gel.px_per_mm
+    role = str(row.get("role", ""))
+    return GelSample(str(row["image"]), role, image, rest, float(clock), press, x_px, y_px, radius_px)
+
+
+def _number(row: pd.Series, *names: str) -> float | None:
+    """The first of these columns that is there and filled."""
+    return next((float(row[n]) for n in names if n in row and pd.notna(row[n])), None)
+
+
+def _place(row: pd.Series, where: str, px_per_mm: float, axis: str, size_px: int) -> tuple[float, float]:
+    """Contact centre along one axis: pixel, and mm from the image's centre."""
+    px, mm = _number(row, f"contact_{axis}_px"), _number(row, f"{axis}_mm")
+    if px is None and mm is None:
         raise InputError(
             f"{where}: the contact's place is empty; fill x_mm and y_mm, or contact_x_px, contact_y_px."
         )
-    for axis, px, mm, size in (("x", x_px, x_mm, w), ("y", y_px, y_mm, h)):
-        if px is not None and mm is not None and abs((px - size / 2) / gel.px_per_mm - mm) > AGREE_MM:
-            raise InputError(
-                f"{where}: {axis}_mm is {mm:g} but contact_{axis}_px, {px:g}, lies at "
-                f"{(px - size / 2) / gel.px_per_mm:.3g} mm from the image's centre; correct one of them."
-            )
-    x_px = w / 2 + x_mm * gel.px_per_mm if x_px is None else x_px
-    y_px = h / 2 + y_mm * gel.px_per_mm if y_px is None else y_px
-    size = one("indenter_radius_mm", "indenter_size_mm")
-    if kind in ("cube", "edge"):
-        size = one("indenter_size_mm", "indenter_radius_mm")
-    radius_px, depth = value("contact_radius_px"), value("depth_mm")
-    if size is None and kind == "sphere" and radius_px is not None:
+    if px is None:
+        px = size_px / 2 + mm * px_per_mm
+    centred_mm = (px - size_px / 2) / px_per_mm
+    if mm is not None and abs(centred_mm - mm) > AGREE_MM:
+        raise InputError(
+            f"{where}: {axis}_mm is {mm:g} but contact_{axis}_px, {px:g}, lies at "
+            f"{centred_mm:.3g} mm from the image's centre; correct one of them."
+        )
+    return px, centred_mm
+
+
+def _size_and_depth(row: pd.Series, where: str, gel: GelRecording, kind: str) -> tuple[float, float]:
+    """Indenter size and depth, mm; of a ball the depth may follow from the contact radius (Hertz)."""
+    names = ("indenter_radius_mm", "indenter_size_mm")
+    size = _number(row, *(names[::-1] if kind in ("cube", "edge") else names))
+    radius_px = _number(row, "contact_radius_px") if kind == "sphere" else None
+    if size is None and radius_px is not None:
         size = ASSUMED_RADIUS_MM
         note = f"indenter_radius_mm is empty; a ball of {size:g} mm is assumed, which scales the light alone."
         if note not in gel.warnings:
             gel.warnings.append(note)
     if size is None:
         raise InputError(f"{where}: indenter_radius_mm or indenter_size_mm is empty; give the {kind}'s size.")
-    if depth is None and kind == "sphere" and radius_px is not None:
+    depth = _number(row, "depth_mm")
+    if depth is None and radius_px is not None:
         depth = (radius_px / gel.px_per_mm) ** 2 / size  # Hertz: a^2 = R d
     if depth is None:
         raise InputError(f"{where}: depth_mm is empty; give it, or contact_radius_px of a sphere.")
@@ -241,12 +259,4 @@ def _sample(
             f"{where}: depth_mm is {depth:g} but the gel is {gel.thickness_mm:g} mm thick; give millimetres, "
             "or gel_size_mm in recording.json."
         )
-    try:
-        x, y = (x_px - w / 2) / gel.px_per_mm, (y_px - h / 2) / gel.px_per_mm
-        press = Press(kind, size, x, y, depth, value("yaw_rad") or 0.0)
-    except InputError as e:
-        raise InputError(f"{where}: {e}") from e
-    if radius_px is None:
-        radius_px = press.contact_radius_mm * gel.px_per_mm
-    role = str(row.get("role", ""))
-    return GelSample(str(row["image"]), role, image, rest, float(clock), press, x_px, y_px, radius_px)
+    return size, depth

@@ -33,12 +33,12 @@ def on_one_mount(
         train: (n,) mask of training samples.
         refit: whether the twin is fitted first, or taken as it is.
     """
-    aligned, said, alike = align_mounts(recording, twin.length_mm)
-    if not said:
+    aligned, warnings, alike = align_mounts(recording, twin.length_mm)
+    if not warnings:
         return recording, []
     bench = BodyData.of(aligned, twin)
     found = fit(twin, bench, train=train, starts=2) if refit else simulate(twin, bench)
-    return _settle(aligned, alike, found.residual, train), said
+    return _settle(aligned, alike, found.residual, train), warnings
 
 
 def align_mounts(recording: Recording, length_mm: float) -> tuple[Recording, list[str], list[int]]:
@@ -86,14 +86,14 @@ def align_mounts(recording: Recording, length_mm: float) -> tuple[Recording, lis
         return recording, [], []
     samples = recording.samples.copy()
     samples[TIP] = out
-    said = (
+    sentence = (
         f"The device was mounted differently in {_trials([t for t, _ in moved])} (at rest its tip is "
         f"up to {max(f for _, f in moved):.0f} mm from where it is in trial {first}"
         + (f", and in {_trials(turned)} the same pressure bends it another way" if turned else "")
         + "); these trials are turned and shifted onto the first mount."
     )
     clean = Recording(recording.folder, recording.meta, samples, recording.device, recording.warnings)
-    return clean, [said], alike
+    return clean, [sentence], alike
 
 
 def _trials(numbers: list[str]) -> str:

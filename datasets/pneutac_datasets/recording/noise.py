@@ -139,7 +139,7 @@ def _detrended(x: np.ndarray, window: int) -> np.ndarray:
     return ((x - (x @ q) @ q.T) * np.sqrt(window / max(window - 2, 1))).ravel()
 
 
-def held(recording: Recording) -> np.ndarray:
+def at_rest_mask(recording: Recording) -> np.ndarray:
     """Mask (n,): the commanded pressure has not moved for `HOLD_S` before this sample."""
     out = np.zeros(len(recording), bool)
     for rows in recording.trials().values():
@@ -152,7 +152,7 @@ def held(recording: Recording) -> np.ndarray:
 
 
 def _from_holds(recording: Recording, columns: list[str]) -> tuple[dict[str, float], str]:
-    mask = held(recording)
+    mask = at_rest_mask(recording)
     at_rest = mask.mean() > 0.02 and mask.sum() >= 40
     still = np.ptp(recording.samples[recording.pressure_columns].to_numpy(float), axis=0).max() < 1e-3
     how = "the fast part of the motion" + (

@@ -21,11 +21,11 @@ def masked_cameras(recording: Recording) -> list[str]:
     names = [n for n in names if recording.has(f"mask_{n}")]
     if names or not (recording.has("image") and recording.has("mask")):
         return names
-    told = recording.meta.get("cameras")
-    if not isinstance(told, dict) or len(told) != 1:
-        many = isinstance(told, dict) and len(told) > 1
+    described = recording.meta.get("cameras")
+    if not isinstance(described, dict) or len(described) != 1:
+        many = isinstance(described, dict) and len(described) > 1
         wrong = (
-            f"{', '.join(told)}; name the columns image_<camera> and mask_<camera>"
+            f"{', '.join(described)}; name the columns image_<camera> and mask_<camera>"
             if many
             else "none; describe it"
         )
@@ -33,7 +33,7 @@ def masked_cameras(recording: Recording) -> list[str]:
             f"{recording.folder / 'recording.json'}: columns 'image' and 'mask' are those of one camera, but "
             f"field 'cameras' describes {wrong}."
         )
-    return list(told)
+    return list(described)
 
 
 def column_of(recording: Recording, kind: str, camera: str) -> str:
@@ -55,16 +55,18 @@ def read_camera(recording: Recording, name: str) -> Camera:
     Raises:
         InputError: `recording.json` does not describe it, or does so wrongly.
     """
-    told = recording.meta.get("cameras")
-    if not isinstance(told, dict) or name not in told or not isinstance(told[name], dict):
+    described = recording.meta.get("cameras")
+    if not isinstance(described, dict) or name not in described or not isinstance(described[name], dict):
         raise InputError(
             f"{recording.folder / 'recording.json'}: field 'cameras' does not describe '{name}'; give it "
             '{"intrinsics": 3x3 in px, "extrinsics": 4x4 from base to camera in m}.'
         )
     height, width = recording.image(recording.column(column_of(recording, "image", name))[0]).shape[:2]
-    lens = told[name].get("distortion", ())
+    lens = described[name].get("distortion", ())
     try:
-        return Camera(told[name].get("intrinsics"), told[name].get("extrinsics"), width, height, lens)
+        return Camera(
+            described[name].get("intrinsics"), described[name].get("extrinsics"), width, height, lens
+        )
     except InputError as e:
         raise InputError(f"{recording.folder / 'recording.json'}: camera '{name}': {e}") from e
 

@@ -42,7 +42,7 @@ def record(folder: Path, options: dict, needs: list[Path], workers: int) -> dict
     robot.connect()
     try:
         words = robot.world.task.description
-        record_episodes(robot, teleop, repo_id(folder), root, options["episodes"], CONTROL_HZ, words, True)
+        record_episodes(robot, teleop, repo_id(folder), root, options["episodes"], words, True)
     finally:
         robot.disconnect()
     return {"dataset": str(root), "episodes": options["episodes"], "tried": len(robot.successes)}

@@ -28,7 +28,7 @@ def recorded(tmp_path_factory):
     root = tmp_path_factory.mktemp("augment") / "demos"
     robot = PneutacSim(PneutacSimConfig(id="t", task="switch", seed=3, fidelity="probe"))
     teleop = PneutacScripted(PneutacScriptedConfig(id="t", seed=3, episode_steps=80))
-    return record_episodes(robot, teleop, "local/demos", root, 2, 15, "flip the switch", False)
+    return record_episodes(robot, teleop, "local/demos", root, 2, "flip the switch", False)
 
 
 def options(recorded, out, *more) -> list[str]:

@@ -36,7 +36,7 @@ def read(root, key):
 
 def test_records_successful_demonstrations_frame_by_frame(devices, tmp_path):
     robot, teleop = devices()
-    root = record_episodes(robot, teleop, "local/x", tmp_path / "x", 2, 15, "flip the switch", True)
+    root = record_episodes(robot, teleop, "local/x", tmp_path / "x", 2, "flip the switch", True)
     dataset = LeRobotDataset("local/x", root, video_backend="pyav")
     assert (dataset.num_episodes, dataset.fps) == (2, 15)
     starts = [e["dataset_from_index"] for e in dataset.meta.episodes]
@@ -72,20 +72,20 @@ def test_features_are_those_of_lerobot_record(devices, tmp_path):
         ),
     )
     with pytest.raises(InputError, match="scripted demonstrations failed and 0 succeeded"):
-        record_episodes(robot, teleop, "local/x", tmp_path / "x", 1, 15, "flip", False)
+        record_episodes(robot, teleop, "local/x", tmp_path / "x", 1, "flip", False)
     robot, teleop = devices()
-    root = record_episodes(robot, teleop, "local/y", tmp_path / "y", 1, 15, "flip", False)
+    root = record_episodes(robot, teleop, "local/y", tmp_path / "y", 1, "flip", False)
     found = LeRobotDataset("local/y", root, video_backend="pyav").meta.features
     assert {k: f for k, f in found.items() if k not in DEFAULT_FEATURES} == expected
 
 
 def test_same_seeds_same_dataset(devices, tmp_path):
     for name in ("a", "b"):
-        record_episodes(*devices(), "local/x", tmp_path / name, 1, 15, "flip", True)
+        record_episodes(*devices(), "local/x", tmp_path / name, 1, "flip", True)
     for key in (OBS_STATE, ACTION):
         np.testing.assert_array_equal(read(tmp_path / "a", key), read(tmp_path / "b", key))
 
 
 def test_an_existing_folder_is_refused(devices, tmp_path):
     with pytest.raises(InputError, match="exists; give a new folder"):
-        record_episodes(*devices(), "local/x", tmp_path, 1, 15, "flip", True)
+        record_episodes(*devices(), "local/x", tmp_path, 1, "flip", True)

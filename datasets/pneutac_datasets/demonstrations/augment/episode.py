@@ -102,7 +102,7 @@ class Variant:
 
 
 @dataclass
-class Trial:
+class Attempt:
     """What came of a variant.
 
     Attributes:
@@ -143,7 +143,7 @@ class Generator:
             self.world, self.gantry, s.references[source], s.seed, s.candidates, self.late_commands
         )
 
-    def episode(self, index: int, scenes: list[Scene]) -> tuple[Trial, dict]:
+    def episode(self, index: int, scenes: list[Scene]) -> tuple[Attempt, dict]:
         """The demonstration number `index`: variants are tried until one does the task.
 
         Args:
@@ -151,31 +151,33 @@ class Generator:
             scenes: one for each reference.
 
         Returns:
-            the trial that is kept, and its provenance with every rejection's reason.
+            the attempt that is kept, and its provenance with every rejection's reason.
 
         Raises:
             InputError: none of `attempts` variants did the task.
         """
         s = self.setup
         rejected = []
-        for attempt in range(s.attempts):
-            rng = np.random.default_rng([s.seed, index, attempt])
-            source = (index + attempt // TRIES) % len(scenes)
+        for number in range(s.attempts):
+            rng = np.random.default_rng([s.seed, index, number])
+            source = (index + number // TRIES) % len(scenes)
             variant = Variant.draw(source, self.sigma_m, self.late_commands, rng)
-            trial = self.carry_out(variant, scenes[source], rng)
+            attempt = self.carry_out(variant, scenes[source], rng)
             where = {"source_episode": s.references[source].source, **asdict(variant)}
-            if trial.reason is None:
-                scores = {"cost": trial.cost, "area_rmse": trial.area_rmse, "frames": len(trial.action)}
-                kept = {"episode": index, "seed": s.seed, "attempt": attempt, **where, **scores}
-                return trial, {**kept, "scene": asdict(scenes[source]), "rejected": rejected}
-            rejected.append({"attempt": attempt, "reason": trial.reason, **where})
+            if attempt.reason is None:
+                scores = {"cost": attempt.cost, "area_rmse": attempt.area_rmse, "frames": len(attempt.action)}
+                kept = {"episode": index, "seed": s.seed, "attempt": number, **where, **scores}
+                return attempt, {**kept, "scene": asdict(scenes[source]), "rejected": rejected}
+            rejected.append({"attempt": number, "reason": attempt.reason, **where})
         reasons = ", ".join(sorted({r["reason"] for r in rejected}))
         raise InputError(
             f"Demonstration {index}: none of {s.attempts} variants did the task '{s.task}' ({reasons}); are"
             " the recorded demonstrations of this task and this finger?"
         )
 
-    def carry_out(self, variant: Variant, scene: Scene, rng: np.random.Generator, plan: bool = True) -> Trial:
+    def carry_out(
+        self, variant: Variant, scene: Scene, rng: np.random.Generator, plan: bool = True
+    ) -> Attempt:
         """Plans a variant and carries it out in the world.
 
         Args:
@@ -197,7 +199,7 @@ class Generator:
         observation = self.world.reset(scene.seed)
         if self.world.blocked:
             nothing = np.zeros((0, len(STATE_NAMES))), np.zeros((0, len(ACTION_LOW))), None
-            return Trial(*nothing, IN_THE_WAY, 0.0, 1.0)
+            return Attempt(*nothing, IN_THE_WAY, 0.0, 1.0)
         replayed = ((action, False) for action in np.clip(r.action, ACTION_LOW, ACTION_HIGH))
         ways = self._plan(r, variant, rng) if plan else replayed
         push, keep = np.zeros(4), np.exp(-DT / PUSH_S)
@@ -224,7 +226,7 @@ class Generator:
             reason = "it did not touch the object"
         elif not reason and not self.world.success:
             reason = "the task was not done by the end"
-        return Trial(
+        return Attempt(
             np.array(states),
             np.array(actions),
             None if images[0] is None else np.array(images),

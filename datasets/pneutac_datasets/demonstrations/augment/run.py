@@ -10,7 +10,7 @@ import multiprocessing
 import os
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict
@@ -20,7 +20,7 @@ import numpy as np
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
 from lerobot.utils.constants import ACTION, OBS_STATE
 
-from pneutac_datasets.demonstrations.augment.episode import AugmentSetup
+from pneutac_datasets.demonstrations.augment.episode import Attempt, AugmentSetup
 from pneutac_datasets.demonstrations.augment.reference import (
     EXTRA_STEPS,
     Reference,
@@ -39,7 +39,7 @@ from pneutac_datasets.demonstrations.episodes import (
     save_episode,
 )
 from pneutac_datasets.demonstrations.naive import augment_naive
-from pneutac_datasets.demonstrations.writing import create_dataset, quiet_encoders
+from pneutac_datasets.demonstrations.writing import Progress, create_dataset, no_progress, quiet_encoders
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import CONTROL_HZ
 from pneutac_sim.gel.sensor import TactileSensor
@@ -92,7 +92,7 @@ def augment_guided(
     out_repo_id: str,
     episodes: int,
     workers: int,
-    progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
+    progress: Progress = no_progress,
 ) -> dict:
     """Writes a LeRobotDataset of planned demonstrations that merges with its source.
 
@@ -103,7 +103,7 @@ def augment_guided(
         out_repo_id: its name.
         episodes: number of new demonstrations.
         workers: processes.
-        progress: is told the stage, and how many of how many are done.
+        progress: is called with the stage, and how many of how many are done.
 
     Returns:
         `attempts`, `kept`, `rejected` (reason to count), `provenance` (a dict each), `seconds` by part,
@@ -114,60 +114,27 @@ def augment_guided(
             unfinished run is another one, or a demonstration cannot be made.
     """
     onset_sigma_m(setup.references)
-    out_root = Path(out_root)
-    work, part = (
-        Work(out_root.with_name(out_root.name + ".work")),
-        out_root.with_name(out_root.name + ".part"),
-    )
-    began = time.monotonic()
-    if out_root.exists() and work.folder.exists():  # stopped when all was done but the tidying up
-        work.open(_run(meta, setup))
-        scenes = [work.load_scene(i) for i in range(len(setup.references))]
-        lines = (out_root / "meta" / PROVENANCE).read_text().splitlines()
-        if len(lines) != episodes:
-            raise InputError(
-                f"'{out_root}' holds {len(lines)} demonstrations, not {episodes}; give a new folder for them."
-            )
-        shutil.rmtree(work.folder)
-        return _summary([json.loads(line) for line in lines], {}, scenes, began)
+    out_root, began = Path(out_root), time.monotonic()
+    work = Work(out_root.with_name(out_root.name + ".work"))
+    part = out_root.with_name(out_root.name + ".part")
+    if out_root.exists() and work.folder.exists():
+        return _tidy_up(work, out_root, meta, setup, episodes, began)
     if out_root.exists():
         raise InputError(f"'{out_root}' exists; give a new folder for dataset '{out_repo_id}'.")
     work.open(_run(meta, setup))
     shutil.rmtree(part, ignore_errors=True)
-    n = len(setup.references)
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(workers, context, begin, (setup, work.folder))
-    seconds: dict[str, float] = {"writing": 0.0}
-    provenance = []
     try:
-        missing = [i for i in range(n) if not work.scene_file(i).exists()]
-        for done, future in enumerate([pool.submit(make_scene, i) for i in missing]):
-            progress("finding the objects", done, len(missing))
-            future.result()
-        scenes = [work.load_scene(i) for i in range(n)]
-        waiting = {
-            k: pool.submit(make_episode, k, scenes)
-            for k in range(episodes)
-            if not work.episode_file(k).exists()
-        }
+        scenes = _find_scenes(pool, work, len(setup.references), progress)
+        planned = _plan(pool, work, scenes, episodes, progress)
         features = demonstration_features(meta)
         use_videos = features[TACTILE]["dtype"] == "video"
         longest = max(map(len, setup.references)) + EXTRA_STEPS
         with quiet_encoders():
             out = create_dataset(out_repo_id, part, meta.fps, features, meta.robot_type, use_videos, longest)
             try:
-                for k in range(episodes):
-                    progress("planning demonstrations", k, episodes)
-                    if k in waiting:
-                        waiting.pop(k).result()
-                    trial, line, spent = work.load_episode(k)
-                    provenance.append(line)
-                    for name, s in spent.items():
-                        seconds[name] = seconds.get(name, 0.0) + s
-                    start = time.perf_counter()
-                    instruction = setup.references[line["source"]].task
-                    save_episode(out, Episode(trial.state, trial.action, trial.images, instruction, meta.fps))
-                    seconds["writing"] += time.perf_counter() - start
+                provenance, seconds = _write(out, planned, setup.references)
             finally:
                 out.finalize()
         finish(part, out_root, provenance)
@@ -181,8 +148,67 @@ def augment_guided(
     return _summary(provenance, seconds, scenes, began)
 
 
+def _tidy_up(
+    work: Work, out_root: Path, meta: LeRobotDatasetMetadata, setup: AugmentSetup, episodes: int, began: float
+) -> dict:
+    """Ends a run that was stopped when only its work folder was left to remove."""
+    work.open(_run(meta, setup))
+    scenes = [work.load_scene(i) for i in range(len(setup.references))]
+    lines = (out_root / "meta" / PROVENANCE).read_text().splitlines()
+    if len(lines) != episodes:
+        raise InputError(
+            f"'{out_root}' holds {len(lines)} demonstrations, not {episodes}; give a new folder for them."
+        )
+    shutil.rmtree(work.folder)
+    return _summary([json.loads(line) for line in lines], {}, scenes, began)
+
+
+def _find_scenes(pool: ProcessPoolExecutor, work: Work, references: int, progress: Progress) -> list[Scene]:
+    """Where the object stood in each reference."""
+    missing = [i for i in range(references) if not work.scene_file(i).exists()]
+    for done, future in enumerate([pool.submit(make_scene, i) for i in missing]):
+        progress("finding the objects", done, len(missing))
+        future.result()
+    return [work.load_scene(i) for i in range(references)]
+
+
+def _plan(
+    pool: ProcessPoolExecutor, work: Work, scenes: list[Scene], episodes: int, progress: Progress
+) -> Iterator[tuple[Attempt, dict, dict]]:
+    """Yields the demonstrations in order; see `Work.load_episode`."""
+    waiting = {
+        k: pool.submit(make_episode, k, scenes) for k in range(episodes) if not work.episode_file(k).exists()
+    }
+    for k in range(episodes):
+        progress("planning demonstrations", k, episodes)
+        if k in waiting:
+            waiting.pop(k).result()
+        yield work.load_episode(k)
+
+
+def _write(
+    out: LeRobotDataset, planned: Iterator[tuple[Attempt, dict, dict]], references: list[Reference]
+) -> tuple[list[dict], dict[str, float]]:
+    """Writes demonstrations; returns their provenance and the seconds spent, by part."""
+    provenance, seconds = [], {"writing": 0.0}
+    for attempt, line, spent in planned:
+        provenance.append(line)
+        for name, s in spent.items():
+            seconds[name] = seconds.get(name, 0.0) + s
+        start = time.perf_counter()
+        instruction = references[line["source"]].task
+        save_episode(out, Episode(attempt.state, attempt.action, attempt.images, instruction, out.fps))
+        seconds["writing"] += time.perf_counter() - start
+    return provenance, seconds
+
+
 def augment_without_simulator(
-    meta: LeRobotDatasetMetadata, out_root: str | Path, out_repo_id: str, episodes: int, seed: int
+    meta: LeRobotDatasetMetadata,
+    out_root: str | Path,
+    out_repo_id: str,
+    episodes: int,
+    seed: int,
+    progress: Progress = no_progress,
 ) -> dict:
     """The same by `naive.augment_naive`; the result has the keys of `augment_guided`."""
     out_root, began = Path(out_root), time.monotonic()
@@ -190,7 +216,7 @@ def augment_without_simulator(
         raise InputError(f"'{out_root}' exists; give a new folder for dataset '{out_repo_id}'.")
     part = out_root.with_name(out_root.name + ".part")
     shutil.rmtree(part, ignore_errors=True)
-    augment_naive(meta.root, meta.repo_id, part, out_repo_id, episodes, seed)
+    augment_naive(meta.root, meta.repo_id, part, out_repo_id, episodes, seed, progress)
     provenance = [
         {"episode": k, "seed": seed, "source_episode": k % meta.total_episodes, "method": "naive"}
         for k in range(episodes)

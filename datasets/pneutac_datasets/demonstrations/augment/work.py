@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pneutac_datasets.demonstrations.augment.episode import AugmentSetup, Generator, Trial
+from pneutac_datasets.demonstrations.augment.episode import Attempt, AugmentSetup, Generator
 from pneutac_datasets.demonstrations.augment.scene import Scene
 from pneutac_sim.errors import InputError
 from pneutac_sim.worker import start_worker
@@ -55,25 +55,27 @@ class Work:
         d = json.loads(self.scene_file(source).read_text())
         return Scene(**d | {"shift_m": tuple(d["shift_m"])})
 
-    def load_episode(self, index: int) -> tuple[Trial, dict, dict]:
+    def load_episode(self, index: int) -> tuple[Attempt, dict, dict]:
         """Reads a demonstration, its provenance, and the seconds that it took."""
         with np.load(self.episode_file(index)) as d:
             images = np.add(d["change"], d["first"], dtype=np.uint8)
             provenance, seconds = json.loads(str(d["provenance"])), json.loads(str(d["seconds"]))
-            trial = Trial(d["state"], d["action"], images, None, provenance["cost"], provenance["area_rmse"])
-        return trial, provenance, seconds
+            attempt = Attempt(
+                d["state"], d["action"], images, None, provenance["cost"], provenance["area_rmse"]
+            )
+        return attempt, provenance, seconds
 
     def save_scene(self, source: int, scene: Scene) -> None:
         """Writes a scene."""
         _write(self.scene_file(source), lambda f: f.write(json.dumps(asdict(scene)).encode()))
 
-    def save_episode(self, index: int, trial: Trial, provenance: dict, seconds: dict) -> None:
+    def save_episode(self, index: int, attempt: Attempt, provenance: dict, seconds: dict) -> None:
         """Writes a demonstration; images as differences from the first, which are mostly zero."""
         arrays = {
-            "state": trial.state,
-            "action": trial.action,
-            "first": trial.images[0],
-            "change": trial.images - trial.images[0],
+            "state": attempt.state,
+            "action": attempt.action,
+            "first": attempt.images[0],
+            "change": attempt.images - attempt.images[0],
             "provenance": np.array(json.dumps(provenance)),
             "seconds": np.array(json.dumps(seconds)),
         }
@@ -108,9 +110,9 @@ def make_scene(source: int) -> None:
 def make_episode(index: int, scenes: list[Scene]) -> None:
     """Makes and saves one demonstration."""
     before = _spent()
-    trial, provenance = _generator.episode(index, scenes)
+    attempt, provenance = _generator.episode(index, scenes)
     seconds = {k: v - before[k] for k, v in _spent().items()}
-    _work.save_episode(index, trial, provenance, seconds)
+    _work.save_episode(index, attempt, provenance, seconds)
 
 
 def _spent() -> dict:
