@@ -10,7 +10,7 @@ import time
 import numpy as np
 import pandas as pd
 
-from pneutac_sim.effects import all_effects, get_effect
+from pneutac_sim.effects import body_effects, get_effect
 from pneutac_sim.finger import BodyData, Inputs, Pipeline, PressurePipeline, fit
 from pneutac_sim.twin import Twin, Value
 
@@ -54,7 +54,11 @@ def main() -> None:
     for device in ("finger", "arm"):
         twin = Twin(device=device, parameters={"gain_rad_per_kpa": Value(0.011)})
         inputs = Inputs.from_samples(table, device)
-        for label, effects in (("no effect", []), ("creep", ["creep"]), ("all effects", list(all_effects()))):
+        for label, effects in (
+            ("no effect", []),
+            ("creep", ["creep"]),
+            ("all effects", list(body_effects())),
+        ):
             model = Pipeline.of(twin, inputs, effects)
             theta = model.theta(twin, TOP)
             ms = 1e3 * best(lambda m=model, x=inputs, t=theta: m.run(x, t))

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.effects.registry import all_effects
+from pneutac_sim.effects.registry import body_effects
 from pneutac_sim.finger.inputs import conditions_of
 from pneutac_sim.twin import Twin
 
@@ -30,7 +30,7 @@ def sort_candidates(recording: Recording, twin: Twin) -> tuple[list[str], list[U
     names, untested = [], []
     known = conditions_of(recording.samples, recording.device)
     marked = any(recording.has(f"tip_{a}_mm") for a in "xyz")
-    for name, effect in all_effects().items():
+    for name, effect in body_effects().items():
         if name in twin.effects:
             continue
         missing = [c for c in effect.columns if c not in known]

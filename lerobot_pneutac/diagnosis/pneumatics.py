@@ -47,7 +47,7 @@ def sensor_noise(recording: Recording, columns: list[str]) -> float:
 
 def is_pneumatic(effect: str) -> bool:
     """Whether an effect acts between command and measured pressure; a gauge's error lies behind it."""
-    return get_effect(effect).stage == "pneumatics" and effect != "sensor_offset"
+    return get_effect(effect).of_air
 
 
 def driven_by(recording: Recording, columns: list[str], residual: np.ndarray, noise: float) -> Recording:

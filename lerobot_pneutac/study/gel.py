@@ -18,7 +18,7 @@ from lerobot_pneutac.study.base import Study
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.noise import NoiseFloor
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.effects.optics import OPTICS
+from pneutac_sim.effects.registry import get_effect, of_sensor, sensor_effects
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import IMAGE_SHAPE
 from pneutac_sim.gel import optics
@@ -132,7 +132,7 @@ class Bench:
         contact = np.array(
             [np.mean(np.square(r[m].astype(float))) for r, m in zip(residuals, self._regions, strict=True)]
         )
-        return Trial(tuple(e for e in OPTICS if e in effects), fit, squares, contact, residuals)
+        return Trial(tuple(e for e in sensor_effects() if e in effects), fit, squares, contact, residuals)
 
     def residuals(self, gel: GelModel) -> list[np.ndarray]:
         """Predicted - photographed of every photograph, int16 (H, W, 3)."""
@@ -201,7 +201,8 @@ def study(
     """
     bench = Bench(replace(gel, effects={}), data, seed)
     judge, noise = bench.judge, bench.noise()
-    own = [e for e in OPTICS if e in effects]
+    known = sensor_effects()
+    own = [e for e in known if e in effects]
 
     def attempt(names: Sequence[str], near: GelModel | None = None) -> Trial:
         out = bench.trial(names, near)
@@ -216,9 +217,9 @@ def study(
         return judge.drop(before.squares, after.squares)[1] > 0 and share > WORTH
 
     ladder, selected, alone, rivals = [base], [], {}, []
-    while len(selected) < len(OPTICS) - len(own):
+    while len(selected) < len(known) - len(own):
         now = ladder[-1]
-        candidates = [e for e in OPTICS if e not in now.effects]
+        candidates = [e for e in known if e not in now.effects]
         tell(f"effect {len(selected) + 1}", len(candidates))
         tried = {e: attempt([*now.effects, e], now.fit.gel) for e in candidates}
         if not selected:
@@ -299,7 +300,7 @@ def at_bound(gel: GelModel, effects: Sequence[str]) -> list[str]:
     return [
         f"{e}.{p.name}"
         for e in effects
-        for p in OPTICS[e].parameters
+        for p in get_effect(e).parameters
         if min(gel.effects[e][p.name] - p.lower, p.upper - gel.effects[e][p.name])
         < 1e-3 * (p.upper - p.lower)
     ]
@@ -344,8 +345,8 @@ class GelStudy(Study):
         strata = np.unique([s.role for s in data.samples], return_inverse=True)[1]
         self.parts = Parts(self.bench.train, held, held, np.arange(len(held)), strata)
         self.noise = NoiseFloor(self.bench.noise(), None, self.unit, "", {})
-        self.own = tuple(e for e in twin.effects if e in OPTICS)
-        self.candidates, self.untested = [e for e in OPTICS if e not in self.own], []
+        self.own = tuple(of_sensor(twin.effects))
+        self.candidates, self.untested = [e for e in sensor_effects() if e not in self.own], []
         self.findings = data.warnings
 
     def refit(self, effects: Sequence[str], start: Trial | None, steps: Steps) -> Trial:
@@ -356,8 +357,8 @@ class GelStudy(Study):
 
     def refusal(self, effect: str) -> str:
         """Why an effect cannot be switched on."""
-        if effect not in OPTICS:
-            return f"'{effect}' does not act on a gel's images; give one of {', '.join(OPTICS)}."
+        if effect not in sensor_effects():
+            return f"'{effect}' does not act on a gel's images; give one of {', '.join(sensor_effects())}."
         return self.already_on(effect)
 
     def errors(self, model: Trial) -> dict:
@@ -373,7 +374,7 @@ class GelStudy(Study):
 
     def parameters(self, model: Trial, effect: str) -> dict[str, dict]:
         """Value and unit; a fit of light gives no intervals."""
-        units = {p.name: p.unit for p in OPTICS[effect].parameters}
+        units = {p.name: p.unit for p in get_effect(effect).parameters}
         values = model.fit.gel.effects[effect]
         return {k: {"value": v, "ci95": None, "unit": units[k]} for k, v in values.items()}
 

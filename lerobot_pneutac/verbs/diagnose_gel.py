@@ -11,7 +11,7 @@ from lerobot_pneutac.study.gel import GelFindings, Trial, maps, seen_by, study
 from lerobot_pneutac.verbs.diagnosis import Diagnosis
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.effects.optics import OPTICS
+from pneutac_sim.effects.registry import get_effect, of_sensor
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.pair import check_pair
 from pneutac_sim.twin import Twin
@@ -96,7 +96,7 @@ def load_gel(twin: Twin, recording: Recording) -> tuple[GelModel, GelRecording]:
 
 def own_effects(twin: Twin) -> list[str]:
     """Optics effects that the twin has."""
-    return [e for e in twin.effects if e in OPTICS]
+    return of_sensor(twin.effects)
 
 
 def diagnose_gel(twin: Twin, recording: Recording, seed: int, tell, done) -> GelDiagnosis:
@@ -189,7 +189,7 @@ def lead(s: GelFindings) -> str:
             f"levels stay where their noise is {s.noise:.3g}."
         )
     first = s.selected[0]
-    text = OPTICS[first].describe(s.ladder[-1].fit.gel.effects[first], "gel")
+    text = get_effect(first).describe(s.ladder[-1].fit.gel.effects[first], "gel")
     text += (
         f" Adding {', '.join(s.selected)} takes the held-out error from {before:.3g} to {after:.3g} levels."
     )
@@ -207,7 +207,7 @@ def advice(s: GelFindings) -> str:
         return "Press one ball at ten places all over the window, to several depths; note where and how deep."
     hints = [r for pair in s.rivals for r in pair] or s.selected or s.evidence.near_miss
     if hints:
-        return f"To see {hints[0]} alone: {OPTICS[hints[0]].experiment}"
+        return f"To see {hints[0]} alone: {get_effect(hints[0]).experiment}"
     return (
         "Press other shapes, such as an edge or a small cylinder: so far the light is known for these alone."
     )
@@ -264,7 +264,7 @@ def gel_page(s: GelFindings, result: dict) -> Report:
         [
             {"effect": e, "parameter": p.name, "value": values[p.name], "unit": p.unit or "(a ratio)"}
             for e, values in result["parameters"].items()
-            for p in OPTICS[e].parameters
+            for p in get_effect(e).parameters
         ]
     )
     return page

@@ -13,9 +13,9 @@ from lerobot_pneutac.study.pasted import Pasted
 from lerobot_pneutac.verbs.calibration import Calibration
 from pneutac_datasets.recording.gel import GelRecording, GelSample
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.effects.optics import OPTICS, SENSOR
+from pneutac_sim.effects.registry import get_effect, of_sensor, sensor_effects
 from pneutac_sim.errors import InputError
-from pneutac_sim.gel.fit import GelFit, fit_gel
+from pneutac_sim.gel.fit import GelFit, fit_gel, standard_effects
 from pneutac_sim.gel.metrics import ImageScores, score
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.pair import Pair
@@ -194,12 +194,13 @@ def wanted(effects: Sequence[str] | None, twin: Twin) -> list[str]:
         InputError: a name is no optics effect, or acts on a session and not on one pair.
     """
     if effects is None:
-        return [e for e in twin.effects if e in OPTICS] if twin.gel else list(SENSOR)
+        return of_sensor(twin.effects) if twin.gel else standard_effects()
+    of_one_pair = [name for name, effect in sensor_effects().items() if not effect.of_session]
     for name in effects:
-        if name not in SENSOR:
-            why = "needs more than one pair of images" if name in OPTICS else "is no optics effect"
+        if name not in of_one_pair:
+            why = "needs more than one pair of images" if of_sensor([name]) else "is no optics effect"
             raise InputError(
-                f"--effects={','.join(effects)}: '{name}' {why}; give some of {','.join(SENSOR)}, or none "
+                f"--effects={','.join(effects)}: '{name}' {why}; give some of {','.join(of_one_pair)}, or none "
                 "for the paper's linear model."
             )
     return list(dict.fromkeys(effects))
@@ -239,7 +240,7 @@ def _parameters(gel: GelModel) -> dict[str, dict]:
     out["decay_mm"] = {"value": gel.decay_mm, "unit": "mm"}
     out["depth_scale"] = {"value": gel.depth_scale, "unit": ""}
     for effect, values in gel.effects.items():
-        units = {p.name: p.unit for p in OPTICS[effect].parameters}
+        units = {p.name: p.unit for p in get_effect(effect).parameters}
         out |= {f"{effect}.{k}": {"value": round(v, 6), "unit": units[k]} for k, v in values.items()}
     out["threshold_levels"] = {"value": gel.threshold_levels, "unit": "levels"}
     return out

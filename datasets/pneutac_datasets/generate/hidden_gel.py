@@ -9,7 +9,8 @@ from pneutac_datasets.generate.gel import NOISE_LEVELS, PX_PER_MM
 from pneutac_datasets.generate.presses import ball_press, press_row, write_session
 from pneutac_datasets.generate.truth import write_truth
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.effects.optics import CHANNELS, OPTICS
+from pneutac_sim.effects.registry import sensor_effects
+from pneutac_sim.effects.sensor_effect import CHANNELS
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.photograph import Predictor
@@ -41,9 +42,10 @@ def write_hidden_gel(folder: str | Path, hidden: list[str], seed: int = 0, image
         InputError: an effect is no optics effect, or there are fewer than two images.
     """
     folder, rng = Path(folder), np.random.default_rng(seed)
+    known = {name: effect for name, effect in sensor_effects().items() if name in SIZES}
     for name in hidden:
-        if name not in OPTICS:
-            raise InputError(f"'{name}' is no optics effect; give one of {', '.join(OPTICS)}.")
+        if name not in known:
+            raise InputError(f"'{name}' is no optics effect; give one of {', '.join(known)}.")
     if images < 2:
         raise InputError(f"images is {images}; at least 2 are needed, one of them to calibrate by.")
     truth = {}
@@ -51,7 +53,7 @@ def write_hidden_gel(folder: str | Path, hidden: list[str], seed: int = 0, image
         sizes = SIZES[name]
         truth[name] = {
             p.name: p.neutral + (sizes.get(p.name, p.neutral) - p.neutral) * rng.uniform(0.8, 1.2)
-            for p in OPTICS[name].parameters
+            for p in known[name].parameters
         }
     gel = GelModel.builtin()
     gel.effects = truth

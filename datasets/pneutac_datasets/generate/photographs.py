@@ -25,6 +25,7 @@ from pneutac_datasets.generate.photo_plan import default_pressures, hidden_twin,
 from pneutac_datasets.generate.photo_scene import Studio, photograph, ragged
 from pneutac_datasets.generate.truth import write_truth
 from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.effects.effect import BODY_STAGES
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm import devices
@@ -57,7 +58,7 @@ class Disturbances:
 
     def __post_init__(self):
         for name in self.effects:
-            if get_effect(name).stage not in ("pneumatics", "actuation", "body"):
+            if get_effect(name).stage not in BODY_STAGES[:-1]:
                 raise InputError(
                     f"Disturbances: effect '{name}' does not act on the body; tilt_deg turns the base, "
                     "camera_deg and camera_mm move the cameras."

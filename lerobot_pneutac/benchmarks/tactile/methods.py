@@ -10,7 +10,6 @@ from lerobot_pneutac.benchmarks.baselines.tacchi import Tacchi
 from lerobot_pneutac.benchmarks.baselines.taxim import Taxim
 from lerobot_pneutac.study.pasted import Pasted, RestAlone
 from pneutac_datasets.recording.gel import GelRecording, GelSample
-from pneutac_sim.effects.optics import SENSOR
 from pneutac_sim.gel import optics
 from pneutac_sim.gel.fit import fit_gel
 from pneutac_sim.gel.layout import DIGIT, Layout
@@ -55,7 +54,7 @@ class Method:
 
 
 def own_gel(
-    data: GelRecording, effects: tuple[str, ...] = SENSOR, makes: tuple[Layout, ...] = (DIGIT,)
+    data: GelRecording, effects: tuple[str, ...] | None = None, makes: tuple[Layout, ...] = (DIGIT,)
 ) -> GelModel:
     """This library's gel, fitted to a recording's calibration pair."""
     c = data.calibration
@@ -63,7 +62,7 @@ def own_gel(
 
 
 def _model(
-    effects: tuple[str, ...] = SENSOR, makes: Callable[[str], tuple[Layout, ...]] = lambda name: (DIGIT,)
+    effects: tuple[str, ...] | None = None, makes: Callable[[str], tuple[Layout, ...]] = lambda name: (DIGIT,)
 ):
     def fit(name: str, data: GelRecording) -> Predict:
         predictor = Predictor(own_gel(data, effects, makes(name)), data.calibration.photograph)

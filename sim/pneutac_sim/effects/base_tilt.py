@@ -2,7 +2,8 @@
 
 import math
 
-from pneutac_sim.effects.effect import Effect, Parameter, kernel
+from pneutac_sim.effects.body_effect import BodyEffect, kernel
+from pneutac_sim.effects.effect import Parameter
 
 
 @kernel
@@ -23,7 +24,7 @@ def run(x, dt, theta, conditions, state):
         x[t, 4] += theta[1]
 
 
-EFFECT = Effect(
+EFFECT = BodyEffect(
     name="base_tilt",
     stage="observation",
     parameters=(

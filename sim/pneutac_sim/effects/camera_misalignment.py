@@ -6,7 +6,8 @@ at dR P + dt and read back at its right depth, which gives the perspective error
 
 import math
 
-from pneutac_sim.effects.effect import Effect, Parameter, kernel
+from pneutac_sim.effects.body_effect import BodyEffect, kernel
+from pneutac_sim.effects.effect import Parameter
 
 
 @kernel
@@ -27,7 +28,7 @@ def run(x, dt, theta, conditions, state):
         x[t, 3] += theta[0]
 
 
-EFFECT = Effect(
+EFFECT = BodyEffect(
     name="camera_misalignment",
     stage="observation",
     parameters=(

@@ -10,7 +10,8 @@ import math
 
 import numpy as np
 
-from pneutac_sim.effects.effect import Effect, Parameter, kernel
+from pneutac_sim.effects.body_effect import BodyEffect, kernel
+from pneutac_sim.effects.effect import Parameter
 
 TIMES_S = (0.4, 1.3, 4.0, 13.0, 40.0, 130.0)
 _TAU = np.array(TIMES_S)
@@ -58,9 +59,9 @@ def _label(tau: float) -> str:
     return f"{tau:g}s".replace(".", "_")
 
 
-EFFECT = Effect(
+EFFECT = BodyEffect(
     name="creep",
-    stage="body",
+    stage="material",
     parameters=tuple(
         Parameter(f"weight_{_label(tau)}", "", default=0.04, lower=0.0, upper=12.0) for tau in TIMES_S
     ),

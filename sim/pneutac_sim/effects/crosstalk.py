@@ -4,7 +4,8 @@ The other pressures are the recording's further `*_kpa` columns, in their order:
 that hangs below, or a neighbouring finger on the same supply.
 """
 
-from pneutac_sim.effects.effect import Effect, Parameter, kernel
+from pneutac_sim.effects.body_effect import BodyEffect, kernel
+from pneutac_sim.effects.effect import Parameter
 
 OTHERS = ("other_1_kpa", "other_2_kpa", "other_3_kpa")
 
@@ -21,9 +22,9 @@ def run(x, dt, theta, conditions, state):
             x[t, c] += extra
 
 
-EFFECT = Effect(
+EFFECT = BodyEffect(
     name="crosstalk",
-    stage="actuation",
+    stage="drive",
     parameters=tuple(Parameter(f"share_{i + 1}", "", default=0.05, lower=-3.0, upper=3.0) for i in range(3)),
     run=run,
     columns=OTHERS,

@@ -7,7 +7,8 @@ cycles it bends 1 + g (1 - exp(-n / n0)) times. Largest bend and cycles are kept
 
 import math
 
-from pneutac_sim.effects.effect import Effect, Parameter, kernel
+from pneutac_sim.effects.body_effect import BodyEffect, kernel
+from pneutac_sim.effects.effect import Parameter
 
 _IGNORED = 0.05  # back-and-forth below this share of the largest bend is noise, not a cycle
 
@@ -39,9 +40,9 @@ def run(x, dt, theta, conditions, state):
     state[0], state[1], state[2] = largest, count, trail
 
 
-EFFECT = Effect(
+EFFECT = BodyEffect(
     name="cyclic_softening",
-    stage="body",
+    stage="material",
     parameters=(
         Parameter("below_maximum", "", default=0.05, lower=0.0, upper=0.7),
         Parameter("below_maximum_width", "", default=0.5, lower=0.05, upper=3.0, neutral=0.5, log=True),

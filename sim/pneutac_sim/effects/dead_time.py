@@ -2,7 +2,8 @@
 
 import math
 
-from pneutac_sim.effects.effect import Effect, Parameter, kernel
+from pneutac_sim.effects.body_effect import BodyEffect, kernel
+from pneutac_sim.effects.effect import Parameter
 
 # Samples kept: 1.5 s, the longest delay, at 1.3 kHz. Older ones are forgotten, which shortens the delay.
 _KEPT = 2048
@@ -39,7 +40,7 @@ def run(x, dt, theta, conditions, state):
     state[0], state[1], state[2] = clock, tail, head
 
 
-EFFECT = Effect(
+EFFECT = BodyEffect(
     name="dead_time",
     stage="pneumatics",
     parameters=(Parameter("delay_s", "s", default=0.15, lower=0.0, upper=1.5),),

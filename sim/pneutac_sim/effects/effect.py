@@ -1,43 +1,18 @@
 """What an effect is: one physical mechanism, with parameters, that a twin may have or lack.
 
-An effect changes one signal of the finger pipeline, in place, by a compiled function
-
-    run(x, dt, theta, conditions, state)
-
-with n samples at once (a whole recording) or one (a control step of the environment):
-
-- `x` (n, channels): the signal of the effect's stage, see `SIGNALS`.
-- `dt` (n,): seconds since the sample before. At the first sample of a trial it is infinite: the device has
-  rested at that input for ever, so that `exp(-dt / tau)` is zero and a lag has caught up by itself.
-- `theta` (p,): the effect's parameters in the order of `Effect.parameters`.
-- `conditions` (n, k): the columns named in `Effect.columns`.
-- `state`: a float array of `Effect.state_size(channels)` numbers, all zero for a new device. It is kept from
-  call to call and from trial to trial, so what the material remembers (its largest strain, its cycles) lives
-  on; what a rest wipes out, wipe out where `dt` is infinite.
+A finger's or an arm's effects act on a signal of the finger pipeline (`body_effect`), a touch sensor's on its
+contacts and pictures (`sensor_effect`). Both are found by one registry and one entry point.
 """
 
-import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
-
-import numpy as np
-from numba import njit
+from dataclasses import dataclass
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Value
 
-# Stage to the signals that its effects may act on; the first is the default. `loads` are forces in N, base
-# frame: tip x, y, z, then weight of the body x, y, z, spread evenly over its length.
-SIGNALS = {
-    "pneumatics": ("pressure",),  # kPa, a channel a chamber
-    "actuation": ("pressure",),  # kPa that bends, a channel a chamber
-    "body": ("joints", "loads", "markers"),  # joints: rad less the curl at rest, a channel a joint (and axis)
-    "observation": ("markers",),  # tip x, y, z in mm, bend towards +z and towards +y in rad
-}
-STAGES = tuple(SIGNALS)
-
-# Division by zero gives inf, as in NumPy: `exp(-dt / 0)` is then the zero that a neutral lag needs.
-kernel = njit(cache=True, error_model="numpy")
+BODY_STAGES = ("pneumatics", "drive", "load", "material", "observation")
+SENSOR_STAGES = ("gel", "light")
+STAGES = BODY_STAGES + SENSOR_STAGES  # in the order in which they act
 
 
 @dataclass(frozen=True)
@@ -83,50 +58,45 @@ class Parameter:
         return self.default * scale, self.lower * scale, self.upper * scale
 
 
-@dataclass(frozen=True)
+def nothing_more(values: dict[str, float]) -> dict[str, float]:
+    """An effect's summary shows its parameters alone."""
+    return {}
+
+
+@dataclass(frozen=True, kw_only=True)
 class Effect:
-    """One physical mechanism.
+    """One physical mechanism; `BodyEffect` and `SensorEffect` say how it acts.
 
     Attributes:
         name: as the user types it.
-        stage: `pneumatics`, `actuation`, `body` or `observation`.
-        parameters: in the order in which `run` takes them.
-        run: compiled function, see the module's text.
+        stage: one of `STAGES`.
+        parameters: what calibration may fit.
         summary: one sentence for a newcomer, with `{device}` and `{parameter}` placeholders.
         experiment: what to record to see the effect apart from its rivals.
-        columns: condition columns that it needs. These are computed: `session_time_s`, `length_mm`,
-            `bending_pressure_kpa` (the pressure that reaches the body, where `signal` is `markers`), and
-            `other_1_kpa` to `other_3_kpa` where the recording has further `*_kpa` columns.
-        signal: what it acts on; empty for the stage's first signal.
-        state_size: number of channels to number of state values.
         derive: parameter values to further values that `summary` shows.
     """
+
+    stages = STAGES
 
     name: str
     stage: str
     parameters: tuple[Parameter, ...]
-    run: Callable
     summary: str
     experiment: str
-    columns: tuple[str, ...] = ()
-    signal: str = ""
-    state_size: Callable[[int], int] = field(default=lambda channels: 0)
-    derive: Callable[[dict[str, float]], dict[str, float]] = field(default=lambda values: {})
+    derive: Callable[[dict[str, float]], dict[str, float]] = nothing_more
 
     def __post_init__(self):
-        if self.stage not in STAGES:
+        if self.stage not in self.stages:
             raise InputError(
-                f"Effect '{self.name}': stage '{self.stage}' must be one of {', '.join(STAGES)}."
-            )
-        if not self.signal:
-            object.__setattr__(self, "signal", SIGNALS[self.stage][0])
-        if self.signal not in SIGNALS[self.stage]:
-            raise InputError(
-                f"Effect '{self.name}': signal '{self.signal}' must be one of "
-                f"{', '.join(SIGNALS[self.stage])} in stage '{self.stage}'."
+                f"Effect '{self.name}': stage '{self.stage}' must be one of {', '.join(self.stages)}."
             )
 
-    def start(self, pressure_range_kpa: float) -> dict[str, Value]:
+    @property
+    def of_air(self) -> bool:
+        """Whether it acts between the commanded and the measured pressure."""
+        return False
+
+    def start(self, pressure_range_kpa: float = 1.0) -> dict[str, Value]:
         """Parameter values with which a fit starts."""
         return {p.name: Value(p.limits(pressure_range_kpa)[0]) for p in self.parameters}
 
@@ -137,34 +107,3 @@ class Effect:
     def describe(self, values: dict[str, float], device: str = "finger") -> str:
         """The summary with numbers, e.g. of a fit."""
         return self.summary.format(device=device, **values, **self.derive(values))
-
-    def apply(
-        self,
-        x: np.ndarray,
-        dt: np.ndarray,
-        values: dict[str, float] | None = None,
-        conditions: np.ndarray | None = None,
-        state: np.ndarray | None = None,
-    ) -> np.ndarray:
-        """Runs the effect on a copy of one signal; for trying it out and for tests.
-
-        Args:
-            x: (n,) or (n, channels).
-            dt: (n,) seconds; the first is taken as infinite where `state` is not given.
-            values: parameters; those left out take their default for a pressure range of max |x|.
-            conditions: (n, k) in the order of `columns`.
-            state: continues from there and is updated.
-
-        Returns:
-            The changed signal, shaped as `x`.
-        """
-        out = np.array(x, dtype=float).reshape(len(x), -1)
-        dt = np.array(dt, dtype=float)
-        if state is None:
-            state = np.zeros(self.state_size(out.shape[1]))
-            dt[0] = math.inf
-        start = self.start(float(np.abs(out).max()) or 1.0)
-        theta = np.array([(values or {}).get(p.name, start[p.name].value) for p in self.parameters])
-        k = np.zeros((len(out), 0)) if conditions is None else np.asarray(conditions, dtype=float)
-        self.run(out, dt, theta, np.ascontiguousarray(k.reshape(len(out), -1)), state)
-        return out.reshape(np.shape(x))

@@ -5,7 +5,8 @@ Negative where it draws in, as a muscle does, or where the marker sits on the in
 `bending_pressure_kpa` is the pressure that reaches the body, averaged over the chambers.
 """
 
-from pneutac_sim.effects.effect import Effect, Parameter, kernel
+from pneutac_sim.effects.body_effect import BodyEffect, kernel
+from pneutac_sim.effects.effect import Parameter
 
 
 @kernel
@@ -17,9 +18,9 @@ def run(x, dt, theta, conditions, state):
             x[t, i] *= stretch
 
 
-EFFECT = Effect(
+EFFECT = BodyEffect(
     name="elongation",
-    stage="body",
+    stage="material",
     signal="markers",
     parameters=(Parameter("strain_1_per_kpa", "1/kPa", default=0.02, lower=-0.5, upper=1.0, range_power=-1),),
     run=run,

@@ -4,7 +4,8 @@ Coulomb friction with a Stribeck drop: a joint at rest needs coulomb + breakaway
 coulomb. Friction is given as the pressure that it eats up. The joint stays where it was between trials.
 """
 
-from pneutac_sim.effects.effect import Effect, Parameter, kernel
+from pneutac_sim.effects.body_effect import BodyEffect, kernel
+from pneutac_sim.effects.effect import Parameter
 
 
 @kernel
@@ -26,9 +27,9 @@ def run(x, dt, theta, conditions, state):
             x[t, c] = at[c]
 
 
-EFFECT = Effect(
+EFFECT = BodyEffect(
     name="friction",
-    stage="actuation",
+    stage="drive",
     parameters=(
         Parameter("coulomb_kpa", "kPa", default=0.03, lower=0.0, upper=0.4, range_power=1),
         Parameter("breakaway_kpa", "kPa", default=0.01, lower=0.0, upper=0.3, range_power=1, step=0.03),

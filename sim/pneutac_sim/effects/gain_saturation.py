@@ -2,7 +2,8 @@
 
 import math
 
-from pneutac_sim.effects.effect import Effect, Parameter, kernel
+from pneutac_sim.effects.body_effect import BodyEffect, kernel
+from pneutac_sim.effects.effect import Parameter
 
 
 @kernel
@@ -17,9 +18,9 @@ def run(x, dt, theta, conditions, state):
             x[t, c] = limit * math.tanh(x[t, c] / limit)
 
 
-EFFECT = Effect(
+EFFECT = BodyEffect(
     name="gain_saturation",
-    stage="actuation",
+    stage="drive",
     parameters=(
         Parameter(
             "saturation_pressure_kpa",

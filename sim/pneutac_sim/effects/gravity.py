@@ -4,7 +4,8 @@ The direction of gravity in the base frame comes with the recording, as a unit v
 stiffness can be seen, so the masses are right as far as `joint_stiffness_nm_per_rad` is.
 """
 
-from pneutac_sim.effects.effect import Effect, Parameter, kernel
+from pneutac_sim.effects.body_effect import BodyEffect, kernel
+from pneutac_sim.effects.effect import Parameter
 
 STANDARD_GRAVITY = 9.80665
 
@@ -19,15 +20,15 @@ def run(x, dt, theta, conditions, state):
             x[t, 3 + i] += theta[0] * pull
 
 
-EFFECT = Effect(
+EFFECT = BodyEffect(
     name="gravity",
-    stage="body",
-    signal="loads",
+    stage="load",
     parameters=(
         Parameter("body_mass_g", "g", default=40.0, lower=0.0, upper=3000.0),
         Parameter("tip_mass_g", "g", default=20.0, lower=0.0, upper=3000.0),
     ),
     run=run,
+    masses=lambda v: (1e-3 * v["body_mass_g"], 1e-3 * v["tip_mass_g"]),
     columns=("gravity_x", "gravity_y", "gravity_z"),
     summary="Your {device} sags under its own weight ({body_mass_g:.0f} g along it, {tip_mass_g:.0f} g at "
     "its tip).",

@@ -7,7 +7,8 @@ trial to trial.
 
 import numpy as np
 
-from pneutac_sim.effects.effect import Effect, Parameter, kernel
+from pneutac_sim.effects.body_effect import BodyEffect, kernel
+from pneutac_sim.effects.effect import Parameter
 
 _SHARES = np.array([0.04, 0.12, 0.3, 0.6, 1.0])
 
@@ -30,9 +31,9 @@ def run(x, dt, theta, conditions, state):
             x[t, c] = y / total if total != 1.0 else p
 
 
-EFFECT = Effect(
+EFFECT = BodyEffect(
     name="hysteresis",
-    stage="actuation",
+    stage="drive",
     parameters=(
         Parameter(
             "width_kpa", "kPa", default=0.5, lower=0.01, upper=1.0, neutral=1.0, fixed=True, range_power=1

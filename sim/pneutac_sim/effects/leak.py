@@ -2,7 +2,8 @@
 
 import math
 
-from pneutac_sim.effects.effect import Effect, Parameter, kernel
+from pneutac_sim.effects.body_effect import BodyEffect, kernel
+from pneutac_sim.effects.effect import Parameter
 
 _HELD_KPA = 1e-6  # a command that changes by less is held; rounding changes it by far less
 
@@ -23,7 +24,7 @@ def run(x, dt, theta, conditions, state):
             x[t, c] = command * left[c]
 
 
-EFFECT = Effect(
+EFFECT = BodyEffect(
     name="leak",
     stage="pneumatics",
     parameters=(Parameter("leak_rate_1_per_s", "1/s", default=0.01, lower=0.0, upper=0.5),),

@@ -12,7 +12,8 @@ at p1 = p2, on which ordinary integrators stall, is gone in phi.
 
 import math
 
-from pneutac_sim.effects.effect import Effect, Parameter, kernel
+from pneutac_sim.effects.body_effect import BodyEffect, kernel
+from pneutac_sim.effects.effect import Parameter
 
 ATMOSPHERE_KPA = 101.325
 _PIECES = 4  # the command is followed along a straight line between samples, in this many steps
@@ -81,7 +82,7 @@ def run(x, dt, theta, conditions, state):
             x[t, c] = p[c]
 
 
-EFFECT = Effect(
+EFFECT = BodyEffect(
     name="orifice_flow",
     stage="pneumatics",
     parameters=(

@@ -1,6 +1,7 @@
 """Payload: a known mass hung at the tip, as far as it acts there."""
 
-from pneutac_sim.effects.effect import Effect, Parameter, kernel
+from pneutac_sim.effects.body_effect import BodyEffect, kernel
+from pneutac_sim.effects.effect import Parameter
 from pneutac_sim.effects.gravity import STANDARD_GRAVITY
 
 
@@ -12,10 +13,9 @@ def run(x, dt, theta, conditions, state):
             x[t, i] += theta[0] * 1e-3 * STANDARD_GRAVITY * conditions[t, 0] * conditions[t, 1 + i]
 
 
-EFFECT = Effect(
+EFFECT = BodyEffect(
     name="payload",
-    stage="body",
-    signal="loads",
+    stage="load",
     parameters=(Parameter("share", "", default=1.0, lower=0.0, upper=20.0),),
     run=run,
     columns=("payload_g", "gravity_x", "gravity_y", "gravity_z"),

@@ -3,10 +3,12 @@
 Order within a stage (it matters: a leak is slowed by the lag behind it):
 
 - pneumatics: dead_time, leak, valve_lag, orifice_flow, sensor_offset
-- actuation: gain_saturation, stiffening, hysteresis, friction, crosstalk
-- body: gravity and payload (loads, in static equilibrium with the joints), thermal, cyclic_softening, creep;
-  then elongation (of the finished pose)
+- drive: gain_saturation, stiffening, hysteresis, friction, crosstalk
+- load (in static equilibrium with the joints): gravity, payload
+- material: thermal, cyclic_softening, creep; then elongation (of the finished pose)
 - observation: base_tilt, camera_misalignment
+- gel: registration_shift
+- light: near_light, photometric_nonlinearity, shadow, rest_colour, illumination_drift
 
 Effects of other packages come last in their stage, in alphabetical order.
 """
@@ -16,8 +18,9 @@ from collections.abc import Iterable
 from functools import cache
 from importlib.metadata import entry_points
 
+from pneutac_sim.effects.body_effect import BodyEffect
 from pneutac_sim.effects.effect import STAGES, Effect
-from pneutac_sim.effects.optics import OPTICS, OpticsEffect
+from pneutac_sim.effects.sensor_effect import SensorEffect
 from pneutac_sim.errors import InputError
 
 ENTRY_POINT_GROUP = "pneutac.effects"
@@ -41,12 +44,18 @@ BUILTIN = (
     "elongation",
     "base_tilt",
     "camera_misalignment",
+    "registration_shift",
+    "near_light",
+    "photometric_nonlinearity",
+    "shadow",
+    "rest_colour",
+    "illumination_drift",
 )
 
 
 @cache
 def all_effects() -> dict[str, Effect]:
-    """Name to effect of a finger or an arm, in the order in which they act.
+    """Name to effect, in the order in which they act.
 
     Raises:
         InputError: another package offers something that is no effect, or a name twice.
@@ -54,28 +63,47 @@ def all_effects() -> dict[str, Effect]:
     found = [importlib.import_module(f"pneutac_sim.effects.{name}").EFFECT for name in BUILTIN]
     for point in sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda p: p.name):
         effect = point.load()
-        if not isinstance(effect, Effect):
-            raise InputError(f"Entry point '{point.name}' of {ENTRY_POINT_GROUP} must be an Effect.")
-        if effect.name in {e.name for e in found} | set(OPTICS):
+        if not isinstance(effect, BodyEffect | SensorEffect):
+            raise InputError(
+                f"Entry point '{point.name}' of {ENTRY_POINT_GROUP} must be a BodyEffect or a SensorEffect."
+            )
+        if effect.name in {e.name for e in found}:
             raise InputError(f"Two packages offer an effect named '{effect.name}'; rename one of them.")
         found.append(effect)
     return {e.name: e for stage in STAGES for e in found if e.stage == stage}
 
 
-def get_effect(name: str) -> Effect | OpticsEffect:
-    """One effect, of a body or of a gel's optics; raises InputError naming those that exist."""
-    known = all_effects() | OPTICS
+def body_effects() -> dict[str, BodyEffect]:
+    """Those of a finger or an arm."""
+    return {n: e for n, e in all_effects().items() if isinstance(e, BodyEffect)}
+
+
+def sensor_effects() -> dict[str, SensorEffect]:
+    """Those of a touch sensor."""
+    return {n: e for n, e in all_effects().items() if isinstance(e, SensorEffect)}
+
+
+def get_effect(name: str) -> Effect:
+    """One effect; raises InputError naming those that exist."""
+    known = all_effects()
     if name not in known:
         raise InputError(f"There is no effect '{name}'; there are {', '.join(known)}.")
     return known[name]
 
 
 def of_body(names: Iterable[str]) -> list[str]:
-    """Those effects that act on a finger or an arm, not on the gel that it may carry."""
-    return [n for n in names if n not in OPTICS]
+    """Those that act on a finger or an arm, not on the gel that it may carry."""
+    known = sensor_effects()
+    return [n for n in names if n not in known]
 
 
-def in_order(names: list[str]) -> list[Effect]:
-    """These effects, sorted as they act."""
+def of_sensor(names: Iterable[str]) -> list[str]:
+    """Those that act on a touch sensor."""
+    known = sensor_effects()
+    return [n for n in names if n in known]
+
+
+def in_order(names: Iterable[str]) -> list[Effect]:
+    """These effects, each once, sorted as they act; raises InputError where one does not exist."""
     known = list(all_effects())
     return [get_effect(n) for n in sorted({get_effect(n).name for n in names}, key=known.index)]

@@ -4,7 +4,8 @@ The true pressure is (p_read - o - d t) / s, with t the time since the recording
 told from the gain and the rest pressure only where something else depends on the true pressure.
 """
 
-from pneutac_sim.effects.effect import Effect, Parameter, kernel
+from pneutac_sim.effects.body_effect import BodyEffect, kernel
+from pneutac_sim.effects.effect import Parameter
 
 
 @kernel
@@ -17,7 +18,7 @@ def run(x, dt, theta, conditions, state):
             x[t, c] = (x[t, c] - offset - drift * conditions[t, 0]) / scale
 
 
-EFFECT = Effect(
+EFFECT = BodyEffect(
     name="sensor_offset",
     stage="pneumatics",
     parameters=(
@@ -27,6 +28,7 @@ EFFECT = Effect(
     ),
     run=run,
     columns=("session_time_s",),
+    of_gauge=True,
     summary="Your pressure sensor drifts: its zero moves by {per_hour:.2g} kPa an hour.",
     experiment="Vent to the surroundings (0 kPa) every few minutes: a drift moves the bend at rest.",
     derive=lambda v: {"per_hour": 3600 * v["drift_kpa_per_s"]},

@@ -3,7 +3,8 @@
 Positive a means that each further kPa bends more (the walls soften, or folds open); negative, less.
 """
 
-from pneutac_sim.effects.effect import Effect, Parameter, kernel
+from pneutac_sim.effects.body_effect import BodyEffect, kernel
+from pneutac_sim.effects.effect import Parameter
 
 
 @kernel
@@ -17,9 +18,9 @@ def run(x, dt, theta, conditions, state):
             x[t, c] = p * (1.0 + a * abs(p) + b * p * p)
 
 
-EFFECT = Effect(
+EFFECT = BodyEffect(
     name="stiffening",
-    stage="actuation",
+    stage="drive",
     parameters=(
         Parameter("linear_1_per_kpa", "1/kPa", default=0.1, lower=-2.0, upper=20.0, range_power=-1),
         Parameter("quadratic_1_per_kpa2", "1/kPa^2", default=0.0, lower=-10.0, upper=20.0, range_power=-2),

@@ -6,7 +6,8 @@ rubber changes within degrees: Agilus30 loses 15 % of its modulus a degree at 20
 
 import math
 
-from pneutac_sim.effects.effect import Effect, Parameter, kernel
+from pneutac_sim.effects.body_effect import BodyEffect, kernel
+from pneutac_sim.effects.effect import Parameter
 
 
 @kernel
@@ -20,9 +21,9 @@ def run(x, dt, theta, conditions, state):
             x[t, c] *= factor
 
 
-EFFECT = Effect(
+EFFECT = BodyEffect(
     name="thermal",
-    stage="body",
+    stage="material",
     parameters=(
         Parameter("softening_1_per_k", "1/K", default=0.01, lower=-0.3, upper=0.3),
         Parameter("curvature_1_per_k2", "1/K^2", default=0.0, lower=-0.01, upper=0.01),

@@ -5,7 +5,8 @@ The command is taken as a straight line between samples, for which the step is e
 
 import math
 
-from pneutac_sim.effects.effect import Effect, Parameter, kernel
+from pneutac_sim.effects.body_effect import BodyEffect, kernel
+from pneutac_sim.effects.effect import Parameter
 
 
 @kernel
@@ -28,7 +29,7 @@ def run(x, dt, theta, conditions, state):
             x[t, c] = p[c]
 
 
-EFFECT = Effect(
+EFFECT = BodyEffect(
     name="valve_lag",
     stage="pneumatics",
     parameters=(

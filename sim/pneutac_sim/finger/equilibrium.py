@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from pneutac_sim.effects.effect import kernel
+from pneutac_sim.effects.body_effect import kernel
 
 _ITERATIONS = 60  # heavy loads on soft joints; light ones take two or three
 _TOLERANCE = 1e-6  # rad, of a step; what is left after it is a hundred times smaller

@@ -1,4 +1,4 @@
-"""The finger pipeline: pressure command -> pneumatics -> actuation -> body -> observation.
+"""The finger pipeline: pressure command -> pneumatics -> drive -> load -> material -> observation.
 
 One model for `finger` (N joints in a plane), `arm` (three chambers, two bending axes) and any single bending
 segment, used by calibration, comparison, diagnosis, and step by step in the environment.
@@ -98,7 +98,7 @@ class Pipeline:
         self.specs: list[Parameter] = list(base_parameters(geometry))
         self.left_out: dict[str, str] = {}
         links: dict[str, list[EffectLink]] = {
-            s: [] for s in ("pneumatics", "actuation", "loads", "joints", "markers", "observation")
+            s: [] for s in ("pneumatics", "drive", "loads", "joints", "markers", "observation")
         }
         for e in self.effects:
             at = len(self.names)
@@ -107,21 +107,21 @@ class Pipeline:
             missing = [c for c in e.columns if columns is not None and c not in (*columns, BENDING_PRESSURE)]
             if missing:
                 self.left_out[e.name] = f"the recording has no column {', '.join(missing)}"
-            elif measured and e.stage == "pneumatics" and e.name != "sensor_offset":
+            elif measured and e.of_air:
                 self.left_out[e.name] = "the measured pressure is the input"
             else:
-                links[e.signal if e.stage == "body" else e.stage].append(
+                links[e.signal if e.stage in ("load", "material") else e.stage].append(
                     EffectLink(e, tuple(range(at, len(self.names))))
                 )
         base = len(base_parameters(geometry))
         drive = Drive(geometry, tuple(range(base - 1)))
         loads = [LoadLink(geometry, tuple(links["loads"]), base - 1)] if links["loads"] else []
         body = [BodyLink(e.effect, e.indices, drive) for e in links["joints"]]
-        to_joints = [*links["pneumatics"], *links["actuation"], drive]
+        to_joints = [*links["pneumatics"], *links["drive"], drive]
         to_markers = [*to_joints, *loads, *body, Markers(geometry)]
         self.chain = [*to_markers, *links["markers"], *links["observation"]]
-        sensor = [i for i, e in enumerate(links["pneumatics"]) if e.effect.name == "sensor_offset"]
-        self.reads_pressure = sensor[0] if sensor else len(links["pneumatics"])
+        gauge = [i for i, e in enumerate(links["pneumatics"]) if e.effect.of_gauge]
+        self.reads_pressure = gauge[0] if gauge else len(links["pneumatics"])
         self.reads_joints = len(to_markers) - 1
         self._drive = len(to_joints) - 1
 

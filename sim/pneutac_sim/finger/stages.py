@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pneutac_sim.effects.effect import Effect, Parameter
+from pneutac_sim.effects.body_effect import BodyEffect
+from pneutac_sim.effects.effect import Parameter
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import equilibrium
 from pneutac_sim.finger.inputs import CHAMBERS
@@ -92,7 +93,7 @@ def base_parameters(geometry: Geometry) -> tuple[Parameter, ...]:
 class EffectLink:
     """One effect in the chain."""
 
-    effect: Effect
+    effect: BodyEffect
     indices: tuple[int, ...]
 
     def state_size(self, channels: int) -> int:

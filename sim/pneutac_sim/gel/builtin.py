@@ -6,6 +6,7 @@ import numpy as np
 # in levels per millimetre; round numbers of the size that calibration finds on real DIGITs.
 LIGHT = np.array([[-110.0, 80.0], [90.0, 30.0], [-30.0, -130.0]])
 DEPTH_LIGHT = np.array([-3.0, -8.0, -4.0])
+EFFECTS = {"rest_colour": {"exponent_red": 1.0, "exponent_green": 1.0, "exponent_blue": 1.0}}
 
 # Soft glows: channel, centre (x, y) and widths as fractions of width and height, strength in levels.
 _AMBIENT = (42.0, 66.0, 74.0)

@@ -5,80 +5,67 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import least_squares
 
-from pneutac_sim.effects.optics import CHANNELS, OPTICS, QUADRATIC
+from pneutac_sim.effects.sensor_effect import SensorEffect
 from pneutac_sim.gel import optics
 from pneutac_sim.gel.layout import Layout
+from pneutac_sim.gel.model import further_light
 
 # What the model leaves over is smooth over a contact, so that a photograph counts as so many independent
 # pixels of this error.
 INDEPENDENT, ERROR_LEVELS = 100, 5.0
 
-# Unknowns of a channel: light per unit slope and from where it comes, then those of the effects.
-BASE = {"strength": (120.0, 120.0, 0.0, 2000.0), "direction": (), "depth_light": (0.0, 6.0, -60.0, 60.0)}
-OF_EFFECT = {
-    "exponent": ("rest_colour", "exponent_{}"),
-    "distance": ("near_light", "distance_{}_mm"),
-    "direct": ("photometric_nonlinearity", "direct_{}_levels"),
-    "shadow": ("shadow", "shadow_{}_levels"),
-    "elevation": ("shadow", "elevation_{}"),
-    "edge": ("shadow", "edge_mm"),
-    "along": ("photometric_nonlinearity", QUADRATIC[0]),
-    "across": ("photometric_nonlinearity", QUADRATIC[1]),
-    "deep": ("photometric_nonlinearity", QUADRATIC[2]),
-}
-NEUTRAL = {
-    "exponent": 0.0,
-    "distance": np.nan,
-    "direct": np.inf,
-    "shadow": 0.0,
-    "elevation": 0.1,
-    "edge": 0.1,
-}
-NEUTRAL |= {"along": 0.0, "across": 0.0, "deep": 0.0}
-MAKE_SD = {"direction": 0.05, "distance": 2.0, "exponent": 0.05}  # how alike sensors of one make are
+# Unknowns of a channel beside those of effects: default, prior's deviation, bounds. The light is so many
+# levels per unit slope and comes from a direction.
+STRENGTH, DEPTH_LIGHT = (120.0, 120.0, 0.0, 2000.0), (0.0, 6.0, -60.0, 60.0)
+MAKE_DIRECTION_SD = 0.05  # rad; how alike sensors of one make are
+
+Unknown = tuple[str, str]  # effect (empty for the light itself) and name without the channel
 
 
-def priors(k: int, light: np.ndarray, layout: Layout | None, effects: Sequence[str]) -> dict[str, tuple]:
+def priors(
+    k: int, light: np.ndarray, layout: Layout | None, effects: Sequence[SensorEffect]
+) -> dict[Unknown, tuple[float, float, float, float]]:
     """Unknown to its default, prior standard deviation (infinite for none), lower and upper bound.
 
     Args:
         k: channel.
         light: L of this channel (2,), roughly.
         layout: the make's lights, where it is known.
-        effects: those that are fitted.
+        effects: those that are fitted with the channel.
     """
-    angle = np.arctan2(-light[1], -light[0])
-    out = {"strength": BASE["strength"], "direction": (angle, np.inf), "depth_light": BASE["depth_light"]}
-    for name, (effect, parameter) in OF_EFFECT.items():
-        if effect in effects:
-            i = [p.name for p in OPTICS[effect].parameters].index(parameter.format(CHANNELS[k]))
-            p = OPTICS[effect].parameters[i]
-            out[name] = (p.default, OPTICS[effect].prior_sd[i], p.lower, p.upper)
+    angle, sd = np.arctan2(-light[1], -light[0]), np.inf
     if layout is not None:
         x, y = layout.positions_mm[k]
-        out["direction"] = (np.arctan2(y, x), MAKE_SD["direction"])
-        out["distance"] = (np.hypot(x, y), MAKE_SD["distance"], *out["distance"][2:])
-        out["exponent"] = (layout.exponents[k], MAKE_SD["exponent"], *out["exponent"][2:])
-    angle, sd = out["direction"]
-    return out | {"direction": (angle, sd, angle - 3.2, angle + 3.2)}
+        angle, sd = np.arctan2(y, x), MAKE_DIRECTION_SD
+    out = {
+        ("", "strength"): STRENGTH,
+        ("", "direction"): (angle, sd, angle - 3.2, angle + 3.2),
+        ("", "depth_light"): DEPTH_LIGHT,
+    }
+    # Factors of whole pixels first and what starts at nothing last: the order decides rounding alone.
+    unknowns = [(e, *unknown) for e in effects for unknown in e.of_channel(k)]
+    for effect, name, p, sd in sorted(
+        unknowns, key=lambda u: (u[2].default == u[2].neutral, not u[0].weight)
+    ):
+        out[effect.name, name] = (p.default, sd, p.lower, p.upper)
+    for effect in effects:
+        if layout is not None and effect.lend is not None:
+            lent = effect.lend(layout, k).items()
+            out |= {(effect.name, n): (*prior, *out[effect.name, n][2:]) for n, prior in lent}
+    return out
 
 
-def row(v: dict[str, float]) -> np.ndarray:
-    """One channel's row of the coefficients of `optics.light`."""
-    x, y, a, r = np.cos(v["direction"]), np.sin(v["direction"]), v["strength"], v["distance"]
-    tail = [v[n] for n in ("direct", "shadow", "elevation", "edge", "along", "across", "deep")]
-    return np.array([-a * x, -a * y, v["depth_light"], r * x, r * y, *tail])
-
-
-def effects_of(values: Sequence[dict[str, float]], effects: Sequence[str]) -> dict[str, dict[str, float]]:
-    """Effect to its parameters, from the unknowns of the three channels; a shadow's edge is their mean."""
-    out: dict[str, dict[str, float]] = {}
-    for name, (effect, parameter) in OF_EFFECT.items():
-        if effect in effects:
-            each = {parameter.format(c): float(v[name]) for c, v in zip(CHANNELS, values, strict=True)}
-            out.setdefault(effect, {}).update(each)
-    if "shadow" in out:
-        out["shadow"]["edge_mm"] = float(np.mean([v["edge"] for v in values]))
+def effects_of(
+    values: Sequence[dict[Unknown, float]], effects: Sequence[SensorEffect]
+) -> dict[str, dict[str, float]]:
+    """Effect to its parameters, from the unknowns of the three channels; what they share is their mean."""
+    out = {}
+    for effect in effects:
+        found: dict[str, list[float]] = {p.name: [] for p in effect.parameters}
+        for k, v in enumerate(values):
+            for name, p, _ in effect.of_channel(k):
+                found[p.name].append(v[effect.name, name])
+        out[effect.name] = {name: float(np.mean(each)) for name, each in found.items()}
     return out
 
 
@@ -87,6 +74,7 @@ class Channel:
 
     Args:
         k: channel.
+        effects: fitted with it.
         prior: see `priors`.
         cell_mm: grid spacing.
         masks: one (rows, columns) a photograph, where it is fitted.
@@ -94,17 +82,18 @@ class Channel:
         rests: (rows, columns, 3) rest image.
     """
 
-    def __init__(self, k: int, prior: dict, cell_mm, masks, seen, rests):
-        self._prior, self._cell = prior, cell_mm
+    def __init__(self, k: int, effects: Sequence[SensorEffect], prior: dict, cell_mm, masks, seen, rests):
+        self._k, self._effects, self._prior, self._cell = k, effects, prior, cell_mm
         self._default, self._sd, self._lower, self._upper = (
             np.array([p[i] for p in prior.values()], float) for i in range(4)
         )
-        self._held = np.isfinite(self._sd)
+        self._with_prior = np.isfinite(self._sd)
+        whole = any(e.light for e in effects)  # which may depend on where a cell lies
         self._parts = []
         for mask, difference, rest in zip(masks, seen, rests, strict=True):
             bright = np.maximum(rest[..., k], 1.0)
             scale = np.sqrt(INDEPENDENT / max(mask.sum(), 1)) / ERROR_LEVELS
-            box, centre = _box(mask, cell_mm)
+            box, centre = _box(np.ones_like(mask) if whole else mask, cell_mm)
             self._parts.append(
                 (
                     box,
@@ -118,24 +107,56 @@ class Channel:
         self._x = self._default
 
     @property
-    def values(self) -> dict[str, float]:
-        """The unknowns by name, those of absent effects at neutral."""
-        return NEUTRAL | dict(zip(self._prior, self._x.tolist(), strict=True))
+    def values(self) -> dict[Unknown, float]:
+        """The unknowns as found."""
+        return dict(zip(self._prior, self._x.tolist(), strict=True))
+
+    @property
+    def row(self) -> np.ndarray:
+        """The coefficients (12,) of `optics.light` as found."""
+        return self.light(self._x)[0]
+
+    def _of_effects(self, x: np.ndarray) -> dict[str, dict[str, float]]:
+        """Effect to its values in this channel."""
+        out: dict[str, dict[str, float]] = {e.name: {} for e in self._effects}
+        for (effect, name), value in zip(self._prior, x, strict=True):
+            if effect:
+                out[effect][name] = value
+        return out
+
+    def light(self, x: np.ndarray) -> tuple[np.ndarray, list[optics.Further]]:
+        """The row (12,) of `optics.light` and what acts after it, of unknowns x (F,)."""
+        strength, direction, depth_light = x[:3]
+        towards, of = np.array([np.cos(direction), np.sin(direction)]), self._of_effects(x)
+        row = np.array(optics.NEUTRAL)
+        row[:2], row[2] = -strength * towards, depth_light
+        for effect in self._effects:
+            if effect.coefficients is not None:
+                effect.coefficients(row, towards, of[effect.name])
+        further = [further_light(e, lambda k, e=e: of[e.name]) for e in self._effects if e.light]
+        return row, further
+
+    def _weight(self, x: np.ndarray, log_rest: np.ndarray) -> np.ndarray | float:
+        factor, of = 1.0, self._of_effects(x)
+        for effect in self._effects:
+            if effect.weight is not None:
+                factor = factor * effect.weight(log_rest, of[effect.name])
+        return factor
 
     def solve(self, surfaces: Sequence[np.ndarray]) -> float:
         """Fits to surfaces (rows, columns) in mm, one a photograph; returns the cost."""
         cropped = [np.ascontiguousarray(u[part[0]]) for u, part in zip(surfaces, self._parts, strict=True)]
 
         def residual(x: np.ndarray) -> np.ndarray:
-            v = NEUTRAL | dict(zip(self._prior, x, strict=True))
-            c, out = row(v), [((x - self._default) / self._sd)[self._held]]
-            for u, (_, centre, mask, seen, bright, scale) in zip(cropped, self._parts, strict=True):
-                s = optics.channel(u, self._cell, c - centre)[mask]
-                out.append(scale * (np.exp(v["exponent"] * bright) * s - seen))
+            c, further = self.light(x)
+            out = [((x - self._default) / self._sd)[self._with_prior]]
+            for u, (_, centre, mask, seen, log_rest, scale) in zip(cropped, self._parts, strict=True):
+                s = optics.channel(u, self._cell, c - centre, self._k, further)[mask]
+                out.append(scale * (self._weight(x, log_rest) * s - seen))
             return np.concatenate(out)
 
         start = np.clip(self._x, self._lower + 1e-6, self._upper - 1e-6)
-        step = np.where(self._held, self._sd, 0.3)
+        step = np.where(self._with_prior, self._sd, 0.3)
         done = least_squares(
             residual,
             start,
@@ -152,7 +173,7 @@ class Channel:
 def _box(mask: np.ndarray, cell_mm) -> tuple[tuple[slice, slice], np.ndarray]:
     """The part of the grid around a mask, and what to take from a row of coefficients to work in it alone."""
     rows, cols = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
-    centre = np.zeros(12)
+    centre = np.zeros(optics.SIZE)
     if not len(rows):
         return (slice(0, 2), slice(0, 2)), centre
     i0, i1 = max(rows[0] - 1, 0), min(rows[-1] + 2, mask.shape[0])

@@ -1,7 +1,7 @@
-"""Calibrates a gel: light, optics effects and mechanics, from one rest and one indentation image or more.
+"""Calibrates a gel: light, effects and mechanics, from one rest and one indentation image or more.
 
-Given the surface, each channel is a least-squares problem of its own with up to nine unknowns, held to the
-priors of `effects.optics` where the images cannot tell. Around that, a search finds how far the surface
+Given the surface, each channel is a least-squares problem of its own with up to twelve unknowns, held to the
+priors of its effects where the images cannot tell. Around that, a search finds how far the surface
 recovers around a contact and how much of an imprint shows. All of it works on the probe grid, to which the
 photographs are averaged: the light varies no faster, and noise drops out.
 """
@@ -12,24 +12,33 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.optimize import minimize
 
-from pneutac_sim.effects.optics import OPTICS, SENSOR
-from pneutac_sim.gel.channel import Channel, effects_of, priors, row
+from pneutac_sim.effects.registry import in_order, of_sensor, sensor_effects
+from pneutac_sim.effects.sensor_effect import SensorEffect
+from pneutac_sim.gel.channel import Channel, effects_of, priors
 from pneutac_sim.gel.contact import quiet_threshold
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.layout import DIGIT, Layout, Orientation, recognise
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.optics import gradient
 from pneutac_sim.gel.pair import check_pair
-from pneutac_sim.gel.photograph import PressPhotograph, gains, press_depth, registered, session_light, to_grid
+from pneutac_sim.gel.photograph import (
+    PressPhotograph,
+    drift_known,
+    gains,
+    press_depth,
+    registered,
+    session_light,
+    to_grid,
+)
 from pneutac_sim.gel.probe import COLS, ROWS, THICKNESS_MM
-from pneutac_sim.gel.session import fit_drift, fit_registration, unregistered
+from pneutac_sim.gel.session import estimate_gains, refine_contacts
 from pneutac_sim.gel.surface import DECAY_MM, surface
 
 DECAY_RANGE_MM = (0.3, 4.0)  # from a skin-thin layer to nearly Hertz' half-space on a 16 mm window
 DEPTH_SCALE_RANGE = (0.5, 1.0)
 DEPTH_SCALE_SD = 0.2  # of the logarithm: stated depths are mostly estimates
 MIN_THRESHOLD_LEVELS = 4.0  # below this, rounding and image compression alone would count as contact
-REGISTRATION_ROUNDS = 4
+CONTACT_ROUNDS = 4  # of light and contacts in turn, where an effect changes the contacts
 
 # A make's light is held to even at several times the cost: what a single pair says against it is mostly the
 # model's own error, and on two real DIGITs holding to it predicts other images better.
@@ -60,7 +69,7 @@ def fit_gel(
     indentation: np.ndarray,
     press: Press,
     px_per_mm: float,
-    effects: Sequence[str] = SENSOR,
+    effects: Sequence[str] | None = None,
     thickness_mm: float = THICKNESS_MM,
     makes: Sequence[Layout] = (DIGIT,),
 ) -> GelFit:
@@ -71,7 +80,7 @@ def fit_gel(
         indentation: image under the indenter, uint8, same shape.
         press: which indenter, where and how deep.
         px_per_mm: scale of the images.
-        effects: optics effects to fit; with none this is the paper's linear model.
+        effects: to fit, those of every sensor where None; with none this is the paper's linear model.
         thickness_mm: gel thickness.
         makes: sensors whose lights are known.
 
@@ -80,7 +89,13 @@ def fit_gel(
     """
     check_pair(rest, indentation, press, px_per_mm)
     gel = GelModel(rest, np.zeros((3, 2)), np.zeros(3), px_per_mm, thickness_mm)
-    return fit_photographs(gel, [PressPhotograph(press, indentation, rest)], effects, makes)
+    names = standard_effects() if effects is None else effects
+    return fit_photographs(gel, [PressPhotograph(press, indentation, rest)], names, makes)
+
+
+def standard_effects() -> list[str]:
+    """What a sensor has whose light nobody has looked at yet."""
+    return [name for name, effect in sensor_effects().items() if effect.standard]
 
 
 def fit_photographs(
@@ -95,23 +110,20 @@ def fit_photographs(
     Args:
         gel: gives size, scale and thickness.
         photographs: checked pairs of images.
-        effects: optics effects to fit.
+        effects: of the sensor, to fit.
         makes: sensors whose lights are known.
         near: a fit with almost the same effects; the search stays around its mechanics.
     """
-    names = [e for e in OPTICS if e in effects]
-    gel = replace(gel, effects={})
-    if "illumination_drift" in names:
-        gel.effects["illumination_drift"] = fit_drift(gel, photographs)
-    rounds = 1
-    if "registration_shift" in names:
-        gel.effects["registration_shift"], rounds = unregistered(), REGISTRATION_ROUNDS
-    for left in reversed(range(rounds)):
-        problem = _Problem(gel, photographs, names)
+    chosen = in_order(of_sensor(effects))
+    gel = replace(gel, effects=estimate_gains(gel, chosen, photographs))
+    of_contacts = [e for e in chosen if e.stage == "gel"]
+    gel.effects |= {e.name: {p.name: p.neutral for p in e.parameters} for e in of_contacts}
+    for left in reversed(range(CONTACT_ROUNDS if of_contacts else 1)):
+        problem = _Problem(gel, photographs, chosen)
         best = problem.best(makes, near, quick=left > 0)
         if left:
-            gel.effects["registration_shift"] = fit_registration(
-                best.gel, photographs, problem.masks, problem.seen, problem.rests
+            gel.effects |= refine_contacts(
+                best.gel, of_contacts, photographs, problem.masks, problem.seen, problem.rests
             )
             near = best.gel
     quiet = [(p.image - p.rest.astype(np.float32), ~p.near(gel.px_per_mm)) for p in photographs]
@@ -129,15 +141,18 @@ def slope_light(gel: GelModel, pair: PressPhotograph) -> np.ndarray:
 class _Problem:
     """The least-squares problem of some photographs and effects."""
 
-    def __init__(self, gel: GelModel, photographs: Sequence[PressPhotograph], effects: list[str]):
-        self.gel, self.effects, self.photographs = gel, effects, photographs
+    def __init__(
+        self, gel: GelModel, photographs: Sequence[PressPhotograph], effects: Sequence[SensorEffect]
+    ):
+        self.gel, self.photographs = gel, photographs
+        self.effects = [e for e in effects if e.of_channels]
         self.cell = gel.window_mm[0] / COLS, gel.window_mm[1] / ROWS
         self.depths = [press_depth(registered(p.press, gel), gel) for p in photographs]
         self.masks = [to_grid(p.near(gel.px_per_mm)) > 0.5 for p in photographs]
         self.rests = [to_grid(p.rest) for p in photographs]
         self.seen = []
         for p in photographs:
-            if "illumination_drift" in effects:
+            if drift_known(gel):
                 self.seen.append(to_grid(p.image / gains(gel, p.clock) - p.rest))
             else:
                 drift = session_light(p, gel.px_per_mm)
@@ -146,7 +161,7 @@ class _Problem:
 
     def surfaces(self, decay_mm: float, depth_scale: float) -> list[np.ndarray]:
         gel = replace(self.gel, depth_scale=depth_scale)
-        return [surface(gel.imprint(d), self.cell, decay_mm) for d in self.depths]
+        return [gel.surface(surface(gel.imprint(d), self.cell, decay_mm), self.cell) for d in self.depths]
 
     def linear(self) -> np.ndarray:
         """L (3, 2) of the paper's model, with the depth term, by linear least squares."""
@@ -158,19 +173,22 @@ class _Problem:
     def best(self, makes: Sequence[Layout], near: GelModel | None, quick: bool) -> GelFit:
         light, first = self.linear(), self.photographs[0].press
         best = self.search(light, None, near, quick)
-        for make in makes if {"near_light", "rest_colour"} <= set(self.effects) else ():
+        lenders = {e.name for e in sensor_effects().values() if e.lend}
+        for make in makes if lenders <= {e.name for e in self.effects} else ():
             orientation = recognise(light, first.x_mm, first.y_mm, self.gel.rest_image.shape[1::-1], make)
             if orientation is not None:
-                held = self.search(light, orientation.of(make), near or best.gel, quick)
-                if held.cost < TRUST_IN_MAKE * best.cost:
-                    held.make, held.orientation, best = make.name, orientation, held
+                made = self.search(light, orientation.of(make), near or best.gel, quick)
+                if made.cost < TRUST_IN_MAKE * best.cost:
+                    made.make, made.orientation, best = make.name, orientation, made
         best.evaluations = self.evaluations
         return best
 
     def search(self, light: np.ndarray, layout: Layout | None, near: GelModel | None, quick: bool) -> GelFit:
         """Nelder-Mead over decay and depth scale, the channels solved at each."""
-        prior = [priors(k, light[k], layout, self.effects) for k in range(3)]
-        channels = [Channel(k, p, self.cell, self.masks, self.seen, self.rests) for k, p in enumerate(prior)]
+        channels = []
+        for k in range(3):
+            prior = priors(k, light[k], layout, self.effects)
+            channels.append(Channel(k, self.effects, prior, self.cell, self.masks, self.seen, self.rests))
         low, high = np.log(np.transpose([DECAY_RANGE_MM, DEPTH_SCALE_RANGE]))
 
         def solve(x: np.ndarray) -> float:
@@ -193,16 +211,15 @@ class _Problem:
         found = minimize(solve, start, method="Nelder-Mead", options=options).x
         cost = solve(found)
         decay, scale = np.exp(np.clip(found, low, high))
-        values = [c.values for c in channels]
-        g = self.gel
+        rows, g = np.array([c.row for c in channels]), self.gel
         gel = GelModel(
             g.rest_image,
-            np.array([row(v)[:2] for v in values]),
-            np.array([v["depth_light"] for v in values]),
+            rows[:, :2],
+            rows[:, 2],
             g.px_per_mm,
             g.thickness_mm,
             float(decay),
             float(scale),
-            effects=g.effects | effects_of(values, self.effects),
+            effects=g.effects | effects_of([c.values for c in channels], self.effects),
         )
         return GelFit(gel, float(cost), self.evaluations)

@@ -1,16 +1,17 @@
 """The gel as its twin keeps it: sizes, mechanics and light of one camera-based touch sensor."""
 
 import math
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields, replace
 
 import numpy as np
 from PIL import Image
 
-from pneutac_sim.effects.optics import CHANNELS, OPTICS, QUADRATIC
-from pneutac_sim.effects.registry import get_effect
+from pneutac_sim.effects.registry import get_effect, in_order, of_sensor
+from pneutac_sim.effects.sensor_effect import SensorEffect
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import IMAGE_SHAPE
-from pneutac_sim.gel import builtin
+from pneutac_sim.gel import builtin, optics
 from pneutac_sim.gel.contact import THRESHOLD_LEVELS
 from pneutac_sim.gel.probe import THICKNESS_MM
 from pneutac_sim.gel.surface import DECAY_MM
@@ -21,7 +22,7 @@ from pneutac_sim.twin import Twin, Value
 class GelModel:
     """One sensor: c = c0 + w s, s = L grad u + c_d u, with u the surface displacement (paper, Sec. III-B).
 
-    Optics effects bend that, see `gel.optics`.
+    Effects of the stages `gel` and `light` bend that, see `effects.sensor_effect`.
 
     Attributes:
         rest_image: c0, the image without contact, uint8 (H, W, 3).
@@ -32,7 +33,7 @@ class GelModel:
         decay_mm: length over which the surface recovers around a contact.
         depth_scale: how deep an imprint the camera sees is over how deep the object lies below the resting
             surface, up to 1; the skin over a gel bridges the edge of a contact.
-        effects: optics effect to its parameters; without any this is the paper's linear model.
+        effects: of the sensor, name to parameters; without any this is the paper's linear model.
         threshold_levels: difference to the rest image above which a pixel counts as contact.
     """
 
@@ -88,37 +89,52 @@ class GelModel:
         return w / self.px_per_mm, h / self.px_per_mm
 
     @property
+    def acting(self) -> list[tuple[SensorEffect, dict[str, float]]]:
+        """Its effects with their values, in the order in which they act."""
+        return [(e, self.effects[e.name]) for e in in_order(self.effects)]
+
+    @property
     def weight(self) -> np.ndarray:
         """The surface weight w, (H, W, 3) float32."""
-        if "rest_colour" not in self.effects:
-            return np.ones(self.rest_image.shape, np.float32)
-        return rest_weight(self.rest_image, self._each("rest_colour", "exponent_{}"))
+        return self.weight_on(self.rest_image)
+
+    def weight_on(self, rest: np.ndarray) -> np.ndarray:
+        """The surface weight on any rest image (rows, columns, 3), float32; black counts as one level."""
+        out = np.ones(rest.shape, np.float32)
+        factors = [(e, v) for e, v in self.acting if e.weight is not None]
+        if factors:
+            bright = np.maximum(rest, 1.0)
+            log_rest = np.log((bright / bright.mean((0, 1))).astype(np.float64))
+        for effect, values in factors:
+            for k in range(3):
+                out[..., k] *= effect.weight(log_rest[..., k], effect.channel_values(values, k))
+        return out
 
     @property
     def coefficients(self) -> np.ndarray:
         """What `optics.light` takes, (3, 12)."""
-        out = np.column_stack(
-            [
-                self.light,
-                self.depth_light,
-                *np.tile([np.nan, np.nan, np.inf, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (3, 1)).T,
-            ]
-        )
-        if "near_light" in self.effects:
-            distance = self._each("near_light", "distance_{}_mm")
-            direction = -self.light / np.maximum(np.linalg.norm(self.light, axis=1), 1e-9)[:, None]
-            out[:, 3:5] = distance[:, None] * direction
-        if "photometric_nonlinearity" in self.effects:
-            for column, name in ((5, "direct_{}_levels"), *zip((9, 10, 11), QUADRATIC, strict=True)):
-                out[:, column] = self._each("photometric_nonlinearity", name)
-        if "shadow" in self.effects:
-            out[:, 6] = self._each("shadow", "shadow_{}_levels")
-            out[:, 7] = self._each("shadow", "elevation_{}")
-            out[:, 8] = self.effects["shadow"]["edge_mm"]
+        direction = -self.light / np.maximum(np.linalg.norm(self.light, axis=1), 1e-9)[:, None]
+        out = np.tile(optics.NEUTRAL, (3, 1))
+        out[:, :2], out[:, 2] = self.light, self.depth_light
+        for effect, values in self.acting:
+            if effect.coefficients is not None:
+                for k in range(3):
+                    effect.coefficients(out[k], direction[k], effect.channel_values(values, k))
         return out
 
-    def _each(self, effect: str, name: str) -> np.ndarray:
-        return np.array([self.effects[effect][name.format(c)] for c in CHANNELS], np.float64)
+    @property
+    def further(self) -> list[optics.Further]:
+        """What effects outside the compiled light make of it, see `optics.light`."""
+        return [
+            further_light(e, lambda k, e=e, v=v: e.channel_values(v, k)) for e, v in self.acting if e.light
+        ]
+
+    def surface(self, displacement_mm: np.ndarray, cell_mm: tuple[float, float]) -> np.ndarray:
+        """The displacement (rows, columns) in mm as effects of the gel change it."""
+        for effect, values in self.acting:
+            if effect.surface is not None:
+                displacement_mm = np.asarray(effect.surface(displacement_mm, cell_mm, values), np.float32)
+        return displacement_mm
 
     def imprint(self, depth_mm: np.ndarray) -> np.ndarray:
         """Probe grid of what the camera sees pressed in, float32: the object drawn back by the skin."""
@@ -148,7 +164,7 @@ class GelModel:
             builtin.rest_image(IMAGE_SHAPE),
             builtin.LIGHT,
             builtin.DEPTH_LIGHT,
-            effects={"rest_colour": dict.fromkeys((f"exponent_{c}" for c in CHANNELS), 1.0)},
+            effects={name: dict(values) for name, values in builtin.EFFECTS.items()},
         )
 
     @classmethod
@@ -163,7 +179,7 @@ class GelModel:
         if "rest_image" not in twin.arrays:
             raise InputError("The twin's gel has no array 'rest_image'; calibrate the gel anew.")
         for name in twin.effects:
-            if twin.device == "gel" and name not in OPTICS:
+            if twin.device == "gel" and not of_sensor([name]):
                 raise InputError(
                     f"The twin is of a gel, on which its effect '{name}' does not act; take it out."
                 )
@@ -172,21 +188,23 @@ class GelModel:
             if name not in known or name not in twin.gel:
                 what = "lacks" if name in known else "has an unknown field"
                 raise InputError(f"The twin's gel {what} '{name}'; it has {', '.join(known)}.")
-        effects = {
-            n: {k: v.value for k, v in values.items()} for n, values in twin.effects.items() if n in OPTICS
-        }
+        effects = {n: {k: v.value for k, v in twin.effects[n].items()} for n in of_sensor(twin.effects)}
         return cls(rest_image=twin.arrays["rest_image"], **twin.gel, effects=effects)
 
     def into_twin(self, twin: Twin) -> None:
         """Writes this gel into a twin (of a gel, or of a finger that carries one)."""
         own = {k: v for k, v in asdict(self).items() if k not in ("rest_image", "effects")}
-        twin.effects = {k: v for k, v in twin.effects.items() if k not in OPTICS}
+        before = of_sensor(twin.effects)
+        twin.effects = {k: v for k, v in twin.effects.items() if k not in before}
         twin.effects |= {n: {k: Value(float(v)) for k, v in e.items()} for n, e in self.effects.items()}
         twin.gel = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in own.items()}
         twin.arrays["rest_image"] = self.rest_image.copy()
 
 
-def rest_weight(rest: np.ndarray, exponents: np.ndarray) -> np.ndarray:
-    """(rest / mean) ^ exponent of each channel, float32; black pixels count as one level."""
-    rest = np.maximum(rest, 1.0)
-    return ((rest / rest.mean((0, 1))) ** exponents).astype(np.float32)
+def further_light(effect: SensorEffect, values: Callable[[int], dict[str, float]]) -> optics.Further:
+    """An effect's hook `light` as `optics.light` takes it; `values` gives those of a channel."""
+
+    def change(k, s, u, cell_mm):
+        return effect.light(s, u, cell_mm, values(k))
+
+    return change

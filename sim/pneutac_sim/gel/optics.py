@@ -1,27 +1,31 @@
 """Light of a touch sensor in the image plane: image = rest + w s, with s from the gel's surface.
 
 The paper's photometric model (Sec. III-B) is s = L grad u + c_d u with w = 1; u is the surface displacement
-in mm into the gel, that is towards the camera. Optics effects bend it where they are on (`effects.optics`):
-
-- `near_light`: the light of a channel comes from a point p at a finite distance, so the direction of L turns
-  over the image: t = -|L| e . grad u with e = (p - x) / |p - x|; p lies against L from the window's centre.
-- `photometric_nonlinearity`: Lambert's cosine. t -> phi (max(0, 1 + t / phi) / sqrt(1 + |grad u|^2) - 1):
-  a side turned away from the light goes dark and no darker, phi being the direct light in levels. Quadratic
-  terms in the slopes along and across the light and in the depth take up what Lambert's surface is not.
-- `shadow`: what rises between a point and the light takes the level lambda from it. The shadow's height over
-  the surface is the largest u(x + r e) - r tan(elevation) along the ray, less u(x).
-- `rest_colour`: w = (rest / mean) ^ gamma: a gel lights up where light falls.
+in mm into the gel, that is towards the camera. Effects of the stage `light` bend it where they are on. Those
+of the library are compiled into one kernel, which reads them from a row of coefficients a channel; those of
+other packages change s after it.
 
 s is computed on the displacement's own grid and interpolated to pixels, where w acts.
 """
 
 import math
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numba import njit
 
-# A row a channel: L x, L y, c_d, p x, p y (NaN: far away), phi (inf: linear), lambda, tan(elevation), edge;
-# then the quadratic terms along the light, across it and in depth
+from pneutac_sim.effects.near_light import towards
+from pneutac_sim.effects.photometric_nonlinearity import lambert
+from pneutac_sim.effects.shadow import cast, darkened
+
+# A channel's row: L x, L y, c_d, p x, p y (NaN: far away), phi (inf: linear), lambda, tan(elevation), edge;
+# then the quadratic terms along the light, across it and in depth.
+NEUTRAL = (0.0, 0.0, 0.0, np.nan, np.nan, np.inf, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+SIZE = len(NEUTRAL)
+
+# Changes the light s of channel k under a displacement u: (k, s, u, cell_mm) -> s.
+Further = Callable[[int, np.ndarray, np.ndarray, tuple[float, float]], np.ndarray]
+
 _NO_SHADOW = np.zeros((1, 1), np.float32)
 
 
@@ -47,33 +51,45 @@ def _cells(pixels: int, cells: int) -> tuple[np.ndarray, np.ndarray]:
     return i, (t - i).astype(np.float32)
 
 
-def light(displacement_mm: np.ndarray, cell_mm: tuple[float, float], coefficients: np.ndarray) -> np.ndarray:
+def light(
+    displacement_mm: np.ndarray,
+    cell_mm: tuple[float, float],
+    coefficients: np.ndarray,
+    further: Sequence[Further] = (),
+) -> np.ndarray:
     """What the surface adds to each channel, before the weight w.
 
     Args:
         displacement_mm: (rows, columns), positive into the gel.
         cell_mm: grid spacing along x and y.
         coefficients: (3, 12), see the top of this module; lengths in mm from the window's centre.
+        further: what effects outside the compiled light make of it, in this order.
 
     Returns:
         s in levels, float32 (3, rows, columns).
     """
     u = np.ascontiguousarray(displacement_mm, np.float32)
-    if np.shape(coefficients) != (3, 12):
+    if np.shape(coefficients) != (3, SIZE):
         raise ValueError(
-            f"the light of three channels has coefficients (3, 12); got {np.shape(coefficients)}"
+            f"the light of three channels has coefficients (3, {SIZE}); got {np.shape(coefficients)}"
         )
-    return np.stack([channel(u, cell_mm, c) for c in coefficients])
+    return np.stack([channel(u, cell_mm, c, k, further) for k, c in enumerate(coefficients)])
 
 
 def channel(
-    displacement_mm: np.ndarray, cell_mm: tuple[float, float], coefficients: np.ndarray
+    displacement_mm: np.ndarray,
+    cell_mm: tuple[float, float],
+    coefficients: np.ndarray,
+    k: int = 0,
+    further: Sequence[Further] = (),
 ) -> np.ndarray:
-    """One channel of `light`: (rows, columns) from a float32 displacement and coefficients (12,)."""
+    """Channel k of `light`: (rows, columns) from a float32 displacement and coefficients (12,)."""
     u, c = displacement_mm, coefficients
     out = np.empty_like(u)
-    shadow = _shadow(u, cell_mm[0], cell_mm[1], c) if c[6] > 0 else _NO_SHADOW
+    shadow = cast(u, cell_mm[0], cell_mm[1], c) if c[6] > 0 else _NO_SHADOW
     _light(u, cell_mm[0], cell_mm[1], c, shadow, out)
+    for change in further:
+        out = np.asarray(change(k, out, u, cell_mm), np.float32)
     return out
 
 
@@ -86,38 +102,28 @@ class Renderer:
         coefficients: of the light, (3, 12).
         cell_mm: grid spacing along x and y.
         shape: rows and columns of the displacement grid.
+        further: see `light`.
     """
 
-    def __init__(self, rest_image, weight, coefficients, cell_mm, shape):
+    def __init__(self, rest_image, weight, coefficients, cell_mm, shape, further: Sequence[Further] = ()):
         self._rest = np.ascontiguousarray(rest_image)
         self._weight = np.ascontiguousarray(weight, np.float32)
         self._top_weight = self._weight.max((0, 1))
-        self._coefficients, self._cell_mm = coefficients, cell_mm
+        self._light = cell_mm, coefficients, further
         h, w = rest_image.shape[:2]
         self._cells = (*_cells(h, shape[0]), *_cells(w, shape[1]))
 
     def image(self, displacement_mm: np.ndarray) -> np.ndarray:
         """Tactile image, uint8 (H, W, 3), of a displacement (rows, columns)."""
         out = np.empty_like(self._rest)
-        s = light(displacement_mm, self._cell_mm, self._coefficients)
+        s = light(displacement_mm, *self._light)
         _render(s, self._rest, self._weight, *self._cells, out)
         return out
 
     def contact_pixels(self, displacement_mm: np.ndarray, sum_limit: int) -> int:
         """How many pixels of `image` differ from rest by more than `sum_limit` in R + G + B."""
-        s = light(displacement_mm, self._cell_mm, self._coefficients)
+        s = light(displacement_mm, *self._light)
         return _count(s, self._rest, self._weight, *self._cells, sum_limit, self._top_weight)
-
-
-@njit(cache=True)
-def _towards(c, x, y):
-    """Unit vector from (x, y) to the light of a channel."""
-    if math.isnan(c[3]):
-        ex, ey = -c[0], -c[1]
-    else:
-        ex, ey = c[3] - x, c[4] - y
-    r = max(math.hypot(ex, ey), 1e-9)
-    return ex / r, ey / r
 
 
 @njit(cache=True)
@@ -132,62 +138,12 @@ def _light(u, hx, hy, c, shadow, out):
             left, right = max(j - 1, 0), min(j + 1, m - 1)
             gx = (u[i, right] - u[i, left]) / (hx * (right - left))
             gy = (u[down, j] - u[up, j]) / (hy * (down - up))
-            ex, ey = _towards(c, (j + 0.5 - m / 2) * hx, y)
+            ex, ey = towards(c, (j + 0.5 - m / 2) * hx, y)
             along, across = ex * gx + ey * gy, ex * gy - ey * gx
-            s = -strength * along
-            if not math.isinf(c[5]):
-                s = c[5] * (max(0.0, 1.0 + s / c[5]) / math.sqrt(1.0 + gx * gx + gy * gy) - 1.0)
-            if c[6] > 0.0 and shadow[i, j] > 0.0:
-                dark = min(shadow[i, j] / c[8], 1.0)
-                dark *= dark * (3.0 - 2.0 * dark)
-                s -= dark * (s + c[6])
+            s = lambert(-strength * along, c[5], gx, gy)
+            if c[6] > 0.0:
+                s = darkened(s, shadow[i, j], c[6], c[8])
             out[i, j] = s + c[2] * u[i, j] + c[9] * along**2 + c[10] * across**2 + c[11] * u[i, j] ** 2
-
-
-@njit(cache=True)
-def _shadow(u, hx, hy, c):
-    """Height in mm of the shadow over the surface of one channel, zero where the light arrives.
-
-    The shadow's height S(x) = max(u(x), S(x + e h) - h tan(elevation)) is passed on from cell to cell, in
-    four sweeps, each for the cells whose light comes from that side.
-    """
-    n, m = u.shape
-    S = u.copy()
-    far = math.isnan(c[3])
-    for side in range(4):
-        di, dj = 1 - 2 * (side // 2), 1 - 2 * (side % 2)  # where the light comes from
-        if far and ((-c[0] > 0) != (dj > 0) or (-c[1] > 0) != (di > 0)):
-            continue
-        for a in range(n):
-            i = n - 1 - a if di > 0 else a
-            y = (i + 0.5 - n / 2) * hy
-            for b in range(m):
-                j = m - 1 - b if dj > 0 else b
-                ex = -c[0] if far else c[3] - (j + 0.5 - m / 2) * hx
-                ey = -c[1] if far else c[4] - y
-                if (ex > 0) != (dj > 0) or (ey > 0) != (di > 0):
-                    continue
-                px, py = abs(ex) / hx, abs(ey) / hy  # cells that the ray crosses on the way to the light
-                if px >= py:  # it leaves through the column beside
-                    if not 0 <= j + dj < m:
-                        continue
-                    near = S[i, j + dj]
-                    other = S[i + di, j + dj] if 0 <= i + di < n else near
-                    f = py / max(px, 1e-9)
-                else:
-                    if not 0 <= i + di < n:
-                        continue
-                    near = S[i + di, j]
-                    other = S[i + di, j + dj] if 0 <= j + dj < m else near
-                    f = px / py
-                S_in = near + f * (other - near)
-                if S_in > S[i, j]:
-                    S_in -= c[7] * math.sqrt(ex * ex + ey * ey) / max(px, py, 1e-9)
-                    S[i, j] = max(S[i, j], S_in)
-    for i in range(n):
-        for j in range(m):
-            S[i, j] -= u[i, j]
-    return S
 
 
 @njit(inline="always")

@@ -5,13 +5,11 @@ far, away from its contact, but not whether that is the session's or its own: ha
 session's other photographs, which is right where both are alike.
 """
 
-import math
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
-from pneutac_sim.effects.optics import CHANNELS
 from pneutac_sim.gel import metrics, optics
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
@@ -60,16 +58,11 @@ def press_depth(press: Press, gel: GelModel) -> np.ndarray:
 
 
 def registered(press: Press, gel: GelModel) -> Press:
-    """The press where the gel's effect `registration_shift` says it truly is."""
-    v = gel.effects.get("registration_shift")
-    if v is None:
-        return press
-    c, s = v["scale"] * math.cos(v["turn_rad"]), v["scale"] * math.sin(v["turn_rad"])
-    x, y = (
-        c * press.x_mm - s * press.y_mm + v["shift_x_mm"],
-        s * press.x_mm + c * press.y_mm + v["shift_y_mm"],
-    )
-    return replace(press, x_mm=x, y_mm=y, yaw_rad=press.yaw_rad + v["turn_rad"])
+    """The press where the gel's effects say that it truly is."""
+    for effect, values in gel.acting:
+        if effect.press is not None:
+            press = effect.press(press, values)
+    return press
 
 
 def session_light(pair: PressPhotograph, px_per_mm: float) -> np.ndarray:
@@ -90,11 +83,17 @@ def session_light(pair: PressPhotograph, px_per_mm: float) -> np.ndarray:
 
 
 def gains(gel: GelModel, clock: float) -> np.ndarray:
-    """Brightness over the rest image (3,) at a time of the session, by the gel's `illumination_drift`."""
-    v = gel.effects.get("illumination_drift")
-    if v is None:
-        return np.ones(3)
-    return np.array([v[f"gain_{c}"] + v[f"drift_{c}"] * clock for c in CHANNELS])
+    """Brightness over the rest image (3,) at a time of the session, by the gel's effects."""
+    out = np.ones(3)
+    for effect, values in gel.acting:
+        if effect.gain is not None:
+            out = out * effect.gain(clock, values)
+    return out
+
+
+def drift_known(gel: GelModel) -> bool:
+    """Whether an effect of the gel tells how the light changes over a session."""
+    return any(effect.gain is not None for effect, _ in gel.acting)
 
 
 class Predictor:
@@ -109,7 +108,7 @@ class Predictor:
         self._gel, self._pair = gel, pair
         self._sensors: dict[int, tuple] = {}
         self._drift = None
-        if pair is not None and "illumination_drift" not in gel.effects:
+        if pair is not None and not drift_known(gel):
             height, width = pair.rest.shape[:2]
             self._drift = KEPT * optics.upsample(session_light(pair, gel.px_per_mm), height, width)
 
@@ -118,7 +117,7 @@ class Predictor:
         if id(rest) not in self._sensors:
             self._sensors[id(rest)] = rest, TactileSensor(replace(self._gel, rest_image=rest))
         image = self._sensors[id(rest)][1].image(press_depth(registered(press, self._gel), self._gel))
-        if "illumination_drift" in self._gel.effects:
+        if drift_known(self._gel):
             image = image * gains(self._gel, clock)
         elif self._drift is not None and rest is self._pair.rest:
             image = image + self._drift

@@ -55,7 +55,9 @@ class TactileSensor:
         width, height = self.model.window_mm
         self._cell_mm = (width / COLS, height / ROWS)
         m = self.model
-        self._renderer = Renderer(m.rest_image, m.weight, m.coefficients, self._cell_mm, (ROWS, COLS))
+        self._renderer = Renderer(
+            m.rest_image, m.weight, m.coefficients, self._cell_mm, (ROWS, COLS), m.further
+        )
 
     def probe(
         self, kinds, sizes, positions, rotations, gel_position=np.zeros(3), gel_rotation=np.eye(3)
@@ -79,9 +81,12 @@ class TactileSensor:
         if not depth_mm.any():
             return np.zeros((ROWS, COLS), np.float32)
         imprint = self.model.imprint(depth_mm)
-        if self.surface is not None:
-            return self.surface(imprint)
-        return surface(imprint, self._cell_mm, self.model.decay_mm)
+        u = (
+            surface(imprint, self._cell_mm, self.model.decay_mm)
+            if self.surface is None
+            else self.surface(imprint)
+        )
+        return self.model.surface(u, self._cell_mm)
 
     def image(self, depth_mm: np.ndarray) -> np.ndarray:
         """Tactile image of a probe grid (80, 59) in mm: uint8 (H, W, 3)."""

@@ -3,7 +3,7 @@
     solver = finger(twin, batch=4)
     rest = solve_equilibrium(solver, Loads(q_cmd=joint_targets(twin, [0, 5, 10, 15])))
 
-The twin's pipeline gives the joint targets, so every effect of its pneumatics, actuation and body acts here
+The twin's pipeline gives the joint targets, so every effect up to its material acts here
 too; one that cannot is refused by name. Effects of the observation (camera, base) are no matter of the body.
 """
 
@@ -198,7 +198,7 @@ def _places(points: int, extent: float, count: int, spacing: float) -> np.ndarra
 def joint_targets(
     twin: Twin, pressure_kpa, time_s=None, conditions: Mapping[str, float] | None = None
 ) -> np.ndarray:
-    """Joint targets from the twin's own pipeline: pneumatics, actuation, and what loads do to the joints.
+    """Joint targets from the twin's own pipeline: pneumatics, drive, and what loads do to the joints.
 
     Weight and payload bend the joints by their torque over the twin's `joint_stiffness_nm_per_rad`, as in the
     skeleton; the spine's controller is a stiff servo and not what yields to them.
@@ -244,7 +244,7 @@ def joint_targets(
 def _refuse(twin: Twin) -> None:
     for name in twin.effects:
         effect = get_effect(name)
-        if effect.stage == "body" and effect.signal == "markers":
+        if effect.stage == "material" and effect.signal == "markers":
             raise InputError(
                 f"The twin's effect '{name}' does not act in the material point model yet, since its spine "
                 "keeps its length; take the effect out to go on without it."

@@ -65,6 +65,7 @@ class SplatSensor:
         self.model = model
         self.increment = increment or self._light
         self._model_weight, self._coefficients = model.weight, model.coefficients
+        self._further = model.further
         height, width = model.rest_image.shape[:2]
         focal_px = model.px_per_mm * CAMERA_MM
         view = np.eye(4)
@@ -163,7 +164,7 @@ class SplatSensor:
     def _light(self, displacement_mm: np.ndarray) -> np.ndarray:
         model = self.model
         cell_mm = model.window_mm[0] / COLS, model.window_mm[1] / ROWS
-        grid = light(displacement_mm, cell_mm, self._coefficients).transpose(1, 2, 0)
+        grid = light(displacement_mm, cell_mm, self._coefficients, self._further).transpose(1, 2, 0)
         height, width = model.rest_image.shape[:2]
         return self._model_weight * cv2.resize(
             np.ascontiguousarray(grid), (width, height)

@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 
+from pneutac_sim.effects.effect import BODY_STAGES
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.mpm import devices
@@ -35,7 +36,7 @@ def fingerprint(twin: Twin) -> str:
     effects = {
         name: {k: v.value for k, v in values.items()}
         for name, values in twin.effects.items()
-        if get_effect(name).stage in ("pneumatics", "actuation", "body")
+        if get_effect(name).stage in BODY_STAGES[:-1]
     }
     what = {
         "model": MODEL,

@@ -7,6 +7,7 @@ drives each hinge with a motor of torque `tau_mpm = K q_cmd(p)`.
 
 import numpy as np
 
+from pneutac_sim.effects.registry import in_order, of_body
 from pneutac_sim.twin import Twin
 
 SECTION_M = 0.020  # outer width and height of the soft segments
@@ -83,17 +84,22 @@ def _weights(twin: Twin, ends: np.ndarray) -> np.ndarray:
     """Weight of each link over that of its mass here; the gel's is counted with the last link's.
 
     The plain twin's q_cmd holds the sag of the pose in which it was calibrated (the paper's p0 absorbs it),
-    so weight acts only where the twin has the effect `gravity`, and then with the masses that were fitted.
+    so weight acts only where the twin has an effect with masses, and then with those that were fitted.
     They are right as far as the joints' stiffness is, so inertia stays that of the material.
     """
-    if "gravity" not in twin.effects:
+    fitted = [
+        effect.masses({k: v.value for k, v in twin.effects[effect.name].items()})
+        for effect in in_order(of_body(twin.effects))
+        if effect.masses is not None
+    ]
+    if not fitted:
         return np.zeros(len(ends) - 1)
-    fitted = {k: 1e-3 * v.value for k, v in twin.effects["gravity"].items()}
+    body_kg, tip_kg = np.sum(fitted, axis=0)
     lengths = np.diff(ends)
     mass = DENSITY * SECTION_M**2 * lengths
-    weight = fitted["body_mass_g"] * lengths / ends[-1]
+    weight = body_kg * lengths / ends[-1]
     mass[-1] += DIGIT_MASS
-    weight[-1] += fitted["tip_mass_g"]
+    weight[-1] += tip_kg
     return weight / mass
 
 

@@ -12,8 +12,9 @@ from typing import override
 import mujoco
 import numpy as np
 
-from pneutac_sim.effects.optics import CHANNELS, QUADRATIC
+from pneutac_sim.effects.photometric_nonlinearity import QUADRATIC
 from pneutac_sim.effects.registry import get_effect
+from pneutac_sim.effects.sensor_effect import CHANNELS
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import IMAGE_SHAPE, JOINT_NAMES, STANDIN_GELS, STATE_HIGH, STATE_LOW, STATE_NAMES
 from pneutac_sim.gel import builtin

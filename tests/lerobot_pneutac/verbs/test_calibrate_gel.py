@@ -13,10 +13,9 @@ from lerobot_pneutac.verbs.fit_gel import render, scores_of, wanted
 from pneutac_datasets.generate.gel import HEIGHT, WIDTH, write_gel_recording
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.effects.optics import SENSOR
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
-from pneutac_sim.gel.fit import fit_gel
+from pneutac_sim.gel.fit import fit_gel, standard_effects
 from pneutac_sim.gel.layout import Orientation
 from pneutac_sim.gel.metrics import ImageScores
 from pneutac_sim.gel.model import GelModel
@@ -109,8 +108,8 @@ def test_effects_asked_for_are_fitted_and_kept_at_the_next_calibration(generated
 
 
 def test_a_new_twin_gets_every_effect_of_a_sensor(twin):
-    assert set(Twin.load(twin).effects) == set(SENSOR)
-    assert wanted(None, Twin.builtin()) == list(SENSOR), "a finger without a gel has no light yet"
+    assert set(Twin.load(twin).effects) == set(standard_effects())
+    assert wanted(None, Twin.builtin()) == standard_effects(), "a finger without a gel has no light yet"
 
 
 def test_without_a_recording_the_output_says_that_the_images_are_generated(tmp_path, capsys, monkeypatch):

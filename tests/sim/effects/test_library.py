@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from pneutac_sim.effects import all_effects, get_effect, in_order
-from pneutac_sim.effects.effect import SIGNALS, Effect, Parameter, kernel
+from pneutac_sim.effects import BodyEffect, Parameter, body_effects, get_effect, in_order, kernel
+from pneutac_sim.effects.body_effect import SIGNALS
 from pneutac_sim.errors import InputError
 
 CHANNELS = {"pressure": 3, "joints": 4, "loads": 6, "markers": 5}
-EFFECTS = list(all_effects().values())
+EFFECTS = list(body_effects().values())
 
 
 def signal(effect, n=400):
@@ -89,11 +89,15 @@ def _nothing(x, dt, theta, conditions, state):
     pass
 
 
+def malformed(**fields):
+    BodyEffect(name="a", parameters=(), run=_nothing, summary="", experiment="", **fields)
+
+
 def test_a_malformed_effect_is_refused():
     with pytest.raises(InputError, match="stage 'muscle' must be one of pneumatics"):
-        Effect("a", "muscle", (), _nothing, "", "")
+        malformed(stage="muscle")
     with pytest.raises(InputError, match="signal 'joints'"):
-        Effect("a", "actuation", (), _nothing, "", "", signal="joints")
+        malformed(stage="drive", signal="joints")
     with pytest.raises(InputError, match="must lie in"):
         Parameter("a", "", 2.0, 0.0, 1.0)
     with pytest.raises(InputError, match="logarithmic"):

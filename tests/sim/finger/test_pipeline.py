@@ -3,13 +3,13 @@ import time
 import numpy as np
 import pytest
 
-from pneutac_sim.effects import all_effects
+from pneutac_sim.effects import body_effects
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import Inputs, Pipeline, PressurePipeline
 from pneutac_sim.finger.kinematics import forward_kinematics, joint_command
 from pneutac_sim.twin import PAPER_FINGER, Twin, Value
 
-ALL = list(all_effects())
+ALL = list(body_effects())
 
 
 def simulate(twin, inputs, effects=None, reuse=None):
@@ -36,7 +36,7 @@ def test_without_effects_it_is_the_papers_finger(program):
 
 
 @pytest.mark.parametrize("device", ["finger", "arm"])
-def test_all_effects_at_their_neutral_point_change_nothing(program, device):
+def test_body_effects_at_their_neutral_point_change_nothing(program, device):
     table = program(600)
     for i in range(3):
         table[f"pressure_cmd_{i + 1}_kpa"] = np.roll(table["pressure_cmd_kpa"], 60 * i)
@@ -51,7 +51,7 @@ def test_all_effects_at_their_neutral_point_change_nothing(program, device):
 @pytest.mark.parametrize("device", ["finger", "arm"])
 def test_step_by_step_equals_the_whole_recording(program, with_effects, device):
     """On a uniform grid, with everything that the environment leaves to the pipeline."""
-    chain = [n for n, e in all_effects().items() if e.signal in ("pressure", "joints") and n != "crosstalk"]
+    chain = [n for n, e in body_effects().items() if e.signal in ("pressure", "joints") and n != "crosstalk"]
     table = program(300)
     n = len(table["time_s"])
     table["trial"], table["time_s"] = np.zeros(n, int), np.arange(n) / 20

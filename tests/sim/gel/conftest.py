@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from pneutac_sim.effects.optics import CHANNELS, OPTICS
+from pneutac_sim.effects import get_effect
+from pneutac_sim.effects.sensor_effect import CHANNELS
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.photograph import PressPhotograph, gains, press_depth, registered
@@ -44,7 +45,7 @@ def each(name, values):
 
 
 def neutral(effect):
-    return {p.name: p.neutral for p in OPTICS[effect].parameters}
+    return {p.name: p.neutral for p in get_effect(effect).parameters}
 
 
 @pytest.fixture

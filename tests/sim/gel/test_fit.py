@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pneutac_sim.effects.optics import OPTICS, SENSOR
-from pneutac_sim.gel.fit import fit_gel, fit_photographs, slope_light
+from pneutac_sim.effects import get_effect
+from pneutac_sim.gel.fit import fit_gel, fit_photographs, slope_light, standard_effects
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.layout import DIGIT, Orientation
 from pneutac_sim.gel.metrics import rmse
@@ -58,7 +58,7 @@ def test_one_pair_predicts_other_places_and_depths_of_a_sensor_with_every_effect
     image = photograph(bent, BALL, noise=2)
     fit = fit_gel(bent.rest_image, image, BALL, 20.0)
     linear = fit_gel(bent.rest_image, image, BALL, 20.0, ()).gel
-    assert set(fit.gel.effects) == set(SENSOR)
+    assert set(fit.gel.effects) == set(standard_effects())
     for press in ELSEWHERE:
         real = photograph(bent, press)
         ours, plain = (
@@ -66,7 +66,7 @@ def test_one_pair_predicts_other_places_and_depths_of_a_sensor_with_every_effect
         )
         assert ours < 0.2 * rmse(bent.rest_image, real) and ours < 0.55 * plain
     for name, values in fit.gel.effects.items():
-        for p in OPTICS[name].parameters:
+        for p in get_effect(name).parameters:
             assert p.lower <= values[p.name] <= p.upper
 
 
@@ -75,7 +75,7 @@ def test_images_that_are_mirrored_and_bgr_are_recognised_and_lit_by_the_makes_li
     positions = np.array(DIGIT.positions_mm)
     distance = np.linalg.norm(positions, axis=1)
     linear.light = -100 * positions / distance[:, None]
-    names = [p.name for p in OPTICS["near_light"].parameters]
+    names = [p.name for p in get_effect("near_light").parameters]
     linear.effects["near_light"] = dict(zip(names, distance.tolist(), strict=True))
     rest, image = linear.rest_image, photograph(linear, BALL, noise=2)
     rest, image = (np.ascontiguousarray(a[:, ::-1, ::-1]) for a in (rest, image))

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from pneutac_sim.effects.optics import CHANNELS, OPTICS
+from pneutac_sim.effects import get_effect
+from pneutac_sim.effects.sensor_effect import CHANNELS
 from pneutac_sim.gel.fit import fit_photographs
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.metrics import rmse
@@ -50,7 +51,7 @@ def test_a_drift_of_the_light_is_recovered_and_taken_out_of_the_gel(linear, sess
 
 def test_a_steady_light_does_not_drift(linear, session):
     found = fit_photographs(linear, session(linear, 3), ["illumination_drift"]).gel.effects
-    neutral = {p.name: p.neutral for p in OPTICS["illumination_drift"].parameters}
+    neutral = {p.name: p.neutral for p in get_effect("illumination_drift").parameters}
     assert off(found["illumination_drift"], neutral).max() < 0.003
 
 
@@ -75,7 +76,7 @@ def test_contacts_beside_their_stated_place_are_found(drift, linear, session, ph
 
 def test_contacts_at_their_stated_place_stay_there(linear, session):
     found = fit_photographs(linear, session(linear, 3), ["registration_shift"]).gel.effects
-    neutral = {p.name: p.neutral for p in OPTICS["registration_shift"].parameters}
+    neutral = {p.name: p.neutral for p in get_effect("registration_shift").parameters}
     assert off(found["registration_shift"], neutral).max() < 0.02
 
 

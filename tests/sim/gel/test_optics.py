@@ -5,8 +5,7 @@ import pytest
 from scipy.ndimage import binary_dilation
 
 from pneutac_sim.gel import optics
-from pneutac_sim.gel.channel import NEUTRAL, row
-from pneutac_sim.gel.model import GelModel, rest_weight
+from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.sensor import TactileSensor
 
 CELL = (0.2, 0.2)
@@ -24,13 +23,8 @@ def coefficients(
     light=(0.0, 0.0), depth=0.0, place=FAR, direct=np.inf, shadow=0.0, elevation=0.25, edge=0.02
 ):
     """A channel's row, what is not given at neutral."""
-    away = {"strength": np.hypot(*light), "direction": np.arctan2(-light[1], -light[0])}
-    c = row(
-        NEUTRAL
-        | away
-        | {"depth_light": depth, "direct": direct, "shadow": shadow, "elevation": elevation, "edge": edge}
-    )
-    c[:2], c[3:5] = light, place
+    c = np.array(optics.NEUTRAL)
+    c[:2], c[2], c[3:5], c[5], c[6:9] = light, depth, place, direct, (shadow, elevation, edge)
     return c
 
 
@@ -215,12 +209,17 @@ def test_the_shadows_edge_is_as_soft_as_it_says():
 
 
 def test_the_exponent_of_the_rest_colour_is_none_linear_or_a_power():
+    def weight(rest, *exponents):
+        gel = GelModel.builtin()
+        gel.effects = {"rest_colour": dict(zip(gel.effects["rest_colour"], exponents, strict=True))}
+        return gel.weight_on(rest)
+
     rest = np.random.default_rng(0).integers(10, 250, (32, 24, 3)).astype(np.uint8)
     relative = rest / rest.mean((0, 1))
-    np.testing.assert_allclose(rest_weight(rest, np.zeros(3)), 1)
-    np.testing.assert_allclose(rest_weight(rest, np.ones(3)), relative, rtol=1e-5)
-    np.testing.assert_allclose(rest_weight(rest, np.array([2, 0.5, 0])), relative ** [2, 0.5, 0], rtol=1e-5)
-    assert np.isfinite(rest_weight(np.zeros((4, 4, 3), np.uint8), np.full(3, -1.0))).all()
+    np.testing.assert_allclose(weight(rest, 0, 0, 0), 1)
+    np.testing.assert_allclose(weight(rest, 1, 1, 1), relative, rtol=1e-5)
+    np.testing.assert_allclose(weight(rest, 2, 0.5, 0), relative ** [2, 0.5, 0], rtol=1e-5)
+    assert np.isfinite(weight(np.zeros((4, 4, 3), np.uint8), -1, -1, -1)).all()
 
 
 def test_an_exponent_of_zero_renders_the_linear_model():

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pneutac_sim.effects.optics import OPTICS, SENSOR
+from pneutac_sim.effects import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.contact import contact_area
+from pneutac_sim.gel.fit import standard_effects
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.optics import upsample
 from pneutac_sim.gel.probe import BOX, CAPSULE, SPHERE
@@ -44,12 +45,12 @@ def test_contact_readout_is_what_the_policy_reads(sensor):
     assert c.log_pixels == pytest.approx(np.log(1 + c.pixels))
 
 
-@pytest.mark.parametrize("effects", [(), ("rest_colour",), SENSOR])
+@pytest.mark.parametrize("effects", [(), ("rest_colour",), standard_effects()])
 def test_fast_path_equals_the_image_exactly(effects):
     rng = np.random.default_rng(0)
     model = GelModel.builtin()
     model.rest_image = rng.integers(0, 256, (320, 240, 3), dtype=np.uint8)  # saturates and rounds everywhere
-    model.effects = {e: {p.name: p.default for p in OPTICS[e].parameters} for e in effects}
+    model.effects = {e: {p.name: p.default for p in get_effect(e).parameters} for e in effects}
     sensor = TactileSensor(model)
     for i in range(12):
         kind = (SPHERE, CAPSULE, BOX)[i % 3]

@@ -3,15 +3,17 @@
 import numpy as np
 import pytest
 
-from pneutac_sim.effects import all_effects, get_effect
-from pneutac_sim.effects.optics import OPTICS, SENSOR
+from pneutac_sim.effects import body_effects, get_effect, sensor_effects
 from pneutac_sim.effects.registry import of_body
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import Pipeline
+from pneutac_sim.gel.fit import standard_effects
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.twin import Twin, Value
 
+OPTICS = sensor_effects()
+SENSOR = tuple(standard_effects())
 DEPTH = np.pad(np.full((20, 15), 0.6, np.float32), ((30, 30), (22, 22)))
 
 
@@ -36,7 +38,7 @@ def crept():
 def test_tells_a_newcomer_what_it_is(effect):
     text = effect.describe({k: v.value for k, v in effect.start().items()}, "DIGIT")
     assert text.endswith(".") and "{" not in text and "nan" not in text and "DIGIT" in text
-    assert effect.experiment.endswith(".") and effect.stage == "optics"
+    assert effect.experiment.endswith(".") and effect.stage in ("gel", "light")
 
 
 @pytest.mark.parametrize("effect", OPTICS.values(), ids=lambda e: e.name)
@@ -49,7 +51,7 @@ def test_every_parameter_has_a_prior_within_its_bounds(effect):
 def test_optics_are_found_by_name_and_are_no_effects_of_a_body():
     for name, effect in OPTICS.items():
         assert get_effect(name) is effect
-    assert not set(OPTICS) & set(all_effects()) and set(SENSOR) < set(OPTICS)
+    assert not set(OPTICS) & set(body_effects()) and set(SENSOR) < set(OPTICS)
     assert of_body(["creep", *OPTICS, "leak"]) == ["creep", "leak"]
     with pytest.raises(InputError, match="near_light"):
         get_effect("near_lights")
