@@ -15,7 +15,7 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.photograph import Predictor
 
-# Effects of a size that real sensors show; a seed varies them by a fifth.
+# Effects of a size that real sensors show, others at their defaults; a seed varies them by a fifth.
 SIZES = {
     "rest_colour": {"exponent_red": 1.2, "exponent_green": 1.2, "exponent_blue": 1.2},
     "near_light": {"distance_red_mm": 12.0, "distance_green_mm": 14.0, "distance_blue_mm": 16.0},
@@ -42,7 +42,7 @@ def write_hidden_gel(folder: str | Path, hidden: list[str], seed: int = 0, image
         InputError: an effect is no optics effect, or there are fewer than two images.
     """
     folder, rng = Path(folder), np.random.default_rng(seed)
-    known = {name: effect for name, effect in sensor_effects().items() if name in SIZES}
+    known = sensor_effects()
     for name in hidden:
         if name not in known:
             raise InputError(f"'{name}' is no optics effect; give one of {', '.join(known)}.")
@@ -50,7 +50,7 @@ def write_hidden_gel(folder: str | Path, hidden: list[str], seed: int = 0, image
         raise InputError(f"images is {images}; at least 2 are needed, one of them to calibrate by.")
     truth = {}
     for name in hidden:
-        sizes = SIZES[name]
+        sizes = SIZES.get(name) or {p.name: p.default for p in known[name].parameters}
         truth[name] = {
             p.name: p.neutral + (sizes.get(p.name, p.neutral) - p.neutral) * rng.uniform(0.8, 1.2)
             for p in known[name].parameters

@@ -58,11 +58,14 @@ def all_effects() -> dict[str, Effect]:
     """Name to effect, in the order in which they act.
 
     Raises:
-        InputError: another package offers something that is no effect, or a name twice.
+        InputError: another package offers something that does not load or is no effect, or a name twice.
     """
     found = [importlib.import_module(f"pneutac_sim.effects.{name}").EFFECT for name in BUILTIN]
     for point in sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda p: p.name):
-        effect = point.load()
+        try:
+            effect = point.load()
+        except Exception as e:
+            raise InputError(f"Entry point '{point.name}' of {ENTRY_POINT_GROUP} does not load: {e}.") from e
         if not isinstance(effect, BodyEffect | SensorEffect):
             raise InputError(
                 f"Entry point '{point.name}' of {ENTRY_POINT_GROUP} must be a BodyEffect or a SensorEffect."

@@ -1,5 +1,6 @@
 """The worked example of docs/how_to/add_an_effect.md, exactly as printed, installed beside the library."""
 
+import json
 import re
 import sys
 import tomllib
@@ -9,9 +10,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pneutac_sim.effects import all_effects
+from lerobot_pneutac import add, calibrate, compare
+from pneutac_datasets.generate.hidden_gel import write_hidden_gel
+from pneutac_sim.effects import all_effects, body_effects, get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import BodyData, fit, simulate
+from pneutac_sim.gel.model import GelModel
+from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.twin import Twin
 
 DOC = Path(__file__).parents[3] / "docs" / "how_to" / "add_an_effect.md"
@@ -21,32 +26,52 @@ def blocks(kind):
     return re.findall(rf"```{kind}\n(.*?)```", DOC.read_text(), re.S)
 
 
-def install(folder, code, points):
-    (folder / "pneutac_marker_offset.py").write_text(code)
-    info = folder / "pneutac_marker_offset-0.1.0.dist-info"
+def install(folder, module, code, points):
+    """Puts a package with entry points onto a folder, as an installer does."""
+    (folder / f"{module}.py").write_text(code)
+    info = folder / f"{module}-0.1.0.dist-info"
     info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: pneutac-marker-offset\nVersion: 0.1.0\n")
+    name = module.replace("_", "-")
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 0.1.0\n")
     lines = ["[pneutac.effects]", *(f"{k} = {v}" for k, v in points.items())]
     (info / "entry_points.txt").write_text("\n".join(lines) + "\n")
 
 
 @pytest.fixture
-def example(tmp_path, monkeypatch):
+def package(tmp_path, monkeypatch):
+    """Installs a package for one test."""
+    modules = []
+
+    def make(module, code, points):
+        install(tmp_path, module, code, points)
+        modules.append(module)
+        monkeypatch.syspath_prepend(tmp_path)
+        all_effects.cache_clear()
+
+    yield make
+    for module in modules:
+        sys.modules.pop(module, None)
+    all_effects.cache_clear()
+
+
+@pytest.fixture
+def example(package):
     project = tomllib.loads(blocks("toml")[0])["project"]
-    install(tmp_path, blocks("python")[0], project["entry-points"]["pneutac.effects"])
-    monkeypatch.syspath_prepend(tmp_path)
-    all_effects.cache_clear()
-    yield
-    sys.modules.pop("pneutac_marker_offset", None)
-    all_effects.cache_clear()
+    package("pneutac_marker_offset", blocks("python")[0], project["entry-points"]["pneutac.effects"])
 
 
-def test_it_is_under_forty_lines():
-    assert len(blocks("python")[0].splitlines()) < 40
+@pytest.fixture
+def backlight(package):
+    package("pneutac_backlight", blocks("python")[1], {"backlight": "pneutac_backlight:EFFECT"})
+    return get_effect("backlight")
+
+
+def test_each_is_under_forty_lines():
+    assert all(len(block.splitlines()) < 40 for block in blocks("python"))
 
 
 def test_it_is_found_last_in_its_stage_and_does_nothing_at_its_neutral_point(example):
-    assert list(all_effects())[-1] == "marker_offset"
+    assert list(body_effects())[-1] == "marker_offset"
     effect = all_effects()["marker_offset"]
     x = np.random.default_rng(0).normal(size=(50, 5))
     np.testing.assert_array_equal(effect.apply(x, np.ones(50), {"beside_mm": 0.0}), x)
@@ -72,15 +97,50 @@ def test_it_is_fitted_like_any_other(example):
     assert low <= 12.0 <= high
 
 
-def test_a_second_effect_of_the_same_name_is_refused(tmp_path, monkeypatch):
-    install(
-        tmp_path, "from pneutac_sim.effects.creep import EFFECT\n", {"creep": "pneutac_marker_offset:EFFECT"}
+def test_a_second_effect_of_the_same_name_is_refused(package):
+    package(
+        "pneutac_twice", "from pneutac_sim.effects.creep import EFFECT\n", {"creep": "pneutac_twice:EFFECT"}
     )
-    monkeypatch.syspath_prepend(tmp_path)
-    all_effects.cache_clear()
-    try:
-        with pytest.raises(InputError, match="effect named 'creep'"):
-            all_effects()
-    finally:
-        sys.modules.pop("pneutac_marker_offset", None)
-        all_effects.cache_clear()
+    with pytest.raises(InputError, match="effect named 'creep'"):
+        all_effects()
+
+
+@pytest.mark.parametrize(
+    "code, says", [("EFFECT = 1", "must be a BodyEffect"), ("import nowhere", "nowhere")]
+)
+def test_what_is_no_effect_is_refused_by_its_entry_point(package, code, says):
+    package("pneutac_broken", code, {"broken": "pneutac_broken:EFFECT"})
+    with pytest.raises(InputError, match=f"'broken'.*{says}"):
+        all_effects()
+
+
+def test_a_sensors_effect_is_fitted_saved_and_rendered_like_any_other(backlight, tmp_path):
+    recording = write_hidden_gel(tmp_path / "gel", ["rest_colour", "backlight"], images=8)
+    twin = Twin(device="gel", length_mm=16.0)
+    plain = calibrate(twin, recording, effects=["rest_colour"]).twin
+    found = calibrate(twin, recording, effects=["rest_colour", "backlight"]).twin
+    truth = json.loads((tmp_path / "truth" / "gel.json").read_text())["backlight"]
+    values = {k: v.value for k, v in found.effects["backlight"].items()}
+    assert np.abs([values[k] - truth[k] for k in truth]).max() < 8.0
+
+    found.save(tmp_path / "twin")
+    again = Twin.load(tmp_path / "twin")
+    before, after = compare(plain, recording), compare(again, recording)
+    assert after.heldout < 0.85 * before.heldout, "of which 2 levels are noise"
+    depth = np.pad(np.full((20, 15), 0.6, np.float32), ((30, 30), (22, 22)))
+    without = GelModel.from_twin(again)
+    without.effects.pop("backlight")
+    lit, unlit = TactileSensor(again), TactileSensor(without)
+    assert (
+        np.median(lit.image(depth).astype(int)[140:180, 105:135] - unlit.image(depth)[140:180, 105:135]) > 5
+    )
+    np.testing.assert_array_equal(lit.image(np.zeros_like(depth)), lit.rest_image)
+    assert lit.contact_from_depth(depth) == lit.contact(lit.image(depth))
+
+
+def test_a_sensors_effect_is_added_like_any_other(backlight, tmp_path):
+    recording = write_hidden_gel(tmp_path / "gel", ["rest_colour", "backlight"], images=12)
+    twin = calibrate(Twin(device="gel", length_mm=16.0), recording, effects=["rest_colour"]).twin
+    result = add(twin, recording, "backlight")
+    assert result.accepted and "backlight" in result.twin.effects
+    assert result.parameters["backlight_red_levels"]["unit"] == "levels"
