@@ -82,17 +82,16 @@ def _measure(cfg: BenchmarkAugmentConfig, task: str, console: Console) -> dict:
         PneutacScriptedConfig(id="scripted", seed=cfg.seed, episode_steps=DEMONSTRATION_S * CONTROL_HZ)
     )
     record_episodes(robot, teleop, f"local/{recorded.name}", recorded, cfg.demonstrations, task, True)
-    summary, _ = augment(
-        AugmentConfig(
-            dataset=DatasetRef(f"local/{recorded.name}", recorded),
-            output=DatasetRef(f"local/{made.name}", made),
-            task=task,
-            episodes=cfg.episodes,
-            seed=cfg.seed,
-            workers=cfg.workers,
-        ),
-        console,
+    config = AugmentConfig(
+        dataset=DatasetRef(f"local/{recorded.name}", recorded),
+        output=DatasetRef(f"local/{made.name}", made),
+        task=task,
+        episodes=cfg.episodes,
+        seed=cfg.seed,
+        workers=cfg.workers,
     )
+    with console.status(f"augmenting {task}"):
+        summary = augment(config).summary
     s = summary["seconds"]
     parts = {k: s[k] for k in ("physics", "touch", "execution", "writing")}
     total = sum(parts.values())

@@ -8,18 +8,18 @@ import sys
 # verb -> (module with `main(argv)`, what it does)
 VERBS: dict[str, tuple[str, str]] = {
     "demo": ("lerobot_pneutac.verbs.demo", "the main job, end to end, on the built-in twin"),
-    "new": ("lerobot_pneutac.verbs.new", "a new twin"),
-    "measure": ("lerobot_pneutac.verbs.measure", "drive a pressure program and record finger and gel"),
+    "new": ("lerobot_pneutac.cli.new", "a new twin"),
+    "measure": ("lerobot_pneutac.cli.measure", "drive a pressure program and record finger and gel"),
     "calibrate": ("lerobot_pneutac.cli.calibrate", "fit a twin to a bench recording"),
     "compare": ("lerobot_pneutac.cli.compare", "errors of a twin against a recording, and where it fails"),
     "diagnose": ("lerobot_pneutac.cli.diagnose", "which physical effect is missing"),
     "add": ("lerobot_pneutac.cli.add", "switch an effect on, re-fit, show the error before and after"),
-    "surrogate": ("lerobot_pneutac.verbs.surrogate", "train the fast networks from full simulations"),
-    "render": ("lerobot_pneutac.verbs.render", "pictures and a film of a twin under pressure or an indenter"),
-    "augment": ("lerobot_pneutac.verbs.augment", "demonstrations in, more demonstrations out"),
+    "surrogate": ("lerobot_pneutac.cli.surrogate", "train the fast networks from full simulations"),
+    "render": ("lerobot_pneutac.cli.render", "pictures and a film of a twin under pressure or an indenter"),
+    "augment": ("lerobot_pneutac.cli.augment", "demonstrations in, more demonstrations out"),
     "ppo": ("lerobot_pneutac.cli.ppo", "train an actor by reinforcement learning"),
     "benchmark": ("lerobot_pneutac.cli.benchmark", "tables of speed and accuracy"),
-    "doctor": ("lerobot_pneutac.verbs.doctor", "what is installed; which GPU, ports and cameras answer"),
+    "doctor": ("lerobot_pneutac.cli.doctor", "what is installed; which GPU, ports and cameras answer"),
 }
 
 

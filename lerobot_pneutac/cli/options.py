@@ -127,7 +127,7 @@ def _placeholder(kind: type) -> str:
         return ""
     if dataclasses.is_dataclass(kind):
         return ".*"
-    if typing.get_origin(kind) is tuple:
+    if typing.get_origin(kind) in (tuple, list):
         return "=A,B"
     return "=" + PLACEHOLDERS.get(kind, "VALUE")
 
@@ -152,7 +152,7 @@ def _completed(options: dict[str, Option], argv: list[str]) -> list[str]:
             if not stands and kind is not bool:
                 raise InputError(f"--{name} has no value; write --{name}=VALUE.")
             value = rest.pop(0) if stands else "true"
-        if typing.get_origin(kind) is tuple and value and value[0] not in "[{":
+        if typing.get_origin(kind) in (tuple, list) and value and value[0] not in "[{":
             value = f"[{value}]"
         out.append(f"--{name}={value}")
     return out

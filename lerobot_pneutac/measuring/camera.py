@@ -63,7 +63,9 @@ class Intrinsics:
         Path(path).write_text(json.dumps(d, indent=1) + "\n")
 
 
-def calibrate(folder: Path, inner_corners: tuple[int, int], square_mm: float) -> tuple[Intrinsics, int]:
+def calibrate_camera(
+    folder: Path, inner_corners: tuple[int, int], square_mm: float
+) -> tuple[Intrinsics, int]:
     """Calibrates a camera by photographs of a chessboard (Zhang 2000, as in OpenCV).
 
     Args:

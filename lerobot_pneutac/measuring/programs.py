@@ -15,7 +15,7 @@ BUILTIN = ("steps", "ramps", "holds", "loops", "all")
 
 
 @dataclass(frozen=True)
-class Trial:
+class ProgramTrial:
     """One contiguous piece of a program.
 
     Attributes:
@@ -29,7 +29,7 @@ class Trial:
     pressure_kpa: np.ndarray
 
 
-def read_program(given: str, max_kpa: float, hz: float, recording: Path | None = None) -> list[Trial]:
+def read_program(given: str, max_kpa: float, hz: float, recording: Path | None = None) -> list[ProgramTrial]:
     """The trials of a program.
 
     Args:
@@ -60,7 +60,7 @@ def read_program(given: str, max_kpa: float, hz: float, recording: Path | None =
     return trials
 
 
-def _builtin(name: str, top: float, hz: float) -> list[Trial]:
+def _builtin(name: str, top: float, hz: float) -> list[ProgramTrial]:
     """Short trials, so that an interruption costs little; each starts and ends at 0."""
     stairs = np.r_[np.linspace(0, 1, 6), np.linspace(1, 0, 6)[1:]]
     shapes = {
@@ -77,13 +77,13 @@ def _builtin(name: str, top: float, hz: float) -> list[Trial]:
     return [_sampled(name, np.array(points) * [unit_s, top], hz) for points in shapes]
 
 
-def _sampled(name: str, points: np.ndarray, hz: float) -> Trial:
+def _sampled(name: str, points: np.ndarray, hz: float) -> ProgramTrial:
     """A trial through breakpoints (k, 2), (s, kPa)."""
     time_s = np.arange(round(points[-1, 0] * hz) + 1) / hz
-    return Trial(name, time_s, np.interp(time_s, points[:, 0], points[:, 1]))
+    return ProgramTrial(name, time_s, np.interp(time_s, points[:, 0], points[:, 1]))
 
 
-def _table(path: Path, hz: float) -> list[Trial]:
+def _table(path: Path, hz: float) -> list[ProgramTrial]:
     try:
         table = pd.read_csv(path)
     except (ValueError, OSError) as e:
@@ -102,13 +102,13 @@ def _table(path: Path, hz: float) -> list[Trial]:
             raise InputError(f"{path}: the time of trial {number} must rise over two rows at least.")
         grid = np.arange(round(time_s[-1] * hz) + 1) / hz
         # A command holds until the next row's: steps stay steps.
-        held = np.searchsorted(time_s, grid + 1e-9, side="right") - 1
+        latest = np.searchsorted(time_s, grid + 1e-9, side="right") - 1
         label = str(rows["program"].iloc[0]) if "program" in rows else path.stem
-        trials.append(Trial(label, grid, rows["pressure_cmd_kpa"].to_numpy(float)[held]))
+        trials.append(ProgramTrial(label, grid, rows["pressure_cmd_kpa"].to_numpy(float)[latest]))
     return trials
 
 
-def _proposed(path: Path, recording: Path | None, hz: float) -> Trial:
+def _proposed(path: Path, recording: Path | None, hz: float) -> ProgramTrial:
     """The program on the diagnosis' menu that its advice names."""
     try:
         advice = json.loads(path.read_text())["next_experiment"]
@@ -122,5 +122,5 @@ def _proposed(path: Path, recording: Path | None, hz: float) -> Trial:
             s = p.samples
             time_s = s["time_s"].to_numpy(float)
             grid = np.arange(round(time_s[-1] * hz) + 1) / hz
-            return Trial(p.name, grid, np.interp(grid, time_s, s[columns[0]].to_numpy(float)))
+            return ProgramTrial(p.name, grid, np.interp(grid, time_s, s[columns[0]].to_numpy(float)))
     raise InputError(f"{path} proposes what no pressure program does; read and do it by hand: {advice}")

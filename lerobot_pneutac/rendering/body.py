@@ -1,56 +1,18 @@
 """Frames of a finger or an arm: brought to rest pressure by pressure, drawn as particles or by its looks."""
 
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from typing import NamedTuple
+from collections.abc import Iterator
 
 import numpy as np
 
 from lerobot_pneutac.rendering import particles as draw
+from lerobot_pneutac.rendering.film import STRAIN, STRETCH, Film, Frame, Painter, Pose, caption, pressure_text
 from lerobot_pneutac.rendering.options import FPS, RenderConfig
+from lerobot_pneutac.rendering.photographs import photograph_painter, read_recorded
+from lerobot_pneutac.rendering.view import view_painter
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger.inputs import CHAMBERS
 from pneutac_sim.twin import Twin
-
-STRETCH = "Colour is the largest stretch of the material, from calm to warm."
-STRAIN = 0.15  # of the warmest colour
-
-
-@dataclass
-class Frame:
-    """One picture of the film; where `row` is a line of the table, the picture is a still too."""
-
-    picture: np.ndarray
-    row: dict | None = None
-
-
-class Film(NamedTuple):
-    """Frames, how many there will be, and what they show in a sentence."""
-
-    frames: Iterator[Frame]
-    count: int
-    lead: str
-
-
-class Pose(NamedTuple):
-    """A body at rest.
-
-    Attributes:
-        pressure: (chambers,) kPa.
-        positions: (P, 3) of the particles, m.
-        gradients: (P, 3, 3) deformation gradients.
-        spine: (K, 3) base, joints and tip, m.
-    """
-
-    pressure: np.ndarray
-    positions: np.ndarray
-    gradients: np.ndarray
-    spine: np.ndarray
-
-
-# Draws a pose; the dictionary is what it adds to the table.
-Painter = Callable[[Pose], tuple[np.ndarray, dict]]
 
 
 def body_film(twin: Twin, config: RenderConfig) -> Film:
@@ -63,8 +25,6 @@ def body_film(twin: Twin, config: RenderConfig) -> Film:
 
     recorded = None
     if config.recording is not None:
-        from lerobot_pneutac.rendering.photographs import read_recorded
-
         recorded = read_recorded(twin, config)
     given = config.pressure_kpa
     if given is not None and len(given) % CHAMBERS[twin.device]:
@@ -83,27 +43,12 @@ def body_film(twin: Twin, config: RenderConfig) -> Film:
     solver = make(twin, particles=config.particles, device=config.device)
     spines = np.concatenate([devices.spine_points(solver, q[None]) for q in q_cmd])
     if recorded is not None:
-        from lerobot_pneutac.rendering.photographs import photograph_painter
-
         painter, lead = photograph_painter(twin, solver.body, recorded, spines)
     elif config.view is not None:
-        from lerobot_pneutac.rendering.view import view_painter
-
         painter, lead = view_painter(twin, solver.body, config.view, spines)
     else:
         painter, lead = _particle_painter(twin, solver.body.spacing_m), STRETCH
-    return Film(_frames(solver, program, q_cmd, each, painter), len(program), lead)
-
-
-def told(pressure: np.ndarray) -> str:
-    """Pressures (chambers,) as a caption has them."""
-    return f"{', '.join(f'{p:.1f}' for p in pressure)} kPa"
-
-
-def caption(pose: Pose) -> str:
-    """Pressure and tip of a pose."""
-    tip = 1e3 * pose.spine[-1]
-    return f"{told(pose.pressure)}   tip x {tip[0]:.1f}  y {tip[1]:.1f}  z {tip[2]:.1f} mm"
+    return Film(twin.device, _frames(solver, program, q_cmd, each, painter), len(program), lead)
 
 
 def _particle_painter(twin: Twin, spacing_m: float) -> Painter:
@@ -111,8 +56,7 @@ def _particle_painter(twin: Twin, spacing_m: float) -> Painter:
     length = 1e-3 * twin.length_mm
 
     def paint(pose: Pose) -> tuple[np.ndarray, dict]:
-        body = (pose.positions, pose.gradients, pose.spine)
-        return draw.body_picture(*body, length, spacing_m, caption(pose), STRAIN, turns=turns), {}
+        return draw.body_picture(pose, length, spacing_m, caption(pose), STRAIN, turns), {}
 
     return paint
 
@@ -132,7 +76,7 @@ def _frames(solver, program: np.ndarray, q_cmd: np.ndarray, each: int, painter: 
         picture, more = painter(Pose(pressure, rest.positions[0], rest.gradients[0], spine))
         row = None
         if k % each == 0:
-            row = {"pressure_kpa": told(pressure)[:-4] if len(pressure) > 1 else float(pressure[0])}
+            row = {"pressure_kpa": pressure_text(pressure)[:-4] if len(pressure) > 1 else float(pressure[0])}
             row |= {f"tip_{a}_mm": float(1e3 * x) for a, x in zip("xyz", spine[-1], strict=True)}
             row |= more | {"seconds": spent}
             spent = 0.0

@@ -1,4 +1,7 @@
-"""Options of `pneutac render`, and which of them a finger, an arm or a gel takes."""
+"""`pneutac render`: pictures and a film of a finger, arm or gel of material points under load.
+
+Its options, and which of them a finger, an arm or a gel takes.
+"""
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -157,9 +160,10 @@ def _check_conditions(config: RenderConfig, twin: Twin) -> None:
     asked = sorted({column for effect in effects for column in effect.columns} - set(COMPUTED))
     for name in config.conditions:
         if name not in asked:
-            told = f"its effects ask for {', '.join(asked)}" if asked else "its effects ask for none, omit it"
+            wanted = f"ask for {', '.join(asked)}" if asked else "ask for none, omit it"
             raise InputError(
-                f"--conditions has '{name}', which the twin at {config.twin} has no use for: {told}."
+                f"--conditions has '{name}', which the twin at {config.twin} has no use for: its effects "
+                f"{wanted}."
             )
 
 

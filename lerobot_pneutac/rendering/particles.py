@@ -3,7 +3,10 @@
 import cv2
 import numpy as np
 
+from lerobot_pneutac.rendering.film import Pose
+
 STOPS = np.array([[38.0, 150, 155], [238, 200, 110], [226, 74, 51]])  # RGB: calm, half way, most
+BODY_PX, GEL_PX = (640, 480), (800, 480)  # width and height of pictures
 PAPER, INK = (246, 248, 250), (27, 36, 48)
 
 
@@ -63,42 +66,35 @@ def write(image: np.ndarray, text: str, x: int, y: int, size: float = 0.5) -> No
 
 
 def body_picture(
-    positions: np.ndarray,
-    gradients: np.ndarray,
-    spine: np.ndarray,
+    pose: Pose,
     length_m: float,
     radius: float,
     caption: str,
     top_strain: float,
     turns: tuple[float, ...] = (24.0,),
-    width: int = 640,
-    height: int = 480,
 ) -> np.ndarray:
     """A bending body from its side (x down, so that it hangs; z to the right), its spine drawn over it.
 
     Args:
-        positions: (P, 3) m.
-        gradients: (P, 3, 3), for the colour.
-        spine: (K, 3) base, joints and tip, m.
+        pose: of the body; its gradients give the colour.
         length_m: of the straight body; sets the scale.
         radius: of a particle, m.
         caption: written below.
         top_strain: strain of the warmest colour.
         turns: one view for each angle, degrees about the body's length; a little, so that one sees its depth.
-        width: px.
-        height: px.
     """
+    width, height = BODY_PX
     image = blank(width, height)
-    rgb = colours(strain(gradients), top_strain)
+    rgb = colours(strain(pose.gradients), top_strain)
     scale = 0.74 * height / length_m
     for k, degrees in enumerate(turns):
         tilt = np.radians(degrees)
         view = (np.array([0.0, np.sin(tilt), np.cos(tilt)]), np.array([-1.0, 0.0, 0.0]))
         origin = ((k + 0.36) * width / len(turns), 0.09 * height)
-        draw_particles(image, positions, rgb, 0.62 * radius, view, scale, origin)
+        draw_particles(image, pose.positions, rgb, 0.62 * radius, view, scale, origin)
         x, y = int(origin[0]), int(origin[1])
         cv2.rectangle(image, (x - 60, y - 16), (x + 60, y - 2), (90, 100, 112), -1)  # what holds the base
-        at = np.stack([origin[0] + scale * spine @ view[0], origin[1] - scale * spine @ view[1]], 1)
+        at = np.stack([origin[0] + scale * pose.spine @ view[0], origin[1] - scale * pose.spine @ view[1]], 1)
         xy = at.round().astype(int)
         cv2.polylines(image, [xy], False, INK, 2, cv2.LINE_AA)
         for p in xy[1:-1]:
@@ -117,8 +113,6 @@ def gel_picture(
     top_mm: float,
     top_strain: float,
     caption: str,
-    width: int = 800,
-    height: int = 480,
 ) -> np.ndarray:
     """The face of a gel from above, lit from one side, and a cut along its deepest row.
 
@@ -131,9 +125,8 @@ def gel_picture(
         top_mm: depth of the warmest colour.
         top_strain: strain of the warmest colour in the cut.
         caption: written below.
-        width: px.
-        height: px.
     """
+    width, height = GEL_PX
     image = blank(width, height)
     face_height = height - 90
     face_width = round(face_height * window_mm[0] / window_mm[1])

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from lerobot_pneutac.rendering import particles as draw
-from lerobot_pneutac.rendering.body import Painter, Pose, told
+from lerobot_pneutac.rendering.film import Painter, Pose, pressure_text
 from lerobot_pneutac.rendering.options import RenderConfig
 from lerobot_pneutac.rendering.silhouettes import differing
 from lerobot_pneutac.study.photographs import (
@@ -111,10 +111,12 @@ def photograph_painter(twin: Twin, body: Body, recorded: Recorded, spines: np.nd
         panels = (photograph.image, 255 * light.clip(0, 1), differing(mask, solid))
         iou = float((mask & solid).sum() / (mask | solid).sum())
         same = bool(np.abs(pressure - pose.pressure).max() < NEAR_KPA)
-        said = (f"photograph, {told(pressure)}", f"twin, {told(pose.pressure)}", f"overlap {iou:.1%}")
-        return _beside(panels, said if same else (*said[:2], "silhouettes"), window), {
-            "iou": iou if same else None
-        }
+        captions = (
+            f"photograph, {pressure_text(pressure)}",
+            f"twin, {pressure_text(pose.pressure)}",
+            f"overlap {iou:.1%}" if same else "silhouettes",
+        )
+        return _beside(panels, captions, window), {"iou": iou if same else None}
 
     return paint, LEAD
 
@@ -141,11 +143,11 @@ def _window(recorded: Recorded, spines: np.ndarray, length_m: float) -> tuple[sl
 def _beside(panels, captions, window: tuple[slice, slice]) -> np.ndarray:
     """Pictures (H, W, 3) side by side, uint8, with a line below each."""
     parts = []
-    for panel, said in zip(panels, captions, strict=True):
+    for panel, caption in zip(panels, captions, strict=True):
         cut = np.ascontiguousarray(panel[window], np.uint8)
         width = round(HEIGHT * cut.shape[1] / cut.shape[0])
         part = draw.blank(width + width % 2 + GAP, HEIGHT + CAPTION)
         part[:HEIGHT, :width] = cv2.resize(cut, (width, HEIGHT), interpolation=cv2.INTER_AREA)
-        draw.write(part, said, 4, HEIGHT + CAPTION - 14)
+        draw.write(part, caption, 4, HEIGHT + CAPTION - 14)
         parts.append(part)
     return np.concatenate(parts, 1)

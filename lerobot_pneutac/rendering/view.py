@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from lerobot_pneutac.rendering import particles as draw
-from lerobot_pneutac.rendering.body import STRAIN, STRETCH, Painter, Pose, caption
+from lerobot_pneutac.rendering.film import STRAIN, STRETCH, Painter, Pose, caption
 from lerobot_pneutac.rendering.options import View
 from pneutac_sim.mpm.body import Body
 from pneutac_sim.splat.body import ARRAYS, looks_from_twin

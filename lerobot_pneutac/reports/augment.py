@@ -7,7 +7,7 @@ import plotly.graph_objects as go
 from lerobot.datasets import LeRobotDataset
 from lerobot.utils.constants import OBS_STATE
 
-from lerobot_pneutac.reports.page import Report, write_result
+from lerobot_pneutac.reports.page import Report
 from pneutac_datasets.demonstrations.augment.reference import Reference, onset_sigma_m
 from pneutac_datasets.demonstrations.episodes import AREA, EE
 from pneutac_sim.features import CONTROL_HZ
@@ -15,17 +15,15 @@ from pneutac_sim.features import CONTROL_HZ
 SHOWN = 4  # recorded demonstrations whose touch is drawn
 
 
-def write_augment_report(cfg, summary: dict, references: list[Reference]) -> Path:
-    """Writes `report.html` and `result.json` into `cfg.out`.
+def augment_page(new: tuple[str, Path], summary: dict, references: list[Reference]) -> Report:
+    """The report, not yet written.
 
     Args:
-        cfg: the `AugmentConfig`.
+        new: repo_id and folder of the new demonstrations.
         summary: of `augment_guided`.
         references: the recorded demonstrations.
     """
     share = summary["kept"] / summary["attempts"]
-    sigma_mm = 1e3 * onset_sigma_m(references)
-    rmse = [line["area_rmse"] for line in summary["provenance"] if "area_rmse" in line]
     report = Report(f"{summary['kept']} demonstrations from {len(references)}")
     report.lead(
         f"{summary['attempts']} variants were tried and {summary['kept']} did the task ({100 * share:.0f} %),"
@@ -33,7 +31,7 @@ def write_augment_report(cfg, summary: dict, references: list[Reference]) -> Pat
     )
     report.text(
         "Contacts of the recorded demonstrations begin within "
-        + " / ".join(f"{s:.1f}" for s in sigma_mm)
+        + " / ".join(f"{s:.1f}" for s in 1e3 * onset_sigma_m(references))
         + " mm (standard deviation in x / y / z); objects and reference trajectories were moved together by"
         " as much in x and y."
     )
@@ -46,50 +44,54 @@ def write_augment_report(cfg, summary: dict, references: list[Reference]) -> Pat
     rows = [{"variants": "kept", "number": summary["kept"]}]
     rows += [{"variants": f"rejected: {r}", "number": n} for r, n in summary["rejected"].items()]
     report.table(rows, "Yield")
-    scenes = [
-        {
-            "demonstration": r.source,
-            "works in the twin": s["works"],
-            "contact area RMSE": s["area_rmse"],
-            "object moved (mm)": ", ".join(f"{1e3 * x:.1f}" for x in s["shift_m"][:2]),
-        }
-        for r, s in zip(references, summary["scenes"], strict=False)
-    ]
+    scenes = [_scene_row(r, s) for r, s in zip(references, summary["scenes"], strict=False)]
     report.table(scenes, "Where the object stood: the replay of each recorded demonstration in the twin")
     report.heading("Touch")
-    report.figure(_touch(cfg, summary, references), "Contact area: recorded (thick) and new (thin)")
-    report.figure(_paths(cfg, references), "Where the contacts begin, from above")
-    write_result(
-        cfg.out,
-        {
-            "method": cfg.method,
-            "kept": summary["kept"],
-            "attempts": summary["attempts"],
-            "yield": share,
-            "rejected": summary["rejected"],
-            "onset_sigma_mm": sigma_mm,
-            "area_rmse": float(np.mean(rmse)) if rmse else None,
-            "wall_s": summary["wall_s"],
-            "demonstrations_per_minute": 60 * summary["kept"] / summary["wall_s"],
-            "seconds": summary["seconds"],
-            "scenes": summary["scenes"],
-        },
-    )
-    return report.write(cfg.out)
+    states = _states(*new)
+    sources = [line["source_episode"] for line in summary["provenance"]]
+    report.figure(_touch(states, sources, references), "Contact area: recorded (thick) and new (thin)")
+    report.figure(_paths(states, references), "Where the contacts begin, from above")
+    return report
 
 
-def _states(cfg) -> list[np.ndarray]:
-    """(T, 20) of each new demonstration."""
-    dataset = LeRobotDataset(cfg.output.repo_id, cfg.output.root, video_backend="pyav")
+def augment_result(method: str, summary: dict, references: list[Reference]) -> dict:
+    """What `result.json` holds."""
+    rmse = [line["area_rmse"] for line in summary["provenance"] if "area_rmse" in line]
+    return {
+        "method": method,
+        "kept": summary["kept"],
+        "attempts": summary["attempts"],
+        "yield": summary["kept"] / summary["attempts"],
+        "rejected": summary["rejected"],
+        "onset_sigma_mm": 1e3 * onset_sigma_m(references),
+        "area_rmse": float(np.mean(rmse)) if rmse else None,
+        "wall_s": summary["wall_s"],
+        "demonstrations_per_minute": 60 * summary["kept"] / summary["wall_s"],
+        "seconds": summary["seconds"],
+        "scenes": summary["scenes"],
+    }
+
+
+def _scene_row(reference: Reference, scene: dict) -> dict:
+    return {
+        "demonstration": reference.source,
+        "works in the twin": scene["works"],
+        "contact area RMSE": scene["area_rmse"],
+        "object moved (mm)": ", ".join(f"{1e3 * x:.1f}" for x in scene["shift_m"][:2]),
+    }
+
+
+def _states(repo_id: str, root: Path) -> list[np.ndarray]:
+    """(T, 20) of each demonstration."""
+    dataset = LeRobotDataset(repo_id, root, video_backend="pyav")
     state = np.stack(dataset.hf_dataset.with_format("numpy")[OBS_STATE])
     rows = (dataset.meta.episodes[i] for i in range(dataset.num_episodes))
     return [state[r["dataset_from_index"] : r["dataset_to_index"]] for r in rows]
 
 
-def _touch(cfg, summary: dict, references: list[Reference]) -> go.Figure:
+def _touch(states: list[np.ndarray], sources: list[int], references: list[Reference]) -> go.Figure:
     figure, colours = go.Figure(), ("#0b6e99", "#c2410c", "#15803d", "#7e22ce")
-    sources = [line["source_episode"] for line in summary["provenance"]]
-    for state, source in zip(_states(cfg), sources, strict=True):
+    for state, source in zip(states, sources, strict=True):
         if source < SHOWN:
             t = np.arange(len(state)) / CONTROL_HZ
             line = {"color": colours[source], "width": 0.7}
@@ -101,8 +103,8 @@ def _touch(cfg, summary: dict, references: list[Reference]) -> go.Figure:
     return figure
 
 
-def _paths(cfg, references: list[Reference]) -> go.Figure:
-    new = [s[np.flatnonzero(s[:, AREA] > 0)[0], EE] for s in _states(cfg) if (s[:, AREA] > 0).any()]
+def _paths(states: list[np.ndarray], references: list[Reference]) -> go.Figure:
+    new = [s[np.flatnonzero(s[:, AREA] > 0)[0], EE] for s in states if (s[:, AREA] > 0).any()]
     old = [r.flange_m[r.onset] for r in references]
     figure = go.Figure()
     for name, points, size in (("new", new, 6), ("recorded", old, 12)):

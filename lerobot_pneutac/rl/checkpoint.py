@@ -26,17 +26,17 @@ class Keeper(BaseCallback):
             terms, means over the steps.
     """
 
-    def __init__(self, out: Path, run: dict, progress: Callable[[int, str], None]):
+    def __init__(self, out: Path, run: dict, progress: Callable[[str, int], None]):
         """A keeper.
 
         Args:
             out: folder.
             run: what must be equal for a training to go on.
-            progress: is told steps done and a few words after every rollout.
+            progress: is called with a few words and the steps done after every rollout.
         """
         super().__init__()
         self.curve: list[dict] = []
-        self._out, self._run, self._tell = out, run, progress
+        self._out, self._run, self._progress = out, run, progress
         self._terms, self._count = dict.fromkeys(WEIGHTS, 0.0), 0
         self._before_s, self._began = 0.0, time.monotonic()
 
@@ -114,4 +114,4 @@ class Keeper(BaseCallback):
         self._terms, self._count = dict.fromkeys(WEIGHTS, 0.0), 0
         self.curve.append(row)
         words = "no trial has ended" if row["success"] is None else f"success {100 * row['success']:.0f} %"
-        self._tell(row["steps"], words)
+        self._progress(words, row["steps"])

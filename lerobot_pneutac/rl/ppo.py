@@ -58,6 +58,31 @@ class PpoSettings:
     log_std: float = -0.5
 
 
+@dataclass(frozen=True)
+class Compute:
+    """How a training is carried out; it may go on with other numbers.
+
+    Attributes:
+        envs: worlds stepped together.
+        parallel: whether each has a process of its own.
+        device: `cpu` or `cuda`, of the networks.
+        tries: trials of the test after training.
+    """
+
+    envs: int = 8
+    parallel: bool = False
+    device: str = "cpu"
+    tries: int = 50
+
+    def check(self, steps: int) -> None:
+        """Raises InputError where a number is too small, or the device is missing."""
+        for name, value in (("steps", steps), ("envs", self.envs), ("tries", self.tries)):
+            if value < 1:
+                raise InputError(f"{name} is {value}; it must be 1 or more.")
+        if self.device.startswith("cuda") and not torch.cuda.is_available():
+            raise InputError(f"The device is '{self.device}', but PyTorch finds no GPU; use 'cpu'.")
+
+
 class Asymmetric(nn.Module):
     """Hidden layers of both networks: the actor's read the first `ACTOR_SIZE` entries, the critic's all."""
 
@@ -119,12 +144,9 @@ def train_ppo(
     seed: int,
     steps: int,
     out: str | Path,
-    envs: int = 8,
-    parallel: bool = False,
-    device: str = "cpu",
+    compute: Compute | None = None,
     settings: PpoSettings | None = None,
-    tries: int = 50,
-    progress: Callable[[int, str], None] = lambda done, text: None,
+    progress: Callable[[str, int, int], None] = lambda *a: None,
     **options,
 ) -> dict:
     """Trains an actor, and goes on where a training in `out` was stopped.
@@ -139,12 +161,9 @@ def train_ppo(
         seed: decides networks and starts.
         steps: control steps of all worlds together, at least.
         out: folder.
-        envs: number of worlds.
-        parallel: whether each has a process of its own.
-        device: `cpu` or `cuda`, of the networks.
+        compute: worlds, device, and trials of the test after training.
         settings: of the optimiser.
-        tries: trials of the test after training.
-        progress: is told steps done and a few words after every update.
+        progress: is called after every update with a few words, the steps done and all steps.
         **options: of `PpoEnv`.
 
     Returns:
@@ -154,19 +173,15 @@ def train_ppo(
     Raises:
         InputError: a number is too small, the device is missing, or `out` holds another training.
     """
-    for name, value in (("steps", steps), ("envs", envs), ("tries", tries)):
-        if value < 1:
-            raise InputError(f"{name} is {value}; it must be 1 or more.")
-    if device.startswith("cuda") and not torch.cuda.is_available():
-        raise InputError(f"The device is '{device}', but PyTorch finds no GPU; use 'cpu'.")
-    settings, out = settings or PpoSettings(), Path(out)
+    compute, settings, out = compute or Compute(), settings or PpoSettings(), Path(out)
+    compute.check(steps)
     env = PpoEnv(task, twin, **options)  # refuses a bad task or twin before anything is written
     run = {"task": task, "twin": _identity(twin), "seed": seed, "settings": asdict(settings)}
     run = json.loads(json.dumps(run | {"weights": WEIGHTS, "options": options}))
-    worlds = make_worlds(task, twin, envs, parallel, **options)
+    worlds = make_worlds(task, twin, compute.envs, compute.parallel, **options)
     try:
-        model = make_ppo(worlds, seed, device, settings)
-        keeper = Keeper(out, run, progress)
+        model = make_ppo(worlds, seed, compute.device, settings)
+        keeper = Keeper(out, run, lambda text, done: progress(text, min(done, steps), steps))
         if (out / CHECKPOINT).exists():
             keeper.resume(model)
         out.mkdir(parents=True, exist_ok=True)
@@ -176,14 +191,13 @@ def train_ppo(
             keeper.save()
     finally:
         worlds.close()
-    actor = actor_of(model, settings)
-    seconds = keeper.curve[-1]["seconds"]
-    progress(model.num_timesteps, f"trying the actor on {tries} new starts")
+    actor, seconds = actor_of(model, settings), keeper.curve[-1]["seconds"]
+    progress(f"trying the actor on {compute.tries} new starts", steps, steps)
     actor.card = run | {
         "steps": model.num_timesteps,
         "seconds": seconds,
         "steps_per_s": model.num_timesteps / seconds,
-        "test": try_actor(actor, env, tries, TEST_SEED + seed),
+        "test": try_actor(actor, env, compute.tries, TEST_SEED + seed),
     }
     actor.save(out)
     return actor.card

@@ -5,11 +5,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from lerobot.datasets import LeRobotDataset
 from lerobot.utils.constants import ACTION, OBS_STR
 from lerobot.utils.feature_utils import combine_feature_dicts, hw_to_dataset_features
 
 from lerobot_pneutac.rl.actor import Actor
 from lerobot_pneutac.rl.env import STEPS, actor_observation, to_action
+from lerobot_pneutac.rl.options import StudentRef
 from pneutac_datasets.demonstrations.episodes import Episode, save_episode
 from pneutac_datasets.demonstrations.writing import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError
@@ -21,8 +23,8 @@ ROBOT = "pneutac"  # type of the robot in recorded demonstrations, so that they 
 PATIENCE = 10  # trials for each demonstration that is wanted
 
 
-@dataclass
-class Recorded:
+@dataclass(frozen=True)
+class RecordedStudent:
     """What a recording came to.
 
     Attributes:
@@ -45,15 +47,10 @@ def record_student(
     actor_dir: str | Path,
     task: str,
     twin: Twin | None,
-    fidelity: str,
-    episodes: int,
     seed: int,
-    root: str | Path,
-    repo_id: str,
-    noise: float = 0.05,
-    use_videos: bool = False,
-    progress: Callable[[int, int], None] = lambda done, trials: None,
-) -> Recorded:
+    student: StudentRef,
+    progress: Callable[[str, int, int], None] = lambda *a: None,
+) -> RecordedStudent:
     """Writes a LeRobotDataset with the features of recorded demonstrations; rollouts that fail are left out.
 
     Stored are the actor's means; the robot carries them out with noise, so that the student also sees what to
@@ -63,53 +60,51 @@ def record_student(
         actor_dir: folder of the actor.
         task: `switch`, `egg` or `card`; must be the actor's.
         twin: the finger with its gel; None for the built-in one.
-        fidelity: how finger and gel deform, see `World`.
-        episodes: demonstrations wanted.
         seed: of starts and noise.
-        root: folder of the dataset, which must not exist.
-        repo_id: its name.
-        noise: standard deviation, of actions in [-1, 1].
-        use_videos: store the tactile images as video instead of PNG.
-        progress: is told demonstrations and trials after each trial.
+        student: the dataset, how many demonstrations, fidelity and noise.
+        progress: is called after each trial with a few words, the demonstrations and how many are wanted.
 
     Raises:
-        InputError: the actor is missing, damaged or another task's, a number is out of range, `root` exists,
-            or the actor succeeds too rarely.
+        InputError: the actor is missing, damaged or another task's, a number is out of range, the dataset's
+            folder exists, or the actor succeeds too rarely.
     """
     actor = Actor.load(actor_dir)
     if actor.card.get("task", task) != task:
         raise InputError(f"The actor in '{actor_dir}' was trained on '{actor.card['task']}', not '{task}'.")
-    if episodes < 1:
-        raise InputError(f"episodes is {episodes}; it must be 1 or more.")
-    if not 0 <= noise <= 1:
-        raise InputError(f"noise is {noise}; it must be from 0 to 1.")
-    world = World(task, twin, "image", fidelity)
-    features = combine_feature_dicts(
-        hw_to_dataset_features(dict.fromkeys(ACTION_NAMES, float), ACTION, use_videos),
-        hw_to_dataset_features(
-            dict.fromkeys(STATE_NAMES, float) | {IMAGE_NAME: IMAGE_SHAPE}, OBS_STR, use_videos
-        ),
-    )
-    dataset = create_dataset(repo_id, root, CONTROL_HZ, features, ROBOT, use_videos, STEPS)
+    if student.episodes < 1:
+        raise InputError(f"episodes is {student.episodes}; it must be 1 or more.")
+    if not 0 <= student.noise <= 1:
+        raise InputError(f"noise is {student.noise}; it must be from 0 to 1.")
+    world = World(task, twin, "image", student.fidelity)
+    dataset = _new_dataset(student)
     rng = np.random.default_rng(seed)
     kept = trials = 0
     with quiet_encoders():
         try:
-            while kept < episodes:
+            while kept < student.episodes:
                 if trials >= PATIENCE * max(kept + 1, 2):
                     raise InputError(
                         f"The actor in '{actor_dir}' succeeded in {kept} of {trials} trials with fidelity"
-                        f" '{fidelity}'; train it for longer, or lower the noise."
+                        f" '{student.fidelity}'; train it for longer, or lower the noise."
                     )
-                episode = roll_out(actor, world, rng, noise)
+                episode = roll_out(actor, world, rng, student.noise)
                 trials += 1
                 if world.success:
                     save_episode(dataset, episode)
                     kept += 1
-                progress(kept, trials)
+                progress("recording demonstrations", kept, student.episodes)
         finally:
             dataset.finalize()
-    return Recorded(Path(root), kept, trials)
+    return RecordedStudent(Path(student.root), kept, trials)
+
+
+def _new_dataset(student: StudentRef) -> LeRobotDataset:
+    observed = dict.fromkeys(STATE_NAMES, float) | {IMAGE_NAME: IMAGE_SHAPE}
+    features = combine_feature_dicts(
+        hw_to_dataset_features(dict.fromkeys(ACTION_NAMES, float), ACTION, student.video),
+        hw_to_dataset_features(observed, OBS_STR, student.video),
+    )
+    return create_dataset(student.repo_id, student.root, CONTROL_HZ, features, ROBOT, student.video, STEPS)
 
 
 def roll_out(actor: Actor, world: World, rng: np.random.Generator, noise: float) -> Episode:

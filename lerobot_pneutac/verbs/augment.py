@@ -1,14 +1,12 @@
 """`pneutac augment`: a few demonstrations in, many new ones out, planned on the twin and guided by touch."""
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
-
-from lerobot_pneutac.cli.options import parse_options
+from lerobot_pneutac.reports.page import Report
+from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.demonstrations.augment.planner import PlannerConfig
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import FIDELITIES, TASK_NAMES
@@ -83,11 +81,66 @@ class AugmentConfig:
             raise InputError(f"--twin is '{self.twin}', which holds no twin.yaml; give a twin's folder.")
 
 
-def augment(cfg: AugmentConfig, console: Console) -> tuple[dict, list]:
-    """Runs an augmentation with a progress bar.
+@dataclass(frozen=True)
+class Augmentation(Result):
+    """What an augmentation came to.
 
-    Returns:
-        the summary of `pneutac_datasets.demonstrations.augment.run.augment_guided`, and the references.
+    Attributes:
+        config: what was asked for.
+        summary: `kept`, `attempts`, `rejected` (reason to number), `wall_s`, and what the provenance tells.
+        references: the recorded demonstrations.
+    """
+
+    config: AugmentConfig
+    summary: dict
+    references: list
+
+    @property
+    def title(self) -> str:
+        """Heading of the table."""
+        return f"Augmentation of {self.config.dataset.repo_id} ({self.config.method})"
+
+    @property
+    def share(self) -> float:
+        """Of the variants that were tried, those that did the task."""
+        return self.summary["kept"] / self.summary["attempts"]
+
+    def rows(self) -> list[dict]:
+        """Variants and their number."""
+        counts = {"kept": self.summary["kept"]}
+        counts |= {f"rejected: {reason}": count for reason, count in self.summary["rejected"].items()}
+        counts["yield"] = f"{100 * self.share:.0f} %"
+        return [{"variants": name, "number": number} for name, number in counts.items()]
+
+    def remarks(self) -> list[str]:
+        """How many, where and how fast."""
+        kept, minutes = self.summary["kept"], self.summary["wall_s"] / 60
+        return [
+            f"{len(self.references)} demonstrations in, {kept} new ones in {self.config.output.root}"
+            f" ({minutes:.1f} minutes, {kept / minutes:.0f} a minute)."
+        ]
+
+    def to_dict(self) -> dict:
+        """As in `result.json`."""
+        from lerobot_pneutac.reports.augment import augment_result
+
+        return augment_result(self.config.method, self.summary, self.references)
+
+    def page(self) -> Report:
+        """The report."""
+        from lerobot_pneutac.reports.augment import augment_page
+
+        new = (self.config.output.repo_id, self.config.output.root)
+        return augment_page(new, self.summary, self.references)
+
+
+def augment(
+    config: AugmentConfig, progress: Callable[[str, int, int], None] = lambda *a: None
+) -> Augmentation:
+    """Augments a LeRobotDataset; writes the new one, and goes on where it was stopped.
+
+    Raises:
+        InputError: a dataset cannot be read or exists, or too few variants succeed.
     """
     from pneutac_datasets.demonstrations.augment.episode import AugmentSetup
     from pneutac_datasets.demonstrations.augment.run import (
@@ -99,44 +152,21 @@ def augment(cfg: AugmentConfig, console: Console) -> tuple[dict, list]:
     from pneutac_sim.twin import Twin
 
     sensor = None
-    if cfg.method == "tactile":
-        sensor = TactileSensor(Twin.load(cfg.twin) if cfg.twin else None)
-    meta, references = read_references(cfg.dataset.root, cfg.dataset.repo_id, sensor)
-    where = (cfg.output.root, cfg.output.repo_id, cfg.episodes)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True) as bar:
-        row = bar.add_task("starting", total=None)
-
-        def show(stage: str, done: int, total: int) -> None:
-            bar.update(row, description=stage, completed=done, total=total)
-
-        if cfg.method == "naive":
-            return augment_without_simulator(meta, *where, cfg.seed, show), references
+    if config.method == "tactile":
+        sensor = TactileSensor(Twin.load(config.twin) if config.twin else None)
+    meta, references = read_references(config.dataset.root, config.dataset.repo_id, sensor)
+    new = (config.output.root, config.output.repo_id, config.episodes)
+    if config.method == "naive":
+        summary = augment_without_simulator(meta, *new, config.seed, progress)
+    else:
         setup = AugmentSetup(
-            references, cfg.task, cfg.twin, cfg.fidelity, cfg.planner, cfg.seed, attempts=cfg.attempts
+            references,
+            config.task,
+            config.twin,
+            config.fidelity,
+            config.planner,
+            config.seed,
+            attempts=config.attempts,
         )
-        return augment_guided(meta, setup, *where, cfg.workers, show), references
-
-
-def main(argv: list[str]) -> None:
-    """Augments; prints a table, and writes a report where `--out` says."""
-    cfg = parse_options(AugmentConfig, argv)
-    console = Console()
-    summary, references = augment(cfg, console)
-    table = Table(title=f"Augmentation of {cfg.dataset.repo_id} ({cfg.method})")
-    table.add_column("variants")
-    table.add_column("number", justify="right")
-    table.add_row("kept", str(summary["kept"]))
-    for reason, count in summary["rejected"].items():
-        table.add_row(f"rejected: {reason}", str(count))
-    table.add_row("yield", f"{100 * summary['kept'] / summary['attempts']:.0f} %")
-    console.print(table)
-    minutes = summary["wall_s"] / 60
-    console.print(
-        f"{len(references)} demonstrations in, {summary['kept']} new ones in {cfg.output.root}"
-        f" ({minutes:.1f} minutes, {summary['kept'] / minutes:.0f} a minute)."
-    )
-    if cfg.out:
-        from lerobot_pneutac.reports.augment import write_augment_report
-
-        console.print(f"Report: {write_augment_report(cfg, summary, references)}")
+        summary = augment_guided(meta, setup, *new, config.workers, progress)
+    return Augmentation(config, summary, references)

@@ -1,4 +1,4 @@
-"""`pneutac doctor`: what is installed, what answers, and what to do where something does not."""
+"""What is installed, what answers, and what to do where something does not."""
 
 import importlib.metadata
 import os
@@ -7,11 +7,7 @@ import shutil
 import sys
 from pathlib import Path
 
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
-
-OK, NOTE, FAIL = "[green]ok[/]", "[yellow]note[/]", "[red]missing[/]"
+OK, NOTE, FAIL = "ok", "note", "missing"
 DEV = Path("/dev")
 Check = tuple[str, str, str, str]  # name, state, what was found, remedy
 
@@ -125,13 +121,8 @@ CHECKS = (
 )  # fmt: skip
 
 
-def main(argv: list[str]) -> None:
-    """Runs every check and prints one table; exits with 1 where something needed is missing."""
-    if argv in (["-h"], ["--help"]):
-        print("usage: pneutac doctor\n\nTells what is installed and what answers; takes no options.")
-        return
-    if argv:
-        sys.exit("pneutac doctor takes no options.")
+def check_all() -> list[Check]:
+    """Every check, in the order of the table."""
     rows = check_packages()
     for check in CHECKS:
         try:
@@ -139,9 +130,4 @@ def main(argv: list[str]) -> None:
         except (ImportError, OSError) as e:  # a package or a system's library: what is looked for
             name = check.__name__.removeprefix("check_")
             rows.append((name, FAIL, f"{type(e).__name__}: {e}", "install what is missing, then ask again"))
-    table = Table("", "state", "found", "remedy", box=None, header_style="dim")
-    for name, state, found, remedy in rows:
-        table.add_row(name, state, escape(found), escape(remedy))
-    Console().print(table)
-    if any(state == FAIL for _, state, _, _ in rows):
-        sys.exit(1)
+    return rows

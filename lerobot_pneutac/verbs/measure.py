@@ -1,194 +1,117 @@
-"""`pneutac measure`: drives a pressure program at the bench and writes what finger and gel did."""
+"""Measuring at the bench: drives a pressure program and writes what finger and gel did."""
 
 import shutil
 import time
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from lerobot.cameras import Camera, CameraConfig, make_cameras_from_configs
-from lerobot.cameras.opencv import OpenCVCameraConfig  # noqa: F401  registers the type
+from lerobot.cameras import Camera, make_cameras_from_configs
 from PIL import Image
-from rich.console import Console
 
-from lerobot_pneutac.cli.options import parse_options
-from lerobot_pneutac.measuring.camera import Intrinsics, MarkerTracker, calibrate
-from lerobot_pneutac.measuring.programs import Trial, read_program
-from lerobot_robot_pneutac import DigitConfig  # noqa: F401  registers the tactile cameras
+from lerobot_pneutac.measuring.camera import Intrinsics, MarkerTracker
+from lerobot_pneutac.measuring.options import MeasureConfig
+from lerobot_pneutac.measuring.programs import ProgramTrial, read_program
 from lerobot_robot_pneutac.hardware.parts import COMMAND_S, HardwareFault, PressureController
-from lerobot_robot_pneutac.robots.config_pneutac import PressureConfig
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.errors import InputError
 
 BASE_IMAGES = 15
 FRAME_MS = 1000 * COMMAND_S  # a camera that is slower than this is lost; the chamber vents by itself then
-OVERPRESSURE = 1.15  # of --max_kpa, measured: everything stops
-MIN_HZ = 2 / COMMAND_S
-MOST_UNSEEN = 0.2  # share of a trial's images without the tip marker above which it is told
-MOST_MISSED = 0.1  # share of a trial's samples for which the cameras were too slow, likewise
+OVERPRESSURE = 1.15  # of the set maximum, measured: everything stops
 
 
-@dataclass
-class MeasureConfig:
-    """Options of `pneutac measure`.
+@dataclass(frozen=True)
+class TrialNote:
+    """How one trial went.
 
     Attributes:
-        pressure: the controller, as `--robot.pressure` of the robot.
-        camera: looks at the finger's two markers: any LeRobot camera.
-        intrinsics: its calibration; with `chessboard`, the file to write.
-        digit: a tactile camera whose images are kept too.
-        program: `steps`, `ramps`, `holds`, `loops`, `all`, a CSV, or a diagnosis' `result.json`.
-        recording: what was diagnosed, with a `result.json`.
-        out: new folder of the recording.
-        length_mm: of the straight finger, base to tip marker.
-        max_kpa: no set-point is higher, and the built-in programs reach it.
-        hz: samples per second.
-        repeat: how often the program is driven.
-        rest_s: pause without pressure before each trial.
-        marker_mm: side of both markers.
-        base_id: number of the marker at the base.
-        tip_id: number of the marker at the tip.
-        base_offset_mm: from the finger's base to the base marker's centre, in the base frame.
-        notes: kept in the recording.
-        chessboard: folder of photographs of a chessboard: calibrates the camera, and nothing else.
-        corners: the board's inner corners, columns and rows.
-        square_mm: side of its squares.
+        number: of the trial, from 0.
+        program: its label.
+        planned: samples of the program.
+        taken: samples for which the cameras were quick enough.
+        seen: those of them in which the tip was seen, which are kept.
     """
 
-    pressure: PressureConfig = field(default_factory=PressureConfig)
-    camera: CameraConfig | None = None
-    intrinsics: Path | None = None
-    digit: CameraConfig | None = None
-    program: str = "all"
-    recording: Path | None = None
-    out: Path | None = None
-    length_mm: float | None = None
-    max_kpa: float = 15.0
-    hz: float = 15.0
-    repeat: int = 1
-    rest_s: float = 3.0
-    marker_mm: float = 12.0
-    base_id: int = 0
-    tip_id: int = 1
-    base_offset_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    notes: str = ""
-    chessboard: Path | None = None
-    corners: tuple[int, int] = (9, 6)
-    square_mm: float = 20.0
-
-    def __post_init__(self):
-        needed = ["intrinsics"]
-        if self.chessboard is None:
-            needed += ["camera", "out", "length_mm"]
-            if not self.pressure.type:
-                raise InputError("--pressure.type is missing; give --pressure.type=pneutac_serial.")
-        for name in needed:
-            if getattr(self, name) is None:
-                option = f"--{name}.type" if name == "camera" else f"--{name}"
-                raise InputError(f"{option} is missing.")
-        for name in ("length_mm", "max_kpa", "hz", "repeat", "marker_mm", "square_mm"):
-            value = getattr(self, name)
-            if value is not None and not 0 < value < np.inf:
-                raise InputError(f"--{name}={value} must be positive.")
-        if self.hz < MIN_HZ:
-            raise InputError(
-                f"--hz={self.hz} must be {MIN_HZ:g} or more; pressure is held {COMMAND_S} s a sample."
-            )
-        if not 0 <= self.rest_s < np.inf:
-            raise InputError(f"--rest_s={self.rest_s} must be 0 or more.")
-        if self.out is not None and self.out.exists() and (not self.out.is_dir() or any(self.out.iterdir())):
-            raise InputError(f"--out={self.out} is not empty; give a new folder.")
+    number: int
+    program: str
+    planned: int
+    taken: int
+    seen: int
 
 
-def main(argv: list[str]) -> None:
-    """Runs the verb."""
-    cfg = parse_options(MeasureConfig, argv)
-    console = Console()
-    if cfg.chessboard is not None:
-        camera, views = calibrate(cfg.chessboard, cfg.corners, cfg.square_mm)
-        camera.save(cfg.intrinsics)
-        console.print(f"{cfg.intrinsics}: {views} photographs, error {camera.rms_px:.2f} px", highlight=False)
-        return
-    try:
-        measure(cfg, console)
-    except HardwareFault as e:
-        raise InputError(str(e)) from e
-
-
-def measure(cfg: MeasureConfig, console: Console) -> Recording:
+def measure(
+    config: MeasureConfig,
+    on_start: Callable[[int, float], None] = lambda trials, seconds: None,
+    on_trial: Callable[[TrialNote], None] = lambda note: None,
+) -> Recording:
     """Drives the program; the recording holds every trial that was finished, however it ends.
 
+    Args:
+        config: parts, program and folder.
+        on_start: is called with the number of trials and their seconds before anything moves.
+        on_trial: is called after each trial.
+
     Raises:
+        InputError: program or calibration cannot be read.
         HardwareFault: a part failed; the chamber is vented.
         KeyboardInterrupt: as it came; the chamber is vented.
     """
-    trials = read_program(cfg.program, cfg.max_kpa, cfg.hz, cfg.recording) * cfg.repeat
-    camera = Intrinsics.load(cfg.intrinsics)
-    tracker = MarkerTracker(camera, cfg.marker_mm, cfg.base_id, cfg.tip_id, cfg.base_offset_mm)
-    given = {"camera": cfg.camera} | ({"tactile": cfg.digit} if cfg.digit is not None else {})
+    trials = read_program(config.program, config.max_kpa, config.hz, config.recording) * config.repeat
+    camera = Intrinsics.load(config.intrinsics)
+    tracker = MarkerTracker(camera, config.marker_mm, config.base_id, config.tip_id, config.base_offset_mm)
+    given = {"camera": config.camera} | ({"tactile": config.digit} if config.digit is not None else {})
     cameras = make_cameras_from_configs(given)
-    pressure = cfg.pressure.make()
-    bench = _Bench(cfg, pressure, cameras, tracker)
-    seconds = sum(t.time_s[-1] + cfg.rest_s for t in trials)
-    console.print(f"{len(trials)} trials, {seconds / 60:.1f} min; Ctrl-C keeps those that are finished.")
+    pressure = config.pressure.make()
+    driver = BenchDriver(config, pressure, cameras, tracker)
+    on_start(len(trials), sum(t.time_s[-1] + config.rest_s for t in trials))
     try:
         pressure.connect()
         for name, c in cameras.items():
             _connect(c, name)
         tracker.see_base([_image(cameras["camera"], "camera") for _ in range(BASE_IMAGES)])
         for number, trial in enumerate(trials):
-            taken, seen = bench.run(number, trial)
-            said = "kept" if seen else "left out"
-            console.print(f"trial {number + 1} of {len(trials)}, {trial.program}: {said}", highlight=False)
-            unseen, missed = 1 - seen / taken, 1 - taken / len(trial.time_s)
-            if unseen > MOST_UNSEEN:
-                console.print(f"[yellow]note:[/] the tip marker was unseen in {100 * unseen:.0f} % of it")
-            if missed > MOST_MISSED:
-                console.print(
-                    f"[yellow]note:[/] {100 * missed:.0f} % of its samples are missing, the camera is slower"
-                    " than --hz"
-                )
+            taken, seen = driver.drive(number, trial)
+            on_trial(TrialNote(number, trial.program, len(trial.time_s), taken, seen))
     finally:
         pressure.disconnect()  # vents first, whatever comes after
         for c in cameras.values():
             if c.is_connected:
                 c.disconnect()
-        kept = bench.kept()
+        kept = kept_trials(config.out)
         for number in set(range(len(trials))) - kept:
-            shutil.rmtree(bench.images(number), ignore_errors=True)
-        shutil.rmtree(cfg.out / "new", ignore_errors=True)
-        if kept:
-            console.print(f"{cfg.out}: {len(kept)} of {len(trials)} trials", highlight=False)
-        else:
-            console.print("No trial was finished; nothing is kept.")
-            shutil.rmtree(cfg.out, ignore_errors=True)
-    return Recording.load(cfg.out)
+            shutil.rmtree(driver.images(number), ignore_errors=True)
+        shutil.rmtree(config.out / "new", ignore_errors=True)
+        if not kept:
+            shutil.rmtree(config.out, ignore_errors=True)
+    return Recording.load(config.out)
 
 
-class _Bench:
+def kept_trials(folder: Path) -> set[int]:
+    """Numbers of the trials in a folder's table: what is there counts, wherever an interrupt came."""
+    table = folder / "samples.csv"
+    return set(pd.read_csv(table, usecols=["trial"])["trial"]) if table.exists() else set()
+
+
+class BenchDriver:
     """Drives trials one by one and writes the recording after each."""
 
     def __init__(
         self,
-        cfg: MeasureConfig,
+        config: MeasureConfig,
         pressure: PressureController,
         cameras: dict[str, Camera],
         tracker: MarkerTracker,
     ):
-        self._cfg, self._pressure, self._cameras, self._tracker = cfg, pressure, cameras, tracker
+        self._config, self._pressure, self._cameras, self._tracker = config, pressure, cameras, tracker
         self._rows: list[dict] = []
-
-    def kept(self) -> set[int]:
-        """Numbers of the trials in the table: what is there counts, wherever an interrupt came."""
-        table = self._cfg.out / "samples.csv"
-        return set(pd.read_csv(table, usecols=["trial"])["trial"]) if table.exists() else set()
 
     def images(self, number: int) -> Path:
         """Folder of a trial's images."""
-        return self._cfg.out / "images" / f"trial_{number:03d}"
+        return self._config.out / "images" / f"trial_{number:03d}"
 
-    def run(self, number: int, trial: Trial) -> tuple[int, int]:
+    def drive(self, number: int, trial: ProgramTrial) -> tuple[int, int]:
         """Drives one trial at its own pace; a camera that is slower than it costs samples.
 
         Returns:
@@ -197,7 +120,7 @@ class _Bench:
         folder = self.images(number)
         folder.mkdir(parents=True)
         self._pressure.vent()
-        time.sleep(self._cfg.rest_s)
+        time.sleep(self._config.rest_s)
         rows, taken, k, start_s = [], 0, 0, time.monotonic()
         while k < len(trial.time_s):
             time.sleep(max(0.0, start_s + trial.time_s[k] - time.monotonic()))
@@ -205,7 +128,7 @@ class _Bench:
             self._pressure.set_pressure(command)
             images = {name: _image(c, name) for name, c in self._cameras.items()}
             now_s, kpa = time.monotonic() - start_s, float(self._pressure.pressure())
-            if not kpa <= OVERPRESSURE * self._cfg.max_kpa:
+            if not kpa <= OVERPRESSURE * self._config.max_kpa:
                 raise HardwareFault(f"The pressure reads {kpa:.1f} kPa; check valve and sensor.")
             tip = self._tracker.tip_mm(images["camera"])
             due = int(np.searchsorted(trial.time_s, time.monotonic() - start_s, side="right"))
@@ -218,7 +141,7 @@ class _Bench:
             for name, image in images.items():
                 file = folder / f"{name}_{sample:05d}.jpg"
                 Image.fromarray(image).save(file, quality=95)
-                row[f"image_{name}"] = str(file.relative_to(self._cfg.out))
+                row[f"image_{name}"] = str(file.relative_to(self._config.out))
             rows.append(row)
         self._pressure.vent()
         if rows:
@@ -230,8 +153,8 @@ class _Bench:
         """The recording so far; the old one stays until the new one is whole."""
         camera = self._tracker.camera
         meta = {
-            "length_mm": self._cfg.length_mm,
-            "notes": self._cfg.notes,
+            "length_mm": self._config.length_mm,
+            "notes": self._config.notes,
             "cameras": {
                 "camera": {
                     "intrinsics": camera.matrix.tolist(),
@@ -241,9 +164,9 @@ class _Bench:
             },
         }
         samples = pd.DataFrame(self._rows)
-        new = Recording(self._cfg.out, meta, samples, "finger").write(self._cfg.out / "new")
+        new = Recording(self._config.out, meta, samples, "finger").write(self._config.out / "new")
         for name in ("recording.json", "samples.csv"):  # the table last: a trial in it is kept
-            (new / name).replace(self._cfg.out / name)
+            (new / name).replace(self._config.out / name)
         new.rmdir()
 
 

@@ -1,20 +1,18 @@
-"""`pneutac surrogate`: trains the networks that stand in for a twin's material points, from full simulations.
+"""Networks that stand in for a twin's material points, trained from full simulations.
 
 Trajectories and contacts are collected one by one into the twin's folder, so that an interrupted run goes on.
 """
 
 import shutil
 import time
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
 
-from lerobot_pneutac.cli.options import parse_options
-from lerobot_pneutac.reports.page import Report, write_result
+from lerobot_pneutac.reports.page import Report
+from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.recording.rules import an
 from pneutac_sim.errors import InputError
 from pneutac_sim.surrogate.fingerprint import fingerprint, gel_fingerprint
@@ -23,153 +21,176 @@ from pneutac_sim.twin import NETWORKS, Twin
 
 DATA = "surrogate_data"  # in the twin's folder
 CARD = "networks.md"
+HEADER = ("what", "network", "without")
+Progress = Callable[[str, int, int], None]
 
 
-@dataclass
-class SurrogateConfig:
-    """Options of `pneutac surrogate`.
+@dataclass(frozen=True)
+class Collection:
+    """What is collected from full simulations.
 
     Attributes:
-        twin: folder of a finger's twin; the networks are written into it.
-        trajectories: motions of the full finger, of `seconds` each; two sixths of them are held out.
+        trajectories: motions of the finger; two sixths of them are held out.
         seconds: of each.
-        contacts: presses on the full gel; of two kinds of indenter all are held out.
+        contacts: presses on the gel; of two kinds of indenter all are held out.
         particles: of the finger, about.
-        fresh: train even where the networks that are shipped were trained for such a finger and gel.
-        device: auto, cpu or cuda.
         seed: decides programs, contacts and weights.
-        out: folder for report.html and result.json; none where it is not given.
     """
 
-    twin: Path | None = None
     trajectories: int = 24
     seconds: float = 1.0
     contacts: int = 100
     particles: int = 4000
-    fresh: bool = False
-    device: str = "auto"
     seed: int = 0
-    out: Path | None = None
 
-    def __post_init__(self):
-        if self.twin is None:
-            raise InputError("Give the twin's folder with --twin=DIR.")
-        if self.device not in ("auto", "cpu", "cuda"):
-            raise InputError(f"--device is '{self.device}'; choose auto, cpu or cuda.")
+    def check(self) -> None:
+        """Refuses what could not be trained on, before anything is collected; raises InputError."""
+        from pneutac_sim.gel.indenter import INDENTERS
+        from pneutac_sim.surrogate.action import FEWEST
+        from pneutac_sim.surrogate.gel_train import CHECK_EVERY, HELDOUT, LEAST
+
+        if self.trajectories < FEWEST:
+            raise InputError(
+                f"--trajectories={self.trajectories} are too few to train on; give {FEWEST} or more."
+            )
+        seen = max(CHECK_EVERY, LEAST + 1)
+        fewest = next(
+            n
+            for n in range(seen, 100)
+            if sum(INDENTERS[k % len(INDENTERS)] not in HELDOUT for k in range(n)) >= seen
+        )
+        if self.contacts < fewest:
+            raise InputError(
+                f"--contacts={self.contacts} are too few to train on, since those of {' and '.join(HELDOUT)} "
+                f"are held out; give {fewest} or more."
+            )
 
 
-def main(argv: list[str]) -> None:
-    """Runs the verb."""
-    cfg = parse_options(SurrogateConfig, argv)
-    train(cfg, Twin.load(cfg.twin), Console())
+@dataclass(frozen=True)
+class TrainedNetworks(Result):
+    """What was trained.
+
+    Attributes:
+        twin: its folder, which has the networks.
+        networks: name to `source`, `seconds` and, of those trained, `errors`.
+        errors: what was measured on motions and contacts held out: what, with the network, without.
+    """
+
+    twin: str
+    networks: dict
+    errors: list[tuple[str, str, str]]
+    title = "Networks in place of material points"
+
+    def rows(self) -> list[dict]:
+        """What was measured."""
+        return [dict(zip(HEADER, row, strict=True)) for row in self.errors]
+
+    def to_dict(self) -> dict:
+        """As in `result.json`."""
+        return {"twin": self.twin, "networks": self.networks}
+
+    def page(self) -> Report:
+        """The report."""
+        page = Report(self.title)
+        page.lead("Errors against the full simulation, on motions and contacts that were held out.")
+        page.table(self.rows())
+        return page
 
 
-def train(cfg: SurrogateConfig, twin: Twin, console: Console) -> dict:
-    """Trains what is missing or outdated, writes networks and their card into the twin; returns the result.
+def train_networks(
+    twin: Twin,
+    folder: Path,
+    collection: Collection | None = None,
+    fresh: bool = False,
+    device: str = "auto",
+    progress: Progress = lambda *a: None,
+) -> TrainedNetworks:
+    """Trains what is missing or outdated, and writes networks and their card into the twin's folder.
+
+    Args:
+        twin: of a calibrated finger; gets the networks.
+        folder: of the twin.
+        collection: what to learn from.
+        fresh: train even where the networks that are shipped were trained for such a finger and gel.
+        device: `auto`, `cpu` or `cuda`.
+        progress: is called with a few words, what is done and of how much.
 
     Raises:
         InputError: the twin is no finger's or has not been calibrated, or too little is to be collected.
     """
+    folder, collection = Path(folder), collection or Collection()
     if twin.device != "finger":
         raise InputError(
-            f"{cfg.twin} is the twin of {an(twin.device)}, but the networks are of a finger and the gel on "
+            f"{folder} is the twin of {an(twin.device)}, but the networks are of a finger and the gel on "
             "it; give a finger's with --twin=DIR."
         )
     if "gain_rad_per_kpa" not in twin.parameters:
         raise InputError(
-            f"{cfg.twin} has not been calibrated (no gain_rad_per_kpa); run `pneutac calibrate "
-            f"--twin={cfg.twin} --recording=DIR` first."
+            f"{folder} has not been calibrated (no gain_rad_per_kpa); run `pneutac calibrate "
+            f"--twin={folder} --recording=DIR` first."
         )
-    _enough(cfg)
-    result = {"twin": str(cfg.twin), "networks": {}}
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total}"))
-    with Progress(*columns, TimeRemainingColumn(), console=console, transient=True) as bar:
-        for name in NETWORKS:
-            file = Path(cfg.twin) / f"{name}.safetensors"
-            began = time.perf_counter()
-            if not cfg.fresh and fits(builtin(name), name, twin):
-                shutil.copyfile(builtin(name), file)
-                found = {"source": "shipped: this finger or gel is the built-in one"}
-            else:
-                found = {"source": "trained"} | (_action if name == "action" else _perception)(
-                    cfg, twin, file, bar
-                )
-            result["networks"][name] = found | {"seconds": time.perf_counter() - began}
-            twin.networks[name] = file
-    _tell(cfg, result, console)
-    return result
+    collection.check()
+    networks = {}
+    for name in NETWORKS:
+        file, start = folder / f"{name}.safetensors", time.perf_counter()
+        if not fresh and fits(builtin(name), name, twin):
+            shutil.copyfile(builtin(name), file)
+            found = {"source": "shipped: this finger or gel is the built-in one"}
+        else:
+            train = _train_action if name == "action" else _train_perception
+            found = {"source": "trained"} | train(twin, file, collection, device, progress)
+        networks[name] = found | {"seconds": time.perf_counter() - start}
+        twin.networks[name] = file
+    trained = TrainedNetworks(str(folder), networks, _errors(networks, folder))
+    _write_card(trained, folder)
+    return trained
 
 
-def _enough(cfg: SurrogateConfig) -> None:
-    """Refuses what could not be trained on, before anything is collected."""
-    from pneutac_sim.gel.indenter import INDENTERS
-    from pneutac_sim.surrogate.action import FEWEST
-    from pneutac_sim.surrogate.gel_train import CHECK_EVERY, HELDOUT, LEAST
-
-    if cfg.trajectories < FEWEST:
-        raise InputError(f"--trajectories={cfg.trajectories} are too few to train on; give {FEWEST} or more.")
-    seen = max(CHECK_EVERY, LEAST + 1)
-    fewest = next(
-        n
-        for n in range(seen, 100)
-        if sum(INDENTERS[k % len(INDENTERS)] not in HELDOUT for k in range(n)) >= seen
-    )
-    if cfg.contacts < fewest:
-        raise InputError(
-            f"--contacts={cfg.contacts} are too few to train on, since those of {' and '.join(HELDOUT)} are "
-            f"held out; give {fewest} or more."
-        )
-
-
-def _action(cfg: SurrogateConfig, twin: Twin, file: Path, bar: Progress) -> dict:
+def _train_action(twin: Twin, file: Path, collection: Collection, device: str, progress: Progress) -> dict:
+    """The finger's network."""
     from pneutac_sim.surrogate.action import evaluate_action, train_action
     from pneutac_sim.surrogate.collect import Plan, collect_action
 
-    folder = Path(cfg.twin) / DATA / f"motions_{fingerprint(twin)[:8]}"
-    plan = Plan(cfg.trajectories, cfg.seconds, cfg.particles, seed=cfg.seed)
-    task = bar.add_task("finger: full motions", total=cfg.trajectories)
-    bar.update(task, completed=len(list(folder.glob("action_*.safetensors"))))
-    collect_action(
-        twin,
-        folder,
-        plan,
-        cfg.device,
-        lambda _: bar.update(task, completed=len(list(folder.glob("action_*.safetensors")))),
-    )
-    bar.update(task, completed=cfg.trajectories, description="finger: training")
-    network = train_action(
-        twin, folder, cfg.seed, tell=lambda line: bar.update(task, description=f"finger: {line}")
-    )
+    folder = file.parent / DATA / f"motions_{fingerprint(twin)[:8]}"
+    total, seed = collection.trajectories, collection.seed
+
+    def show(*_) -> None:
+        progress("finger: full motions", len(list(folder.glob("action_*.safetensors"))), total)
+
+    show()
+    plan = Plan(total, collection.seconds, collection.particles, seed=seed)
+    collect_action(twin, folder, plan, device, show)
+    network = train_action(twin, folder, seed, tell=lambda line: progress(f"finger: {line}", total, total))
     errors = asdict(evaluate_action(twin, network, folder))
-    errors = {k: v if np.isfinite(v) else None for k, v in errors.items()}  # one motion has no standard error
     network.save(file)
-    bar.update(task, description="finger: done")
-    return {"errors": errors}
+    # one motion has no standard error
+    return {"errors": {k: v if np.isfinite(v) else None for k, v in errors.items()}}
 
 
-def _perception(cfg: SurrogateConfig, twin: Twin, file: Path, bar: Progress) -> dict:
+def _train_perception(
+    twin: Twin, file: Path, collection: Collection, device: str, progress: Progress
+) -> dict:
+    """The gel's network."""
     from pneutac_sim.surrogate.gel_collect import collect_gel, read_contacts
     from pneutac_sim.surrogate.gel_evaluate import evaluate_gel
     from pneutac_sim.surrogate.gel_train import split, train_gel
 
-    mark = gel_fingerprint(twin)
-    folder = Path(cfg.twin) / DATA / f"contacts_{mark[:8]}"
-    task = bar.add_task("gel: full contacts", total=cfg.contacts)
+    mark, seed = gel_fingerprint(twin), collection.seed
+    folder = file.parent / DATA / f"contacts_{mark[:8]}"
     collected = collect_gel(
         twin,
         folder,
-        cfg.contacts,
-        cfg.seed,
-        cfg.device,
-        lambda done, total: bar.update(task, completed=done, total=total),
+        collection.contacts,
+        seed,
+        device,
+        lambda done, total: progress("gel: full contacts", done, total),
     )
-    epochs = bar.add_task("gel: training", total=None)
     network = train_gel(
         folder,
         mark,
-        seed=cfg.seed,
-        device=cfg.device,
-        tell=lambda done, total: bar.update(epochs, completed=done, total=total),
+        seed=seed,
+        device=device,
+        tell=lambda done, total: progress("gel: training", done, total),
     )
     _, check, unseen = split(read_contacts(folder))
     network.errors = evaluate_gel(network, check + unseen, twin)
@@ -177,42 +198,24 @@ def _perception(cfg: SurrogateConfig, twin: Twin, file: Path, bar: Progress) -> 
     return {"errors": network.errors, "contacts": collected.contacts, "diverged": collected.diverged}
 
 
-def _tell(cfg: SurrogateConfig, result: dict, console: Console) -> None:
-    """Prints the card and writes it into the twin, and the report where one is wanted."""
+def _errors(networks: dict, folder: Path) -> list[tuple[str, str, str]]:
     from pneutac_sim.surrogate.perception import GelSurrogate
 
-    gel = GelSurrogate.load(Path(cfg.twin) / "perception.safetensors")
     rows = []
-    action = result["networks"]["action"]
-    if "errors" in action:
-        e = action["errors"]
-        rows += [
-            (
-                "joint angle, held out",
-                f"{e['position_deg']:.4f}{_sem(e['position_sem'], 4)}°",
-                f"{e['bare_position_deg']:.3f}°",
-            ),
-            (
-                "joint rate, held out",
-                f"{e['velocity_deg_s']:.2f}{_sem(e['velocity_sem'], 2)} °/s",
-                f"{e['bare_velocity_deg_s']:.2f} °/s",
-            ),
-        ]
-    for row in gel.errors.get("rows", []):
-        rows.append(
-            (
-                f"gel face, {row['indenter']}, {row['contacts']} contacts, {row['depth_mm']:.2f} mm deep",
-                f"{row['network']['mae_mm']:.3f} mm",
-                f"{row['probe']['mae_mm']:.3f} mm",
-            )
-        )
-    table = Table("what", "network", "without")
-    for row in rows:
-        table.add_row(*row)
-    console.print(table)
-    sources = [
-        f"- {name}: {found['source']}, {found['seconds']:.0f} s" for name, found in result["networks"].items()
-    ]
+    if "errors" in networks["action"]:
+        e = networks["action"]["errors"]
+        angle = f"{e['position_deg']:.4f}{_sem(e['position_sem'], 4)}°"
+        rate = f"{e['velocity_deg_s']:.2f}{_sem(e['velocity_sem'], 2)} °/s"
+        rows.append(("joint angle, held out", angle, f"{e['bare_position_deg']:.3f}°"))
+        rows.append(("joint rate, held out", rate, f"{e['bare_velocity_deg_s']:.2f} °/s"))
+    for row in GelSurrogate.load(folder / "perception.safetensors").errors.get("rows", []):
+        what = f"gel face, {row['indenter']}, {row['contacts']} contacts, {row['depth_mm']:.2f} mm deep"
+        rows.append((what, f"{row['network']['mae_mm']:.3f} mm", f"{row['probe']['mae_mm']:.3f} mm"))
+    return rows
+
+
+def _write_card(trained: TrainedNetworks, folder: Path) -> None:
+    sources = (f"- {n}: {found['source']}, {found['seconds']:.0f} s" for n, found in trained.networks.items())
     card = [
         "# Networks of this twin",
         "",
@@ -221,18 +224,11 @@ def _tell(cfg: SurrogateConfig, result: dict, console: Console) -> None:
         "",
         *sources,
         "",
-        "| what | network | without |",
+        f"| {' | '.join(HEADER)} |",
         "|---|---|---|",
-        *(f"| {' | '.join(row)} |" for row in rows),
+        *(f"| {' | '.join(row)} |" for row in trained.errors),
     ]
-    (Path(cfg.twin) / CARD).write_text("\n".join(card) + "\n")
-    console.print(f"networks and {CARD} are in {cfg.twin}", highlight=False)
-    if cfg.out is not None:
-        write_result(cfg.out, result)
-        page = Report("Networks in place of material points")
-        page.lead("Errors against the full simulation, on motions and contacts that were held out.")
-        page.table([dict(zip(("what", "network", "without"), row, strict=True)) for row in rows])
-        console.print(f"report: {page.write(cfg.out)}", highlight=False)
+    (folder / CARD).write_text("\n".join(card) + "\n")
 
 
 def _sem(x: float | None, digits: int) -> str:

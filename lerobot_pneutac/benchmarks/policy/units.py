@@ -5,7 +5,6 @@ import shutil
 from pathlib import Path
 
 import torch
-from rich.console import Console
 
 from pneutac_sim.features import CONTROL_HZ, DEMONSTRATION_S
 from pneutac_sim.twin import Twin
@@ -60,7 +59,7 @@ def naive(folder: Path, options: dict, needs: list[Path], workers: int) -> dict:
 
 def _augment(method: str, folder: Path, options: dict, needs: list[Path], workers: int) -> dict:
     from lerobot_pneutac.verbs.augment import AugmentConfig, DatasetRef
-    from lerobot_pneutac.verbs.augment import augment as make
+    from lerobot_pneutac.verbs.augment import augment as augment_dataset
 
     root = folder / "dataset"
     if root.exists() and not root.with_name("dataset.work").exists():
@@ -73,13 +72,13 @@ def _augment(method: str, folder: Path, options: dict, needs: list[Path], worker
         attempts=ATTEMPTS,
         **options,
     )
-    summary, _ = make(cfg, Console(quiet=True))
+    summary = augment_dataset(cfg).summary
     return {"dataset": str(root)} | {k: summary[k] for k in ("kept", "attempts", "rejected", "wall_s")}
 
 
 def ppo(folder: Path, options: dict, needs: list[Path], workers: int) -> dict:
     """An actor, trained on the twin by formulas; goes on where it was stopped."""
-    from lerobot_pneutac.rl.ppo import train_ppo
+    from lerobot_pneutac.rl.ppo import Compute, train_ppo
 
     card = train_ppo(
         options["task"],
@@ -87,30 +86,21 @@ def ppo(folder: Path, options: dict, needs: list[Path], workers: int) -> dict:
         options["seed"],
         options["steps"],
         folder / "actor",
-        envs=PPO_ENVS,
-        parallel=False,
-        tries=options["tries"],
+        Compute(PPO_ENVS, tries=options["tries"]),
     )
     return {"actor": str(folder / "actor")} | {k: card[k] for k in ("steps", "steps_per_s", "test")}
 
 
 def student(folder: Path, options: dict, needs: list[Path], workers: int) -> dict:
     """Successful demonstrations of that actor."""
+    from lerobot_pneutac.rl.options import StudentRef
     from lerobot_pneutac.rl.student import record_student
 
     root = folder / "dataset"
     shutil.rmtree(root, ignore_errors=True)
-    done = record_student(
-        needs[0] / "actor",
-        options["task"],
-        _twin(options),
-        options["fidelity"],
-        options["episodes"],
-        options["seed"],
-        root,
-        repo_id(folder),
-        use_videos=True,
-    )
+    o = options
+    wanted = StudentRef(repo_id(folder), root, o["episodes"], o["fidelity"], video=True)
+    done = record_student(needs[0] / "actor", o["task"], _twin(o), o["seed"], wanted)
     return {"dataset": str(root), "episodes": done.episodes, "trials": done.trials}
 
 

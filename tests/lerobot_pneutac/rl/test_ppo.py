@@ -12,11 +12,13 @@ pytest.importorskip("stable_baselines3", reason="PPO needs the extra 'rl' (stabl
 from lerobot_pneutac.cli import ppo as ppo_command
 from lerobot_pneutac.rl.actor import Actor, try_actor
 from lerobot_pneutac.rl.env import PpoEnv
-from lerobot_pneutac.rl.ppo import PpoSettings, actor_of, make_ppo, make_worlds, train_ppo
+from lerobot_pneutac.rl.options import StudentRef
+from lerobot_pneutac.rl.ppo import Compute, PpoSettings, actor_of, make_ppo, make_worlds, train_ppo
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin
 
 SMALL = PpoSettings(hidden=(32, 32), update_steps=128, batch=64, epochs=2)
+TWO = Compute(envs=2, tries=2)
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +26,7 @@ def trained(tmp_path_factory):
     """A tiny training in two goes."""
     out = tmp_path_factory.mktemp("ppo") / "switch"
     for steps in (128, 300):
-        card = train_ppo("switch", None, 1, steps, out, envs=2, settings=SMALL, tries=2)
+        card = train_ppo("switch", None, 1, steps, out, TWO, SMALL)
     return out, card
 
 
@@ -69,7 +71,7 @@ def test_a_training_goes_on_and_its_curve_is_finite(trained):
 def test_a_finished_training_is_left_as_it_is(trained):
     out, card = trained
     before = (out / "actor.safetensors").read_bytes()
-    assert train_ppo("switch", None, 1, 300, out, envs=2, settings=SMALL, tries=2)["steps"] == card["steps"]
+    assert train_ppo("switch", None, 1, 300, out, TWO, SMALL)["steps"] == card["steps"]
     assert (out / "actor.safetensors").read_bytes() == before
 
 
@@ -101,7 +103,7 @@ def test_a_reloaded_actor_acts_the_same(trained, tmp_path):
     ("options", "match"),
     [
         ({"steps": 0}, "steps is 0"),
-        ({"envs": 0}, "envs is 0"),
+        ({"compute": Compute(envs=0)}, "envs is 0"),
         ({"task": "door"}, "no task 'door'"),
         ({"seed": 2}, "another seed"),
         ({"task": "egg"}, "another task"),
@@ -114,9 +116,8 @@ def test_bad_input_is_refused(trained, options, match):
         "twin": None,
         "seed": 1,
         "steps": 300,
-        "envs": 2,
+        "compute": TWO,
         "settings": SMALL,
-        "tries": 2,
     }
     with pytest.raises(InputError, match=match):
         train_ppo(out=trained[0], **(given | options))
@@ -135,7 +136,7 @@ def test_damaged_files_are_refused(trained, tmp_path):
     broken.mkdir()
     (broken / "checkpoint.safetensors").write_bytes(b"nonsense")
     with pytest.raises(InputError, match="damaged; delete it"):
-        train_ppo("switch", None, 1, 300, broken, envs=2, settings=SMALL, tries=2)
+        train_ppo("switch", None, 1, 300, broken, TWO, SMALL)
 
 
 @pytest.mark.parametrize(
@@ -159,7 +160,7 @@ def test_bad_options_are_refused(tmp_path, options, match):
 def test_returns_rise_where_coming_near_is_all_there_is_to_learn(tmp_path):
     quick = PpoSettings(hidden=(32, 32), update_steps=512, batch=128, learning_rate=2e-3, discount=0.9)
     options = {"length": 10, "randomise": False}
-    train_ppo("switch", None, 0, 6000, tmp_path, envs=4, settings=quick, tries=2, **options)
+    train_ppo("switch", None, 0, 6000, tmp_path, Compute(envs=4, tries=2), quick, **options)
     curve = json.loads((tmp_path / "curve.json").read_text())
     approach = [row["terms"]["approach"] for row in curve]
     assert np.mean(approach[-3:]) > np.mean(approach[:3]) + 0.02
@@ -194,9 +195,8 @@ def test_a_students_dataset_has_the_features_of_recorded_demonstrations(tmp_path
     actor = Actor((16,), {"task": "switch"})
     actor.save(tmp_path / "actor")
     root = tmp_path / "demos"
-    done = ppo_student.record_student(
-        tmp_path / "actor", "switch", None, "probe", 2, 3, root, "local/student", noise=0.1
-    )
+    wanted = StudentRef("local/student", root, 2, "probe", noise=0.1)
+    done = ppo_student.record_student(tmp_path / "actor", "switch", None, 3, wanted)
     assert (done.episodes, done.trials, done.success) == (2, 4, 0.5)
     dataset = LeRobotDataset("local/student", root)
     robot = PneutacSim(PneutacSimConfig(task="switch"))
@@ -218,18 +218,9 @@ def test_a_student_of_another_task_or_of_a_failing_actor_is_refused(tmp_path, mo
     Actor((16,), {"task": "egg"}).save(tmp_path / "actor")
 
     def record(task, **options):
-        n, noise = options.get("episodes", 1), options.get("noise", 0.0)
-        ppo_student.record_student(
-            tmp_path / "actor",
-            task,
-            None,
-            "probe",
-            n,
-            0,
-            tmp_path / "d",
-            "local/d",
-            noise,
-        )
+        given = {"episodes": 1, "fidelity": "probe", "noise": 0.0} | options
+        wanted = StudentRef("local/d", tmp_path / "d", **given)
+        ppo_student.record_student(tmp_path / "actor", task, None, 0, wanted)
 
     with pytest.raises(InputError, match="trained on 'egg', not 'switch'"):
         record("switch")

@@ -10,7 +10,7 @@ import pytest
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata, merge_datasets
 from lerobot.utils.constants import ACTION, OBS_STATE
 
-from lerobot_pneutac.verbs import augment as verb
+from lerobot_pneutac.cli import augment as verb
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
 from lerobot_robot_pneutac.teleoperators.config_pneutac_scripted import PneutacScriptedConfig
@@ -100,7 +100,7 @@ def test_an_image_is_that_of_its_state(made):
 
 
 def command(recorded, out) -> list[str]:
-    code = "from lerobot_pneutac.verbs.augment import main; import sys; main(sys.argv[1:])"
+    code = "from lerobot_pneutac.cli.augment import main; import sys; main(sys.argv[1:])"
     return [sys.executable, "-c", code, *options(recorded, out, "--episodes=3", "--seed=5")]
 
 

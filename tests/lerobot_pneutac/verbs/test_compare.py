@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lerobot_pneutac.cli import compare
+from lerobot_pneutac.cli import compare, new
 from lerobot_pneutac.reports.compare import heat_map
 from lerobot_pneutac.reports.compare_sentence import phrase
-from lerobot_pneutac.verbs import new
 from lerobot_pneutac.verbs.compare_body import compare_body, train_mask
 from lerobot_pneutac.verbs.fit_body import calibrate_body
 from pneutac_datasets.generate.hidden.generate import generate

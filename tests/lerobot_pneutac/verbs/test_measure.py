@@ -12,9 +12,9 @@ import pytest
 from lerobot.cameras import Camera, CameraConfig
 from lerobot.cameras import utils as camera_utils
 
-from lerobot_pneutac.cli import compare
-from lerobot_pneutac.measuring.camera import DICTIONARY, Intrinsics, MarkerTracker, calibrate
-from lerobot_pneutac.verbs import measure, new
+from lerobot_pneutac.cli import compare, measure, new
+from lerobot_pneutac.measuring.camera import DICTIONARY, Intrinsics, MarkerTracker, calibrate_camera
+from lerobot_pneutac.verbs import measure as library
 from lerobot_robot_pneutac.hardware import pressure as pressure_module
 from lerobot_robot_pneutac.hardware.simulated_pressure import SimulatedPressure
 from pneutac_datasets.recording.recording import Recording
@@ -250,7 +250,7 @@ def test_a_chessboard_gives_the_camera_back(tmp_path, capsys):
     for photograph in sorted((tmp_path / "board").iterdir())[2:]:
         photograph.unlink()
     with pytest.raises(InputError, match="whole in 2 of 2 photographs; 8 are needed"):
-        calibrate(tmp_path / "board", (9, 6), 20.0)
+        calibrate_camera(tmp_path / "board", (9, 6), 20.0)
     file.write_text("{}")
     with pytest.raises(InputError, match="no camera calibration"):
         Intrinsics.load(file)
@@ -265,7 +265,7 @@ def test_a_run_is_a_recording_with_true_tips_that_compare_accepts(bench, tmp_pat
     assert r.device == "finger" and r.length_mm == LENGTH and not r.warnings
     assert len(r.trials()) == 3
     tips = np.stack([r.column(f"tip_{a}_mm") for a in "xyz"], axis=1)
-    truth = np.array(BenchRendered.truth[measure.BASE_IMAGES :])
+    truth = np.array(BenchRendered.truth[library.BASE_IMAGES :])
     error = np.linalg.norm((tips - truth)[:, [0, 2]], axis=1)
     assert error.max() < 0.3
     assert r.column("pressure_kpa").max() == pytest.approx(9.0, abs=0.5)
@@ -283,7 +283,7 @@ def test_a_run_is_a_recording_with_true_tips_that_compare_accepts(bench, tmp_pat
 
 @pytest.mark.parametrize("end", [KeyboardInterrupt(), OSError("unplugged")])
 def test_an_end_within_a_trial_keeps_those_before_it_and_vents(bench, tmp_path, monkeypatch, end):
-    run, taken = measure._Bench.run, []
+    run, taken = library.BenchDriver.drive, []
 
     def ends_in_the_third(self, number, trial):
         if number == 2:
@@ -291,7 +291,7 @@ def test_an_end_within_a_trial_keeps_those_before_it_and_vents(bench, tmp_path, 
         taken.append(run(self, number, trial)[0])
         return taken[-1], taken[-1]
 
-    monkeypatch.setattr(measure._Bench, "run", ends_in_the_third)
+    monkeypatch.setattr(library.BenchDriver, "drive", ends_in_the_third)
     with pytest.raises(KeyboardInterrupt if isinstance(end, KeyboardInterrupt) else InputError):
         measure.main(bench)
     r = Recording.load(tmp_path / "run")
@@ -343,7 +343,7 @@ def test_a_camera_that_cannot_be_opened_is_one_sentence(bench, monkeypatch):
 
 
 def test_an_end_within_the_first_trial_leaves_nothing(bench, tmp_path):
-    BenchRendered.ends, BenchRendered.ends_after = KeyboardInterrupt(), measure.BASE_IMAGES + 3
+    BenchRendered.ends, BenchRendered.ends_after = KeyboardInterrupt(), library.BASE_IMAGES + 3
     with pytest.raises(KeyboardInterrupt):
         measure.main(bench)
     assert not (tmp_path / "run").exists()

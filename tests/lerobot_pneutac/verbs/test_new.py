@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from lerobot_pneutac.verbs import new, render
+from lerobot_pneutac.cli import new, render
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import Pipeline
 from pneutac_sim.mpm.shapes import body_mesh

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from lerobot_pneutac.cli import render
 from lerobot_pneutac.rendering import particles as particle_picture
-from lerobot_pneutac.rendering.options import RenderConfig, deepest_press, filled
-from lerobot_pneutac.verbs import render
+from lerobot_pneutac.rendering.film import Film, Frame
+from lerobot_pneutac.rendering.options import FPS, RenderConfig, deepest_press, filled
+from lerobot_pneutac.verbs.render import draw_film
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.model import GelModel
@@ -46,7 +48,7 @@ def test_finger_is_seen_bending(finger, tmp_path):
     assert np.flatnonzero(b.any(0)).max() > np.flatnonzero(a.any(0)).max() + 50
     assert np.flatnonzero(b.any(1)).max() < np.flatnonzero(a.any(1)).max() - 20
     with av.open(str(out / "film.mp4")) as film:
-        assert sum(1 for _ in film.decode(video=0)) == 7 + render.FPS
+        assert sum(1 for _ in film.decode(video=0)) == 7 + FPS
     assert "data:video/mp4" in (out / "report.html").read_text()
 
 
@@ -55,7 +57,7 @@ def test_gel_shows_the_imprint_where_it_is(tmp_path, monkeypatch):
     GelModel.builtin().into_twin(twin)
     twin.save(tmp_path / "gel")
     monkeypatch.setattr(devices, "gel", partial(devices.gel, counts=(30, 41, 7)))
-    monkeypatch.setattr(render, "PRESS_FRAMES", 2)
+    monkeypatch.setattr("lerobot_pneutac.rendering.gel.PRESS_FRAMES", 2)
     out = tmp_path / "out"
     render.main([f"--twin={tmp_path / 'gel'}", "--depth_mm=1.0", "--x_mm=2", "--y_mm=-3", f"--out={out}"])
     still = json.loads((out / "result.json").read_text())["stills"]
@@ -71,12 +73,12 @@ def test_gel_shows_the_imprint_where_it_is(tmp_path, monkeypatch):
 def test_what_is_finished_is_kept_when_interrupted(tmp_path):
     def frames():
         picture = particle_picture.blank(64, 48)
-        yield render.Frame(picture, {"pressure_kpa": 0.0})
-        yield render.Frame(picture)
+        yield Frame(picture, {"pressure_kpa": 0.0})
+        yield Frame(picture)
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        render.render("finger", render.Film(frames(), 9, "Nothing."), tmp_path)
+        draw_film(Film("finger", frames(), 9, "Nothing."), tmp_path)
     result = json.loads((tmp_path / "result.json").read_text())
     assert not result["complete"] and result["frames"] == 2 and len(result["stills"]) == 1
     assert (tmp_path / "finger_1.png").is_file() and (tmp_path / "film.mp4").is_file()

@@ -7,9 +7,9 @@ import pandas as pd
 import pytest
 from PIL import Image
 
+from lerobot_pneutac.cli import render
 from lerobot_pneutac.rendering.options import View
 from lerobot_pneutac.rendering.view import FOV_DEG, HEIGHT, view_camera
-from lerobot_pneutac.verbs import render
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError

@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from lerobot_pneutac.verbs import new, surrogate
+from lerobot_pneutac.cli import new, surrogate
+from lerobot_pneutac.verbs.surrogate import CARD, DATA
 from pneutac_sim.errors import InputError
 from pneutac_sim.surrogate import collect
 from pneutac_sim.twin import Twin, Value
@@ -78,7 +79,7 @@ def test_the_result_tells_errors_and_where_the_networks_are_from(trained):
     )
     errors = networks["action"]["errors"]
     assert errors["trajectories"] == 1 and 0 < errors["position_deg"] < errors["bare_position_deg"]
-    assert "| joint angle, held out |" in (folder / surrogate.CARD).read_text()
+    assert "| joint angle, held out |" in (folder / CARD).read_text()
     assert (folder.parent / "out" / "report.html").is_file()
 
 
@@ -87,7 +88,7 @@ def test_shipped_networks_are_taken_for_the_finger_that_they_were_trained_for(tm
     train(tmp_path / "twin")
     stored = Twin.load(tmp_path / "twin")
     assert set(stored.networks) == {"action", "perception"}
-    assert not (tmp_path / "twin" / surrogate.DATA).exists()
+    assert not (tmp_path / "twin" / DATA).exists()
     assert bend_rad(stored, "surrogate") == bend_rad(None, "surrogate")
 
 

@@ -1,0 +1,17 @@
+"""`pneutac augment`: a few demonstrations in, many new ones out, planned on the twin and guided by touch."""
+
+from rich.console import Console
+
+from lerobot_pneutac.cli.options import parse_options
+from lerobot_pneutac.cli.progress import progress_bar
+from lerobot_pneutac.cli.show import show, write
+from lerobot_pneutac.verbs.augment import AugmentConfig, augment
+
+
+def main(argv: list[str]) -> None:
+    """Runs the verb."""
+    config, console = parse_options(AugmentConfig, argv), Console()
+    with progress_bar(console) as progress:
+        result = augment(config, progress)
+    show(result, console)
+    write(result, config.out, "augment", argv, console)

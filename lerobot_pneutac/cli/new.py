@@ -1,0 +1,76 @@
+"""`pneutac new`: a new twin, from the parametric device, a mesh or with the geometry of a recording."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+from rich.markup import escape
+
+from lerobot_pneutac.cli.options import parse_options
+from lerobot_pneutac.verbs.new import mesh_sentence, new_twin, read_body, write_geometry
+from pneutac_datasets.recording.recording import Recording
+from pneutac_datasets.recording.rules import an
+from pneutac_sim.errors import InputError
+from pneutac_sim.twin import DEVICES
+
+
+@dataclass
+class NewConfig:
+    """Options of `pneutac new`.
+
+    Attributes:
+        twin: folder to write; it must not hold a twin yet.
+        device: finger, arm or gel; left out, the recording's own, else a finger.
+        recording: geometry is taken from its recording.json.
+        mesh: STL, OBJ or PLY of the soft body of a finger or an arm.
+        mesh_unit: of its coordinates, mm or m.
+        mesh_axis: x, y or z, along which it lies, base first; left out, its longest side. Axes are renamed in
+            cyclic order: along z it bends towards the file's y, along y towards x, along x towards z.
+        length_mm: of the straight device, where no mesh, recording or the paper's finger tells it.
+    """
+
+    twin: Path
+    device: str | None = None
+    recording: Path | None = None
+    mesh: Path | None = None
+    mesh_unit: str = "mm"
+    mesh_axis: str | None = None
+    length_mm: float | None = None
+
+    def __post_init__(self):
+        if self.device is not None and self.device not in DEVICES:
+            raise InputError(f"--device is '{self.device}'; it must be one of {', '.join(DEVICES)}.")
+        if self.mesh is None:
+            return
+        if self.device == "gel":
+            raise InputError("--mesh is of a finger or an arm; a gel's shape is its window, omit one.")
+        if self.length_mm is not None:
+            raise InputError("--length_mm is the mesh's own where --mesh is given; omit one.")
+
+
+def main(argv: list[str]) -> None:
+    """Runs the verb."""
+    config, console = parse_options(NewConfig, argv), Console()
+    if (config.twin / "twin.yaml").exists():
+        raise InputError(f"{config.twin} already holds a twin; choose another folder, or delete that one.")
+    recording = Recording.load(config.recording) if config.recording is not None else None
+    if recording is not None and config.device not in (None, recording.device):
+        raise InputError(
+            f"--device is '{config.device}', but {config.recording} is of {an(recording.device)}; omit one."
+        )
+    device = config.device or (recording.device if recording else "finger")
+    body = None
+    if config.mesh is not None:
+        body = read_body(config.mesh, device, recording, config.mesh_unit, config.mesh_axis)
+    twin = new_twin(device, recording, config.length_mm, body)
+    write_geometry(twin, twin.save(config.twin))
+    if body is not None:
+        console.print(f"{config.mesh}: {mesh_sentence(body)}", highlight=False, markup=False)
+        for note in body.notes:
+            console.print(f"[yellow]{escape(str(config.mesh))}:[/] {note}", highlight=False)
+    joints = len(twin.spine_joint_positions_mm)
+    shape = f", {twin.length_mm:g} mm long with {joints} spine joints" if joints else ""
+    console.print(
+        f"{config.twin} holds a new {twin.device}{shape} (geometry.stl, in mm); fit it to measurements with "
+        f"`pneutac calibrate --twin={config.twin} --recording={config.recording or 'DIR'}`."
+    )

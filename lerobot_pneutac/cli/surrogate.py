@@ -1,0 +1,60 @@
+"""`pneutac surrogate`: trains the networks in place of a twin's material points, from full simulations."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+
+from lerobot_pneutac.cli.options import parse_options
+from lerobot_pneutac.cli.progress import progress_bar
+from lerobot_pneutac.cli.show import show, write
+from lerobot_pneutac.verbs.surrogate import CARD, Collection, train_networks
+from pneutac_sim.errors import InputError
+from pneutac_sim.twin import Twin
+
+
+@dataclass
+class SurrogateConfig:
+    """Options of `pneutac surrogate`.
+
+    Attributes:
+        twin: folder of a finger's twin; the networks are written into it.
+        trajectories: motions of the full finger, of `seconds` each; two sixths of them are held out.
+        seconds: of each.
+        contacts: presses on the full gel; of two kinds of indenter all are held out.
+        particles: of the finger, about.
+        fresh: train even where the networks that are shipped were trained for such a finger and gel.
+        device: auto, cpu or cuda.
+        seed: decides programs, contacts and weights.
+        out: folder for report.html and result.json; none where it is not given.
+    """
+
+    twin: Path | None = None
+    trajectories: int = 24
+    seconds: float = 1.0
+    contacts: int = 100
+    particles: int = 4000
+    fresh: bool = False
+    device: str = "auto"
+    seed: int = 0
+    out: Path | None = None
+
+    def __post_init__(self):
+        if self.twin is None:
+            raise InputError("Give the twin's folder with --twin=DIR.")
+        if self.device not in ("auto", "cpu", "cuda"):
+            raise InputError(f"--device is '{self.device}'; choose auto, cpu or cuda.")
+
+
+def main(argv: list[str]) -> None:
+    """Runs the verb."""
+    config, console = parse_options(SurrogateConfig, argv), Console()
+    twin = Twin.load(config.twin)
+    collection = Collection(
+        config.trajectories, config.seconds, config.contacts, config.particles, config.seed
+    )
+    with progress_bar(console) as progress:
+        trained = train_networks(twin, config.twin, collection, config.fresh, config.device, progress)
+    show(trained, console)
+    console.print(f"networks and {CARD} are in {config.twin}", highlight=False)
+    write(trained, config.out, "surrogate", argv, console)

@@ -1,0 +1,87 @@
+"""`pneutac measure`: drives a pressure program at the bench and writes what finger and gel did."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from lerobot.cameras import CameraConfig
+from lerobot.cameras.opencv import OpenCVCameraConfig  # noqa: F401  registers the type
+
+from lerobot_robot_pneutac import DigitConfig  # noqa: F401  registers the tactile cameras
+from lerobot_robot_pneutac.hardware.parts import COMMAND_S
+from lerobot_robot_pneutac.robots.config_pneutac import PressureConfig
+from pneutac_sim.errors import InputError
+
+MIN_HZ = 2 / COMMAND_S
+
+
+@dataclass
+class MeasureConfig:
+    """Options of `pneutac measure`.
+
+    Attributes:
+        pressure: the controller, as `--robot.pressure` of the robot.
+        camera: looks at the finger's two markers: any LeRobot camera.
+        intrinsics: its calibration; with `chessboard`, the file to write.
+        digit: a tactile camera whose images are kept too.
+        program: `steps`, `ramps`, `holds`, `loops`, `all`, a CSV, or a diagnosis' `result.json`.
+        recording: what was diagnosed, with a `result.json`.
+        out: new folder of the recording.
+        length_mm: of the straight finger, base to tip marker.
+        max_kpa: no set-point is higher, and the built-in programs reach it.
+        hz: samples per second.
+        repeat: how often the program is driven.
+        rest_s: pause without pressure before each trial.
+        marker_mm: side of both markers.
+        base_id: number of the marker at the base.
+        tip_id: number of the marker at the tip.
+        base_offset_mm: from the finger's base to the base marker's centre, in the base frame.
+        notes: kept in the recording.
+        chessboard: folder of photographs of a chessboard: calibrates the camera, and nothing else.
+        corners: the board's inner corners, columns and rows.
+        square_mm: side of its squares.
+    """
+
+    pressure: PressureConfig = field(default_factory=PressureConfig)
+    camera: CameraConfig | None = None
+    intrinsics: Path | None = None
+    digit: CameraConfig | None = None
+    program: str = "all"
+    recording: Path | None = None
+    out: Path | None = None
+    length_mm: float | None = None
+    max_kpa: float = 15.0
+    hz: float = 15.0
+    repeat: int = 1
+    rest_s: float = 3.0
+    marker_mm: float = 12.0
+    base_id: int = 0
+    tip_id: int = 1
+    base_offset_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    notes: str = ""
+    chessboard: Path | None = None
+    corners: tuple[int, int] = (9, 6)
+    square_mm: float = 20.0
+
+    def __post_init__(self):
+        needed = ["intrinsics"]
+        if self.chessboard is None:
+            needed += ["camera", "out", "length_mm"]
+            if not self.pressure.type:
+                raise InputError("--pressure.type is missing; give --pressure.type=pneutac_serial.")
+        for name in needed:
+            if getattr(self, name) is None:
+                option = f"--{name}.type" if name == "camera" else f"--{name}"
+                raise InputError(f"{option} is missing.")
+        for name in ("length_mm", "max_kpa", "hz", "repeat", "marker_mm", "square_mm"):
+            value = getattr(self, name)
+            if value is not None and not 0 < value < np.inf:
+                raise InputError(f"--{name}={value} must be positive.")
+        if self.hz < MIN_HZ:
+            raise InputError(
+                f"--hz={self.hz} must be {MIN_HZ:g} or more; pressure is held {COMMAND_S} s a sample."
+            )
+        if not 0 <= self.rest_s < np.inf:
+            raise InputError(f"--rest_s={self.rest_s} must be 0 or more.")
+        if self.out is not None and self.out.exists() and (not self.out.is_dir() or any(self.out.iterdir())):
+            raise InputError(f"--out={self.out} is not empty; give a new folder.")
