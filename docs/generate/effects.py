@@ -1,0 +1,174 @@
+"""The catalogue of effects, from the registry: sentence, equation, parameters, picture, experiment."""
+
+import io
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+from mkdocs.structure.files import File
+from PIL import Image
+
+from pneutac_sim.effects.optics import OPTICS
+from pneutac_sim.effects.registry import all_effects, get_effect
+from pneutac_sim.finger import simulate
+from pneutac_sim.gel.indenter import Press
+from pneutac_sim.gel.model import GelModel
+from pneutac_sim.gel.sensor import TactileSensor
+from pneutac_sim.twin import Twin, Value
+
+COLUMNS = ["tip_x_mm", "tip_y_mm", "tip_z_mm"]
+NEEDS = {  # conditions that the program varies for an effect which lives by them
+    "gravity": "the base is turned from hanging to lying",
+    "payload": "50 g hang at the tip",
+    "thermal": "it warms from 20 to 30 °C",
+    "crosstalk": "a neighbouring chamber is at 8 kPa in the second half",
+}
+
+
+def on_files(files, config):
+    """Adds concepts/effects.md and a picture an effect."""
+    pictures = {f"{name}.svg": curve(name) for name in all_effects()}
+    pictures |= {f"{name}.png": press(name) for name in OPTICS}
+    pictures = {name: content for name, content in pictures.items() if content}
+    for name, content in pictures.items():
+        files.append(File.generated(config, f"concepts/effects/{name}", content=content))
+    files.append(File.generated(config, "concepts/effects.md", content=page(pictures)))
+    return files
+
+
+def page(pictures: dict) -> str:
+    """Markdown of the catalogue."""
+    lines = [
+        "# Effects",
+        "",
+        "Each effect is one physical mechanism in one file. `pneutac diagnose` tries them all, `pneutac add` "
+        "switches one on, and it then acts wherever the twin does. The pictures show the built-in twin with the "
+        "effect at the size with which a fit starts: on the left the tip's deflection without it (thin) and with "
+        "it (thick), on the right how far apart the two are. [Add one of your own](../how_to/add_an_effect.md).",
+        "",
+    ]
+    stage = None
+    for effect in [*all_effects().values(), *OPTICS.values()]:
+        if effect.stage != stage:
+            stage = effect.stage
+            lines += [f"## Stage: {stage}", ""]
+        lines += [f"### {effect.name}", "", _sentence(effect), "", *_equation(effect), ""]
+        picture = next((p for p in pictures if p.startswith(f"{effect.name}.")), None)
+        lines += [f"![{effect.name}](effects/{picture})", ""] if picture else []
+        if effect.name in NEEDS:
+            lines += [f"In the picture {NEEDS[effect.name]}.", ""]
+        lines += [f"**Seen by:** {effect.experiment}", "", *_parameters(effect)]
+    return "\n".join(lines)
+
+
+def _sentence(effect) -> str:
+    values = {p.name: p.limits(15.0)[0] for p in effect.parameters}
+    device = "gel" if effect.name in OPTICS else "finger"
+    return f"*{effect.describe(values, device)}*"
+
+
+def _equation(effect) -> list[str]:
+    equation = getattr(effect, "equation", "")
+    if equation:
+        return [rf"\[{equation}\]" if "\\" in equation else f"`{equation}`"]
+    run = getattr(effect, "run", None)
+    module = sys.modules[getattr(run, "py_func", run).__module__] if run else None
+    return [(module.__doc__ or "").strip()] if module else []
+
+
+def _parameters(effect) -> list[str]:
+    rows = []
+    for p in effect.parameters:
+        default, lower, upper = p.limits(15.0)
+        rows.append(f"| `{p.name}` | {p.unit} | {default:.3g} | {lower:.3g} ... {upper:.3g} |")
+    return ["| parameter | unit | start of a fit | bounds |", "|---|---|---|---|", *rows, ""]
+
+
+# ---------------------------------------------------------------- a finger under pressure
+
+
+class Program:
+    """A bench recording of stairs, a hold, triangles and random steps, without measurements."""
+
+    device = "finger"
+
+    def __init__(self, hz: float = 20.0):
+        t = np.arange(0, 60, 1 / hz)
+        steps = np.array([0.0, 4, 8, 12, 12, 12, 6, 0])[np.minimum(t // 4, 7).astype(int)]
+        triangles = 12 * np.abs((t - 32) / 7 % 2 - np.round((t - 32) / 7 % 2 / 2) * 2)
+        pressure = np.where(t < 32, steps, triangles)
+        self.samples = pd.DataFrame(
+            {
+                "trial": 0,
+                "time_s": t,
+                "pressure_cmd_kpa": pressure,
+                "pressure_kpa": pressure,
+                "gravity_x": np.cos(t / 60 * np.pi / 2),
+                "gravity_y": 0.0,
+                "gravity_z": -np.sin(t / 60 * np.pi / 2),
+                "temperature_c": 20 + t / 6,
+                "payload_g": 50.0,
+                "neighbour_kpa": np.where(t < 30, 0.0, 8.0),
+                **dict.fromkeys(COLUMNS, 0.0),
+            }
+        )
+
+
+def curve(name: str) -> str:
+    """Deflection of the built-in finger without and with one effect, as an SVG."""
+    effect, twin, program = all_effects()[name], Twin.builtin(), Program()
+    twin.effects = {name: {p.name: Value(p.limits(12.0)[0]) for p in effect.parameters}}
+    with_it, without = simulate(twin, program), simulate(twin, program, effects=[])
+    rows = [with_it.data.columns.index(c) for c in COLUMNS]
+    a, b = without.model[:, rows], with_it.model[:, rows]
+    t = program.samples["time_s"].to_numpy()
+    left = _panel(
+        0, t, "deflection, mm", [(a[:, 2], "thin"), (b[:, 2], "thick")], min(a[:, 2].min(), b[:, 2].min(), 0)
+    )
+    right = _panel(370, t, "apart, mm", [(np.linalg.norm(b - a, axis=1), "thick")], 0.0)
+    return (
+        '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 730 200" font-family="sans-serif" font-size="12">'
+        "<style>path{fill:none}.thin{stroke:#888;stroke-width:1}.thick{stroke:#e65100;stroke-width:1.6}"
+        ".axis{stroke:#888;stroke-width:.6}text{fill:#888}</style>"
+        f"{left}{right}</svg>"
+    )
+
+
+def _panel(x0: int, t, label: str, curves, least: float) -> str:
+    top = max(max(c.max() for c, _ in curves), least + 1e-6)
+    x, width, height = x0 + 45, 300, 150
+    out = [
+        f'<path class="axis" d="M{x} 20V{20 + height}H{x + width}"/>',
+        f'<text x="{x - 40}" y="12">{label}</text><text x="{x + width - 25}" y="{height + 40}">{t[-1]:.0f} s</text>',
+        f'<text x="{x - 5}" y="28" text-anchor="end">{top:.3g}</text>',
+        f'<text x="{x - 5}" y="{20 + height}" text-anchor="end">{least:.3g}</text>',
+    ]
+    for values, style in curves:
+        y = 20 + height * (1 - (values - least) / (top - least))
+        points = " ".join(
+            f"{x + width * a / t[-1]:.1f},{b:.1f}" for a, b in zip(t[::3], y[::3], strict=True)
+        )
+        out.append(f'<path class="{style}" d="M{points}"/>')
+    return "".join(out)
+
+
+# ---------------------------------------------------------------- a ball on the gel
+
+
+def press(name: str) -> bytes | None:
+    """Tactile images without and with one effect of the light and their difference, four times; PNG.
+
+    None where the effect is not of the sensor's own light: how it drifts, and where presses are.
+    """
+    gel = GelModel.builtin()
+    own = {p.name: p.default for p in get_effect(name).parameters}
+    sensors = [TactileSensor(replace(gel, effects=effects)) for effects in ({}, {name: own})]
+    depth = sensors[0].probe(*Press("sphere", 4.0, x_mm=1.5, y_mm=-2.0, depth_mm=1.0).shapes())
+    without, with_it = (sensor.image(depth) for sensor in sensors)
+    if (without == with_it).all():
+        return None
+    apart = np.clip(128 + 4 * (with_it.astype(int) - without), 0, 255).astype(np.uint8)
+    out = io.BytesIO()
+    Image.fromarray(np.concatenate([without, with_it, apart], axis=1)).save(out, "png")
+    return out.getvalue()
