@@ -43,9 +43,10 @@ def page(pictures: dict) -> str:
         "# Effects",
         "",
         "Each effect is one physical mechanism in one file. `pneutac diagnose` tries them all, `pneutac add` "
-        "switches one on, and it then acts wherever the twin does. The pictures show the built-in twin with the "
-        "effect at the size with which a fit starts: on the left the tip's deflection without it (thin) and with "
-        "it (thick), on the right how far apart the two are. [Add one of your own](../how_to/add_an_effect.md).",
+        "switches one on, and it then acts wherever the twin does. The pictures show the built-in twin with "
+        "the effect at the size with which a fit starts: on the left the tip's deflection without it (grey) "
+        "and with it (orange), on the right how far apart the two are. For light: without, with, and four "
+        "times the difference. [Add one of your own](../how_to/add_an_effect.md).",
         "",
     ]
     stage = None
@@ -103,7 +104,6 @@ class Program:
                 "trial": 0,
                 "time_s": t,
                 "pressure_cmd_kpa": pressure,
-                "pressure_kpa": pressure,
                 "gravity_x": np.cos(t / 60 * np.pi / 2),
                 "gravity_y": 0.0,
                 "gravity_z": -np.sin(t / 60 * np.pi / 2),
@@ -123,12 +123,12 @@ def curve(name: str) -> str:
     rows = [with_it.data.columns.index(c) for c in COLUMNS]
     a, b = without.model[:, rows], with_it.model[:, rows]
     t = program.samples["time_s"].to_numpy()
-    left = _panel(
-        0, t, "deflection, mm", [(a[:, 2], "thin"), (b[:, 2], "thick")], min(a[:, 2].min(), b[:, 2].min(), 0)
-    )
+    z = [(a[:, 2], "thin"), (b[:, 2], "thick")]
+    left = _panel(0, t, "deflection, mm", z, min(a[:, 2].min(), b[:, 2].min()))
     right = _panel(370, t, "apart, mm", [(np.linalg.norm(b - a, axis=1), "thick")], 0.0)
     return (
-        '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 730 200" font-family="sans-serif" font-size="12">'
+        '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 730 200"'
+        ' font-family="sans-serif" font-size="12">'
         "<style>path{fill:none}.thin{stroke:#888;stroke-width:1}.thick{stroke:#e65100;stroke-width:1.6}"
         ".axis{stroke:#888;stroke-width:.6}text{fill:#888}</style>"
         f"{left}{right}</svg>"
@@ -140,15 +140,14 @@ def _panel(x0: int, t, label: str, curves, least: float) -> str:
     x, width, height = x0 + 45, 300, 150
     out = [
         f'<path class="axis" d="M{x} 20V{20 + height}H{x + width}"/>',
-        f'<text x="{x - 40}" y="12">{label}</text><text x="{x + width - 25}" y="{height + 40}">{t[-1]:.0f} s</text>',
+        f'<text x="{x - 40}" y="12">{label}</text>',
+        f'<text x="{x + width - 25}" y="{height + 40}">{t[-1]:.0f} s</text>',
         f'<text x="{x - 5}" y="28" text-anchor="end">{top:.3g}</text>',
         f'<text x="{x - 5}" y="{20 + height}" text-anchor="end">{least:.3g}</text>',
     ]
     for values, style in curves:
         y = 20 + height * (1 - (values - least) / (top - least))
-        points = " ".join(
-            f"{x + width * a / t[-1]:.1f},{b:.1f}" for a, b in zip(t[::3], y[::3], strict=True)
-        )
+        points = " ".join(f"{x + width * a / t[-1]:.1f},{b:.1f}" for a, b in zip(t[::3], y[::3], strict=True))
         out.append(f'<path class="{style}" d="M{points}"/>')
     return "".join(out)
 
