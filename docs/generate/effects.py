@@ -9,8 +9,7 @@ import pandas as pd
 from mkdocs.structure.files import File
 from PIL import Image
 
-from pneutac_sim.effects.optics import OPTICS
-from pneutac_sim.effects.registry import all_effects, get_effect
+from pneutac_sim.effects.registry import all_effects, body_effects, get_effect, of_sensor, sensor_effects
 from pneutac_sim.finger import simulate
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
@@ -28,8 +27,8 @@ NEEDS = {  # conditions that the program varies for an effect which lives by the
 
 def on_files(files, config):
     """Adds concepts/effects.md and a picture an effect."""
-    pictures = {f"{name}.svg": curve(name) for name in all_effects()}
-    pictures |= {f"{name}.png": press(name) for name in OPTICS}
+    pictures = {f"{name}.svg": curve(name) for name in body_effects()}
+    pictures |= {f"{name}.png": press(name) for name in sensor_effects()}
     pictures = {name: content for name, content in pictures.items() if content}
     for name, content in pictures.items():
         files.append(File.generated(config, f"concepts/effects/{name}", content=content))
@@ -50,7 +49,7 @@ def page(pictures: dict) -> str:
         "",
     ]
     stage = None
-    for effect in [*all_effects().values(), *OPTICS.values()]:
+    for effect in all_effects().values():
         if effect.stage != stage:
             stage = effect.stage
             lines += [f"## Stage: {stage}", ""]
@@ -65,17 +64,16 @@ def page(pictures: dict) -> str:
 
 def _sentence(effect) -> str:
     values = {p.name: p.limits(15.0)[0] for p in effect.parameters}
-    device = "gel" if effect.name in OPTICS else "finger"
+    device = "gel" if of_sensor([effect.name]) else "finger"
     return f"*{effect.describe(values, device)}*"
 
 
 def _equation(effect) -> list[str]:
-    equation = getattr(effect, "equation", "")
-    if equation:
-        return [rf"\[{equation}\]" if "\\" in equation else f"`{equation}`"]
-    run = getattr(effect, "run", None)
-    module = sys.modules[getattr(run, "py_func", run).__module__] if run else None
-    return [(module.__doc__ or "").strip()] if module else []
+    module = sys.modules.get(f"pneutac_sim.effects.{effect.name}")
+    lines = [rf"\[ {effect.equation} \]", ""] if effect.equation else []
+    if module is not None:
+        lines += [(module.__doc__ or "").strip().replace("*", r"\*")]
+    return lines
 
 
 def _parameters(effect) -> list[str]:

@@ -36,6 +36,7 @@ EFFECT = BodyEffect(
         Parameter("shift_z_mm", "mm", default=0.0, lower=-30.0, upper=30.0),
     ),
     run=run,
+    equation=r"x \to R\,x + t",
     summary="Your {device}'s base is mounted askew: turned by {degrees:.1f} degrees in the bending plane "
     "and shifted by {shift_x_mm:.1f}, {shift_z_mm:.1f} mm along x, z.",
     experiment="Mark two points on the base itself and measure them with the tip, at zero pressure.",

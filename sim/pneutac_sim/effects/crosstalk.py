@@ -28,6 +28,7 @@ EFFECT = BodyEffect(
     parameters=tuple(Parameter(f"share_{i + 1}", "", default=0.05, lower=-3.0, upper=3.0) for i in range(3)),
     run=run,
     columns=OTHERS,
+    equation=r"p \to p + \sum_i s_i\,p_i",
     summary="Other chambers bend your {device} too: each kPa there counts as {share_1:.2g}, {share_2:.2g}, "
     "{share_3:.2g} kPa here.",
     experiment="Step one chamber at a time while all others stay at zero.",

@@ -46,6 +46,7 @@ EFFECT = BodyEffect(
     parameters=(Parameter("delay_s", "s", default=0.15, lower=0.0, upper=1.5),),
     run=run,
     state_size=lambda channels: 3 + _KEPT * (channels + 1),
+    equation=r"p(t) = p_{cmd}(t - L)",
     summary="Your pressure starts late: nothing happens for {delay_s:.2g} s after a command.",
     experiment="Command single steps and log the measured pressure at 50 Hz or more: it stays flat first.",
 )

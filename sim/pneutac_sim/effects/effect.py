@@ -73,6 +73,7 @@ class Effect:
         parameters: what calibration may fit.
         summary: one sentence for a newcomer, with `{device}` and `{parameter}` placeholders.
         experiment: what to record to see the effect apart from its rivals.
+        equation: in LaTeX, for the catalogue of effects; an arrow leads from a signal to what becomes of it.
         derive: parameter values to further values that `summary` shows.
     """
 
@@ -83,6 +84,7 @@ class Effect:
     parameters: tuple[Parameter, ...]
     summary: str
     experiment: str
+    equation: str = ""
     derive: Callable[[dict[str, float]], dict[str, float]] = nothing_more
 
     def __post_init__(self):

@@ -25,6 +25,7 @@ EFFECT = BodyEffect(
     parameters=(Parameter("strain_1_per_kpa", "1/kPa", default=0.02, lower=-0.5, upper=1.0, range_power=-1),),
     run=run,
     columns=("bending_pressure_kpa",),
+    equation=r"x \to (1 + e\,p)\,x",
     summary="Your {device} changes its length under pressure, by {percent:+.2g} % for each kPa.",
     experiment="Mark the base and the tip, pressurise in steps and measure the arc between the marks.",
     derive=lambda v: {"percent": 100 * v["strain_1_per_kpa"]},

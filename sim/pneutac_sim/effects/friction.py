@@ -36,6 +36,7 @@ EFFECT = BodyEffect(
     ),
     run=run,
     state_size=lambda channels: 2 * channels,
+    equation=r"x \to p - c\,\mathrm{sign}(p - x) \text{ where } |p - x| > c \text{ (at rest: } c + b)",
     summary="Your {device} sticks: on each reversal it waits until the pressure has changed by {band:.2g} "
     "kPa.",
     experiment="Make small back-and-forth moves around one pressure: below the dead band nothing moves.",

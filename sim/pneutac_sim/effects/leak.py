@@ -30,6 +30,7 @@ EFFECT = BodyEffect(
     parameters=(Parameter("leak_rate_1_per_s", "1/s", default=0.01, lower=0.0, upper=0.5),),
     run=run,
     state_size=lambda channels: 2 * channels,
+    equation=r"\dot p = -k\,p \text{ while } \dot p_{cmd} = 0",
     summary="Your {device} leaks: while the valve holds it loses {percent_per_min:.0f} % of its pressure a "
     "minute.",
     experiment="Hold a high pressure for two minutes with the valve shut and log the measured pressure.",

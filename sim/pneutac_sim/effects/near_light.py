@@ -39,6 +39,7 @@ EFFECT = SensorEffect(
     standard=True,
     lend=lambda make, k: {"distance_mm": (np.hypot(*make.positions_mm[k]), MAKE_SD_MM)},
     coefficients=place,
+    equation=r"t = -|L|\,e \cdot \nabla u, \quad e = \frac{p - x}{|p - x|}",
     summary="The lights of your {device} are near: {distance_red_mm:.3g} mm (red), "
     "{distance_green_mm:.3g} mm (green) and {distance_blue_mm:.3g} mm (blue) from the window's centre, so "
     "their direction turns over the image.",

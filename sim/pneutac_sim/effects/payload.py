@@ -19,6 +19,7 @@ EFFECT = BodyEffect(
     parameters=(Parameter("share", "", default=1.0, lower=0.0, upper=20.0),),
     run=run,
     columns=("payload_g", "gravity_x", "gravity_y", "gravity_z"),
+    equation=r"K\,(q - q_{el}) = J_{tip}^T\,m\,g",
     summary="The payload bends your {device}, {share:.2g} times as much as its weight would at the set "
     "stiffness.",
     experiment="Hang two known masses at the tip, repeat one program with each, and write payload_g.",

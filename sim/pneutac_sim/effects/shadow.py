@@ -89,6 +89,7 @@ EFFECT = SensorEffect(
     prior_sd=(40.0,) * 3 + (0.08,) * 3 + (0.08,),
     standard=True,
     coefficients=level_and_edge,
+    equation=r"t \to t - (3 d^2 - 2 d^3)\,(t + \lambda), \quad d = \min(1, h / h_0)",
     summary="Imprints cast shadows in your {device}: {shadow_red_levels:.3g}, {shadow_green_levels:.3g} and "
     "{shadow_blue_levels:.3g} levels are missing behind them; the lights stand at slopes of "
     "{elevation_red:.2g}, {elevation_green:.2g} and {elevation_blue:.2g} over the gel.",

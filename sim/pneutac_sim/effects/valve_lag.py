@@ -38,6 +38,7 @@ EFFECT = BodyEffect(
     ),
     run=run,
     state_size=lambda channels: 2 * channels,
+    equation=r"\tau\,\dot p = p_{cmd} - p",
     summary="Your pressure lags its command: filling takes about {fill_time_s:.2g} s, venting "
     "{vent_time_s:.2g} s.",
     experiment="Log the measured pressure in single steps up and down: a lag shows in it, creep does not.",
