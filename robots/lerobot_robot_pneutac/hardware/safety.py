@@ -72,9 +72,9 @@ class Guard:
         """
         with self.failing("reading arm and pressure"):
             state, kpa = self._arm.state(), float(self._pressure.pressure())
-            said = self.limits.broken_by(state.force_n, kpa)
-            if said:
-                raise HardwareFault(said)
+            breach = self.limits.broken_by(state.force_n, kpa)
+            if breach:
+                raise HardwareFault(breach)
             return state, kpa
 
     def act(self, values: np.ndarray) -> np.ndarray:
@@ -91,9 +91,9 @@ class Guard:
         """
         state, _ = self.look()
         with self.failing("sending an action"):
-            said = why_refused(values)
-            if said:
-                return self._refuse(said)
+            reason = why_refused(values)
+            if reason:
+                return self._refuse(reason)
             now = time.monotonic()
             self._target_kpa = self.limits.pressure(values[3], self._target_kpa, now - self._last_s)
             velocity = self.limits.velocity(values[:3], state.flange_m)
@@ -151,13 +151,13 @@ class Guard:
         self._target_kpa = 0.0
         self._moving = self._inflated = False
 
-    def _refuse(self, said: str) -> np.ndarray:
+    def _refuse(self, reason: str) -> np.ndarray:
         self.refused += 1
         self._in_a_row += 1
-        logger.warning("Action refused: %s. The arm stops and the pressure stays.", said)
+        logger.warning("Action refused: %s. The arm stops and the pressure stays.", reason)
         self._arm.stop()
         if self._in_a_row >= REFUSALS:
-            raise HardwareFault(f"{REFUSALS} actions in a row were refused, the last because {said}.")
+            raise HardwareFault(f"{REFUSALS} actions in a row were refused, the last because {reason}.")
         return np.array([0.0, 0.0, 0.0, self._target_kpa])
 
     def _watchdog(self) -> None:

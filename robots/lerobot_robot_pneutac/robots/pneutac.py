@@ -5,12 +5,11 @@ from typing import Any
 
 import numpy as np
 from lerobot.cameras import make_cameras_from_configs
-from lerobot.robots import Robot
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
 from lerobot_robot_pneutac.cameras.tactile import Tactile, latest
-from lerobot_robot_pneutac.features import POSE_NAMES, PneutacFeatures
 from lerobot_robot_pneutac.hardware.safety import Guard
+from lerobot_robot_pneutac.robots.base_robot import POSE_NAMES, BaseRobot, action_names
 from lerobot_robot_pneutac.robots.config_pneutac import PneutacConfig
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import (
@@ -25,7 +24,7 @@ from pneutac_sim.features import (
 logger = logging.getLogger(__name__)
 
 
-class Pneutac(PneutacFeatures, Robot):
+class Pneutac(BaseRobot):
     """The real robot; its features are those of `pneutac_sim`, and so are its datasets and policies.
 
     An action is a dict of `features.ACTION_NAMES`; a pose, as lerobot-rollout sends it between episodes,
@@ -58,11 +57,6 @@ class Pneutac(PneutacFeatures, Robot):
         """Whether `connect` succeeded; also after a fault, until `disconnect`."""
         return self.guard is not None
 
-    @property
-    def is_calibrated(self) -> bool:
-        """Always true: the rest image is taken anew on every connect."""
-        return True
-
     def connect(self, calibrate: bool = True) -> None:
         """Connects every part; the chamber is vented, the arm rests, and the gel must be free of contact.
 
@@ -93,12 +87,6 @@ class Pneutac(PneutacFeatures, Robot):
         self.guard = guard
         guard.start()
 
-    def calibrate(self) -> None:
-        """Nothing to do."""
-
-    def configure(self) -> None:
-        """Nothing to do."""
-
     def get_observation(self) -> dict[str, Any]:
         """State (floats) and images; raises HardwareFault, and everything halts, where a part fails."""
         guard = self._need_guard()
@@ -124,13 +112,8 @@ class Pneutac(PneutacFeatures, Robot):
             InputError: keys are missing, or a value is no number; everything halts.
         """
         guard = self._need_guard()
-        names = next((n for n in (ACTION_NAMES, POSE_NAMES) if set(n) <= action.keys()), None)
         try:
-            if names is None:
-                raise InputError(
-                    f"The action has the keys {', '.join(action)}; the robot takes {', '.join(ACTION_NAMES)},"
-                    f" or the pose {', '.join(POSE_NAMES)}."
-                )
+            names = action_names(action)
             values = _numbers(action, names)
         except InputError:
             guard.halt()

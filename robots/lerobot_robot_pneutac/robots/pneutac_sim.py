@@ -3,10 +3,9 @@
 from typing import Any
 
 import numpy as np
-from lerobot.robots import Robot
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
-from lerobot_robot_pneutac.features import POSE_NAMES, PneutacFeatures
+from lerobot_robot_pneutac.robots.base_robot import POSE_NAMES, BaseRobot, action_names
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import (
@@ -25,7 +24,7 @@ HOME_RADIUS_M = 0.010
 _connected: list["PneutacSim"] = []
 
 
-class PneutacSim(PneutacFeatures, Robot):
+class PneutacSim(BaseRobot):
     """A simulated robot that moves on by one control step (1/15 s) with every action that it is sent.
 
     An action is a dict of `features.ACTION_NAMES`, clipped to its limits. Two more dicts are taken:
@@ -56,11 +55,6 @@ class PneutacSim(PneutacFeatures, Robot):
         """Whether the world exists."""
         return self.world is not None
 
-    @property
-    def is_calibrated(self) -> bool:
-        """Always true: a twin is calibrated by `pneutac calibrate`."""
-        return True
-
     def connect(self, calibrate: bool = True) -> None:
         """Builds the world and starts the first episode."""
         if self.is_connected:
@@ -69,12 +63,6 @@ class PneutacSim(PneutacFeatures, Robot):
         self._observation = self.world.reset(self.config.seed)
         self._moved = False
         _connected.append(self)
-
-    def calibrate(self) -> None:
-        """Nothing to do."""
-
-    def configure(self) -> None:
-        """Nothing to do."""
 
     def get_observation(self) -> dict[str, Any]:
         """The present state (floats) and tactile image, uint8 (320, 240, 3)."""
@@ -92,15 +80,12 @@ class PneutacSim(PneutacFeatures, Robot):
             InputError: keys are missing, or a value is not a finite number.
         """
         self._need_world()
-        if set(ACTION_NAMES) <= action.keys():
-            self._step([action[name] for name in ACTION_NAMES])
-        elif set(POSE_NAMES) <= action.keys():
-            self._go_to(np.array([action[name] for name in POSE_NAMES], float))
+        names = action_names(action)
+        values = [action[name] for name in names]
+        if names == POSE_NAMES:
+            self._go_to(np.array(values, float))
         else:
-            raise InputError(
-                f"The action has the keys {', '.join(action)}; the robot takes {', '.join(ACTION_NAMES)}, or"
-                f" the pose {', '.join(POSE_NAMES)}."
-            )
+            self._step(values)
         sent = dict(zip(ACTION_NAMES, np.asarray(self.world.command, float).tolist(), strict=True))
         if action.get("reset"):
             self.reset()

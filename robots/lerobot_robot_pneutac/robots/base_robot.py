@@ -1,0 +1,51 @@
+"""What every robot of this plugin shares: one definition, so that datasets and policies fit all."""
+
+from collections.abc import Iterable
+
+from lerobot.robots import Robot
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import ACTION_NAMES, IMAGE_NAME, IMAGE_SHAPE, STATE_NAMES
+
+POSE_NAMES = ("ee_x.pos", "ee_y.pos", "ee_z.pos", "pressure.pos")
+
+
+class BaseRobot(Robot):
+    """A robot with the finger; its features are those of every other, and it needs no calibration.
+
+    The rest image of a real gel is taken anew on every connect; a twin is calibrated by `pneutac calibrate`.
+    """
+
+    name = "pneutac"
+
+    @property
+    def observation_features(self) -> dict[str, type | tuple]:
+        """Every scalar of the state in order, then the tactile image."""
+        return dict.fromkeys(STATE_NAMES, float) | {IMAGE_NAME: IMAGE_SHAPE}
+
+    @property
+    def action_features(self) -> dict[str, type]:
+        """Velocities (m/s) and pressure (kPa)."""
+        return dict.fromkeys(ACTION_NAMES, float)
+
+    @property
+    def is_calibrated(self) -> bool:
+        """Always true."""
+        return True
+
+    def calibrate(self) -> None:
+        """Nothing to do."""
+
+    def configure(self) -> None:
+        """Nothing to do."""
+
+
+def action_names(keys: Iterable[str]) -> tuple[str, ...]:
+    """Which names an action goes by: `features.ACTION_NAMES`, or the pose `POSE_NAMES`; InputError else."""
+    for names in (ACTION_NAMES, POSE_NAMES):
+        if set(names) <= set(keys):
+            return names
+    raise InputError(
+        f"The action has the keys {', '.join(keys)}; the robot takes {', '.join(ACTION_NAMES)}, or the pose"
+        f" {', '.join(POSE_NAMES)}."
+    )
