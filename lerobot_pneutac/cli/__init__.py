@@ -7,7 +7,7 @@ import sys
 
 # verb -> (module with `main(argv)`, what it does)
 VERBS: dict[str, tuple[str, str]] = {
-    "demo": ("lerobot_pneutac.verbs.demo", "the main job, end to end, on the built-in twin"),
+    "demo": ("lerobot_pneutac.cli.demo", "the main job, end to end, on the built-in twin"),
     "new": ("lerobot_pneutac.cli.new", "a new twin"),
     "measure": ("lerobot_pneutac.cli.measure", "drive a pressure program and record finger and gel"),
     "calibrate": ("lerobot_pneutac.cli.calibrate", "fit a twin to a bench recording"),

@@ -1,15 +1,21 @@
-"""The demo's report page: what was run, what the policy does, how the touch images look."""
+"""The demo's page: what was found, how the error fell, what the policy does and feels, what was run."""
 
-import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import plotly.graph_objects as go
+from PIL import Image
 
-from lerobot_pneutac.reports.page import Report, write_result
+from lerobot_pneutac.reports.page import Report
+
+if TYPE_CHECKING:
+    from lerobot_pneutac.verbs.demo import DemoResult
 
 TITLES = {
-    "calibrate": "Tactile sensor from two images",
+    "bench": "Measured",
+    "twin": "Twin, calibrated and compared",
+    "diagnose": "Diagnosis",
+    "add": "Missing effects added",
     "record": "Demonstrations",
     "augment": "Augmentation",
     "train": "Training",
@@ -17,59 +23,53 @@ TITLES = {
 }
 
 
-def write_report(out: Path, state: dict) -> Path:
-    """Writes `report.html` and `result.json` of a finished demo.
-
-    Args:
-        out: the demo's folder.
-        state: stage name to its results, seconds and commands.
-    """
-    evaluation, training = state["evaluate"], state["train"]
-    report = Report("A soft tactile finger learns to flip a switch")
-    report.lead(
-        f"The policy flipped the switch in {evaluation['success_percent']:.0f} % of "
-        f"{evaluation['episodes']} randomised starts, after {state['options']['episodes']} demonstrations."
+def demo_page(result: "DemoResult") -> Report:
+    """The report of a finished demo, not yet written."""
+    state, out = result.state, result.out
+    page = Report(result.title)
+    page.lead(result.sentence)
+    page.heading("The error of the twin")
+    page.figure(
+        _errors(state),
+        "Held-out tip error before and after. The finger's truth shares the form of these effects.",
     )
+    page.text(state["diagnose"]["sentence"])
+    page.heading("What the policy does")
     for video in sorted((out / "eval").rglob("*.mp4"))[:3]:
-        report.video(video, f"The policy, {video.stem.replace('_', ' ')}", width=480)
+        page.video(video, f"The policy on the stand-in, {video.stem.replace('_', ' ')}", width=480)
+    page.heading("What it feels")
+    page.image(demonstration_strip(out / "demonstrations"), "One demonstration: touch over time")
+    for picture in sorted((out / "touch").glob("*.png"))[:1]:
+        page.image(np.asarray(Image.open(picture).convert("RGB")), "Presses beside the calibrated model")
+    page.heading("Learning curve")
+    page.figure(_losses(state["train"]), "Training loss of lerobot-train")
+    page.heading("Try next")
+    page.code("\n".join(result.next_commands))
+    page.heading("What was run")
+    for name, title in TITLES.items():
+        page.text(f"**{title}**, {state[name]['seconds']:.0f} s")
+        page.code("\n".join(state[name]["commands"]))
+    return page
 
-    report.heading("What it feels")
-    report.image(demonstration_strip(out / "demonstrations"), "One demonstration: touch over time")
-    calibration = out / "calibration"
-    source = "a real DIGIT" if state["calibrate"]["real"] else "a generated recording (no real data at hand)"
-    for picture in sorted(calibration.glob("*.png"))[:1]:
-        from PIL import Image
 
-        image = np.asarray(Image.open(picture).convert("RGB"))
-        report.image(image, f"Tactile images of {source} beside the calibrated model")
-    if (calibration / "result.json").is_file():
-        block = json.loads((calibration / "result.json").read_text()).get("image") or {}
-        rows = [{"measure": k, "value": v} for k, v in block.items() if isinstance(v, int | float)]
-        report.table(rows, "Held-out images; levels of 8 bit")
+def _errors(state: dict):
+    import plotly.graph_objects as go
 
-    report.heading("Learning curve")
+    added = ", ".join(state["diagnose"]["selected"])
+    names = ["calibrated", f"with {added}"]
+    errors = [state["twin"]["tip_error_mm"], state["add"]["tip_error_mm"]]
+    figure = go.Figure(go.Bar(x=names, y=errors, marker_color=["#9aa5b1", "#0b6e99"]))
+    figure.add_hline(y=state["add"]["noise_mm"], line_dash="dash", annotation_text="noise")
+    return figure.update_yaxes(title="held-out tip error (mm)", rangemode="tozero")
+
+
+def _losses(training: dict):
+    import plotly.graph_objects as go
+
     x = (1 + np.arange(len(training["losses"]))) * training["log_freq"]
     figure = go.Figure(go.Scatter(x=x, y=training["losses"], mode="lines"))
-    figure.update_layout(xaxis_title="step", yaxis_title="loss (mm² per step + kPa²)", yaxis_type="log")
-    report.figure(figure, "Training loss of lerobot-train")
-
-    report.heading("What was run")
-    report.text("The same commands, ready to paste in this folder's parent environment.")
-    for name, title in TITLES.items():
-        commands = state[name]["commands"]
-        report.text(f"**{title}**, {state[name]['seconds']:.0f} s")
-        if commands:
-            report.code("\n".join(commands))
-    write_result(
-        out,
-        {
-            "success_percent": evaluation["success_percent"],
-            "episodes": evaluation["episodes"],
-            "final_loss": training["losses"][-1],
-            "seconds": {name: state[name]["seconds"] for name in TITLES},
-        },
-    )
-    return report.write(out / "report.html")
+    axes = {"xaxis_title": "step", "yaxis_title": "loss (mm² per step + kPa²)", "yaxis_type": "log"}
+    return figure.update_layout(**axes)
 
 
 def demonstration_strip(root: Path, frames: int = 8) -> np.ndarray:
@@ -78,9 +78,8 @@ def demonstration_strip(root: Path, frames: int = 8) -> np.ndarray:
 
     dataset = LeRobotDataset(f"local/{root.name}", root=root, episodes=[0])
     names = dataset.features["observation.state"]["names"]
-    area = np.array(
-        [float(s[names.index("contact_area.pos")]) for s in dataset.hf_dataset["observation.state"]]
-    )
+    states = dataset.hf_dataset["observation.state"]
+    area = np.array([float(s[names.index("contact_area.pos")]) for s in states])
     peak = int(area.argmax())
     picks = np.clip(np.linspace(peak - 20, peak + 20, frames).astype(int), 0, len(dataset) - 1)
     images = [dataset[int(i)]["observation.images.tactile"].numpy() for i in picks]

@@ -1,8 +1,8 @@
-"""`pneutac demo`: the main job, end to end, on the built-in twin, with LeRobot's own commands.
+"""The demo: the main job end to end, on the stand-in for reality, by the commands that a user would type.
 
-Calibrates the gel from one pair of tactile images, records scripted switch demonstrations, augments them,
-trains `pneutac_bc` with lerobot-train, evaluates it with lerobot-eval and writes a report. Finished stages
-are kept, so an interrupted demo goes on where it stopped.
+A finger with hidden physics is measured; its twin is compared with the measurements, the missing effects are
+found and added, and the error falls. The corrected twin then turns ten demonstrations into more, one policy
+is trained with lerobot-train and tried with lerobot-eval on starts that it has not seen.
 """
 
 import json
@@ -13,28 +13,19 @@ import shutil
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    Progress,
-    SpinnerColumn,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
+from scipy.stats import binomtest
 
-from lerobot_pneutac.cli.options import parse_options
-from lerobot_pneutac.reports.demo import write_report
+from lerobot_pneutac.reports.demo import demo_page
+from lerobot_pneutac.reports.page import Report
+from lerobot_pneutac.verbs.result import Result
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import DEMONSTRATION_S
-from pneutac_sim.surrogate.networks import builtin, fits
-from pneutac_sim.twin import Twin
+from pneutac_sim.features import CONTROL_HZ, DEMONSTRATION_S
 
-FPS = 15
-TASK_TEXT = "flip the switch"
+TASK, TASK_TEXT = "switch", "flip the switch"
 
 
 @dataclass
@@ -43,282 +34,306 @@ class DemoConfig:
 
     Attributes:
         out: folder of everything that the demo writes.
-        episodes: scripted demonstrations, one of them recorded by lerobot-record itself.
-        augmented: further demonstrations made from these without a simulator.
+        minutes: length of the session in which the finger is measured.
+        demonstrations: recorded on the stand-in, one of them by lerobot-record itself.
+        augmented: further demonstrations, planned on the corrected twin and guided by touch.
         steps: optimiser steps of lerobot-train.
         batch_size: frames per optimiser step.
-        eval_episodes: randomised starts on which the policy is tried.
+        trials: randomised starts on which the policy is tried.
         seed: decides every random choice.
         fresh: delete an earlier demo in `out` first.
     """
 
     out: Path = Path("outputs/demo")
-    episodes: int = 12
-    augmented: int = 16
-    steps: int = 4000
+    minutes: float = 3.0
+    demonstrations: int = 10
+    augmented: int = 24
+    steps: int = 3000
     batch_size: int = 16
-    eval_episodes: int = 20
+    trials: int = 40
     seed: int = 1
     fresh: bool = False
 
     def __post_init__(self):
-        for name in ("episodes", "augmented", "steps", "batch_size", "eval_episodes"):
-            least = 2 if name == "episodes" else 1
+        for name in ("demonstrations", "augmented", "steps", "batch_size", "trials"):
+            least = 2 if name == "demonstrations" else 1
             if getattr(self, name) < least:
                 raise InputError(f"--{name} is {getattr(self, name)}; it must be at least {least}.")
 
 
-class Demo:
-    """One run: its folder, its stages and the commands that it ran."""
+@dataclass(frozen=True)
+class DemoResult(Result):
+    """What the demo came to.
 
-    def __init__(self, cfg: DemoConfig):
-        self.cfg = cfg
-        self.console = Console()
-        self.state_file = cfg.out / "state.json"
-        if cfg.fresh and self.state_file.exists():
+    Attributes:
+        out: its folder.
+        state: stage name to its numbers, seconds and commands.
+    """
+
+    out: Path
+    state: dict
+    title = "A twin learns what its finger lacked, and a policy flips the switch"
+
+    @property
+    def success_ci95(self) -> tuple[float, float]:
+        """Wilson's 95 % interval of the success rate, percent."""
+        e = self.state["evaluate"]
+        interval = binomtest(e["successes"], e["trials"]).proportion_ci(method="wilson")
+        return 100 * interval.low, 100 * interval.high
+
+    @property
+    def sentence(self) -> str:
+        """What was found, how the error fell, what the policy does."""
+        found, e = self.state["diagnose"]["selected"], self.state["evaluate"]
+        lo, hi = self.success_ci95
+        before, after = self.state["twin"]["tip_error_mm"], self.state["add"]["tip_error_mm"]
+        rate = f"{e['success_percent']:.0f} %, 95 % interval {lo:.0f} to {hi:.0f}"
+        return (
+            f"The finger had {' and '.join(found)} that its twin lacked; with this the held-out tip error "
+            f"fell from {before:.2f} to {after:.2f} mm (noise {self.state['add']['noise_mm']:.2f} mm). "
+            "Trained on demonstrations of the corrected twin, the policy flipped the switch in "
+            f"{e['successes']} of {e['trials']} starts that it had not seen ({rate})."
+        )
+
+    @property
+    def next_commands(self) -> list[str]:
+        """Three commands to try next."""
+        return [
+            f"pneutac diagnose --twin={self.out}/twin --recording={self.out}/bench/finger --out=outputs/rest",
+            f"pneutac render --twin={self.out}/twin --pressure_kpa=[0,15] --out=outputs/render",
+            "python -m pneutac_datasets.generate --effect=hysteresis --seed=7 --out=outputs/bench",
+        ]
+
+    def to_dict(self) -> dict:
+        """The content of `result.json`."""
+        s = self.state
+        return {
+            "tip_error_mm": {"before": s["twin"]["tip_error_mm"], "after": s["add"]["tip_error_mm"]},
+            "noise_mm": s["add"]["noise_mm"],
+            "selected": s["diagnose"]["selected"],
+            "success_percent": s["evaluate"]["success_percent"],
+            "success_ci95": list(self.success_ci95),
+            "trials": s["evaluate"]["trials"],
+            "final_loss": s["train"]["losses"][-1],
+            "seconds": {name: stage["seconds"] for name, stage in s.items() if name != "options"},
+        }
+
+    def page(self) -> Report:
+        """The report, not yet written."""
+        return demo_page(self)
+
+
+Announce = Callable[[str], None]
+
+
+class Demo:
+    """One run: its folder, its stages and the commands that it ran. Finished stages are kept.
+
+    Args:
+        cfg: the options.
+        announce: called with the title of each stage, each command, and the end of what a command printed.
+        progress: `progress(text, done, total)`.
+
+    Raises:
+        InputError: the folder holds a demo with other options.
+    """
+
+    def __init__(self, cfg: DemoConfig, announce: Announce, progress: Callable[[str, int, int], None]):
+        self.cfg, self._announce, self._progress = cfg, announce, progress
+        self._file = cfg.out / "state.json"
+        if cfg.fresh and self._file.exists():
             shutil.rmtree(cfg.out)
         cfg.out.mkdir(parents=True, exist_ok=True)
         options = {k: v for k, v in vars(cfg).items() if k not in ("fresh", "out")}
-        self.state = json.loads(self.state_file.read_text()) if self.state_file.exists() else {}
+        self.state = json.loads(self._file.read_text()) if self._file.exists() else {}
         if self.state.setdefault("options", options) != options:
-            raise InputError(f"{cfg.out} holds a demo with other options; add --fresh=true.")
+            raise InputError(f"{cfg.out} holds a demo with other options; add --fresh.")
+        self.twin = self._path("twin")
+        self.finger, self.gel = self._path("bench/finger"), self._path("bench/gel")
 
-    def path(self, name: str) -> Path:
-        """A file or folder of this run."""
-        return self.cfg.out / name
+    def run(self) -> DemoResult:
+        """All stages, those apart that an earlier run finished."""
+        cfg = self.cfg
+        stages = [
+            ("bench", "Measure a finger on the bench (the stand-in for a real one)", self._bench),
+            ("twin", "Make its twin, calibrate finger and gel, and compare", self._calibrate),
+            ("diagnose", "Which physics is missing?", self._diagnose),
+            ("add", "Add it, and see the error fall", self._add),
+            ("record", f"Record {cfg.demonstrations} demonstrations", self._record),
+            ("augment", f"Plan {cfg.augmented} more on the corrected twin, guided by touch", self._augment),
+            ("train", "Train a policy with lerobot-train", self._train),
+            ("evaluate", f"Try it with lerobot-eval, {cfg.trials} starts", self._evaluate),
+        ]
+        for number, (name, title, stage) in enumerate(stages, 1):
+            heading = f"{number}/{len(stages)}  {title}"
+            if name in self.state:
+                self._announce(f"{heading} (done before)")
+                continue
+            self._announce(heading)
+            start, self._commands = time.monotonic(), []
+            found = stage()
+            self.state[name] = {**found, "seconds": time.monotonic() - start, "commands": self._commands}
+            self._file.write_text(json.dumps(self.state, indent=2))
+        return DemoResult(cfg.out, self.state)
 
-    def stage(self, name: str, title: str, function) -> None:
-        """Runs `function` unless an earlier run finished this stage; its dict result is kept in the state."""
-        if name in self.state:
-            self.console.print(f"[dim]done before:[/] {title}")
-            return
-        self.console.print(f"[bold]{title}[/]")
-        start = time.monotonic()
-        self._commands: list[str] = []
-        result = function() or {}
-        self.state[name] = {**result, "seconds": time.monotonic() - start, "commands": self._commands}
-        self.state_file.write_text(json.dumps(self.state, indent=2))
+    # ------------------------------------------------------------ stages
 
-    def run(self, command: list[str], log: str, total: int | None = None, pattern: str = "") -> str:
-        """Runs one command, its output into `log`; shows a bar that advances with each match of `pattern`.
+    def _bench(self) -> dict:
+        shutil.rmtree(self._path("bench"), ignore_errors=True)
+        options = [f"--out={self._path('bench')}", f"--minutes={self.cfg.minutes}", f"--seed={self.cfg.seed}"]
+        self._command("python", "-m", "pneutac_datasets.generate", "--device=standin", *options)
+        return {}
 
-        Returns:
-            the whole output. Raises InputError with the log's tail where the command fails.
-        """
-        self._commands.append(shlex.join(command))
-        self.console.print(f"  [dim]$ {self._commands[-1]}[/]", soft_wrap=True, highlight=False)
-        # More threads than cores left over make torch on small batches slower, not faster.
-        env = os.environ | {"HF_HUB_OFFLINE": "1", "OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
-        env["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{env['PATH']}"
-        lines = []
-        columns = (SpinnerColumn(), BarColumn(), TextColumn("{task.completed}/{task.total}"))
-        clock = (TimeElapsedColumn(), TimeRemainingColumn())
-        with (
-            self.path(log).open("w", buffering=1) as file,
-            Progress(*columns, *clock, console=self.console, transient=True) as bar,
-            subprocess.Popen(
-                command,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                text=True,
-                env=env,
-                errors="replace",
-            ) as process,
-        ):
-            task = bar.add_task("", total=total)
-            for line in process.stdout:
-                file.write(line)
-                lines.append(line)
-                if pattern and re.search(pattern, line):
-                    bar.advance(task)
-        if process.returncode != 0:
-            tail = "".join(lines[-15:])
-            raise InputError(f"the command above failed; the end of {self.path(log)} says:\n{tail}")
-        return "".join(lines)
+    def _calibrate(self) -> dict:
+        shutil.rmtree(self.twin, ignore_errors=True)
+        self._command("pneutac", "new", f"--twin={self.twin}", f"--recording={self.finger}")
+        self._verb("calibrate", self.finger, "calibration")
+        self._verb("calibrate", self.gel, "touch")
+        return self._compare("compare")
 
-    def show(self, text: str, lines: int = 18) -> None:
-        """Prints the last lines of a command's output."""
-        for line in text.rstrip().splitlines()[-lines:]:
-            self.console.print(line, highlight=False, soft_wrap=True, markup=False)
-
-    # ------------------------------------------------------------ the stages
-
-    def calibrate(self) -> dict:
-        """Twin whose gel comes from one rest and one indentation image."""
-        twin = self.path("twin")
-        data = os.environ.get("PNEUTAC_DATA")
-        real = Path(data) / "tactile" / "digit_nagoya" if data else None
-        shutil.rmtree(twin, ignore_errors=True)
-        self.run(["pneutac", "new", f"--twin={twin}", "--device=finger"], "new.log")
-        command = ["pneutac", "calibrate", f"--twin={twin}", f"--out={self.path('calibration')}"]
-        if real and real.is_dir():
-            command.append(f"--recording={real}")
-        self.show(self.run(command, "calibrate.log"))
-        fidelity = "surrogate"
-        if fits(builtin("perception"), "perception", Twin.load(twin)):
-            self.run(["pneutac", "surrogate", f"--twin={twin}"], "surrogate.log")
-        else:
-            fidelity = "probe"
-            self.console.print(
-                "This gel has another size than the one whose network is shipped: the demo goes on without "
-                f"networks (fidelity probe); `pneutac surrogate --twin={twin}` would train them."
+    def _diagnose(self) -> dict:
+        found = self._verb("diagnose", self.finger, "diagnosis")
+        if not found["selected"]:
+            raise InputError(
+                f"The diagnosis found no missing effect ({found['verdict']}; {self._path('diagnosis')} tells "
+                "why). Give another --seed, or a longer session with --minutes."
             )
-        return {"real": bool(real and real.is_dir()), "fidelity": fidelity}
+        return {"selected": found["selected"], "verdict": found["verdict"], "sentence": found["sentence"]}
 
-    @property
-    def fidelity(self) -> str:
-        """How finger and gel deform in this demo's world."""
-        return self.state["calibrate"]["fidelity"]
+    def _add(self) -> dict:
+        for effect in self.state["diagnose"]["selected"]:
+            if not self._has(effect):
+                self._verb("add", self.finger, f"added_{effect}", f"--effect={effect}")
+        return self._compare("compare_after")
 
-    def record(self) -> None:
+    def _record(self) -> dict:
         """One demonstration by lerobot-record in real time, the others unpaced by the same robot code."""
+        cfg, first, rest = self.cfg, self._path("recorded_1"), self._path("recorded_2")
+        merged, steps = self._path("demonstrations"), DEMONSTRATION_S * CONTROL_HZ
+        for folder in (first, rest, merged):
+            shutil.rmtree(folder, ignore_errors=True)
+        self._command(
+            "lerobot-record", "--robot.type=pneutac_sim", "--robot.id=demo", "--robot.standin=true",
+            f"--robot.task={TASK}", f"--robot.seed={cfg.seed}", "--teleop.type=pneutac_scripted",
+            f"--teleop.seed={cfg.seed}", f"--teleop.episode_steps={steps}",
+            f"--dataset.repo_id=local/{first.name}", f"--dataset.root={first}", "--dataset.no_stamp=true",
+            f"--dataset.single_task={TASK_TEXT}", f"--dataset.fps={CONTROL_HZ}", "--dataset.num_episodes=1",
+            f"--dataset.episode_time_s={DEMONSTRATION_S}", "--dataset.reset_time_s=0",
+            "--dataset.streaming_encoding=true", "--dataset.push_to_hub=false", "--play_sounds=false",
+        )  # fmt: skip
+        self._unpaced(rest, cfg.demonstrations - 1)
+        self._merge(merged, first, rest)
+        return {}
+
+    def _unpaced(self, root: Path, episodes: int) -> None:
         from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
         from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
         from lerobot_robot_pneutac.teleoperators.config_pneutac_scripted import PneutacScriptedConfig
         from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
         from pneutac_datasets.demonstrations.record import record_episodes
 
-        cfg, first, rest = self.cfg, self.path("recorded_1"), self.path("recorded_2")
-        merged = self.path("demonstrations")
-        for folder in (first, rest, merged):
+        seed, steps = self.cfg.seed + 1000, DEMONSTRATION_S * CONTROL_HZ
+        robot = PneutacSim(PneutacSimConfig(id="demo", task=TASK, seed=seed, standin=True))
+        teleop = PneutacScripted(PneutacScriptedConfig(id="scripted", seed=seed, episode_steps=steps))
+        record_episodes(robot, teleop, f"local/{root.name}", root, episodes, CONTROL_HZ, TASK_TEXT, True)
+
+    def _augment(self) -> dict:
+        source, new = self._path("demonstrations"), self._path("augmented")
+        out = self._path("augmentation")
+        self._command(
+            "pneutac", "augment", f"--dataset.repo_id=local/{source.name}", f"--dataset.root={source}",
+            f"--output.repo_id=local/{new.name}", f"--output.root={new}", f"--task={TASK}",
+            f"--twin={self.twin}", "--fidelity=probe", f"--episodes={self.cfg.augmented}",
+            f"--seed={self.cfg.seed}", f"--out={out}",
+        )  # fmt: skip
+        result = json.loads((out / "result.json").read_text())
+        return {"kept": result["kept"], "attempts": result["attempts"]}
+
+    def _train(self) -> dict:
+        """The paper's behaviour-cloning policy on recorded and new demonstrations together."""
+        cfg, out, data = self.cfg, self._path("train"), self._path("training")
+        for folder in (out, data):
             shutil.rmtree(folder, ignore_errors=True)
-        self.run(
-            [
-                "lerobot-record",
-                "--robot.type=pneutac_sim",
-                "--robot.id=twin",
-                f"--robot.twin={self.path('twin')}",
-                f"--robot.fidelity={self.fidelity}",
-                "--robot.task=switch",
-                f"--robot.seed={cfg.seed}",
-                "--teleop.type=pneutac_scripted",
-                f"--teleop.seed={cfg.seed}",
-                f"--teleop.episode_steps={DEMONSTRATION_S * FPS}",
-                f"--dataset.repo_id=local/{first.name}",
-                f"--dataset.root={first}",
-                "--dataset.no_stamp=true",
-                f"--dataset.single_task={TASK_TEXT}",
-                f"--dataset.fps={FPS}",
-                "--dataset.num_episodes=1",
-                f"--dataset.episode_time_s={DEMONSTRATION_S}",
-                "--dataset.reset_time_s=0",
-                "--dataset.streaming_encoding=true",
-                "--dataset.push_to_hub=false",
-                "--play_sounds=false",
-            ],
-            "record.log",
-        )
-        robot = PneutacSim(
-            PneutacSimConfig(
-                id="twin",
-                twin=self.path("twin"),
-                fidelity=self.fidelity,
-                task="switch",
-                seed=cfg.seed + 1000,
-            )
-        )
-        teleop = PneutacScripted(
-            PneutacScriptedConfig(id="scripted", seed=cfg.seed + 1000, episode_steps=DEMONSTRATION_S * FPS)
-        )
-        record_episodes(robot, teleop, f"local/{rest.name}", rest, cfg.episodes - 1, TASK_TEXT, True)
-        self.run(
-            [
-                "lerobot-edit-dataset",
-                f"--new_repo_id=local/{merged.name}",
-                f"--new_root={merged}",
-                "--operation.type=merge",
-                f"--operation.repo_ids=['local/{first.name}','local/{rest.name}']",
-                f"--operation.roots=['{first}','{rest}']",
-            ],
-            "merge.log",
-        )
+        self._merge(data, self._path("demonstrations"), self._path("augmented"))
+        every = max(1, cfg.steps // 50)
+        printed = self._command(
+            "lerobot-train", "--policy.type=pneutac_bc", "--policy.device=cpu",
+            f"--dataset.repo_id=local/{data.name}", f"--dataset.root={data}", f"--output_dir={out}",
+            f"--steps={cfg.steps}", f"--batch_size={cfg.batch_size}", f"--seed={cfg.seed}", "--num_workers=2",
+            f"--log_freq={every}", "--save_freq=0", "--env_eval_freq=0", "--wandb.enable=false",
+            total=cfg.steps // every, pattern=r"\bloss:",
+        )  # fmt: skip
+        losses = [float(x) for x in re.findall(r"\bloss:([0-9.eE+-]+)", printed)]
+        return {"log_freq": every, "losses": losses}
 
-    def augment(self) -> None:
-        """Further demonstrations by time warping, mix-up and jitter."""
-        from pneutac_datasets.demonstrations.naive import augment_naive
-
-        cfg, source, out, both = self.cfg, "demonstrations", self.path("augmented"), self.path("training")
-        for folder in (out, both):
-            shutil.rmtree(folder, ignore_errors=True)
-        augment_naive(self.path(source), f"local/{source}", out, "local/augmented", cfg.augmented, cfg.seed)
-        self.run(
-            [
-                "lerobot-edit-dataset",
-                "--new_repo_id=local/training",
-                f"--new_root={both}",
-                "--operation.type=merge",
-                f"--operation.repo_ids=['local/{source}','local/augmented']",
-                f"--operation.roots=['{self.path(source)}','{out}']",
-            ],
-            "merge_training.log",
-        )
-
-    def train(self) -> dict:
-        """The paper's behaviour-cloning policy, by lerobot-train."""
-        cfg, out = self.cfg, self.path("train")
+    def _evaluate(self) -> dict:
+        cfg, out = self.cfg, self._path("eval")
         shutil.rmtree(out, ignore_errors=True)
-        log = self.run(
-            [
-                "lerobot-train",
-                "--policy.type=pneutac_bc",
-                "--policy.device=cpu",
-                "--dataset.repo_id=local/training",
-                f"--dataset.root={self.path('training')}",
-                f"--output_dir={out}",
-                f"--steps={cfg.steps}",
-                f"--batch_size={cfg.batch_size}",
-                f"--seed={cfg.seed}",
-                "--num_workers=2",
-                f"--log_freq={max(1, cfg.steps // 50)}",
-                "--save_freq=0",
-                "--env_eval_freq=0",
-                "--wandb.enable=false",
-            ],
-            "train.log",
-            total=cfg.steps // max(1, cfg.steps // 50),
-            pattern=r"\bloss:",
+        self._command(
+            "lerobot-eval", f"--policy.path={self._path('train')}/checkpoints/last/pretrained_model",
+            "--policy.device=cpu", "--env.type=pneutac_standin", f"--env.task={TASK}",
+            f"--eval.n_episodes={cfg.trials}", "--eval.batch_size=2", f"--seed={cfg.seed + 5000}",
+            f"--output_dir={out}",
+        )  # fmt: skip
+        percent = json.loads((out / "eval_info.json").read_text())["overall"]["pc_success"]
+        successes = round(percent * cfg.trials / 100)
+        return {"success_percent": percent, "successes": successes, "trials": cfg.trials}
+
+    # ------------------------------------------------------------ what the stages share
+
+    def _path(self, name: str) -> Path:
+        return self.cfg.out / name
+
+    def _has(self, effect: str) -> bool:
+        """Whether an interrupted run added the effect already."""
+        from pneutac_sim.twin import Twin
+
+        return effect in Twin.load(self.twin).effects
+
+    def _verb(self, verb: str, recording: Path, out: str, *options: str) -> dict:
+        """One of our verbs on twin and recording; returns its `result.json`."""
+        folder = self._path(out)
+        self._command(
+            "pneutac", verb, f"--twin={self.twin}", f"--recording={recording}", *options, f"--out={folder}"
         )
-        losses = [float(x) for x in re.findall(r"\bloss:([0-9.eE+-]+)", log)]
-        return {"log_freq": max(1, cfg.steps // 50), "losses": losses}
+        return json.loads((folder / "result.json").read_text())
 
-    def evaluate(self) -> dict:
-        """The policy on randomised starts, by lerobot-eval."""
-        cfg, out = self.cfg, self.path("eval")
-        shutil.rmtree(out, ignore_errors=True)
-        self.run(
-            [
-                "lerobot-eval",
-                f"--policy.path={self.path('train')}/checkpoints/last/pretrained_model",
-                "--policy.device=cpu",
-                "--env.type=pneutac",
-                "--env.task=switch",
-                f"--env.twin={self.path('twin')}",
-                f"--env.fidelity={self.fidelity}",
-                f"--eval.n_episodes={cfg.eval_episodes}",
-                "--eval.batch_size=1",
-                f"--seed={cfg.seed + 5000}",
-                f"--output_dir={out}",
-            ],
-            "eval.log",
-        )
-        info = json.loads((out / "eval_info.json").read_text())
-        return {"success_percent": info["overall"]["pc_success"], "episodes": cfg.eval_episodes}
+    def _compare(self, out: str) -> dict:
+        result = self._verb("compare", self.finger, out)
+        return {"tip_error_mm": result["error"]["heldout"], "noise_mm": result["noise_floor"]}
 
+    def _merge(self, into: Path, *parts: Path) -> None:
+        ids, roots = ([f(p) for p in parts] for f in (lambda p: f"local/{p.name}", str))
+        self._command(
+            "lerobot-edit-dataset", f"--new_repo_id=local/{into.name}", f"--new_root={into}",
+            "--operation.type=merge", f"--operation.repo_ids={ids}", f"--operation.roots={roots}",
+        )  # fmt: skip
 
-def main(argv: list[str]) -> None:
-    """Runs the demo; returns normally with the report's path and success rate printed."""
-    cfg = parse_options(DemoConfig, argv)
-    start = time.monotonic()
-    demo = Demo(cfg)
-    demo.stage("calibrate", "1/5  Calibrate the tactile sensor from two images", demo.calibrate)
-    demo.stage("record", f"2/5  Record {cfg.episodes} demonstrations on the twin", demo.record)
-    demo.stage("augment", f"3/5  Augment them with {cfg.augmented} more", demo.augment)
-    demo.stage("train", "4/5  Train a policy with lerobot-train", demo.train)
-    demo.stage("evaluate", "5/5  Evaluate it with lerobot-eval", demo.evaluate)
-    report = write_report(cfg.out, demo.state)
-    success = demo.state["evaluate"]["success_percent"]
-    minutes = (time.monotonic() - start) / 60
-    demo.console.print(
-        f"The policy flipped the switch in [bold]{success:.0f} %[/] of {cfg.eval_episodes} randomised starts "
-        f"({minutes:.1f} minutes). Report: {report}"
-    )
+    def _command(self, *command: str, total: int = 0, pattern: str = "") -> str:
+        """Runs one command, its output into `logs/`; each match of `pattern` is progress.
+
+        Returns:
+            All that it printed.
+
+        Raises:
+            InputError: it failed; with the end of its log.
+        """
+        self._commands.append(shlex.join(command))
+        self._announce(f"$ {self._commands[-1]}")
+        # More threads than cores left over make torch on small batches slower, not faster.
+        env = os.environ | {"HF_HUB_OFFLINE": "1", "OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
+        env["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{env['PATH']}"
+        log = self._path("logs") / f"{len(self.state):02d}_{len(self._commands)}_{Path(command[0]).name}.log"
+        log.parent.mkdir(exist_ok=True)
+        lines, done = [], 0
+        pipe = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True, "errors": "replace"}
+        with log.open("w", buffering=1) as file, subprocess.Popen(command, env=env, **pipe) as process:
+            for line in process.stdout:
+                file.write(line)
+                lines.append(line)
+                if pattern and re.search(pattern, line):
+                    done += 1
+                self._progress(command[0], done, total)
+        if process.returncode != 0:
+            raise InputError(f"the command above failed; the end of {log} says:\n{''.join(lines[-15:])}")
+        return "".join(lines)
