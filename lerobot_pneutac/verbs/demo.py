@@ -235,7 +235,8 @@ class Demo:
         seed, steps = self.cfg.seed + 1000, DEMONSTRATION_S * CONTROL_HZ
         robot = PneutacSim(PneutacSimConfig(id="demo", task=TASK, seed=seed, standin=True))
         teleop = PneutacScripted(PneutacScriptedConfig(id="scripted", seed=seed, episode_steps=steps))
-        record_episodes(robot, teleop, f"local/{root.name}", root, episodes, CONTROL_HZ, TASK_TEXT, True)
+        name = f"local/{root.name}"
+        record_episodes(robot, teleop, name, root, episodes, TASK_TEXT, True, self._progress)
 
     def _augment(self) -> dict:
         source, new = self._path("demonstrations"), self._path("augmented")
