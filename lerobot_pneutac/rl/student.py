@@ -13,7 +13,7 @@ from lerobot_pneutac.rl.actor import Actor
 from lerobot_pneutac.rl.env import STEPS, actor_observation, to_action
 from lerobot_pneutac.rl.options import StudentRef
 from pneutac_datasets.demonstrations.episodes import Episode, save_episode
-from pneutac_datasets.demonstrations.writing import create_dataset, quiet_encoders
+from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_NAMES, CONTROL_HZ, IMAGE_NAME, IMAGE_SHAPE, STATE_NAMES
 from pneutac_sim.twin import Twin

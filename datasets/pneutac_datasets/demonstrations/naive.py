@@ -27,7 +27,7 @@ from pneutac_datasets.demonstrations.episodes import (
     load_episode,
     save_episode,
 )
-from pneutac_datasets.demonstrations.writing import Progress, create_dataset, no_progress, quiet_encoders
+from pneutac_datasets.demonstrations.save import Progress, create_dataset, no_progress, quiet_encoders
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, N_PIXELS, STATE_HIGH, STATE_LOW
 

@@ -10,7 +10,7 @@ from lerobot_pneutac.benchmarks.policy.frames import Frames, read_frames
 from lerobot_pneutac.benchmarks.policy.in_memory import held_out_episodes, new_policy, save, train
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import TACTILE
 from lerobot_robot_pneutac.policy.modeling_pneutac_bc import PneutacBCPolicy
-from pneutac_datasets.demonstrations.writing import create_dataset, quiet_encoders
+from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, ACTION_NAMES, CONTROL_HZ, IMAGE_SHAPE, STATE_NAMES
 

@@ -17,7 +17,7 @@ from lerobot_robot_pneutac.teleoperators.config_pneutac_scripted import PneutacS
 from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
 from pneutac_datasets.demonstrations.episodes import TACTILE
 from pneutac_datasets.demonstrations.record import record_episodes
-from pneutac_datasets.demonstrations.writing import create_dataset
+from pneutac_datasets.demonstrations.save import create_dataset
 from pneutac_sim.errors import InputError
 
 QUICK = ["--planner.samples=4", "--planner.elites=2", "--planner.iterations=1", "--planner.horizon=6"]

@@ -14,7 +14,7 @@ from pneutac_datasets.demonstrations.episodes import (
     save_episode,
 )
 from pneutac_datasets.demonstrations.naive import augment_naive, vary
-from pneutac_datasets.demonstrations.writing import create_dataset, quiet_encoders
+from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import (
     ACTION_HIGH,

@@ -13,7 +13,7 @@ from safetensors.torch import load_file, save_file
 from lerobot_robot_pneutac.policy import modeling_pneutac_bc as modeling
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import TACTILE, PneutacBCConfig
 from lerobot_robot_pneutac.policy.modeling_pneutac_bc import PneutacBCPolicy
-from pneutac_datasets.demonstrations.writing import create_dataset, quiet_encoders
+from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, ACTION_NAMES, IMAGE_SHAPE, STATE_NAMES
 

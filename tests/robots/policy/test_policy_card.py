@@ -18,7 +18,7 @@ from lerobot_robot_pneutac.env import PneutacEnvConfig
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import TACTILE, PneutacBCConfig
 from lerobot_robot_pneutac.policy.modeling_pneutac_bc import PneutacBCPolicy
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
-from pneutac_datasets.demonstrations.writing import create_dataset, quiet_encoders
+from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.features import ACTION_NAMES, IMAGE_SHAPE, STATE_NAMES
 
 

@@ -16,7 +16,7 @@ from lerobot.utils.constants import ACTION, OBS_STATE
 
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import TACTILE, PneutacBCConfig
 from lerobot_robot_pneutac.policy.rest_image import check_same_sensor, likeness
-from pneutac_datasets.demonstrations.writing import create_dataset, quiet_encoders
+from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_NAMES, IMAGE_SHAPE, STATE_NAMES
 from pneutac_sim.gel.builtin import rest_image

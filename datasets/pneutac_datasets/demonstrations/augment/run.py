@@ -39,7 +39,7 @@ from pneutac_datasets.demonstrations.episodes import (
     save_episode,
 )
 from pneutac_datasets.demonstrations.naive import augment_naive
-from pneutac_datasets.demonstrations.writing import Progress, create_dataset, no_progress, quiet_encoders
+from pneutac_datasets.demonstrations.save import Progress, create_dataset, no_progress, quiet_encoders
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import CONTROL_HZ
 from pneutac_sim.gel.sensor import TactileSensor
