@@ -41,6 +41,10 @@ class FittedModel:
         """(n,) squared Euclidean distance."""
         return squared_distance(self.residual)
 
+    def independent(self, mask: np.ndarray, least: int = 10) -> float:
+        """Number of independent ones among the samples of a mask (n,), see `effective_count`."""
+        return effective_count(self.residual, mask, least)
+
 
 class Fitter(Protocol):
     """Fits models, several at a time where it can."""

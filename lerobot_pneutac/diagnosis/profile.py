@@ -7,14 +7,14 @@ Unlike an interval from the Jacobian it sees curved valleys, and bounds that are
 lost. It is told, and decides nothing.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from lerobot_pneutac.diagnosis.engine import Prepared, StageFitter
-from lerobot_pneutac.diagnosis.fits import FittedModel, effective_count
+from lerobot_pneutac.diagnosis.fits import FittedModel
 from lerobot_pneutac.diagnosis.parts import Parts
+from lerobot_pneutac.diagnosis.steps import Steps
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.finger.confidence import Z95
 from pneutac_sim.finger.data import BodyData
@@ -206,7 +206,7 @@ def _crossing(inside: tuple[float, float], outside: tuple[float, float]) -> floa
 
 
 def profile(
-    fitter: StageFitter, fit: FittedModel, selected: list[str], parts: Parts, tell: Callable[[str, int], None]
+    fitter: StageFitter, fit: FittedModel, selected: list[str], parts: Parts, steps: Steps
 ) -> list[Profile]:
     """Profiles of all parameters of the selected effects.
 
@@ -215,12 +215,12 @@ def profile(
         fit: the final fit.
         selected: effects that were found in this stage.
         parts: gives the training samples.
-        tell: is told what is being done and how many jobs it takes.
+        steps: counts the jobs.
     """
     pieces = len(np.unique(parts.unit[parts.train]))
-    count = effective_count(fit.residual, parts.train, pieces)
+    count = fit.independent(parts.train, pieces)
     names = [f"{e}.{p.name}" for e in selected for p in get_effect(e).parameters if not p.fixed]
-    tell("how well each parameter is known", len(names))
+    steps.expect("how well each parameter is known", len(names))
     return fitter.engine.run(
         ProfileJob(fit.twin, fit.effects, tuple(fit.names), n, count, fitter.target, fitter.source)
         for n in names

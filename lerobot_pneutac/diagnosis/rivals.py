@@ -1,6 +1,5 @@
 """Rivals: effects that explain the recording as well as the one that was chosen, as far as can be told."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +8,7 @@ from lerobot_pneutac.diagnosis.bootstrap import Resampler
 from lerobot_pneutac.diagnosis.fits import FittedModel
 from lerobot_pneutac.diagnosis.parts import Parts
 from lerobot_pneutac.diagnosis.selection import ALIKE, Selection, accepted, rank
+from lerobot_pneutac.diagnosis.steps import Steps
 
 MOST_TRIED = 5
 CORRELATED = 0.95
@@ -35,7 +35,7 @@ class Rival:
 
 def find_rivals(
     fitter, found: Selection, candidates: list[str], parts: Parts, floor: float, seed: int,
-    tell: Callable[[str, int], None],
+    steps: Steps,
 ) -> tuple[list[Rival], list[tuple[str, str, float]]]:  # fmt: skip
     """Names every candidate whose held-out difference from the winner includes zero or does not matter.
 
@@ -46,7 +46,7 @@ def find_rivals(
         parts: training, validation, test.
         floor: noise floor.
         seed: of the bootstrap.
-        tell: is told about the fits.
+        steps: counts the fits.
 
     Returns:
         Rivals, the closest first, and pairs of effects with correlated parameters (the second look).
@@ -58,7 +58,7 @@ def find_rivals(
         fits = found.first if len(found.without) == 1 else {}
         if not fits and fitter is not None:
             others = [c for c in rank(found.first, parts, floor) if c not in found.final.effects][:MOST_TRIED]
-            tell(f"rivals of {effect}", len(others))
+            steps.expect(f"rivals of {effect}", len(others))
             sets = [tuple(sorted({*without.effects, c})) for c in others]
             fits = dict(zip(others, fitter.fit_all(sets, found.final), strict=True))
         for name, fit in fits.items():

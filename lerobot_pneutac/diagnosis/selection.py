@@ -4,14 +4,14 @@ Ranked by BIC on training blocks, kept only where a paired bootstrap on validati
 falls for sure and the fall is worth having. The test part is never looked at here.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from lerobot_pneutac.diagnosis.bootstrap import Resampler
-from lerobot_pneutac.diagnosis.fits import FittedModel, Fitter, bic, effective_count
+from lerobot_pneutac.diagnosis.fits import FittedModel, Fitter, bic
 from lerobot_pneutac.diagnosis.parts import Parts
+from lerobot_pneutac.diagnosis.steps import Steps
 from lerobot_pneutac.diagnosis.verdict import MOST
 
 MAX_EFFECTS = 5
@@ -61,7 +61,7 @@ def select(
     parts: Parts,
     floor: float,
     seed: int,
-    tell: Callable[[str, int], None] = lambda text, fits: None,
+    steps: Steps | None = None,
 ) -> Selection:
     """Finds the effects that the data asks for.
 
@@ -72,10 +72,10 @@ def select(
         parts: training, validation, test.
         floor: noise floor, unit of the residuals.
         seed: of the bootstrap.
-        tell: is told what is being done and how many fits it takes.
+        steps: counts the fits.
     """
-    judge = Resampler(parts.validation, parts.unit, parts.stratum, seed)
-    tell("the start", 1)
+    judge, steps = Resampler(parts.validation, parts.unit, parts.stratum, seed), steps or Steps()
+    steps.expect("the start", 1)
     base = fitter.fit_all([start])[0]
     result = Selection(base, [base], [], {}, base)
     now = base
@@ -88,7 +88,7 @@ def select(
         beside = (
             f"each candidate beside {', '.join(result.added)}" if result.added else "each candidate alone"
         )
-        tell(beside, len(open_))
+        steps.expect(beside, len(open_))
         fits = dict(zip(open_, fitter.fit_all([_with(now, c) for c in open_], now), strict=True))
         if turn == 0:
             result.first = fits
@@ -100,7 +100,7 @@ def select(
         now = fits[found]
         result.path.append(now)
     result.final = now
-    _check_backward(fitter, start, parts, floor, judge, result, tell)
+    _check_backward(fitter, start, parts, floor, judge, result, steps)
     return result
 
 
@@ -123,7 +123,7 @@ def worth(base: FittedModel, floor: float, judge: Resampler) -> float:
 
 
 def _best(now, fits, base, parts, floor, judge, result) -> str | None:
-    n = effective_count(now.residual, parts.train, len(np.unique(parts.unit[parts.train])))
+    n = now.independent(parts.train, len(np.unique(parts.unit[parts.train])))
     score = {c: bic(f, parts.train, n, floor) for c, f in fits.items()}
     order = sorted(fits, key=score.get)
     for i, name in enumerate(order[:TRIES]):
@@ -154,13 +154,13 @@ def _simplest(
     return min([best, *alike], key=lambda c: (fits[c].count, order.index(c)))
 
 
-def _check_backward(fitter, start, parts, floor, judge, result, tell) -> None:
+def _check_backward(fitter, start, parts, floor, judge, result, steps) -> None:
     """Takes out what the others have made needless, then measures what each of the rest is worth."""
     while True:
         chosen = [e for e in result.added if e in result.final.effects]
         if not chosen:
             break
-        tell("each selected effect taken out again", len(chosen))
+        steps.expect("each selected effect taken out again", len(chosen))
         sets = [tuple(sorted(set(result.final.effects) - {e})) for e in chosen]
         result.without = dict(zip(chosen, fitter.fit_all(sets, result.final), strict=True))
         rise = {
@@ -201,5 +201,5 @@ def rank(fits: dict[str, FittedModel], parts: Parts, floor: float) -> list[str]:
     if not fits:
         return []
     best = min(fits.values(), key=lambda f: float(f.squared[parts.train].mean()))
-    n = effective_count(best.residual, parts.train)
+    n = best.independent(parts.train)
     return sorted(fits, key=lambda c: bic(fits[c], parts.train, n, floor))

@@ -21,7 +21,7 @@ class Evidence:
 
     Attributes:
         samples: number of training samples.
-        units: number of held-out pieces of time.
+        units: number of held-out pieces of time, or of photographs.
         moves: whether the pressure moves at all.
         before: held-out error over the noise floor, the twin as it is.
         after: the same with the selected effects.
@@ -30,6 +30,7 @@ class Evidence:
         removed: share of the avoidable error that they remove together.
         at_bound: parameters of selected effects at a bound.
         near_miss: effects that helped, but not for sure.
+        few_samples: training samples below which nothing can be claimed; a photograph is worth many rows.
     """
 
     samples: int
@@ -42,11 +43,12 @@ class Evidence:
     removed: float
     at_bound: list[str]
     near_miss: list[str]
+    few_samples: int = FEW_SAMPLES
 
     @property
     def poor(self) -> bool:
         """Whether the recording is too poor for any claim."""
-        return not self.moves or self.samples < FEW_SAMPLES or self.units < FEW_UNITS
+        return not self.moves or self.samples < self.few_samples or self.units < FEW_UNITS
 
 
 def decide(e: Evidence) -> str:

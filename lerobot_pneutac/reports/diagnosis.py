@@ -4,87 +4,123 @@ import numpy as np
 import plotly.graph_objects as go
 
 from lerobot_pneutac.diagnosis.experiment import Separation
-from lerobot_pneutac.diagnosis.result import BodyFindings
+from lerobot_pneutac.diagnosis.result import Outcome
 from lerobot_pneutac.reports.page import Report
-from lerobot_pneutac.reports.sentences import caveats, how_tested, lead, percent
+from lerobot_pneutac.reports.sentences import percent
+from lerobot_pneutac.study.base import Study
 
 BLUE, GREY, RED = "#0b6e99", "#9aa5b1", "#b8442f"
 MOST_POINTS = 4000
 PASSAGE_S = 3.0
 
 
-def diagnosis_page(d: BodyFindings, advice: str, separation: Separation | None) -> Report:
-    """The report of a body's diagnosis."""
+def diagnosis_page(d, separation: Separation | None) -> Report:
+    """The report of a `Diagnosis`, and of the experiment that tells two rivals apart, if any."""
+    study, o = d.study, d.outcome
     page = Report("What is missing")
-    page.lead(lead(d))
-    for sentence in caveats(d):
+    page.lead(d.sentence)
+    for sentence in study.caveats(o):
         page.text(sentence)
-    page.text(f"**Next experiment.** {advice}")
-    unit = d.noise.unit
+    page.text(f"**Next experiment.** {d.next_experiment}")
     page.heading("How the error falls")
-    page.figure(
-        ladder(d), "Held-out error, blocks of time that nothing was fitted or chosen on; bars are 95 %."
-    )
+    page.figure(ladder(study, o), "Held-out error, on what nothing was fitted or chosen on; bars are 95 %.")
+    _candidates(page, study, o)
+    if study.recording.device == "gel":
+        page.heading("Where it fails")
+    else:
+        _over_time(page, study, o)
+    for picture, caption in study.pictures(o):
+        page.image(picture, caption)
+    _rivals(page, o)
+    _parameters(page, study, o)
+    if separation is not None:
+        page.figure(proposed(separation), f"Predictions of the two rivals: {separation.advice}")
+    _fingerprints(page, o)
+    page.heading("The recording")
+    page.text(f"Noise floor {study.noise.value:.3g} {study.unit}: {study.noise.how}.")
+    for sentence in d.findings or ["The data check found nothing to complain about."]:
+        page.text(sentence)
+    return page
+
+
+def _candidates(page: Report, study: Study, o: Outcome) -> None:
     page.heading("Each candidate alone")
-    page.text(how_tested(d))
+    page.text(study.how_tested(o))
     page.figure(
-        reductions(d), "Share of the avoidable error that each effect alone removes, with its interval."
+        reductions(o), "Share of the avoidable error that each effect alone removes, with its interval."
     )
+    rows = []
+    for t in o.tested:
+        row = {"effect": t.name, f"held-out error ({study.unit})": t.heldout}
+        row |= {"in the contact": t.errors["heldout_contact"]} if "heldout_contact" in t.errors else {}
+        removes = "-" if t.reduction is None else percent(t.reduction, t.ci95)
+        rows.append(row | {"removes": removes, "tested by": t.tested_by})
+    page.table(rows)
+    page.table([{"not tested": u.name, "why": u.reason} for u in study.untested])
+
+
+def _over_time(page: Report, study: Study, o: Outcome) -> None:
+    page.heading("What is left over time")
+    caption = "Distance between measured and modelled, before and after; red: the command."
+    page.figure(over_time(study, o), caption)
+    page.table(worst(study, o), "The worst passages after the change.")
+    page.heading("Where the error is")
+    for name, x in axes(study).items():
+        page.figure(against(study, o, name, x), height=300)
+
+
+def _rivals(page: Report, o: Outcome) -> None:
+    page.heading("Rivals")
+    if not o.rivals:
+        page.text("No other effect explains the held-out part as well.")
     page.table(
         [
             {
-                "effect": t.name,
-                f"held-out error ({unit})": t.heldout,
-                "removes": percent(t.reduction, t.ci95),
-                "tested by": t.tested_by,
+                "effect": r.effect,
+                "rival": r.rival,
+                "rival's mean square error": f"{100 * r.difference:+.1f} %",
             }
-            for t in d.tested
-        ]
+            for r in o.rivals
+        ],
+        "Effects that explain the held-out part as well, as far as can be told.",
     )
-    page.table([{"not tested": u.name, "why": u.reason} for u in d.untested])
-    page.heading("What is left over time")
-    page.figure(over_time(d), "Distance between measured and modelled, before and after; red: the command.")
-    page.table(worst(d), "The worst passages after the change.")
-    page.heading("Where the error is")
-    for name, x in axes(d).items():
-        page.figure(against(d, name, x), height=300)
-    page.heading("Rivals")
-    if d.rivals:
+    page.table(
+        [{"effect": a, "and": b, "correlation of parameters": c} for a, b, c in o.correlated],
+        "Second look: with both switched on, the recording can hardly share the answer between them.",
+    )
+
+
+def _parameters(page: Report, study: Study, o: Outcome) -> None:
+    if not o.selected:
+        return
+    page.heading("How well each parameter is known")
+    if not o.profiles:
+        fitted = {e: study.parameters(o.after, e) for e in o.selected}
         page.table(
             [
-                {
-                    "effect": r.effect,
-                    "rival": r.rival,
-                    "rival's mean square error": f"{100 * r.difference:+.1f} %",
-                }
-                for r in d.rivals
-            ],
-            "Effects that explain the held-out blocks as well, as far as can be told.",
+                {"effect": e, "parameter": k, "value": p["value"], "unit": p["unit"] or "(a ratio)"}
+                for e, parameters in fitted.items()
+                for k, p in parameters.items()
+            ]
         )
-    else:
-        page.text("No other effect explains the held-out blocks as well.")
-    if d.correlated:
-        page.table(
-            [{"effect": a, "and": b, "correlation of parameters": c} for a, b, c in d.correlated],
-            "Second look: with both switched on, the recording can hardly share the answer between them.",
-        )
-    if d.profiles:
-        page.heading("How well each parameter is known")
-        page.table(
-            [
-                {
-                    "parameter": f"{p.name} ({p.unit})" if p.unit else p.name,
-                    "value": p.value,
-                    "95 % interval": f"{p.interval[0]:.4g} to {p.interval[1]:.4g}",
-                    "remark": p.remark,
-                }
-                for p in d.profiles
-            ],
-            "Second look, by profile likelihood: each parameter is held beside its value and all others are "
-            "fitted again; the interval holds what the training blocks do not contradict.",
-        )
-    if separation is not None:
-        page.figure(proposed(separation), f"Predictions of the two rivals: {separation.advice}")
+    page.table(
+        [
+            {
+                "parameter": f"{p.name} ({p.unit})" if p.unit else p.name,
+                "value": p.value,
+                "95 % interval": f"{p.interval[0]:.4g} to {p.interval[1]:.4g}",
+                "remark": p.remark,
+            }
+            for p in o.profiles
+        ],
+        "Second look, by profile likelihood: each parameter is held beside its value and all others are "
+        "fitted again; the interval holds what the training blocks do not contradict.",
+    )
+
+
+def _fingerprints(page: Report, o: Outcome) -> None:
+    if not o.fingerprints:
+        return
     page.heading("Fingerprints")
     page.text(
         "How each effect would show in what is left of the twin as it is. A hint, no more: fits decide."
@@ -97,21 +133,16 @@ def diagnosis_page(d: BodyFindings, advice: str, separation: Separation | None) 
                 "share of the residual": f.share,
                 "by chance up to": f.chance,
             }
-            for f in d.prints
+            for f in o.fingerprints
         ]
     )
-    page.heading("The recording")
-    page.text(f"Noise floor {d.noise.value:.3g} {unit}: {d.noise.how}.")
-    for sentence in d.findings or ["The data check found nothing to complain about."]:
-        page.text(sentence)
-    return page
 
 
-def ladder(d: BodyFindings) -> go.Figure:
+def ladder(study: Study, o: Outcome) -> go.Figure:
     """Held-out error as effects are added."""
-    labels = [label for label, _ in d.ladder]
-    rms = [float(np.sqrt(d.judge.value((r**2).sum(1)))) for _, r in d.ladder]
-    band = [np.sqrt(np.quantile(d.judge.mse((r**2).sum(1)), [0.025, 0.975])) for _, r in d.ladder]
+    labels = [label for label, _ in o.ladder]
+    rms = [study.errors(model)["heldout"] for _, model in o.ladder]
+    band = [study.interval(model) for _, model in o.ladder]
     up = [max(0.0, float(b[1]) - v) for b, v in zip(band, rms, strict=True)]
     down = [max(0.0, v - float(b[0])) for b, v in zip(band, rms, strict=True)]
     figure = go.Figure(
@@ -120,18 +151,18 @@ def ladder(d: BodyFindings) -> go.Figure:
             error_y={"type": "data", "array": up, "arrayminus": down, "color": "#333"},
         )
     )  # fmt: skip
-    figure.add_hline(y=d.noise.value, line_dash="dash", line_color=RED, annotation_text="noise")
-    return figure.update_yaxes(title=f"held-out error ({d.noise.unit})", rangemode="tozero")
+    figure.add_hline(y=study.noise.value, line_dash="dash", line_color=RED, annotation_text="noise")
+    return figure.update_yaxes(title=f"held-out error ({study.unit})", rangemode="tozero")
 
 
-def reductions(d: BodyFindings) -> go.Figure:
+def reductions(o: Outcome) -> go.Figure:
     """Each candidate's share of the avoidable error."""
-    shown = d.tested[::-1]
+    shown = [t for t in o.tested if t.reduction is not None][::-1]
     value = [100 * t.reduction for t in shown]
     figure = go.Figure(
         go.Bar(
             y=[t.name for t in shown], x=value, orientation="h",
-            marker_color=[BLUE if t.name in d.selected else GREY for t in shown],
+            marker_color=[BLUE if t.name in o.selected else GREY for t in shown],
             error_x={
                 "type": "data", "array": [max(0, 100 * (t.ci95[1] - t.reduction)) for t in shown],
                 "arrayminus": [max(0, 100 * (t.reduction - t.ci95[0])) for t in shown], "color": "#333",
@@ -141,24 +172,24 @@ def reductions(d: BodyFindings) -> go.Figure:
     return figure.update_xaxes(title="avoidable error removed (%)", range=[min(-10, *value, 0) - 5, 105])
 
 
-def over_time(d: BodyFindings) -> go.Figure:
+def over_time(study: Study, o: Outcome) -> go.Figure:
     """Error before and after, over the commanded pressure on an axis of its own at the right."""
-    t = _session_time(d)
+    t = _session_time(study)
     step = max(1, len(t) // MOST_POINTS)
-    p = d.recording.samples[d.recording.pressure_columns].to_numpy(float).mean(1)
+    p = study.recording.samples[study.recording.pressure_columns].to_numpy(float).mean(1)
     figure = go.Figure()
     figure.add_scatter(
         x=t[::step], y=np.round(p[::step], 3), name="command", yaxis="y2", opacity=0.35,
         line={"width": 1, "color": RED},
     )  # fmt: skip
-    for name, r, colour in (("before", d.before, GREY), ("after", d.after, BLUE)):
-        y = np.sqrt((r**2).sum(1))[::step]
+    for name, r, colour in (("before", o.before, GREY), ("after", o.after, BLUE)):
+        y = np.sqrt(r.squared)[::step]
         figure.add_scatter(x=t[::step], y=np.round(y, 4), name=name, line={"width": 1, "color": colour})
     red = {"color": RED}
     return figure.update_layout(
         xaxis={"title": "session (s)"},
         yaxis={
-            "title": f"error ({d.noise.unit})", "rangemode": "tozero", "overlaying": "y2", "tickmode": "auto",
+            "title": f"error ({study.unit})", "rangemode": "tozero", "overlaying": "y2", "tickmode": "auto",
         },
         yaxis2={
             "title": {"text": "command (kPa)", "font": red}, "tickfont": red, "side": "right",
@@ -168,15 +199,15 @@ def over_time(d: BodyFindings) -> go.Figure:
     )  # fmt: skip
 
 
-def axes(d: BodyFindings) -> dict[str, np.ndarray]:
+def axes(study: Study) -> dict[str, np.ndarray]:
     """Quantities against which the error is drawn."""
-    s = d.recording.samples
-    p = s[d.recording.pressure_columns].to_numpy(float).mean(1)
+    s = study.recording.samples
+    p = s[study.recording.pressure_columns].to_numpy(float).mean(1)
     t = s["time_s"].to_numpy()
     first = np.r_[True, np.diff(s["trial"].to_numpy()) != 0]
     dt = np.where(first, np.inf, np.diff(t, prepend=t[0]))
     found = {"command (kPa)": p, "rate of the command (kPa/s)": np.diff(p, prepend=p[0]) / dt}
-    largest = np.concatenate([np.maximum.accumulate(p[rows]) for rows in d.recording.trials().values()])
+    largest = np.concatenate([np.maximum.accumulate(p[rows]) for rows in study.recording.trials().values()])
     found["below the largest command so far (kPa)"] = largest - p
     found["time in the trial (s)"] = t
     for name in ("temperature_c", "payload_g", "gravity_z"):
@@ -185,29 +216,29 @@ def axes(d: BodyFindings) -> dict[str, np.ndarray]:
     return found
 
 
-def against(d: BodyFindings, name: str, x: np.ndarray) -> go.Figure:
+def against(study: Study, o: Outcome, name: str, x: np.ndarray) -> go.Figure:
     """Root mean square error in bins of equal count."""
     figure = go.Figure()
     edges = np.unique(np.quantile(x, np.linspace(0, 1, 16)))
     index = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, max(len(edges) - 2, 0))
     count = np.maximum(np.bincount(index), 1)
     centre = np.bincount(index, x) / count
-    for label, r, colour in (("before", d.before, GREY), ("after", d.after, BLUE)):
-        rms = np.sqrt(np.bincount(index, (r**2).sum(1)) / count)
+    for label, r, colour in (("before", o.before, GREY), ("after", o.after, BLUE)):
+        rms = np.sqrt(np.bincount(index, r.squared) / count)
         figure.add_scatter(x=centre, y=rms, name=label, mode="lines+markers", line={"color": colour})
-    figure.add_hline(y=d.noise.value, line_dash="dash", line_color=RED)
-    return figure.update_xaxes(title=name).update_yaxes(title=f"error ({d.noise.unit})", rangemode="tozero")
+    figure.add_hline(y=study.noise.value, line_dash="dash", line_color=RED)
+    return figure.update_xaxes(title=name).update_yaxes(title=f"error ({study.unit})", rangemode="tozero")
 
 
-def worst(d: BodyFindings) -> list[dict]:
+def worst(study: Study, o: Outcome) -> list[dict]:
     """The five passages of three seconds with the largest error."""
-    trial, t = d.recording.column("trial"), d.recording.column("time_s")
+    trial, t = study.recording.column("trial"), study.recording.column("time_s")
     passage = np.floor(t / PASSAGE_S).astype(int)
     key, index = np.unique(np.stack([trial, passage], 1), axis=0, return_inverse=True)
     index = index.reshape(-1)
     count = np.bincount(index)
-    after = np.sqrt(np.bincount(index, (d.after**2).sum(1)) / count)
-    before = np.sqrt(np.bincount(index, (d.before**2).sum(1)) / count)
+    after = np.sqrt(np.bincount(index, o.after.squared) / count)
+    before = np.sqrt(np.bincount(index, o.before.squared) / count)
     return [
         {
             "trial": int(key[i, 0]), "from_s": PASSAGE_S * key[i, 1], "to_s": PASSAGE_S * (key[i, 1] + 1),
@@ -229,10 +260,10 @@ def proposed(s: Separation) -> go.Figure:
     return figure.update_xaxes(title="time (s)").update_yaxes(title=s.columns[min(k, len(s.columns) - 1)])
 
 
-def _session_time(d: BodyFindings) -> np.ndarray:
-    t = d.recording.column("time_s").astype(float).copy()
+def _session_time(study: Study) -> np.ndarray:
+    t = study.recording.column("time_s").astype(float).copy()
     shift = 0.0
-    for rows in d.recording.trials().values():
+    for rows in study.recording.trials().values():
         t[rows] += shift - t[rows.start]
         shift = t[rows.stop - 1] + 1.0
     return t

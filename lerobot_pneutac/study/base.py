@@ -8,12 +8,17 @@ import numpy as np
 
 from lerobot_pneutac.diagnosis.bootstrap import Resampler
 from lerobot_pneutac.diagnosis.candidates import Untested
+from lerobot_pneutac.diagnosis.experiment import Separation
 from lerobot_pneutac.diagnosis.fits import FittedModel
 from lerobot_pneutac.diagnosis.parts import Parts
+from lerobot_pneutac.diagnosis.result import Outcome
+from lerobot_pneutac.diagnosis.rivals import Rival
 from lerobot_pneutac.diagnosis.steps import Steps
+from lerobot_pneutac.diagnosis.verdict import Evidence
 from pneutac_datasets.recording.noise import NoiseFloor
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect
+from pneutac_sim.finger.quantities import root_mean
 from pneutac_sim.twin import Twin
 
 
@@ -31,6 +36,10 @@ class Study(ABC):
         candidates: effects to try.
         untested: effects that this recording cannot test.
         findings: of the checks, one sentence each.
+        unknown_where: end of a sentence, where an effect that nobody knows shows.
+        more_data: what to record where there is too little.
+        repeat: what to record where nothing explains the error.
+        nothing_left: what to say where nothing needs to be recorded.
     """
 
     twin: Twin
@@ -43,6 +52,10 @@ class Study(ABC):
     candidates: list[str]
     untested: list[Untested]
     findings: list[str]
+    unknown_where: str
+    more_data: str
+    repeat: str
+    nothing_left: str
 
     @abstractmethod
     def refit(self, effects: Sequence[str], start: FittedModel | None, steps: Steps) -> FittedModel:
@@ -70,6 +83,14 @@ class Study(ABC):
     def at_bound(self, model: FittedModel, effects: Sequence[str]) -> list[str]:
         """Parameters stopped by a bound."""
 
+    @abstractmethod
+    def search(self, jobs: int, steps: Steps) -> Outcome:
+        """Looks for what the twin lacks, in so many processes."""
+
+    @abstractmethod
+    def too_little(self, evidence: Evidence) -> str:
+        """Why the recording is too poor for any claim, a sentence."""
+
     @cached_property
     def judge(self) -> Resampler:
         """Resamples the validation part."""
@@ -80,14 +101,20 @@ class Study(ABC):
         """Resamples the test part."""
         return Resampler(self.parts.test, self.parts.unit, self.parts.stratum, self.seed + 1)
 
-    def errors(self, model: FittedModel) -> dict:
-        """Root mean square errors: `train`, `heldout` (the test part) and its interval `heldout_ci95`."""
-        low, high = np.sqrt(np.quantile(self.test.mse(model.squared), [0.025, 0.975]))
+    def errors(self, model: FittedModel) -> dict[str, float]:
+        """Root mean square errors: `train`, and `heldout`, which is the test part."""
         return {
-            "train": float(np.sqrt(model.squared[self.parts.train].mean())),
+            "train": root_mean(model.squared[self.parts.train]),
             "heldout": float(np.sqrt(self.test.value(model.squared))),
-            "heldout_ci95": [float(low), float(high)],
         }
+
+    def interval(self, model: FittedModel) -> list[float]:
+        """95 % interval of the held-out error."""
+        return [float(np.sqrt(q)) for q in np.quantile(self.test.mse(model.squared), [0.025, 0.975])]
+
+    def reduction(self, before: FittedModel, after: FittedModel) -> tuple[float, tuple[float, float]]:
+        """Share of the avoidable error of the test part that went, and its 95 % interval."""
+        return self.test.reduction(before.squared, after.squared, self.noise.value)
 
     def describe(self, model: FittedModel, effect: str) -> str:
         """What an effect does to this device, a sentence with the fitted numbers."""
@@ -102,6 +129,26 @@ class Study(ABC):
             f"The twin has the effect '{effect}' already (it has {', '.join(self.own)}); "
             "`pneutac calibrate` re-fits it."
         )
+
+    def caveats(self, outcome: Outcome) -> list[str]:
+        """What the reader must know beside the verdict."""
+        return []
+
+    def how_tested(self, outcome: Outcome) -> str:
+        """On what the candidates were tried."""
+        return ""
+
+    def separation(self, rival: Rival) -> Separation | None:
+        """The experiment that tells two models apart best, where one can be computed."""
+        return None
+
+    def details(self, outcome: Outcome) -> dict:
+        """What `result.json` has for this device only."""
+        return {}
+
+    def pictures(self, outcome: Outcome) -> list[tuple[np.ndarray, str]]:
+        """Pictures for the report, uint8 (H, W, 3), with what they show."""
+        return []
 
 
 def study_of(twin: Twin, recording: Recording, seed: int = 0, adding: str | None = None) -> Study:

@@ -1,24 +1,30 @@
-"""Which optics effect a gel lacks: fits with and without each, judged on photographs that no fit has seen.
+"""Photographs of a gel under judgement; a sample is a photograph.
 
-The same rules as for a finger: the training part proposes, the held-out part decides by a paired bootstrap,
-here over whole photographs. As one pair of images cannot tell a drift or a shift, some of the photographs
-beside the calibration pair train too.
+As one pair of images cannot tell a drift or a shift, some of the photographs beside the calibration pair
+train too; of the others one half decides which effects are kept and the other half is looked at by the
+report alone.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import map_coordinates
 
-from lerobot_pneutac.diagnosis.bootstrap import Resampler
+from lerobot_pneutac.diagnosis.fits import FittedModel
 from lerobot_pneutac.diagnosis.parts import Parts
+from lerobot_pneutac.diagnosis.result import Outcome, Tested
+from lerobot_pneutac.diagnosis.rivals import find_rivals
+from lerobot_pneutac.diagnosis.selection import Selection, select
 from lerobot_pneutac.diagnosis.steps import Steps
 from lerobot_pneutac.diagnosis.verdict import FEW_UNITS, MOST, Evidence, decide
 from lerobot_pneutac.study.base import Study
+from pneutac_datasets.recording import blocks
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.noise import NoiseFloor
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.effects.registry import get_effect, of_sensor, sensor_effects
+from pneutac_sim.effects.optics import OPTICS
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import IMAGE_SHAPE
 from pneutac_sim.gel import optics
@@ -26,252 +32,344 @@ from pneutac_sim.gel.fit import GelFit, fit_photographs
 from pneutac_sim.gel.metrics import CONTACT_DISC
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.pair import check_pair
-from pneutac_sim.gel.photograph import Predictor, session_light
+from pneutac_sim.gel.photograph import Predictor, PressPhotograph, session_light
 from pneutac_sim.twin import Twin
 
 MOST_TRAINED = 6  # photographs that train; more cost time and pin the light no better
-WORTH = 0.02  # share of the avoidable error that an effect must remove
+FEW_TRAINED = 2  # below this no drift and no shift can be told
+NEEDED = FEW_TRAINED + 2 * FEW_UNITS  # photographs, the calibration pair's among them
 NOISE_LIMIT = 1.25  # final error over noise: on generated images of the model's own form it stays below
+MAP_GAIN = 4.0  # maps are shown this many times brighter
+MAP_PX, MAP_RADII = 121, 3.0  # of the map around a contact
 
 
 @dataclass
-class Trial:
-    """A fit with some effects, tried on every photograph.
+class FittedGel(FittedModel):
+    """Light and effects fitted to the training photographs; `residual` (n, 1) is each photograph's own error.
 
     Attributes:
-        effects: switched on.
-        fit: to the training photographs.
-        squares: (n,) mean square error of each photograph, levels^2.
-        contact: (n,) the same in the contact region.
-        residuals: n of predicted - photographed, int16 (H, W, 3).
+        fit: what was fitted.
+        contact: (n,) mean square error in the contact region, levels^2.
+        differences: n of predicted - photographed, int16 (H, W, 3).
+        patches: independent residuals in a photograph.
     """
 
-    effects: tuple[str, ...]
-    fit: GelFit
-    squares: np.ndarray
-    contact: np.ndarray
-    residuals: list[np.ndarray]
-    not_identified: dict[str, str] = field(default_factory=dict)
+    fit: GelFit | None = None
+    contact: np.ndarray | None = None
+    differences: list[np.ndarray] | None = None
+    patches: float = 1.0
 
-    @property
-    def squared(self) -> np.ndarray:
-        """(n,) mean square error of each photograph."""
-        return self.squares
+    def independent(self, mask: np.ndarray, least: int = 10) -> float:
+        """Light varies over a contact and no faster: each patch of a photograph is worth a sample."""
+        return float(mask.sum()) * self.patches
 
 
-@dataclass
-class GelFindings:
-    """What was found.
+class GelStudy(Study):
+    """A gel and its optics.
+
+    Args:
+        twin: of a gel, or of a finger with one.
+        recording: of a gel.
+        seed: decides which photographs train, and the bootstrap.
 
     Attributes:
-        data: the recording.
-        train: (n,) mask of photographs that trained.
-        noise: of the photographs away from contacts, after their own drift of light, levels.
-        judge: resamples the held-out photographs.
-        base: with the effects that the twin has.
-        alone: each candidate on top of that.
-        present: the twin's effects, each taken away.
-        ladder: from `base` to the end, one effect more each.
-        selected: effects found, in the order found.
-        rivals: (effect, rival) that the held-out photographs cannot tell apart.
-        rest: (n,) mean square error of the rest image alone, levels^2.
-        stored: (n,) the same of the twin as it is stored, nothing fitted; None where it has no gel yet.
-        evidence: numbers behind the verdict; its noise counts the light's drift from image to image too.
+        data: the photographs.
+
+    Raises:
+        InputError: there is no good calibration pair, or no photograph to judge by.
     """
 
-    data: GelRecording
-    train: np.ndarray
-    noise: float
-    judge: Resampler
-    base: Trial
-    alone: dict[str, Trial]
-    present: dict[str, Trial]
-    ladder: list[Trial]
-    selected: list[str]
-    rivals: list[tuple[str, str]]
-    rest: np.ndarray
-    stored: np.ndarray | None
-    evidence: Evidence
+    unit = "levels"
+    unknown_where = "is in these images"
+    more_data = (
+        f"Press one ball at {NEEDED} places all over the window, to several depths; note where and how deep."
+    )
+    repeat = (
+        "Press other shapes, such as an edge or a small cylinder: so far the light is known for these alone."
+    )
+    nothing_left = repeat
 
-    @property
-    def verdict(self) -> str:
-        """One of five, see `verdict`; what the twin's own effects explain counts too."""
-        found = decide(self.evidence)
-        return "insufficient_form" if found == "unknown_effect" and self.explained >= MOST else found
+    def __init__(self, twin: Twin, recording: Recording, seed: int = 0):
+        data = GelRecording.load(recording)
+        pair = data.calibration
+        check_pair(pair.rest, pair.image, pair.press, data.px_per_mm)
+        self.twin, self.recording, self.seed, self.data = twin, recording, seed, data
+        self.findings = data.warnings
+        self.own = tuple(e for e in OPTICS if e in twin.effects)
+        self.candidates, self.untested = [e for e in OPTICS if e not in self.own], []
+        self.parts = deal_photographs(recording, seed)
+        self._stored = seen_by(GelModel.from_twin(twin), data)
+        self._gel = replace(self._stored, effects={})
+        self._photographs = [s.photograph for s in data.samples]
+        self._regions = [p.near(data.px_per_mm, CONTACT_DISC) for p in self._photographs]
+        self._known: dict[tuple[str, ...], FittedGel] = {}
+        self._steps = Steps()
+        how = "images away from contacts, less each image's own smooth drift of light"
+        self.noise = NoiseFloor(self._noise(), None, self.unit, how, {})
 
-    @property
-    def explained(self) -> float:
-        """Share of what a contact changes that the final model predicts on held-out photographs."""
-        return self.judge.reduction(self.rest, self.ladder[-1].squares, self.noise)[0]
+    # ---------------------------------------------------------------- fits
 
-    def heldout(self, trial: Trial) -> float:
-        """Root mean square error over held-out photographs, levels."""
-        return float(np.sqrt(self.judge.value(trial.squares)))
+    def fit_all(self, effects: Iterable[tuple[str, ...]], start: FittedGel | None = None) -> list[FittedGel]:
+        """One fit for each set of effects, in order."""
+        return [self._fit(tuple(sorted(e)), start) for e in effects]
 
+    def promising(self, fit: FittedGel, candidates: list[str], least: float) -> list[str]:
+        """All of them: there are few."""
+        return candidates
 
-class Bench:
-    """Fits and tries effects on one recording."""
+    def refit(self, effects: Sequence[str], start: FittedGel | None, steps: Steps) -> FittedGel:
+        """Light and these effects, fitted to the training photographs."""
+        self._steps = steps
+        return self._fit(tuple(sorted(effects)), start)
 
-    def __init__(self, gel: GelModel, data: GelRecording, seed: int):
-        self.data, self._gel = data, gel
-        self.photographs = [s.photograph for s in data.samples]
-        self.train = deal(data, seed)
-        held = ~self.train
-        roles = np.array([s.role for s in data.samples])
-        strata = np.unique(roles, return_inverse=True)[1]
-        self.judge = Resampler(held, np.arange(len(held)), strata, seed)
-        self._pair = data.calibration.photograph
-        self._regions = [p.near(data.px_per_mm, CONTACT_DISC) for p in self.photographs]
-
-    def trial(self, effects: Sequence[str], near: GelModel | None = None) -> Trial:
-        """Fits these effects to the training photographs and predicts all."""
-        chosen = [p for p, t in zip(self.photographs, self.train, strict=True) if t]
-        fit = fit_photographs(self._gel, chosen, effects, near=near)
-        residuals = self.residuals(fit.gel)
-        squares = _squares(residuals)
-        contact = np.array(
-            [np.mean(np.square(r[m].astype(float))) for r, m in zip(residuals, self._regions, strict=True)]
+    def _fit(self, effects: tuple[str, ...], start: FittedGel | None) -> FittedGel:
+        if effects in self._known:
+            return self._known[effects]
+        chosen = [p for p, t in zip(self._photographs, self.parts.train, strict=True) if t]
+        fit = fit_photographs(self._gel, chosen, effects, near=start and start.fit.gel)
+        differences = self._differences(fit.gel)
+        regions = zip(differences, self._regions, strict=True)
+        height, width = self.data.rest.shape[:2]
+        radius_px = float(np.median([s.radius_px for s in self.data.samples]))
+        self._known[effects] = found = FittedGel(
+            effects=effects,
+            residual=np.sqrt(_mean_squares(differences))[:, None],
+            count=sum(len(OPTICS[e].parameters) for e in effects),
+            fit=fit,
+            contact=_mean_squares(d[m] for d, m in regions),
+            differences=differences,
+            patches=max(1.0, height * width / (np.pi * radius_px**2)),
         )
-        return Trial(tuple(e for e in sensor_effects() if e in effects), fit, squares, contact, residuals)
+        self._steps.done()
+        return found
 
-    def residuals(self, gel: GelModel) -> list[np.ndarray]:
+    def _differences(self, gel: GelModel) -> list[np.ndarray]:
         """Predicted - photographed of every photograph, int16 (H, W, 3)."""
-        predictor = Predictor(gel, self._pair)
+        predictor = Predictor(gel, self.data.calibration.photograph)
         return [
-            predictor.image(p.press, p.rest, p.clock).astype(np.int16) - p.image for p in self.photographs
+            predictor.image(p.press, p.rest, p.clock).astype(np.int16) - p.image for p in self._photographs
         ]
 
-    def far(self, trial: Trial) -> float:
-        """Error of a trial away from contacts on held-out photographs, where no gel moves, levels."""
+    # ---------------------------------------------------------------- search
+
+    def search(self, jobs: int, steps: Steps) -> Outcome:
+        """Looks for optics effects that the twin lacks; in one process, as a fit takes a second."""
+        began, self._steps = time.perf_counter(), steps
+        floor = self.noise.value
+        found = select(self, self.own, self.candidates, self.parts, floor, self.seed, steps)
+        rivals, correlated = find_rivals(self, found, self.candidates, self.parts, floor, self.seed, steps)
+        steps.expect("what each effect of the twin is good for", len(self.own))
+        taken = {e: self._fit(tuple(x for x in found.base.effects if x != e), found.base) for e in self.own}
+        tested = [self._tried(name, fit, found.base) for name, fit in found.first.items()]
+        tested.sort(key=lambda t: -t.reduction)
+        tested += [
+            Tested(name, self.errors(fit), None, None, {}, "taken out of the twin")
+            for name, fit in taken.items()
+        ]
+        evidence = self._evidence(found)
+        verdict = decide(evidence)
+        if verdict == "unknown_effect" and self.explained(found.final) >= MOST:
+            verdict = "insufficient_form"  # what the twin's own effects explain counts too
+        labels = ["as it is", *(f"+ {e}" for e in found.added)]
+        return Outcome(
+            before=found.base,
+            after=found.final,
+            ladder=list(zip(labels, found.path, strict=True)),
+            selected=found.selected,
+            tested=tested,
+            rivals=rivals,
+            correlated=correlated,
+            evidence=evidence,
+            verdict=verdict,
+            twin=self.twin_of(found.final),
+            seconds=time.perf_counter() - began,
+        )
+
+    def _tried(self, name: str, fit: FittedGel, base: FittedGel) -> Tested:
+        share, interval = self.reduction(base, fit)
+        return Tested(
+            name, self.errors(fit), share, interval, self.parameters(fit, name), "added to the twin"
+        )
+
+    def _evidence(self, found: Selection) -> Evidence:
+        """What the verdict rests on: errors of test photographs; the noise counts drifts of light too."""
+        base, final = found.base, found.final
+        floor = max(self.noise.value, self._far(final))
+        return Evidence(
+            samples=int(self.parts.train.sum()),
+            units=min(self.judge.units, self.test.units) if self.parts.has_test else 0,
+            moves=True,
+            before=self.errors(base)["heldout"] / floor,
+            after=self.errors(final)["heldout"] / floor,
+            limit=NOISE_LIMIT,
+            selected=found.selected,
+            removed=self.test.reduction(base.squared, final.squared, floor)[0] if found.selected else 0.0,
+            at_bound=self.at_bound(final, found.selected),
+            near_miss=[] if found.selected else found.near_miss,
+            few_samples=FEW_TRAINED,
+        )
+
+    def explained(self, model: FittedGel) -> float:
+        """Share of what a contact changes that a model predicts on test photographs."""
+        rest = _mean_squares(p.image.astype(float) - p.rest for p in self._photographs)
+        return self.test.reduction(rest, model.squared, self.noise.value)[0]
+
+    def _far(self, model: FittedGel) -> float:
+        """Error of a model away from contacts on test photographs, where no gel moves, levels."""
         out = []
-        for p, r, trained in zip(self.photographs, trial.residuals, self.train, strict=True):
+        for p, d, tested in zip(self._photographs, model.differences, self.parts.test, strict=True):
             far = ~p.near(self.data.px_per_mm)
-            if far.mean() > 0.1 and not trained:
-                out.append(np.mean(np.square(r[far].astype(float))))
+            if tested and far.mean() > 0.1:
+                out.append(np.mean(np.square(d[far].astype(float))))
         return float(np.sqrt(np.mean(out))) if out else 0.0
 
-    def noise(self) -> float:
+    def _noise(self) -> float:
         """What is left away from contacts once each photograph's own drift of light is taken off, levels."""
         out = []
-        for p in self.photographs:
+        for p in self._photographs:
             far = ~p.near(self.data.px_per_mm)
             if far.mean() > 0.1:
                 drift = optics.upsample(session_light(p, self.data.px_per_mm), *p.rest.shape[:2])
                 out.append(np.mean(np.square((p.image.astype(float) - p.rest - drift)[far])))
         return float(np.sqrt(np.mean(out))) if out else 0.0
 
+    # ---------------------------------------------------------------- what it tells
 
-def _squares(residuals: Sequence[np.ndarray]) -> np.ndarray:
-    return np.array([np.mean(np.square(r.astype(np.float64))) for r in residuals])
+    def errors(self, model: FittedGel) -> dict[str, float]:
+        """Also in the contact."""
+        contact = float(np.sqrt(model.contact[self.parts.test].mean()))
+        return super().errors(model) | {"heldout_contact": contact}
+
+    def refusal(self, effect: str) -> str:
+        """Why an effect cannot be switched on."""
+        if effect not in OPTICS:
+            return f"'{effect}' does not act on a gel's images; give one of {', '.join(OPTICS)}."
+        return self.already_on(effect)
+
+    def twin_of(self, model: FittedGel) -> Twin:
+        """The twin with the fitted gel."""
+        twin = self.twin.copy()
+        for_twin(model.fit.gel, twin).into_twin(twin)
+        return twin
+
+    def parameters(self, model: FittedGel, effect: str) -> dict[str, dict]:
+        """Value and unit; a fit of light gives no intervals."""
+        units = {p.name: p.unit for p in OPTICS[effect].parameters}
+        values = model.fit.gel.effects[effect]
+        return {k: {"value": v, "ci95": None, "unit": units[k]} for k, v in values.items()}
+
+    def at_bound(self, model: FittedGel, effects: Sequence[str]) -> list[str]:
+        """Parameters at a bound."""
+        return at_bound(model.fit.gel, effects)
+
+    def too_little(self, evidence: Evidence) -> str:
+        """How many photographs there are and how many it takes."""
+        return (
+            f"This recording cannot tell: it has {len(self.data.samples)} images, of which "
+            f"{evidence.samples} were fitted and {evidence.units} are left to judge by; it takes {NEEDED}, "
+            f"so that {FEW_UNITS} choose the effects and {FEW_UNITS} others test them."
+        )
+
+    def how_tested(self, outcome: Outcome) -> str:
+        """What was fitted to what."""
+        parts = self.parts
+        stored = self.details(outcome)["stored"]
+        as_stored = "" if stored is None else f"As stored it is {stored:.3g} levels off. "
+        chosen = f", effects are chosen on {parts.validation.sum()}" if parts.has_test else ""
+        return (
+            f"{as_stored}All that follows is re-fitted to {parts.train.sum()} of the {len(parts.train)} "
+            f"images{chosen} and judged on the other {parts.test.sum()}."
+        )
+
+    def caveats(self, outcome: Outcome) -> list[str]:
+        """What was fitted to what."""
+        return [self.how_tested(outcome)]
+
+    def details(self, outcome: Outcome) -> dict:
+        """What only a gel's `result.json` has."""
+        stored, fit = None, outcome.after.fit
+        if self._stored.light.any():
+            squared = _mean_squares(self._differences(self._stored))
+            stored = float(np.sqrt(self.test.value(squared)))
+        names = [s.name for s in self.data.samples]
+        return {
+            "stored": stored,
+            "make": fit.make,
+            "orientation": str(fit.orientation) if fit.make else "",
+            "trained_on": [n for n, t in zip(names, self.parts.train, strict=True) if t],
+            "tested_on": [n for n, t in zip(names, self.parts.test, strict=True) if t],
+        }
+
+    def pictures(self, outcome: Outcome) -> list[tuple[np.ndarray, str]]:
+        """Where in the image the twin fails, left as it is, right with all effects found."""
+        models = [outcome.before, outcome.after] if outcome.selected else [outcome.before]
+        maps = [self.maps(m) for m in models]
+        planes = np.concatenate([np.clip(MAP_GAIN * plane, 0, 255) for plane, _ in maps], 1)
+        contacts = np.concatenate([np.clip(128 + MAP_GAIN * c, 0, 255) for _, c in maps], 1)
+        return [
+            (
+                planes.astype(np.uint8),
+                f"Root mean square error over the test images, {MAP_GAIN:g} times brighter; left as it is, "
+                "right with all effects found.",
+            ),
+            (
+                contacts.astype(np.uint8).repeat(2, 0).repeat(2, 1),
+                "Mean of rendered less photographed around the contact, three contact radii each way; grey "
+                "is none.",
+            ),
+        ]
+
+    def maps(self, model: FittedGel) -> tuple[np.ndarray, np.ndarray]:
+        """Where a model fails on test photographs, levels.
+
+        Returns:
+            Root mean square in the image plane (H, W, 3); and around the contact (121, 121, 3), from -3 to 3
+            contact radii, as a signed mean.
+        """
+        chosen = np.flatnonzero(self.parts.test)
+        plane = np.sqrt(np.mean([np.square(model.differences[i].astype(float)) for i in chosen], axis=0))
+        t = np.linspace(-MAP_RADII, MAP_RADII, MAP_PX)
+        x, y = np.meshgrid(t, t)
+        total, count = np.zeros((MAP_PX, MAP_PX, 3)), np.zeros((MAP_PX, MAP_PX, 1))
+        for i in chosen:
+            s, d = self.data.samples[i], model.differences[i].astype(float)
+            at = [s.y_px - 0.5 + y * s.radius_px, s.x_px - 0.5 + x * s.radius_px]
+            inside = (at[0] >= 0) & (at[0] <= d.shape[0] - 1) & (at[1] >= 0) & (at[1] <= d.shape[1] - 1)
+            shown = np.stack([map_coordinates(d[..., k], at, order=1) for k in range(3)], -1)
+            total += shown * inside[..., None]
+            count += inside[..., None]
+        return plane, total / np.maximum(count, 1)
 
 
-def deal(data: GelRecording, seed: int) -> np.ndarray:
-    """Mask (n,) of photographs that train: the calibration pairs, and others while enough stay held out.
+def deal_photographs(recording: Recording, seed: int) -> Parts:
+    """Photographs for training, validation and test; the last two are one where there are few.
 
     Raises:
-        InputError: there is no photograph to judge by.
+        InputError: there is no photograph beside the calibration pair.
     """
-    train = np.array([s.role == "calibration" for s in data.samples])
+    n = len(recording)
+    roles = recording.samples["role"].astype(str) if recording.has("role") else np.full(n, "")
+    train = np.asarray(roles == "calibration")
     others = np.flatnonzero(~train)
     if not len(others):
         raise InputError("The recording has no image beside the calibration pair, so nothing can be judged.")
-    spare = min(MOST_TRAINED - int(train.sum()), len(others) - FEW_UNITS, len(others) // 2)
+    spare = min(MOST_TRAINED - int(train.sum()), len(others) - 2 * FEW_UNITS)
+    if len(others) < 2 * FEW_UNITS:  # too few for a verdict; the fits shall be of use all the same
+        spare = min(spare + FEW_UNITS, len(others) // 2)
     if spare > 0:
         train[np.random.default_rng([seed, 5]).permutation(others)[:spare]] = True
-    return train
+    rest = np.flatnonzero(~train)
+    validation, test = ~train, ~train
+    if len(rest) >= 2 * FEW_UNITS:
+        samples = recording.samples.iloc[rest]
+        half = blocks.assign(samples, np.arange(len(rest)), seed, (0.5, 0.5))
+        validation, test = (np.isin(np.arange(n), rest[half == i]) for i in range(2))
+    stratum = np.unique(np.asarray(roles), return_inverse=True)[1]
+    return Parts(train, validation, test, np.arange(n), stratum)
 
 
-def study(
-    gel: GelModel,
-    data: GelRecording,
-    effects: Sequence[str],
-    seed: int = 0,
-    tell: Callable[[str, int], None] = lambda text, fits: None,
-    done: Callable[[], None] = lambda: None,
-) -> GelFindings:
-    """Looks for what the effects of a twin leave unexplained.
-
-    Args:
-        gel: the twin's, as the recording's images show it.
-        data: the recording.
-        effects: that the twin has.
-        seed: decides which photographs train, and the bootstrap.
-        tell: hears what is tried and how many fits it takes.
-        done: called after each fit.
-    """
-    bench = Bench(replace(gel, effects={}), data, seed)
-    judge, noise = bench.judge, bench.noise()
-    known = sensor_effects()
-    own = [e for e in known if e in effects]
-
-    def attempt(names: Sequence[str], near: GelModel | None = None) -> Trial:
-        out = bench.trial(names, near)
-        done()
-        return out
-
-    tell("the twin as it is", 1)
-    base = attempt(own)
-
-    def helps(before: Trial, after: Trial) -> bool:
-        share = judge.reduction(before.squares, after.squares, noise)[0]
-        return judge.drop(before.squares, after.squares)[1] > 0 and share > WORTH
-
-    ladder, selected, alone, rivals = [base], [], {}, []
-    while len(selected) < len(known) - len(own):
-        now = ladder[-1]
-        candidates = [e for e in known if e not in now.effects]
-        tell(f"effect {len(selected) + 1}", len(candidates))
-        tried = {e: attempt([*now.effects, e], now.fit.gel) for e in candidates}
-        if not selected:
-            alone = tried
-        order = sorted(candidates, key=lambda e: float(tried[e].squares[bench.train].mean()))
-        good = [e for e in order if helps(now, tried[e])]
-        if not good:
-            break
-        best = good[0]
-        for other in good[1:]:
-            low, high = np.quantile(
-                judge.mse(tried[other].squares) - judge.mse(tried[best].squares), [0.025, 0.975]
-            )
-            if low <= 0 <= high:
-                rivals.append((best, other))
-        selected.append(best)
-        ladder.append(tried[best])
-
-    tell("what each effect of the twin is good for", len(own))
-    present = {e: attempt([x for x in own if x != e], base.fit.gel) for e in own}
-    final = ladder[-1]
-    floor = max(noise, bench.far(final))
-    near_miss = [
-        e for e, t in alone.items() if judge.reduction(base.squares, t.squares, noise)[0] > 2 * WORTH
-    ]
-    evidence = Evidence(
-        samples=100 * int(bench.train.sum()),
-        units=judge.units,
-        moves=True,
-        before=float(np.sqrt(judge.value(base.squares))) / floor,
-        after=float(np.sqrt(judge.value(final.squares))) / floor,
-        limit=NOISE_LIMIT,
-        selected=selected,
-        removed=judge.reduction(base.squares, final.squares, floor)[0] if selected else 0.0,
-        at_bound=at_bound(final.fit.gel, selected),
-        near_miss=[] if selected else near_miss,
-    )
-    return GelFindings(
-        data=data,
-        train=bench.train,
-        noise=noise,
-        judge=judge,
-        base=base,
-        alone=alone,
-        present=present,
-        ladder=ladder,
-        selected=selected,
-        rivals=rivals,
-        rest=np.array([np.mean(np.square(p.image.astype(float) - p.rest)) for p in bench.photographs]),
-        stored=_squares(bench.residuals(gel)) if gel.light.any() else None,
-        evidence=evidence,
-    )
+def _mean_squares(images: Iterable[np.ndarray]) -> np.ndarray:
+    return np.array([np.mean(np.square(np.asarray(image, np.float64))) for image in images])
 
 
 def for_twin(gel: GelModel, twin: Twin) -> GelModel:
@@ -284,7 +382,7 @@ def for_twin(gel: GelModel, twin: Twin) -> GelModel:
 
 def predict(gel: GelModel, data: GelRecording) -> list[np.ndarray]:
     """Predicted image of every sample; the calibration pair tells how the light drifts."""
-    pair = next((s.photograph for s in data.samples if s.role == "calibration"), None)
+    pair: PressPhotograph | None = next((s.photograph for s in data.samples if s.role == "calibration"), None)
     predictor = Predictor(gel, pair)
     return [predictor.image(s.press, s.rest, s.clock) for s in data.samples]
 
@@ -300,84 +398,7 @@ def at_bound(gel: GelModel, effects: Sequence[str]) -> list[str]:
     return [
         f"{e}.{p.name}"
         for e in effects
-        for p in get_effect(e).parameters
+        for p in OPTICS[e].parameters
         if min(gel.effects[e][p.name] - p.lower, p.upper - gel.effects[e][p.name])
         < 1e-3 * (p.upper - p.lower)
     ]
-
-
-def maps(study: GelFindings, trial: Trial) -> tuple[np.ndarray, np.ndarray]:
-    """Where a trial fails on held-out photographs, root mean square over them in levels.
-
-    Returns:
-        In the image plane (H, W, 3); and around the contact (121, 121, 3), from -3 to 3 contact radii, as a
-        signed mean.
-    """
-    from scipy.ndimage import map_coordinates
-
-    held = [i for i in range(len(study.train)) if not study.train[i]]
-    plane = np.sqrt(np.mean([np.square(trial.residuals[i].astype(np.float64)) for i in held], axis=0))
-    t = np.linspace(-3, 3, 121)
-    x, y = np.meshgrid(t, t)
-    total, count = np.zeros((121, 121, 3)), np.zeros((121, 121, 1))
-    for i in held:
-        s, r = study.data.samples[i], trial.residuals[i].astype(float)
-        at = [s.y_px - 0.5 + y * s.radius_px, s.x_px - 0.5 + x * s.radius_px]
-        inside = (at[0] >= 0) & (at[0] <= r.shape[0] - 1) & (at[1] >= 0) & (at[1] <= r.shape[1] - 1)
-        total += np.stack([map_coordinates(r[..., k], at, order=1) for k in range(3)], -1) * inside[..., None]
-        count += inside[..., None]
-    return plane, total / np.maximum(count, 1)
-
-
-class GelStudy(Study):
-    """Photographs of a gel; a sample is a photograph."""
-
-    unit = "levels"
-
-    def __init__(self, twin: Twin, recording: Recording, seed: int):
-        data = GelRecording.load(recording)
-        pair = data.calibration
-        check_pair(pair.rest, pair.image, pair.press, data.px_per_mm)
-        self.twin, self.recording, self.seed, self.data = twin, recording, seed, data
-        gel = seen_by(GelModel.from_twin(twin), data)
-        self.bench = Bench(replace(gel, effects={}), data, seed)
-        held = ~self.bench.train
-        strata = np.unique([s.role for s in data.samples], return_inverse=True)[1]
-        self.parts = Parts(self.bench.train, held, held, np.arange(len(held)), strata)
-        self.noise = NoiseFloor(self.bench.noise(), None, self.unit, "", {})
-        self.own = tuple(of_sensor(twin.effects))
-        self.candidates, self.untested = [e for e in sensor_effects() if e not in self.own], []
-        self.findings = data.warnings
-
-    def refit(self, effects: Sequence[str], start: Trial | None, steps: Steps) -> Trial:
-        """Light and these effects, fitted to the training photographs."""
-        out = self.bench.trial(effects, start and start.fit.gel)
-        steps.done()
-        return out
-
-    def refusal(self, effect: str) -> str:
-        """Why an effect cannot be switched on."""
-        if effect not in sensor_effects():
-            return f"'{effect}' does not act on a gel's images; give one of {', '.join(sensor_effects())}."
-        return self.already_on(effect)
-
-    def errors(self, model: Trial) -> dict:
-        """Also in the contact."""
-        contact = float(np.sqrt(model.contact[self.parts.test].mean()))
-        return super().errors(model) | {"heldout_contact": contact}
-
-    def twin_of(self, model: Trial) -> Twin:
-        """The twin with the fitted gel."""
-        twin = self.twin.copy()
-        for_twin(model.fit.gel, twin).into_twin(twin)
-        return twin
-
-    def parameters(self, model: Trial, effect: str) -> dict[str, dict]:
-        """Value and unit; a fit of light gives no intervals."""
-        units = {p.name: p.unit for p in get_effect(effect).parameters}
-        values = model.fit.gel.effects[effect]
-        return {k: {"value": v, "ci95": None, "unit": units[k]} for k, v in values.items()}
-
-    def at_bound(self, model: Trial, effects: Sequence[str]) -> list[str]:
-        """Parameters at a bound."""
-        return at_bound(model.fit.gel, effects)

@@ -192,9 +192,9 @@ def add(
     before = study.refit(study.own, None, steps)
     after = study.refit((*study.own, effect), before, steps)
     fall = study.judge.drop(before.squared, after.squared)
-    reduction, interval = study.test.reduction(before.squared, after.squared, study.noise.value)
+    reduction, interval = study.reduction(before, after)
     accepted = fall[1] > 0
-    errors = study.errors(before), study.errors(after)
+    errors = tuple(study.errors(m) | {"heldout_ci95": study.interval(m)} for m in (before, after))
     return Addition(
         accepted=accepted,
         reason="" if accepted else _no_sure_fall(study, effect, *errors, fall),

@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 from lerobot_pneutac.diagnosis.engine import cores
 from lerobot_pneutac.diagnosis.steps import Steps
+from lerobot_pneutac.study.base import study_of
 from lerobot_pneutac.study.pair import same_body
 from lerobot_pneutac.verbs.diagnosis import Diagnosis
 from pneutac_datasets.recording.recording import Recording
@@ -25,7 +26,7 @@ def diagnose(
         twin: of the recording's device, or a finger with the gel of the recording.
         recording: of a finger, an arm or a gel.
         jobs: processes; 0 for all cores.
-        seed: decides which blocks of time are held out, and every bootstrap.
+        seed: decides which part is held out, and every bootstrap.
         progress: called with a text, the fits done and all of them.
 
     Raises:
@@ -33,12 +34,5 @@ def diagnose(
     """
     if jobs < 0:
         raise InputError(f"--jobs={jobs} must be 0 (all cores) or a positive number.")
-    recording, steps = same_body(twin, recording, "diagnose"), Steps(progress)
-    if recording.device == "gel":
-        from lerobot_pneutac.verbs.diagnose_gel import diagnose_gel
-
-        return diagnose_gel(twin, recording, seed, steps.expect, steps.done)
-    from lerobot_pneutac.study.body import diagnose_body
-    from lerobot_pneutac.verbs.diagnose_body import BodyDiagnosis
-
-    return BodyDiagnosis(diagnose_body(twin, recording, seed, jobs or cores(), steps.expect, steps.done))
+    study = study_of(twin, same_body(twin, recording, "diagnose"), seed)
+    return Diagnosis(study=study, outcome=study.search(jobs or cores(), Steps(progress)))

@@ -1,17 +1,179 @@
 """What a diagnosis tells, whatever the device."""
 
+import time
+from dataclasses import dataclass, field
+from functools import cached_property
+
+from lerobot_pneutac.diagnosis.experiment import Separation
+from lerobot_pneutac.diagnosis.result import Outcome, Tested
+from lerobot_pneutac.reports.page import Report
+from lerobot_pneutac.reports.sentences import lead, next_experiment, percent
+from lerobot_pneutac.study.base import Study
 from lerobot_pneutac.verbs.result import Result
 
+LITTLE_ALONE = 0.03  # share of the avoidable error: an effect that alone removes less looks like nothing
 
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Diagnosis(Result):
     """What a twin lacks to explain a recording.
 
     Attributes:
-        verdict: `adequate`, `missing_effect`, `insufficient_form`, `unknown_effect` or `ambiguous`.
-        selected: effects found, the most important first.
-        next_experiment: what to record next.
+        study: the data and how they were shared.
+        outcome: everything that was found.
+        made_at: date and time.
     """
 
-    verdict: str
-    selected: list[str]
-    next_experiment: str
+    study: Study
+    outcome: Outcome
+    made_at: str = field(default_factory=lambda: time.strftime("%Y-%m-%d %H:%M"))
+
+    @property
+    def verdict(self) -> str:
+        """`adequate`, `missing_effect`, `insufficient_form`, `unknown_effect` or `ambiguous`."""
+        return self.outcome.verdict
+
+    @property
+    def selected(self) -> list[str]:
+        """Effects found, the most important first."""
+        return self.outcome.selected
+
+    @property
+    def before(self) -> dict[str, float]:
+        """Root mean square errors of the twin as it is, `train` and `heldout`."""
+        return self.study.errors(self.outcome.before)
+
+    @property
+    def after(self) -> dict[str, float]:
+        """The same with all effects found."""
+        return self.study.errors(self.outcome.after)
+
+    @cached_property
+    def reduction(self) -> tuple[float, tuple[float, float]]:
+        """Share of the avoidable error that all found effects remove, with its 95 % interval."""
+        if not self.selected:
+            return 0.0, (0.0, 0.0)
+        return self.study.reduction(self.outcome.before, self.outcome.after)
+
+    @cached_property
+    def _next(self) -> tuple[str, Separation | None]:
+        return next_experiment(self.study, self.outcome)
+
+    @property
+    def next_experiment(self) -> str:
+        """What to record next."""
+        return self._next[0]
+
+    @property
+    def findings(self) -> tuple[str, ...]:
+        """What the data check found, one sentence each."""
+        return tuple(self.study.findings)
+
+    @property
+    def title(self) -> str:
+        """Heading of the table."""
+        return f"held-out error, {self.study.unit} (noise {self.study.noise.value:.3g})"
+
+    @property
+    def sentence(self) -> str:
+        """What was found, in a sentence or two."""
+        return lead(self.study, self.outcome)
+
+    def rows(self) -> list[dict]:
+        """The effects found and some others."""
+        chosen = [t for t in self.outcome.tested if t.name in self.selected]
+        rest = [t for t in self.outcome.tested if t.name not in self.selected][: max(2, 6 - len(chosen))]
+        rows = [("(as it is)", self.before, "", "", "")]
+        for t in chosen + rest:
+            values = ", ".join(f"{k} {v['value']:.3g}" for k, v in list(t.parameters.items())[:3])
+            share = "" if t.reduction is None else percent(t.reduction, t.ci95)
+            rows.append((t.name, t.errors, share, values, self._how_found(t)))
+        if self.selected:
+            rows.append(("(all found)", self.after, "", "", ""))
+        out = []
+        for name, errors, share, values, how in rows:
+            contact = errors.get("heldout_contact")
+            row = {"effect": name, "error alone": f"{errors['heldout']:.3g}"}
+            row |= {} if contact is None else {"contact": f"{contact:.3g}"}
+            out.append(row | {"avoidable error removed": share, "parameters": values, "": how})
+        return out
+
+    def _how_found(self, t: Tested) -> str:
+        """Some effects show only once others are there."""
+        if t.reduction is None:
+            return "in the twin; error without it"
+        if t.name not in self.selected:
+            return ""
+        return "found" if t.reduction > LITTLE_ALONE or len(self.selected) == 1 else "found, with the others"
+
+    def remarks(self) -> list[str]:
+        """What was not tested, caveats, the next experiment, the verdict."""
+        return [
+            *(f"  {u.name}: {u.reason}" for u in self.study.untested),
+            *self.study.caveats(self.outcome),
+            f"[bold]Next experiment:[/] {self.next_experiment}",
+            f"verdict: {self.verdict}   ({self.outcome.seconds:.0f} s)",
+        ]
+
+    def to_dict(self) -> dict:
+        """The content of `result.json`."""
+        o, study = self.outcome, self.study
+        return {
+            "verdict": o.verdict,
+            "sentence": self.sentence,
+            "unit": study.unit,
+            "noise_floor": study.noise.value,
+            "noise_floor_how": study.noise.how,
+            "baseline": self.before,
+            "selected": o.selected,
+            "after": self.after,
+            "reduction": self.reduction[0],
+            "reduction_ci95": list(self.reduction[1]),
+            "parameters": {e: study.parameters(o.after, e) for e in o.selected},
+            "ladder": [{"change": label, **study.errors(model)} for label, model in o.ladder],
+            "effects": [_tested(t) for t in o.tested] + [_untested(u) for u in study.untested],
+            "indistinguishable": [[r.effect, r.rival] for r in o.rivals],
+            "correlated": [{"effects": [a, b], "correlation": c} for a, b, c in o.correlated],
+            "profile": [_profile(p) for p in o.profiles],
+            "at_bound": o.evidence.at_bound,
+            "error_over_noise": {k: getattr(o.evidence, k) for k in ("before", "after", "limit")},
+            "findings": list(self.findings),
+            "notes": study.caveats(o),
+            "fingerprints": [
+                {"effect": f.effect, "share": f.share, "chance": f.chance, "p_value": f.p_value}
+                for f in o.fingerprints
+            ],
+            "next_experiment": self.next_experiment,
+            "seconds": o.seconds,
+            "time": self.made_at,
+            **study.details(o),
+        }
+
+    def page(self) -> Report:
+        """The sentence, then the evidence as pictures."""
+        from lerobot_pneutac.reports.diagnosis import diagnosis_page
+
+        return diagnosis_page(self, self._next[1])
+
+
+def _tested(t: Tested) -> dict:
+    interval = None if t.ci95 is None else list(t.ci95)
+    return {
+        "name": t.name, **t.errors, "reduction": t.reduction, "reduction_ci95": interval,
+        "parameters": t.parameters, "tested_by": t.tested_by,
+    }  # fmt: skip
+
+
+def _untested(u) -> dict:
+    return {
+        "name": u.name, "heldout": None, "reduction": None, "reduction_ci95": None, "parameters": {},
+        "tested_by": u.reason,
+    }  # fmt: skip
+
+
+def _profile(p) -> dict:
+    return {
+        "parameter": p.name, "value": p.value, "unit": p.unit, "interval95": list(p.interval),
+        "bounded_below": p.below, "bounded_above": p.above, "remark": p.remark,
+        "points": [{"value": v, "chi2": c} for v, c in p.points],
+    }  # fmt: skip

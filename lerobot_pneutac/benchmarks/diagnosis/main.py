@@ -141,7 +141,7 @@ def _ignore_interrupt() -> None:
 
 def solve(case: Case, folder: Path) -> None:
     """Generates one recording, diagnoses it blindly, then looks up the truth and writes both."""
-    from lerobot_pneutac.study.body import diagnose_body
+    from lerobot_pneutac.verbs.diagnose import diagnose
     from pneutac_datasets.generate.hidden.generate import generate
     from pneutac_datasets.recording.recording import Recording
     from pneutac_sim.twin import Twin
@@ -152,16 +152,16 @@ def solve(case: Case, folder: Path) -> None:
         recording = Recording.load(hidden)
         twin = Twin(recording.device, recording.length_mm, recording.spine_joint_positions_mm)
         began = time.perf_counter()
-        d = diagnose_body(twin, recording, seed=case.seed)
+        d = diagnose(twin, recording, jobs=1, seed=case.seed)
         answer = asdict(case) | {
             "verdict": d.verdict,
             "selected": d.selected,
-            "rivals": [[r.effect, r.rival] for r in d.rivals],
-            "noise_floor": d.noise.value,
-            "before": d.before_error,
-            "after": d.after_error,
-            "reduction": d.removed[0],
-            "error_over_noise": [d.evidence.before, d.evidence.after, d.evidence.limit],
+            "rivals": [[r.effect, r.rival] for r in d.outcome.rivals],
+            "noise_floor": d.study.noise.value,
+            "before": d.before["heldout"],
+            "after": d.after["heldout"],
+            "reduction": d.reduction[0],
+            "error_over_noise": [getattr(d.outcome.evidence, k) for k in ("before", "after", "limit")],
             "seconds": time.perf_counter() - began,
         }
         written = folder / f"{case.key}.json.part"

@@ -13,10 +13,11 @@ from lerobot_pneutac.diagnosis import engine
 from lerobot_pneutac.diagnosis.experiment import separations
 from lerobot_pneutac.diagnosis.parts import deal
 from lerobot_pneutac.diagnosis.profile import profile
+from lerobot_pneutac.diagnosis.steps import Steps
 from lerobot_pneutac.diagnosis.verdict import Evidence, decide
-from lerobot_pneutac.reports.sentences import caveats, lead, next_experiment, percent
-from lerobot_pneutac.study.body import diagnose_body
+from lerobot_pneutac.reports.sentences import percent
 from lerobot_pneutac.study.pair import same_body
+from lerobot_pneutac.verbs.diagnose import diagnose
 from pneutac_datasets.generate.hidden.generate import generate
 from pneutac_datasets.recording.mounts import align_mounts
 from pneutac_datasets.recording.recording import Recording
@@ -67,42 +68,59 @@ def test_the_verb_writes_contract_and_report(bench, tmp_path, capsys):
     assert "Your finger creeps" in " ".join(capsys.readouterr().out.split())
 
 
+def test_headline_and_verdict_rest_on_test_blocks_alone(bench):
+    """Validation blocks chose the effects, so an error on them is too good."""
+    recording = bench("creep")
+    d = diagnose(twin_of(recording), recording, jobs=1)
+    parts, evidence, floor = d.study.parts, d.outcome.evidence, d.study.noise.value
+    assert not (parts.test & parts.validation).any() and not (parts.test & parts.train).any()
+    for model, error, ratio in (
+        (d.outcome.before, d.before, evidence.before),
+        (d.outcome.after, d.after, evidence.after),
+    ):
+        squared = (model.residual**2).sum(1)
+        expected = np.sqrt(squared[parts.test].mean())
+        assert error["heldout"] == pytest.approx(expected) and ratio == pytest.approx(expected / floor)
+    assert evidence.removed == d.reduction[0]
+
+
 def test_nothing_missing_is_adequate(bench):
     recording = bench("none")
-    d = diagnose_body(twin_of(recording), recording)
+    d = diagnose(twin_of(recording), recording, jobs=1)
     assert d.verdict == "adequate" and d.selected == []
-    assert d.evidence.before < 1.15
+    assert d.outcome.evidence.before < 1.15
 
 
 def test_measured_pressure_tells_the_valve_from_the_body(bench):
     recording = bench("valve_lag")
-    d = diagnose_body(twin_of(recording), recording)
-    assert d.selected[0] in ("valve_lag", "orifice_flow") and d.measured_pressure
+    d = diagnose(twin_of(recording), recording, jobs=1)
+    assert d.selected[0] in ("valve_lag", "orifice_flow") and d.study.measured
     assert "creep" not in d.selected
-    assert d.pressure_error[1] < 0.5 * d.pressure_error[0]
-    assert d.after_error < 0.6 * d.before_error
+    assert d.outcome.pressure_error[1] < 0.5 * d.outcome.pressure_error[0]
+    assert d.after["heldout"] < 0.6 * d.before["heldout"]
 
 
 def test_a_disturbance_is_unknown_and_no_headline(bench):
     recording = bench("disturbance_base_bumps")
-    d = diagnose_body(twin_of(recording), recording)
+    d = diagnose(twin_of(recording), recording, jobs=1)
     assert d.verdict == "unknown_effect"
-    assert "no known effect" in lead(d)
+    assert "no known effect" in d.sentence
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("effect", ["hysteresis", "gravity", "leak", "cyclic_softening"])
 def test_hidden_effects_are_named_blindly(bench, effect):
     recording = bench(effect, minutes=10.0, seed=5002)
-    d = diagnose_body(twin_of(recording), recording)
+    d = diagnose(twin_of(recording), recording, jobs=1)
     assert d.verdict in ("missing_effect", "insufficient_form") and d.selected[0] == effect
-    assert d.removed[0] > 0.8
+    assert d.reduction[0] > 0.8
 
 
 def test_a_diagnosis_repeats_itself(bench):
     recording = bench("none")
-    a, b = (diagnose_body(twin_of(recording), recording, seed=3) for _ in range(2))
-    assert a.verdict == b.verdict and np.array_equal(a.after, b.after) and a.evidence == b.evidence
+    a, b = (diagnose(twin_of(recording), recording, jobs=1, seed=3).outcome for _ in range(2))
+    assert a.verdict == b.verdict and a.evidence == b.evidence
+    assert np.array_equal(a.after.residual, b.after.residual)
 
 
 def test_workers_give_the_same_answer(bench, monkeypatch):
@@ -117,7 +135,7 @@ def test_workers_give_the_same_answer(bench, monkeypatch):
             found.append(e.run(jobs))
             assert (e._pool is not None) == (processes == 2)
             fitter, creep = engine.StageFitter(e, twin, "pose", "command"), found[0][1]
-            profiles.append(profile(fitter, creep, ["creep"], parts, lambda text, jobs: None))
+            profiles.append(profile(fitter, creep, ["creep"], parts, Steps()))
     for a, b in zip(*profiles, strict=True):
         np.testing.assert_allclose(a.interval, b.interval, rtol=1e-6)
     for a, b in zip(*found, strict=True):
@@ -128,9 +146,9 @@ def test_workers_give_the_same_answer(bench, monkeypatch):
 def test_a_short_recording_is_ambiguous_and_says_what_to_record(bench):
     recording = bench("creep")
     short = recording.keep(np.arange(len(recording)) < 40)
-    d = diagnose_body(twin_of(recording), short)
+    d = diagnose(twin_of(recording), short, jobs=1)
     assert d.verdict == "ambiguous"
-    assert "too short" in lead(d) and "ten minutes" in next_experiment(d)[0]
+    assert "too short" in d.sentence and "ten minutes" in d.next_experiment
 
 
 def test_constant_pressure_is_ambiguous(bench):
@@ -138,13 +156,13 @@ def test_constant_pressure_is_ambiguous(bench):
     still = recording.keep(np.arange(len(recording)) < 600)
     still.samples["pressure_cmd_kpa"] = 20.0
     still.samples["pressure_kpa"] = 20.0
-    d = diagnose_body(twin_of(recording), still)
-    assert d.verdict == "ambiguous" and "the commanded pressure never moves" in lead(d)
-    assert "does not move either" in caveats(d)[0] and "ten minutes" in next_experiment(d)[0]
+    d = diagnose(twin_of(recording), still, jobs=1)
+    assert d.verdict == "ambiguous" and "the commanded pressure never moves" in d.sentence
+    assert "does not move either" in d.study.caveats(d.outcome)[0] and "ten minutes" in d.next_experiment
     still.samples["pressure_kpa"] = recording.samples["pressure_kpa"][:600]
-    d = diagnose_body(twin_of(recording), still)
+    d = diagnose(twin_of(recording), still, jobs=1)
     assert d.verdict == "ambiguous"
-    said = " ".join([lead(d), *caveats(d)])
+    said = " ".join([d.sentence, *d.study.caveats(d.outcome)])
     assert "the commanded pressure never moves" in said and "measured pressure moves" in said
     assert "not measured" not in said
 
@@ -157,7 +175,7 @@ def test_too_few_rows_to_fit_name_the_file_and_what_to_record(bench, tmp_path):
     with pytest.raises(InputError, match=wanted) as e:
         verb.main([f"--twin={twin}", f"--recording={tmp_path / 'three'}"])
     least = int(re.search(r"at least (\d+)", str(e.value))[1])
-    d = diagnose_body(twin_of(recording), recording.keep(np.arange(len(recording)) < least))
+    d = diagnose(twin_of(recording), recording.keep(np.arange(len(recording)) < least), jobs=1)
     assert d.verdict == "ambiguous"
 
 
@@ -179,8 +197,8 @@ def test_effects_without_their_column_are_listed_with_the_remedy(bench):
     poor = Recording(
         recording.folder, recording.meta, recording.samples.drop(columns=["temperature_c"]), "finger"
     )
-    d = diagnose_body(twin_of(recording), poor)
-    assert "record column temperature_c" in next(u.reason for u in d.untested if u.name == "thermal")
+    d = diagnose(twin_of(recording), poor, jobs=1)
+    assert "record column temperature_c" in next(u.reason for u in d.study.untested if u.name == "thermal")
 
 
 def test_wrong_device_and_missing_options_are_one_sentence(bench, tmp_path):
@@ -272,22 +290,22 @@ def real(name):
 @pytest.mark.slow
 def test_real_segment_stiffens():
     recording = real("sopra_segment")
-    d = diagnose_body(twin_of(recording), recording)
-    assert "stiffening" in d.selected and d.after_error < 0.5 * d.before_error
+    d = diagnose(twin_of(recording), recording, jobs=1)
+    assert "stiffening" in d.selected and d.after["heldout"] < 0.5 * d.before["heldout"]
 
 
 @pytest.fixture(scope="module")
 def fabric_segment():
     recording = real("asu_segment")
-    return diagnose_body(Twin("finger", recording.length_mm), recording)
+    return diagnose(Twin("finger", recording.length_mm), recording)
 
 
 @pytest.mark.slow
 def test_real_segment_lag_and_creep_are_told_apart(fabric_segment):
     d = fabric_segment
     assert {"valve_lag", "orifice_flow"} & set(d.selected) and "creep" in d.selected
-    assert d.pressure_error[1] < 0.5 * d.pressure_error[0]  # the air by itself
-    assert d.removed[1][0] > 0  # the whole interval: the error surely falls
+    assert d.outcome.pressure_error[1] < 0.5 * d.outcome.pressure_error[0]  # the air by itself
+    assert d.reduction[1][0] > 0  # the whole interval: the error surely falls
 
 
 @pytest.mark.slow

@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -7,6 +8,9 @@ from lerobot_pneutac.cli.add import main as add
 from lerobot_pneutac.cli.calibrate import main as calibrate
 from lerobot_pneutac.cli.compare import main as compare
 from lerobot_pneutac.cli.diagnose import main as diagnose
+from lerobot_pneutac.diagnosis.steps import Steps
+from lerobot_pneutac.diagnosis.verdict import FEW_UNITS
+from lerobot_pneutac.study.gel import FEW_TRAINED, NEEDED, GelStudy, deal_photographs
 from pneutac_datasets.generate.hidden_gel import SIZES, write_hidden_gel
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin
@@ -26,7 +30,7 @@ def run(verb, out, twin, recording, *more):
 @pytest.mark.slow
 @pytest.mark.parametrize("effect", SIZES)
 def test_a_hidden_effect_is_named_added_and_lowers_the_error(effect, tmp_path, capsys):
-    recording = write_hidden_gel(tmp_path / "recording", [effect], seed=3, images=12)
+    recording = write_hidden_gel(tmp_path / "recording", [effect], seed=3, images=16)
     twin = linear_twin(tmp_path / "twin", recording)
     found = run(diagnose, tmp_path / "d", twin, recording)
     assert found["selected"] == [effect] and found["verdict"] == "missing_effect"
@@ -34,9 +38,10 @@ def test_a_hidden_effect_is_named_added_and_lowers_the_error(effect, tmp_path, c
     truth = json.loads((tmp_path / "truth" / "recording.json").read_text())[effect]
     fitted = found["parameters"][effect]
     beside = {k: v for k, v in fitted.items() if k.startswith(("along", "across", "deep"))}
-    assert all(abs(v) < 15 for v in beside.values()), "terms that the truth does without stay small"
+    assert all(abs(v["value"]) < 15 for v in beside.values()), "terms that the truth does without stay small"
     kept = {k: v for k, v in fitted.items() if "edge" not in k and k not in beside}
     neutral = {"shift": 0.0, "turn": 0.0, "drift": 0.0, "scale": 1.0, "gain": 1.0}
+    kept = {k: v["value"] for k, v in kept.items()}
     for name, value in kept.items():
         at = neutral.get(name.split("_")[0], 0.0)
         assert value - at == pytest.approx(truth[name] - at, rel=0.35, abs=0.02), name
@@ -52,7 +57,7 @@ def test_a_hidden_effect_is_named_added_and_lowers_the_error(effect, tmp_path, c
 
 
 def test_nothing_is_found_where_nothing_is_hidden(tmp_path, capsys):
-    recording = write_hidden_gel(tmp_path / "recording", [], seed=4, images=12)
+    recording = write_hidden_gel(tmp_path / "recording", [], seed=4, images=16)
     twin = linear_twin(tmp_path / "twin", recording)
     found = run(diagnose, tmp_path / "d", twin, recording)
     assert found["selected"] == [] and found["verdict"] == "adequate"
@@ -62,11 +67,37 @@ def test_nothing_is_found_where_nothing_is_hidden(tmp_path, capsys):
     assert "Nothing is missing" in capsys.readouterr().out
 
 
-def test_too_few_images_are_no_verdict(tmp_path, capsys):
-    recording = write_hidden_gel(tmp_path / "recording", ["shadow"], images=5)
+@pytest.mark.parametrize("images", [5, 13])
+def test_too_few_images_are_no_verdict_and_the_sentence_says_how_many_it_takes(images, tmp_path, capsys):
+    recording = write_hidden_gel(tmp_path / "recording", ["shadow"], images=images)
     twin = linear_twin(tmp_path / "twin", recording)
-    assert run(diagnose, tmp_path / "d", twin, recording)["verdict"] == "ambiguous"
-    assert "left to judge by" in capsys.readouterr().out
+    found = run(diagnose, tmp_path / "d", twin, recording)
+    assert found["verdict"] == "ambiguous"
+    assert f"it has {images} images" in found["sentence"] and f"it takes {NEEDED}" in found["sentence"]
+    assert "left to judge by" in " ".join(capsys.readouterr().out.split())
+
+
+def test_photographs_train_choose_and_test_apart(tmp_path):
+    recording = write_hidden_gel(tmp_path / "recording", [], images=NEEDED)
+    parts = deal_photographs(recording, 0)
+    masks = np.stack([parts.train, parts.validation, parts.test])
+    assert (masks.sum(0) == 1).all() and parts.train[0], "each in one part, the calibration pair trains"
+    assert masks.sum(1).tolist() == [FEW_TRAINED, FEW_UNITS, FEW_UNITS]
+    more = recording.samples.loc[recording.samples.index.repeat(3)].reset_index(drop=True)
+    assert deal_photographs(replace(recording, samples=more), 0).train.sum() >= 3
+
+
+def test_the_report_scores_photographs_that_chose_nothing(tmp_path):
+    """A validation photograph spoilt after the search leaves all reported errors as they were."""
+    recording = write_hidden_gel(tmp_path / "recording", ["shadow"], seed=3, images=16)
+    twin = Twin.load(linear_twin(tmp_path / "twin", recording))
+    study = GelStudy(twin, recording)
+    with_shadow = study.refit(["shadow"], None, Steps())
+    spoilt = replace(
+        with_shadow, residual=np.where(study.parts.validation[:, None], 99.0, with_shadow.residual)
+    )
+    assert study.errors(spoilt)["heldout"] == study.errors(with_shadow)["heldout"]
+    assert study.reduction(with_shadow, spoilt)[0] == 0.0
 
 
 @pytest.mark.parametrize(

@@ -3,8 +3,8 @@
 import numpy as np
 import pandas as pd
 
-from lerobot_pneutac.study.body import diagnose_body
 from lerobot_pneutac.verbs.compare import compare
+from lerobot_pneutac.verbs.diagnose import diagnose
 from lerobot_pneutac.verbs.fit_body import calibrate_body
 from pneutac_datasets.recording.noise import headline
 from pneutac_datasets.recording.recording import Recording
@@ -44,6 +44,6 @@ def test_every_verb_counts_the_error_of_an_arm_with_curvature_and_angles_alike(t
     compared = compare(calibrated.twin, recording)
     assert compared.unit == compared.noise.unit == "1/m"
     assert quantities.rms(compared.measured[:, :2] - compared.model[:, :2]) < 2 * compared.noise_floor
-    diagnosis = diagnose_body(calibrated.twin, recording)
-    assert diagnosis.noise.unit == "1/m" and diagnosis.before.shape == (len(recording), 2)
+    diagnosis = diagnose(calibrated.twin, recording, jobs=1)
+    assert diagnosis.study.unit == "1/m" and diagnosis.outcome.before.residual.shape == (len(recording), 2)
     assert diagnosis.verdict == "adequate"
