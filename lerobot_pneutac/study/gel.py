@@ -24,7 +24,7 @@ from pneutac_datasets.recording import blocks
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.noise import NoiseFloor
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.effects.optics import OPTICS
+from pneutac_sim.effects.registry import get_effect, of_sensor, sensor_effects
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import IMAGE_SHAPE
 from pneutac_sim.gel import optics
@@ -95,8 +95,8 @@ class GelStudy(Study):
         check_pair(pair.rest, pair.image, pair.press, data.px_per_mm)
         self.twin, self.recording, self.seed, self.data = twin, recording, seed, data
         self.findings = data.warnings
-        self.own = tuple(e for e in OPTICS if e in twin.effects)
-        self.candidates, self.untested = [e for e in OPTICS if e not in self.own], []
+        self.own = tuple(of_sensor(twin.effects))
+        self.candidates, self.untested = [e for e in sensor_effects() if e not in self.own], []
         self.parts = deal_photographs(recording, seed)
         self._stored = seen_by(GelModel.from_twin(twin), data)
         self._gel = replace(self._stored, effects={})
@@ -134,7 +134,7 @@ class GelStudy(Study):
         self._known[effects] = found = FittedGel(
             effects=effects,
             residual=np.sqrt(_mean_squares(differences))[:, None],
-            count=sum(len(OPTICS[e].parameters) for e in effects),
+            count=sum(len(get_effect(e).parameters) for e in effects),
             fit=fit,
             contact=_mean_squares(d[m] for d, m in regions),
             differences=differences,
@@ -242,8 +242,8 @@ class GelStudy(Study):
 
     def refusal(self, effect: str) -> str:
         """Why an effect cannot be switched on."""
-        if effect not in OPTICS:
-            return f"'{effect}' does not act on a gel's images; give one of {', '.join(OPTICS)}."
+        if effect not in sensor_effects():
+            return f"'{effect}' does not act on a gel's images; give one of {', '.join(sensor_effects())}."
         return self.already_on(effect)
 
     def twin_of(self, model: FittedGel) -> Twin:
@@ -254,7 +254,7 @@ class GelStudy(Study):
 
     def parameters(self, model: FittedGel, effect: str) -> dict[str, dict]:
         """Value and unit; a fit of light gives no intervals."""
-        units = {p.name: p.unit for p in OPTICS[effect].parameters}
+        units = {p.name: p.unit for p in get_effect(effect).parameters}
         values = model.fit.gel.effects[effect]
         return {k: {"value": v, "ci95": None, "unit": units[k]} for k, v in values.items()}
 
@@ -398,7 +398,7 @@ def at_bound(gel: GelModel, effects: Sequence[str]) -> list[str]:
     return [
         f"{e}.{p.name}"
         for e in effects
-        for p in OPTICS[e].parameters
+        for p in get_effect(e).parameters
         if min(gel.effects[e][p.name] - p.lower, p.upper - gel.effects[e][p.name])
         < 1e-3 * (p.upper - p.lower)
     ]
