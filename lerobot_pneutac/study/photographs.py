@@ -5,7 +5,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pneutac_datasets.recording.photographs import column_of, masked_cameras, read_camera, read_photograph
+from pneutac_datasets.recording.photographs import (
+    background_of,
+    column_of,
+    masked_cameras,
+    read_camera,
+    read_photograph,
+)
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.photo_fit.objective import Photograph
@@ -27,6 +33,7 @@ class PhotoSession:
         photographs: of all rows and fitted cameras; `state` counts `pressures`.
         markers_mm: (T, 3) mean tip at each pressure where the recording tells it: to judge, never to fit.
         conditions: means of the other columns that are numbers.
+        findings: where masks were found by segmentation, a sentence for each camera.
     """
 
     pressures: np.ndarray
@@ -36,6 +43,7 @@ class PhotoSession:
     photographs: list[Photograph]
     markers_mm: np.ndarray | None
     conditions: dict[str, float]
+    findings: tuple[str, ...] = ()
 
     def of(self, states: np.ndarray) -> list[Photograph]:
         """Photographs at the pressures where `states` (T,) is true, counted among these alone."""
@@ -67,7 +75,8 @@ def read_session(recording: Recording, levels_kpa: tuple[float, ...]) -> PhotoSe
     if not names:
         raise InputError(
             f"{recording.folder}: no camera has both an image_<camera> and a mask_<camera> column; add masks "
-            "(white where the body is) to calibrate by images."
+            "(white where the body is), or a photograph of the empty scene as the camera's 'background' in "
+            "recording.json, to calibrate by images."
         )
     levels, rows, state = held_levels(recording)
     train = (np.abs(levels[..., None] - np.asarray(levels_kpa)).min(-1) < NEAR_KPA).all(1)
@@ -90,8 +99,26 @@ def read_session(recording: Recording, levels_kpa: tuple[float, ...]) -> PhotoSe
         seen = np.stack([recording.column(c).astype(float)[rows] for c in tips], 1)
         markers = np.stack([seen[state == s].mean(0) for s in range(len(levels))])
     others = [n for n in names if n not in chosen]
+    findings = tuple(filter(None, (_segmented(recording, name) for name in chosen)))
     return PhotoSession(
-        levels, train, chosen + others, len(chosen), photographs, markers, mean_conditions(recording)
+        levels,
+        train,
+        chosen + others,
+        len(chosen),
+        photographs,
+        markers,
+        conditions,
+        tuple(filter(None, findings)),
+    )
+
+
+def _segmented(recording: Recording, camera: str) -> str:
+    """A sentence where a camera's masks were found by segmentation."""
+    if recording.has(column_of(recording, "mask", camera)):
+        return ""
+    return (
+        f"There are no masks of camera '{camera}'; the body was found by segmentation, as what differs from "
+        f"the empty scene '{background_of(recording, camera)}'."
     )
 
 

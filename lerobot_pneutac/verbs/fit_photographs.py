@@ -258,7 +258,7 @@ def calibrate_photographs(
         recording=str(recording.folder),
         change=BY_IMAGES,
         seed=options.seed,
-        findings=tuple(recording.warnings),
+        findings=(*recording.warnings, *session.findings),
         fitted=fitted,
         session=session,
         start=start,

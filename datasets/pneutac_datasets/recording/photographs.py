@@ -7,10 +7,11 @@ import numpy as np
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.splat.camera import Camera
+from pneutac_sim.splat.segment import segment
 
 
 def masked_cameras(recording: Recording) -> list[str]:
-    """Names of cameras that took both images and masks.
+    """Names of cameras that took images with masks, or with a photograph of the empty scene.
 
     Columns `image` and `mask` are those of the only camera that `recording.json` describes.
 
@@ -18,7 +19,7 @@ def masked_cameras(recording: Recording) -> list[str]:
         InputError: there are columns `image` and `mask`, but not one camera only.
     """
     names = [str(c).removeprefix("image_") for c in recording.samples if re.match(r"image_\w", str(c))]
-    names = [n for n in names if recording.has(f"mask_{n}")]
+    names = [n for n in names if recording.has(f"mask_{n}") or background_of(recording, n)]
     if names or not (recording.has("image") and recording.has("mask")):
         return names
     described = recording.meta.get("cameras")
@@ -34,6 +35,13 @@ def masked_cameras(recording: Recording) -> list[str]:
             f"field 'cameras' describes {wrong}."
         )
     return list(described)
+
+
+def background_of(recording: Recording, camera: str) -> str | None:
+    """The photograph of the scene without the body, `background` of the camera in `recording.json`."""
+    cameras = recording.meta.get("cameras")
+    described = cameras.get(camera) if isinstance(cameras, dict) else None
+    return described.get("background") if isinstance(described, dict) else None
 
 
 def column_of(recording: Recording, kind: str, camera: str) -> str:
@@ -72,13 +80,18 @@ def read_camera(recording: Recording, name: str) -> Camera:
 
 
 def read_photograph(recording: Recording, row: int, camera: str) -> tuple[np.ndarray, np.ndarray]:
-    """One photograph: RGB uint8 (H, W, 3) and its mask bool (H, W).
+    """One photograph: RGB uint8 (H, W, 3) and its mask bool (H, W), by segmentation where none was recorded.
 
     Raises:
         InputError: no such camera, or the mask is of another size than the image.
     """
     columns = {kind: column_of(recording, kind, camera) for kind in ("image", "mask")}
     image = recording.image(recording.column(columns["image"])[row])
+    if not recording.has(columns["mask"]) and (background := background_of(recording, camera)):
+        try:
+            return image, segment(image, background=recording.image(background))
+        except InputError as e:
+            raise InputError(f"{recording.folder}: {columns['image']} of row {row + 1}: {e}") from e
     mask = recording.image(recording.column(columns["mask"])[row])[..., 0] > 127
     if mask.shape != image.shape[:2]:
         sizes = (f"{a.shape[1]} x {a.shape[0]}" for a in (mask, image))

@@ -172,6 +172,21 @@ def test_bad_recordings_are_told_in_a_sentence(drawn, tmp_path):
             training_levels(text)
 
 
+def test_masks_are_found_by_segmentation_where_there_are_none(tmp_path):
+    from pneutac_datasets.generate.photographs import write_photographs
+
+    made = write_photographs(tmp_path / "hidden", seed=5, pressures_kpa=[0, 6, 12])
+    masked = read_session(made, (0.0, 6.0, 12.0))
+    without = [c for c in made.samples if c.startswith("mask")]
+    assert masked.findings == () and without
+    bare = replace(made, samples=made.samples.drop(columns=without))
+    found = read_session(bare, (0.0, 6.0, 12.0))
+    assert found.cameras == masked.cameras
+    assert "found by segmentation" in found.findings[0] and "front" in found.findings[0]
+    for a, b in zip(masked.photographs, found.photographs, strict=True):
+        assert (a.mask & b.mask).sum() / (a.mask | b.mask).sum() > 0.95
+
+
 def test_a_camera_that_looks_elsewhere_is_told(drawn, tmp_path):
     meta = json.loads(json.dumps(drawn.meta))
     extrinsics = np.array(meta["cameras"]["front"]["extrinsics"])
