@@ -107,8 +107,8 @@ def read_session(recording: Recording, levels_kpa: tuple[float, ...]) -> PhotoSe
         len(chosen),
         photographs,
         markers,
-        conditions,
-        tuple(filter(None, findings)),
+        mean_conditions(recording),
+        findings,
     )
 
 

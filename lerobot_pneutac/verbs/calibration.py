@@ -31,10 +31,10 @@ class Calibration(Result):
     error: dict[str, float | None]
     unit: str
     evaluations: int
-    seconds: float
-    recording: str
+    seconds: float = 0.0
+    recording: str = ""
     change: str
-    seed: int | None
+    seed: int | None = None
     findings: tuple[str, ...] = ()
     saved_to: Path | None = None
 

@@ -2,7 +2,7 @@
 
 import time
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -67,7 +67,7 @@ class PhotoCalibration(Calibration):
 
     fitted: BodyParameters
     session: PhotoSession
-    start: Coarse
+    start: Coarse | None = None
     search: Search
     confidence: Confidence
     objective: Objective
@@ -232,39 +232,41 @@ def calibrate_photographs(
         if best is not None and objective.best is not None:
             Image.fromarray(strip(objective, objective.best, photographs)).save(best)
 
-    found = search(
-        objective,
-        fitted,
-        start,
-        options.evaluations,
-        seed=options.seed,
-        file=file,
-        key=search_key(recording, twin, photographs, options.particles),
-        tell=report,
-    )
-    sure = confidence(objective, found.x)
-    everywhere = bodies(found.x, session.pressures)
+    key = search_key(recording, twin, photographs, options.particles)
+    count, seed = options.evaluations, options.seed
+    found = search(objective, fitted, start, count, seed=seed, file=file, key=key, tell=report)
+    sure, everywhere = confidence(objective, found.x), bodies(found.x, session.pressures)
     new = fitted.twin_at(found.x, sure.ci95)
     looks_into_twin(new, _looks(rest, everywhere, rest.state, DETAIL))
     whole = Objective(everywhere, session.photographs, looks)
-    scores = whole.scores(everywhere.first)
+    result = _calibration(new, fitted, session, found, sure, whole, everywhere)
+    told = {"recording": str(recording.folder), "findings": (*recording.warnings, *session.findings)}
+    return replace(result, start=start, seed=seed, seconds=time.perf_counter() - began, **told)
+
+
+def _calibration(
+    twin: Twin,
+    fitted: BodyParameters,
+    session: PhotoSession,
+    found: Search,
+    sure: Confidence,
+    objective: Objective,
+    everywhere: Equilibria,
+) -> PhotoCalibration:
+    """The result of a search, but for what it was made from."""
+    scores = objective.scores(everywhere.first)
     return PhotoCalibration(
-        twin=new,
+        twin=twin,
         parameters=_rows(fitted, found, sure),
         error=_parts(session, scores.rmse[0]),
         unit=UNIT,
         evaluations=len(found.objectives),
-        seconds=time.perf_counter() - began,
-        recording=str(recording.folder),
         change=BY_IMAGES,
-        seed=options.seed,
-        findings=(*recording.warnings, *session.findings),
         fitted=fitted,
         session=session,
-        start=start,
         search=found,
         confidence=sure,
-        objective=whole,
+        objective=objective,
         bodies=everywhere.first,
         scores=scores,
         tip_error_mm=_tip_error_mm(session, everywhere),
