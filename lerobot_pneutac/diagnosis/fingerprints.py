@@ -75,7 +75,7 @@ def contrasts(recording: Recording, p: np.ndarray) -> dict[str, tuple[str, np.nd
     """Effect to words and contrast (n, k); `p` (n,) is the pressure over its largest."""
     s = recording.samples
     dt = steps(recording)
-    held = _since_change(p, dt)
+    still_s = _since_change(p, dt)
     slow = np.stack([lagged(p, dt, t) - p for t in (3.0, 20.0)], 1)
     loops = np.stack([play(p, dt, r) - p for r in (0.05, 0.2)], 1)
     made = {
@@ -84,7 +84,7 @@ def contrasts(recording: Recording, p: np.ndarray) -> dict[str, tuple[str, np.nd
         "creep": ("it relaxes for seconds in holds", slow),
         "hysteresis": ("the loop is there at any speed", loops),
         "friction": ("it waits at each reversal", play(p, dt, 0.03) - p),
-        "leak": ("it falls back while the valve holds", p * (1 - np.exp(-held / 10))),
+        "leak": ("it falls back while the valve holds", p * (1 - np.exp(-still_s / 10))),
         "stiffening": ("one curved line in pressure", np.stack([p**2, p**3], 1)),
         "gain_saturation": ("one line that flattens", p**3),
         "cyclic_softening": ("softer below the largest pressure so far and per cycle", _history(p, dt)),

@@ -97,11 +97,11 @@ class ProfileJob:
         limits = Bounds(pipeline, bench.inputs.pressure_range_kpa)
         valley = _Valley(self, pipeline, limits, bench.thin(np.flatnonzero(prepared.train)))
         (low, below), (high, above) = valley.follow(-1), valley.follow(1)
-        spec = pipeline.specs[valley.held]
+        spec = pipeline.specs[valley.index]
         return Profile(
             name=self.name,
             unit=spec.unit,
-            value=float(valley.theta[valley.held]),
+            value=float(valley.theta[valley.index]),
             interval=(low, high),
             below=below,
             above=above,
@@ -116,10 +116,10 @@ class _Valley:
     def __init__(self, job: ProfileJob, pipeline: Pipeline, limits: Bounds, bench: BodyData):
         self._pipeline, self._limits, self._bench = pipeline, limits, bench
         self.theta = pipeline.theta(job.twin, bench.inputs.pressure_range_kpa)
-        self.held = pipeline.names.index(job.name)
+        self.index = pipeline.names.index(job.name)
         names = enumerate(pipeline.names)
         self._others = np.array([i for i, n in names if n in job.free and n != job.name], int)
-        both = Problem(pipeline, bench, self.theta, limits, np.append(self._others, self.held))
+        both = Problem(pipeline, bench, self.theta, limits, np.append(self._others, self.index))
         v = limits.scaled(self.theta, both.free)
         self._start, self._best = v[-1], v[:-1]
         r = both.residual(v)
@@ -132,7 +132,7 @@ class _Valley:
         self._along[loose] = -np.linalg.lstsq(self._J[:, loose], j, rcond=1e-6)[0]
         left = j + self._J @ self._along
         self._rise = 2 * self._worth * float(left @ r), self._worth * float(left @ left)
-        self.seen: list[tuple[float, float]] = [(float(self.theta[self.held]), 0.0)]
+        self.seen: list[tuple[float, float]] = [(float(self.theta[self.index]), 0.0)]
 
     def follow(self, sign: int) -> tuple[float, bool]:
         """The interval's end on one side, and whether it comes before the bound.
@@ -177,7 +177,7 @@ class _Valley:
     def _root(self, v: float, guess: np.ndarray) -> tuple[float, np.ndarray]:
         """Root of the chi-square that is lost at a scaled value, and the others (F - 1,) there."""
         theta = self.theta.copy()
-        theta[self.held] = self._value(v)
+        theta[self.index] = self._value(v)
         problem = Problem(self._pipeline, self._bench, theta, self._limits, self._others)
         known = [self._J]  # the first step may do with the Jacobian of the fit
 
@@ -192,12 +192,12 @@ class _Valley:
     def _lost(self, theta: np.ndarray, chi2: float) -> float:
         """Notes a value; what fits better than the fit itself loses nothing."""
         chi2 = min(max(0.0, chi2), IMPOSSIBLE)
-        self.seen.append((float(theta[self.held]), chi2))
+        self.seen.append((float(theta[self.index]), chi2))
         return float(np.sqrt(chi2))
 
     def _value(self, v: float) -> float:
         """The parameter at a scaled value."""
-        return float(self._limits.value(np.array([v]), np.array([self.held]))[0])
+        return float(self._limits.value(np.array([v]), np.array([self.index]))[0])
 
 
 def _crossing(inside: tuple[float, float], outside: tuple[float, float]) -> float:

@@ -28,66 +28,66 @@ class Program:
 
 def menu(recording: Recording) -> list[Program]:
     """All experiments that make sense for this recording's columns."""
-    s = recording.samples
-    command = s[recording.pressure_columns].to_numpy(float)
+    command = recording.samples[recording.pressure_columns].to_numpy(float)
     low, top = float(min(command.min(), 0.0)), float(command.max())
     if top - low < 1e-6:
         top = low + 50.0
-    span = top - low
     t = np.arange(round(SECONDS * HZ)) / HZ
+    made = _pressure_programs(t, low, top) + _condition_programs(recording, _triangle(t, 60.0, low, top))
+    return [Program(name, advice, _table(recording, t, p, change)) for name, advice, p, change in made]
 
-    def triangle(period, a=low, b=top):
-        return a + (b - a) * (1 - np.abs(1 - 2 * ((t / period) % 1)))
 
-    def stairs(b):
-        levels = np.concatenate([np.linspace(low, b, 7), np.linspace(b, low, 7)[1:]])
-        return levels[np.minimum((t / SECONDS * len(levels)).astype(int), len(levels) - 1)]
+def _triangle(t: np.ndarray, period: float, low: float, high: float) -> np.ndarray:
+    return low + (high - low) * (1 - np.abs(1 - 2 * ((t / period) % 1)))
 
-    loop = 120.0
+
+def _stairs(t: np.ndarray, low: float, high: float) -> np.ndarray:
+    levels = np.concatenate([np.linspace(low, high, 7), np.linspace(high, low, 7)[1:]])
+    return levels[np.minimum((t / SECONDS * len(levels)).astype(int), len(levels) - 1)]
+
+
+def _pressure_programs(t: np.ndarray, low: float, top: float) -> list[tuple[str, str, np.ndarray, dict]]:
+    """Name, advice, command (n,) and no change of conditions."""
+    span, loop = top - low, 120.0
     whole = f"between {low:.3g} and {top:.3g} kPa"
-    held, most, higher = low + 0.8 * span, low + 0.9 * span, low + 1.3 * span
+    high, most, higher = low + 0.8 * span, low + 0.9 * span, low + 1.3 * span
     steps = np.where(t % 20 < 10, low + 0.9 * span, low)
     middle = low + 0.5 * span + 0.08 * span * np.sin(2 * np.pi * t / 8) + 0.3 * span * (t > 60)
     zero = np.where(t % 30 < 10, 0.0, low + span * (0.4 + 0.6 * ((t // 30) % 2)))
-    warmup = np.where(t < 60, triangle(4.0, low, low + 0.5 * span), triangle(4.0))
-    made = [
-        ("slow loop", f"Run one loop {whole} ten times slower, in {loop:.0f} s.", triangle(loop), {}),
-        ("fast loops", f"Run loops {whole} in 4 s each.", triangle(4.0), {}),
-        ("long hold", f"Step to {held:.3g} kPa, hold 80 s, step to {low:.3g} kPa and hold 40 s.",
-         np.where(t < 80, held, low), {}),
+    warmup = np.where(t < 60, _triangle(t, 4.0, low, low + 0.5 * span), _triangle(t, 4.0, low, top))
+    return [
+        ("slow loop", f"Run one loop {whole} ten times slower, in {loop:.0f} s.",
+         _triangle(t, loop, low, top), {}),
+        ("fast loops", f"Run loops {whole} in 4 s each.", _triangle(t, 4.0, low, top), {}),
+        ("long hold", f"Step to {high:.3g} kPa, hold 80 s, step to {low:.3g} kPa and hold 40 s.",
+         np.where(t < 80, high, low), {}),
         ("steps", f"Step between {low:.3g} and {most:.3g} kPa every 10 s.", steps, {}),
         ("higher", f"Go up in stairs to {higher:.3g} kPa if the device may bear it, and down again.",
-         stairs(higher), {}),
+         _stairs(t, low, higher), {}),
         ("small reversals", "Make small back-and-forth moves around two pressures.", middle, {}),
         ("back to zero", "Come back to 0 kPa for 10 s every half minute.", zero, {}),
         ("cycles", "After a rest make fifteen cycles to half the pressure and fifteen to the full one.",
          warmup, {}),
     ]  # fmt: skip
+
+
+def _condition_programs(recording: Recording, loop: np.ndarray) -> list[tuple[str, str, np.ndarray, dict]]:
+    """Name, advice, command (n,) and the conditions that change, of those that were recorded."""
+    s, made = recording.samples, []
     if recording.has("gravity_x"):
-        g = _usual(s, ["gravity_x", "gravity_y", "gravity_z"])
-        flip = dict(zip(("gravity_x", "gravity_y", "gravity_z"), -g, strict=True))
-        made.append(("flip the base", "Turn the base upside down and run one loop.", triangle(60.0), flip))
+        columns = ["gravity_x", "gravity_y", "gravity_z"]
+        flipped = dict(zip(columns, -s[columns].iloc[0].to_numpy(float), strict=True))
+        made.append(("flip the base", "Turn the base upside down and run one loop.", loop, flipped))
     if recording.has("temperature_c"):
         warm = float(s["temperature_c"].median()) + 8.0
-        made.append(
-            (
-                "warm",
-                f"Repeat a loop with the device at {warm:.0f} °C.",
-                triangle(60.0),
-                {"temperature_c": warm},
-            )
-        )
+        advice = f"Repeat a loop with the device at {warm:.0f} °C."
+        made.append(("warm", advice, loop, {"temperature_c": warm}))
     if recording.has("payload_g"):
         heavy = float(s["payload_g"].max()) + 50.0
         made.append(
-            (
-                "payload",
-                f"Hang {heavy:.0f} g at the tip and run one loop.",
-                triangle(60.0),
-                {"payload_g": heavy},
-            )
+            ("payload", f"Hang {heavy:.0f} g at the tip and run one loop.", loop, {"payload_g": heavy})
         )
-    return [Program(name, advice, _table(recording, t, p, change)) for name, advice, p, change in made]
+    return made
 
 
 def _table(recording: Recording, t: np.ndarray, p: np.ndarray, change: dict) -> pd.DataFrame:
@@ -108,7 +108,3 @@ def _table(recording: Recording, t: np.ndarray, p: np.ndarray, change: dict) -> 
     for c, v in change.items():
         table[c] = v
     return table
-
-
-def _usual(s: pd.DataFrame, columns: list[str]) -> np.ndarray:
-    return s[columns].iloc[0].to_numpy(float)
