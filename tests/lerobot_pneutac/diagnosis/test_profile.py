@@ -8,6 +8,7 @@ from lerobot_pneutac.diagnosis.engine import Engine, StageFitter
 from lerobot_pneutac.diagnosis.experiment import predict
 from lerobot_pneutac.diagnosis.parts import deal
 from lerobot_pneutac.diagnosis.profile import Profile, profile
+from lerobot_pneutac.diagnosis.steps import Steps
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.finger.confidence import Z95
 from pneutac_sim.finger.data import BodyData
@@ -56,7 +57,7 @@ def profiles(recording, effects, selected=None) -> dict[str, Profile]:
     with Engine(recording, parts.train) as engine:
         fitter = StageFitter(engine, Twin(), "pose", "command")
         fit = fitter.fit_all([effects])[0]
-        found = profile(fitter, fit, selected or list(effects), parts, lambda text, jobs: None)
+        found = profile(fitter, fit, selected or list(effects), parts, Steps())
     return {p.name: p for p in found}, fit
 
 
