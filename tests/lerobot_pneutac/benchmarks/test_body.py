@@ -196,24 +196,23 @@ def test_shape_judges_by_the_truth_and_goes_on_where_it_stopped(tmp_path, monkey
     """A calibration that finds all but the gain, by 2 %."""
     calls = []
 
-    def near(twin, recording, levels, evaluations, particles, file, tell, device):
+    def near(twin, recording, options, file, progress):
         calls.append(recording.folder.name)
         truth = hidden_twin(10, "finger")
         twin.parameters |= truth.parameters
         twin.parameters["gain_rad_per_kpa"] = Value(1.02 * truth.parameters["gain_rad_per_kpa"].value)
-        return SimpleNamespace(twin=twin, seconds=1.0)
+        return SimpleNamespace(twin=twin, seconds=1.0, to_dict=lambda: result_of(twin))
 
-    def told(found):
+    def result_of(twin):
         rows = {
-            k: {"value": found.twin.parameters[k].value, "unit": "", "ci95": (0.0, 0.2)}
+            k: {"value": twin.parameters[k].value, "unit": "", "ci95": (0.0, 0.2)}
             for k in ("gain_rad_per_kpa", "youngs_modulus_mpa")
         }
         images = {"iou": {"heldout": 0.97}, "error": {"heldout": 20.0}}
         return images | {"parameters": rows, "not_identified": ["youngs_modulus_mpa"]}
 
     few = [0.0, 4.0, 13.0, 15.0]
-    monkeypatch.setattr(benchmark_shape, "fit_photographs", near)
-    monkeypatch.setattr(benchmark_shape, "outcome", told)
+    monkeypatch.setattr(benchmark_shape, "calibrate_photographs", near)
     monkeypatch.setattr("lerobot_pneutac.benchmarks.body.shape_case.ORDER_KPA", few)
     cfg = BenchmarkBodyConfig(out=tmp_path, fingers=1, arms=0, hidden=0, particles=FEW)
     result = benchmark_shape.run(cfg)
