@@ -7,7 +7,6 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from lerobot_pneutac.cli.options import parse_options
 from lerobot_pneutac.reports.page import write_result
 from lerobot_pneutac.verbs.augment import AugmentConfig, DatasetRef, augment
 from pneutac_sim.errors import InputError
@@ -47,9 +46,8 @@ class BenchmarkAugmentConfig:
             raise InputError("Give at least one of --tasks.")
 
 
-def main(argv: list[str]) -> None:
+def benchmark_augment(cfg: BenchmarkAugmentConfig) -> None:
     """Records, augments and prints the table."""
-    cfg = parse_options(BenchmarkAugmentConfig, argv)
     console = Console()
     rows = [_measure(cfg, task, console) for task in cfg.tasks]
     table = Table(title="Augmentation")

@@ -3,9 +3,10 @@
 import importlib
 import sys
 
+from lerobot_pneutac.cli.options import parse_options
 from pneutac_sim.errors import InputError
 
-# name -> module with `main(argv)`
+# name -> module with the dataclass `BenchmarkNameConfig` and the function `benchmark_name` that takes it
 TABLES = {
     "diagnosis": "lerobot_pneutac.benchmarks.diagnosis.main",
     "body": "lerobot_pneutac.benchmarks.body.main",
@@ -26,4 +27,6 @@ def main(argv: list[str]) -> None:
     if name not in TABLES:
         raise InputError(f"'{name}' is no benchmark; give one of {', '.join(TABLES)}.")
     sys.argv[0] = f"pneutac benchmark {name}"
-    importlib.import_module(TABLES[name]).main(argv[1:])
+    module = importlib.import_module(TABLES[name])
+    config = parse_options(getattr(module, f"Benchmark{name.capitalize()}Config"), argv[1:])
+    getattr(module, f"benchmark_{name}")(config)

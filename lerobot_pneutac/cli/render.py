@@ -8,7 +8,7 @@ from lerobot_pneutac.cli.options import parse_options
 from lerobot_pneutac.cli.progress import progress_bar
 from lerobot_pneutac.cli.show import show
 from lerobot_pneutac.rendering.options import RenderConfig, filled
-from lerobot_pneutac.verbs.render import Rendering, draw_film, make_film
+from lerobot_pneutac.verbs.render import RenderedFilm, draw_film, make_film
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin
 
@@ -33,7 +33,7 @@ def main(argv: list[str]) -> None:
         remedy = GEL_REMEDY if twin.device == "gel" else BODY_REMEDY
         raise InputError(f"{e.finding}; {remedy}.") from e
     finally:
-        result = Rendering(**json.loads((config.out / "result.json").read_text()))
+        result = RenderedFilm(**json.loads((config.out / "result.json").read_text()))
         show(result, console)
         end = "" if result.complete else f" (stopped after {result.frames} pictures of the film)"
         console.print(f"{config.out / (result.film or 'result.json')}{end}", highlight=False)

@@ -15,7 +15,7 @@ BUILTIN = ("steps", "ramps", "holds", "loops", "all")
 
 
 @dataclass(frozen=True)
-class ProgramTrial:
+class PressureTrial:
     """One contiguous piece of a program.
 
     Attributes:
@@ -29,7 +29,7 @@ class ProgramTrial:
     pressure_kpa: np.ndarray
 
 
-def read_program(given: str, max_kpa: float, hz: float, recording: Path | None = None) -> list[ProgramTrial]:
+def read_program(given: str, max_kpa: float, hz: float, recording: Path | None = None) -> list[PressureTrial]:
     """The trials of a program.
 
     Args:
@@ -60,7 +60,7 @@ def read_program(given: str, max_kpa: float, hz: float, recording: Path | None =
     return trials
 
 
-def _builtin(name: str, top: float, hz: float) -> list[ProgramTrial]:
+def _builtin(name: str, top: float, hz: float) -> list[PressureTrial]:
     """Short trials, so that an interruption costs little; each starts and ends at 0."""
     stairs = np.r_[np.linspace(0, 1, 6), np.linspace(1, 0, 6)[1:]]
     shapes = {
@@ -77,13 +77,13 @@ def _builtin(name: str, top: float, hz: float) -> list[ProgramTrial]:
     return [_sampled(name, np.array(points) * [unit_s, top], hz) for points in shapes]
 
 
-def _sampled(name: str, points: np.ndarray, hz: float) -> ProgramTrial:
+def _sampled(name: str, points: np.ndarray, hz: float) -> PressureTrial:
     """A trial through breakpoints (k, 2), (s, kPa)."""
     time_s = np.arange(round(points[-1, 0] * hz) + 1) / hz
-    return ProgramTrial(name, time_s, np.interp(time_s, points[:, 0], points[:, 1]))
+    return PressureTrial(name, time_s, np.interp(time_s, points[:, 0], points[:, 1]))
 
 
-def _table(path: Path, hz: float) -> list[ProgramTrial]:
+def _table(path: Path, hz: float) -> list[PressureTrial]:
     try:
         table = pd.read_csv(path)
     except (ValueError, OSError) as e:
@@ -104,11 +104,11 @@ def _table(path: Path, hz: float) -> list[ProgramTrial]:
         # A command holds until the next row's: steps stay steps.
         latest = np.searchsorted(time_s, grid + 1e-9, side="right") - 1
         label = str(rows["program"].iloc[0]) if "program" in rows else path.stem
-        trials.append(ProgramTrial(label, grid, rows["pressure_cmd_kpa"].to_numpy(float)[latest]))
+        trials.append(PressureTrial(label, grid, rows["pressure_cmd_kpa"].to_numpy(float)[latest]))
     return trials
 
 
-def _proposed(path: Path, recording: Path | None, hz: float) -> ProgramTrial:
+def _proposed(path: Path, recording: Path | None, hz: float) -> PressureTrial:
     """The program on the diagnosis' menu that its advice names."""
     try:
         advice = json.loads(path.read_text())["next_experiment"]
@@ -122,5 +122,5 @@ def _proposed(path: Path, recording: Path | None, hz: float) -> ProgramTrial:
             s = p.samples
             time_s = s["time_s"].to_numpy(float)
             grid = np.arange(round(time_s[-1] * hz) + 1) / hz
-            return ProgramTrial(p.name, grid, np.interp(grid, time_s, s[columns[0]].to_numpy(float)))
+            return PressureTrial(p.name, grid, np.interp(grid, time_s, s[columns[0]].to_numpy(float)))
     raise InputError(f"{path} proposes what no pressure program does; read and do it by hand: {advice}")

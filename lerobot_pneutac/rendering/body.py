@@ -6,7 +6,16 @@ from collections.abc import Iterator
 import numpy as np
 
 from lerobot_pneutac.rendering import particles as draw
-from lerobot_pneutac.rendering.film import STRAIN, STRETCH, Film, Frame, Painter, Pose, caption, pressure_text
+from lerobot_pneutac.rendering.film import (
+    STRAIN,
+    STRETCH,
+    Film,
+    FilmFrame,
+    Painter,
+    Pose,
+    caption,
+    pressure_text,
+)
 from lerobot_pneutac.rendering.options import FPS, RenderConfig
 from lerobot_pneutac.rendering.photographs import photograph_painter, read_recorded
 from lerobot_pneutac.rendering.view import view_painter
@@ -61,7 +70,9 @@ def _particle_painter(twin: Twin, spacing_m: float) -> Painter:
     return paint
 
 
-def _frames(solver, program: np.ndarray, q_cmd: np.ndarray, each: int, painter: Painter) -> Iterator[Frame]:
+def _frames(
+    solver, program: np.ndarray, q_cmd: np.ndarray, each: int, painter: Painter
+) -> Iterator[FilmFrame]:
     from pneutac_sim.mpm import devices
     from pneutac_sim.mpm.solve import solve_equilibrium
     from pneutac_sim.mpm.total_lagrangian import Loads
@@ -80,4 +91,4 @@ def _frames(solver, program: np.ndarray, q_cmd: np.ndarray, each: int, painter: 
             row |= {f"tip_{a}_mm": float(1e3 * x) for a, x in zip("xyz", spine[-1], strict=True)}
             row |= more | {"seconds": spent}
             spent = 0.0
-        yield Frame(picture, row)
+        yield FilmFrame(picture, row)

@@ -11,7 +11,7 @@ STRETCH = "Colour is the largest stretch of the material, from calm to warm."
 
 
 @dataclass
-class Frame:
+class FilmFrame:
     """One picture of the film; where `row` is a line of the table, the picture is a still too."""
 
     picture: np.ndarray
@@ -29,7 +29,7 @@ class Film(NamedTuple):
     """
 
     device: str
-    frames: Iterator[Frame]
+    frames: Iterator[FilmFrame]
     count: int
     lead: str
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from lerobot_pneutac.rendering import particles as draw
-from lerobot_pneutac.rendering.film import STRETCH, Film, Frame
+from lerobot_pneutac.rendering.film import STRETCH, Film, FilmFrame
 from lerobot_pneutac.rendering.options import RenderConfig, deepest_press
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
@@ -29,7 +29,7 @@ def gel_film(twin: Twin, config: RenderConfig) -> Film:
     return Film("gel", _frames(twin, config, press), PRESS_FRAMES, lead)
 
 
-def _frames(twin: Twin, config: RenderConfig, press: Press) -> Iterator[Frame]:
+def _frames(twin: Twin, config: RenderConfig, press: Press) -> Iterator[FilmFrame]:
     from pneutac_sim.mpm import devices
     from pneutac_sim.mpm.solve import solve_equilibrium
     from pneutac_sim.splat.gel import SplatSensor
@@ -68,4 +68,4 @@ def _frames(twin: Twin, config: RenderConfig, press: Press) -> Iterator[Frame]:
             "penetration_um": float(1e6 * rest.penetration_m[0]),
             "seconds": spent,
         }
-        yield Frame(picture, values if last or k == PRESS_FRAMES // 2 - 1 else None)
+        yield FilmFrame(picture, values if last or k == PRESS_FRAMES // 2 - 1 else None)

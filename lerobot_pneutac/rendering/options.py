@@ -26,7 +26,7 @@ GEL = {"indenter": "sphere", "size_mm": 4.0, "depth_mm": 1.4, "x_mm": 0.0, "y_mm
 
 
 @dataclass
-class View:
+class RenderView:
     """From where a body is seen, hanging from its base.
 
     Attributes:
@@ -82,7 +82,7 @@ class RenderConfig:
     conditions: dict[str, float] = field(default_factory=dict)
     recording: Path | None = None
     camera: str | None = None
-    view: View | None = None
+    view: RenderView | None = None
     indenter: str | None = None
     size_mm: float | None = None
     depth_mm: float | None = None

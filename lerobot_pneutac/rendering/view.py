@@ -6,7 +6,7 @@ import numpy as np
 
 from lerobot_pneutac.rendering import particles as draw
 from lerobot_pneutac.rendering.film import STRAIN, STRETCH, Painter, Pose, caption
-from lerobot_pneutac.rendering.options import View
+from lerobot_pneutac.rendering.options import RenderView
 from pneutac_sim.mpm.body import Body
 from pneutac_sim.splat.body import ARRAYS, looks_from_twin
 from pneutac_sim.splat.camera import Camera
@@ -19,7 +19,7 @@ CAPTION = 44  # px below the picture
 FOV_DEG = 20.0  # so that four lengths away the straight body fills seven tenths of the height
 
 
-def view_camera(view: View, aim: np.ndarray, length_m: float) -> Camera:
+def view_camera(view: RenderView, aim: np.ndarray, length_m: float) -> Camera:
     """The camera of a view; the body hangs from its base, and at no angle bends to the right.
 
     Args:
@@ -35,7 +35,7 @@ def view_camera(view: View, aim: np.ndarray, length_m: float) -> Camera:
     return Camera.look_at(eye, aim, np.cos(above) * base - np.sin(above) * side, FOV_DEG, WIDTH, HEIGHT)
 
 
-def view_painter(twin: Twin, body: Body, view: View, spines: np.ndarray) -> tuple[Painter, str]:
+def view_painter(twin: Twin, body: Body, view: RenderView, spines: np.ndarray) -> tuple[Painter, str]:
     """Draws poses from a view, and says what one sees.
 
     Args:

@@ -13,7 +13,7 @@ from PIL import Image
 
 from lerobot_pneutac.measuring.camera import Intrinsics, MarkerTracker
 from lerobot_pneutac.measuring.options import MeasureConfig
-from lerobot_pneutac.measuring.programs import ProgramTrial, read_program
+from lerobot_pneutac.measuring.programs import PressureTrial, read_program
 from lerobot_robot_pneutac.hardware.parts import COMMAND_S, HardwareFault, PressureController
 from pneutac_datasets.recording.recording import Recording
 
@@ -111,7 +111,7 @@ class BenchDriver:
         """Folder of a trial's images."""
         return self._config.out / "images" / f"trial_{number:03d}"
 
-    def drive(self, number: int, trial: ProgramTrial) -> tuple[int, int]:
+    def drive(self, number: int, trial: PressureTrial) -> tuple[int, int]:
         """Drives one trial at its own pace; a camera that is slower than it costs samples.
 
         Returns:

@@ -16,7 +16,7 @@ from pneutac_sim.twin import Twin
 
 
 @dataclass(frozen=True)
-class Rendering(Result):
+class RenderedFilm(Result):
     """What was drawn.
 
     Attributes:
@@ -46,7 +46,7 @@ class Rendering(Result):
 
 def render(
     twin: Twin, config: RenderConfig, progress: Callable[[str, int, int], None] = lambda *a: None
-) -> Rendering:
+) -> RenderedFilm:
     """Draws a twin under load into `config.out`: pictures, `film.mp4`, `report.html` and `result.json`.
 
     Raises:
@@ -73,7 +73,7 @@ def make_film(twin: Twin, config: RenderConfig) -> Film:
 
 def draw_film(
     film: Film, out: Path, progress: Callable[[str, int, int], None] = lambda *a: None
-) -> Rendering:
+) -> RenderedFilm:
     """Draws frames; what is finished is kept where it is interrupted."""
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
@@ -91,12 +91,12 @@ def draw_film(
     finally:
         file = "film.mp4" if pictures else None
         complete, seconds = len(pictures) == film.count, time.perf_counter() - start
-        result = Rendering(film.device, complete, len(pictures), seconds, file, stills)
+        result = RenderedFilm(film.device, complete, len(pictures), seconds, file, stills)
         _write(film, pictures, result, out)
     return result
 
 
-def _write(film: Film, pictures: list[np.ndarray], result: Rendering, out: Path) -> None:
+def _write(film: Film, pictures: list[np.ndarray], result: RenderedFilm, out: Path) -> None:
     if pictures:
         from lerobot.utils.io_utils import write_video
 

@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from lerobot_pneutac.benchmarks.body.main import BenchmarkBodyConfig
+from lerobot_pneutac.benchmarks.body.options import BenchmarkBodyConfig
 from lerobot_pneutac.reports.page import write_result
 from pneutac_datasets.recording.photographs import read_camera, read_photograph
 from pneutac_datasets.recording.recording import Recording
@@ -81,7 +81,7 @@ def rmse(image: np.ndarray, alpha: np.ndarray, photograph: np.ndarray, mask: np.
     return float(np.sqrt(np.mean((255 * image.clip(0, 1) - wanted)[union] ** 2)))
 
 
-def run(cfg: BenchmarkBodyConfig) -> dict:
+def benchmark_looks(cfg: BenchmarkBodyConfig) -> dict:
     """Takes the photographs, fits and scores every method, and writes table, pictures and `result.json`.
 
     Returns:

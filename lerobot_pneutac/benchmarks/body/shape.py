@@ -4,7 +4,7 @@ Photographs at six pressures are fitted; tips, joints and pictures are judged at
 an effect was hidden in the body, the twin is judged as it is, then with the effect added from the markers.
 The answer lies in a file of its own that is opened only after the twin was made.
 
-    run(BenchmarkBodyConfig(part="shape", out="outputs/benchmark_body"))
+    benchmark_shape(BenchmarkBodyConfig(part="shape", out="outputs/benchmark_body"))
 """
 
 import json
@@ -15,11 +15,11 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from lerobot_pneutac.benchmarks.body.main import BenchmarkBodyConfig
+from lerobot_pneutac.benchmarks.body.options import BenchmarkBodyConfig
 from lerobot_pneutac.benchmarks.body.shape_case import (
     HIDDEN,
     TRAIN_KPA,
-    Case,
+    BodyCase,
     add_effect,
     at_rest,
     first_twin,
@@ -35,16 +35,16 @@ from pneutac_sim.mpm.devices import parameter
 from pneutac_sim.twin import Twin, Value
 
 
-def cases(cfg: BenchmarkBodyConfig) -> list[Case]:
+def cases(cfg: BenchmarkBodyConfig) -> list[BodyCase]:
     """All bodies of the benchmark."""
     first, options = cfg.first_seed, (cfg.evaluations, cfg.particles)
-    made = [Case("finger", first + i, "", *options) for i in range(cfg.fingers)]
-    made += [Case("arm", first + i, "", *options) for i in range(cfg.arms)]
+    made = [BodyCase("finger", first + i, "", *options) for i in range(cfg.fingers)]
+    made += [BodyCase("arm", first + i, "", *options) for i in range(cfg.arms)]
     effects = list(HIDDEN)[: 1 if cfg.fast else None]
-    return made + [Case("finger", first + i, e, *options) for i in range(cfg.hidden) for e in effects]
+    return made + [BodyCase("finger", first + i, e, *options) for i in range(cfg.hidden) for e in effects]
 
 
-def run(cfg: BenchmarkBodyConfig) -> dict:
+def benchmark_shape(cfg: BenchmarkBodyConfig) -> dict:
     """Calibrates every body whose result is not in `cfg.out` yet, then writes the tables.
 
     Returns:
@@ -71,14 +71,14 @@ def run(cfg: BenchmarkBodyConfig) -> dict:
     return write_tables(bodies, out, console)
 
 
-def solve(case: Case, out: Path, device: str = "auto", tell=lambda done: None) -> dict:
+def solve(case: BodyCase, out: Path, device: str = "auto", progress=lambda done: None) -> dict:
     """Photographs a hidden body, calibrates a twin to it, adds the effect, then looks up the truth.
 
     Args:
         case: which body.
         out: folder of recordings and of searches that were stopped.
         device: of the material points.
-        tell: called with the evaluations so far.
+        progress: called with the evaluations so far.
 
     Returns:
         `before` and `after` (None where nothing was hidden): `tip_mm` of each held-out sample and mean
@@ -94,11 +94,11 @@ def solve(case: Case, out: Path, device: str = "auto", tell=lambda done: None) -
             photographed(recording),
             PhotoOptions(TRAIN_KPA, case.evaluations, case.particles, device=device),
             file,
-            progress=lambda text, done, total: tell(done),
+            progress=lambda text, done, total: progress(done),
         )
     except InputError as e:
         return answer | {"refused": str(e)}
-    told = found.to_dict()
+    calibrated = found.to_dict()
     rows, after = heldout(recording), None
     made = {"before": at_rest(found.twin, recording, rows, case.particles, device)}
     if case.hidden:
@@ -108,8 +108,8 @@ def solve(case: Case, out: Path, device: str = "auto", tell=lambda done: None) -
     q, tips = np.array(truth["joints_rad"])[rows], np.array(truth["tips_mm"])[rows]
     answer |= {
         "seconds": found.seconds,
-        "heldout": {"iou": told["iou"]["heldout"], "rmse": told["error"]["heldout"]},
-        "parameters": against_truth(told, found.twin, truth["parameters"]),
+        "heldout": {"iou": calibrated["iou"]["heldout"], "rmse": calibrated["error"]["heldout"]},
+        "parameters": against_truth(calibrated, found.twin, truth["parameters"]),
         "before": None,
         "after": None,
     }
@@ -127,11 +127,11 @@ def solve(case: Case, out: Path, device: str = "auto", tell=lambda done: None) -
     return answer
 
 
-def against_truth(told: dict, twin: Twin, truth: dict[str, float]) -> dict[str, dict]:
+def against_truth(calibrated: dict, twin: Twin, truth: dict[str, float]) -> dict[str, dict]:
     """Each calibrated parameter beside its truth.
 
     Args:
-        told: what the calibration reports.
+        calibrated: what the calibration reports.
         twin: that it made.
         truth: parameters of the hidden device; what is not among them has the model's default.
     """
@@ -141,7 +141,7 @@ def against_truth(told: dict, twin: Twin, truth: dict[str, float]) -> dict[str, 
     pipeline = Pipeline.of(hidden)
     known = dict(zip(pipeline.names, pipeline.theta(hidden).tolist(), strict=True))
     rows = {}
-    for name, p in told["parameters"].items():
+    for name, p in calibrated["parameters"].items():
         true = known[name] if name in known else parameter(hidden, name)
         low, high = p["ci95"]
         rows[name] = {
@@ -149,7 +149,7 @@ def against_truth(told: dict, twin: Twin, truth: dict[str, float]) -> dict[str, 
             "truth": true,
             "unit": p["unit"],
             "ci95": [low, high],
-            "identified": name not in told["not_identified"],
+            "identified": name not in calibrated["not_identified"],
             "covered": bool(low <= true <= high),
         }
     return rows

@@ -67,7 +67,7 @@ HIDDEN = {
 
 
 @dataclass(frozen=True)
-class Case:
+class BodyCase:
     """One hidden body.
 
     Attributes:
@@ -95,7 +95,7 @@ class Case:
         return f"{self.recording}_{self.evaluations}_{self.particles}"
 
 
-def take_photographs(case: Case, folder: Path) -> Recording:
+def take_photographs(case: BodyCase, folder: Path) -> Recording:
     """The case's recording inside `folder`; one that is complete there is not taken again."""
     path = folder / case.recording
     if (folder / "truth" / f"{case.recording}.json").is_file():  # what is written last
@@ -135,8 +135,8 @@ def photographed(recording: Recording) -> Recording:
 def heldout(recording: Recording) -> np.ndarray:
     """(n,) bool: samples at pressures that nothing is fitted to."""
     pressure = np.stack([recording.column(c) for c in recording.pressure_columns], 1).astype(float)
-    told = np.array(HELDOUT_KPA)[:, None] if pressure.shape[1] == 1 else np.array(ARM_HELDOUT_KPA)
-    return (np.abs(pressure[:, None] - told).max(-1) < 1e-6).any(1)
+    levels = np.array(HELDOUT_KPA)[:, None] if pressure.shape[1] == 1 else np.array(ARM_HELDOUT_KPA)
+    return (np.abs(pressure[:, None] - levels).max(-1) < 1e-6).any(1)
 
 
 def first_twin(recording: Recording) -> Twin:
@@ -177,6 +177,7 @@ def at_rest(
     for effect in in_order(list(twin.effects)):
         if effect.stage == "observation":
             values = {k: v.value for k, v in twin.effects[effect.name].items()}
-            told = np.full((len(q), len(effect.columns)), twin.length_mm)  # the only column that any asks for
-            markers = effect.apply(markers, np.ones(len(q)), values, told)
+            # the length is the only column that any asks for
+            column = np.full((len(q), len(effect.columns)), twin.length_mm)
+            markers = effect.apply(markers, np.ones(len(q)), values, column)
     return q, markers[:, :3]

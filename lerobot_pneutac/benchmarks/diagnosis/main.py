@@ -17,7 +17,6 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import Progress
 
-from lerobot_pneutac.cli.options import parse_options
 from lerobot_pneutac.diagnosis.engine import THREADS, cores
 from pneutac_sim.errors import InputError
 
@@ -58,7 +57,7 @@ class BenchmarkDiagnosisConfig:
 
 
 @dataclass(frozen=True)
-class Case:
+class DiagnosisCase:
     """One blind recording.
 
     Attributes:
@@ -83,7 +82,7 @@ class Case:
         )
 
 
-def cases(cfg: BenchmarkDiagnosisConfig) -> list[Case]:
+def cases(cfg: BenchmarkDiagnosisConfig) -> list[DiagnosisCase]:
     """All recordings of the benchmark."""
     from pneutac_datasets.generate.hidden.generate import disturbance_names, effect_names
 
@@ -92,30 +91,31 @@ def cases(cfg: BenchmarkDiagnosisConfig) -> list[Case]:
     m, made = cfg.minutes, []
     for i in range(cfg.seeds):  # a seed's cases come together, so that a stopped run is a smaller benchmark
         seed = cfg.first_seed + i
-        made += [Case("effect", e, s, seed, m) for s in strengths for e in effect_names()]
-        made += [Case("unknown", e, 1.0, seed, m) for e in disturbance_names()]
-        made += [Case("pair", ",".join(p), 1.0, seed, m) for p in PAIRS[: 3 if cfg.fast else 10] if i < 2]
+        made += [DiagnosisCase("effect", e, s, seed, m) for s in strengths for e in effect_names()]
+        made += [DiagnosisCase("unknown", e, 1.0, seed, m) for e in disturbance_names()]
+        made += [
+            DiagnosisCase("pair", ",".join(p), 1.0, seed, m) for p in PAIRS[: 3 if cfg.fast else 10] if i < 2
+        ]
         share = range(i * nones // cfg.seeds, (i + 1) * nones // cfg.seeds)
-        made += [Case("none", "none", 1.0, cfg.first_seed + 100 + k, m) for k in share]
+        made += [DiagnosisCase("none", "none", 1.0, cfg.first_seed + 100 + k, m) for k in share]
     return made
 
 
-def main(argv: list[str]) -> None:
+def benchmark_diagnosis(cfg: BenchmarkDiagnosisConfig) -> None:
     """Runs what is not there yet, then prints and writes the table."""
-    cfg = parse_options(BenchmarkDiagnosisConfig, argv)
     folder = cfg.out / "cases"
     folder.mkdir(parents=True, exist_ok=True)
     todo = [c for c in cases(cfg) if not (folder / f"{c.key}.json").is_file()]
     console = Console()
     console.print(f"{len(cases(cfg))} recordings, {len(todo)} to do; Ctrl-C stops, the same command goes on")
-    run(todo, folder, cfg.jobs or cores(), console)
+    solve_cases(todo, folder, cfg.jobs or cores(), console)
     from lerobot_pneutac.benchmarks.diagnosis.table import write_table
 
     answers = [json.loads((folder / f"{c.key}.json").read_text()) for c in cases(cfg)]
     write_table(answers, cfg.out, console)
 
 
-def run(todo: list[Case], folder: Path, jobs: int, console: Console) -> None:
+def solve_cases(todo: list[DiagnosisCase], folder: Path, jobs: int, console: Console) -> None:
     """Diagnoses all cases, each in one process."""
     if not todo:
         return
@@ -139,7 +139,7 @@ def _ignore_interrupt() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def solve(case: Case, folder: Path) -> None:
+def solve(case: DiagnosisCase, folder: Path) -> None:
     """Generates one recording, diagnoses it blindly, then looks up the truth and writes both."""
     from lerobot_pneutac.verbs.diagnose import diagnose
     from pneutac_datasets.generate.hidden.generate import generate

@@ -97,10 +97,10 @@ def write_table(answers: list[dict], out: Path, console: Console) -> None:
     lines += ["", "| hidden | strength | right | answers | error before, mm | after, mm | removed |"]
     lines += ["|---|---|---|---|---|---|---|"]
     for (name, strength), members in _by_effect(answers).items():
-        said: dict[str, int] = {}
+        counts: dict[str, int] = {}
         for a in members:
-            said[answered(a)] = said.get(answered(a), 0) + 1
-        words = ", ".join(f"{k} {v}" for k, v in sorted(said.items(), key=lambda x: -x[1]))
+            counts[answered(a)] = counts.get(answered(a), 0) + 1
+        words = ", ".join(f"{k} {v}" for k, v in sorted(counts.items(), key=lambda x: -x[1]))
         before, after, removed = (np.mean([a[k] for a in members]) for k in ("before", "after", "reduction"))
         lines.append(
             f"| {name} | {strength:g} | {sum(map(right, members))} of {len(members)} | {words} | "
@@ -124,9 +124,9 @@ def confusion(answers: list[dict]) -> np.ndarray:
     """Hidden (rows) against headline (columns), as a picture uint8 (H, W, 3); share of each row by colour."""
     shown = [a for a in answers if a["kind"] != "pair"]
     rows = list(dict.fromkeys(a["effects"] for a in shown))
-    said = {answered(a) for a in shown}
+    given = {answered(a) for a in shown}
     last = ["adequate", "unknown_effect", "ambiguous"]
-    columns = [r for r in rows if r in said] + sorted(said - set(rows) - set(last)) + last
+    columns = [r for r in rows if r in given] + sorted(given - set(rows) - set(last)) + last
     count = np.zeros((len(rows), len(columns)), int)
     good = np.zeros_like(count)
     for a in shown:

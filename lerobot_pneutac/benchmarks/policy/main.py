@@ -15,7 +15,6 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from lerobot_pneutac.benchmarks.policy.plan import CONDITIONS, MAX_SEED, MAX_TRIALS, plan
-from lerobot_pneutac.cli.options import parse_options
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import FIDELITIES, TASK_NAMES
 
@@ -142,12 +141,12 @@ class BenchmarkPolicyConfig:
             )
 
 
-def main(argv: list[str]) -> None:
+def benchmark_policy(cfg: BenchmarkPolicyConfig) -> None:
     """Runs the benchmark and prints its table."""
-    cfg, console = parse_options(BenchmarkPolicyConfig, argv), Console()
     from lerobot_pneutac.benchmarks.policy.run import finished, run_units
     from lerobot_pneutac.benchmarks.policy.table import write
 
+    console = Console()
     units, start = plan(cfg), time.monotonic()
     before = sum(finished(cfg.out, unit) is not None for unit in units)
     console.print(f"{len(units)} units of work in {cfg.out}, {before} of them done before.", highlight=False)

@@ -8,10 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from rich.console import Console
+from rich.markdown import Markdown
 
-from lerobot_pneutac.benchmarks.speed import splats as splat_speed
+from lerobot_pneutac.benchmarks.speed.splats import time_splats
+from lerobot_pneutac.reports.page import write_result
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm.body import Body, Material
+from pneutac_sim.mpm.runtime import start
 from pneutac_sim.mpm.solve import solve_equilibrium
 from pneutac_sim.mpm.spine import Spine
 from pneutac_sim.mpm.total_lagrangian import Loads, TotalLagrangian
@@ -111,72 +115,81 @@ def genesis_substep_s(device: str) -> float:
     return float(found[0].split()[1])
 
 
-def measure(device: str, repeats: int, tell=lambda text: None) -> list[dict]:
+def measure(device: str, repeats: int, progress=lambda text: None) -> list[dict]:
     """Rows `work`, `value`, `unit`, `note`."""
-    rows = []
-
-    def add(work, value, unit, note=""):
-        rows.append({"work": work, "value": float(value), "unit": unit, "note": note})
-
-    tell("finger: compiling, then from rest to 0.3 rad a joint")
-    one = finger(1, device)
-    began = time.perf_counter()
-    solve_equilibrium(one, bent(0.1))
-    add("first finger, with compiling", time.perf_counter() - began, "s", "seconds later on, from the cache")
-    found = None
-
-    def rest():
-        nonlocal found
-        found = solve_equilibrium(one, bent(0.3))
-
-    seconds = timed(rest, repeats)
-    add("finger equilibrium from rest, 4,050 particles", 1e3 * seconds, "ms", f"{found.substeps} substeps")
-    angles = iter(0.3 + 0.02 * np.arange(1, repeats + 1))
-
-    def warm():
-        nonlocal found
-        found = solve_equilibrium(one, bent(next(angles)), warm=True)
-
-    seconds = timed(warm, repeats)
-    add("finger pressure point, warm start (+0.02 rad)", 1e3 * seconds, "ms", f"{found.substeps} substeps")
-    add("finger substep", 1e6 * substep_s(one, bent(0.3), repeats), "us")
-    tell("gel: sphere pressed in by 1.4 mm")
-    pad = gel(1, device)
-    began = time.perf_counter()
-    solve_equilibrium(pad, press(0.2e-3))
-    add("first gel, with compiling", time.perf_counter() - began, "s")
-
-    def push():
-        nonlocal found
-        found = solve_equilibrium(pad, press(1.4e-3))
-
-    seconds = timed(push, repeats)
-    note = f"{found.substeps} substeps, penetration {1e6 * found.penetration_m[0]:.1f} um"
-    add("gel, 1.4 mm indentation, 61,360 particles", 1e3 * seconds, "ms", note)
-    add("gel substep in contact", 1e6 * substep_s(pad, press(1.4e-3), repeats), "us")
-    for batch in (16, 64) if one.device == "cpu" else (64, 1024, 4096):
-        tell(f"{batch} fingers at once")
+    progress("finger: compiling, then from rest to 0.3 rad a joint")
+    rows, one = finger_rows(device, repeats)
+    on_cpu = one.device == "cpu"
+    progress("gel: sphere pressed in by 1.4 mm")
+    rows += gel_rows(device, repeats)
+    for batch in (16, 64) if on_cpu else (64, 1024, 4096):
+        progress(f"{batch} fingers at once")
         many = finger(batch, device)
-        rate = batch / substep_s(many, bent(0.3, batch), repeats, 20 if one.device == "cpu" else 200)
-        add(f"{batch} fingers", rate, "finger-substeps/s", f"{rate * 4050 / 1e6:.0f} M particle-substeps/s")
+        rate = batch / substep_s(many, bent(0.3, batch), repeats, 20 if on_cpu else 200)
+        note = f"{rate * 4050 / 1e6:.0f} M particle-substeps/s"
+        rows.append(row(f"{batch} fingers", rate, "finger-substeps/s", note))
         del many
     for scale in (0.67, 1.0, 1.5, 2.0):
-        tell(f"finger at {scale} times the resolution")
+        progress(f"finger at {scale} times the resolution")
         other = finger(1, device, scale)
-        count = len(other.body.cells)
-        add(f"finger substep, {count:,} particles", 1e6 * substep_s(other, bent(0.3), repeats), "us")
+        work = f"finger substep, {len(other.body.cells):,} particles"
+        rows.append(row(work, 1e6 * substep_s(other, bent(0.3), repeats), "us"))
     if importlib.util.find_spec("genesis"):
-        from lerobot_pneutac.benchmarks.speed.genesis_substep import COUNTS, DT, SPACING_M
-
-        tell("the same beam by Genesis")
-        beam = TotalLagrangian(Body.box("beam", COUNTS, SPACING_M, SILICONE), device=device)
-        ours = substep_s(beam, Loads(gravity=np.array([0.0, 0.0, -1.0])), repeats)
-        theirs = genesis_substep_s(one.device)
-        note = (
-            f"Genesis {1e6 * theirs:.0f} us, ours {1e6 * ours:.0f} us; same spacing, grid, step of {DT:g} s"
-        )
-        add("beam substep, Genesis over ours", theirs / ours, "times", note)
+        progress("the same beam by Genesis")
+        rows.append(genesis_row(device, one.device, repeats))
     return rows
+
+
+def row(work: str, value: float, unit: str, note: str = "") -> dict:
+    """A row of the table."""
+    return {"work": work, "value": float(value), "unit": unit, "note": note}
+
+
+def finger_rows(device: str, repeats: int) -> tuple[list[dict], TotalLagrangian]:
+    """One finger: compiling, from rest, from the pressure before, one substep; and the finger."""
+    one = finger(1, device)
+    compiling_s = timed(lambda: solve_equilibrium(one, bent(0.1)), 1)
+    found = []
+    rest_s = timed(lambda: found.append(solve_equilibrium(one, bent(0.3))), repeats)
+    rest = found[-1]
+    angles = iter(0.3 + 0.02 * np.arange(1, repeats + 1))
+    warm_s = timed(lambda: found.append(solve_equilibrium(one, bent(next(angles)), warm=True)), repeats)
+    return [
+        row("first finger, with compiling", compiling_s, "s", "seconds later on, from the cache"),
+        row("finger equilibrium from rest, 4,050 particles", 1e3 * rest_s, "ms", f"{rest.substeps} substeps"),
+        row(
+            "finger pressure point, warm start (+0.02 rad)",
+            1e3 * warm_s,
+            "ms",
+            f"{found[-1].substeps} substeps",
+        ),
+        row("finger substep", 1e6 * substep_s(one, bent(0.3), repeats), "us"),
+    ], one
+
+
+def gel_rows(device: str, repeats: int) -> list[dict]:
+    """One gel: compiling, a press, one substep."""
+    pad = gel(1, device)
+    compiling_s = timed(lambda: solve_equilibrium(pad, press(0.2e-3)), 1)
+    found = []
+    press_s = timed(lambda: found.append(solve_equilibrium(pad, press(1.4e-3))), repeats)
+    note = f"{found[-1].substeps} substeps, penetration {1e6 * found[-1].penetration_m[0]:.1f} um"
+    return [
+        row("first gel, with compiling", compiling_s, "s"),
+        row("gel, 1.4 mm indentation, 61,360 particles", 1e3 * press_s, "ms", note),
+        row("gel substep in contact", 1e6 * substep_s(pad, press(1.4e-3), repeats), "us"),
+    ]
+
+
+def genesis_row(device: str, chosen: str, repeats: int) -> dict:
+    """The same beam by Genesis and by this solver, on the device that `device` became."""
+    from lerobot_pneutac.benchmarks.speed.genesis_substep import COUNTS, DT, SPACING_M
+
+    beam = TotalLagrangian(Body.box("beam", COUNTS, SPACING_M, SILICONE), device=device)
+    ours = substep_s(beam, Loads(gravity=np.array([0.0, 0.0, -1.0])), repeats)
+    theirs = genesis_substep_s(chosen)
+    note = f"Genesis {1e6 * theirs:.0f} us, ours {1e6 * ours:.0f} us; same spacing, grid, step of {DT:g} s"
+    return row("beam substep, Genesis over ours", theirs / ours, "times", note)
 
 
 def table(rows: list[dict]) -> str:
@@ -188,22 +201,14 @@ def table(rows: list[dict]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def main(argv: list[str]) -> None:
+def benchmark_speed(config: BenchmarkSpeedConfig) -> None:
     """Runs the benchmark."""
-    from rich.console import Console
-    from rich.markdown import Markdown
-
-    from lerobot_pneutac.cli.options import parse_options
-    from lerobot_pneutac.reports.page import write_result
-    from pneutac_sim.mpm.runtime import start
-
-    config = parse_options(BenchmarkSpeedConfig, argv)
     console = Console()
     device = start(config.device)
     with console.status("") as status:
-        rows = measure(device, config.repeats, lambda text: status.update(text))
+        rows = measure(device, config.repeats, status.update)
     console.print(Markdown(table(rows)))
-    splats = splat_speed.run(console)
+    splats = time_splats(console)
     if config.out is not None:
         write_result(config.out, {"device": device, "rows": rows, "splats": splats})
         (config.out / "table.md").write_text(table(rows))

@@ -152,7 +152,7 @@ def measure_touch() -> dict[str, float]:
     }
 
 
-def run(console) -> dict:
+def time_splats(console) -> dict:
     """Measures both scenes and a tactile image, and prints tables on a rich console.
 
     Returns:

@@ -4,7 +4,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from lerobot_pneutac.benchmarks.surrogate.main import BenchmarkSurrogateConfig, row
+from lerobot_pneutac.benchmarks.surrogate.options import BenchmarkSurrogateConfig
+from lerobot_pneutac.benchmarks.surrogate.rows import row
 from pneutac_sim.errors import InputError
 from pneutac_sim.surrogate.action import without_torque
 from pneutac_sim.surrogate.collect import FRAME_S, Motion, Plan, collect_action, read_motions
@@ -15,15 +16,17 @@ from pneutac_sim.surrogate.network import ActionNetwork
 from pneutac_sim.surrogate.perception import GelSurrogate
 from pneutac_sim.twin import Twin
 
-Tell = Callable[[str], None]
+Progress = Callable[[str], None]
 
 
-def finger_rows(cfg: BenchmarkSurrogateConfig, twin: Twin, network: ActionNetwork, tell: Tell) -> list[dict]:
+def finger_rows(
+    cfg: BenchmarkSurrogateConfig, twin: Twin, network: ActionNetwork, progress: Progress
+) -> list[dict]:
     """Joint angles and rates of the skeleton under the network, from the full finger's first state on."""
     plan = Plan(cfg.trajectories, cfg.seconds, cfg.particles, seed=cfg.seed)
     folder = cfg.out / f"motions_{fingerprint(twin)[:8]}_{plan.trajectories}x{plan.duration_s:g}s"
-    tell(f"finger: {plan.trajectories} full motions of {plan.duration_s:g} s")
-    collect_action(twin, folder, plan, cfg.device, lambda line: tell(f"finger: {line}"))
+    progress(f"finger: {plan.trajectories} full motions of {plan.duration_s:g} s")
+    collect_action(twin, folder, plan, cfg.device, lambda line: progress(f"finger: {line}"))
     _, motions = read_motions(folder, twin)
     found = np.array([motion_errors(network, m) for m in motions])
     bare = np.array([motion_errors(without_torque(network), m) for m in motions]).mean(0)
@@ -45,7 +48,7 @@ def motion_errors(network: ActionNetwork, m: Motion) -> tuple[float, float, floa
 
 
 def gel_rows(
-    cfg: BenchmarkSurrogateConfig, twin: Twin, network: GelSurrogate, tell: Tell
+    cfg: BenchmarkSurrogateConfig, twin: Twin, network: GelSurrogate, progress: Progress
 ) -> tuple[list[dict], tuple[Pairs, np.ndarray]]:
     """Displacement, tactile image and contact area at full depth; and a contact with what the network shows.
 
@@ -54,7 +57,12 @@ def gel_rows(
     """
     folder = cfg.out / f"contacts_{gel_fingerprint(twin)[:8]}"
     collected = collect_gel(
-        twin, folder, cfg.contacts, cfg.seed, cfg.device, lambda n, of: tell(f"gel: full contact {n} of {of}")
+        twin,
+        folder,
+        cfg.contacts,
+        cfg.seed,
+        cfg.device,
+        lambda n, of: progress(f"gel: full contact {n} of {of}"),
     )
     touching = [p for p in read_contacts(folder) if p.depth_mm[-1].any()]
     unseen = [p for p in touching if p.indenter in network.heldout]

@@ -12,7 +12,8 @@ import gymnasium
 import numpy as np
 import torch
 
-from lerobot_pneutac.benchmarks.surrogate.main import BenchmarkSurrogateConfig, row
+from lerobot_pneutac.benchmarks.surrogate.options import BenchmarkSurrogateConfig
+from lerobot_pneutac.benchmarks.surrogate.rows import row
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.mpm import devices
@@ -27,17 +28,19 @@ from pneutac_sim.twin import Twin
 from pneutac_sim.world.env import PneutacEnv
 from pneutac_sim.world.world import World
 
-Tell = Callable[[str], None]
+Progress = Callable[[str], None]
 CHUNK = 20  # control steps; each chunk is a case
 APPROACH = 150  # control steps within which the gel must have found the object
 DEPTH_M = 1.0e-3  # to which it presses
 FULL_STEPS = 3  # of the environment on material points
 
 
-def against_full(cfg: BenchmarkSurrogateConfig, twin: Twin, networks: Networks, tell: Tell) -> list[dict]:
+def against_full(
+    cfg: BenchmarkSurrogateConfig, twin: Twin, networks: Networks, progress: Progress
+) -> list[dict]:
     """How many times faster the networks are than what they stand in for, on the same inputs."""
     torch.set_num_threads(1)  # the networks' times and rates are of one core
-    tell("finger: full motion against the network")
+    progress("finger: full motion against the network")
     solver = devices.finger(twin, particles=cfg.particles, device=cfg.device)
     frames = 3 if cfg.fast else 10
     pressure = np.linspace(6.0, 8.0, frames + 1)
@@ -58,7 +61,7 @@ def against_full(cfg: BenchmarkSurrogateConfig, twin: Twin, networks: Networks, 
     per_s = [s / (frames * FRAME_S) for s in (full, fast)]
     rows = [row("finger's motion, network over full MPM", "times", [full / fast], None, None, "5",
                 f"{per_s[0]:.3g} s and {per_s[1]:.2g} s for one of motion")]  # fmt: skip
-    tell("gel: full contacts against the network")
+    progress("gel: full contacts against the network")
     solver, model = devices.gel(twin, device=cfg.device), GelModel.from_twin(twin)
     ratios, times = [], []
     for number in range(1 if cfg.fast else 3):
@@ -77,28 +80,28 @@ def against_full(cfg: BenchmarkSurrogateConfig, twin: Twin, networks: Networks, 
     return rows + [row("gel's contact, network over full MPM", "times", ratios, None, None, "3,000", note)]
 
 
-def environment_rows(cfg: BenchmarkSurrogateConfig, twin: Twin, tell: Tell) -> list[dict]:
+def environment_rows(cfg: BenchmarkSurrogateConfig, twin: Twin, progress: Progress) -> list[dict]:
     """Control steps a second: by touch, by fidelity, drawn by splats, and in a batch."""
     rows = []
     goals = {"image": "≥ 60", "area": "≥ 400", "none": "≥ 2,000"}
-    said = {"image": "with tactile image", "area": "contact area only", "none": "without touch"}
+    labels = {"image": "with tactile image", "area": "contact area only", "none": "without touch"}
     for touch, goal in goals.items():
-        tell(f"environment {said[touch]}")
+        progress(f"environment {labels[touch]}")
         rates = {f: _rates(World("switch", twin, touch, f), cfg.steps) for f in ("surrogate", "probe")}
         how = "in free air" if touch == "none" else "pressing"
-        rows.append(row(f"environment {said[touch]}", "steps/s", rates["surrogate"],
+        rows.append(row(f"environment {labels[touch]}", "steps/s", rates["surrogate"],
                         float(rates["probe"].mean()), goal, None, f"one core, {how}"))  # fmt: skip
-    tell("environment with the tactile image of splats")
+    progress("environment with the tactile image of splats")
     world = World("switch", twin, "image", "surrogate")
     draw_by_splats(world)
     note = "one core, pressing; 61,360 Gaussians in place of the image plane"
     rows.append(row("environment, tactile image by splats", "steps/s", _rates(world, cfg.steps), None,
                     "≥ 60", None, note))  # fmt: skip
-    tell("environment on material points")
+    progress("environment on material points")
     rows.append(_full_row(cfg, twin))
     for touch, goal in goals.items():
-        tell(f"{cfg.environments} environments {said[touch]}")
-        rows.append(row(f"batch of {cfg.environments}, {said[touch]}", "steps/s", _batch(cfg, twin, touch),
+        progress(f"{cfg.environments} environments {labels[touch]}")
+        rows.append(row(f"batch of {cfg.environments}, {labels[touch]}", "steps/s", _batch(cfg, twin, touch),
                         None, goal, None, "a process each, all together, by the clock"))  # fmt: skip
     return rows
 

@@ -1,6 +1,5 @@
 """`pneutac benchmark tactile`: renderers fitted to one pair of images, scored on held-out ones."""
 
-import hashlib
 import json
 import os
 import time
@@ -8,18 +7,16 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from lerobot_pneutac.cli.options import parse_options
-from pneutac_datasets.recording.gel import GelRecording, GelSample
-from pneutac_datasets.recording.reading import read_meta
-from pneutac_datasets.recording.recording import Recording
+from lerobot_pneutac.benchmarks.tactile.methods import METHODS, makes_for, own_gel
+from lerobot_pneutac.benchmarks.tactile.picture import picture_grid
+from lerobot_pneutac.benchmarks.tactile.sets import TactileSet, find_sets, thumbnail
+from lerobot_pneutac.benchmarks.tactile.table import write_tables
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.metrics import score
 
-THUMB_PX = 96  # height of the pictures in the grid
 SECONDS_ACROSS = 5.0  # of a pair of sets, for the progress bar
 
 
@@ -30,7 +27,7 @@ class BenchmarkTactileConfig:
     Attributes:
         data: folder of recordings; the folder `tactile` of $PNEUTAC_DATA where not given.
         sets: names of folders in it, joined by commas; all recordings of gels where not given.
-        methods: keys of `benchmark_tactile_methods.METHODS`, joined by commas; all where not given.
+        methods: keys of `METHODS`, joined by commas; all where not given.
         out: folder of the tables; rows in it that were measured on the same images are not repeated.
     """
 
@@ -40,8 +37,6 @@ class BenchmarkTactileConfig:
     out: Path = Path("outputs/benchmark_tactile")
 
     def __post_init__(self):
-        from lerobot_pneutac.benchmarks.tactile.methods import METHODS
-
         if self.data is None:
             if not os.environ.get("PNEUTAC_DATA"):
                 raise InputError("Give the folder of recorded gels by --data=DIR, or set PNEUTAC_DATA.")
@@ -57,77 +52,12 @@ class BenchmarkTactileConfig:
     @property
     def method_keys(self) -> list[str]:
         """Methods to compare, in the table's order."""
-        from lerobot_pneutac.benchmarks.tactile.methods import METHODS
-
         given = dict.fromkeys(METHODS if self.methods is None else self.methods.split(","))
         return sorted(given, key=lambda k: list(METHODS).index(k) if k in METHODS else -1)
 
 
-@dataclass
-class TactileSet:
-    """One recording.
-
-    Attributes:
-        name: of its folder.
-        data: its images.
-        key: hash of all that a score depends on.
-    """
-
-    name: str
-    data: GelRecording
-    key: str
-
-    @classmethod
-    def load(cls, folder: Path) -> "TactileSet":
-        """Reads a recording that has a calibration row and others.
-
-        Raises:
-            InputError: it has not, or cannot be read.
-        """
-        data = GelRecording.load(Recording.load(folder))
-        try:
-            first = data.calibration
-        except InputError as e:
-            raise InputError(f"{folder}: {e}") from e
-        if all(s.role == first.role for s in data.samples):
-            raise InputError(
-                f"{folder} has no held-out image; add rows whose role is not 'calibration', e.g. 'heldout'."
-            )
-        key = hashlib.sha256(repr((data.px_per_mm, data.thickness_mm)).encode())
-        for s in data.samples:
-            key.update(repr((s.role, s.press, s.x_px, s.y_px, s.radius_px, s.clock)).encode())
-            key.update(s.image.tobytes() + s.rest.tobytes())
-        return cls(folder.name, data, key.hexdigest())
-
-    @property
-    def heldout(self) -> list[GelSample]:
-        """Images that no method was fitted to."""
-        return [s for s in self.data.samples if s.role != "calibration"]
-
-
-def find_sets(data: Path, names: str | None) -> list[TactileSet]:
-    """The recordings of gels in a folder.
-
-    Raises:
-        InputError: there is none, or one that was asked for is not there.
-    """
-    there = sorted(
-        f.parent for f in data.glob("*/recording.json") if read_meta(f.parent).get("device") == "gel"
-    )
-    if not there:
-        raise InputError(f"{data} holds no folder with a recording.json whose device is 'gel'.")
-    wanted = [f.name for f in there] if names is None else names.split(",")
-    for name in wanted:
-        if name not in [f.name for f in there]:
-            raise InputError(f"--sets: '{name}' is none of {', '.join(f.name for f in there)} in {data}.")
-    return [TactileSet.load(f) for f in there if f.name in wanted]
-
-
-def main(argv: list[str]) -> None:
+def benchmark_tactile(cfg: BenchmarkTactileConfig) -> None:
     """Measures what is not there yet, then prints and writes tables and pictures."""
-    from lerobot_pneutac.benchmarks.tactile.methods import METHODS
-
-    cfg = parse_options(BenchmarkTactileConfig, argv)
     sets, console = find_sets(cfg.data, cfg.sets), Console()
     rows = [(s, k) for s in sets for k in cfg.method_keys if s.name in (METHODS[k].sets or [s.name])]
     pairs = [(a, b) for a in sets for b in sets if a is not b] if "model" in cfg.method_keys else []
@@ -148,15 +78,11 @@ def main(argv: list[str]) -> None:
             row, thumbs = work(*what)
             _write(file, row | {"key": key}, thumbs)
             bar.advance(task, seconds)
-    from lerobot_pneutac.benchmarks.tactile.table import write_tables
-
     measured = {s.name: {} for s in sets}
     for s, k in rows:
         measured[s.name][k] = json.loads(_file(cfg.out, s.name, k).read_text())
     across = [json.loads(_across_file(cfg.out, a, b).read_text()) for a, b in pairs]
     write_tables(measured, across, cfg.out, console)
-    from lerobot_pneutac.benchmarks.tactile.picture import picture_grid
-
     for s in sets:
         thumbs = {
             k: np.load(_file(cfg.out, s.name, k).with_suffix(".npz"))["images"] for k in measured[s.name]
@@ -175,8 +101,6 @@ def measure(chosen: TactileSet, key: str) -> tuple[dict, np.ndarray]:
     Raises:
         InputError: the calibration pair is not what it is said to be.
     """
-    from lerobot_pneutac.benchmarks.tactile.methods import METHODS
-
     method = METHODS[key]
     began = time.process_time()
     try:
@@ -197,7 +121,6 @@ def measure_across(source: TactileSet, target: TactileSet) -> tuple[dict, None]:
 
     The two DIGITs' constants of the make are those found on the source alone.
     """
-    from lerobot_pneutac.benchmarks.tactile.methods import makes_for, own_gel
     from lerobot_pneutac.study.gel import seen_by
     from pneutac_sim.gel.photograph import Predictor
 
@@ -220,12 +143,6 @@ def _scores(chosen: TactileSet, images: list[np.ndarray]) -> list[dict]:
             {"image": s.name, "role": s.role or "others"} | values | {"psnr": min(values["psnr"], 99.0)}
         )
     return out
-
-
-def thumbnail(image: np.ndarray) -> np.ndarray:
-    """The image at the height of the picture grid, uint8."""
-    size = (round(THUMB_PX * image.shape[1] / image.shape[0]), THUMB_PX)
-    return np.asarray(Image.fromarray(image).resize(size, Image.Resampling.BOX))
 
 
 def _file(out: Path, name: str, key: str) -> Path:

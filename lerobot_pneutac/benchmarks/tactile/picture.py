@@ -3,8 +3,8 @@
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from lerobot_pneutac.benchmarks.tactile.main import TactileSet, thumbnail
 from lerobot_pneutac.benchmarks.tactile.methods import METHODS
+from lerobot_pneutac.benchmarks.tactile.sets import TactileSet, thumbnail
 
 ROWS = ("model", "linear", "taxim", "tacchi", "dot_sim")
 COLUMNS = 5

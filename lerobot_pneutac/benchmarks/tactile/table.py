@@ -137,9 +137,9 @@ def write_tables(measured: dict, across: list[dict], out: Path, console: Console
         cells = set_table(content)
         _print(f"{name}: mean ± standard error, 8-bit levels", cells, ours, console)
         lines += [f"## {name}", "", *_markdown(cells, ours), ""]
-        said = sentences(content)
-        lines += [f"- {s}" for s in said] + [""] * bool(said)
-        for s in said:
+        found = sentences(content)
+        lines += [f"- {s}" for s in found] + [""] * bool(found)
+        for s in found:
             console.print(s, highlight=False)
     if result["across"]:
         cells = across_table(result["across"])

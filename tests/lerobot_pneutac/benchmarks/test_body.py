@@ -12,8 +12,9 @@ from rich.console import Console
 
 from lerobot_pneutac.benchmarks.body import looks as benchmark_looks
 from lerobot_pneutac.benchmarks.body import shape as benchmark_shape
-from lerobot_pneutac.benchmarks.body.looks import rmse, run, summary
-from lerobot_pneutac.benchmarks.body.main import BenchmarkBodyConfig
+from lerobot_pneutac.benchmarks.body.looks import benchmark_looks as measure_looks
+from lerobot_pneutac.benchmarks.body.looks import rmse, summary
+from lerobot_pneutac.benchmarks.body.options import BenchmarkBodyConfig
 from lerobot_pneutac.benchmarks.body.shape_case import (
     ARM_HELDOUT_KPA,
     DOWN,
@@ -71,7 +72,7 @@ def test_run_writes_table_pictures_and_result(tmp_path, monkeypatch):
     ours = benchmark_looks.methods(fast=True)["PneuTac"]
     monkeypatch.setattr(benchmark_looks, "methods", lambda fast: {"flat": Flat, "PneuTac": ours})
     out = tmp_path / "looks"
-    result = run(BenchmarkBodyConfig(out=tmp_path, bodies=1, step_kpa=15.0, particles=1500))
+    result = measure_looks(BenchmarkBodyConfig(out=tmp_path, bodies=1, step_kpa=15.0, particles=1500))
     assert json.loads((out / "result.json").read_text())["table"] == result["table"]
     assert (out / "pictures.png").is_file()
     assert "PneuTac" in (out / "table.md").read_text()
@@ -215,7 +216,7 @@ def test_shape_judges_by_the_truth_and_goes_on_where_it_stopped(tmp_path, monkey
     monkeypatch.setattr(benchmark_shape, "calibrate_photographs", near)
     monkeypatch.setattr("lerobot_pneutac.benchmarks.body.shape_case.ORDER_KPA", few)
     cfg = BenchmarkBodyConfig(out=tmp_path, fingers=1, arms=0, hidden=0, particles=FEW)
-    result = benchmark_shape.run(cfg)
+    result = benchmark_shape.benchmark_shape(cfg)
     row, gain, modulus = result["shape"][0], *result["parameters"]
     assert gain["error_percent"][0] == pytest.approx(2) and gain["covered"] == gain["identified"] == 1
     assert (
@@ -226,12 +227,12 @@ def test_shape_judges_by_the_truth_and_goes_on_where_it_stopped(tmp_path, monkey
     assert row["joints_deg"][0] == pytest.approx(0.02 * bend, rel=0.3)
     assert 0.2 < row["tip_mm"][0] < 2 and row["tip_percent"][0] == pytest.approx(row["tip_mm"][0] / 1.1)
     assert "0.9700" in (tmp_path / "shape" / "tables.md").read_text()
-    assert benchmark_shape.run(cfg)["shape"] == result["shape"] and calls == ["finger_10"]
+    assert benchmark_shape.benchmark_shape(cfg)["shape"] == result["shape"] and calls == ["finger_10"]
 
 
 def test_shape_needs_neither_lerobot_nor_draccus():
     lacking = "import sys; sys.modules['lerobot'] = sys.modules['draccus'] = None; "
-    code = lacking + "from lerobot_pneutac.benchmarks.body.shape import run"
+    code = lacking + "from lerobot_pneutac.benchmarks.body.shape import benchmark_shape"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True).returncode == 0
 
 

@@ -7,7 +7,7 @@ import pytest
 from rich.console import Console
 
 from lerobot_pneutac.benchmarks.diagnosis import main as benchmark_diagnosis
-from lerobot_pneutac.benchmarks.diagnosis.main import BenchmarkDiagnosisConfig, Case, cases, solve
+from lerobot_pneutac.benchmarks.diagnosis.main import BenchmarkDiagnosisConfig, DiagnosisCase, cases, solve
 from lerobot_pneutac.benchmarks.diagnosis.table import confusion, right, summary, wilson, write_table
 from lerobot_pneutac.cli import benchmark
 from pneutac_sim.errors import InputError
@@ -67,7 +67,7 @@ def test_the_full_benchmark_holds_every_effect_strength_and_seed():
 
 def test_a_case_is_solved_blindly_and_kept(tmp_path, monkeypatch):
     """The truth is read after the answer was written; a finished case is not repeated."""
-    case = Case("none", "none", 1.0, 5004, 2.0)
+    case = DiagnosisCase("none", "none", 1.0, 5004, 2.0)
     solve(case, tmp_path)
     kept = json.loads((tmp_path / f"{case.key}.json").read_text())
     assert kept["truth"]["effects"] == [] and kept["verdict"] in ("adequate", "ambiguous")

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from lerobot_pneutac.benchmarks.surrogate.errors import motion_errors
-from lerobot_pneutac.benchmarks.surrogate.main import BenchmarkSurrogateConfig, row, table
+from lerobot_pneutac.benchmarks.surrogate.options import BenchmarkSurrogateConfig
+from lerobot_pneutac.benchmarks.surrogate.rows import row, table
 from lerobot_pneutac.benchmarks.surrogate.speed import DEPTH_M, _approach, draw_by_splats, press_on
 from pneutac_sim.errors import InputError
 from pneutac_sim.surrogate.action import without_torque

@@ -11,10 +11,12 @@ import pytest
 from PIL import Image
 
 from lerobot_pneutac.benchmarks.tactile import methods as methods
-from lerobot_pneutac.benchmarks.tactile.main import TactileSet, main, measure
+from lerobot_pneutac.benchmarks.tactile.main import measure
 from lerobot_pneutac.benchmarks.tactile.methods import FOUND_ALONE, METHODS, makes_for
 from lerobot_pneutac.benchmarks.tactile.picture import columns
+from lerobot_pneutac.benchmarks.tactile.sets import TactileSet
 from lerobot_pneutac.benchmarks.tactile.table import SCORES, ahead, mean_sem, shown
+from lerobot_pneutac.cli.benchmark import main
 from pneutac_datasets.generate.gel import write_gel_recording
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
@@ -38,7 +40,7 @@ def data(tmp_path_factory):
 def out(data, tmp_path_factory):
     """Where the verb was run once."""
     folder = tmp_path_factory.mktemp("out")
-    main([f"--data={data}", f"--methods={FAST}", f"--out={folder}"])
+    main(["tactile", f"--data={data}", f"--methods={FAST}", f"--out={folder}"])
     return folder
 
 
@@ -86,7 +88,7 @@ def test_the_second_run_measures_nothing_and_prints_what_result_json_holds(data,
         monkeypatch.setitem(METHODS, key, replace(METHODS[key], fit=fail))
     monkeypatch.setattr(methods, "own_gel", fail)
     monkeypatch.setenv("COLUMNS", "160")
-    main([f"--data={data}", f"--methods={FAST}", f"--out={out}"])
+    main(["tactile", f"--data={data}", f"--methods={FAST}", f"--out={out}"])
     said, table = capsys.readouterr().out, (out / "table.md").read_text()
     assert " 0 to do" in said and result(out) == before
     for name, content in before["sets"].items():
@@ -169,25 +171,25 @@ def test_pictured_images_spread_from_the_best_to_the_worst():
 )
 def test_bad_options_end_in_one_sentence(data, tmp_path, options, says):
     with pytest.raises(InputError, match=says) as e:
-        main([f"--data={data}", f"--out={tmp_path / 'out'}", *options])
+        main(["tactile", f"--data={data}", f"--out={tmp_path / 'out'}", *options])
     assert "\n" not in str(e.value)
 
 
 def test_bad_folders_end_in_one_sentence(data, tmp_path, monkeypatch):
     monkeypatch.delenv("PNEUTAC_DATA", raising=False)
     with pytest.raises(InputError, match="--data=DIR, or set PNEUTAC_DATA"):
-        main([])
+        main(["tactile"])
     with pytest.raises(InputError, match="whose device is 'gel'"):
-        main([f"--data={data / 'first'}"])
+        main(["tactile", f"--data={data / 'first'}"])
     with pytest.raises(InputError, match="is a file"):
-        main([f"--data={data}", f"--out={data / 'first' / 'rest.png'}"])
+        main(["tactile", f"--data={data}", f"--out={data / 'first' / 'rest.png'}"])
     shutil.copytree(data / "first", tmp_path / "data" / "bare")
     recording = Recording.load(tmp_path / "data" / "bare")
     for roles, says in (("calibration", "bare has no held-out image"), ("heldout", "bare.*no row with role")):
         recording.samples["role"] = roles
         recording.write(tmp_path / "data" / "bare")
         with pytest.raises(InputError, match=says):
-            main([f"--data={tmp_path / 'data'}", f"--out={tmp_path / 'out'}"])
+            main(["tactile", f"--data={tmp_path / 'data'}", f"--out={tmp_path / 'out'}"])
 
 
 def test_a_pair_that_shows_no_contact_is_named(data, tmp_path):

@@ -10,7 +10,7 @@ from PIL import Image
 
 from lerobot_pneutac.cli import render
 from lerobot_pneutac.rendering import particles as particle_picture
-from lerobot_pneutac.rendering.film import Film, Frame
+from lerobot_pneutac.rendering.film import Film, FilmFrame
 from lerobot_pneutac.rendering.options import FPS, RenderConfig, deepest_press, filled
 from lerobot_pneutac.verbs.render import draw_film
 from pneutac_sim.effects.registry import get_effect
@@ -73,8 +73,8 @@ def test_gel_shows_the_imprint_where_it_is(tmp_path, monkeypatch):
 def test_what_is_finished_is_kept_when_interrupted(tmp_path):
     def frames():
         picture = particle_picture.blank(64, 48)
-        yield Frame(picture, {"pressure_kpa": 0.0})
-        yield Frame(picture)
+        yield FilmFrame(picture, {"pressure_kpa": 0.0})
+        yield FilmFrame(picture)
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):

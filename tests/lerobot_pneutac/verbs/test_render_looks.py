@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from lerobot_pneutac.cli import render
-from lerobot_pneutac.rendering.options import View
+from lerobot_pneutac.rendering.options import RenderView
 from lerobot_pneutac.rendering.view import FOV_DEG, HEIGHT, view_camera
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect
@@ -118,10 +118,10 @@ def test_looks_are_seen_from_any_side(drawn, tmp_path):
 def test_a_view_is_where_its_angles_say():
     aim = np.array([0.05, 0.0, 0.01])
     for azimuth, elevation, eye in ((0, 0, (0, -1, 0)), (90, 0, (0, 0, 1)), (0, 90, (-1, 0, 0))):
-        camera = view_camera(View(azimuth, elevation, 4.0), aim, 0.11)
+        camera = view_camera(RenderView(azimuth, elevation, 4.0), aim, 0.11)
         rotation, shift = camera.extrinsics[:3, :3], camera.extrinsics[:3, 3]
         assert -rotation.T @ shift == pytest.approx(aim + 0.44 * np.array(eye), abs=1e-9)
-    pixels, _ = view_camera(View(0, 0, 4.0), aim, 0.11).project(
+    pixels, _ = view_camera(RenderView(0, 0, 4.0), aim, 0.11).project(
         np.array([[-0.005, 0, 0.01], [0.105, 0, 0.01]])
     )
     assert np.ptp(pixels[:, 1]) == pytest.approx(HEIGHT / (8 * np.tan(np.radians(FOV_DEG / 2))), rel=1e-6)
