@@ -1,9 +1,7 @@
 """The page of commands, from the dataclasses that the commands read their options into."""
 
 import dataclasses
-import importlib
 import inspect
-import re
 
 from lerobot.cameras import CameraConfig
 from lerobot.configs.policies import PreTrainedConfig
@@ -13,7 +11,7 @@ from lerobot.teleoperators import TeleoperatorConfig
 from mkdocs.structure.files import File
 
 import lerobot_robot_pneutac
-from lerobot_pneutac.cli import VERBS
+from lerobot_pneutac.cli import VERBS, options_class
 from lerobot_pneutac.cli.benchmark import TABLES
 from lerobot_pneutac.cli.options import list_options
 
@@ -42,13 +40,17 @@ def page() -> str:
         "options from a file. `pneutac VERB --help` prints the same as this page.",
         "",
     ]
-    for verb, (module, text) in VERBS.items():
+    for verb, text in VERBS.items():
         lines += [f"## pneutac {verb}", "", text[:1].upper() + text[1:] + ".", ""]
-        found = _options_class(module)
+        found = options_class(verb)
         lines += _table(found, "") if found else []
         if verb == "benchmark":
-            for name, table in TABLES.items():
-                lines += [f"### pneutac benchmark {name}", "", *_table(_options_class(table), "")]
+            for name in TABLES:
+                lines += [
+                    f"### pneutac benchmark {name}",
+                    "",
+                    *_table(options_class(f"benchmark {name}"), ""),
+                ]
     return "\n".join([*lines, "## Options of LeRobot's commands", "", *_lerobot()])
 
 
@@ -61,13 +63,6 @@ def _lerobot() -> list[str]:
                 lines += [f"### --{group}.type={kind}", "", sentence, ""]
                 lines += _table(found, f"{group}.", own=True)
     return lines
-
-
-def _options_class(module: str) -> type | None:
-    """The last dataclass of a module whose name ends as those of options do."""
-    known = vars(importlib.import_module(module)).values()
-    found = [c for c in known if dataclasses.is_dataclass(c) and c.__module__ == module]
-    return next((c for c in found[::-1] if re.search("(Config|Options)$", c.__name__)), None)
 
 
 def _table(found: type, prefix: str, own: bool = False) -> list[str]:

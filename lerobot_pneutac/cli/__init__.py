@@ -5,21 +5,21 @@ import importlib.metadata
 import os
 import sys
 
-# verb -> (module with `main(argv)`, what it does)
-VERBS: dict[str, tuple[str, str]] = {
-    "demo": ("lerobot_pneutac.cli.demo", "the main job, end to end, on the built-in twin"),
-    "new": ("lerobot_pneutac.cli.new", "a new twin"),
-    "measure": ("lerobot_pneutac.cli.measure", "drive a pressure program and record finger and gel"),
-    "calibrate": ("lerobot_pneutac.cli.calibrate", "fit a twin to a bench recording"),
-    "compare": ("lerobot_pneutac.cli.compare", "errors of a twin against a recording, and where it fails"),
-    "diagnose": ("lerobot_pneutac.cli.diagnose", "which physical effect is missing"),
-    "add": ("lerobot_pneutac.cli.add", "switch an effect on, re-fit, show the error before and after"),
-    "surrogate": ("lerobot_pneutac.cli.surrogate", "train the fast networks from full simulations"),
-    "render": ("lerobot_pneutac.cli.render", "pictures and a film of a twin under pressure or an indenter"),
-    "augment": ("lerobot_pneutac.cli.augment", "demonstrations in, more demonstrations out"),
-    "ppo": ("lerobot_pneutac.cli.ppo", "train an actor by reinforcement learning"),
-    "benchmark": ("lerobot_pneutac.cli.benchmark", "tables of speed and accuracy"),
-    "doctor": ("lerobot_pneutac.cli.doctor", "what is installed; which GPU, ports and cameras answer"),
+# verb -> what it does; the module of its name has `main(argv)`
+VERBS = {
+    "demo": "the main job, end to end, on the built-in twin",
+    "new": "a new twin",
+    "measure": "drive a pressure program and record finger and gel",
+    "calibrate": "fit a twin to a bench recording",
+    "compare": "errors of a twin against a recording, and where it fails",
+    "diagnose": "which physical effect is missing",
+    "add": "switch an effect on, re-fit, show the error before and after",
+    "surrogate": "train the fast networks from full simulations",
+    "render": "pictures and a film of a twin under pressure or an indenter",
+    "augment": "demonstrations in, more demonstrations out",
+    "ppo": "train an actor by reinforcement learning",
+    "benchmark": "tables of speed and accuracy",
+    "doctor": "what is installed; which GPU, ports and cameras answer",
 }
 
 
@@ -42,7 +42,7 @@ def _dispatch(argv: list[str]) -> None:
 
     verb = argv[0] if argv else "help"
     if verb in ("help", "-h", "--help"):
-        rows = (f"  {name:10s} {text}" for name, (_, text) in VERBS.items())
+        rows = (f"  {name:10s} {text}" for name, text in VERBS.items())
         print("usage: pneutac VERB [--option=value ...]\n", *rows, sep="\n")
         print("\n`pneutac VERB --help` lists its options, `pneutac --version` the version.")
         return
@@ -53,6 +53,20 @@ def _dispatch(argv: list[str]) -> None:
         sys.exit(f"pneutac: '{verb}' is not a verb; the verbs are {', '.join(VERBS)}.")
     sys.argv = [f"pneutac {verb}", *argv[1:]]  # the usage lines name the program so
     try:
-        importlib.import_module(VERBS[verb][0]).main(argv[1:])
+        _module(verb).main(argv[1:])
     except InputError as e:
         sys.exit(f"pneutac {verb}: {e}")
+
+
+def options_class(command: str) -> type | None:
+    """The dataclass of the options of `diagnose`, `benchmark policy` and so on; None for none."""
+    verb, _, name = command.partition(" ")
+    module = _module(verb)
+    if name:
+        module = importlib.import_module(module.TABLES[name])
+    found = (c for c in vars(module).values() if isinstance(c, type))
+    return next((c for c in found if f"Options of `pneutac {command}`" in (c.__doc__ or "")), None)
+
+
+def _module(verb: str):
+    return importlib.import_module(f"lerobot_pneutac.cli.{verb}")
