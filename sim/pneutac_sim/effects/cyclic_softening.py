@@ -1,8 +1,9 @@
 """Cyclic softening (Mullins): strained material is softer than new, and each cycle softens it further.
 
 Two forms, either of which may be zero. Below its largest bend so far, the body bends 1 / eta times, with
-eta = 1 - m erf((1 - W / W_max) / u) after Ogden and Roxburgh and the stored energy W ∝ bend^2. And after n
-cycles it bends 1 + g (1 - exp(-n / n0)) times. Largest bend and cycles are kept from trial to trial.
+eta = 1 - m erf((1 - W / W_max) / u) after Ogden and Roxburgh (Proc. R. Soc. A 455, 1999) and the stored
+energy W ∝ bend^2. And after n cycles it bends 1 + g (1 - exp(-n / n0)) times. Largest bend and cycles are
+kept from trial to trial.
 """
 
 import math

@@ -1,7 +1,8 @@
 """Dry friction: the joint sticks until the pressure has changed by a threshold, then slides behind it.
 
 Coulomb friction with a Stribeck drop: a joint at rest needs coulomb + breakaway to start, a sliding one only
-coulomb. Friction is given as the pressure that it eats up. The joint stays where it was between trials.
+coulomb (Armstrong-Helouvry, Dupont and Canudas de Wit, Automatica 30, 1994). Friction is given as the
+pressure that it eats up. The joint stays where it was between trials.
 """
 
 from pneutac_sim.effects.body_effect import BodyEffect, kernel

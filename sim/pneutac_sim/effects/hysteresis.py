@@ -1,8 +1,9 @@
 """Rate-independent hysteresis: Prandtl-Ishlinskii, a sum of plays that trail behind the pressure.
 
-y = (p + sum_i w_i play(p, r_i)) / (1 + sum_i w_i), r_i = half-width x (0.04, 0.12, 0.3, 0.6, 1), w_i >= 0. On
-the way back the bend is larger than on the way out: it lags the pressure. The plays keep their memory from
-trial to trial.
+y = (p + sum_i w_i play(p, r_i)) / (1 + sum_i w_i) (Krasnosel'skii and Pokrovskii, Systems with Hysteresis,
+1989; Kuhnen, European Journal of Control 9, 2003), with r_i = half-width x (0.04, 0.12, 0.3, 0.6, 1) and
+w_i >= 0. On the way back the bend is larger than on the way out: it lags the pressure. The plays keep their
+memory from trial to trial.
 """
 
 import numpy as np

@@ -20,7 +20,7 @@ def gain(clock: float, values: dict[str, float]) -> np.ndarray:
 
 
 def estimate(photographs: Sequence[Quiet]) -> dict[str, float]:
-    """Weighted least squares of each photograph's brightness over its rest image, held to the priors."""
+    """Weighted least squares of each photograph's brightness over its rest image, with priors."""
     gains, drifts = {}, {}
     for k, c in enumerate(CHANNELS):
         A, b = [np.diag(1 / np.array([PRIOR_GAIN, PRIOR_DRIFT]))], [np.zeros(2)]

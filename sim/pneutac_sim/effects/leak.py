@@ -5,7 +5,7 @@ import math
 from pneutac_sim.effects.body_effect import BodyEffect, kernel
 from pneutac_sim.effects.effect import Parameter
 
-_HELD_KPA = 1e-6  # a command that changes by less is held; rounding changes it by far less
+_STILL_KPA = 1e-6  # a command that changes by less is held; rounding changes it by far less
 
 
 @kernel
@@ -16,7 +16,7 @@ def run(x, dt, theta, conditions, state):
     for t in range(n):
         for c in range(channels):
             command = x[t, c]
-            if math.isinf(dt[t]) or abs(command - before[c]) > _HELD_KPA:
+            if math.isinf(dt[t]) or abs(command - before[c]) > _STILL_KPA:
                 left[c] = 1.0  # the valve opens and fills up again
             else:
                 left[c] *= math.exp(-theta[0] * dt[t])

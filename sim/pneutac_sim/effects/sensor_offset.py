@@ -1,7 +1,7 @@
 """Pressure sensor error: it reads p_read = s p + o + d t, and the regulator believes it.
 
 The true pressure is (p_read - o - d t) / s, with t the time since the recording began. Scale and offset are
-told from the gain and the rest pressure only where something else depends on the true pressure.
+identified apart from the gain and the rest pressure only where something else depends on the true pressure.
 """
 
 from pneutac_sim.effects.body_effect import BodyEffect, kernel

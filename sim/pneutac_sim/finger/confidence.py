@@ -1,7 +1,8 @@
 """What a least-squares fit knows about its parameters, when neighbouring residuals are alike.
 
 Residuals of a model that is a little wrong are strongly correlated in time, so n samples are worth only
-n (1 - rho) / (1 + rho) independent ones (first-order autoregression); intervals widen accordingly.
+n (1 - rho) / (1 + rho) independent ones (first-order autoregression; Bayley and Hammersley, J. R. Stat. Soc.
+Suppl. 8, 1946); intervals widen accordingly.
 """
 
 from dataclasses import dataclass
@@ -82,7 +83,7 @@ def confidence(J: np.ndarray, residual: np.ndarray, adjacent: np.ndarray, at_bou
         J: (n D, F) Jacobian of the scaled residuals.
         residual: (n, D) scaled residuals of the training samples.
         adjacent: (n,) True where a training sample directly follows another one.
-        at_bound: (F,) parameters stopped by a bound: they are held while the others' spread is found, and
+        at_bound: (F,) parameters stopped by a bound: they stay there while the others' spread is found, and
             each gets the spread that it would have alone with those.
     """
     n, count = len(residual), J.shape[1]

@@ -110,7 +110,8 @@ def _joint(to_z, to_y, R, axes):
     R[0, 0], R[0, 1], R[0, 2] = 1.0 - b * angle2, -a * to_y, -a * to_z
     R[1, 0], R[1, 1], R[1, 2] = a * to_y, 1.0 - b * to_y * to_y, -b * to_y * to_z
     R[2, 0], R[2, 1], R[2, 2] = a * to_z, -b * to_y * to_z, 1.0 - b * to_z * to_z
-    # Left Jacobian I + b [w] + g [w]^2 of the rotation vector w = (0, -to_z, to_y), applied to dw.
+    # Left Jacobian I + b [w] + g [w]^2 of the rotation vector w = (0, -to_z, to_y), applied to dw (Barfoot,
+    # State Estimation for Robotics, Sec. 7.1).
     wy, wz = -to_z, to_y
     for i in range(2):
         ey, ez = (-1.0, 0.0) if i == 0 else (0.0, 1.0)
@@ -118,6 +119,25 @@ def _joint(to_z, to_y, R, axes):
         axes[i, 0] = b * (wy * ez - wz * ey)
         axes[i, 1] = ey + g * (wy * dot - ey * angle2)
         axes[i, 2] = ez + g * (wz * dot - ez * angle2)
+
+
+@kernel
+def _places(free, deflection, links, at, axes):
+    """Writes where joints and tip are (joints + 1, 3), m, and the joints' axes (2 joints, 3), base frame."""
+    frame, turned, R, local = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((2, 3))
+    for r in range(3):
+        for c in range(3):
+            frame[r, c] = 1.0 if r == c else 0.0
+    for i in range(len(at) - 1):
+        _joint(free[2 * i] + deflection[2 * i], free[2 * i + 1] + deflection[2 * i + 1], R, local)
+        for r in range(3):
+            f0, f1, f2 = frame[r, 0], frame[r, 1], frame[r, 2]
+            for k in range(2):
+                axes[2 * i + k, r] = f0 * local[k, 0] + f1 * local[k, 1] + f2 * local[k, 2]
+            for c in range(3):
+                turned[r, c] = f0 * R[0, c] + f1 * R[1, c] + f2 * R[2, c]
+            at[i + 1, r] = at[i, r] + links[i] * turned[r, 0]
+        frame, turned = turned, frame
 
 
 @kernel
@@ -130,26 +150,13 @@ def spatial(q, loads, stiffness, links, state):
     n, size = q.shape
     joints = size // 2
     at = np.zeros((joints + 1, 3))
-    frame, turned, R, local = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((2, 3))
     axes = np.empty((size, 3))
     D, change = np.empty((3, 3)), np.empty(3)
     point, force = np.empty((3, 3)), np.empty(3)  # sums of position (x) force, and of force
     A, chol, b = np.empty((size, size)), np.empty((size, size)), np.empty(size)
     for t in range(n):
         for _ in range(_ITERATIONS):
-            for r in range(3):
-                for c in range(3):
-                    frame[r, c] = 1.0 if r == c else 0.0
-            for i in range(joints):
-                _joint(q[t, 2 * i] + state[2 * i], q[t, 2 * i + 1] + state[2 * i + 1], R, local)
-                for r in range(3):
-                    f0, f1, f2 = frame[r, 0], frame[r, 1], frame[r, 2]
-                    for k in range(2):
-                        axes[2 * i + k, r] = f0 * local[k, 0] + f1 * local[k, 1] + f2 * local[k, 2]
-                    for c in range(3):
-                        turned[r, c] = f0 * R[0, c] + f1 * R[1, c] + f2 * R[2, c]
-                    at[i + 1, r] = at[i, r] + links[i] * turned[r, 0]
-                frame, turned = turned, frame
+            _places(q[t], state, links, at, axes)
             for r in range(3):
                 force[r] = loads[t, r]
                 for c in range(3):

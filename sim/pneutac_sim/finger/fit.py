@@ -1,7 +1,7 @@
 """Fits a twin to a recording: bounded nonlinear least squares over all parameters, from several starts.
 
 A first round on a thinned recording looks for the right valley, the second polishes on every sample. Whatever
-the recording cannot tell apart is held and named.
+the recording cannot tell apart stays as it is and is named.
 """
 
 import time
@@ -22,6 +22,7 @@ from pneutac_sim.twin import Twin
 _EDGE = 1e-3  # of a parameter's whole range: nearer to its bound it counts as at it
 _COARSE = 1200  # samples in the first round
 _COARSE_STEPS = 8  # enough to tell the valleys apart
+_DEPENDENT = "the recording cannot tell it from the other parameters"
 _PROFILE = ("gain_alpha", "gain_beta")
 BY_IMAGES = "calibrated by images"  # how a twin's history calls it
 
@@ -85,7 +86,7 @@ def fit(
         effects: switched on; None for the twin's own.
         train: (n,) samples to fit; None for all.
         only: fit these and hold the rest: names of parameters, or of effects for all of theirs. None for all;
-            but where photographs of the whole body have told how the bend is spread over the joints, a
+            but where photographs of the whole body gave how the bend is spread over the joints, a
             recording of the tip alone, which hardly tells it, does not change that.
         starts: how many starting points the first round tries.
         seed: decides the random ones among them.
@@ -98,30 +99,58 @@ def fit(
     mask = np.ones(len(data), bool) if train is None else np.asarray(train, bool)
     pipeline = Pipeline.of(twin, data.inputs, effects)
     bounds = Bounds(pipeline, data.inputs.pressure_range_kpa)
-    if data.unit == "kPa" and only is None:  # the pressure knows nothing of the body behind it
-        only = [e.name for e in pipeline.effects if e.stage == "pneumatics"]
-    free = _free(pipeline, only)
-    seen = any(entry["change"] == BY_IMAGES for entry in twin.history)
-    if only is None and seen and not any(c.startswith("q_") for c in data.columns):
-        free = np.array([i for i in free if pipeline.names[i] not in _PROFILE], int)
-    if mask.sum() * len(data.columns) <= len(free):
-        raise InputError(
-            f"There are {int(mask.sum())} training samples for {len(free)} parameters; record more, or fit "
-            "fewer."
-        )
-
-    theta = pipeline.theta(twin, data.inputs.pressure_range_kpa)
-    chosen = np.flatnonzero(mask)
-    thin = data.thin(chosen[:: max(1, len(chosen) // _COARSE)])
-    problem = Problem(pipeline, thin, theta, bounds, free)
-    anchors = sorted([theta, rough_drive(pipeline, thin, theta, bounds, free)], key=problem.cost)
-    whole = Problem(pipeline, data.thin(chosen), anchors[0], bounds, free)
-    told = independent(whole.jacobian(np.clip(bounds.scaled(anchors[0], free), 0.01, 0.99)))
-    not_identified = dict.fromkeys(
-        (pipeline.names[i] for i in free[~told]), "the recording cannot tell it from the other parameters"
+    free = _free(pipeline, data, twin, only)
+    _check_enough(int(mask.sum()), len(data.columns), len(free))
+    start = pipeline.theta(twin, data.inputs.pressure_range_kpa)
+    problems, v = _search(start, pipeline, data, np.flatnonzero(mask), bounds, free, starts, seed)
+    final = problems[-1]
+    theta = final.theta(v)
+    residual = data.measured - pipeline.outputs(pipeline.run(data.inputs, theta), data.columns)
+    edge = (v < _EDGE) | (v > 1 - _EDGE)
+    known = confidence(final.jacobian(v), residual[mask] * data.scale, data.adjacent[mask], edge)
+    ci95 = _intervals(pipeline, bounds, final.free, v, known.sd)
+    unknown = dict.fromkeys((pipeline.names[i] for i in free if i not in final.free), _DEPENDENT)
+    for j in np.flatnonzero((2 * Z95 * known.sd > 1) & ~edge):
+        unknown[pipeline.names[final.free[j]]] = "its interval spans everything that physics allows"
+    return PipelineFit(
+        twin=pipeline.update(twin, theta, ci95),
+        pipeline=pipeline,
+        theta=theta,
+        free=final.free,
+        residual=residual,
+        train=data.error(residual, mask),
+        heldout=data.error(residual, ~mask),
+        unit=data.unit,
+        confidence=known,
+        ci95=ci95,
+        at_bound=_at_bound(pipeline, bounds, final.free, v, edge),
+        not_identified=unknown,
+        evaluations=sum(p.evaluations for p in problems),
+        seconds=time.perf_counter() - began,
     )
-    free = free[told]
 
+
+def _search(
+    theta: np.ndarray,
+    pipeline: Pipeline,
+    data: BodyData,
+    train: np.ndarray,
+    bounds: Bounds,
+    free: np.ndarray,
+    starts: int,
+    seed: int,
+) -> tuple[list[Problem], np.ndarray]:
+    """Finds the best valley on some samples and follows it on all that train (indices).
+
+    Returns:
+        All problems that were simulated, the last with those of the `free` that the samples can tell; and
+        its solution.
+    """
+    thin = data.thin(train[:: max(1, len(train) // _COARSE)])
+    first = Problem(pipeline, thin, theta, bounds, free)
+    anchors = sorted([theta, rough_drive(pipeline, thin, theta, bounds, free)], key=first.cost)
+    whole = Problem(pipeline, data.thin(train), anchors[0], bounds, free)
+    free = free[independent(whole.jacobian(np.clip(bounds.scaled(anchors[0], free), 0.01, 0.99)))]
     points = starting_points(anchors, pipeline, bounds, free, starts, np.random.default_rng(seed))
     tried = [Problem(pipeline, thin, point, bounds, free) for point in points]
     found = [
@@ -131,34 +160,19 @@ def fit(
     best = min(range(len(found)), key=lambda i: found[i].cost)
     final = Problem(pipeline, whole.data, points[best], bounds, free)
     v = minimise(final.residual, final.jacobian, found[best].v).v
-    theta = final.theta(v)
+    return [first, whole, *tried, final], v
 
-    residual = data.measured - pipeline.outputs(pipeline.run(data.inputs, theta), data.columns)
-    edge = (v < _EDGE) | (v > 1 - _EDGE)
-    known = confidence(final.jacobian(v), residual[mask] * data.scale, data.adjacent[mask], edge)
-    ci95, at_bound = _intervals(pipeline, bounds, free, v, known.sd), {}
+
+def _at_bound(
+    pipeline: Pipeline, bounds: Bounds, free: np.ndarray, v: np.ndarray, edge: np.ndarray
+) -> dict[str, str]:
+    """Name to `lower` or `upper` of those at an edge that is no neutral point."""
+    out = {}
     for j in np.flatnonzero(edge):
-        bound = (bounds.upper if v[j] > 0.5 else bounds.lower)[free[j]]
-        if bound != pipeline.specs[free[j]].neutral:
-            at_bound[pipeline.names[free[j]]] = "upper" if v[j] > 0.5 else "lower"
-    for j in np.flatnonzero((2 * Z95 * known.sd > 1) & ~edge):
-        not_identified[pipeline.names[free[j]]] = "its interval spans everything that physics allows"
-    return PipelineFit(
-        twin=pipeline.update(twin, theta, ci95),
-        pipeline=pipeline,
-        theta=theta,
-        free=free,
-        residual=residual,
-        train=data.error(residual, mask),
-        heldout=data.error(residual, ~mask),
-        unit=data.unit,
-        confidence=known,
-        ci95=ci95,
-        at_bound=at_bound,
-        not_identified=not_identified,
-        evaluations=sum(p.evaluations for p in (problem, whole, final, *tried)),
-        seconds=time.perf_counter() - began,
-    )
+        side = "upper" if v[j] > 0.5 else "lower"
+        if getattr(bounds, side)[free[j]] != pipeline.specs[free[j]].neutral:
+            out[pipeline.names[free[j]]] = side
+    return out
 
 
 def _intervals(pipeline: Pipeline, bounds: Bounds, free: np.ndarray, v: np.ndarray, sd: np.ndarray) -> dict:
@@ -168,9 +182,22 @@ def _intervals(pipeline: Pipeline, bounds: Bounds, free: np.ndarray, v: np.ndarr
     return {pipeline.names[i]: (float(a), float(b)) for i, a, b in zip(free, low, high, strict=True)}
 
 
-def _free(pipeline: Pipeline, only: Sequence[str] | None) -> np.ndarray:
-    """Indices of the parameters to fit."""
-    if only is not None:
+def _check_enough(samples: int, columns: int, parameters: int) -> None:
+    if samples * columns <= parameters:
+        raise InputError(
+            f"There are {samples} training samples for {parameters} parameters; record more, or fit fewer."
+        )
+
+
+def _free(pipeline: Pipeline, data: BodyData, twin: Twin, only: Sequence[str] | None) -> np.ndarray:
+    """Indices of the parameters to fit, see `fit`."""
+    spared = ()
+    if only is None and data.unit == "kPa":  # the pressure knows nothing of the body behind it
+        only = [e.name for e in pipeline.effects if e.stage == "pneumatics"]
+    elif only is None:
+        by_images = any(entry["change"] == BY_IMAGES for entry in twin.history)
+        spared = _PROFILE if by_images and not any(c.startswith("q_") for c in data.columns) else ()
+    else:
         known = {*pipeline.names, *(e.name for e in pipeline.effects)}
         for name in only:
             if name not in known:
@@ -179,6 +206,6 @@ def _free(pipeline: Pipeline, only: Sequence[str] | None) -> np.ndarray:
     for i, (name, spec) in enumerate(zip(pipeline.names, pipeline.specs, strict=True)):
         effect = name.rpartition(".")[0]
         wanted = only is None or name in only or (effect and effect in only)
-        if wanted and not spec.fixed and effect not in pipeline.left_out:
+        if wanted and name not in spared and not spec.fixed and effect not in pipeline.left_out:
             free.append(i)
     return np.array(free, int)

@@ -73,33 +73,18 @@ class Inputs:
         time = np.asarray(samples["time_s"], dtype=float)
         trial = np.asarray(samples["trial"]) if "trial" in samples else np.zeros(len(time), int)
         first = np.r_[True, trial[1:] != trial[:-1]]
-        dt = np.where(first, np.inf, np.diff(time, prepend=time[:1]))
-        if not (dt > 0).all():
-            row = int(np.argmax(~(dt > 0)))
-            raise InputError(f"Column 'time_s', row {row + 1} does not rise within its trial; sort by time.")
-        columns = {
-            str(name): np.asarray(samples[name], dtype=float)
-            for name in samples
-            if _is_number(samples[name]) and name not in names
-        }
-        others = [c for c in columns if c.endswith("_kpa") and c not in (*command, *measured)]
-        if others:
-            zero = np.zeros(len(time))
-            columns |= {
-                f"other_{i + 1}_kpa": columns[others[i]] if i < len(others) else zero for i in range(3)
-            }
-        columns["session_time_s"] = _session_time(time, first)
-        columns["length_mm"] = np.full(len(time), float(length_mm))
-        scale = max(
-            [np.abs(np.asarray(samples[c], dtype=float)).max() for c in command if c in samples], default=0
-        )
+        largest = [np.abs(np.asarray(samples[c], dtype=float)).max() for c in command if c in samples]
         inputs = cls(
             pressure_kpa=pressure,
-            dt_s=dt,
+            dt_s=_time_steps(time, first),
             rows=np.arange(len(time)),
-            columns=columns,
+            columns=_conditions(samples, names, (*command, *measured))
+            | {
+                "session_time_s": _session_time(time, first),
+                "length_mm": np.full(len(time), float(length_mm)),
+            },
             measured=use_measured,
-            pressure_range_kpa=float(max(scale, np.abs(pressure).max(), 1e-3)),
+            pressure_range_kpa=float(max([*largest, np.abs(pressure).max(), 1e-3])),
         )
         if start == "vented" or (start == "auto" and _starts_vented(pressure, first, samples, device)):
             return inputs._with_vented_rows()
@@ -176,6 +161,29 @@ def conditions_of(samples: Mapping, device: str) -> set[str]:
     if other_pressures(samples, device):
         computed |= {"other_1_kpa", "other_2_kpa", "other_3_kpa"}
     return computed | {str(c) for c in samples}
+
+
+def _time_steps(time: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """(n,) seconds since the sample before, infinite at the first of a trial."""
+    dt = np.where(first, np.inf, np.diff(time, prepend=time[:1]))
+    if not (dt > 0).all():
+        row = int(np.argmax(~(dt > 0)))
+        raise InputError(f"Column 'time_s', row {row + 1} does not rise within its trial; sort by time.")
+    return dt
+
+
+def _conditions(samples: Mapping, drive: list[str], own: tuple[str, ...]) -> dict[str, np.ndarray]:
+    """All numeric columns but those that drive the model; pressures of other chambers also by number."""
+    columns = {
+        str(name): np.asarray(samples[name], dtype=float)
+        for name in samples
+        if _is_number(samples[name]) and name not in drive
+    }
+    others = [c for c in columns if c.endswith("_kpa") and c not in own]
+    if others:
+        zero = np.zeros(len(columns[others[0]]))
+        columns |= {f"other_{i + 1}_kpa": columns[others[i]] if i < len(others) else zero for i in range(3)}
+    return columns
 
 
 def _is_number(column) -> bool:

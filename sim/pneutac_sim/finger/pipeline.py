@@ -153,8 +153,8 @@ class Pipeline:
         out = np.empty(len(self.names))
         for i, (name, spec) in enumerate(zip(self.names, self.specs, strict=True)):
             effect, _, parameter = name.rpartition(".")
-            held = twin.effects.get(effect, {}) if effect else twin.parameters
-            out[i] = held[parameter].value if parameter in held else spec.limits(pressure_range_kpa)[0]
+            values = twin.effects.get(effect, {}) if effect else twin.parameters
+            out[i] = values[parameter].value if parameter in values else spec.limits(pressure_range_kpa)[0]
         return out
 
     def neutral(self, theta: np.ndarray, effects: Sequence[str]) -> np.ndarray:
@@ -173,8 +173,8 @@ class Pipeline:
         new.effects = {k: v for k, v in new.effects.items() if k not in of_body(new.effects)}
         for name, value in zip(self.names, theta, strict=True):
             effect, _, parameter = name.rpartition(".")
-            held = new.effects.setdefault(effect, {}) if effect else new.parameters
-            held[parameter] = Value(float(value), (ci95 or {}).get(name))
+            values = new.effects.setdefault(effect, {}) if effect else new.parameters
+            values[parameter] = Value(float(value), (ci95 or {}).get(name))
         return new
 
     # ---------------------------------------------------------------- simulation

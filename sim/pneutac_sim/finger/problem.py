@@ -31,7 +31,7 @@ class Bounds:
         return np.where(self._log[index], np.exp(np.where(self._log[index], inner, 0.0)), inner)
 
     def scaled(self, theta: np.ndarray, index: np.ndarray) -> np.ndarray:
-        """Scaled values of parameters `index` of theta (P,), held within their bounds."""
+        """Scaled values of parameters `index` of theta (P,), clipped to their bounds."""
         v = (self._inner(theta[index], index) - self._bottom[index]) / (self._top - self._bottom)[index]
         return np.clip(v, 0.0, 1.0)
 

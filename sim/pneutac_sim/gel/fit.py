@@ -1,6 +1,6 @@
 """Calibrates a gel: light, effects and mechanics, from one rest and one indentation image or more.
 
-Given the surface, each channel is a least-squares problem of its own with up to twelve unknowns, held to the
+Given the surface, each channel is a least-squares problem of its own with up to twelve unknowns, tied to the
 priors of its effects where the images cannot tell. Around that, a search finds how far the surface
 recovers around a contact and how much of an imprint shows. All of it works on the probe grid, to which the
 photographs are averaged: the light varies no faster, and noise drops out.
@@ -40,8 +40,8 @@ DEPTH_SCALE_SD = 0.2  # of the logarithm: stated depths are mostly estimates
 MIN_THRESHOLD_LEVELS = 4.0  # below this, rounding and image compression alone would count as contact
 CONTACT_ROUNDS = 4  # of light and contacts in turn, where an effect changes the contacts
 
-# A make's light is held to even at several times the cost: what a single pair says against it is mostly the
-# model's own error, and on two real DIGITs holding to it predicts other images better.
+# A make's light is kept even at several times the cost: what a single pair says against it is mostly the
+# model's own error, and on two real DIGITs keeping it predicts other images better.
 TRUST_IN_MAKE = 3.0
 
 
@@ -85,7 +85,7 @@ def fit_gel(
         makes: sensors whose lights are known.
 
     Raises:
-        InputError: the pair cannot be what it is said to be, see `check_pair`.
+        InputError: the pair is no rest and indentation image, see `check_pair`.
     """
     check_pair(rest, indentation, press, px_per_mm)
     gel = GelModel(rest, np.zeros((3, 2)), np.zeros(3), px_per_mm, thickness_mm)

@@ -1,4 +1,4 @@
-"""Whether a rest and an indentation image can be what they are said to be."""
+"""Whether two images can be a rest and an indentation image of one sensor."""
 
 from dataclasses import dataclass, replace
 
@@ -43,7 +43,7 @@ class Pair:
         thickness_mm: gel thickness.
 
     Raises:
-        InputError: the pair cannot be what it is said to be.
+        InputError: the pair is no rest and indentation image, see `check_pair`.
     """
 
     rest: np.ndarray
@@ -58,6 +58,42 @@ class Pair:
 
 def check_pair(rest: np.ndarray, indentation: np.ndarray, press: Press, px_per_mm: float) -> None:
     """Raises InputError, in one sentence, where the pair is not a rest and an indentation image."""
+    _check_shapes(rest, indentation, press, px_per_mm)
+    near, far = _disc(rest, press, px_per_mm, 1.2), ~_disc(rest, press, px_per_mm, 3.0)
+    if not near.any():
+        raise InputError(
+            f"the contact is only {2 * press.contact_radius_mm * px_per_mm:.1f} pixels wide; "
+            "correct depth_mm or px_per_mm."
+        )
+    blur = 0.15 * px_per_mm  # averages noise within a grid cell
+    difference = gaussian_filter(indentation.astype(np.float32) - rest, (blur, blur, 0))
+    there, elsewhere = _contrast(difference, press, px_per_mm)
+    found = there >= max(MIN_CONTRAST * elsewhere, 1.0)
+    if not found:
+        _check_mirrored(difference, press, px_per_mm)
+    if far.mean() > 0.1:
+        likeness = metrics.ncc(rest[far], indentation[far])
+        if likeness < MIN_LIKENESS:
+            raise InputError(
+                f"away from the contact the rest image and the indentation image correlate by only "
+                f"{likeness:.2f}; the rest image seems to be of another sensor or session."
+            )
+    x, y = press_px(press, rest.shape, px_per_mm)
+    if not found:
+        raise InputError(
+            f"the indentation image shows no contact at ({x:.0f}, {y:.0f}) px: its difference to rest is "
+            f"{there:.1f} levels there and {elsewhere:.1f} elsewhere; press harder or correct the position."
+        )
+    scale = press.contact_radius_mm * px_per_mm / 3
+    if _relief(indentation, near, scale) < _relief(rest, near, scale):
+        raise InputError(
+            f"the rest image has more relief at ({x:.0f}, {y:.0f}) px than the indentation image; "
+            "they seem to be swapped."
+        )
+
+
+def _check_shapes(rest: np.ndarray, indentation: np.ndarray, press: Press, px_per_mm: float) -> None:
+    """Raises InputError where the images cannot be compared or the press lies outside them."""
     if rest.shape != indentation.shape:
         raise InputError(
             f"the indentation image is {_size(indentation)} but the rest image is {_size(rest)} pixels; "
@@ -74,55 +110,32 @@ def check_pair(rest: np.ndarray, indentation: np.ndarray, press: Press, px_per_m
             "the rest image and the indentation image are the same picture; "
             "give one without and one with contact."
         )
-    near, far = _disc(rest, press, px_per_mm, 1.2), ~_disc(rest, press, px_per_mm, 3.0)
-    if not near.any():
-        raise InputError(
-            f"the contact is only {2 * press.contact_radius_mm * px_per_mm:.1f} pixels wide; "
-            "correct depth_mm or px_per_mm."
-        )
-    blur = 0.15 * px_per_mm  # averages noise within a grid cell
-    difference = gaussian_filter(indentation.astype(np.float32) - rest, (blur, blur, 0))
-    there, elsewhere = _contrast(difference, press, px_per_mm)
-    found = there >= max(MIN_CONTRAST * elsewhere, 1.0)
-    if not found:
-        for how, sx, sy in MIRRORED:
-            turned = replace(press, x_mm=sx * press.x_mm, y_mm=sy * press.y_mm)
-            a, b = _contrast(difference, turned, px_per_mm)
-            if a >= max(2 * MIN_CONTRAST * b, 1.0):
-                u, v = press_px(turned, rest.shape, px_per_mm)
-                raise InputError(
-                    f"the indentation image shows no contact at ({x:.0f}, {y:.0f}) px but one at ({u:.0f}, "
-                    f"{v:.0f}) px: the images are {how} against x_mm, y_mm; turn them, or change the signs."
-                )
-    if far.mean() > 0.1:
-        likeness = metrics.ncc(rest[far], indentation[far])
-        if likeness < MIN_LIKENESS:
+
+
+def _check_mirrored(difference: np.ndarray, press: Press, px_per_mm: float) -> None:
+    """Raises InputError where a contact shows at the mirrored place."""
+    x, y = press_px(press, difference.shape, px_per_mm)
+    for how, sx, sy in MIRRORED:
+        turned = replace(press, x_mm=sx * press.x_mm, y_mm=sy * press.y_mm)
+        there, elsewhere = _contrast(difference, turned, px_per_mm)
+        if there >= max(2 * MIN_CONTRAST * elsewhere, 1.0):
+            u, v = press_px(turned, difference.shape, px_per_mm)
             raise InputError(
-                f"away from the contact the rest image and the indentation image correlate by only "
-                f"{likeness:.2f}; the rest image seems to be of another sensor or session."
+                f"the indentation image shows no contact at ({x:.0f}, {y:.0f}) px but one at ({u:.0f}, "
+                f"{v:.0f}) px: the images are {how} against x_mm, y_mm; turn them, or change the signs."
             )
-    scale = press.contact_radius_mm * px_per_mm / 3
+
+
+def _relief(image: np.ndarray, near: np.ndarray, scale: float) -> float:
+    """Root mean square in the mask `near` of bumps of so many pixels; a rest image varies more slowly."""
     rows, cols = (np.flatnonzero(near.any(axis)) for axis in (1, 0))
     margin = int(4 * scale)
     around = (
         slice(max(rows[0] - margin, 0), rows[-1] + margin),
         slice(max(cols[0] - margin, 0), cols[-1] + margin),
     )
-
-    def relief(image):  # bumps of the size of the contact; a rest image varies more slowly
-        bumps = [gaussian_laplace(image[..., k][around].astype(np.float32), scale) for k in range(3)]
-        return float(np.sqrt(np.mean(np.square(np.stack(bumps, -1)[near[around]]))))
-
-    if not found:
-        raise InputError(
-            f"the indentation image shows no contact at ({x:.0f}, {y:.0f}) px: its difference to rest is "
-            f"{there:.1f} levels there and {elsewhere:.1f} elsewhere; press harder or correct the position."
-        )
-    if relief(indentation) < relief(rest):
-        raise InputError(
-            f"the rest image has more relief at ({x:.0f}, {y:.0f}) px than the indentation image; "
-            "they seem to be swapped."
-        )
+    bumps = [gaussian_laplace(image[..., k][around].astype(np.float32), scale) for k in range(3)]
+    return float(np.sqrt(np.mean(np.square(np.stack(bumps, -1)[near[around]]))))
 
 
 def _contrast(difference: np.ndarray, press: Press, px_per_mm: float) -> tuple[float, float]:
