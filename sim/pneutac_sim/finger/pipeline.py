@@ -6,7 +6,7 @@ segment, used by calibration, comparison, diagnosis, and step by step in the env
     from pneutac_sim.finger import BodyData, Pipeline, PressurePipeline, fit, simulate
 
     simulate(twin, recording)                 # -> Prediction: model, measured, residual (n, D), unit, error
-    data = BodyData.of(recording, twin)         # prepares a recording once for many fits and simulations
+    data = BodyData.of(recording, twin)       # prepares a recording once for many fits and simulations
     f = fit(twin, data, effects=["creep"], train=mask)     # refits everything; f.twin is the new twin
     model = Pipeline.of(twin, data.inputs, effects=[...])  # parameters `model.names`, e.g. creep.weight_4s
     run = model.run(data.inputs, theta)      # theta (P,); run.markers (n, 5), run.joints, run.pressure_kpa

@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, field, fields, replace
 import numpy as np
 from PIL import Image
 
+from pneutac_sim.effects.effect import SENSOR_STAGES
 from pneutac_sim.effects.registry import get_effect, in_order, of_sensor
 from pneutac_sim.effects.sensor_effect import SensorEffect
 from pneutac_sim.errors import InputError
@@ -179,7 +180,7 @@ class GelModel:
         if "rest_image" not in twin.arrays:
             raise InputError("The twin's gel has no array 'rest_image'; calibrate the gel anew.")
         for name in twin.effects:
-            if twin.device == "gel" and not of_sensor([name]):
+            if twin.device == "gel" and get_effect(name).stage not in SENSOR_STAGES:
                 raise InputError(
                     f"The twin is of a gel, on which its effect '{name}' does not act; take it out."
                 )

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pneutac_sim.effects import body_effects, get_effect, sensor_effects
+from pneutac_sim.effects import Parameter, SensorEffect, body_effects, get_effect, registry, sensor_effects
 from pneutac_sim.effects.registry import of_body
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import Pipeline
@@ -124,3 +124,43 @@ def test_a_fingers_pipeline_refuses_an_unknown_parameter_of_its_gel_too():
     twin.effects["shadow"]["length_mm"] = Value(1.0)
     with pytest.raises(InputError, match="shadow.*length_mm"):
         Pipeline.of(twin).theta(twin)
+
+
+def malformed(**fields):
+    p = Parameter("stretch", "", 1.1, 0.5, 1.5, neutral=1.0)
+    SensorEffect(
+        **{"name": "a", "parameters": (p,), "summary": "", "experiment": "", "prior_sd": (0.1,)} | fields
+    )
+
+
+@pytest.mark.parametrize(
+    "fields, says",
+    [
+        ({"stage": "material"}, "stage 'material' must be one of gel, light"),
+        ({"stage": "light", "prior_sd": ()}, "1 positive numbers"),
+        ({"stage": "light", "surface": lambda u, cell_mm, v: u}, "no hook 'surface'"),
+        ({"stage": "light", "gain": lambda clock, v: np.ones(3)}, "gain and estimate"),
+    ],
+)
+def test_a_malformed_effect_of_a_sensor_is_refused(fields, says):
+    with pytest.raises(InputError, match=says):
+        malformed(**fields)
+
+
+def test_an_effect_of_the_gel_changes_the_surface_that_light_falls_on(monkeypatch):
+    stretch = SensorEffect(
+        name="stretch",
+        stage="gel",
+        parameters=(Parameter("stretch", "", 1.0, 0.5, 1.5, neutral=1.0),),
+        prior_sd=(0.1,),
+        surface=lambda u, cell_mm, v: v["stretch"] * u,
+        summary="",
+        experiment="",
+    )
+    known = registry.all_effects() | {"stretch": stretch}
+    monkeypatch.setattr(registry, "all_effects", lambda: known)
+    plain, stretched = lit(()), lit(())
+    stretched.effects = {"stretch": {"stretch": 1.2}}
+    plain, stretched = TactileSensor(plain), TactileSensor(stretched)
+    np.testing.assert_allclose(stretched.displacement(DEPTH), 1.2 * plain.displacement(DEPTH), rtol=1e-6)
+    assert np.abs(stretched.image(DEPTH).astype(int) - plain.image(DEPTH)).max() > 5
