@@ -9,7 +9,7 @@ from rich.markup import escape
 from lerobot_pneutac.cli.options import parse_options
 from lerobot_pneutac.verbs.new import mesh_sentence, new_twin, read_body, write_geometry
 from pneutac_datasets.recording.recording import Recording
-from pneutac_datasets.recording.rules import an
+from pneutac_datasets.recording.wording import an
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import DEVICES
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pneutac_datasets.recording.rules import an
+from pneutac_datasets.recording.wording import an
 from pneutac_sim.effects.registry import get_effect, of_body
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.indenter import Press

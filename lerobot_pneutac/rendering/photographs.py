@@ -18,7 +18,7 @@ from lerobot_pneutac.study.photographs import (
 )
 from pneutac_datasets.recording.photographs import read_camera
 from pneutac_datasets.recording.recording import Recording
-from pneutac_datasets.recording.rules import an
+from pneutac_datasets.recording.wording import an
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm.body import Body
 from pneutac_sim.photo_fit.objective import SOLID, Photograph

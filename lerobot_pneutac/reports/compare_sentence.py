@@ -6,7 +6,7 @@
 import numpy as np
 
 from pneutac_datasets.recording.axes import Axis
-from pneutac_datasets.recording.rules import plural
+from pneutac_datasets.recording.wording import plural
 
 FEW_ROWS = 50  # below this no place where the error is large says anything
 

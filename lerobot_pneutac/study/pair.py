@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from pneutac_datasets.recording.recording import Recording
-from pneutac_datasets.recording.rules import an, plural
+from pneutac_datasets.recording.wording import an, plural
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import BodyData, Pipeline
 from pneutac_sim.twin import Twin

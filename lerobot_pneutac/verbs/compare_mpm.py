@@ -6,7 +6,7 @@ import numpy as np
 
 from lerobot_pneutac.verbs.compare_body import BodyComparison
 from pneutac_datasets.recording.axes import Axis
-from pneutac_datasets.recording.rules import plural
+from pneutac_datasets.recording.wording import plural
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import BodyData, Pipeline
 from pneutac_sim.finger.inputs import Inputs

@@ -13,7 +13,7 @@ import numpy as np
 
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.verbs.result import Result
-from pneutac_datasets.recording.rules import an
+from pneutac_datasets.recording.wording import an
 from pneutac_sim.errors import InputError
 from pneutac_sim.surrogate.fingerprint import fingerprint, gel_fingerprint
 from pneutac_sim.surrogate.networks import builtin, fits

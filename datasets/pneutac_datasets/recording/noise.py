@@ -10,8 +10,8 @@ from itertools import combinations
 
 import numpy as np
 
-from pneutac_datasets.recording import rules
 from pneutac_datasets.recording.recording import Recording
+from pneutac_datasets.recording.wording import plural
 from pneutac_sim.finger import quantities
 
 HOLD_S = 1.0  # pressure at rest for this long before a sample counts as held
@@ -62,7 +62,7 @@ def noise_floor(recording: Recording) -> NoiseFloor:
         by = {c: MAD * float(np.median(np.abs(np.concatenate(fast[c])))) / np.sqrt(2) for c in numeric}
         slow = {c: float(np.sqrt(np.mean(np.concatenate(whole[c]) ** 2) / 2)) for c in numeric}
         session = _norm(slow, columns)
-        pair = rules.plural(len(pairs), "pair")
+        pair = plural(len(pairs), "pair")
         how = f"what differs from moment to moment between equal runs, {pair} of them"
     elif all(c in stated for c in columns):
         by = {c: float(stated[c]) for c in numeric if c in stated}

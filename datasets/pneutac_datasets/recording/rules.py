@@ -6,27 +6,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from pneutac_datasets.recording.clock import check_time
+from pneutac_datasets.recording.units import check_units
+from pneutac_datasets.recording.wording import an, plural, row_name
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import quantities
 from pneutac_sim.twin import DEVICES
 
 LABELS = r"program|image(_\w+)?|mask(_\w+)?|role|indenter|depth_source"
-
-# A soft actuator bursts well below 20 bar, so a larger number is another unit. A tip cannot be much further
-# from the base than the device is long; the factor of three used below leaves room for a rough length_mm.
-MAX_PRESSURE_KPA = 2000.0
-DAY_S = 86400.0
-MAX_DUPLICATES = 0.01  # share of rows with a doubled stamp that a logger's rounding explains
-
-
-def plural(n: int, noun: str) -> str:
-    """`1 row`, `2 rows`."""
-    return f"{n} {noun}" + ("" if n == 1 else "s")
-
-
-def an(device: str) -> str:
-    """`a finger`, `an arm`."""
-    return f"{'an' if device == 'arm' else 'a'} {device}"
 
 
 def device_of(meta: dict, samples: pd.DataFrame, folder: Path) -> str:
@@ -114,7 +101,7 @@ def check_samples(
     samples["trial"] = _trials(samples["trial"], file)
     if device != "gel":
         _check_noise(samples, device, meta, file)
-        samples = _check_time(samples, file, warnings)
+        samples = check_time(samples, file, warnings)
         check_units(samples, meta, file)
         _check_poverty(samples, file, warnings)
     return samples, warnings
@@ -177,16 +164,11 @@ def _numbers(samples: pd.DataFrame, device: str, file: Path) -> pd.DataFrame:
         if bad.any():
             row = int(np.argmax(bad))
             raise InputError(
-                f"{file}: column '{name}', {_row(row, file)} is {_shown(column.iloc[row])} "
+                f"{file}: column '{name}', {row_name(row, file)} is {_shown(column.iloc[row])} "
                 f"({plural(int(bad.sum()), 'such row')}); delete it or fill in a finite number."
             )
         samples[name] = values
     return samples
-
-
-def _row(row: int, file: Path) -> str:
-    """`row 3 (line 4 of the file)`: rows of data count from 1, and a text file has its header above them."""
-    return f"row {row + 1}" + (f" (line {row + 2} of the file)" if file.suffix.lower() == ".csv" else "")
 
 
 def _shown(value) -> str:
@@ -199,7 +181,7 @@ def _trials(trial: pd.Series, file: Path) -> np.ndarray:
     if broken.any():
         row = int(np.argmax(broken))
         raise InputError(
-            f"{file}: column 'trial', {_row(row, file)} is {t[row]}; number the trials 0, 1, 2, ..."
+            f"{file}: column 'trial', {row_name(row, file)} is {t[row]}; number the trials 0, 1, 2, ..."
         )
     t = t.astype(np.int64)
     starts = np.flatnonzero(np.r_[True, t[1:] != t[:-1]])
@@ -207,125 +189,11 @@ def _trials(trial: pd.Series, file: Path) -> np.ndarray:
     for row in starts:
         if t[row] in seen:
             raise InputError(
-                f"{file}: column 'trial', {_row(row, file)} goes back to trial {t[row]}; "
+                f"{file}: column 'trial', {row_name(row, file)} goes back to trial {t[row]}; "
                 "keep the rows of a trial together, or give the second part its own number."
             )
         seen.add(int(t[row]))
     return t
-
-
-def _check_time(samples: pd.DataFrame, file: Path, warnings: list[str]) -> pd.DataFrame:
-    time, trial = samples["time_s"].to_numpy(), samples["trial"].to_numpy()
-    step = np.r_[np.inf, np.where(trial[1:] == trial[:-1], np.diff(time), np.inf)]
-    if (step < 0).any():
-        row = int(np.argmax(step < 0))
-        raise InputError(
-            f"{file}: column 'time_s', {_row(row, file)} goes back from {time[row - 1]:g} to {time[row]:g} s "
-            f"in trial {trial[row]}; sort the trial by time, or start a new trial where the clock was reset."
-        )
-    doubled = step == 0
-    if doubled.any():
-        row, n = int(np.argmax(doubled)), int(doubled.sum())
-        where = (
-            f"{file}: column 'time_s', {_row(row, file)} repeats the stamp {time[row]:g} s of trial "
-            f"{trial[row]} ({plural(n, 'such row')})"
-        )
-        if n > MAX_DUPLICATES * len(samples) and n > 1:
-            raise InputError(f"{where}; write time_s with more digits, or delete those rows.")
-        warnings.append(f"{where}; {'it is' if n == 1 else 'they are'} left out.")
-        samples = samples[~doubled]
-    normal = np.median(step[np.isfinite(step)]) if np.isfinite(step).any() else 0.0
-    if 5 <= normal <= 1000 and _in_milliseconds(samples):
-        raise InputError(
-            f"{file}: column 'time_s' has one sample every {normal:g} s for {_length(samples) / DAY_S:.1f} "
-            "days while the pressure ramps from row to row, which can only be milliseconds; divide it by "
-            "1000."
-        )
-    if normal >= 5 and len(samples) > 100:
-        warnings.append(
-            f"{file}: column 'time_s' has one sample every {normal:g} s; if the clock counts milliseconds, "
-            "divide it by 1000."
-        )
-    return samples
-
-
-def _length(samples: pd.DataFrame) -> float:
-    """Time recorded in all trials, s."""
-    time = samples.groupby("trial")["time_s"]
-    return float((time.max() - time.min()).sum())
-
-
-def _in_milliseconds(samples: pd.DataFrame) -> bool:
-    """Whether a clock with steps of 5 to 1000 counts milliseconds for sure.
-
-    Its stamps are whole numbers, make more than a day, and the commanded pressure follows ramps. A recording
-    that is truly so slow holds its pressures (creep) or jumps between them from row to row (fatigue).
-    """
-    time = samples["time_s"].to_numpy()
-    if _length(samples) < DAY_S or (np.abs(time - np.round(time)) > 1e-3).any():
-        return False
-    p = samples[[c for c in samples if re.fullmatch(r"pressure_cmd_(\d+_)?kpa", c)]].to_numpy(float)
-    move = np.abs(np.diff(p, axis=0)).max(1) / max(float(np.ptp(p)), 1e-9)
-    moving = move > 1e-4
-    return bool(moving.mean() > 0.1 and np.median(move[moving]) < 0.1)
-
-
-def check_units(samples: pd.DataFrame, meta: dict, file: Path) -> None:
-    """Raises InputError where a column's range can only be another unit than its name says."""
-
-    def top(name: str) -> tuple[float, int]:
-        values = np.abs(samples[name].to_numpy(float))
-        return float(values.max()), int(values.argmax())
-
-    def refuse(name: str, value: float, row: int, unit: str, remedy: str):
-        raise InputError(
-            f"{file}: column '{name}', {_row(int(samples.index[row]), file)} is {value:g}, which can only be "
-            f"{unit}; {remedy}."
-        )
-
-    pressures = [c for c in samples if re.fullmatch(r"pressure_(cmd_)?(\d+_)?kpa", c)]
-    for name in pressures:
-        value, row = top(name)
-        if value > MAX_PRESSURE_KPA:
-            refuse(name, value, row, "pascal", "divide the column by 1000")
-    for name in pressures:
-        command = name.replace("pressure_", "pressure_cmd_")
-        if "cmd" in name or command not in samples:
-            continue
-        (measured, row), (commanded, _) = top(name), top(command)
-        if min(measured, commanded) > 0 and not 1 / 30 < measured / commanded < 30:
-            refuse(name, measured, row, f"another unit than that of '{command}' (up to {commanded:g})",
-                   "give both in kPa above the surroundings")  # fmt: skip
-    tips = [c for c in samples if re.fullmatch(r"tip_[xyz]_mm", c)]
-    if tips:
-        reach = np.sqrt(sum(samples[c].to_numpy(float) ** 2 for c in tips))
-        row, value = int(reach.argmax()), float(reach.max())
-        length = meta.get("length_mm")
-        if 0 < value < (0.02 * length if length else 1.0):
-            refuse(tips[0], value, row, "metres", "multiply the tip columns by 1000")
-        if length and value > 3 * length:
-            refuse(tips[0], value, row, f"another unit or frame (length_mm is {length:g})",
-                   "give the tip in millimetres from the base of the device")  # fmt: skip
-    for name in [c for c in samples if re.fullmatch(r"bend_angle_rad|q_\d+_rad", c)]:
-        value, row = top(name)
-        if value > 4 * np.pi:
-            refuse(name, value, row, "degrees", "multiply the column by pi/180")
-    gravity = [f"gravity_{a}" for a in "xyz"]
-    if all(c in samples for c in gravity):
-        norm = np.linalg.norm(samples[gravity].to_numpy(float), axis=1)
-        row = int(np.abs(norm - 1).argmax())
-        if abs(norm[row] - 1) > 0.05:
-            refuse("gravity_x", float(norm[row]), row, "no unit vector (length of gravity_x, y, z)",
-                   "divide the three columns by their length")  # fmt: skip
-    elif any(c in samples for c in gravity):
-        missing = next(c for c in gravity if c not in samples)
-        raise InputError(
-            f"{file}: column '{missing}' is missing; gravity needs gravity_x, gravity_y, gravity_z."
-        )
-    if "temperature_c" in samples:
-        value, row = top("temperature_c")
-        if value > 150:
-            refuse("temperature_c", value, row, "kelvin", "subtract 273.15 from the column")
 
 
 def _check_poverty(samples: pd.DataFrame, file: Path, warnings: list[str]) -> None:
