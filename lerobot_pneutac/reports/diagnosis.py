@@ -7,7 +7,7 @@ from lerobot_pneutac.diagnosis.experiment import Separation
 from lerobot_pneutac.diagnosis.result import Outcome
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.reports.sentences import percent
-from lerobot_pneutac.study.base import Study
+from lerobot_pneutac.study.base import EffectStudy
 
 BLUE, GREY, RED = "#0b6e99", "#9aa5b1", "#b8442f"
 MOST_POINTS = 4000
@@ -43,7 +43,7 @@ def diagnosis_page(d, separation: Separation | None) -> Report:
     return page
 
 
-def _candidates(page: Report, study: Study, o: Outcome) -> None:
+def _candidates(page: Report, study: EffectStudy, o: Outcome) -> None:
     page.heading("Each candidate alone")
     page.text(study.how_tested(o))
     page.figure(
@@ -59,7 +59,7 @@ def _candidates(page: Report, study: Study, o: Outcome) -> None:
     page.table([{"not tested": u.name, "why": u.reason} for u in study.untested])
 
 
-def _over_time(page: Report, study: Study, o: Outcome) -> None:
+def _over_time(page: Report, study: EffectStudy, o: Outcome) -> None:
     page.heading("What is left over time")
     caption = "Distance between measured and modelled, before and after; red: the command."
     page.figure(over_time(study, o), caption)
@@ -90,7 +90,7 @@ def _rivals(page: Report, o: Outcome) -> None:
     )
 
 
-def _parameters(page: Report, study: Study, o: Outcome) -> None:
+def _parameters(page: Report, study: EffectStudy, o: Outcome) -> None:
     if not o.selected:
         return
     page.heading("How well each parameter is known")
@@ -138,7 +138,7 @@ def _fingerprints(page: Report, o: Outcome) -> None:
     )
 
 
-def ladder(study: Study, o: Outcome) -> go.Figure:
+def ladder(study: EffectStudy, o: Outcome) -> go.Figure:
     """Held-out error as effects are added."""
     labels = [label for label, _ in o.ladder]
     rms = [study.errors(model)["heldout"] for _, model in o.ladder]
@@ -172,7 +172,7 @@ def reductions(o: Outcome) -> go.Figure:
     return figure.update_xaxes(title="avoidable error removed (%)", range=[min(-10, *value, 0) - 5, 105])
 
 
-def over_time(study: Study, o: Outcome) -> go.Figure:
+def over_time(study: EffectStudy, o: Outcome) -> go.Figure:
     """Error before and after, over the commanded pressure on an axis of its own at the right."""
     t = _session_time(study)
     step = max(1, len(t) // MOST_POINTS)
@@ -199,7 +199,7 @@ def over_time(study: Study, o: Outcome) -> go.Figure:
     )  # fmt: skip
 
 
-def axes(study: Study) -> dict[str, np.ndarray]:
+def axes(study: EffectStudy) -> dict[str, np.ndarray]:
     """Quantities against which the error is drawn."""
     s = study.recording.samples
     p = s[study.recording.pressure_columns].to_numpy(float).mean(1)
@@ -216,7 +216,7 @@ def axes(study: Study) -> dict[str, np.ndarray]:
     return found
 
 
-def against(study: Study, o: Outcome, name: str, x: np.ndarray) -> go.Figure:
+def against(study: EffectStudy, o: Outcome, name: str, x: np.ndarray) -> go.Figure:
     """Root mean square error in bins of equal count."""
     figure = go.Figure()
     edges = np.unique(np.quantile(x, np.linspace(0, 1, 16)))
@@ -230,7 +230,7 @@ def against(study: Study, o: Outcome, name: str, x: np.ndarray) -> go.Figure:
     return figure.update_xaxes(title=name).update_yaxes(title=f"error ({study.unit})", rangemode="tozero")
 
 
-def worst(study: Study, o: Outcome) -> list[dict]:
+def worst(study: EffectStudy, o: Outcome) -> list[dict]:
     """The five passages of three seconds with the largest error."""
     trial, t = study.recording.column("trial"), study.recording.column("time_s")
     passage = np.floor(t / PASSAGE_S).astype(int)
@@ -260,7 +260,7 @@ def proposed(s: Separation) -> go.Figure:
     return figure.update_xaxes(title="time (s)").update_yaxes(title=s.columns[min(k, len(s.columns) - 1)])
 
 
-def _session_time(study: Study) -> np.ndarray:
+def _session_time(study: EffectStudy) -> np.ndarray:
     t = study.recording.column("time_s").astype(float).copy()
     shift = 0.0
     for rows in study.recording.trials().values():

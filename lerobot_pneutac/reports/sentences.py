@@ -2,11 +2,11 @@
 
 from lerobot_pneutac.diagnosis.experiment import Separation
 from lerobot_pneutac.diagnosis.result import Outcome
-from lerobot_pneutac.study.base import Study
+from lerobot_pneutac.study.base import EffectStudy
 from pneutac_sim.effects.registry import get_effect
 
 
-def lead(study: Study, outcome: Outcome) -> str:
+def lead(study: EffectStudy, outcome: Outcome) -> str:
     """The one sentence (or two) at the top."""
     device, unit, evidence = study.recording.device, study.unit, outcome.evidence
     noise, after = f"{study.noise.value:.3g} {unit}", f"{study.errors(outcome.after)['heldout']:.3g} {unit}"
@@ -48,7 +48,7 @@ def lead(study: Study, outcome: Outcome) -> str:
     return text + (form if outcome.verdict == "insufficient_form" else "")
 
 
-def next_experiment(study: Study, outcome: Outcome) -> tuple[str, Separation | None]:
+def next_experiment(study: EffectStudy, outcome: Outcome) -> tuple[str, Separation | None]:
     """What to record next, and the predictions behind it where two models compete."""
     if outcome.evidence.poor:
         return study.more_data, None
@@ -67,7 +67,7 @@ def next_experiment(study: Study, outcome: Outcome) -> tuple[str, Separation | N
     return study.nothing_left, None
 
 
-def _removed(study: Study, outcome: Outcome) -> str:
+def _removed(study: EffectStudy, outcome: Outcome) -> str:
     return percent(*study.reduction(outcome.before, outcome.after))
 
 

@@ -22,20 +22,49 @@ from pneutac_sim.finger.quantities import root_mean
 from pneutac_sim.twin import Twin
 
 
-class Study(ABC):
-    """A twin beside a recording: a sample is a row of a body's recording or a photograph of a gel.
+class Study:
+    """A recording of one device, and what it is good for.
+
+    A sample is a row of a body's recording, or a photograph.
 
     Attributes:
-        twin: as it was given.
         recording: checked.
         seed: decides the parts and every bootstrap.
         unit: of the error.
-        noise: error that the measurement's own noise makes.
+        noise: error that the measurement's own noise makes; None where it cannot be told.
         parts: train fits parameters, validation decides what is kept, test is looked at by reports alone.
         own: effects that the twin has.
         candidates: effects to try.
         untested: effects that this recording cannot test.
         findings: of the checks, one sentence each.
+    """
+
+    recording: Recording
+    seed: int = 0
+    unit: str
+    noise: NoiseFloor | None = None
+    parts: Parts
+    own: Sequence[str] = ()
+    candidates: Sequence[str] = ()
+    untested: Sequence[Untested] = ()
+    findings: Sequence[str] = ()
+
+    @cached_property
+    def judge(self) -> Resampler:
+        """Resamples the validation part."""
+        return Resampler(self.parts.validation, self.parts.unit, self.parts.stratum, self.seed)
+
+    @cached_property
+    def test(self) -> Resampler:
+        """Resamples the test part."""
+        return Resampler(self.parts.test, self.parts.unit, self.parts.stratum, self.seed + 1)
+
+
+class EffectStudy(Study, ABC):
+    """A study in which effects can be told: of markers and angles, or of a gel's images.
+
+    Attributes:
+        twin: as it was given.
         unknown_where: end of a sentence, where an effect that nobody knows shows.
         more_data: what to record where there is too little.
         repeat: what to record where nothing explains the error.
@@ -43,15 +72,6 @@ class Study(ABC):
     """
 
     twin: Twin
-    recording: Recording
-    seed: int
-    unit: str
-    noise: NoiseFloor
-    parts: Parts
-    own: tuple[str, ...]
-    candidates: list[str]
-    untested: list[Untested]
-    findings: list[str]
     unknown_where: str
     more_data: str
     repeat: str
@@ -90,16 +110,6 @@ class Study(ABC):
     @abstractmethod
     def too_little(self, evidence: Evidence) -> str:
         """Why the recording is too poor for any claim, a sentence."""
-
-    @cached_property
-    def judge(self) -> Resampler:
-        """Resamples the validation part."""
-        return Resampler(self.parts.validation, self.parts.unit, self.parts.stratum, self.seed)
-
-    @cached_property
-    def test(self) -> Resampler:
-        """Resamples the test part."""
-        return Resampler(self.parts.test, self.parts.unit, self.parts.stratum, self.seed + 1)
 
     def errors(self, model: FittedModel) -> dict[str, float]:
         """Root mean square errors: `train`, and `heldout`, which is the test part."""
@@ -151,7 +161,7 @@ class Study(ABC):
         return []
 
 
-def study_of(twin: Twin, recording: Recording, seed: int = 0, adding: str | None = None) -> Study:
+def study_of(twin: Twin, recording: Recording, seed: int = 0, adding: str | None = None) -> EffectStudy:
     """The study of a recording by its device.
 
     Args:

@@ -15,7 +15,7 @@ from lerobot_pneutac.diagnosis.result import Outcome
 from lerobot_pneutac.diagnosis.rivals import Rival
 from lerobot_pneutac.diagnosis.steps import Steps
 from lerobot_pneutac.diagnosis.verdict import Evidence
-from lerobot_pneutac.study.base import Study
+from lerobot_pneutac.study.base import EffectStudy
 from lerobot_pneutac.study.pair import LONGER, enough_rows
 from pneutac_datasets.recording.checks import check
 from pneutac_datasets.recording.mounts import on_one_mount
@@ -28,7 +28,7 @@ from pneutac_sim.twin import Twin
 REPEAT = "Run the same program twice, an hour apart: what comes back is the device, what does not is the lab."
 
 
-class BodyStudy(Study):
+class BodyStudy(EffectStudy):
     """Markers, angles or curvatures of a finger or an arm.
 
     Args:

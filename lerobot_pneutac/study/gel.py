@@ -19,7 +19,7 @@ from lerobot_pneutac.diagnosis.rivals import find_rivals
 from lerobot_pneutac.diagnosis.selection import Selection, select
 from lerobot_pneutac.diagnosis.steps import Steps
 from lerobot_pneutac.diagnosis.verdict import FEW_UNITS, MOST, Evidence, decide
-from lerobot_pneutac.study.base import Study
+from lerobot_pneutac.study.base import EffectStudy
 from pneutac_datasets.recording import blocks
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.noise import NoiseFloor
@@ -64,7 +64,7 @@ class FittedGel(FittedModel):
         return float(mask.sum()) * self.patches
 
 
-class GelStudy(Study):
+class GelStudy(EffectStudy):
     """A gel and its optics.
 
     Args:

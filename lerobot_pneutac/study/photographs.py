@@ -5,6 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lerobot_pneutac.diagnosis.parts import Parts
+from lerobot_pneutac.study.base import Study
 from pneutac_datasets.recording.photographs import (
     background_of,
     column_of,
@@ -21,11 +23,13 @@ NEAR_KPA = 0.25  # of a training level
 LIKE = 0.9  # cosine from which two cameras look along the same line and tell the same
 
 
-@dataclass(frozen=True)
-class PhotoSession:
-    """Photographs of a body at rest under T pressures.
+@dataclass(frozen=True, eq=False)
+class PhotoStudy(Study):
+    """Photographs of a body at rest under T pressures; they fit the base model and tell of no effect.
 
     Attributes:
+        recording: of a finger or an arm.
+        parts: fitted photographs train, those at other pressures test.
         pressures: (T, chambers) kPa, without repetition.
         train: (T,) bool; the others are held out.
         cameras: names of those that are fitted, then of the others.
@@ -36,6 +40,8 @@ class PhotoSession:
         findings: where masks were found by segmentation, a sentence for each camera.
     """
 
+    recording: Recording
+    parts: Parts
     pressures: np.ndarray
     train: np.ndarray
     cameras: list[str]
@@ -44,6 +50,8 @@ class PhotoSession:
     markers_mm: np.ndarray | None
     conditions: dict[str, float]
     findings: tuple[str, ...] = ()
+
+    unit = "8-bit levels"
 
     def of(self, states: np.ndarray) -> list[Photograph]:
         """Photographs at the pressures where `states` (T,) is true, counted among these alone."""
@@ -58,7 +66,7 @@ class PhotoSession:
         return by_state[int(next(s for s in least if self.train[s]))]
 
 
-def read_session(recording: Recording, levels_kpa: tuple[float, ...]) -> PhotoSession:
+def photo_study(recording: Recording, levels_kpa: tuple[float, ...]) -> PhotoStudy:
     """Photographs of a finger or an arm.
 
     Of each hold of a pressure the last photograph counts, taken to be at rest. Cameras that look along the
@@ -100,7 +108,11 @@ def read_session(recording: Recording, levels_kpa: tuple[float, ...]) -> PhotoSe
         markers = np.stack([seen[state == s].mean(0) for s in range(len(levels))])
     others = [n for n in names if n not in chosen]
     findings = tuple(filter(None, (_segmented(recording, name) for name in chosen)))
-    return PhotoSession(
+    fitted = np.array([train[p.state] for p in photographs])
+    index = np.arange(len(fitted))
+    return PhotoStudy(
+        recording,
+        Parts(fitted, ~fitted, ~fitted, index, np.zeros_like(index)),
         levels,
         train,
         chosen + others,

@@ -7,7 +7,7 @@ from pathlib import Path
 from lerobot_pneutac.diagnosis.steps import Steps
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.reports.sentences import percent
-from lerobot_pneutac.study.base import Study, study_of
+from lerobot_pneutac.study.base import EffectStudy, study_of
 from lerobot_pneutac.study.pair import same_body
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.recording.recording import Recording
@@ -214,7 +214,7 @@ def add(
     )
 
 
-def _no_sure_fall(study: Study, effect: str, before: dict, after: dict, fall: tuple) -> str:
+def _no_sure_fall(study: EffectStudy, effect: str, before: dict, after: dict, fall: tuple) -> str:
     value, low, high = fall
     return (
         f"Nothing was written: with {effect} the held-out error goes from {before['heldout']:.4g} to "

@@ -8,7 +8,7 @@ from lerobot_pneutac.diagnosis.experiment import Separation
 from lerobot_pneutac.diagnosis.result import Outcome, Tested
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.reports.sentences import lead, next_experiment, percent
-from lerobot_pneutac.study.base import Study
+from lerobot_pneutac.study.base import EffectStudy
 from lerobot_pneutac.verbs.result import Result
 
 LITTLE_ALONE = 0.03  # share of the avoidable error: an effect that alone removes less looks like nothing
@@ -24,7 +24,7 @@ class Diagnosis(Result):
         made_at: date and time.
     """
 
-    study: Study
+    study: EffectStudy
     outcome: Outcome
     made_at: str = field(default_factory=lambda: time.strftime("%Y-%m-%d %H:%M"))
 

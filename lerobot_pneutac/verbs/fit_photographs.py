@@ -10,7 +10,7 @@ from PIL import Image
 
 from lerobot_pneutac.rendering.silhouettes import strip
 from lerobot_pneutac.reports.page import Report
-from lerobot_pneutac.study.photographs import PhotoSession, read_session
+from lerobot_pneutac.study.photographs import PhotoStudy, photo_study
 from lerobot_pneutac.verbs.calibration import Calibration
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.finger.fit import BY_IMAGES
@@ -27,7 +27,6 @@ from pneutac_sim.twin import Twin
 TRAIN_KPA = (0.0, 3.0, 6.0, 9.0, 12.0, 15.0)
 PARTICLES = 4000
 DETAIL = 2  # of the looks that the twin keeps: sharper than one Gaussian a particle, which the search takes
-UNIT = "8-bit levels"
 
 
 @dataclass(frozen=True)
@@ -55,7 +54,7 @@ class PhotoCalibration(Calibration):
 
     Attributes:
         fitted: what was fitted.
-        session: the photographs.
+        study: the photographs.
         start: from silhouettes alone.
         search: all that was tried.
         confidence: of each parameter.
@@ -66,7 +65,7 @@ class PhotoCalibration(Calibration):
     """
 
     fitted: BodyParameters
-    session: PhotoSession
+    study: PhotoStudy
     start: Coarse | None = None
     search: Search
     confidence: Confidence
@@ -83,14 +82,14 @@ class PhotoCalibration(Calibration):
     @property
     def iou(self) -> dict[str, float | None]:
         """Mean overlap of silhouettes over fitted and held-out photographs."""
-        return _parts(self.session, self.scores.iou[0])
+        return _parts(self.study, self.scores.iou[0])
 
     @property
     def tip_mm(self) -> dict[str, float | None] | None:
         """Root mean square distance to the markers, where there are any."""
         if self.tip_error_mm is None:
             return None
-        parts = {"train": self.session.train, "heldout": ~self.session.train}
+        parts = {"train": self.study.train, "heldout": ~self.study.train}
         square = self.tip_error_mm**2
         return {k: float(np.sqrt(square[m].mean())) if m.any() else None for k, m in parts.items()}
 
@@ -134,15 +133,15 @@ class PhotoCalibration(Calibration):
     def to_dict(self) -> dict:
         """The content of `result.json`."""
         loss = self.scores.appearance[0] + SILHOUETTE * (1 - self.scores.iou[0])
-        names, session = self.fitted.names, self.session
+        names, study = self.fitted.names, self.study
         tip = {} if self.tip_mm is None else {"tip_error_mm": self.tip_mm}
         return super().to_dict() | tip | {
-            "objective": _parts(session, loss),
+            "objective": _parts(study, loss),
             "iou": self.iou,
             "not_identified": self.confidence.not_identified,
             "coarse": dict(zip(names, self.fitted.values(self.start.x).tolist(), strict=True)),
-            "cameras": session.cameras[: session.fitted],
-            "train_kpa": session.pressures[session.train].tolist(),
+            "cameras": study.cameras[: study.fitted],
+            "train_kpa": study.pressures[study.train].tolist(),
             "resumed": self.search.resumed,
         }  # fmt: skip
 
@@ -176,15 +175,15 @@ class PhotoCalibration(Calibration):
 
     def _strips(self):
         """Pictures of six photographs each, with what they show."""
-        session = self.session
-        shown = sorted(session.photographs, key=lambda p: p.state)
+        study = self.study
+        shown = sorted(study.photographs, key=lambda p: p.state)
         for i in range(0, len(shown), 6):
             some = shown[i : i + 6]
             if len({p.mask.shape for p in some}) > 1:
                 continue
             told = [
-                f"{'/'.join(f'{v:g}' for v in session.pressures[p.state])} kPa"
-                f"{'' if session.train[p.state] else ' (held out)'}"
+                f"{'/'.join(f'{v:g}' for v in study.pressures[p.state])} kPa"
+                f"{'' if study.train[p.state] else ' (held out)'}"
                 for p in some
             ]
             yield strip(self.objective, self.bodies.positions[0], some), ", ".join(told)
@@ -213,18 +212,18 @@ def calibrate_photographs(
     """
     began = time.perf_counter()
     progress("silhouettes and looks", 0, options.evaluations)
-    session = read_session(recording, options.levels_kpa)
-    span = float(np.abs(session.pressures).max())
+    study = photo_study(recording, options.levels_kpa)
+    span = float(np.abs(study.pressures).max())
     first = body_parameters(twin, span)
-    pressures, photographs = session.pressures[session.train], session.of(session.train)
-    start = coarse_fit(first, pressures, photographs, session.conditions, options.device)
+    pressures, photographs = study.pressures[study.train], study.of(study.train)
+    start = coarse_fit(first, pressures, photographs, study.conditions, options.device)
     fitted = body_parameters(first.twin_at(start.x), span)
 
     def bodies(x: np.ndarray, pressures: np.ndarray) -> Equilibria:
-        return Equilibria(fitted, x, pressures, session.conditions, options.particles, options.device)
+        return Equilibria(fitted, x, pressures, study.conditions, options.particles, options.device)
 
-    equilibria, rest = bodies(start.x, pressures), session.rest  # the photograph nearest to no pressure
-    looks = _looks(rest, equilibria, int(np.cumsum(session.train)[rest.state]) - 1)
+    equilibria, rest = bodies(start.x, pressures), study.rest  # the photograph nearest to no pressure
+    looks = _looks(rest, equilibria, int(np.cumsum(study.train)[rest.state]) - 1)
     objective = Objective(equilibria, photographs, looks)
 
     def report(done: int, _: np.ndarray, value: float) -> None:
@@ -235,19 +234,19 @@ def calibrate_photographs(
     key = search_key(recording, twin, photographs, options.particles)
     count, seed = options.evaluations, options.seed
     found = search(objective, fitted, start, count, seed=seed, file=file, key=key, tell=report)
-    sure, everywhere = confidence(objective, found.x), bodies(found.x, session.pressures)
+    sure, everywhere = confidence(objective, found.x), bodies(found.x, study.pressures)
     new = fitted.twin_at(found.x, sure.ci95)
     looks_into_twin(new, _looks(rest, everywhere, rest.state, DETAIL))
-    whole = Objective(everywhere, session.photographs, looks)
-    result = _calibration(new, fitted, session, found, sure, whole, everywhere)
-    told = {"recording": str(recording.folder), "findings": (*recording.warnings, *session.findings)}
+    whole = Objective(everywhere, study.photographs, looks)
+    result = _calibration(new, fitted, study, found, sure, whole, everywhere)
+    told = {"recording": str(recording.folder), "findings": (*recording.warnings, *study.findings)}
     return replace(result, start=start, seed=seed, seconds=time.perf_counter() - began, **told)
 
 
 def _calibration(
     twin: Twin,
     fitted: BodyParameters,
-    session: PhotoSession,
+    study: PhotoStudy,
     found: Search,
     sure: Confidence,
     objective: Objective,
@@ -258,18 +257,18 @@ def _calibration(
     return PhotoCalibration(
         twin=twin,
         parameters=_rows(fitted, found, sure),
-        error=_parts(session, scores.rmse[0]),
-        unit=UNIT,
+        error=_parts(study, scores.rmse[0]),
+        unit=PhotoStudy.unit,
         evaluations=len(found.objectives),
         change=BY_IMAGES,
         fitted=fitted,
-        session=session,
+        study=study,
         search=found,
         confidence=sure,
         objective=objective,
         bodies=everywhere.first,
         scores=scores,
-        tip_error_mm=_tip_error_mm(session, everywhere),
+        tip_error_mm=_tip_error_mm(study, everywhere),
     )
 
 
@@ -282,18 +281,17 @@ def _rows(fitted: BodyParameters, found: Search, sure: Confidence) -> dict[str, 
     return rows
 
 
-def _parts(session: PhotoSession, values: np.ndarray) -> dict[str, float | None]:
+def _parts(study: PhotoStudy, values: np.ndarray) -> dict[str, float | None]:
     """Mean of (n,) values over fitted and over held-out photographs, None where there are none."""
-    train = np.array([session.train[p.state] for p in session.photographs])
-    parts = {"train": train, "heldout": ~train}
+    parts = {"train": study.parts.train, "heldout": study.parts.heldout}
     return {k: float(np.mean(values[m])) if m.any() else None for k, m in parts.items()}
 
 
-def _tip_error_mm(session: PhotoSession, everywhere: Equilibria) -> np.ndarray | None:
+def _tip_error_mm(study: PhotoStudy, everywhere: Equilibria) -> np.ndarray | None:
     """(T,) distance to the markers."""
-    if session.markers_mm is None:
+    if study.markers_mm is None:
         return None
-    return np.linalg.norm(1e3 * everywhere.first.tips[0] - session.markers_mm, axis=1)
+    return np.linalg.norm(1e3 * everywhere.first.tips[0] - study.markers_mm, axis=1)
 
 
 def search_key(recording: Recording, twin: Twin, photographs: list[Photograph], particles: int) -> str:

@@ -11,7 +11,7 @@ from PIL import Image
 from rich.console import Console
 
 from lerobot_pneutac.cli.calibrate import CalibrateConfig, run
-from lerobot_pneutac.study.photographs import read_session
+from lerobot_pneutac.study.photographs import photo_study
 from lerobot_pneutac.verbs import calibrate as verb
 from lerobot_pneutac.verbs.calibrate import training_levels
 from lerobot_pneutac.verbs.fit_photographs import search_key
@@ -143,12 +143,12 @@ def test_without_markers_photographs_are_fitted(drawn, tmp_path, monkeypatch):
 
 
 def test_levels_and_holds(drawn, tmp_path):
-    session = read_session(drawn, LEVELS)
+    session = photo_study(drawn, LEVELS)
     assert session.train.tolist() == [True, False, True, True]
     assert [p.state for p in session.of(session.train)] == [0, 1, 2]
     assert session.rest.state == 0 and session.fitted == 1
     held = altered(drawn, tmp_path / "held", trial=0, time_s=np.arange(4.0), pressure_cmd_kpa=[0, 0, 7, 14])
-    session = read_session(held, LEVELS)
+    session = photo_study(held, LEVELS)
     assert [p.name.rpartition(" ")[2] for p in session.photographs] == ["2", "3", "4"]
 
 
@@ -157,7 +157,7 @@ def test_bad_recordings_are_told_in_a_sentence(drawn, tmp_path):
 
     def refused(match, recording, levels=LEVELS):
         with pytest.raises(InputError, match=match):
-            read_session(recording, levels)
+            photo_study(recording, levels)
 
     for name, value, match in (("empty", 0, "covers 0.0%"), ("full", 255, "covers 100.0%")):
         bad = altered(drawn, tmp_path / name)
@@ -176,11 +176,11 @@ def test_masks_are_found_by_segmentation_where_there_are_none(tmp_path):
     from pneutac_datasets.generate.photographs import write_photographs
 
     made = write_photographs(tmp_path / "hidden", seed=5, pressures_kpa=[0, 6, 12])
-    masked = read_session(made, (0.0, 6.0, 12.0))
+    masked = photo_study(made, (0.0, 6.0, 12.0))
     without = [c for c in made.samples if c.startswith("mask")]
     assert masked.findings == () and without
     bare = replace(made, samples=made.samples.drop(columns=without))
-    found = read_session(bare, (0.0, 6.0, 12.0))
+    found = photo_study(bare, (0.0, 6.0, 12.0))
     assert found.cameras == masked.cameras
     assert "found by segmentation" in found.findings[0] and "front" in found.findings[0]
     for a, b in zip(masked.photographs, found.photographs, strict=True):
@@ -202,8 +202,8 @@ def test_the_only_camera_needs_no_name_in_the_columns(drawn, tmp_path):
     gone = {f"{kind}_{name}": None for kind in ("image", "mask") for name in ("front", "back")}
     one = replace(drawn, meta=drawn.meta | {"cameras": {"front": drawn.meta["cameras"]["front"]}})
     named, plain = (
-        read_session(drawn, LEVELS),
-        read_session(altered(one, tmp_path / "one", **front, **gone), LEVELS),
+        photo_study(drawn, LEVELS),
+        photo_study(altered(one, tmp_path / "one", **front, **gone), LEVELS),
     )
     assert plain.cameras == ["front"] and plain.train.tolist() == named.train.tolist()
     for a, b in zip(named.photographs, plain.photographs, strict=True):
@@ -211,15 +211,15 @@ def test_the_only_camera_needs_no_name_in_the_columns(drawn, tmp_path):
         assert np.array_equal(a.camera.extrinsics, b.camera.extrinsics)
     several = altered(drawn, tmp_path / "several", **front, **gone)
     with pytest.raises(InputError, match="describes front, back; name the columns image_<camera> and mask_"):
-        read_session(several, LEVELS)
+        photo_study(several, LEVELS)
     none = altered(replace(drawn, meta=drawn.meta | {"cameras": {}}), tmp_path / "none", **front, **gone)
     with pytest.raises(InputError, match="describes none; describe it"):
-        read_session(none, LEVELS)
+        photo_study(none, LEVELS)
     Image.fromarray(np.zeros((240, 240), np.uint8)).save(
         plain_folder := tmp_path / "one" / "2_mask_front.png"
     )
     with pytest.raises(InputError, match="mask of row 3 covers 0.0%"):
-        read_session(Recording.load(plain_folder.parent), LEVELS)
+        photo_study(Recording.load(plain_folder.parent), LEVELS)
 
 
 def test_an_interrupted_search_says_what_is_kept(drawn, tmp_path, monkeypatch):
@@ -241,9 +241,9 @@ def test_an_interrupted_search_says_what_is_kept(drawn, tmp_path, monkeypatch):
 
 
 def test_a_search_goes_on_only_with_the_same_photographs(drawn):
-    session, twin = read_session(drawn, LEVELS), Twin.builtin()
+    session, twin = photo_study(drawn, LEVELS), Twin.builtin()
     key = search_key(drawn, twin, session.photographs, 1000)
-    assert key == search_key(drawn, twin, read_session(drawn, LEVELS).photographs, 1000)
+    assert key == search_key(drawn, twin, photo_study(drawn, LEVELS).photographs, 1000)
     first, *others = session.photographs
     for other in (replace(first, image=255 - first.image), replace(first, mask=~first.mask)):
         assert search_key(drawn, twin, [other, *others], 1000) != key

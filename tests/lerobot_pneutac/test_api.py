@@ -1,0 +1,95 @@
+"""The API: light to import, inputs unchanged, results as data, a refusal is a result."""
+
+import copy
+import json
+import subprocess
+import sys
+
+import gymnasium
+import numpy as np
+import pytest
+
+import lerobot_pneutac
+from lerobot_pneutac import InputError, Recording, Twin, add, calibrate, compare
+from pneutac_datasets.generate.hidden.generate import generate
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory):
+    """A short recording with hidden creep and a twin calibrated to it."""
+    folder = tmp_path_factory.mktemp("api") / "bench"
+    generate(["creep"], folder, 5003, minutes=3.0, hz=10)
+    recording = Recording.load(folder)
+    twin = Twin("finger", recording.length_mm, recording.spine_joint_positions_mm)
+    return calibrate(twin, recording), recording
+
+
+def test_importing_is_light_and_registers_the_worlds():
+    code = (
+        "import sys, lerobot_pneutac, gymnasium; from lerobot_pneutac import Twin, Recording, calibrate, "
+        "compare, diagnose, add; gymnasium.spec('pneutac_sim/switch'); "
+        "print(sorted({'taichi', 'torch', 'lerobot', 'plotly', 'mujoco'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+    assert set(lerobot_pneutac.__all__) <= set(dir(lerobot_pneutac))
+    with pytest.raises(AttributeError, match="no attribute 'fly'"):
+        _ = lerobot_pneutac.fly
+
+
+def test_results_are_data_and_leave_what_was_given_as_it_was(bench, tmp_path):
+    calibrated, recording = bench
+    twin, samples = copy.deepcopy(calibrated.twin), recording.samples.copy()
+    heard = []
+    results = [
+        compare(calibrated.twin, recording),
+        add(calibrated.twin, recording, "creep", progress=lambda *step: heard.append(step)),
+    ]
+    assert calibrated.twin == twin and recording.samples.equals(samples)
+    assert heard[-1] == ("fitting with and without creep", 2, 2)
+    for i, result in enumerate(results):
+        page = result.report(tmp_path / str(i))
+        written = json.loads((page.parent / "result.json").read_text())
+        assert written.keys() == result.to_dict().keys() and "<table>" in result._repr_html_()
+        assert page.name == "report.html" and result.title.split()[0] in page.read_text()
+    compared, added = results
+    assert compared.heldout == pytest.approx(calibrated.error["heldout"], rel=1e-6)
+    assert added.accepted and added.reason == "" and list(added.twin.effects) == ["creep"]
+    assert compare(added.twin, recording).heldout < 0.5 * compared.heldout
+    saved = added.save(tmp_path / "twin")
+    assert saved.to_dict()["version"] == 0 and Twin.load(tmp_path / "twin") == saved.twin
+    assert added.twin.history == [], "saving changes the saved result alone"
+
+
+@pytest.mark.parametrize(
+    ("effect", "own", "reason"),
+    [("creep", ["creep"], "has the effect 'creep' already"), ("leak", [], "is no sure fall")],
+)
+def test_a_refusal_is_a_result(effect, own, reason, bench):
+    calibrated, recording = bench
+    twin = calibrated.twin.copy()
+    if own:
+        twin = add(twin, recording, "creep").twin
+    result = add(twin, recording, effect)
+    assert not result.accepted and reason in result.reason and result.twin is twin
+    assert result.to_dict()["accepted"] is False and reason in result.sentence
+    with pytest.raises(InputError, match="no effect 'crep'"):
+        add(twin, recording, "crep")
+
+
+def test_blocks_that_report_did_not_choose(bench):
+    """Whether an effect is kept is decided on other blocks than those whose error is told."""
+    from lerobot_pneutac.study.base import study_of
+
+    calibrated, recording = bench
+    parts = study_of(calibrated.twin, recording, adding="creep").parts
+    assert (np.stack([parts.train, parts.validation, parts.test]).sum(0) == 1).all()
+    assert (parts.train == recording.split(0)[0]).all(), "as compare knows it from the history's seed"
+
+
+def test_a_corrected_twin_goes_into_the_world(bench):
+    calibrated, _ = bench
+    env = gymnasium.make("pneutac_sim/switch", twin=calibrated.twin, touch="none", fidelity="probe")
+    observation, _ = env.reset(seed=0)
+    assert observation["agent_pos"].shape == (20,)
+    env.close()
