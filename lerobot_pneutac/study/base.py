@@ -159,24 +159,3 @@ class EffectStudy(Study, ABC):
     def pictures(self, outcome: Outcome) -> list[tuple[np.ndarray, str]]:
         """Pictures for the report, uint8 (H, W, 3), with what they show."""
         return []
-
-
-def study_of(twin: Twin, recording: Recording, seed: int = 0, adding: str | None = None) -> EffectStudy:
-    """The study of a recording by its device.
-
-    Args:
-        twin: of the recording's device, or a finger with the gel of the recording.
-        recording: of a finger, an arm or a gel.
-        seed: decides the parts and every bootstrap.
-        adding: the one effect that is to be tried; None where all are.
-
-    Raises:
-        InputError: there is too little to fit or to judge by.
-    """
-    if recording.device == "gel":
-        from lerobot_pneutac.study.gel import GelStudy
-
-        return GelStudy(twin, recording, seed)
-    from lerobot_pneutac.study.body import BodyStudy
-
-    return BodyStudy(twin, recording, seed, adding)

@@ -16,6 +16,7 @@ from lerobot_pneutac.diagnosis.rivals import Rival
 from lerobot_pneutac.diagnosis.steps import Steps
 from lerobot_pneutac.diagnosis.verdict import Evidence
 from lerobot_pneutac.study.base import EffectStudy
+from lerobot_pneutac.study.body_search import search_body
 from lerobot_pneutac.study.pair import LONGER, enough_rows
 from pneutac_datasets.recording.checks import check
 from pneutac_datasets.recording.mounts import on_one_mount
@@ -108,8 +109,6 @@ class BodyStudy(EffectStudy):
 
     def search(self, jobs: int, steps: Steps) -> Outcome:
         """Looks for what the twin lacks."""
-        from lerobot_pneutac.study.body_search import search_body
-
         return search_body(self, jobs, steps)
 
     def refusal(self, effect: str) -> str:

@@ -2,6 +2,7 @@
 
 import time
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,11 +17,13 @@ from lerobot_pneutac.diagnosis.rivals import Rival, find_rivals
 from lerobot_pneutac.diagnosis.selection import Selection, select
 from lerobot_pneutac.diagnosis.steps import Steps
 from lerobot_pneutac.diagnosis.verdict import Evidence, decide
-from lerobot_pneutac.study.body import BodyStudy
 from pneutac_datasets.recording.noise import headline
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.finger.quantities import squared_distance
 from pneutac_sim.twin import Twin
+
+if TYPE_CHECKING:
+    from lerobot_pneutac.study.body import BodyStudy
 
 ON_PRESSURE = "measured pressure"
 
@@ -54,7 +57,7 @@ class Searched:
         return pneumatics.joined(body.twin, (air or self.air.final).twin)
 
 
-def search_body(study: BodyStudy, jobs: int, steps: Steps) -> Outcome:
+def search_body(study: "BodyStudy", jobs: int, steps: Steps) -> Outcome:
     """Finds what a twin lacks.
 
     Args:
@@ -106,7 +109,7 @@ def search_body(study: BodyStudy, jobs: int, steps: Steps) -> Outcome:
     )
 
 
-def _stages(study: BodyStudy, jobs: int, steps: Steps) -> Searched:
+def _stages(study: "BodyStudy", jobs: int, steps: Steps) -> Searched:
     """Selects effects of the air, then those of the body, and looks for rivals of both."""
     names, own = study.candidates, tuple(sorted(study.own))
     parts, seed, floor = study.parts, study.seed, study.noise.value
@@ -138,7 +141,7 @@ def _pneumatic(effects) -> tuple[str, ...]:
 
 
 def _evidence(
-    study: BodyStudy, found: Searched, before: FittedModel, after: FittedModel, selected: list[str]
+    study: "BodyStudy", found: Searched, before: FittedModel, after: FittedModel, selected: list[str]
 ) -> Evidence:
     """What the verdict rests on: errors of test blocks, which nothing was fitted or chosen on."""
     recording, test, floor = study.recording, study.test, study.noise.value
@@ -174,7 +177,7 @@ def _ladder(found: Searched, model) -> list[tuple[str, FittedModel]]:
     return rungs
 
 
-def _tested(study: BodyStudy, found: Searched) -> list[Tested]:
+def _tested(study: "BodyStudy", found: Searched) -> list[Tested]:
     """Each candidate alone, the one that removes most first."""
     out = []
     for name, fit in (found.air.first if found.air else {}).items():
@@ -187,7 +190,7 @@ def _tested(study: BodyStudy, found: Searched) -> list[Tested]:
 
 
 def _tried(
-    study: BodyStudy, name: str, fit: FittedModel, before: np.ndarray, after: np.ndarray, how: str
+    study: "BodyStudy", name: str, fit: FittedModel, before: np.ndarray, after: np.ndarray, how: str
 ) -> Tested:
     share, interval = study.test.reduction(before, after, study.noise.value)
     errors = {"heldout": float(np.sqrt(study.test.value(after)))}

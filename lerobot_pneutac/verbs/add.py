@@ -7,7 +7,8 @@ from pathlib import Path
 from lerobot_pneutac.diagnosis.steps import Steps
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.reports.sentences import percent
-from lerobot_pneutac.study.base import EffectStudy, study_of
+from lerobot_pneutac.study.base import EffectStudy
+from lerobot_pneutac.study.by_device import study_of
 from lerobot_pneutac.study.pair import same_body
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.recording.recording import Recording

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 from lerobot_pneutac.diagnosis.engine import cores
 from lerobot_pneutac.diagnosis.steps import Steps
-from lerobot_pneutac.study.base import study_of
+from lerobot_pneutac.study.by_device import study_of
 from lerobot_pneutac.study.pair import same_body
 from lerobot_pneutac.verbs.diagnosis import Diagnosis
 from pneutac_datasets.recording.recording import Recording

@@ -79,7 +79,7 @@ def test_a_refusal_is_a_result(effect, own, reason, bench):
 
 def test_blocks_that_report_did_not_choose(bench):
     """Whether an effect is kept is decided on other blocks than those whose error is told."""
-    from lerobot_pneutac.study.base import study_of
+    from lerobot_pneutac.study.by_device import study_of
 
     calibrated, recording = bench
     parts = study_of(calibrated.twin, recording, adding="creep").parts
