@@ -151,9 +151,8 @@ def train_ppo(
 ) -> dict:
     """Trains an actor, and goes on where a training in `out` was stopped.
 
-    `out` gets `actor.safetensors`, `actor.json`, `curve.json` and, after every update,
-    `checkpoint.safetensors` with networks and optimiser. A training that goes on starts new episodes, so its
-    numbers are not those that an uninterrupted one would have had.
+    `out` gets `actor.safetensors`, `actor.json`, `curve.json` and, after every update, a checkpoint. One that
+    goes on starts new episodes, so its numbers are not those that an uninterrupted one would have had.
 
     Args:
         task: `switch`, `egg` or `card`.
@@ -193,12 +192,8 @@ def train_ppo(
         worlds.close()
     actor, seconds = actor_of(model, settings), keeper.curve[-1]["seconds"]
     progress(f"trying the actor on {compute.tries} new starts", steps, steps)
-    actor.card = run | {
-        "steps": model.num_timesteps,
-        "seconds": seconds,
-        "steps_per_s": model.num_timesteps / seconds,
-        "test": try_actor(actor, env, compute.tries, TEST_SEED + seed),
-    }
+    found = {"steps": model.num_timesteps, "seconds": seconds, "steps_per_s": model.num_timesteps / seconds}
+    actor.card = run | found | {"test": try_actor(actor, env, compute.tries, TEST_SEED + seed)}
     actor.save(out)
     return actor.card
 

@@ -9,8 +9,6 @@ from pneutac_sim.gel.pair import Pair, press_px
 class RestAlone:
     """Predicts that no contact shows."""
 
-    NAME = "rest image"
-
     def __init__(self, rest: np.ndarray):
         self._rest = rest
 
@@ -30,8 +28,6 @@ class Pasted:
     It knows nothing of the indenter, its depth or where the light comes from, so a model worth having beats
     it wherever the test's contact differs from the calibration's.
     """
-
-    NAME = "difference pasted"
 
     def __init__(self, rest: np.ndarray, difference: np.ndarray, press: Press, px_per_mm: float):
         self._rest, self._difference = rest, difference

@@ -62,23 +62,23 @@ def check_ports() -> Check:
     from serial.tools import list_ports
 
     ports = [p.device for p in list_ports.comports()]
-    if not ports:
-        return ("serial ports", NOTE, "none", "needed only for a real pressure controller")
-    blocked = [p for p in ports if not os.access(p, os.R_OK | os.W_OK)]
-    if blocked:
-        return ("serial ports", FAIL, f"no permission on {', '.join(blocked)}", _join("dialout"))
-    return ("serial ports", OK, ", ".join(ports), "")
+    return _devices("serial ports", ports, "dialout", "needed only for a real pressure controller")
 
 
 def check_cameras() -> Check:
     """Video devices."""
     devices = sorted(str(p) for p in DEV.glob("video*"))
+    return _devices("cameras", devices, "video", "needed only for a real DIGIT or a bench camera")
+
+
+def _devices(name: str, devices: list[str], group: str, use: str) -> Check:
     if not devices:
-        return ("cameras", NOTE, "none", "needed only for a real DIGIT or a bench camera")
-    blocked = [p for p in devices if not os.access(p, os.R_OK | os.W_OK)]
+        return (name, NOTE, "none", use)
+    blocked = [d for d in devices if not os.access(d, os.R_OK | os.W_OK)]
     if blocked:
-        return ("cameras", FAIL, f"no permission on {', '.join(blocked)}", _join("video"))
-    return ("cameras", OK, ", ".join(devices), "")
+        remedy = f"sudo usermod -aG {group} $USER, then log in again"
+        return (name, FAIL, f"no permission on {', '.join(blocked)}", remedy)
+    return (name, OK, ", ".join(devices), "")
 
 
 def check_digit() -> Check:
@@ -98,10 +98,6 @@ def check_arm() -> Check:
     except importlib.metadata.PackageNotFoundError:
         remedy = "needed only for a real arm: uv pip install -e '.[panda]' in PneuTac's folder"
         return ("Panda", NOTE, "franky is not installed", remedy)
-
-
-def _join(group: str) -> str:
-    return f"sudo usermod -aG {group} $USER, then log in again"
 
 
 def check_home() -> Check:

@@ -34,8 +34,6 @@ LEVELS = 30.0
 class DotSim:
     """A network from depth and slopes to the change of the image."""
 
-    NAME = "DOT-Sim"
-
     def __init__(self, rest: np.ndarray, displacement: Displacement, network: nn.Module):
         self._rest, self._displacement, self._network = rest, displacement, network
 

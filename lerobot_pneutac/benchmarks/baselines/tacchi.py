@@ -36,8 +36,6 @@ _HIGHEST = [np.inf, 1.5, 500, 500, 500, 500, 500, 500, np.log(100)]
 class Tacchi:
     """Phong's lighting of a displaced surface."""
 
-    NAME = "Tacchi"
-
     def __init__(
         self, rest: np.ndarray, displacement: Displacement, thickness_mm: float, parameters: np.ndarray
     ):

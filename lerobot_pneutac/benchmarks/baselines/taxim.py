@@ -45,8 +45,6 @@ FAN_RAD = (-0.1, -0.05, 0.0, 0.05, 0.1)  # rays beside each ray that its shadow 
 class Taxim:
     """Lookup table of colour changes by surface normal, and of shadows by direction."""
 
-    NAME = "Taxim"
-
     def __init__(self, rest: np.ndarray, px_per_mm: float, thickness_mm: float):
         self._rest, self._px_per_mm, self._thickness_mm = rest, px_per_mm, thickness_mm
         self._smooth_px = SMOOTH_PX * px_per_mm / PYRAMID_PX_PER_MM

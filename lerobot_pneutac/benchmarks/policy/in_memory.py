@@ -6,7 +6,7 @@ and the checkpoints are the same here.
 
 import copy
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -94,7 +94,7 @@ def train(
         seed: decides order and noise.
         held_out: episodes that are not trained on.
         rows: rows of the curve, about.
-        progress: is told update and loss with every row.
+        progress: is called with update and loss at every row.
 
     Raises:
         InputError: a number is too small, no frame is left, the rest image is another sensor's, or the loss
@@ -111,10 +111,29 @@ def train(
     data = _Data(frames, policy, device)
     torch.manual_seed(seed)
     order = _batches(np.flatnonzero(~away), batch, np.random.default_rng(seed))
+    curve, best = [], (np.inf, updates, None)
+    for update, loss in _optimise(policy, data, order, updates, max(updates // rows, 1)):
+        row = {"update": update, "loss": loss}
+        if away.any():
+            row["held_out"] = _mean_loss(policy, data, np.flatnonzero(away))
+            if row["held_out"] < best[0]:
+                best = row["held_out"], update, copy.deepcopy(policy.state_dict())
+        curve.append(row)
+        progress(update, loss)
+    if best[2] is not None:
+        policy.load_state_dict(best[2])
+    policy.eval()
+    held_out_loss = float(best[0]) if best[2] is not None else None
+    return Training(curve, best[1], held_out_loss, policy.config.optimizer_lr)
+
+
+def _optimise(
+    policy: PneutacBCPolicy, data: "_Data", order: Iterator[np.ndarray], updates: int, every: int
+) -> Iterator[tuple[int, float]]:
+    """Makes all gradient steps; gives update and mean loss since the last time, every so many of them."""
     optimiser = policy.config.get_optimizer_preset().build(policy.get_optim_params())
     scheduler = policy.config.get_scheduler_preset().build(optimiser, updates)
-    every, total, best = max(updates // rows, 1), 0.0, (np.inf, updates, None)
-    curve, since = [], 0
+    total, since = 0.0, 0
     policy.train()
     for update in range(1, updates + 1):
         loss, _ = policy.loss(*data.at(next(order)))
@@ -123,21 +142,9 @@ def train(
         optimiser.step()
         scheduler.step()
         total, since = total + loss.detach(), since + 1
-        if update % every and update != updates:
-            continue
-        row = {"update": update, "loss": float(total) / since}
-        total, since = 0.0, 0
-        if away.any():
-            row["held_out"] = _mean_loss(policy, data, np.flatnonzero(away))
-            if row["held_out"] < best[0]:
-                best = row["held_out"], update, copy.deepcopy(policy.state_dict())
-        curve.append(row)
-        progress(update, row["loss"])
-    if best[2] is not None:
-        policy.load_state_dict(best[2])
-    policy.eval()
-    held_out_loss = float(best[0]) if best[2] is not None else None
-    return Training(curve, best[1], held_out_loss, policy.config.optimizer_lr)
+        if update % every == 0 or update == updates:
+            yield update, float(total) / since
+            total, since = 0.0, 0
 
 
 def save(policy: PneutacBCPolicy, training: Training, folder: str | Path) -> Path:
@@ -147,11 +154,6 @@ def save(policy: PneutacBCPolicy, training: Training, folder: str | Path) -> Pat
     for processor in make_pre_post_processors(policy.config):
         processor.save_pretrained(folder)
     return folder
-
-
-def as_dict(training: Training) -> dict:
-    """For JSON."""
-    return asdict(training)
 
 
 class _Data:

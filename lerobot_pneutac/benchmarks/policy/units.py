@@ -2,6 +2,7 @@
 
 import os
 import shutil
+from dataclasses import asdict
 from pathlib import Path
 
 import torch
@@ -117,7 +118,7 @@ def frames(folder: Path, options: dict, needs: list[Path], workers: int) -> dict
 def train(folder: Path, options: dict, needs: list[Path], workers: int) -> dict:
     """A policy; with two needs it is trained on the first and then on the second."""
     from lerobot_pneutac.benchmarks.policy.frames import Frames
-    from lerobot_pneutac.benchmarks.policy.in_memory import as_dict, held_out_episodes, new_policy, save
+    from lerobot_pneutac.benchmarks.policy.in_memory import held_out_episodes, new_policy, save
     from lerobot_pneutac.benchmarks.policy.in_memory import train as learn
 
     o, seed = options, options["seed"]
@@ -129,7 +130,7 @@ def train(folder: Path, options: dict, needs: list[Path], workers: int) -> dict:
     result, updates = {}, o["pretrain_updates"] + o["finetune_updates"]
     if len(needs) == 2:
         first = learn(policy, loaded[0], o["pretrain_updates"], o["batch"], seed)
-        result["pretraining"] = as_dict(first)
+        result["pretraining"] = asdict(first)
         policy.config.optimizer_lr = o["finetune_lr"]
         updates = o["finetune_updates"]
     away = []
@@ -137,7 +138,7 @@ def train(folder: Path, options: dict, needs: list[Path], workers: int) -> dict:
         away = held_out_episodes(loaded[-1].demonstrations.episodes, HELD_OUT, seed)
     last = learn(policy, loaded[-1], updates, o["batch"], seed + 1, away)
     path = save(policy, last, folder)
-    return result | {"training": as_dict(last), "held_out_episodes": away, "checkpoint": str(path)}
+    return result | {"training": asdict(last), "held_out_episodes": away, "checkpoint": str(path)}
 
 
 def evaluate(folder: Path, options: dict, needs: list[Path], workers: int) -> dict:
