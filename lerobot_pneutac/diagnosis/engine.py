@@ -7,9 +7,11 @@ only arrays, so nothing that was compiled has to travel.
 import multiprocessing
 import os
 import signal
+import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -108,6 +110,23 @@ def _work(job):
     return job.run(_prepared)
 
 
+@contextmanager
+def _apart_from_script() -> Iterator[None]:
+    """Processes started meanwhile do not run the user's script anew.
+
+    A spawned process does, to find functions there; jobs are the library's own. Without this, a flat script
+    that calls `diagnose` would need `if __name__ == "__main__"`.
+    """
+    main = sys.modules["__main__"]
+    kept = {name: getattr(main, name) for name in ("__file__", "__spec__") if hasattr(main, name)}
+    try:
+        main.__spec__ = None
+        vars(main).pop("__file__", None)
+        yield
+    finally:
+        vars(main).update(kept)
+
+
 class Engine:
     """Runs jobs, inline while that is quick, else in worker processes; use it as a context manager.
 
@@ -140,8 +159,9 @@ class Engine:
             context = multiprocessing.get_context("spawn")
             prepared = (self._prepared.recording, self._prepared.train)
             self._pool = ProcessPoolExecutor(self._jobs, context, _begin, prepared)
-            for _ in range(self._jobs):
-                self._pool.submit(os.getpid)  # starts the processes while the environment is set
+            with _apart_from_script():
+                for _ in range(self._jobs):
+                    self._pool.submit(os.getpid)  # starts the processes while the environment is set
         finally:
             for k, v in before.items():
                 os.environ.pop(k) if v is None else os.environ.__setitem__(k, v)

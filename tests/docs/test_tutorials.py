@@ -1,0 +1,23 @@
+"""Every block of the tutorials, and of the how-to pages that need no hardware, runs as printed."""
+
+import pytest
+from doc_blocks import run_page
+
+SLOW = pytest.mark.slow
+NIGHTLY = pytest.mark.nightly
+
+
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param("docs/tutorials/missing_effect.md", marks=SLOW),
+        pytest.param("docs/tutorials/digit_from_two_images.md", marks=SLOW),
+        pytest.param("docs/tutorials/train_on_the_switch.md", marks=SLOW),
+        pytest.param("docs/how_to/add_a_task.md", marks=SLOW),
+        pytest.param("docs/how_to/networks.md", marks=SLOW),
+        pytest.param("docs/how_to/pictures.md", marks=NIGHTLY),
+        pytest.param("docs/how_to/photographs.md", marks=NIGHTLY),
+    ],
+)
+def test_blocks_run(page, tmp_path):
+    run_page(page, tmp_path)
