@@ -74,8 +74,8 @@ def _frames(
     solver, program: np.ndarray, q_cmd: np.ndarray, each: int, painter: Painter
 ) -> Iterator[FilmFrame]:
     from pneutac_sim.mpm import devices
+    from pneutac_sim.mpm.loads import Loads
     from pneutac_sim.mpm.solve import solve_equilibrium
-    from pneutac_sim.mpm.total_lagrangian import Loads
 
     spent, rest = 0.0, None
     for k, (pressure, q) in enumerate(zip(program, q_cmd, strict=True)):

@@ -29,8 +29,8 @@ from pneutac_sim.effects.effect import BODY_STAGES
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm import devices
+from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import solve_equilibrium
-from pneutac_sim.mpm.total_lagrangian import Loads
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.carry import carry
 from pneutac_sim.twin import Twin, Value

@@ -15,10 +15,11 @@ from lerobot_pneutac.benchmarks.speed.splats import time_splats
 from lerobot_pneutac.reports.page import write_result
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm.body import Body, Material
+from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.runtime import start
 from pneutac_sim.mpm.solve import solve_equilibrium
 from pneutac_sim.mpm.spine import Spine
-from pneutac_sim.mpm.total_lagrangian import Loads, TotalLagrangian
+from pneutac_sim.mpm.total_lagrangian import TotalLagrangian
 
 SILICONE = Material(3e5, 0.45)
 GEL = Material(1e5, 0.46)

@@ -21,9 +21,10 @@ from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.probe import COLS, ROWS
 from pneutac_sim.mpm.body import Body, Material
 from pneutac_sim.mpm.lattice import filled_body
+from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.shapes import WIDTH_MM, arm_mesh, finger_mesh
 from pneutac_sim.mpm.spine import Spine
-from pneutac_sim.mpm.total_lagrangian import Loads, TotalLagrangian
+from pneutac_sim.mpm.total_lagrangian import TotalLagrangian
 from pneutac_sim.mpm.user_mesh import stored_mesh
 from pneutac_sim.twin import PAPER_FINGER, Twin
 

@@ -4,40 +4,30 @@ One substep is cells, nodes, spine. `within` does all substeps of a body with on
 (GPU), for many or small bodies; `across` does one substep of all cells side by side, for a large body.
 """
 
+from pneutac_sim.mpm import contact_kernels as contact
 from pneutac_sim.mpm import lagrangian_kernels as kern
-from pneutac_sim.mpm import spine_kernels as spk
-from pneutac_sim.mpm.lagrangian_kernels import arrays, floats, ints
+from pneutac_sim.mpm import spine_kernels as spine
 from pneutac_sim.mpm.runtime import ti
+from pneutac_sim.mpm.state import GRAVITY, LOAD, RHO, ROOM, State, floats, ints, pick, place, state, vector
 
 GPU_LANES = 256
-ROOM = 64  # pieces into which the CPU cuts a large body
 
 
 @ti.func
-def cell(
-    b, c, t, room, cells, nodes, points, dx, load: arrays, u: arrays, tensor: arrays, force: arrays,
-    cell_nodes: arrays, cell_mask: arrays, start: arrays, weights: arrays, contact: arrays,
-    touching: ti.template(), soa: ti.template(),
-):  # fmt: skip
+def cell(b, c, t, room, data: state, touching: ti.template(), soa: ti.template()):
     """All of one cell by one thread."""
     for d in range(3):
-        kern.strain(b, c, t, d, room, cells, nodes, dx, u, tensor, cell_nodes, soa)
+        kern.strain(b, c, t, d, room, data, soa)
     for p in range(8):
-        kern.stress(b, c, t, p, room, dx, load, tensor, cell_mask, soa)
+        kern.stress(b, c, t, p, room, data, soa)
     for d in range(3):
-        kern.spread(b, c, t, d, room, cells, points, tensor, force, start, weights, contact, touching, soa)
+        kern.spread(b, c, t, d, room, data, touching, soa)
 
 
 @ti.kernel
 def within(
-    taken: int, substeps: int, blocks: int, gate: ints, bodies: int, cells: int, nodes: int, points: int,
-    hinges: int, carried: int, dx: float, samples: int, soa: ti.template(), touching: ti.template(),
-    load: floats, u: floats, v: floats, total: floats, before: floats, force: floats, tensor: floats,
-    spot_cell: ints, cell_nodes: ints, cell_mask: ints, slots: ints, ghost: ints, role: ints,
-    volume: floats, inertia: floats, rest: floats, start: ints, spot: floats, weights: floats,
-    shape: ints, table: floats, anchor: floats, contact: floats, q: floats, qd: floats, drive: floats,
-    chain: floats, lump: floats, pose: floats, wrench: floats, momentum: floats, work: floats,
-    soft: floats, bound: ints, bound_link: ints, bound_start: ints,
+    taken: int, substeps: int, blocks: int, gate: ints, data: State, soa: ti.template(),
+    touching: ti.template(),
 ):  # fmt: skip
     """All substeps of each body by one thread (CPU) or some blocks (GPU), whose `gate` (B,) must be zero."""
     spread = kern.SPREAD_CPU
@@ -46,95 +36,64 @@ def within(
         spread = GPU_LANES * blocks
         stride = spread
         ti.loop_config(block_dim=GPU_LANES)
-    for t in range(bodies * spread):
+    for t in range(data.bodies * spread):
         b, lane = t // spread, t % spread
         turn, first = 0, lane % GPU_LANES == 0
         if ti.static(soa) or lane == 0:
             for step in range(substeps):
                 if ti.static(touching):
                     i = lane
-                    while i < points:
-                        kern.touch(
-                            b, i, cells, nodes, points, dx, load, u, spot, cell_nodes, spot_cell, weights,
-                            shape, table, samples, anchor, contact, taken + step, soa,
-                        )  # fmt: skip
+                    while i < data.points:
+                        contact.touch(b, i, taken + step, data, soa)
                         i += stride
                 # On a GPU all gradients, all stresses, all forces; on the CPU one cell after another, which
                 # stays in its cache.
                 if ti.static(soa):
                     i = lane
-                    while i < 3 * cells:
-                        kern.strain(
+                    while i < 3 * data.cells:
+                        kern.strain(b, i % data.cells, i % data.cells, i // data.cells, data.cells, data, soa)
+                        i += stride
+                    turn += 1
+                    spine.body_barrier(b, first, blocks, turn, gate, soa)
+                    i = lane
+                    while i < 8 * data.cells:
+                        kern.stress(b, i % data.cells, i % data.cells, i // data.cells, data.cells, data, soa)
+                        i += stride
+                    turn += 1
+                    spine.body_barrier(b, first, blocks, turn, gate, soa)
+                    i = lane
+                    while i < 3 * data.cells:
+                        kern.spread(
                             b,
-                            i % cells,
-                            i % cells,
-                            i // cells,
-                            cells,
-                            cells,
-                            nodes,
-                            dx,
-                            u,
-                            tensor,
-                            cell_nodes,
+                            i % data.cells,
+                            i % data.cells,
+                            i // data.cells,
+                            data.cells,
+                            data,
+                            touching,
                             soa,
                         )
                         i += stride
                     turn += 1
-                    spk.meet(b, first, blocks, turn, gate, soa)
-                    i = lane
-                    while i < 8 * cells:
-                        kern.stress(
-                            b, i % cells, i % cells, i // cells, cells, dx, load, tensor, cell_mask, soa
-                        )
-                        i += stride
-                    turn += 1
-                    spk.meet(b, first, blocks, turn, gate, soa)
-                    i = lane
-                    while i < 3 * cells:
-                        kern.spread(
-                            b, i % cells, i % cells, i // cells, cells, cells, points, tensor, force,
-                            start, weights, contact, touching, soa,
-                        )  # fmt: skip
-                        i += stride
-                    turn += 1
-                    spk.meet(b, first, blocks, turn, gate, soa)
+                    spine.body_barrier(b, first, blocks, turn, gate, soa)
                 else:
-                    for c in range(cells):
-                        cell(
-                            b, c, 0, ROOM, cells, nodes, points, dx, load, u, tensor, force, cell_nodes,
-                            cell_mask, start, weights, contact, touching, soa,
-                        )  # fmt: skip
+                    for c in range(data.cells):
+                        cell(b, c, 0, ROOM, data, touching, soa)
                 n = lane
-                while n < nodes:
-                    kern.move(
-                        b, n, cells, nodes, load, u, v, total, before, force, slots, ghost, role, volume,
-                        inertia, soa,
-                    )  # fmt: skip
+                while n < data.nodes:
+                    kern.move(b, n, data, soa)
                     n += stride
                 turn += 1
-                spk.meet(b, first, blocks, turn, gate, soa)
-                if hinges > 0:
+                spine.body_barrier(b, first, blocks, turn, gate, soa)
+                if data.hinges > 0:
                     if lane < GPU_LANES:
-                        spk.step(
-                            b, lane, ti.min(stride, GPU_LANES), nodes, hinges, carried, load, u, rest,
-                            total, q, qd, drive, chain, lump, pose, wrench, momentum, work, soft, bound,
-                            bound_link, bound_start, soa,
-                        )  # fmt: skip
+                        spine.step(b, lane, ti.min(stride, GPU_LANES), data, soa)
                     turn += 1
-                    spk.meet(b, first, blocks, turn, gate, soa)
+                    spine.body_barrier(b, first, blocks, turn, gate, soa)
 
 
 @ti.kernel
-def across(
-    taken: int, bodies: int, cells: int, nodes: int, points: int, hinges: int, carried: int, dx: float,
-    samples: int, soa: ti.template(), touching: ti.template(), load: floats, u: floats, v: floats,
-    total: floats, before: floats, force: floats, tensor: floats, spot_cell: ints, cell_nodes: ints,
-    cell_mask: ints, slots: ints, ghost: ints, role: ints, volume: floats, inertia: floats, rest: floats,
-    start: ints, spot: floats, weights: floats, shape: ints, table: floats, anchor: floats,
-    contact: floats, q: floats, qd: floats, drive: floats, chain: floats, lump: floats, pose: floats,
-    wrench: floats, momentum: floats, work: floats, soft: floats, bound: ints, bound_link: ints,
-    bound_start: ints,
-):  # fmt: skip
+def across(taken: int, data: State, soa: ti.template(), touching: ti.template()):
     """One substep, cells and then nodes side by side; `taken` counts those since the loads were set."""
     spread = kern.SPREAD_CPU
     stride = 1
@@ -142,119 +101,87 @@ def across(
         spread = GPU_LANES
         stride = GPU_LANES
     if ti.static(touching):
-        for t in range(bodies * points):
-            kern.touch(
-                t // points, t % points, cells, nodes, points, dx, load, u, spot, cell_nodes, spot_cell,
-                weights, shape, table, samples, anchor, contact, taken, soa,
-            )  # fmt: skip
+        for t in range(data.bodies * data.points):
+            contact.touch(t // data.points, t % data.points, taken, data, soa)
     if ti.static(soa):
-        for t in range(bodies * 3 * cells):
-            b, i = t // (3 * cells), t % (3 * cells)
-            kern.strain(
-                b, i % cells, i % cells, i // cells, cells, cells, nodes, dx, u, tensor, cell_nodes, soa
-            )
-        for t in range(bodies * 8 * cells):
-            b, i = t // (8 * cells), t % (8 * cells)
-            kern.stress(b, i % cells, i % cells, i // cells, cells, dx, load, tensor, cell_mask, soa)
-        for t in range(bodies * 3 * cells):
-            b, i = t // (3 * cells), t % (3 * cells)
-            kern.spread(
-                b, i % cells, i % cells, i // cells, cells, cells, points, tensor, force, start, weights,
-                contact, touching, soa,
-            )  # fmt: skip
+        for t in range(data.bodies * 3 * data.cells):
+            b, i = t // (3 * data.cells), t % (3 * data.cells)
+            kern.strain(b, i % data.cells, i % data.cells, i // data.cells, data.cells, data, soa)
+        for t in range(data.bodies * 8 * data.cells):
+            b, i = t // (8 * data.cells), t % (8 * data.cells)
+            kern.stress(b, i % data.cells, i % data.cells, i // data.cells, data.cells, data, soa)
+        for t in range(data.bodies * 3 * data.cells):
+            b, i = t // (3 * data.cells), t % (3 * data.cells)
+            kern.spread(b, i % data.cells, i % data.cells, i // data.cells, data.cells, data, touching, soa)
     else:
         for task in range(ROOM * kern.SPREAD_CPU):
             if task % kern.SPREAD_CPU == 0:
                 t = task // kern.SPREAD_CPU
-                for i in range(t * bodies * cells // ROOM, (t + 1) * bodies * cells // ROOM):
-                    cell(
-                        i // cells, i % cells, t, ROOM, cells, nodes, points, dx, load, u, tensor,
-                        force, cell_nodes, cell_mask, start, weights, contact, touching, soa,
-                    )  # fmt: skip
-    for t in range(bodies * nodes):
-        b, n = t // nodes, t % nodes
-        kern.move(
-            b, n, cells, nodes, load, u, v, total, before, force, slots, ghost, role, volume, inertia, soa
-        )
-    if hinges > 0:
-        for t in range(bodies * spread):
+                for i in range(
+                    t * data.bodies * data.cells // ROOM, (t + 1) * data.bodies * data.cells // ROOM
+                ):
+                    cell(i // data.cells, i % data.cells, t, ROOM, data, touching, soa)
+    for t in range(data.bodies * data.nodes):
+        kern.move(t // data.nodes, t % data.nodes, data, soa)
+    if data.hinges > 0:
+        for t in range(data.bodies * spread):
             b, lane = t // spread, t % spread
             if ti.static(soa) or lane == 0:
-                spk.step(
-                    b, lane, stride, nodes, hinges, carried, load, u, rest, total, q, qd, drive, chain,
-                    lump, pose, wrench, momentum, work, soft, bound, bound_link, bound_start, soa,
-                )  # fmt: skip
+                spine.step(b, lane, stride, data, soa)
 
 
 @ti.kernel
-def place(
-    bodies: int, cells: int, nodes: int, points: int, hinges: int, carried: int, soa: ti.template(),
-    q: floats, chain: floats, pose: floats, bound: ints, bound_link: ints, rest: floats, u: floats,
-):  # fmt: skip
+def pose(data: State, soa: ti.template()):
     """Links, and the nodes that they carry, where the joint angles put them."""
-    for b in range(bodies):
-        spk.bend(b, hinges, q, chain, pose)
-        for k in range(carried):
-            spk.carry(b, k, nodes, hinges, u, bound, bound_link, rest, pose, soa)
+    for b in range(data.bodies):
+        spine.bend(b, data.hinges, data.q, data.chain, data.pose)
+        for k in range(data.carried):
+            spine.carry(b, k, data, soa)
 
 
 @ti.kernel
-def measure(
-    bodies: int, cells: int, nodes: int, points: int, hinges: int, carried: int, soa: ti.template(),
-    load: floats, v: floats, total: floats, before: floats, contact: floats, role: ints, volume: floats,
-    inertia: floats, sums: floats,
-):  # fmt: skip
-    """Per body: squared forces on free nodes, kinetic sum, softness sum, squared forces from outside."""
-    for i in range(bodies * 4):
+def measure(data: State, sums: floats, soa: ti.template()):
+    """Per body (B, 4): sum |f|^2 on free nodes, sum m v^2, - sum v . df, sum |f|^2 from outside.
+
+    For a motion v ~ sin(w t) the third is w^2 dt times the second (Rayleigh's quotient), as df = - K v dt.
+    """
+    for i in range(data.bodies * 4):
         sums[i] = 0.0
-    for t in range(bodies * nodes):
-        b, n = t // nodes, t % nodes
-        rho = load[b * kern.LOAD + kern.RHO]
+    for t in range(data.bodies * data.nodes):
+        b, n = t // data.nodes, t % data.nodes
+        rho = data.load[b * LOAD + RHO]
         f2, w, k, g2 = 0.0, 0.0, 0.0, 0.0
         for d in ti.static(range(3)):
-            i = kern.place(b, n, d, nodes, soa)
-            f2 += total[i] * total[i]
-            w += v[i] * v[i] * rho * inertia[n]
-            k -= v[i] * (total[i] - before[i])
-            g2 += (rho * volume[n] * load[b * kern.LOAD + kern.GRAVITY + d]) ** 2
-        if role[n] == -1:
+            i = place(b, n, d, data.nodes, soa)
+            f2 += data.total[i] * data.total[i]
+            w += data.v[i] * data.v[i] * rho * data.inertia[n]
+            k -= data.v[i] * (data.total[i] - data.before[i])
+            g2 += (rho * data.volume[n] * data.load[b * LOAD + GRAVITY + d]) ** 2
+        if data.role[n] == -1:
             sums[b * 4] += f2
             sums[b * 4 + 1] += w
             sums[b * 4 + 2] += k
             sums[b * 4 + 3] += g2
-        elif role[n] >= 0:
+        elif data.role[n] >= 0:
             sums[b * 4 + 3] += f2
-    for t in range(bodies * points):
+    for t in range(data.bodies * data.points):
         for d in ti.static(range(3)):
-            sums[t // points * 4 + 3] += contact[t * 4 + d] ** 2
+            sums[t // data.points * 4 + 3] += data.contact[t * 4 + d] ** 2
 
 
 @ti.kernel
-def overlap(
-    bodies: int, cells: int, nodes: int, points: int, hinges: int, carried: int, dx: float, samples: int,
-    soa: ti.template(), load: floats, u: floats, v: floats, total: floats, before: floats, force: floats,
-    tensor: floats, spot_cell: ints, cell_nodes: ints, cell_mask: ints, slots: ints, ghost: ints,
-    role: ints, volume: floats, inertia: floats, rest: floats, start: ints, spot: floats, weights: floats,
-    shape: ints, table: floats, anchor: floats, contact: floats, q: floats, qd: floats, drive: floats,
-    chain: floats, lump: floats, pose: floats, wrench: floats, momentum: floats, work: floats,
-    soft: floats, bound: ints, bound_link: ints, bound_start: ints,
-):  # fmt: skip
+def overlap(data: State, soa: ti.template()):
     """Depth of every surface point, without any force."""
-    for t in range(bodies * cells):
-        b, c = t // cells, t % cells
-        for s in range(start[c], start[c + 1]):
-            contact[(b * points + s) * 4 + 3] = -kern.depth(
-                b, c, s, cells, nodes, load, u, spot, cell_nodes, weights, shape, table, samples, soa
-            )
+    for t in range(data.bodies * data.cells):
+        b, c = t // data.cells, t % data.cells
+        for s in range(data.start[c], data.start[c + 1]):
+            data.contact[(b * data.points + s) * 4 + 3] = -contact.signed_distance(b, c, s, data, soa)
 
 
 @ti.kernel
-def particles(
-    bodies: int, cells: int, nodes: int, points: int, hinges: int, carried: int, count: int, dx: float,
-    soa: ti.template(), u: floats, cell_nodes: ints, particle_cell: ints, local: ints, place: floats,
-):  # fmt: skip
-    """Position and deformation gradient of each particle, twelve numbers."""
-    for t in range(bodies * count):
+def particles(count: int, data: State, soa: ti.template(), particle_cell: ints, local: ints, out: floats):
+    """Twelve numbers a particle: displacement sum_i w_ip u_i, gradient 1 + sum_i u_i (x) grad w_ip."""
+    for t in range(data.bodies * count):
         b, p = t // count, t % count
         c = particle_cell[p]
         at = ti.Vector([0.0, 0.0, 0.0])
@@ -265,13 +192,14 @@ def particles(
             w[d, i] = kern.W[1][i] if side[d] == 1 else kern.W[0][i]
             s[d, i] = kern.D[1][i] if side[d] == 1 else kern.D[0][i]
         for i, j, k in ti.static(ti.ndrange(3, 3, 3)):
-            move = kern.vector(u, b, kern.pick(cell_nodes, c, 9 * i + 3 * j + k, cells, soa), nodes, soa)
+            n = pick(data.cell_nodes, c, 9 * i + 3 * j + k, data.cells, soa)
+            move = vector(data.u, b, n, data.nodes, soa)
             at += w[0, i] * w[1, j] * w[2, k] * move
             slope = ti.Vector(
                 [s[0, i] * w[1, j] * w[2, k], w[0, i] * s[1, j] * w[2, k], w[0, i] * w[1, j] * s[2, k]]
             )
-            G += move.outer_product(slope) / dx
+            G += move.outer_product(slope) / data.dx
         for d in ti.static(range(3)):
-            place[t * 12 + d] = at[d]
+            out[t * 12 + d] = at[d]
             for e in ti.static(range(3)):
-                place[t * 12 + 3 + 3 * d + e] = G[d, e]
+                out[t * 12 + 3 + 3 * d + e] = G[d, e]

@@ -4,7 +4,9 @@ Taichi compiles the kernels; where only its maintained fork `quadrants` is insta
 import `ti` from here and keep to what both can do.
 """
 
+import atexit
 import contextlib
+import dataclasses
 import io
 import multiprocessing
 import os
@@ -63,8 +65,21 @@ def start(device: str = "auto", threads: int = 0) -> str:
         options["cpu_max_num_threads"] = threads or multiprocessing.cpu_count()
     with contextlib.redirect_stdout(io.StringIO()):  # a greeting has no place among results
         ti.init(arch=ti.cuda if device == "cuda" else ti.cpu, **options)
+    if hasattr(ti, "ArgPack"):  # at exit a pack would look for the runtime, which has gone by then
+        atexit.register(delattr, ti.ArgPack, "__del__")
     _started = (device, os.getpid())
     return device
+
+
+def struct(**members):
+    """A type that bundles arrays and numbers into one argument, as a kernel and as a function declare it.
+
+    Taichi has argument packs, which its functions take as templates; its fork has dataclasses.
+    """
+    if hasattr(ti.types, "argpack"):
+        return ti.types.argpack(**members), ti.template()
+    both = dataclasses.make_dataclass("Struct", members.items())
+    return both, both
 
 
 def _has_cuda() -> bool:

@@ -7,7 +7,8 @@ import numpy as np
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm.lagrangian_kernels import LEAST_J
-from pneutac_sim.mpm.total_lagrangian import Loads, TotalLagrangian
+from pneutac_sim.mpm.loads import Loads
+from pneutac_sim.mpm.total_lagrangian import TotalLagrangian
 
 CHUNK = {"cpu": 25, "cuda": 50}  # substeps between two looks at the residual
 RAMP = 160  # substeps in which an indenter that begins inside the body is driven in
@@ -71,15 +72,47 @@ def solve_equilibrium(
     Raises:
         MpmDiverged: no equilibrium was found; says which body and what to change.
     """
+    _begin(solver, loads, warm)
+    solver.heavy_edges(True)
+    try:
+        residual, substeps = _settle(solver, loads, tolerance, max_substeps)
+    finally:
+        solver.heavy_edges(False)
+    positions, gradients = _particles(solver)
+    force, depth = solver.contact()
+    q, _, soft = solver.angles()
+    return Equilibrium(
+        positions=positions,
+        gradients=gradients,
+        q=q,
+        controller_torque=_controller_torque(solver, loads, q),
+        body_torque=soft,
+        contact_force=force.sum(1),
+        penetration_m=depth.max(1, initial=0.0),
+        residual=residual,
+        substeps=substeps,
+    )
+
+
+def _begin(solver: TotalLagrangian, loads: Loads, warm: bool) -> None:
+    """Puts bodies where the search starts: at rest, or where they are, moved on by the change of targets."""
     if warm and solver.spine:
         q = solver.angles()[0]
-        before = solver.drive_target
-        solver.shift_q(q + (np.broadcast_to(loads.q_cmd, q.shape) - before))
+        solver.shift_q(q + (loads.targets(*q.shape) - solver.drive_target))
     elif not warm:
         solver.reset()
         if solver.spine and loads.q_cmd is not None:
             solver.set_q(loads.q_cmd)
-    solver.heavy_edges(True)
+
+
+def _settle(
+    solver: TotalLagrangian, loads: Loads, tolerance: float, max_substeps: int
+) -> tuple[np.ndarray, int]:
+    """Dynamic relaxation: x'' + 2 w x' = f / m dies away fastest where w is the slowest motion's frequency.
+
+    Returns:
+        (B,) unbalanced forces over those from outside, and the substeps taken.
+    """
     rate = _round(solver.slowest_rate())
     solver.apply(loads, damping=2 * rate, contact_rate=2 * rate)
     taken = 0
@@ -91,32 +124,33 @@ def solve_equilibrium(
         solver.step(RAMP)
         taken += RAMP
         solver.apply(loads, damping=2 * rate, contact_rate=2 * rate)
-    try:
-        while True:
-            solver.step(chunk)
-            m = solver.measure()
-            taken += chunk
-            _finite(solver, m["residual"], taken)
-            left = m["residual"] / np.maximum(m["scale"], solver.least_force())
-            # A motion slower than the guess shows once the fast ones have died away; where hardly anything
-            # moves any more, what shows is rounding.
-            moves = (m["rate"] > 0) & (left >= tolerance)
-            slower = _round(np.where(moves, np.minimum(rate, m["rate"]), rate))
-            if (slower < rate).any():
-                rate = slower
-                solver.pace(rate)
-            if (left < tolerance).all() and _joints_rest(solver, loads, tolerance):
-                break
-            if taken >= max_substeps:
-                worst = int(np.argmax(left))
-                raise MpmDiverged(
-                    f"Body '{solver.body.name}' (number {worst} of the batch) is not at rest after {taken} "
-                    f"substeps: unbalanced forces are {left[worst]:.2g} of those from outside, "
-                    f"{tolerance:.2g} was asked",
-                    "allow more substeps, or approach the load in steps with warm=True",
-                )
-    finally:
-        solver.heavy_edges(False)
+    while True:
+        solver.step(chunk)
+        m = solver.measure()
+        taken += chunk
+        _finite(solver, m["residual"], taken)
+        residual = m["residual"] / np.maximum(m["scale"], solver.least_force())
+        # A motion slower than the guess shows once the fast ones have died away; where hardly anything
+        # moves any more, what shows is rounding.
+        moves = (m["rate"] > 0) & (residual >= tolerance)
+        slower = _round(np.where(moves, np.minimum(rate, m["rate"]), rate))
+        if (slower < rate).any():
+            rate = slower
+            solver.pace(rate)
+        if (residual < tolerance).all() and _joints_rest(solver, loads, tolerance):
+            return residual, taken
+        if taken >= max_substeps:
+            worst = int(np.argmax(residual))
+            raise MpmDiverged(
+                f"Body '{solver.body.name}' (number {worst} of the batch) is not at rest after {taken} "
+                f"substeps: unbalanced forces are {residual[worst]:.2g} of those from outside, "
+                f"{tolerance:.2g} was asked",
+                "allow more substeps, or approach the load in steps with warm=True",
+            )
+
+
+def _particles(solver: TotalLagrangian) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and deformation gradients; raises MpmDiverged where they are beyond the material law."""
     positions, gradients = solver.particles()
     least = np.linalg.det(gradients).min(1)
     if (least < LEAST_J).any():
@@ -126,21 +160,13 @@ def solve_equilibrium(
             f"{least[worst]:.2g} of its volume, which this law is not made for",
             "load it less, or use finer particles",
         )
-    force, depth = solver.contact()
-    q, _, soft = solver.angles()
-    target = np.zeros_like(q) if loads.q_cmd is None else np.broadcast_to(loads.q_cmd, q.shape)
+    return positions, gradients
+
+
+def _controller_torque(solver: TotalLagrangian, loads: Loads, q: np.ndarray) -> np.ndarray:
+    """(B, H) N m at rest: K (q_cmd - q)."""
     stiffness = solver.spine.stiffness_nm_per_rad if solver.spine else 0.0
-    return Equilibrium(
-        positions=positions,
-        gradients=gradients,
-        q=q,
-        controller_torque=stiffness * (target - q),
-        body_torque=soft,
-        contact_force=force.sum(1),
-        penetration_m=depth.max(1, initial=0.0),
-        residual=left,
-        substeps=taken,
-    )
+    return stiffness * (loads.targets(*q.shape) - q)
 
 
 @dataclass(frozen=True)
@@ -251,8 +277,7 @@ def _joints_rest(solver: TotalLagrangian, loads: Loads, tolerance: float) -> boo
     if not solver.spine:
         return True
     q, _, soft = solver.angles()
-    target = np.zeros_like(q) if loads.q_cmd is None else np.broadcast_to(loads.q_cmd, q.shape)
-    torque = solver.spine.stiffness_nm_per_rad * (target - q)
+    torque = _controller_torque(solver, loads, q)
     scale = np.abs(soft).max(1, keepdims=True) + 1e-9
     return bool((np.abs(torque + soft) < max(tolerance, 1e-3) * scale + 1e-7).all())
 

@@ -3,211 +3,210 @@
 The nodes of a link move with it as one rigid lump, so the joint feels just what the body does to these nodes
 (virtual work): no coupling spring, no step size in the stiffness, action and reaction to rounding. Momentum
 is kept a link and projected onto the joints at the new pose (Gauss' principle), which has the terms of
-Coriolis in it; the controller's spring and damper are taken implicitly.
+Coriolis in it; the controller's spring and damper are taken implicitly:
+
+    (M + dt (D + dt K)) q'_new = J^T (p + dt w) + dt K (q_cmd - q),   q <- q + dt q'_new
+
+with J the Jacobian of the links' motion, M = J^T diag(m, I) J, p and w their momenta and wrenches, K and D
+the controller's stiffness and damping (Featherstone 2008, 'Rigid body dynamics algorithms', chapter 6).
 """
 
-from pneutac_sim.mpm.lagrangian_kernels import DT, KEEP, LOAD, RHO, arrays, matrix9, place, vector, vector3
 from pneutac_sim.mpm.runtime import ti
-
-# Rows of `chain`, a hinge: origin, axis at rest. Rows of `lump`, a link: mass, centre, inertia about it, all
-# of unit density. Rows of `pose`, a link: rotation, shift. Rows of `wrench` and `momentum`, a link: force,
-# torque.
-CHAIN, LUMP, POSE_OF, SIX = 6, 13, 12, 6
+from pneutac_sim.mpm.state import (
+    CHAIN,
+    DT,
+    KEEP,
+    LOAD,
+    LUMP,
+    POSE_OF,
+    RHO,
+    SIX,
+    arrays,
+    matrix9,
+    place,
+    state,
+    vector,
+    vector3,
+)
 
 
 @ti.func
 def rotation(axis, angle):
-    """Rodrigues' formula."""
+    """Rodrigues' formula R = 1 + sin(angle) K + (1 - cos(angle)) K^2, K x = axis x x."""
     s, c = ti.sin(angle), ti.cos(angle)
     K = ti.Matrix([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
     return ti.Matrix.identity(ti.f32, 3) + s * K + (1.0 - c) * (K @ K)
 
 
 @ti.func
-def react(
-    b,
-    item,
-    nodes,
-    hinges,
-    u: arrays,
-    rest: arrays,
-    total: arrays,
-    bound: arrays,
-    bound_start: arrays,
-    pose: arrays,
-    lump: arrays,
-    wrench: arrays,
-    soa: ti.template(),
-):
-    """Component `item` of the wrenches: force on a link, and its torque about the link's centre."""
-    link, d = item // SIX, item % SIX
-    t = (b * (hinges + 1) + link) * POSE_OF
-    centre = matrix9(pose, t) @ vector3(lump, link * LUMP + 1) + vector3(pose, t + 9)
-    sum_ = 0.0
-    for k in range(bound_start[link], bound_start[link + 1]):
-        f = vector(total, b, bound[k], nodes, soa)
-        w = f
-        if d > 2:
-            w = (vector3(rest, bound[k] * 3) + vector(u, b, bound[k], nodes, soa) - centre).cross(f)
-        e = d % 3
-        sum_ += w[0] if e == 0 else (w[1] if e == 1 else w[2])
-    wrench[(b * (hinges + 1) + link) * SIX + d] = sum_
+def centre_of(b, link, data: state):
+    """Centre of a link's mass in the world."""
+    T = (b * (data.hinges + 1) + link) * POSE_OF
+    return matrix9(data.pose, T) @ vector3(data.lump, link * LUMP + 1) + vector3(data.pose, T + 9)
 
 
 @ti.func
-def hinge(b, i, links, chain: arrays, pose: arrays):
+def hinge(b, i, data: state):
     """Axis and origin of hinge i in the world, six numbers."""
-    T = (b * links + i) * POSE_OF
-    R = matrix9(pose, T)
-    axis, origin = R @ vector3(chain, i * CHAIN + 3), R @ vector3(chain, i * CHAIN) + vector3(pose, T + 9)
+    T = (b * (data.hinges + 1) + i) * POSE_OF
+    R = matrix9(data.pose, T)
+    axis = R @ vector3(data.chain, i * CHAIN + 3)
+    origin = R @ vector3(data.chain, i * CHAIN) + vector3(data.pose, T + 9)
     return ti.Vector([axis[0], axis[1], axis[2], origin[0], origin[1], origin[2]])
 
 
 @ti.func
-def centre_of(b, link, links, lump: arrays, pose: arrays):
-    """Centre of a link's mass in the world."""
-    T = (b * links + link) * POSE_OF
-    return matrix9(pose, T) @ vector3(lump, link * LUMP + 1) + vector3(pose, T + 9)
+def react(b, item, data: state, soa: ti.template()):
+    """Component `item` of the wrenches: force f = sum_i f_i on a link, torque sum_i (x_i - centre) x f_i."""
+    link, d = item // SIX, item % SIX
+    centre = centre_of(b, link, data)
+    sum_ = 0.0
+    for k in range(data.bound_start[link], data.bound_start[link + 1]):
+        n = data.bound[k]
+        f = vector(data.total, b, n, data.nodes, soa)
+        w = f
+        if d > 2:
+            w = (vector3(data.rest, n * 3) + vector(data.u, b, n, data.nodes, soa) - centre).cross(f)
+        e = d % 3
+        sum_ += w[0] if e == 0 else (w[1] if e == 1 else w[2])
+    data.wrench[(b * (data.hinges + 1) + link) * SIX + d] = sum_
 
 
 @ti.func
-def assemble(
-    b, item, hinges, load: arrays, q: arrays, drive: arrays, chain: arrays, lump: arrays, pose: arrays,
-    wrench: arrays, momentum: arrays, work: arrays, soft: arrays,
-):  # fmt: skip
-    """One entry of (M + dt (Kd + dt Kp)) q' = J^T (momentum + dt wrench) + dt Kp (q_cmd - q).
+def assemble(b, item, data: state):
+    """One entry of (M + dt (D + dt K)) q' = J^T (momentum + dt wrench) + dt K (q_cmd - q).
 
     Items are the H x H matrix (lower half) and then the right-hand side; `soft` gets the torque of body and
     gravity about each hinge.
     """
+    hinges = data.hinges
     at, links, o = b * LOAD, hinges + 1, b * hinges * (hinges + 1)
-    rho, dt = load[at + RHO], load[at + DT]
+    rho, dt = data.load[at + RHO], data.load[at + DT]
     row = b * hinges * 3
     if item < hinges * hinges:
         i, j = item // hinges, item % hinges
         if j <= i:
-            hi, hj = hinge(b, i, links, chain, pose), hinge(b, j, links, chain, pose)
+            hi, hj = hinge(b, i, data), hinge(b, j, data)
             ai, aj = ti.Vector([hi[0], hi[1], hi[2]]), ti.Vector([hj[0], hj[1], hj[2]])
             m = 0.0
+            # M_ij = sum over links beyond both hinges of m (a_i x r_i) . (a_j x r_j) + a_i . R I R^T a_j
             for link in range(i + 1, links):
-                c = centre_of(b, link, links, lump, pose)
-                R = matrix9(pose, (b * links + link) * POSE_OF)
+                c = centre_of(b, link, data)
+                R = matrix9(data.pose, (b * links + link) * POSE_OF)
                 arm_i = ai.cross(c - ti.Vector([hi[3], hi[4], hi[5]]))
                 arm_j = aj.cross(c - ti.Vector([hj[3], hj[4], hj[5]]))
-                turn = (R.transpose() @ ai).dot(matrix9(lump, link * LUMP + 4) @ (R.transpose() @ aj))
-                m += rho * (lump[link * LUMP] * arm_i.dot(arm_j) + turn)
+                turn = (R.transpose() @ ai).dot(matrix9(data.lump, link * LUMP + 4) @ (R.transpose() @ aj))
+                m += rho * (data.lump[link * LUMP] * arm_i.dot(arm_j) + turn)
             if i == j:
-                m += dt * (drive[row + 3 * i + 2] + dt * drive[row + 3 * i + 1])
-            work[o + item] = m
+                m += dt * (data.drive[row + 3 * i + 2] + dt * data.drive[row + 3 * i + 1])
+            data.work[o + item] = m
     else:
         i = item - hinges * hinges
-        hi = hinge(b, i, links, chain, pose)
+        hi = hinge(b, i, data)
         ai = ti.Vector([hi[0], hi[1], hi[2]])
-        keep = load[at + KEEP]
+        keep = data.load[at + KEEP]
         torque, drift = 0.0, 0.0
+        # J_i^T (f, t) = (a_i x r_i) . f + a_i . t
         for link in range(i + 1, links):
-            arm = ai.cross(centre_of(b, link, links, lump, pose) - ti.Vector([hi[3], hi[4], hi[5]]))
+            arm = ai.cross(centre_of(b, link, data) - ti.Vector([hi[3], hi[4], hi[5]]))
             w = (b * links + link) * SIX
-            torque += arm.dot(vector3(wrench, w)) + ai.dot(vector3(wrench, w + 3))
-            drift += arm.dot(vector3(momentum, w)) + ai.dot(vector3(momentum, w + 3))
-        soft[b * hinges + i] = torque
-        push = drive[row + 3 * i + 1] * (drive[row + 3 * i] - q[b * hinges + i])
-        work[o + item] = keep * drift + dt * (torque + push)
+            torque += arm.dot(vector3(data.wrench, w)) + ai.dot(vector3(data.wrench, w + 3))
+            drift += arm.dot(vector3(data.momentum, w)) + ai.dot(vector3(data.momentum, w + 3))
+        data.soft[b * hinges + i] = torque
+        push = data.drive[row + 3 * i + 1] * (data.drive[row + 3 * i] - data.q[b * hinges + i])
+        data.work[o + item] = keep * drift + dt * (torque + push)
 
 
 @ti.func
-def solve(b, hinges, work: arrays, qd: arrays):
+def solve(b, data: state):
     """Joint velocities: Cholesky and two triangular solves, in place."""
+    hinges = data.hinges
     o = b * hinges * (hinges + 1)
     r = o + hinges * hinges
     for i in range(hinges):
         for j in range(i + 1):
-            s = work[o + i * hinges + j]
+            s = data.work[o + i * hinges + j]
             for k in range(j):
-                s -= work[o + i * hinges + k] * work[o + j * hinges + k]
-            work[o + i * hinges + j] = ti.sqrt(ti.max(s, 1e-30)) if i == j else s / work[o + j * hinges + j]
-        s = work[r + i]
+                s -= data.work[o + i * hinges + k] * data.work[o + j * hinges + k]
+            if i == j:
+                data.work[o + i * hinges + j] = ti.sqrt(ti.max(s, 1e-30))
+            else:
+                data.work[o + i * hinges + j] = s / data.work[o + j * hinges + j]
+        s = data.work[r + i]
         for k in range(i):
-            s -= work[o + i * hinges + k] * work[r + k]
-        work[r + i] = s / work[o + i * hinges + i]
+            s -= data.work[o + i * hinges + k] * data.work[r + k]
+        data.work[r + i] = s / data.work[o + i * hinges + i]
     for up in range(hinges):
         i = hinges - 1 - up
-        s = work[r + i]
+        s = data.work[r + i]
         for k in range(i + 1, hinges):
-            s -= work[o + k * hinges + i] * work[r + k]
-        work[r + i] = s / work[o + i * hinges + i]
-        qd[b * hinges + i] = work[r + i]
+            s -= data.work[o + k * hinges + i] * data.work[r + k]
+        data.work[r + i] = s / data.work[o + i * hinges + i]
+        data.qd[b * hinges + i] = data.work[r + i]
 
 
 @ti.func
-def push_on(
-    b, link, hinges, load: arrays, qd: arrays, chain: arrays, lump: arrays, pose: arrays,
-    momentum: arrays,
-):  # fmt: skip
-    """Momentum of a link at the pose for which the velocities were found."""
-    links = hinges + 1
-    R, c = matrix9(pose, (b * links + link) * POSE_OF), centre_of(b, link, links, lump, pose)
+def push_on(b, link, data: state):
+    """Momentum (m v, R I R^T w) of a link at the pose for which the velocities were found."""
+    hinges, links = data.hinges, data.hinges + 1
+    R, c = matrix9(data.pose, (b * links + link) * POSE_OF), centre_of(b, link, data)
     velocity, spin = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
     for i in range(link):
-        h = hinge(b, i, links, chain, pose)
+        h = hinge(b, i, data)
         axis = ti.Vector([h[0], h[1], h[2]])
-        velocity += qd[b * hinges + i] * axis.cross(c - ti.Vector([h[3], h[4], h[5]]))
-        spin += qd[b * hinges + i] * axis
-    rho = load[b * LOAD + RHO]
-    p = rho * lump[link * LUMP] * velocity
-    a = rho * (R @ (matrix9(lump, link * LUMP + 4) @ (R.transpose() @ spin)))
+        velocity += data.qd[b * hinges + i] * axis.cross(c - ti.Vector([h[3], h[4], h[5]]))
+        spin += data.qd[b * hinges + i] * axis
+    rho = data.load[b * LOAD + RHO]
+    p = rho * data.lump[link * LUMP] * velocity
+    a = rho * (R @ (matrix9(data.lump, link * LUMP + 4) @ (R.transpose() @ spin)))
     for d in ti.static(range(3)):
-        momentum[(b * links + link) * SIX + d] = p[d]
-        momentum[(b * links + link) * SIX + 3 + d] = a[d]
+        data.momentum[(b * links + link) * SIX + d] = p[d]
+        data.momentum[(b * links + link) * SIX + 3 + d] = a[d]
 
 
 @ti.func
-def step(
-    b, lane, stride, nodes, hinges, carried, load: arrays, u: arrays, rest: arrays, total: arrays,
-    q: arrays, qd: arrays, drive: arrays, chain: arrays, lump: arrays, pose: arrays, wrench: arrays,
-    momentum: arrays, work: arrays, soft: arrays, bound: arrays, bound_link: arrays, bound_start: arrays,
-    soa: ti.template(),
-):  # fmt: skip
+def step(b, lane, stride, data: state, soa: ti.template()):
     """One substep of a spine and the nodes that it carries, by the lanes of a block or by one thread."""
+    hinges = data.hinges
     i = lane
     while i < (hinges + 1) * SIX:
-        react(b, i, nodes, hinges, u, rest, total, bound, bound_start, pose, lump, wrench, soa)
+        react(b, i, data, soa)
         i += stride
-    wait(soa)
+    block_barrier(soa)
     i = lane
     while i < hinges * (hinges + 1):
-        assemble(b, i, hinges, load, q, drive, chain, lump, pose, wrench, momentum, work, soft)
+        assemble(b, i, data)
         i += stride
-    wait(soa)
+    block_barrier(soa)
     if lane == 0:
-        solve(b, hinges, work, qd)
-    wait(soa)
+        solve(b, data)
+    block_barrier(soa)
     i = lane
     while i < hinges:
-        push_on(b, i + 1, hinges, load, qd, chain, lump, pose, momentum)
-        q[b * hinges + i] += load[b * LOAD + DT] * qd[b * hinges + i]
+        push_on(b, i + 1, data)
+        data.q[b * hinges + i] += data.load[b * LOAD + DT] * data.qd[b * hinges + i]
         i += stride
-    wait(soa)
+    block_barrier(soa)
     if lane == 0:
-        bend(b, hinges, q, chain, pose)
-    wait(soa)
+        bend(b, hinges, data.q, data.chain, data.pose)
+    block_barrier(soa)
     i = lane
-    while i < carried:
-        carry(b, i, nodes, hinges, u, bound, bound_link, rest, pose, soa)
+    while i < data.carried:
+        carry(b, i, data, soa)
         i += stride
-    wait(soa)
+    block_barrier(soa)
 
 
 @ti.func
-def wait(soa: ti.template()):
-    """On a GPU: all lanes of the block meet here."""
+def block_barrier(soa: ti.template()):
+    """On a GPU: the lanes of the block wait for each other."""
     if ti.static(soa):
         ti.simt.block.sync()
 
 
 @ti.func
-def meet(b, first, blocks, turn, gate: arrays, soa: ti.template()):
-    """On a GPU: all blocks of body b meet here for the `turn`-th time; `first` is true on one lane a block.
+def body_barrier(b, first, blocks, turn, gate: arrays, soa: ti.template()):
+    """On a GPU: the blocks of body b wait for each other, the `turn`-th time; `first`: one lane a block.
 
     All blocks of a launch are resident at once, so none waits for one that has not begun.
     """
@@ -225,7 +224,7 @@ def meet(b, first, blocks, turn, gate: arrays, soa: ti.template()):
 
 @ti.func
 def bend(b, hinges, q: arrays, chain: arrays, pose: arrays):
-    """Writes the pose of every link from the joint angles."""
+    """Writes the links' poses: T_{i+1} = T_i Trans(o_i) Rot(a_i, q_i) Trans(-o_i), o origin and a axis."""
     links = hinges + 1
     for i in range(hinges):
         T = (b * links + i) * POSE_OF
@@ -242,22 +241,11 @@ def bend(b, hinges, q: arrays, chain: arrays, pose: arrays):
 
 
 @ti.func
-def carry(
-    b,
-    k,
-    nodes,
-    hinges,
-    u: arrays,
-    bound: arrays,
-    bound_link: arrays,
-    rest: arrays,
-    pose: arrays,
-    soa: ti.template(),
-):
-    """Puts one bound node where its link is."""
-    n = bound[k]
-    T = (b * (hinges + 1) + bound_link[k]) * POSE_OF
-    p = vector3(rest, n * 3)
-    p = matrix9(pose, T) @ p + vector3(pose, T + 9) - p
+def carry(b, k, data: state, soa: ti.template()):
+    """Puts one bound node where its link is: u = R X + t - X."""
+    n = data.bound[k]
+    T = (b * (data.hinges + 1) + data.bound_link[k]) * POSE_OF
+    p = vector3(data.rest, n * 3)
+    p = matrix9(data.pose, T) @ p + vector3(data.pose, T + 9) - p
     for d in ti.static(range(3)):
-        u[place(b, n, d, nodes, soa)] = p[d]
+        data.u[place(b, n, d, data.nodes, soa)] = p[d]

@@ -6,8 +6,9 @@ import numpy as np
 
 from pneutac_sim.mpm import devices
 from pneutac_sim.mpm.body import Material
+from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import solve_equilibrium
-from pneutac_sim.mpm.total_lagrangian import Loads, TotalLagrangian
+from pneutac_sim.mpm.total_lagrangian import TotalLagrangian
 from pneutac_sim.photo_fit.parameters import BodyParameters
 from pneutac_sim.twin import Twin
 

@@ -16,8 +16,8 @@ from safetensors.numpy import save
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import CONTROL_HZ, MAX_PRESSURE_KPA
 from pneutac_sim.mpm import devices, runtime
+from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import simulate, solve_equilibrium
-from pneutac_sim.mpm.total_lagrangian import Loads
 from pneutac_sim.surrogate import programs
 from pneutac_sim.surrogate.fingerprint import fingerprint
 from pneutac_sim.twin import Twin

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from pneutac_sim.gel.indenter import INDENTERS, Press
 from pneutac_sim.gel.probe import probe_grid
 from pneutac_sim.mpm.devices import press_loads
-from pneutac_sim.mpm.total_lagrangian import Loads
+from pneutac_sim.mpm.loads import Loads
 
 SIZE_MM = {
     "sphere": (1.5, 5.0),

@@ -13,8 +13,8 @@ body does not feel where it is touched, so its skin is not dented. The gel is `w
 import numpy as np
 
 from pneutac_sim.mpm import devices
+from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import solve_equilibrium
-from pneutac_sim.mpm.total_lagrangian import Loads
 from pneutac_sim.twin import Twin
 
 

@@ -10,8 +10,8 @@ import numpy as np
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.probe import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
 from pneutac_sim.mpm import devices
+from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import MpmDiverged, solve_equilibrium
-from pneutac_sim.mpm.total_lagrangian import Loads
 from pneutac_sim.twin import Twin
 
 SAMPLES = 49  # of the cube, along each edge

@@ -10,10 +10,11 @@ moves freely; layer 1 is the link's share of mass, momentum and force, and moves
 """
 
 from pneutac_sim.mpm import indenter
-from pneutac_sim.mpm import lagrangian_kernels as rows
-from pneutac_sim.mpm.lagrangian_kernels import LOAD, arrays, first_piola, floats, ints, matrix9, vector3
+from pneutac_sim.mpm import state as rows
+from pneutac_sim.mpm.lagrangian_kernels import first_piola
 from pneutac_sim.mpm.runtime import ti
 from pneutac_sim.mpm.spine_kernels import bend
+from pneutac_sim.mpm.state import LOAD, arrays, floats, ints, matrix9, vector3
 from updated_lagrangian.links import hinges_move, lever, side_of, through
 
 reals = ti.types.ndarray(dtype=ti.f64, ndim=1)
@@ -83,7 +84,7 @@ def touch(
     b, s, points, taken, x, load: arrays, shape: arrays, table: arrays, samples, anchor: arrays, contact:
     arrays,
 ):  # fmt: skip
-    """Force of the indenter on surface point s at x; law and memory as in `lagrangian_kernels.touch`."""
+    """Force of the indenter on surface point s at x; law and memory as in `contact_kernels.touch`."""
     at, o = b * LOAD, (b * points + s) * 5
     R, k = matrix9(load, at + rows.POSE), load[at + rows.SPRING]
     centre = vector3(load, at + rows.POSE + 9) + taken * vector3(load, at + rows.DRIFT)

@@ -6,10 +6,9 @@ cross it, so the hinges have the inertia of just this material.
 
 import numpy as np
 
-from pneutac_sim.mpm.lagrangian_kernels import DT, KEEP, LOAD, arrays, matrix9, vector3
 from pneutac_sim.mpm.runtime import ti
 from pneutac_sim.mpm.spine import Spine
-from pneutac_sim.mpm.spine_kernels import CHAIN, POSE_OF
+from pneutac_sim.mpm.state import CHAIN, DT, KEEP, LOAD, POSE_OF, arrays, matrix9, vector3
 
 NEAR = 0.02  # grid spacings
 

@@ -18,7 +18,7 @@ Choices where the papers leave one:
 import numpy as np
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.mpm import lagrangian_kernels as rows
+from pneutac_sim.mpm import state as rows
 from pneutac_sim.mpm.body import Body, Material
 from pneutac_sim.mpm.rest_grid import RestGrid
 from pneutac_sim.mpm.runtime import start, ti

@@ -11,9 +11,10 @@ import pytest
 from updated_lagrangian import UpdatedLagrangian
 
 from pneutac_sim.mpm.body import Body, Material
+from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import simulate, solve_equilibrium
 from pneutac_sim.mpm.spine import Spine
-from pneutac_sim.mpm.total_lagrangian import Loads, TotalLagrangian
+from pneutac_sim.mpm.total_lagrangian import TotalLagrangian
 
 SOLVERS = (TotalLagrangian, UpdatedLagrangian)
 REST = {TotalLagrangian: 2e-3, UpdatedLagrangian: 2e-4}  # of the forces from outside, of those inside

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from pneutac_sim.mpm.body import Body, Material
+from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import simulate
-from pneutac_sim.mpm.total_lagrangian import Loads, TotalLagrangian
+from pneutac_sim.mpm.total_lagrangian import TotalLagrangian
 
 LENGTH, SIDE, DENSITY, YOUNG = 0.08, 0.01, 1000.0, 1e6
 

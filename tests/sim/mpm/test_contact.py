@@ -9,8 +9,9 @@ import pytest
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm.body import Body, Material
+from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import MpmDiverged, simulate, solve_equilibrium
-from pneutac_sim.mpm.total_lagrangian import Loads, TotalLagrangian
+from pneutac_sim.mpm.total_lagrangian import TotalLagrangian
 
 SPACING = 0.3e-3
 

@@ -12,9 +12,10 @@ import pytest
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm import runtime
 from pneutac_sim.mpm.body import Body, Material
+from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import simulate, solve_equilibrium
 from pneutac_sim.mpm.spine import Spine
-from pneutac_sim.mpm.total_lagrangian import Loads, TotalLagrangian
+from pneutac_sim.mpm.total_lagrangian import TotalLagrangian
 
 # A short bend and a short press; prints positions, angles and force.
 CASE = """
@@ -25,7 +26,8 @@ from pneutac_sim.mpm import runtime
 from pneutac_sim.mpm.body import Body, Material
 from pneutac_sim.mpm.solve import simulate
 from pneutac_sim.mpm.spine import Spine
-from pneutac_sim.mpm.total_lagrangian import Loads, TotalLagrangian
+from pneutac_sim.mpm.loads import Loads
+from pneutac_sim.mpm.total_lagrangian import TotalLagrangian
 
 rubber = Material(2e5, 0.4)
 arm = Body.box("arm", (12, 4, 4), 4e-3, rubber, clamp="x-")

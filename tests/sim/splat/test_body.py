@@ -8,8 +8,8 @@ import pytest
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm import devices
 from pneutac_sim.mpm.body import Body, Material
+from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import solve_equilibrium
-from pneutac_sim.mpm.total_lagrangian import Loads
 from pneutac_sim.splat.body import fit_body_looks, looks_from_twin, looks_into_twin
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.follow import carried
