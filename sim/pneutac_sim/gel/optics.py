@@ -6,6 +6,8 @@ of the library are compiled into one kernel, which reads them from a row of coef
 other packages change s after it.
 
 s is computed on the displacement's own grid and interpolated to pixels, where w acts.
+
+Numba's cache of this file does not see changes in the effects' files: delete `__pycache__` after one.
 """
 
 import math
