@@ -1,7 +1,5 @@
 """The page of `pneutac compare`: measured against model, loops, residuals by condition, maps, history."""
 
-from pathlib import Path
-
 import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
@@ -15,7 +13,7 @@ POINTS = 1500  # a line: more cannot be seen on a screen
 
 def comparison_page(c) -> Report:
     """The report of a `BodyComparison`."""
-    report = Report(f"Twin against recording: {Path(c.recording.folder).name}")
+    report = Report(c.title)
     report.lead(c.sentence)
     unit = c.unit
     report.table(

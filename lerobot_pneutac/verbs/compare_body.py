@@ -74,6 +74,11 @@ class BodyComparison(Comparison):
         return squared_distance((self.measured - self.model)[:, : self.counted])
 
     @property
+    def title(self) -> str:
+        """Heading of table and report."""
+        return f"Twin against recording: {Path(self.recording.folder).name}"
+
+    @property
     def noise_floor(self) -> float:
         """Error that the measurement's own noise makes."""
         return self.noise.value
