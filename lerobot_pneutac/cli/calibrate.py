@@ -9,17 +9,9 @@ from rich.console import Console
 from lerobot_pneutac.cli.options import parse_options
 from lerobot_pneutac.cli.progress import progress_bar
 from lerobot_pneutac.cli.show import check_out, show, write
-from lerobot_pneutac.verbs.calibrate import (
-    BEST,
-    SEARCH,
-    WAYS,
-    calibrate,
-    default_gel_recording,
-    training_levels,
-    twin_for,
-)
+from lerobot_pneutac.verbs.calibrate import WAYS, calibrate
+from lerobot_pneutac.verbs.calibrate_files import forget_search, recording_for, stopped, twin_for
 from lerobot_pneutac.verbs.calibration import Calibration
-from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 
 
@@ -73,44 +65,23 @@ def main(argv: list[str]) -> None:
 
 def run(cfg: CalibrateConfig, scratch: Path, console: Console) -> Calibration:
     """Fits and saves the twin's next version; `scratch` is a folder for generated data."""
-    folder, note = cfg.recording, ""
-    if folder is None:
-        folder, note = default_gel_recording(scratch, cfg.seed)
+    recording, note = recording_for(cfg.recording, scratch, cfg.seed)
+    if note:
         console.print(note, highlight=False)
-    recording = Recording.load(folder)
-    twin = twin_for(cfg.twin, recording)
+    twin, keep = twin_for(cfg.twin, recording), cfg.out or cfg.twin
     if not (cfg.twin / "twin.yaml").exists():
         console.print(f"There is no twin at {cfg.twin} yet: beginning one of a gel.", highlight=False)
-    effects = None if cfg.effects is None else [e.strip() for e in cfg.effects.split(",") if e != "none"]
-    keep, evaluated = cfg.out or cfg.twin, 0
-    with progress_bar(console) as progress:
-
-        def count(text: str, done: int, total: int) -> None:
-            nonlocal evaluated
-            evaluated = done
-            progress(text, done, total)
-
-        try:
+    try:
+        with progress_bar(console) as progress:
             result = calibrate(
-                twin, recording, by=cfg.by, effects=effects, train_kpa=training_levels(cfg.train_kpa),
-                evaluations=cfg.evaluations, particles=cfg.particles, seed=cfg.seed, keep=keep,
-                progress=count,
+                twin, recording, by=cfg.by, effects=cfg.effects, train_kpa=cfg.train_kpa, seed=cfg.seed,
+                evaluations=cfg.evaluations, particles=cfg.particles, keep=keep, progress=progress,
             )  # fmt: skip
-        except KeyboardInterrupt:
-            console.print(_stopped(evaluated, keep / SEARCH), highlight=False, soft_wrap=True)
-            raise
+    except KeyboardInterrupt:
+        console.print(stopped(keep), highlight=False, soft_wrap=True)
+        raise
     if cfg.out is None:
-        for name in (SEARCH, BEST):
-            (keep / name).unlink(missing_ok=True)
-    if note and recording.meta.get("generated"):  # gone after this run, so their folder would tell nothing
+        forget_search(keep)
+    if note and recording.meta.get("generated"):  # their folder is gone after this run
         result = replace(result, recording=f"generated images (seed {cfg.seed})")
     return result.save(cfg.twin)
-
-
-def _stopped(evaluated: int, search: Path) -> str:
-    if not evaluated:
-        return "Stopped before the first candidates were evaluated; the twin is as it was."
-    return (
-        f"Stopped after {evaluated} evaluations, kept in {search}; the twin is as it was, and the same "
-        "command goes on from here."
-    )

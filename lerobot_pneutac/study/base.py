@@ -152,6 +152,10 @@ class EffectStudy(Study, ABC):
         """The experiment that tells two models apart best, where one can be computed."""
         return None
 
+    def as_written(self, parameters: dict[str, dict]) -> dict:
+        """Parameters as a diagnosis' `result.json` has them."""
+        return parameters
+
     def details(self, outcome: Outcome) -> dict:
         """What `result.json` has for this device only."""
         return {}

@@ -1,46 +1,34 @@
-"""Photographs of a gel under judgement; a sample is a photograph.
-
-As one pair of images cannot tell a drift or a shift, some of the photographs beside the calibration pair
-train too; of the others one half decides which effects are kept and the other half is looked at by the
-report alone.
-"""
+"""Photographs of a gel under judgement; a sample is a photograph."""
 
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import map_coordinates
 
 from lerobot_pneutac.diagnosis.fits import FittedModel
-from lerobot_pneutac.diagnosis.parts import Parts
 from lerobot_pneutac.diagnosis.result import Outcome, Tested
 from lerobot_pneutac.diagnosis.rivals import find_rivals
 from lerobot_pneutac.diagnosis.selection import Selection, select
 from lerobot_pneutac.diagnosis.steps import Steps
 from lerobot_pneutac.diagnosis.verdict import FEW_UNITS, MOST, Evidence, decide
+from lerobot_pneutac.study import gel_maps
 from lerobot_pneutac.study.base import EffectStudy
-from pneutac_datasets.recording import blocks
+from lerobot_pneutac.study.gel_model import at_bound, for_twin, seen_by
+from lerobot_pneutac.study.gel_parts import FEW_TRAINED, NEEDED, deal_photographs
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.noise import NoiseFloor
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect, of_sensor, sensor_effects
-from pneutac_sim.errors import InputError
-from pneutac_sim.features import IMAGE_SHAPE
 from pneutac_sim.gel import optics
 from pneutac_sim.gel.fit import GelFit, fit_photographs
 from pneutac_sim.gel.metrics import CONTACT_DISC
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.pair import check_pair
-from pneutac_sim.gel.photograph import Predictor, PressPhotograph, session_light
+from pneutac_sim.gel.photograph import Predictor, session_light
 from pneutac_sim.twin import Twin
 
-MOST_TRAINED = 6  # photographs that train; more cost time and pin the light no better
-FEW_TRAINED = 2  # below this no drift and no shift can be told
-NEEDED = FEW_TRAINED + 2 * FEW_UNITS  # photographs, the calibration pair's among them
 NOISE_LIMIT = 1.25  # final error over noise: on generated images of the model's own form it stays below
-MAP_GAIN = 4.0  # maps are shown this many times brighter
-MAP_PX, MAP_RADII = 121, 3.0  # of the map around a contact
 
 
 @dataclass
@@ -285,6 +273,10 @@ class GelStudy(EffectStudy):
         """What was fitted to what."""
         return [self.how_tested(outcome)]
 
+    def as_written(self, parameters: dict[str, dict]) -> dict[str, float]:
+        """Values alone, as there is no interval."""
+        return {k: p["value"] for k, p in parameters.items()}
+
     def details(self, outcome: Outcome) -> dict:
         """What only a gel's `result.json` has."""
         stored, fit = None, outcome.after.fit
@@ -303,102 +295,10 @@ class GelStudy(EffectStudy):
     def pictures(self, outcome: Outcome) -> list[tuple[np.ndarray, str]]:
         """Where in the image the twin fails, left as it is, right with all effects found."""
         models = [outcome.before, outcome.after] if outcome.selected else [outcome.before]
-        maps = [self.maps(m) for m in models]
-        planes = np.concatenate([np.clip(MAP_GAIN * plane, 0, 255) for plane, _ in maps], 1)
-        contacts = np.concatenate([np.clip(128 + MAP_GAIN * c, 0, 255) for _, c in maps], 1)
-        return [
-            (
-                planes.astype(np.uint8),
-                f"Root mean square error over the test images, {MAP_GAIN:g} times brighter; left as it is, "
-                "right with all effects found.",
-            ),
-            (
-                contacts.astype(np.uint8).repeat(2, 0).repeat(2, 1),
-                "Mean of rendered less photographed around the contact, three contact radii each way; grey "
-                "is none.",
-            ),
-        ]
-
-    def maps(self, model: FittedGel) -> tuple[np.ndarray, np.ndarray]:
-        """Where a model fails on test photographs, levels.
-
-        Returns:
-            Root mean square in the image plane (H, W, 3); and around the contact (121, 121, 3), from -3 to 3
-            contact radii, as a signed mean.
-        """
-        chosen = np.flatnonzero(self.parts.test)
-        plane = np.sqrt(np.mean([np.square(model.differences[i].astype(float)) for i in chosen], axis=0))
-        t = np.linspace(-MAP_RADII, MAP_RADII, MAP_PX)
-        x, y = np.meshgrid(t, t)
-        total, count = np.zeros((MAP_PX, MAP_PX, 3)), np.zeros((MAP_PX, MAP_PX, 1))
-        for i in chosen:
-            s, d = self.data.samples[i], model.differences[i].astype(float)
-            at = [s.y_px - 0.5 + y * s.radius_px, s.x_px - 0.5 + x * s.radius_px]
-            inside = (at[0] >= 0) & (at[0] <= d.shape[0] - 1) & (at[1] >= 0) & (at[1] <= d.shape[1] - 1)
-            shown = np.stack([map_coordinates(d[..., k], at, order=1) for k in range(3)], -1)
-            total += shown * inside[..., None]
-            count += inside[..., None]
-        return plane, total / np.maximum(count, 1)
-
-
-def deal_photographs(recording: Recording, seed: int) -> Parts:
-    """Photographs for training, validation and test; the last two are one where there are few.
-
-    Raises:
-        InputError: there is no photograph beside the calibration pair.
-    """
-    n = len(recording)
-    roles = recording.samples["role"].astype(str) if recording.has("role") else np.full(n, "")
-    train = np.asarray(roles == "calibration")
-    others = np.flatnonzero(~train)
-    if not len(others):
-        raise InputError("The recording has no image beside the calibration pair, so nothing can be judged.")
-    spare = min(MOST_TRAINED - int(train.sum()), len(others) - 2 * FEW_UNITS)
-    if len(others) < 2 * FEW_UNITS:  # too few for a verdict; the fits shall be of use all the same
-        spare = min(spare + FEW_UNITS, len(others) // 2)
-    if spare > 0:
-        train[np.random.default_rng([seed, 5]).permutation(others)[:spare]] = True
-    rest = np.flatnonzero(~train)
-    validation, test = ~train, ~train
-    if len(rest) >= 2 * FEW_UNITS:
-        samples = recording.samples.iloc[rest]
-        half = blocks.assign(samples, np.arange(len(rest)), seed, (0.5, 0.5))
-        validation, test = (np.isin(np.arange(n), rest[half == i]) for i in range(2))
-    stratum = np.unique(np.asarray(roles), return_inverse=True)[1]
-    return Parts(train, validation, test, np.arange(n), stratum)
+        tested = [s for s, t in zip(self.data.samples, self.parts.test, strict=True) if t]
+        differences = [[d for d, t in zip(m.differences, self.parts.test, strict=True) if t] for m in models]
+        return gel_maps.pictures(tested, differences)
 
 
 def _mean_squares(images: Iterable[np.ndarray]) -> np.ndarray:
     return np.array([np.mean(np.square(np.asarray(image, np.float64))) for image in images])
-
-
-def for_twin(gel: GelModel, twin: Twin) -> GelModel:
-    """The gel at the size in which the twin keeps it: 240 x 320, other proportions for a lone gel only."""
-    h, w = gel.rest_image.shape[:2]
-    if twin.device == "gel" and abs(w / h / (IMAGE_SHAPE[1] / IMAGE_SHAPE[0]) - 1) > 0.02:
-        return gel
-    return gel.resized(*IMAGE_SHAPE[:2])
-
-
-def predict(gel: GelModel, data: GelRecording) -> list[np.ndarray]:
-    """Predicted image of every sample; the calibration pair tells how the light drifts."""
-    pair: PressPhotograph | None = next((s.photograph for s in data.samples if s.role == "calibration"), None)
-    predictor = Predictor(gel, pair)
-    return [predictor.image(s.press, s.rest, s.clock) for s in data.samples]
-
-
-def seen_by(gel: GelModel, data: GelRecording) -> GelModel:
-    """The same gel in a recording's images: their rest image, scale and thickness."""
-    own = {"rest_image": data.rest, "px_per_mm": data.px_per_mm, "thickness_mm": data.thickness_mm}
-    return replace(gel, **own)
-
-
-def at_bound(gel: GelModel, effects: Sequence[str]) -> list[str]:
-    """Parameters of these effects that lie at a bound."""
-    return [
-        f"{e}.{p.name}"
-        for e in effects
-        for p in get_effect(e).parameters
-        if min(gel.effects[e][p.name] - p.lower, p.upper - gel.effects[e][p.name])
-        < 1e-3 * (p.upper - p.lower)
-    ]

@@ -1,19 +1,17 @@
 """Fits a twin to a bench recording: markers, photographs or tactile images."""
 
-import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
+from lerobot_pneutac.verbs.calibrate_files import BEST, SEARCH
 from lerobot_pneutac.verbs.calibration import Calibration
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin
 
 WAYS = ("images", "markers")
-SEARCH = "evaluations.json"  # in the folder where a search by images is kept
-BEST = "best.png"  # there, the best rendering so far
 
 
 def calibrate(
@@ -21,8 +19,8 @@ def calibrate(
     recording: Recording,
     *,
     by: str | None = None,
-    effects: Sequence[str] | None = None,
-    train_kpa: Sequence[float] = (0.0, 3.0, 6.0, 9.0, 12.0, 15.0),
+    effects: Sequence[str] | str | None = None,
+    train_kpa: Sequence[float] | str = (0.0, 3.0, 6.0, 9.0, 12.0, 15.0),
     evaluations: int = 84,
     particles: int = 4000,
     seed: int = 0,
@@ -37,7 +35,8 @@ def calibrate(
         by: of a body: `images` (photographs with masks) or `markers` (markers and angles); by markers where
             the recording has them, else by images.
         effects: of a gel: optics effects to fit, none for the paper's linear model; those that the twin has,
-            if it has been calibrated, else all that one pair of images can tell.
+            if it has been calibrated, else all that one pair of images can tell. Names, or a text with commas
+            between, `none` for none.
         train_kpa: by images: pressures to fit; all others are held out.
         evaluations: by images: of the search.
         particles: by images: of the body, about.
@@ -59,6 +58,8 @@ def calibrate(
     if recording.device == "gel":
         from lerobot_pneutac.verbs.fit_gel import calibrate_gel
 
+        if isinstance(effects, str):
+            effects = [e.strip() for e in effects.split(",") if e != "none"]
         return calibrate_gel(twin, recording, effects)
     if by == "images" or (by is None and _photographs_alone(recording)):
         from lerobot_pneutac.verbs.fit_photographs import PhotoOptions, calibrate_photographs
@@ -89,44 +90,3 @@ def training_levels(levels: Sequence[float] | str) -> tuple[float, ...]:
     if len(out) < 2 or not np.isfinite(out).all():
         raise InputError(f"--train_kpa={shown} must be at least two pressures in kPa, such as 0,3,6,9,12,15.")
     return out
-
-
-def default_gel_recording(scratch: Path, seed: int) -> tuple[Path, str]:
-    """A gel's recording where none was given, and a sentence that tells which.
-
-    The DIGIT photographs in $PNEUTAC_DATA, or images generated in folder `scratch` where that is unset.
-    """
-    real = Path(os.environ.get("PNEUTAC_DATA", "/nonexistent")) / "tactile" / "digit_nagoya"
-    if real.is_dir():
-        return real, f"No --recording given: using the DIGIT photographs in {real}."
-    from pneutac_datasets.generate.gel import write_gel_recording
-
-    return write_gel_recording(scratch / "generated", seed).folder, (
-        "[yellow]No --recording given: using GENERATED images, not photographs.[/] "
-        "Give --recording=DIR to calibrate to a real sensor."
-    )
-
-
-def twin_for(folder: Path, recording: Recording) -> Twin:
-    """The twin in a folder; a twin of a gel is begun where there is none yet.
-
-    Raises:
-        InputError: there is none and the recording is of a body, the folder holds something else, or the
-            devices differ.
-    """
-    if (folder / "twin.yaml").exists():
-        twin = Twin.load(folder)
-        if twin.device != recording.device and (twin.device, recording.device) != ("finger", "gel"):
-            raise InputError(
-                f"{recording.folder} is a recording of a '{recording.device}' but the twin at '{folder}' is "
-                f"of a '{twin.device}'; give a twin of that device."
-            )
-        return twin
-    if recording.device != "gel":
-        raise InputError(
-            f"There is no twin at '{folder}'; make one with `pneutac new --twin={folder} "
-            f"--device={recording.device}`."
-        )
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(f"'{folder}' holds no twin but something else; give an empty or new folder.")
-    return Twin(device="gel", length_mm=16.0)

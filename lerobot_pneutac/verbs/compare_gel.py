@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lerobot_pneutac.reports.page import Report
-from lerobot_pneutac.study.gel import predict, seen_by
+from lerobot_pneutac.study.gel_model import predict, seen_by
 from lerobot_pneutac.verbs.comparison import Comparison, history_of
 from lerobot_pneutac.verbs.fit_gel import picture_grid, scores_of
 from pneutac_datasets.recording.gel import GelRecording

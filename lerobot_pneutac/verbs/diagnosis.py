@@ -129,9 +129,9 @@ class Diagnosis(Result):
             "after": self.after,
             "reduction": self.reduction[0],
             "reduction_ci95": list(self.reduction[1]),
-            "parameters": {e: study.parameters(o.after, e) for e in o.selected},
+            "parameters": {e: study.as_written(study.parameters(o.after, e)) for e in o.selected},
             "ladder": [{"change": label, **study.errors(model)} for label, model in o.ladder],
-            "effects": [_tested(t) for t in o.tested] + [_untested(u) for u in study.untested],
+            "effects": [_tested(t, study) for t in o.tested] + [_untested(u) for u in study.untested],
             "indistinguishable": [[r.effect, r.rival] for r in o.rivals],
             "correlated": [{"effects": [a, b], "correlation": c} for a, b, c in o.correlated],
             "profile": [_profile(p) for p in o.profiles],
@@ -156,11 +156,11 @@ class Diagnosis(Result):
         return diagnosis_page(self, self._next[1])
 
 
-def _tested(t: Tested) -> dict:
+def _tested(t: Tested, study: EffectStudy) -> dict:
     interval = None if t.ci95 is None else list(t.ci95)
     return {
         "name": t.name, **t.errors, "reduction": t.reduction, "reduction_ci95": interval,
-        "parameters": t.parameters, "tested_by": t.tested_by,
+        "parameters": study.as_written(t.parameters), "tested_by": t.tested_by,
     }  # fmt: skip
 
 

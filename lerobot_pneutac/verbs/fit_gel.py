@@ -8,7 +8,7 @@ import numpy as np
 from PIL import Image
 
 from lerobot_pneutac.reports.page import Report
-from lerobot_pneutac.study.gel import at_bound, for_twin, predict
+from lerobot_pneutac.study.gel_model import at_bound, for_twin, predict
 from lerobot_pneutac.study.pasted import Pasted
 from lerobot_pneutac.verbs.calibration import Calibration
 from pneutac_datasets.recording.gel import GelRecording, GelSample

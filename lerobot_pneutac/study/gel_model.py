@@ -1,0 +1,45 @@
+"""A gel between a twin and a recording's images."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pneutac_datasets.recording.gel import GelRecording
+from pneutac_sim.effects.registry import get_effect
+from pneutac_sim.features import IMAGE_SHAPE
+from pneutac_sim.gel.model import GelModel
+from pneutac_sim.gel.photograph import Predictor, PressPhotograph
+from pneutac_sim.twin import Twin
+
+
+def for_twin(gel: GelModel, twin: Twin) -> GelModel:
+    """The gel at the size in which the twin keeps it: 240 x 320, other proportions for a lone gel only."""
+    h, w = gel.rest_image.shape[:2]
+    if twin.device == "gel" and abs(w / h / (IMAGE_SHAPE[1] / IMAGE_SHAPE[0]) - 1) > 0.02:
+        return gel
+    return gel.resized(*IMAGE_SHAPE[:2])
+
+
+def predict(gel: GelModel, data: GelRecording) -> list[np.ndarray]:
+    """Predicted image of every sample; the calibration pair tells how the light drifts."""
+    pair: PressPhotograph | None = next((s.photograph for s in data.samples if s.role == "calibration"), None)
+    predictor = Predictor(gel, pair)
+    return [predictor.image(s.press, s.rest, s.clock) for s in data.samples]
+
+
+def seen_by(gel: GelModel, data: GelRecording) -> GelModel:
+    """The same gel in a recording's images: their rest image, scale and thickness."""
+    own = {"rest_image": data.rest, "px_per_mm": data.px_per_mm, "thickness_mm": data.thickness_mm}
+    return replace(gel, **own)
+
+
+def at_bound(gel: GelModel, effects: Sequence[str]) -> list[str]:
+    """Parameters of these effects that lie at a bound."""
+    return [
+        f"{e}.{p.name}"
+        for e in effects
+        for p in get_effect(e).parameters
+        if min(gel.effects[e][p.name] - p.lower, p.upper - gel.effects[e][p.name])
+        < 1e-3 * (p.upper - p.lower)
+    ]

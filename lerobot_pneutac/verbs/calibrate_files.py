@@ -1,0 +1,74 @@
+"""What `pneutac calibrate` finds and leaves in folders: recording, twin, an interrupted search."""
+
+import json
+import os
+from pathlib import Path
+
+from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.errors import InputError
+from pneutac_sim.twin import Twin
+
+SEARCH = "evaluations.json"  # in the folder where a search by images is kept
+BEST = "best.png"  # there, the best rendering so far
+
+
+def recording_for(folder: Path | None, scratch: Path, seed: int) -> tuple[Recording, str]:
+    """The recording, and a sentence where none was given.
+
+    Without one the DIGIT photographs in $PNEUTAC_DATA, or images generated in folder `scratch` where that is
+    unset.
+    """
+    if folder is not None:
+        return Recording.load(folder), ""
+    real = Path(os.environ.get("PNEUTAC_DATA", "/nonexistent")) / "tactile" / "digit_nagoya"
+    if real.is_dir():
+        return Recording.load(real), f"No --recording given: using the DIGIT photographs in {real}."
+    from pneutac_datasets.generate.gel import write_gel_recording
+
+    return Recording.load(write_gel_recording(scratch / "generated", seed).folder), (
+        "[yellow]No --recording given: using GENERATED images, not photographs.[/] "
+        "Give --recording=DIR to calibrate to a real sensor."
+    )
+
+
+def twin_for(folder: Path, recording: Recording) -> Twin:
+    """The twin in a folder; a twin of a gel is begun where there is none yet.
+
+    Raises:
+        InputError: there is none and the recording is of a body, the folder holds something else, or the
+            devices differ.
+    """
+    if (folder / "twin.yaml").exists():
+        twin = Twin.load(folder)
+        if twin.device != recording.device and (twin.device, recording.device) != ("finger", "gel"):
+            raise InputError(
+                f"{recording.folder} is a recording of a '{recording.device}' but the twin at '{folder}' is "
+                f"of a '{twin.device}'; give a twin of that device."
+            )
+        return twin
+    if recording.device != "gel":
+        raise InputError(
+            f"There is no twin at '{folder}'; make one with `pneutac new --twin={folder} "
+            f"--device={recording.device}`."
+        )
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(f"'{folder}' holds no twin but something else; give an empty or new folder.")
+    return Twin(device="gel", length_mm=16.0)
+
+
+def stopped(keep: Path) -> str:
+    """What to say where a calibration was interrupted."""
+    search = keep / SEARCH
+    count = len(json.loads(search.read_text())["evaluations"]) if search.is_file() else 0
+    if not count:
+        return "Stopped before the first candidates were evaluated; the twin is as it was."
+    return (
+        f"Stopped after {count} evaluations, kept in {search}; the twin is as it was, and the same command "
+        "goes on from here."
+    )
+
+
+def forget_search(keep: Path) -> None:
+    """Deletes the search that was kept."""
+    for name in (SEARCH, BEST):
+        (keep / name).unlink(missing_ok=True)
