@@ -6,6 +6,7 @@ from plotly.subplots import make_subplots
 
 from lerobot_pneutac.reports.page import Report
 from pneutac_datasets.recording.axes import numbers, unit_of
+from pneutac_sim.finger.quantities import root_mean
 
 MEASURED, MODEL, TRAIN, HELDOUT, FLOOR = "#1b2430", "#d1495b", "#9bb1c4", "#0b6e99", "#e0a100"
 POINTS = 1500  # a line: more cannot be seen on a screen
@@ -151,7 +152,7 @@ def heat_map(c) -> go.Figure:
         for b in range(len(across.labels)):
             at = (down == a) & (across.bin == b)
             if at.any():
-                z[a, b] = np.sqrt(c.squared[at].mean())
+                z[a, b] = root_mean(c.squared[at])
     top = max(float(np.nanmax(z)), 1e-9)  # plotly heeds zmin only where zmax is given too
     z = np.where(np.isfinite(z), z.round(4), None).tolist()
     bar = {"title": c.unit}

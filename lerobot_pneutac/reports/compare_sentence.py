@@ -7,6 +7,7 @@ import numpy as np
 
 from pneutac_datasets.recording.axes import Axis
 from pneutac_datasets.recording.wording import plural
+from pneutac_sim.finger.quantities import root_mean
 
 FEW_ROWS = 50  # below this no place where the error is large says anything
 
@@ -17,7 +18,7 @@ def sentence(c) -> str:
     heldout, where = squared[~c.train_samples], " where it was not fitted"
     if not len(heldout):
         heldout, where = squared, ""
-    error = float(np.sqrt(heldout.mean()))
+    error = root_mean(heldout)
     what = {"mm": "tip", "rad": "bend", "1/m": "curvature"}.get(c.unit, "device")
     who = "The twin" if c.fidelity == "pipeline" else "The twin's full simulation"
     text = f"{who} misses the measured {what} by {error:.3g} {c.unit}{where}"
