@@ -1,0 +1,26 @@
+"""Demonstrations from demonstrations: one is recorded, one more is planned from it in another scene."""
+
+from pathlib import Path
+
+from lerobot_pneutac.verbs.augment import AugmentConfig, DatasetRef, augment
+from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
+from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
+from lerobot_robot_pneutac.teleoperators.config_pneutac_scripted import PneutacScriptedConfig
+from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
+from pneutac_datasets.demonstrations.record import record_episodes
+
+if __name__ == "__main__":  # workers import this file
+    robot = PneutacSim(PneutacSimConfig(id="twin", task="switch", fidelity="probe"))
+    operator = PneutacScripted(PneutacScriptedConfig(episode_steps=300))
+    demos = Path("outputs/demos")
+    record_episodes(robot, operator, "local/demos", demos, 1, "flip the switch", use_videos=False)
+
+    config = AugmentConfig(
+        dataset=DatasetRef("local/demos", demos),
+        output=DatasetRef("local/more", Path("outputs/more")),
+        task="switch",
+        episodes=1,
+        fidelity="probe",
+    )
+    result = augment(config, lambda text, done, total: print(f"{text}: {done} of {total}"))
+    print(f"kept {result.share:.0%} of the variants")

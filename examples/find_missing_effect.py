@@ -1,0 +1,26 @@
+"""The main job: compare a twin with measurements, learn which effect is missing, add it, compare."""
+
+from lerobot_pneutac import Recording, add, calibrate, compare, diagnose
+from lerobot_pneutac.verbs.new import new_twin
+from pneutac_datasets.generate.hidden.generate import generate
+
+# A finger with a hidden effect; the answer is in outputs/truth/, which nothing here opens.
+generate("creep", "outputs/bench", seed=7, minutes=4, hz=10)
+
+recording = Recording.load("outputs/bench")
+twin = calibrate(new_twin(recording=recording), recording).twin
+before = compare(twin, recording)
+print(f"calibrated: {before.heldout:.2f} {before.unit} where the noise has {before.noise_floor:.2f}")
+
+diagnosis = diagnose(twin, recording)
+print(f"{diagnosis.verdict}: {diagnosis.sentence}")
+
+for effect in diagnosis.selected:
+    result = add(twin, recording, effect)
+    print(f"{effect}: {'added' if result.accepted else 'refused'}. {result.physics or result.reason}")
+    twin = result.twin
+
+after = compare(twin, recording)
+print(f"with effects: {after.heldout:.2f} {after.unit}")
+after.report("outputs/report")  # outputs/report/report.html opens offline
+twin.save("outputs/twin")

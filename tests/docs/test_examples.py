@@ -1,0 +1,30 @@
+"""The examples run as they are, in an empty folder, and stay short."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+from doc_blocks import ROOT
+
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+
+
+def test_there_are_eight():
+    assert len(EXAMPLES) == 8
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda p: p.stem)
+def test_it_runs(path, tmp_path):
+    (tmp_path / "outputs").mkdir()
+    env = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "PNEUTAC_DATA")}
+    env |= {"HF_HOME": str(tmp_path / "hf"), "HF_HUB_OFFLINE": "1", "OMP_NUM_THREADS": "1"}
+    done = subprocess.run([sys.executable, path], cwd=tmp_path, env=env, capture_output=True, text=True)
+    assert done.returncode == 0, f"{done.stdout[-2000:]}\n{done.stderr[-4000:]}"
+    assert done.stdout.strip()
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda p: p.stem)
+def test_it_is_short(path):
+    assert len(path.read_text().splitlines()) < 60
