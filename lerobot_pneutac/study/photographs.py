@@ -89,9 +89,9 @@ def photo_study(recording: Recording, levels_kpa: tuple[float, ...]) -> PhotoStu
     levels, rows, state = held_levels(recording)
     train = (np.abs(levels[..., None] - np.asarray(levels_kpa)).min(-1) < NEAR_KPA).all(1)
     if train.sum() < 2:
-        told = ", ".join(f"{v:g}" for v in np.unique(levels)[:12])
+        shown = ", ".join(f"{v:g}" for v in np.unique(levels)[:12])
         raise InputError(
-            f"{recording.folder}: {train.sum()} of its pressures ({told} kPa) are training levels "
+            f"{recording.folder}: {train.sum()} of its pressures ({shown} kPa) are training levels "
             f"({', '.join(f'{v:g}' for v in levels_kpa)}); choose at least two with --train_kpa."
         )
     cameras = {name: read_camera(recording, name) for name in names}
@@ -170,8 +170,8 @@ def read_held(recording: Recording, row: int, state: int, name: str, camera: Cam
             f"{recording.folder}: {column_of(recording, 'mask', name)} of row {row + 1} covers "
             f"{mask.mean():.1%} of the picture; it must be white where the body is and black elsewhere."
         )
-    told = f"{recording.folder}, {column_of(recording, 'image', name)} of row {row + 1}"
-    return Photograph(int(state), camera, image, mask, told)
+    name_shown = f"{recording.folder}, {column_of(recording, 'image', name)} of row {row + 1}"
+    return Photograph(int(state), camera, image, mask, name_shown)
 
 
 def mean_conditions(recording: Recording) -> dict[str, float]:

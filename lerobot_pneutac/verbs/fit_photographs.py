@@ -181,12 +181,12 @@ class PhotoCalibration(Calibration):
             some = shown[i : i + 6]
             if len({p.mask.shape for p in some}) > 1:
                 continue
-            told = [
+            labels = [
                 f"{'/'.join(f'{v:g}' for v in study.pressures[p.state])} kPa"
                 f"{'' if study.train[p.state] else ' (held out)'}"
                 for p in some
             ]
-            yield strip(self.objective, self.bodies.positions[0], some), ", ".join(told)
+            yield strip(self.objective, self.bodies.positions[0], some), ", ".join(labels)
 
 
 def calibrate_photographs(
@@ -239,8 +239,8 @@ def calibrate_photographs(
     looks_into_twin(new, _looks(rest, everywhere, rest.state, DETAIL))
     whole = Objective(everywhere, study.photographs, looks)
     result = _calibration(new, fitted, study, found, sure, whole, everywhere)
-    told = {"recording": str(recording.folder), "findings": (*recording.warnings, *study.findings)}
-    return replace(result, start=start, seed=seed, seconds=time.perf_counter() - began, **told)
+    source = {"recording": str(recording.folder), "findings": (*recording.warnings, *study.findings)}
+    return replace(result, start=start, seed=seed, seconds=time.perf_counter() - began, **source)
 
 
 def _calibration(

@@ -1,0 +1,38 @@
+"""How far a verb has come, on a terminal and elsewhere."""
+
+import io
+
+from rich.console import Console
+
+from lerobot_pneutac.cli import progress as module
+from lerobot_pneutac.cli.progress import progress_bar
+from lerobot_pneutac.diagnosis.steps import Steps
+
+
+def test_steps_count_work_that_grows():
+    heard = []
+    steps = Steps(lambda *step: heard.append(step))
+    steps.expect("first", 2)
+    steps.done()
+    steps.expect("second", 3)
+    steps.done()
+    assert heard == [("first", 0, 2), ("first", 1, 2), ("second", 1, 5), ("second", 2, 5)]
+    Steps().done()
+
+
+def test_without_a_terminal_there_is_a_line_every_ten_seconds(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(module.time, "monotonic", lambda: now[0])
+    console = Console(file=io.StringIO(), width=80)
+    with progress_bar(console) as progress:
+        for i in range(25):
+            now[0] = float(i)
+            progress("fitting", i, 25)
+    assert console.file.getvalue().splitlines() == ["fitting: 10 of 25", "fitting: 20 of 25"]
+
+
+def test_a_terminal_gets_a_bar_that_leaves_nothing_behind():
+    console = Console(file=io.StringIO(), force_terminal=True, width=80)
+    with progress_bar(console) as progress:
+        progress("fitting", 1, 2)
+    assert "fitting" not in console.file.getvalue().split("\r")[-1]
