@@ -21,7 +21,7 @@ from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import an
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm.body import Body
-from pneutac_sim.photo_fit.objective import SOLID, Photograph
+from pneutac_sim.photo_fit.objective import SOLID, MaskedPhotograph
 from pneutac_sim.splat.body import looks_from_twin
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.follow import carried
@@ -48,7 +48,7 @@ class Recorded:
     """
 
     pressures: np.ndarray
-    photographs: list[Photograph]
+    photographs: list[MaskedPhotograph]
     camera: Camera
     conditions: dict[str, float]
 

@@ -3,12 +3,12 @@
 import cv2
 import numpy as np
 
-from pneutac_sim.photo_fit.objective import SOLID, Objective, Photograph
+from pneutac_sim.photo_fit.objective import SOLID, MaskedPhotograph, Objective
 
 HEIGHT = 220  # px of a picture
 
 
-def strip(objective: Objective, positions: np.ndarray, photographs: list[Photograph]) -> np.ndarray:
+def strip(objective: Objective, positions: np.ndarray, photographs: list[MaskedPhotograph]) -> np.ndarray:
     """Photographs above, renderings below and differing silhouettes last, uint8 (H, W, 3).
 
     Args:
@@ -46,7 +46,7 @@ def differing(photograph: np.ndarray, drawn: np.ndarray) -> np.ndarray:
     return image
 
 
-def _crop(photographs: list[Photograph]) -> tuple[np.ndarray, np.ndarray]:
+def _crop(photographs: list[MaskedPhotograph]) -> tuple[np.ndarray, np.ndarray]:
     """Corners (row, column) of a window round all masks."""
     corners = [np.argwhere(p.mask) for p in photographs]
     size = np.array(photographs[0].mask.shape)

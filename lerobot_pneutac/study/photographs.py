@@ -16,7 +16,7 @@ from pneutac_datasets.recording.photographs import (
 )
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
-from pneutac_sim.photo_fit.objective import Photograph
+from pneutac_sim.photo_fit.objective import MaskedPhotograph
 from pneutac_sim.splat.camera import Camera
 
 NEAR_KPA = 0.25  # of a training level
@@ -46,20 +46,20 @@ class PhotoStudy(Study):
     train: np.ndarray
     cameras: list[str]
     fitted: int
-    photographs: list[Photograph]
+    photographs: list[MaskedPhotograph]
     markers_mm: np.ndarray | None
     conditions: dict[str, float]
     findings: tuple[str, ...] = ()
 
     unit = "8-bit levels"
 
-    def of(self, states: np.ndarray) -> list[Photograph]:
+    def of(self, states: np.ndarray) -> list[MaskedPhotograph]:
         """Photographs at the pressures where `states` (T,) is true, counted among these alone."""
         index = np.cumsum(states) - 1
         return [replace(p, state=int(index[p.state])) for p in self.photographs if states[p.state]]
 
     @property
-    def rest(self) -> Photograph:
+    def rest(self) -> MaskedPhotograph:
         """The photograph nearest to no pressure, from the first camera."""
         least = np.argsort(np.abs(self.pressures).sum(1), kind="stable")
         by_state = {p.state: p for p in reversed(self.photographs)}
@@ -158,7 +158,7 @@ def held_levels(recording: Recording) -> tuple[np.ndarray, np.ndarray, np.ndarra
     return levels, rows, state.ravel()
 
 
-def read_held(recording: Recording, row: int, state: int, name: str, camera: Camera) -> Photograph:
+def read_held(recording: Recording, row: int, state: int, name: str, camera: Camera) -> MaskedPhotograph:
     """The photograph that a camera took in a row, at pressure number `state`.
 
     Raises:
@@ -171,7 +171,7 @@ def read_held(recording: Recording, row: int, state: int, name: str, camera: Cam
             f"{mask.mean():.1%} of the picture; it must be white where the body is and black elsewhere."
         )
     name_shown = f"{recording.folder}, {column_of(recording, 'image', name)} of row {row + 1}"
-    return Photograph(int(state), camera, image, mask, name_shown)
+    return MaskedPhotograph(int(state), camera, image, mask, name_shown)
 
 
 def mean_conditions(recording: Recording) -> dict[str, float]:

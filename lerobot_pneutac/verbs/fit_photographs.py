@@ -17,9 +17,9 @@ from pneutac_sim.finger.fit import BY_IMAGES
 from pneutac_sim.photo_fit.coarse import Coarse, coarse_fit
 from pneutac_sim.photo_fit.confidence import Confidence, confidence
 from pneutac_sim.photo_fit.equilibria import Bodies, Equilibria
-from pneutac_sim.photo_fit.objective import SILHOUETTE, Objective, Photograph, Scores
+from pneutac_sim.photo_fit.objective import SILHOUETTE, MaskedPhotograph, Objective, Scores
 from pneutac_sim.photo_fit.parameters import BodyParameters, body_parameters
-from pneutac_sim.photo_fit.search import EVALUATIONS, Search, search
+from pneutac_sim.photo_fit.search import EVALUATIONS, Search, SearchRecord, search
 from pneutac_sim.splat.body import fit_body_looks, looks_into_twin
 from pneutac_sim.splat.gaussians import Gaussians
 from pneutac_sim.twin import Twin
@@ -233,7 +233,9 @@ def calibrate_photographs(
 
     key = search_key(recording, twin, photographs, options.particles)
     count, seed = options.evaluations, options.seed
-    found = search(objective, fitted, start, count, seed=seed, file=file, key=key, tell=report)
+    found = search(
+        objective, fitted, start, count, seed=seed, record=SearchRecord(file, key), progress=report
+    )
     sure, everywhere = confidence(objective, found.x), bodies(found.x, study.pressures)
     new = fitted.twin_at(found.x, sure.ci95)
     looks_into_twin(new, _looks(rest, everywhere, rest.state, DETAIL))
@@ -294,7 +296,7 @@ def _tip_error_mm(study: PhotoStudy, everywhere: Equilibria) -> np.ndarray | Non
     return np.linalg.norm(1e3 * everywhere.first.tips[0] - study.markers_mm, axis=1)
 
 
-def search_key(recording: Recording, twin: Twin, photographs: list[Photograph], particles: int) -> str:
+def search_key(recording: Recording, twin: Twin, photographs: list[MaskedPhotograph], particles: int) -> str:
     """What a search depends on beside where it starts: one of another key does not go on.
 
     Args:
@@ -307,7 +309,7 @@ def search_key(recording: Recording, twin: Twin, photographs: list[Photograph], 
     return f"{recording.folder.resolve()} {pictures} {particles} {len(twin.history)}"
 
 
-def _looks(photograph: Photograph, equilibria: Equilibria, state: int, detail: int = 1) -> Gaussians:
+def _looks(photograph: MaskedPhotograph, equilibria: Equilibria, state: int, detail: int = 1) -> Gaussians:
     """From one photograph of the body at pressure number `state` of the equilibria."""
     p, first = photograph, equilibria.first
     pose = (first.positions[0, state], first.gradients[0, state])

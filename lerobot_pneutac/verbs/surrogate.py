@@ -160,7 +160,9 @@ def _train_action(twin: Twin, file: Path, collection: Collection, device: str, p
     show()
     plan = Plan(total, collection.seconds, collection.particles, seed=seed)
     collect_action(twin, folder, plan, device, show)
-    network = train_action(twin, folder, seed, tell=lambda line: progress(f"finger: {line}", total, total))
+    network = train_action(
+        twin, folder, seed, progress=lambda line: progress(f"finger: {line}", total, total)
+    )
     errors = asdict(evaluate_action(twin, network, folder))
     network.save(file)
     # one motion has no standard error
@@ -190,7 +192,7 @@ def _train_perception(
         mark,
         seed=seed,
         device=device,
-        tell=lambda done, total: progress("gel: training", done, total),
+        progress=lambda done, total: progress("gel: training", done, total),
     )
     _, check, unseen = split(read_contacts(folder))
     network.errors = evaluate_gel(network, check + unseen, twin)

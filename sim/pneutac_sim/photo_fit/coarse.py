@@ -17,7 +17,7 @@ from scipy.optimize import least_squares, lsq_linear
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm.devices import BODIES
 from pneutac_sim.photo_fit.equilibria import Bodies, Equilibria, joint_targets
-from pneutac_sim.photo_fit.objective import Photograph
+from pneutac_sim.photo_fit.objective import MaskedPhotograph
 from pneutac_sim.photo_fit.outline import Outline
 from pneutac_sim.photo_fit.parameters import BodyParameters
 from pneutac_sim.splat.body import check_photograph
@@ -61,7 +61,7 @@ class Skinned:
         self,
         parameters: BodyParameters,
         pressures: np.ndarray,
-        photographs: list[Photograph],
+        photographs: list[MaskedPhotograph],
         conditions: dict | None = None,
         device: str = "auto",
     ):
@@ -90,7 +90,7 @@ class Skinned:
         q = joint_targets(twin, self.pressures, self.conditions)
         return self.spine.skin(q, self.outline.vertices) + self._left_out
 
-    def coverage(self, at: np.ndarray, photograph: Photograph) -> np.ndarray:
+    def coverage(self, at: np.ndarray, photograph: MaskedPhotograph) -> np.ndarray:
         """(H, W) of surfaces at (T, V, 3) m as this reduced photograph's camera sees them."""
         return self.outline.coverage(at[photograph.state], photograph.camera)
 
@@ -107,7 +107,7 @@ class Skinned:
         return np.concatenate(parts)
 
 
-def reduced(photograph: Photograph) -> Photograph:
+def reduced(photograph: MaskedPhotograph) -> MaskedPhotograph:
     """The photograph with fewer pixels, where the body is longer than `PIXELS`."""
     camera, factor = photograph.camera, max(1.0, reach(photograph.mask) / PIXELS)
     size = (round(camera.width / factor), round(camera.height / factor))
@@ -131,7 +131,7 @@ def thin(picture: np.ndarray, sigma: float) -> np.ndarray:
 def coarse_fit(
     parameters: BodyParameters,
     pressures: np.ndarray,
-    photographs: list[Photograph],
+    photographs: list[MaskedPhotograph],
     conditions: dict | None = None,
     device: str = "auto",
 ) -> Coarse:
@@ -150,62 +150,76 @@ def coarse_fit(
     model = Skinned(parameters, pressures, photographs, conditions, device)
     tried = [np.clip(x, parameters.lower, parameters.upper) for x in _starts(parameters, pressures)]
     x = min(tried, key=lambda x: np.square(model.differences(model.positions(x), BLURS[0])).sum())
+    for blur in BLURS:
+        x = _fit_skinned(model, x, blur)
+    _check(model, x, photographs)
+    model.correct(x)
+    return _refine(model, _fit_skinned(model, x, BLURS[-1]))
+
+
+def _fit_skinned(model: Skinned, x: np.ndarray, blur: float) -> np.ndarray:
+    """(P,) from `x` on, by bounded least squares at one blur; the material's coordinates stay."""
+    parameters = model.parameters
     free = parameters.of_pose
+
+    def misfit(y):
+        return model.differences(model.positions(_whole(parameters, x, y)), blur)
+
+    def jacobian(y):
+        steps, here = _steps(parameters, y, SMALL), misfit(y)
+        return np.stack([misfit(y + s) - here for s in steps], 1) / np.diag(steps)
+
+    found = least_squares(
+        misfit,
+        x[free],
+        jacobian,
+        bounds=(parameters.lower[free], parameters.upper[free]),
+        x_scale=parameters.step[free],
+        xtol=1e-4,
+        ftol=1e-4,
+        max_nfev=25,
+    )
+    return _whole(parameters, x, found.x)
+
+
+def _refine(model: Skinned, x: np.ndarray) -> Coarse:
+    """Gauss-Newton steps with derivatives from material points, as long as they help."""
+    parameters = model.parameters
+    free, lower, upper = parameters.of_pose, parameters.lower, parameters.upper
     scale = parameters.step[free]
-
-    def whole(y):
-        out = x.copy()
-        out[free] = y
-        return np.clip(out, parameters.lower, parameters.upper)
-
-    def moved(y, small):
-        """(F, F) one step along each coordinate, towards the inside of the bounds."""
-        return np.diag(small * np.where(y + small * scale < parameters.upper[free], scale, -scale))
-
-    def misfit(y, blur):
-        return model.differences(model.positions(whole(y)), blur)
-
-    def jacobian(y, blur):
-        step, here = moved(y, SMALL), misfit(y, blur)
-        return np.stack([misfit(y + s, blur) - here for s in step], 1) / np.diag(step)
-
-    for round_, blur in enumerate((*BLURS, BLURS[-1])):
-        if round_ == len(BLURS):
-            _check(model, x, photographs)
-            model.correct(x)
-        found = least_squares(
-            misfit,
-            x[free],
-            jacobian,
-            bounds=(parameters.lower[free], parameters.upper[free]),
-            x_scale=scale,
-            xtol=1e-4,
-            ftol=1e-4,
-            max_nfev=25,
-            args=(blur,),
-        )
-        x = whole(found.x)
     least, hessian = np.inf, np.zeros((len(x), len(x)))
     rest = model.correct(x)
     for _ in range(STEPS):
-        steps = moved(x[free], MOVE)
-        surfaces = model.surfaces(rest, rest.solve(np.stack([x, *(whole(x[free] + s) for s in steps)])))
+        steps = _steps(parameters, x[free], MOVE)
+        candidates = np.stack([x, *(_whole(parameters, x, x[free] + s) for s in steps)])
+        surfaces = model.surfaces(rest, rest.solve(candidates))
         pictures = np.stack([model.differences(at, BLURS[-1]) for at in surfaces])
         if np.square(pictures[0]).sum() > least:
             break
         best, least = x, np.square(pictures[0]).sum()
+        # min |J dx + r|^2 between the bounds, H = J^T J
         J = (pictures[1:] - pictures[0]).T / np.diag(steps)
         hessian[np.ix_(free, free)] = J.T @ J
-        y = lsq_linear(
-            J * scale,
-            -pictures[0],
-            ((parameters.lower - x)[free] / scale, (parameters.upper - x)[free] / scale),
-        ).x
-        x = whole(x[free] + scale * y)
+        bounds = ((lower - x)[free] / scale, (upper - x)[free] / scale)
+        x = _whole(parameters, x, x[free] + scale * lsq_linear(J * scale, -pictures[0], bounds).x)
     return Coarse(best, hessian)
 
 
-def _check(model: Skinned, x: np.ndarray, photographs: list[Photograph]) -> None:
+def _whole(parameters: BodyParameters, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """`x` (P,) with the pose's coordinates (F,) in it, inside the bounds."""
+    out = x.copy()
+    out[parameters.of_pose] = y
+    return np.clip(out, parameters.lower, parameters.upper)
+
+
+def _steps(parameters: BodyParameters, y: np.ndarray, share: float) -> np.ndarray:
+    """(F, F) a share of the first step along each of the pose's coordinates, to the inside of the bounds."""
+    free = parameters.of_pose
+    scale = parameters.step[free]
+    return np.diag(share * np.where(y + share * scale < parameters.upper[free], scale, -scale))
+
+
+def _check(model: Skinned, x: np.ndarray, photographs: list[MaskedPhotograph]) -> None:
     """Raises InputError where a photograph shows no such body in any pose that was found."""
     at = model.positions(x)
     for p, small in zip(photographs, model.photographs, strict=True):

@@ -18,7 +18,7 @@ SOLID = 0.5  # coverage from which a pixel belongs to the silhouette
 
 
 @dataclass(frozen=True)
-class Photograph:
+class MaskedPhotograph:
     """One segmented photograph of a body at rest under a pressure.
 
     Attributes:
@@ -51,7 +51,7 @@ class Scores(NamedTuple):
 
     @property
     def objective(self) -> np.ndarray:
-        """(K,) mean over photographs of appearance + 2 (1 - IoU)."""
+        """(K,) J = mean over photographs of L_app + lambda_s (1 - IoU), eq. 1 of the paper."""
         return (self.appearance + SILHOUETTE * (1 - self.iou)).mean(-1)
 
 
@@ -68,8 +68,8 @@ def score(
     """
     union = mask | covered
     level = drawn.clip(0, 1)[union] - np.where(mask[union][:, None], image[union] / np.float32(255), 0)
-    appearance = float(np.abs(level[mask[union]]).mean())
-    iou = float((mask & covered).sum() / union.sum())
+    appearance = float(np.abs(level[mask[union]]).mean())  # L_app, eq. 2 of the paper
+    iou = float((mask & covered).sum() / union.sum())  # eq. 3
     return appearance, iou, float(255 * np.sqrt((level.astype(float) ** 2).mean()))
 
 
@@ -86,7 +86,7 @@ class Objective:
         outline: the body's surface.
     """
 
-    def __init__(self, equilibria: Equilibria, photographs: list[Photograph], looks: Gaussians):
+    def __init__(self, equilibria: Equilibria, photographs: list[MaskedPhotograph], looks: Gaussians):
         self.equilibria, self.photographs, self.looks = equilibria, photographs, looks
         # A round Gaussian stays the same however it turns.
         self._covariances = looks.covariances()
@@ -113,7 +113,7 @@ class Objective:
         ]
         return Scores(*np.moveaxis(np.array(rows), 2, 0))
 
-    def _score(self, p: Photograph, positions: np.ndarray, vertices: np.ndarray) -> tuple:
+    def _score(self, p: MaskedPhotograph, positions: np.ndarray, vertices: np.ndarray) -> tuple:
         covered = self.outline.coverage(vertices, p.camera) > SOLID
         return score(self.render(positions, p.camera).image, covered, p.image, p.mask)
 

@@ -20,6 +20,19 @@ OUTSIDE = 1.0  # objective that a candidate pays for each first step beyond a bo
 
 
 @dataclass(frozen=True)
+class SearchRecord:
+    """Where a search keeps what it has tried, so that it can go on from there.
+
+    Attributes:
+        file: of all candidates and their objectives, written after each generation; None for nowhere.
+        key: what the objective depends on; a file of another key is begun anew.
+    """
+
+    file: Path | None = None
+    key: str = ""
+
+
+@dataclass(frozen=True)
 class Search:
     """All that a search has tried.
 
@@ -45,15 +58,13 @@ def search(
     evaluations: int = EVALUATIONS,
     population: int = POPULATION,
     seed: int = 0,
-    file: Path | None = None,
-    key: str = "",
-    tell: Callable[[int, np.ndarray, float], None] = lambda done, best, value: None,
+    record: SearchRecord = SearchRecord(),
+    progress: Callable[[int, np.ndarray, float], None] = lambda done, best, value: None,
 ) -> Search:
     """Minimises an objective from a warm start.
 
-    A file of all candidates and their objectives is kept after each generation. Where one of the same `key`,
-    seed and start is there, its generations are told again instead of evaluated, after which the search goes
-    on as if it had never stopped.
+    Where the record's file has the same key, seed and start, its generations are replayed instead of
+    evaluated, after which the search goes on as if it had never stopped.
 
     Args:
         objective: (K, P) coordinates to (K,).
@@ -62,9 +73,8 @@ def search(
         evaluations: rounded up to whole generations.
         population: of a generation.
         seed: decides all candidates.
-        file: where to keep them; None for nowhere.
-        key: what the objective depends on; a file of another key is begun anew.
-        tell: called after each generation with the evaluations so far, the best candidate and its objective.
+        record: where to keep them.
+        progress: called after each generation with the evaluations so far, the best candidate and its value.
 
     Raises:
         InputError: the population or the number of evaluations makes no sense, or the objective is no number.
@@ -76,8 +86,8 @@ def search(
         )
     axes = first_axes(parameters, start.hessian)
     strategy = _strategy(len(parameters), population, seed)
-    key = hashlib.sha256(repr((key, seed, population, parameters.names)).encode()).hexdigest()
-    kept = _read(file, key)
+    key = hashlib.sha256(repr((record.key, seed, population, parameters.names)).encode()).hexdigest()
+    kept = _read(record.file, key)
     tried, values, resumed = [], [], 0
     while len(values) < evaluations:
         z = np.array(strategy.ask())
@@ -94,12 +104,13 @@ def search(
             raise InputError(
                 "The objective is not a finite number; check masks and cameras of the recording."
             )
+        # z ~ N(0, sigma^2 C), x = start + A z; a candidate beyond a bound pays for its distance
         strategy.tell(list(z), found + OUTSIDE * np.square((wanted - x) / parameters.step).sum(1))
         tried += list(x)
         values += found.tolist()
-        _write(file, key, tried, values)
+        _write(record.file, key, tried, values)
         best = int(np.argmin(values))
-        tell(len(values), tried[best], values[best])
+        progress(len(values), tried[best], values[best])
     return Search(tried[best], values[best], np.array(tried), np.array(values), resumed)
 
 

@@ -67,9 +67,8 @@ def fit_body_looks(
     behind = image[mask].mean(0) / 255
     target = np.where(mask[..., None], image / 255, behind)
     start = np.where(_there(now, inside, camera) > 0.5, now.opacities, OUTSIDE)
-    colours, opacities = fit_looks(
-        camera, now.means, now.covariances(), start, target, behind, coverage=inside, iterations=iterations
-    )
+    splats = Splats(camera, now.means, now.covariances(), start)
+    colours, opacities = fit_looks(splats, target, behind, coverage=inside, iterations=iterations)
     hidden = unseen(replace(now, opacities=opacities), camera)
     colours[hidden] = surroundings(now, image, mask, camera, FAR_SIDE * body.spacing_m)[hidden]
     return replace(looks, colours=colours, opacities=opacities)

@@ -27,6 +27,7 @@ class Adam:
     def step(self, gradient: np.ndarray) -> None:
         """One step down a gradient of the values' shape."""
         self._steps += 1
+        # m <- b1 m + (1 - b1) g, v <- b2 v + (1 - b2) g^2, b1 = 0.9, b2 = 0.999; their bias is in the rate
         self._mean += 0.1 * (gradient - self._mean)
         self._square += 1e-3 * (gradient**2 - self._square)
         rate = self._rate * np.sqrt(1 - 0.999**self._steps) / (1 - 0.9**self._steps)
@@ -92,30 +93,25 @@ def solve_colours(
 
 
 def fit_looks(
-    camera: Camera,
-    means,
-    covariances,
-    opacities,
+    splats: Splats,
     target: np.ndarray,
     background=(0.0, 0.0, 0.0),
     mask: np.ndarray | None = None,
     iterations: int = 100,
     coverage: np.ndarray | None = None,
-    tell: Callable[[int, float], None] = lambda iteration, rmse: None,
+    progress: Callable[[int, float], None] = lambda iteration, rmse: None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Colours and opacities that render best as a picture: `solve_colours`, then Adam on both.
 
     Args:
-        camera: from where the picture was taken.
-        means: (n, 3) m.
-        covariances: (n, 3, 3) m^2.
-        opacities: (n,) to start from, 0 to 1; kept within 0.01 to 0.99.
+        splats: Gaussians as the picture's camera sees them; opacities to start from are kept within 0.01 to
+            0.99.
         target: the picture, (H, W, 3), 0 to 1.
         background: (3,).
         mask: pixels to fit, (H, W), 0 to 1; all where None.
         iterations: of Adam, at the paper's rate on colours and on logits of opacities; 0 for colours alone.
         coverage: wanted coverage, (H, W), 0 to 1, such as a silhouette; free where None.
-        tell: called with each iteration and its root mean square error, 0 to 1.
+        progress: called with each iteration and its root mean square error, 0 to 1.
 
     Returns:
         Colours (n, 3) and opacities (n,) of the best iteration, float32.
@@ -123,24 +119,20 @@ def fit_looks(
     Raises:
         InputError: a shape is wrong or a number not finite.
     """
+    camera = splats.camera
     target = numbers("target", target, (camera.height, camera.width, 3))
     weight = _weight(mask, camera)
     if coverage is not None:
         coverage = numbers("coverage", coverage, (camera.height, camera.width))
-    opacities = np.clip(numbers("opacities", opacities, (len(means),)), 0.01, 0.99)
-    splats = Splats(camera, means, covariances, opacities)
+    opacities = np.clip(splats.opacities, 0.01, 0.99)
+    splats = splats.with_opacities(opacities)
     colours = Adam(solve_colours(splats, target, background, mask=mask))
     logits = Adam(np.log(opacities / (1 - opacities)))
     best = (np.inf, colours.values.copy(), opacities)
     for iteration in range(iterations + 1):
-        rendering: Rendering = splats.render(colours.values, background)
-        grad_image = weight * (rendering.image - target)
-        loss = float(np.vdot(grad_image, rendering.image - target))
-        grad_alpha = None
-        if coverage is not None:
-            grad_alpha = weight[..., 0] * (rendering.alpha - coverage)
-            loss += float(np.vdot(grad_alpha, rendering.alpha - coverage))
-        tell(iteration, float(np.sqrt(loss / max(3 * weight.sum(), 1e-12))))
+        rendering = splats.render(colours.values, background)
+        loss, grad_image, grad_alpha = _difference(rendering, target, coverage, weight)
+        progress(iteration, float(np.sqrt(loss / max(3 * weight.sum(), 1e-12))))
         if loss < best[0]:
             best = (loss, colours.values.copy(), opacities)
         if iteration == iterations:
@@ -150,10 +142,20 @@ def fit_looks(
         )
         colours.step(by_colours)
         np.clip(colours.values, 0, 1, out=colours.values)
-        logits.step(by_opacities * opacities * (1 - opacities))
+        logits.step(by_opacities * opacities * (1 - opacities))  # d sigmoid(x) / dx = s (1 - s)
         opacities = np.clip(1 / (1 + np.exp(-logits.values)), 0.01, 0.99)
-        splats = Splats(camera, means, covariances, opacities)
+        splats = splats.with_opacities(opacities)
     return best[1:]
+
+
+def _difference(rendering: Rendering, target, coverage, weight):
+    """L = sum w |I - target|^2 + w (alpha - coverage)^2, and half its gradients by I and alpha."""
+    grad_image = weight * (rendering.image - target)
+    loss = float(np.vdot(grad_image, rendering.image - target))
+    if coverage is None:
+        return loss, grad_image, None
+    grad_alpha = weight[..., 0] * (rendering.alpha - coverage)
+    return loss + float(np.vdot(grad_alpha, rendering.alpha - coverage)), grad_image, grad_alpha
 
 
 def _weight(mask, camera: Camera) -> np.ndarray:

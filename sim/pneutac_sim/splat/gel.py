@@ -80,15 +80,8 @@ class SplatSensor:
         self._background = rest.mean((0, 1))
         if looks is None:
             start = np.where(self._fraction == 1, COATING, INSIDE)
-            looks = fit_looks(
-                self.camera,
-                self._means,
-                self._covariances,
-                start,
-                rest,
-                self._background,
-                iterations=ITERATIONS,
-            )
+            splats = Splats(self.camera, self._means, self._covariances, start)
+            looks = fit_looks(splats, rest, self._background, iterations=ITERATIONS)
         self.looks = numbers("gel colours", looks[0], (n, 3)), numbers("gel opacities", looks[1], (n,))
         splats = Splats(self.camera, self._means, self._covariances, self.looks[1])
         self._residual = rest - splats.render(self.looks[0], self._background).image

@@ -64,7 +64,7 @@ class Splats:
 
     Attributes:
         camera: as given.
-        means: as given, float32.
+        means, covariances, opacities: as given, float32.
 
     Raises:
         InputError: a shape is wrong, a number not finite or an opacity outside 0 to 1.
@@ -78,6 +78,7 @@ class Splats:
         if n and not (opacities.min() >= 0 and opacities.max() <= 1):
             raise InputError("Opacities of Gaussians must lie between 0 and 1.")
         self.camera, self.means = camera, means
+        self.covariances, self.opacities = covariances, opacities
         visible = opacities >= kernels.LEAST_ALPHA
         reach = np.sqrt(2 * np.log(255 * opacities, where=visible, out=np.zeros_like(opacities)).clip(0))
         reach[~visible] = -1
@@ -92,6 +93,10 @@ class Splats:
 
     def __len__(self):
         return len(self._lists[2])
+
+    def with_opacities(self, opacities: np.ndarray) -> "Splats":
+        """The same Gaussians with other opacities (n,)."""
+        return Splats(self.camera, self.means, self.covariances, opacities)
 
     def render(self, colours, background=(0.0, 0.0, 0.0)) -> Rendering:
         """The picture with colours (n, 3) on a background (3,).

@@ -60,7 +60,7 @@ def train_action(
     data_dir: str | Path,
     seed: int = 0,
     epochs: int = EPOCHS,
-    tell: Callable[[str], None] = lambda _: None,
+    progress: Callable[[str], None] = lambda _: None,
 ) -> ActionNetwork:
     """Fits f_r to the torques of inverse dynamics by mean squared error (Adam, learning rate 1e-3).
 
@@ -71,13 +71,11 @@ def train_action(
         data_dir: folder of `collect_action`.
         seed: of weights and batches.
         epochs: at most.
-        tell: is given a line now and then.
+        progress: is given a line now and then.
 
     Raises:
         InputError: too few trajectories, or those of another twin.
     """
-    import torch  # takes a second
-
     plan, motions = read_motions(data_dir, twin)
     train, stop, _ = split(motions)
     skeleton = _skeleton(twin, plan)
@@ -85,20 +83,52 @@ def train_action(
     mean, scale = x.mean(0), np.maximum(x.std(0), 1e-6)
     # One scale for all joints: a torque moves each of them by torque / K.
     torque_mean, torque_scale = y.mean(0), np.full(y.shape[1], max(float(y.std(0).mean()), 1e-9))
+    n = y.shape[1]
+    noise = np.repeat([NOISE_RAD, NOISE_RAD_S, NOISE_KPA], [n, n, 1]) / scale
+    sets = [
+        ((a - mean) / scale, (b - torque_mean) / torque_scale) for a, b in ((x, y), pairs(skeleton, stop))
+    ]
 
-    def tensors(x, y):
-        return (
-            torch.tensor((x - mean) / scale, dtype=torch.float32),
-            torch.tensor((y - torque_mean) / torque_scale, dtype=torch.float32),
+    def report(epoch, loss):
+        progress(f"epoch {epoch}: error {np.sqrt(loss) * torque_scale[0]:.3g} N m")
+
+    layers = _descend(*sets, noise, seed, epochs, report)
+    if layers is None:
+        raise InputError(
+            f"The torques of the trajectories in '{data_dir}' are not finite; collect them again."
         )
+    return ActionNetwork(
+        layers=layers,
+        mean=mean,
+        scale=scale,
+        torque_mean=torque_mean,
+        torque_scale=torque_scale,
+        low=x.min(0),
+        high=x.max(0),
+        skeleton=skeleton,
+        fingerprint=fingerprint(twin),
+    )
+
+
+def _descend(train, stop, noise, seed: int, epochs: int, report) -> tuple[np.ndarray, ...] | None:
+    """Adam on the mean squared error; weights (in, out) and biases of the epoch that is best on `stop`.
+
+    Args:
+        train: inputs and outputs, of unit variance.
+        stop: the same of the trajectories of early stopping.
+        noise: (inputs,) standard deviations.
+        seed: of weights, batches and noise.
+        epochs: at most.
+        report: called now and then with the epoch and the least error so far.
+
+    Returns:
+        None where no error is a finite number.
+    """
+    import torch  # takes a second
 
     random = torch.Generator().manual_seed(seed)
-    inputs, wanted = tensors(x, y)
-    n = y.shape[1]
-    stop_inputs, stop_wanted = tensors(*pairs(skeleton, stop))
-    noise = torch.tensor(
-        np.repeat([NOISE_RAD, NOISE_RAD_S, NOISE_KPA], [n, n, 1]) / scale, dtype=torch.float32
-    )
+    noise, *arrays = (torch.tensor(a, dtype=torch.float32) for a in (noise, *train, *stop))
+    inputs, wanted, stop_inputs, stop_wanted = arrays
     model = _mlp(torch, inputs.shape[1], wanted.shape[1], random)
     adam = torch.optim.Adam(model.parameters(), lr=LEARNING_RATE)
     best, kept, since = np.inf, None, 0
@@ -115,25 +145,11 @@ def train_action(
             best, since = loss, 0
             kept = [p.detach().clone() for p in model.parameters()]
         if epoch % 50 == 0 or since == PATIENCE:
-            tell(f"epoch {epoch}: error {np.sqrt(best) * torque_scale[0]:.3g} N m")
+            report(epoch, best)
         if since == PATIENCE:
             break
-    if kept is None:
-        raise InputError(
-            f"The torques of the trajectories in '{data_dir}' are not finite; collect them again."
-        )
-    layers = tuple(np.ascontiguousarray(p.numpy().T) for p in kept)  # torch keeps (out, in)
-    return ActionNetwork(
-        layers=layers,
-        mean=mean,
-        scale=scale,
-        torque_mean=torque_mean,
-        torque_scale=torque_scale,
-        low=x.min(0),
-        high=x.max(0),
-        skeleton=skeleton,
-        fingerprint=fingerprint(twin),
-    )
+    # torch keeps (out, in)
+    return None if kept is None else tuple(np.ascontiguousarray(p.numpy().T) for p in kept)
 
 
 def evaluate_action(twin: Twin, network: ActionNetwork, data_dir: str | Path) -> Evaluation:

@@ -95,7 +95,7 @@ def collect_action(
     out_dir: str | Path,
     plan: Plan | None = None,
     device: str = "auto",
-    tell: Callable[[str], None] = lambda _: None,
+    progress: Callable[[str], None] = lambda _: None,
 ) -> list[Path]:
     """Moves the full finger under all programs of the plan and keeps its trajectories.
 
@@ -104,7 +104,7 @@ def collect_action(
         out_dir: folder; trajectories in it that belong to this twin and plan are not collected again.
         plan: what to collect; None for the default, 24 trajectories of 1 s.
         device: see `pneutac_sim.mpm.runtime.start`.
-        tell: is given a line after each batch.
+        progress: is given a line after each batch.
 
     Returns:
         The files, all of the plan.
@@ -140,7 +140,7 @@ def collect_action(
         batch, missing = missing[:size], missing[size:]
         for i, motion in zip(batch, _move(twin, plan, batch, running), strict=True):
             _write(files[i], motion, label)
-        tell(f"collected {plan.trajectories - len(missing)} of {plan.trajectories} trajectories")
+        progress(f"collected {plan.trajectories - len(missing)} of {plan.trajectories} trajectories")
     return files
 
 

@@ -62,7 +62,7 @@ def collect_gel(
     contacts: int = 100,
     seed: int = 0,
     device: str = "auto",
-    tell: Callable[[int, int], None] = lambda done, total: None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Collected:
     """Presses indenters into the gel of a twin; contacts that the folder holds already are kept.
 
@@ -72,7 +72,7 @@ def collect_gel(
         contacts: how many.
         seed: of their shapes, sizes, depths and places.
         device: see `mpm.runtime.start`.
-        tell: called after each contact with the number of those done and of all.
+        progress: called after each contact with the number of those done and of all.
 
     Raises:
         InputError: the number makes no sense, or the folder holds contacts of another gel or seed.
@@ -93,7 +93,7 @@ def collect_gel(
                 _store(file, contact, pairs)
             except MpmDiverged as e:
                 diverged.write_text(f"{contact.press}: {e.finding}.\n")
-        tell(number + 1, contacts)
+        progress(number + 1, contacts)
     done = [(folder / f"contact_{n:04d}.npz").exists() for n in range(contacts)]
     return Collected(sum(done), contacts - sum(done))
 

@@ -52,7 +52,7 @@ def train_gel(
     seed: int = 0,
     epochs: int = EPOCHS,
     device: str = "auto",
-    tell: Callable[[int, int], None] = lambda done, total: None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> GelSurrogate:
     """Trains on the contacts of a folder, and keeps the weights that were best on the contacts for checking.
 
@@ -63,7 +63,7 @@ def train_gel(
         seed: of weights and batches.
         epochs: at most.
         device: `cpu`, `cuda`, or `auto` for CUDA where there is one.
-        tell: called after each epoch with the number of those done and of all.
+        progress: called after each epoch with the number of those done and of all.
 
     Raises:
         InputError: no contacts, damaged ones, or too few; no such device.
@@ -77,13 +77,13 @@ def train_gel(
     train, check, _ = split(read_contacts(folder), heldout)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        network = _fit(train, check, seed, epochs, device, tell)
+        network = _fit(train, check, seed, epochs, device, progress)
     deepest = max(float(p.depth_mm.max()) for p in train)
     share = max(float((p.depth_mm > 0).mean((1, 2)).max()) for p in train)
     return GelSurrogate(network, fingerprint, deepest, share, heldout)
 
 
-def _fit(train, check, seed, epochs, device, tell) -> UNet:
+def _fit(train, check, seed, epochs, device, progress) -> UNet:
     depth, wanted = _tensors(train, device)
     network = UNet().to(device)
     average = copy.deepcopy(network)
@@ -107,7 +107,7 @@ def _fit(train, check, seed, epochs, device, tell) -> UNet:
             now = float(_loss(average, *looked))
         if now < best_loss:
             best, best_loss, best_epoch = copy.deepcopy(average), now, epoch
-        tell(epoch + 1, epochs)
+        progress(epoch + 1, epochs)
         if epoch - best_epoch >= PATIENCE:
             break
     return best

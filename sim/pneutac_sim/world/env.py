@@ -1,5 +1,8 @@
 """The Gymnasium environment around the world, in the layout that LeRobot expects of a simulator."""
 
+import warnings
+from pathlib import Path
+
 import gymnasium
 import numpy as np
 from gymnasium import spaces
@@ -13,7 +16,7 @@ from pneutac_sim.features import (
     STATE_HIGH,
     STATE_LOW,
 )
-from pneutac_sim.twin import Twin
+from pneutac_sim.twin import NETWORKS, Twin
 from pneutac_sim.world.standin import StandinWorld
 from pneutac_sim.world.world import Observation, World
 
@@ -38,11 +41,11 @@ class PneutacEnv(gymnasium.Env):
         self,
         task: str = "switch",
         touch: str = "image",
-        twin: Twin | None = None,
+        twin: Twin | str | Path | None = None,
         render_mode: str | None = "rgb_array",
         render_width: int = 480,
         render_height: int = 360,
-        fidelity: str = "surrogate",
+        fidelity: str | None = None,
         world: World | None = None,
     ):
         """An environment with a task.
@@ -50,15 +53,19 @@ class PneutacEnv(gymnasium.Env):
         Args:
             task: `switch`, `egg` or `card`.
             touch: `image`, `area` or `none`, see `World`.
-            twin: the finger with its gel; default the built-in one.
+            twin: the finger with its gel, or its folder; default the built-in one.
             render_mode: `rgb_array` or None.
             render_width: pixels of `render()`.
             render_height: pixels of `render()`.
-            fidelity: `surrogate`, `mpm` or `probe`, see `World`; all have the same spaces.
+            fidelity: `surrogate`, `mpm` or `probe`, see `World`; all have the same spaces. None for
+                `surrogate`, or, with a warning, `probe` where no networks were trained for the twin.
             world: another world of this task and touch, such as a `StandinWorld`, in place of the one that
                 `twin` and `fidelity` describe.
         """
-        self.world = World(task, twin, touch, fidelity) if world is None else world
+        if world is None:
+            twin = Twin.load(twin) if isinstance(twin, str | Path) else twin or Twin.builtin()
+            world = World(task, twin, touch, fidelity or _best_fidelity(twin))
+        self.world = world
         self.task = task
         self.task_description = self.world.task.description
         self.render_mode = render_mode
@@ -103,6 +110,19 @@ class PneutacEnv(gymnasium.Env):
             "clipped": self.world.clipped,
             "out_of_range": self.world.out_of_range,
         }
+
+
+def _best_fidelity(twin: Twin) -> str:
+    from pneutac_sim.surrogate.networks import builtin, fits  # PyTorch takes seconds to start
+
+    if twin.device != "finger" or twin.networks or all(fits(builtin(name), name, twin) for name in NETWORKS):
+        return "surrogate"
+    warnings.warn(
+        "The twin has no networks of its own, so finger and gel deform by formulas (fidelity `probe`); "
+        "`pneutac surrogate` trains networks.",
+        stacklevel=3,
+    )
+    return "probe"
 
 
 def standin_env(task: str = "switch", touch: str = "image", gel: str = "layer", **options) -> PneutacEnv:

@@ -10,7 +10,7 @@ import pytest
 def drawn():
     """Parameters, coordinates of the truth, bodies at 0, 7 and 14 kPa, looks and photographs."""
     from pneutac_sim.photo_fit.equilibria import Equilibria
-    from pneutac_sim.photo_fit.objective import Objective, Photograph
+    from pneutac_sim.photo_fit.objective import MaskedPhotograph, Objective
     from pneutac_sim.photo_fit.parameters import body_parameters
     from pneutac_sim.splat.camera import Camera
     from pneutac_sim.splat.follow import blank_looks
@@ -30,7 +30,7 @@ def drawn():
     for state, positions in enumerate(equilibria.first.positions[0]):
         image = (255 * blank.render(positions, camera).image.clip(0, 1)).round().astype(np.uint8)
         mask = blank.outline.coverage(surfaces[state], camera) > 0.5
-        photographs.append(Photograph(state, camera, image, mask))
+        photographs.append(MaskedPhotograph(state, camera, image, mask))
     return SimpleNamespace(
         parameters=parameters,
         truth=truth,

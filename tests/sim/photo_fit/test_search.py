@@ -8,7 +8,7 @@ import pytest
 from pneutac_sim.errors import InputError
 from pneutac_sim.photo_fit.coarse import Coarse
 from pneutac_sim.photo_fit.parameters import body_parameters
-from pneutac_sim.photo_fit.search import first_axes, search
+from pneutac_sim.photo_fit.search import SearchRecord, first_axes, search
 from pneutac_sim.twin import Twin
 
 
@@ -50,12 +50,14 @@ def test_resumed_equals_uninterrupted(parameters, start, tmp_path):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        search(bowl(parameters, start), parameters, start, seed=3, file=file, key="a", tell=stop)
-    rest = search(bowl(parameters, start, calls), parameters, start, seed=3, file=file, key="a")
+        search(
+            bowl(parameters, start), parameters, start, seed=3, record=SearchRecord(file, "a"), progress=stop
+        )
+    rest = search(bowl(parameters, start, calls), parameters, start, seed=3, record=SearchRecord(file, "a"))
     assert rest.resumed == 35 and sum(calls) == 84 - 35
     assert np.array_equal(rest.tried, whole.tried) and np.array_equal(rest.objectives, whole.objectives)
     calls.clear()
-    other = search(bowl(parameters, start, calls), parameters, start, seed=3, file=file, key="b")
+    other = search(bowl(parameters, start, calls), parameters, start, seed=3, record=SearchRecord(file, "b"))
     assert other.resumed == 0 and sum(calls) == 84
 
 
@@ -88,7 +90,7 @@ def test_bad_input(parameters, start, tmp_path):
     file = tmp_path / "evaluations.json"
     file.write_text(json.dumps([1]))
     with pytest.raises(InputError, match="no record of a search"):
-        search(bowl(parameters, start), parameters, start, file=file)
+        search(bowl(parameters, start), parameters, start, record=SearchRecord(file))
     with pytest.raises(InputError, match="at least one generation"):
         search(bowl(parameters, start), parameters, start, evaluations=3)
     with pytest.raises(InputError, match="not a finite number"):

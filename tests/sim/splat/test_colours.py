@@ -49,9 +49,8 @@ def test_adam_on_opacities_improves_on_the_direct_solution():
     camera, means, covariances = sheet(2)
     target, opacities = picture(camera), np.full(len(means), 0.5)
     errors = []
-    colours, fitted = fit_looks(
-        camera, means, covariances, opacities, target, iterations=60, tell=lambda i, e: errors.append(e)
-    )
+    splats = Splats(camera, means, covariances, opacities)
+    colours, fitted = fit_looks(splats, target, iterations=60, progress=lambda i, e: errors.append(e))
     found = rmse(Splats(camera, means, covariances, fitted).render(colours).image, target)
     assert found == pytest.approx(min(errors), rel=1e-3)
     assert found < 0.8 * errors[0]
@@ -80,9 +79,8 @@ def test_coverage_is_fitted_to_a_silhouette():
     n = len(means)
     _, before = Splats(camera, means, covariances, np.full(n, 0.5)).render(np.zeros((n, 3)))
     target = np.zeros((36, 48, 3))
-    _, fitted = fit_looks(
-        camera, means, covariances, np.full(n, 0.5), target, iterations=300, coverage=wanted
-    )
+    splats = Splats(camera, means, covariances, np.full(n, 0.5))
+    _, fitted = fit_looks(splats, target, iterations=300, coverage=wanted)
     _, after = Splats(camera, means, covariances, fitted).render(np.zeros((n, 3)))
     assert rmse(after, wanted) < 0.5 * rmse(before, wanted)
 

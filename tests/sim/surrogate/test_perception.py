@@ -112,10 +112,10 @@ def test_collecting_goes_on_after_an_interruption_without_doubling(tmp_path, qui
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        collect_gel(Twin.builtin(), tmp_path, 6, tell=interrupt)
-    told = []
-    found = collect_gel(Twin.builtin(), tmp_path, 6, tell=lambda *a: told.append(a))
-    assert (found.contacts, found.diverged) == (6, 0) and told[-1] == (6, 6)
+        collect_gel(Twin.builtin(), tmp_path, 6, progress=interrupt)
+    calls = []
+    found = collect_gel(Twin.builtin(), tmp_path, 6, progress=lambda *a: calls.append(a))
+    assert (found.contacts, found.diverged) == (6, 0) and calls[-1] == (6, 6)
     assert quick == [random_contact(0, n, WINDOW_MM) for n in range(6)]
     pairs = read_contacts(tmp_path)
     np.testing.assert_array_equal(pairs[4].displacement_mm[1], soft(pairs[4].depth_mm[1]))

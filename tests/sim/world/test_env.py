@@ -8,6 +8,7 @@ from gymnasium.utils.env_checker import check_env
 import pneutac_sim  # noqa: F401  registers the environments
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import TASK_NAMES
+from pneutac_sim.twin import Twin, Value
 from pneutac_sim.world.env import PneutacEnv
 from pneutac_sim.world.expert import ScriptedExpert
 from pneutac_sim.world.world import World
@@ -75,3 +76,21 @@ def test_bad_input_is_refused():
     env.reset(seed=0)
     with pytest.raises(InputError, match="not finite"):
         env.step(np.full(4, np.nan, np.float32))
+
+
+def test_a_twin_or_its_folder_makes_an_environment(tmp_path):
+    """A calibrated twin has no networks yet: it deforms by formulas, and says so."""
+    twin = Twin.builtin()
+    twin.parameters["gain_rad_per_kpa"] = Value(0.02)
+    twin.save(tmp_path / "twin")
+    reached = []
+    for given in (twin, tmp_path / "twin", str(tmp_path / "twin")):
+        with pytest.warns(UserWarning, match="no networks of its own.*`pneutac surrogate`"):
+            env = gymnasium.make("pneutac_sim/switch", twin=given, touch="none")
+        env.reset(seed=0)
+        reached.append(env.step(np.array([0, 0, 0, 8], np.float32))[0]["agent_pos"])
+        assert env.unwrapped.world.twin.parameter("gain_rad_per_kpa") == 0.02
+        assert env.unwrapped.world.finger is None
+    assert np.array_equal(reached[0], reached[1]) and np.array_equal(reached[0], reached[2])
+    with pytest.raises(InputError, match="no action network"):
+        gymnasium.make("pneutac_sim/switch", twin=twin, touch="none", fidelity="surrogate")
