@@ -1,0 +1,149 @@
+"""Limits by themselves: what they let through, to the number, and what they refuse."""
+
+import numpy as np
+import pytest
+from draccus.utils import DecodingError
+
+from lerobot_robot_pneutac.hardware.limits import EXCESS, STOPPING_S, Limits, why_refused
+from lerobot_robot_pneutac.hardware.parts import COMMAND_S
+from lerobot_robot_pneutac.hardware.simulated_arm import SimulatedArm
+
+CENTRE = np.array([0.5, 0.0, 0.4])
+
+
+def test_the_defaults_are_those_of_the_manual():
+    limits = Limits()
+    assert (limits.low_m, limits.high_m) == ((0.25, -0.35, 0.12), (0.65, 0.35, 0.65))
+    assert (limits.speed_m_s, limits.force_n) == (0.1, 20.0)
+    assert (limits.pressure_kpa, limits.pressure_rate_kpa_s) == (15.0, 100.0)
+    assert limits.overpressure_kpa == pytest.approx(17.25)
+    assert (STOPPING_S, EXCESS) == (0.15, 0.2)
+
+
+def test_they_are_given_by_name_only():
+    with pytest.raises(TypeError):
+        Limits(0.05)
+
+
+def test_no_velocity_carries_the_flange_out_of_its_box_even_as_the_last_command():
+    limits, rng = Limits(), np.random.default_rng(0)
+    low, high = np.array(limits.low_m), np.array(limits.high_m)
+    for _ in range(500):
+        at = rng.uniform(low, high)
+        v = limits.velocity(rng.uniform(-0.3, 0.3, 3), at)
+        assert (np.abs(v) <= limits.speed_m_s).all()
+        end = at + v * (COMMAND_S + STOPPING_S)
+        assert (end >= low - 1e-12).all() and (end <= high + 1e-12).all()
+    outside = high + 0.05
+    assert (limits.velocity(np.full(3, 0.05), outside) == 0).all()
+    assert (limits.velocity(np.full(3, -0.05), outside) == -0.05).all()
+    outside = low - 0.05
+    assert (limits.velocity(np.full(3, -0.05), outside) == 0).all()
+    assert (limits.velocity(np.full(3, 0.05), outside) == 0.05).all()
+
+
+def test_near_a_wall_the_speed_is_the_room_by_the_time_to_rest():
+    limits = Limits()
+    near = np.array(limits.high_m) - 0.01
+    room = 0.01 / (COMMAND_S + STOPPING_S)
+    np.testing.assert_allclose(limits.velocity(np.full(3, 0.1), near), room)
+    np.testing.assert_allclose(limits.velocity(np.full(3, -0.1), np.array(limits.low_m) + 0.01), -room)
+    np.testing.assert_array_equal(limits.velocity(np.array([0.3, -0.3, 0.02]), CENTRE), [0.1, -0.1, 0.02])
+
+
+def test_an_arm_pushed_at_every_wall_stays_in_the_box():
+    now = [0.0]
+    arm = SimulatedArm(clock=lambda: now[0])
+    limits = Limits()
+    arm.connect()
+    for direction in ([1, 0, 0], [0, 1, -1], [-1, -1, 1]):
+        for _ in range(150):
+            arm.move(limits.velocity(0.1 * np.array(direction), arm.state().flange_m))
+            now[0] += 1 / 15
+            at = arm.state().flange_m
+            assert (at > np.array(limits.low_m) - 1e-3).all() and (at < np.array(limits.high_m) + 1e-3).all()
+
+
+def test_the_set_point_rises_and_falls_at_the_rate_and_ends_at_the_limit():
+    limits = Limits(pressure_rate_kpa_s=30.0, pressure_kpa=10.0)
+    kpa, path = 0.0, []
+    for _ in range(10):
+        kpa = limits.pressure(14.0, kpa, 0.1)
+        path.append(kpa)
+    np.testing.assert_allclose(path, [3, 6, 9, *[10] * 7])
+    assert limits.pressure(-1.0, 10.0, 0.1) == pytest.approx(7.0)
+    assert limits.pressure(-1.0, 1.0, 0.1) == 0.0
+    assert limits.pressure(0.4, 0.5, 0.1) == 0.4
+    assert limits.pressure(10.0, 0.0, 60.0) == pytest.approx(30 * COMMAND_S)  # a pause earns no jump
+
+
+@pytest.mark.parametrize(
+    ("values", "reason"),
+    [
+        ([np.nan, 0, 0, 0], "dx.vel is nan"),
+        ([0, 0, 0, np.inf], "pressure.pos is inf"),
+        ([0, 0.2, 0, 0], "dy.vel is 0.2, far outside"),
+        ([0, 0, 0, 40], "pressure.pos is 40, far outside 0 to 15"),
+        ([0, 0, -0.15, 0], "dz.vel is -0.15, far outside -0.1 to 0.1"),
+        ([0, 0, 0, -3.1], "pressure.pos is -3.1, far outside"),
+        ([0.141, 0, 0, 0], "dx.vel is 0.141, far outside"),
+        ([0.139, 0, -0.139, 17.9], None),
+        ([-0.139, 0, 0.139, -2.9], None),
+    ],
+)
+def test_what_is_refused(values, reason):
+    found = why_refused(np.array(values, float))
+    assert (found is None) if reason is None else found.startswith(reason)
+
+
+def test_an_action_of_another_length_is_no_action():
+    with pytest.raises(ValueError, match="zip"):
+        why_refused(np.zeros(5))
+
+
+@pytest.mark.parametrize(
+    ("force_n", "kpa", "words"),
+    [
+        (20.0, 17.25, None),
+        (20.1, 0.0, "force at the flange is 20.1 N, above limits.force_n = 20"),
+        (0.0, 17.3, "pressure is 17.3 kPa, above limits.overpressure_kpa = 17.25"),
+        (np.inf, 0.0, "check the sensors"),
+        (0.0, np.nan, "check the sensors"),
+    ],
+)
+def test_what_a_measurement_breaks(force_n, kpa, words):
+    found = Limits().broken_by(force_n, kpa)
+    assert (found is None) if words is None else words in found
+
+
+@pytest.mark.parametrize(
+    ("bad", "words"),
+    [
+        ({"speed_m_s": 0.5}, "speed_m_s is 0.5; actions reach 0.1 at most"),
+        ({"speed_m_s": 0.0}, "speed_m_s is 0.0; it must be a positive number"),
+        ({"force_n": float("nan")}, "force_n is nan; it must be a positive number"),
+        ({"force_n": float("inf")}, "force_n is inf; it must be a positive number"),
+        ({"pressure_kpa": -1}, "pressure_kpa is -1; it must be a positive number"),
+        ({"pressure_kpa": 16.0}, "pressure_kpa is 16.0; actions reach 15.0 at most"),
+        ({"low_m": (np.nan, 0, 0)}, "low_m is .* it must be a positive number"),
+        ({"low_m": (0.8, 0, 0)}, "low_m is .* the first below the second"),
+        ({"low_m": (0.25, 0.35, 0.12)}, "low_m is .* the first below the second"),
+        ({"low_m": (0.25,)}, "low_m is .* give three numbers each"),
+        ({"high_m": (0.65,)}, "low_m is .* give three numbers each"),
+        (
+            {"overpressure_kpa": 14.0},
+            "overpressure_kpa is 14.0; it must be above .* set-point, 15.0",
+        ),
+        ({"overpressure_kpa": 15.0}, "overpressure_kpa is 15.0; it must be above the highest set-point"),
+    ],
+)
+def test_impossible_limits_are_named(bad, words):
+    with pytest.raises(DecodingError, match=f"limits.{words}"):
+        Limits(**bad)
+
+
+def test_limits_just_inside_are_taken():
+    assert (
+        Limits(speed_m_s=0.1, pressure_kpa=0.5, overpressure_kpa=0.6, low_m=(-0.5, -0.4, -0.1)).force_n
+        == 20.0
+    )
