@@ -102,7 +102,7 @@ class Mutation:
 COMPARED = {"<": ">=", "<=": ">", ">": "<=", ">=": "<", "==": "!=", "!=": "=="}
 COMPARED |= {"is": "is not", "is not": "is", "in": "not in", "not in": "in"}
 CALCULATED = {"+": "-", "-": "+", "*": "/", "/": "*", "//": "*", "&": "|", "|": "&"}
-OPERATOR = re.compile(r"not in|is not|[<>=!]=|//|[-+*/&|<>]|\bis\b|\bin\b")
+OPERATOR = re.compile(r"\*\*|not in|is not|[<>=!]=|//|[-+*/&|<>]|\bis\b|\bin\b")
 SWAPPED = {"min": "max", "max": "min", "minimum": "maximum", "maximum": "minimum", "argmin": "argmax"}
 KEPT_CALLS = {"logger", "super"}  # what a log says is no behaviour
 
