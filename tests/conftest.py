@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import tempfile
 from types import SimpleNamespace
 
@@ -11,6 +12,16 @@ import pytest
 # Before LeRobot is imported: it reads these once.
 os.environ["HF_HOME"] = tempfile.mkdtemp(prefix="pneutac_hf_")
 os.environ["HF_HUB_OFFLINE"] = "1"
+# Processes that are started to run tests inherit it.
+FIRST = "PNEUTAC_TEST_RECORDINGS" not in os.environ
+os.environ.setdefault("PNEUTAC_TEST_RECORDINGS", tempfile.mkdtemp(prefix="pneutac_recordings_"))
+
+
+def pytest_sessionfinish():
+    """The temporary folders of this run go; LeRobot's own once its process ends."""
+    if FIRST:
+        shutil.rmtree(os.environ["PNEUTAC_TEST_RECORDINGS"], ignore_errors=True)
+    shutil.rmtree(os.environ["HF_HOME"], ignore_errors=True)
 
 
 def pytest_collection_modifyitems(items):
@@ -22,6 +33,8 @@ def pytest_collection_modifyitems(items):
 @pytest.fixture(scope="session")
 def photographed(tmp_path_factory):
     """Recording, body, states at 0 and 12 kPa, cameras and photographs by view."""
+    from generated import once
+
     from pneutac_datasets.generate.photographs import write_photographs
     from pneutac_datasets.recording.photographs import read_camera, read_photograph
     from pneutac_sim.mpm import devices
@@ -30,7 +43,7 @@ def photographed(tmp_path_factory):
     from pneutac_sim.twin import Twin, Value
 
     folder = tmp_path_factory.mktemp("photographs") / "finger"
-    recording = write_photographs(folder, seed=2, pressures_kpa=[0, 12], particles=3000)
+    recording = once(write_photographs, folder, seed=2, pressures_kpa=[0, 12], particles=3000)
     truth = json.loads((folder.parent / "truth" / "finger.json").read_text())
     twin = Twin("finger", 110.0, parameters={k: Value(v) for k, v in truth["parameters"].items()})
     solver = devices.finger(twin, batch=2, device="cpu")

@@ -8,6 +8,7 @@ import sys
 import gymnasium
 import numpy as np
 import pytest
+from generated import once
 
 import lerobot_pneutac
 from lerobot_pneutac import InputError, Recording, Twin, add, calibrate, compare
@@ -18,7 +19,7 @@ from pneutac_datasets.generate.hidden.generate import generate
 def bench(tmp_path_factory):
     """A short recording with hidden creep and a twin calibrated to it."""
     folder = tmp_path_factory.mktemp("api") / "bench"
-    generate(["creep"], folder, 5003, minutes=3.0, hz=10)
+    once(generate, ["creep"], folder, 5003, minutes=3.0, hz=10)
     recording = Recording.load(folder)
     twin = Twin("finger", recording.length_mm, recording.spine_joint_positions_mm)
     return calibrate(twin, recording), recording

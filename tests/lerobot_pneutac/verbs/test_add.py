@@ -3,6 +3,7 @@
 import json
 
 import pytest
+from generated import once
 
 from lerobot_pneutac import compare
 from lerobot_pneutac.cli import add as verb
@@ -17,7 +18,7 @@ from pneutac_sim.twin import Twin
 def pair(tmp_path_factory):
     """A short recording with hidden creep, and a plain twin of the same finger."""
     folder = tmp_path_factory.mktemp("add")
-    generate(["creep"], folder / "recording", 5003, minutes=3.0, hz=10)
+    once(generate, ["creep"], folder / "recording", 5003, minutes=3.0, hz=10)
     recording = Recording.load(folder / "recording")
     twin = Twin("finger", recording.length_mm, recording.spine_joint_positions_mm)
     return twin.save(folder / "twin"), folder / "recording"
@@ -80,7 +81,7 @@ def test_an_effect_without_its_column_is_refused(pair, tmp_path):
 
 def test_every_verb_sees_the_fall_of_a_pneumatic_effect(tmp_path):
     """Errors are counted from the command, so a slow valve is in them although the pressure was measured."""
-    generate(["valve_lag"], tmp_path / "recording", 5004, minutes=3.0, hz=10)
+    once(generate, ["valve_lag"], tmp_path / "recording", 5004, minutes=3.0, hz=10)
     recording = Recording.load(tmp_path / "recording")
     folder = Twin("finger", recording.length_mm, recording.spine_joint_positions_mm).save(tmp_path / "twin")
     calibrate.main([f"--twin={folder}", f"--recording={recording.folder}"])

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from generated import once
 
 from lerobot_pneutac.cli import compare, new
 from lerobot_pneutac.reports.compare import heat_map
@@ -30,7 +31,7 @@ def bench(tmp_path_factory):
     """A recording without and one with creep of the same finger, and a twin fitted to the first."""
     root = tmp_path_factory.mktemp("bench")
     for name in ("none", "creep"):
-        generate(name, root / name, seed=3, minutes=2, hz=20)
+        once(generate, name, root / name, seed=3, minutes=2, hz=20)
     new.main([f"--twin={root / 'twin'}", f"--recording={root / 'none'}"])
     r = Recording.load(root / "none")
     found = calibrate_body(Twin.load(root / "twin"), r)

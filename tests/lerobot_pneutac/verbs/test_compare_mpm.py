@@ -6,6 +6,7 @@ from functools import partial
 import numpy as np
 import pandas as pd
 import pytest
+from generated import once
 
 from lerobot_pneutac.cli import compare
 from lerobot_pneutac.verbs.compare_mpm import markers_by_mpm, spread
@@ -32,8 +33,7 @@ def coarse(monkeypatch):
 def bench(tmp_path_factory):
     """A recording of a finger that creeps, a twin without and one with creep, both fitted to it."""
     root = tmp_path_factory.mktemp("creeping")
-    recording = generate("creep", root / "creep", seed=3, minutes=2, hz=10)
-    recording = Recording.load(root / "creep")
+    recording = once(generate, "creep", root / "creep", seed=3, minutes=2, hz=10)
     twin = Twin.builtin()
     twin.length_mm = recording.length_mm
     twin.spine_joint_positions_mm = recording.spine_joint_positions_mm

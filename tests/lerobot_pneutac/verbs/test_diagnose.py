@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from generated import once
 
 from lerobot_pneutac.cli import diagnose as verb
 from lerobot_pneutac.diagnosis import engine
@@ -39,7 +40,7 @@ def bench(tmp_path_factory):
     def make(effect, seed=SEED, minutes=3.0):
         path = folder / f"{effect}_{seed}"
         if not path.is_dir():
-            generate([effect], path, seed, minutes=minutes, hz=10)
+            once(generate, [effect], path, seed, minutes=minutes, hz=10)
         return Recording.load(path)
 
     return make

@@ -3,6 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from generated import once
 
 from lerobot_pneutac.cli.add import main as add
 from lerobot_pneutac.cli.calibrate import main as calibrate
@@ -31,7 +32,7 @@ def run(verb, out, twin, recording, *more):
 @pytest.mark.slow
 @pytest.mark.parametrize("effect", SIZES)
 def test_a_hidden_effect_is_named_added_and_lowers_the_error(effect, tmp_path, capsys):
-    recording = write_hidden_gel(tmp_path / "recording", [effect], seed=3, images=16)
+    recording = once(write_hidden_gel, tmp_path / "recording", [effect], seed=3, images=16)
     twin = linear_twin(tmp_path / "twin", recording)
     found = run(diagnose, tmp_path / "d", twin, recording)
     assert found["selected"] == [effect] and found["verdict"] == "missing_effect"
@@ -57,7 +58,7 @@ def test_a_hidden_effect_is_named_added_and_lowers_the_error(effect, tmp_path, c
 
 
 def test_nothing_is_found_where_nothing_is_hidden(tmp_path, capsys):
-    recording = write_hidden_gel(tmp_path / "recording", [], seed=4, images=16)
+    recording = once(write_hidden_gel, tmp_path / "recording", [], seed=4, images=16)
     twin = linear_twin(tmp_path / "twin", recording)
     found = run(diagnose, tmp_path / "d", twin, recording)
     assert found["selected"] == [] and found["verdict"] == "adequate"
@@ -69,7 +70,7 @@ def test_nothing_is_found_where_nothing_is_hidden(tmp_path, capsys):
 
 @pytest.mark.parametrize("images", [5, 13])
 def test_too_few_images_are_no_verdict_and_the_sentence_says_how_many_it_takes(images, tmp_path, capsys):
-    recording = write_hidden_gel(tmp_path / "recording", ["shadow"], images=images)
+    recording = once(write_hidden_gel, tmp_path / "recording", ["shadow"], images=images)
     twin = linear_twin(tmp_path / "twin", recording)
     found = run(diagnose, tmp_path / "d", twin, recording)
     assert found["verdict"] == "ambiguous"
@@ -78,7 +79,7 @@ def test_too_few_images_are_no_verdict_and_the_sentence_says_how_many_it_takes(i
 
 
 def test_photographs_train_choose_and_test_apart(tmp_path):
-    recording = write_hidden_gel(tmp_path / "recording", [], images=NEEDED)
+    recording = once(write_hidden_gel, tmp_path / "recording", [], images=NEEDED)
     parts = deal_photographs(recording, 0)
     masks = np.stack([parts.train, parts.validation, parts.test])
     assert (masks.sum(0) == 1).all() and parts.train[0], "each in one part, the calibration pair trains"
@@ -89,7 +90,7 @@ def test_photographs_train_choose_and_test_apart(tmp_path):
 
 def test_the_report_scores_photographs_that_chose_nothing(tmp_path):
     """A validation photograph spoilt after the search leaves all reported errors as they were."""
-    recording = write_hidden_gel(tmp_path / "recording", ["shadow"], seed=3, images=16)
+    recording = once(write_hidden_gel, tmp_path / "recording", ["shadow"], seed=3, images=16)
     twin = Twin.load(linear_twin(tmp_path / "twin", recording))
     study = GelStudy(twin, recording)
     with_shadow = study.refit(["shadow"], None, Steps())
@@ -105,14 +106,14 @@ def test_the_report_scores_photographs_that_chose_nothing(tmp_path):
     [("creep", "does not act on a gel"), ("shadows", "There is no effect 'shadows'")],
 )
 def test_other_effects_are_refused(effect, said, tmp_path):
-    recording = write_hidden_gel(tmp_path / "recording", [], images=2)
+    recording = once(write_hidden_gel, tmp_path / "recording", [], images=2)
     Twin(device="gel", length_mm=16.0).save(tmp_path / "twin")
     with pytest.raises(InputError, match=said):
         add([f"--twin={tmp_path / 'twin'}", f"--recording={recording.folder}", f"--effect={effect}"])
 
 
 def test_a_recording_of_one_pair_cannot_be_judged(tmp_path):
-    recording = write_hidden_gel(tmp_path / "recording", [], images=2)
+    recording = once(write_hidden_gel, tmp_path / "recording", [], images=2)
     recording.keep(np.array([True, False])).write(recording.folder)
     twin = linear_twin(tmp_path / "twin", recording)
     with pytest.raises(InputError, match="nothing can be judged"):
@@ -120,7 +121,7 @@ def test_a_recording_of_one_pair_cannot_be_judged(tmp_path):
 
 
 def test_a_finger_without_a_gel_is_refused(tmp_path):
-    recording = write_hidden_gel(tmp_path / "recording", [], images=2)
+    recording = once(write_hidden_gel, tmp_path / "recording", [], images=2)
     Twin.builtin().save(tmp_path / "finger")
     with pytest.raises(InputError, match="of a gel"):
         diagnose([f"--twin={tmp_path / 'finger'}", f"--recording={recording.folder}"])

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from generated import once
 from PIL import Image
 from rich.console import Console
 
@@ -175,7 +176,7 @@ def test_bad_recordings_are_told_in_a_sentence(drawn, tmp_path):
 def test_masks_are_found_by_segmentation_where_there_are_none(tmp_path):
     from pneutac_datasets.generate.photographs import write_photographs
 
-    made = write_photographs(tmp_path / "hidden", seed=5, pressures_kpa=[0, 6, 12])
+    made = once(write_photographs, tmp_path / "hidden", seed=5, pressures_kpa=[0, 6, 12])
     masked = photo_study(made, (0.0, 6.0, 12.0))
     without = [c for c in made.samples if c.startswith("mask")]
     assert masked.findings == () and without
@@ -255,7 +256,9 @@ def test_a_search_goes_on_only_with_the_same_photographs(drawn):
 def test_a_hidden_finger_is_found(tmp_path):
     from pneutac_datasets.generate.photographs import write_photographs
 
-    recording = write_photographs(tmp_path / "hidden", seed=5, pressures_kpa=[0, 3, 5, 6, 9, 10, 12, 15])
+    recording = once(
+        write_photographs, tmp_path / "hidden", seed=5, pressures_kpa=[0, 3, 5, 6, 9, 10, 12, 15]
+    )
     cfg = config(tmp_path, recording, train_kpa="0,3,6,9,12,15", evaluations=21, particles=2000)
     result = calibrate(cfg, tmp_path, Console(quiet=True))
     assert result["tip_error_mm"]["heldout"] < 0.015 * 110

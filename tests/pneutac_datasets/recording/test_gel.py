@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
+from generated import once
 from PIL import Image
 
 from pneutac_datasets.generate.hidden_gel import write_hidden_gel
@@ -171,7 +172,7 @@ def test_a_clock_that_restarts_with_each_trial_gives_way_to_the_trials():
 
 
 def test_labels_that_run_against_the_images_are_noted(tmp_path):
-    recording = write_hidden_gel(tmp_path / "presses", [], images=6)
+    recording = once(write_hidden_gel, tmp_path / "presses", [], images=6)
     assert GelRecording.load(recording).warnings == []
     recording.samples["x_mm"] *= -1
     assert GelRecording.load(recording).warnings == [
@@ -187,14 +188,14 @@ def test_labels_that_run_against_the_images_are_noted(tmp_path):
     ],
 )
 def test_impossible_labels_get_one_sentence(column, value, said, tmp_path):
-    recording = write_hidden_gel(tmp_path / "presses", [], images=2)
+    recording = once(write_hidden_gel, tmp_path / "presses", [], images=2)
     recording.samples.loc[0, column] = value
     with pytest.raises(InputError, match=said):
         GelRecording.load(recording)
 
 
 def test_a_scale_that_makes_no_gel_gets_one_sentence(tmp_path):
-    recording = write_hidden_gel(tmp_path / "presses", [], images=2)
+    recording = once(write_hidden_gel, tmp_path / "presses", [], images=2)
     recording.meta["px_per_mm"] = 2000.0
     with pytest.raises(InputError, match="px_per_mm is 2000, so that the image would be 0.12 mm wide"):
         GelRecording.load(recording)
