@@ -1,0 +1,244 @@
+"""`pneutac demo` as a sequence of stages; the commands themselves are played."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from lerobot_pneutac.cli import demo as command
+from lerobot_pneutac.reports import demo as pages
+from lerobot_pneutac.verbs.demo import Demo, DemoConfig, DemoResult
+from pneutac_sim.effects.registry import get_effect
+from pneutac_sim.errors import InputError
+from pneutac_sim.twin import Twin, Value
+
+SELECTED = ["creep", "valve_lag"]
+STAGES = ["bench", "twin", "diagnose", "add", "record", "augment", "train", "evaluate"]
+
+
+class Commands:
+    """Writes what each command would, and fails at the `stop`-th.
+
+    Attributes:
+        lines: the commands that came.
+    """
+
+    def __init__(self):
+        self.lines, self.stop, self.selected = [], None, SELECTED
+
+    def __call__(self, demo, *words, total=0, pattern=""):
+        line = " ".join(words)
+        demo._commands.append(line)
+        self.lines.append(line)
+        if self.stop and self.stop in line:
+            raise InputError("the computer was switched off")
+        options = dict(w.removeprefix("--").split("=", 1) for w in words if w.startswith("--") and "=" in w)
+        if words[1:2] == ("new",):
+            Twin.builtin().save(demo.twin)
+        if words[1:2] == ("add",):
+            twin = Twin.load(demo.twin)
+            twin.effects[options["effect"]] = {
+                p.name: Value(0.1) for p in get_effect(options["effect"]).parameters
+            }
+            twin.save(demo.twin)
+        result = {
+            "compare": {"error": {"heldout": 2.5 / (1 + len(self.added))}, "noise_floor": 0.5},
+            "diagnose": {
+                "selected": self.selected,
+                "verdict": "missing_effect",
+                "sentence": "Two are missing.",
+            },
+            "augment": {"kept": 3, "attempts": 4},
+        }.get(words[1], {})
+        if "out" in options:
+            self.write(demo.cfg.out / options["out"].removeprefix(f"{demo.cfg.out}/"), "result.json", result)
+        if words[0] == "lerobot-eval":
+            self.write(demo.cfg.out / "eval", "eval_info.json", {"overall": {"pc_success": 90.0}})
+        return "step:1 loss:3.5 grdn:1\nstep:2 loss:0.25 grdn:1\n" if words[0] == "lerobot-train" else ""
+
+    @property
+    def added(self):
+        return [line for line in self.lines if line.startswith("pneutac add")]
+
+    @staticmethod
+    def write(folder, name, content):
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(json.dumps(content))
+
+    def verbs(self):
+        """The commands in short: program and verb, or `-m`'s module."""
+        return [re.sub(r"^python -m ", "", line).split(" --")[0] for line in self.lines]
+
+
+@pytest.fixture
+def commands(monkeypatch):
+    played = Commands()
+    monkeypatch.setattr(Demo, "_command", lambda demo, *words, **more: played(demo, *words, **more))
+    monkeypatch.setattr(
+        Demo, "_unpaced", lambda demo, root, episodes: played.lines.append(f"unpaced {episodes}")
+    )
+    monkeypatch.setattr(pages, "demonstration_strip", lambda root: np.zeros((4, 8, 3), np.uint8))
+    return played
+
+
+def demo(out, **options):
+    told = []
+    return Demo(DemoConfig(out, **options), told.append, lambda text, done, total: None), told
+
+
+def test_the_stages_run_in_order_and_hand_on_what_they_found(commands, tmp_path):
+    run, told = demo(tmp_path / "d", trials=10)
+    result = run.run()
+    assert [name for name in result.state if name != "options"] == STAGES
+    assert [line.split("  ")[0] for line in told] == [f"{i}/8" for i in range(1, 9)]
+    assert commands.verbs() == [
+        "pneutac_datasets.generate",
+        *["pneutac new", "pneutac calibrate", "pneutac calibrate", "pneutac compare"],
+        "pneutac diagnose",
+        *["pneutac add", "pneutac add", "pneutac compare"],
+        *["lerobot-record", "unpaced 9", "lerobot-edit-dataset"],
+        "pneutac augment",
+        *["lerobot-edit-dataset", "lerobot-train"],
+        "lerobot-eval",
+    ]
+    assert [re.search(r"--effect=(\w+)", line)[1] for line in commands.added] == SELECTED
+    assert result.state["augment"] | {"seconds": 0, "commands": []} == {
+        "kept": 3,
+        "attempts": 4,
+        "seconds": 0,
+        "commands": [],
+    }
+    assert result.state["train"]["losses"] == [3.5, 0.25]
+    assert result.state["evaluate"]["successes"] == 9
+    d = result.to_dict()
+    assert d["tip_error_mm"] == {"before": 2.5, "after": pytest.approx(2.5 / 3)} and d["noise_mm"] == 0.5
+    assert d["selected"] == SELECTED and d["final_loss"] == 0.25 and set(d["seconds"]) == set(STAGES)
+    assert json.loads((tmp_path / "d" / "state.json").read_text()) == result.state
+
+
+def test_the_options_reach_the_commands(commands, tmp_path):
+    demo(tmp_path / "d", minutes=2.0, augmented=7, steps=500, batch_size=4, trials=6, seed=3)[0].run()
+    line = dict(zip(commands.verbs(), commands.lines, strict=True))
+    assert "--minutes=2.0 --seed=3" in line["pneutac_datasets.generate"]
+    assert "--episodes=7 --seed=3" in line["pneutac augment"]
+    assert f"--twin={tmp_path / 'd' / 'twin'}" in line["pneutac augment"]
+    assert "--steps=500 --batch_size=4 --seed=3" in line["lerobot-train"]
+    assert "--eval.n_episodes=6" in line["lerobot-eval"] and "--seed=5003" in line["lerobot-eval"]
+
+
+@pytest.mark.parametrize(
+    ("stop", "finished", "first"),
+    [
+        ("pneutac new", 1, "pneutac new"),
+        ("--effect=valve_lag", 3, "pneutac add"),
+        ("lerobot-train", 6, "lerobot-edit-dataset"),
+    ],
+)
+def test_an_interrupted_demo_goes_on_where_it_stopped(commands, tmp_path, stop, finished, first):
+    commands.stop = stop
+    with pytest.raises(InputError, match="switched off"):
+        demo(tmp_path / "d")[0].run()
+    before, commands.stop = list(commands.verbs()), None
+    run, told = demo(tmp_path / "d")
+    result = run.run()
+    again = commands.verbs()[len(before) :]
+    assert [line.endswith("(done before)") for line in told] == [True] * finished + [False] * (8 - finished)
+    assert again[0] == first
+    for verb in ("pneutac_datasets.generate", "pneutac diagnose", "lerobot-record"):
+        assert commands.verbs().count(verb) == 1
+    assert sum("--effect=creep" in line for line in commands.added) == 1, "an effect is added once"
+    assert result.to_dict()["success_percent"] == 90.0
+
+
+def test_a_finished_demo_runs_nothing_again_and_fresh_begins_anew(commands, tmp_path):
+    demo(tmp_path / "d")[0].run()
+    n = len(commands.lines)
+    again, told = demo(tmp_path / "d")
+    again.run()
+    assert len(commands.lines) == n and all("done before" in line for line in told)
+    (tmp_path / "d" / "mine.txt").touch()
+    demo(tmp_path / "d", seed=2, fresh=True)[0].run()
+    assert len(commands.lines) == 2 * n and not (tmp_path / "d" / "mine.txt").exists()
+
+
+def test_a_folder_with_other_options_is_refused(commands, tmp_path):
+    demo(tmp_path / "d")[0].run()
+    with pytest.raises(InputError, match="holds a demo with other options; add --fresh"):
+        demo(tmp_path / "d", seed=2)
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "least"), [("demonstrations", 1, 2), ("trials", 0, 1), ("steps", -1, 1)]
+)
+def test_numbers_out_of_range_are_refused(option, value, least):
+    with pytest.raises(InputError, match=f"--{option} is {value}; it must be at least {least}"):
+        DemoConfig(**{option: value})
+
+
+def test_a_diagnosis_that_finds_nothing_ends_the_demo(commands, tmp_path):
+    commands.selected = []
+    with pytest.raises(InputError, match="found no missing effect .missing_effect.*longer session"):
+        demo(tmp_path / "d")[0].run()
+
+
+def test_a_failed_command_shows_the_end_of_its_log(tmp_path):
+    run, told = demo(tmp_path / "d")
+    run._commands = []
+    code = "print(*range(100), sep='\\n'); raise SystemExit('the valve is stuck')"
+    with pytest.raises(InputError, match="the command above failed; the end of .*log says:") as error:
+        run._command("python", "-c", code)
+    assert "the valve is stuck" in str(error.value) and "\n99\n" in str(error.value)
+    assert "\n80\n" not in str(error.value)
+    (log,) = (tmp_path / "d" / "logs").iterdir()
+    assert log.read_text().startswith("0\n1\n") and str(log) in str(error.value)
+    assert told[0].startswith("$ python -c ")
+
+
+def test_matching_lines_of_a_command_are_progress(tmp_path):
+    seen = []
+    run = Demo(DemoConfig(tmp_path / "d"), lambda text: None, lambda *args: seen.append(args))
+    run._commands = []
+    printed = run._command("python", "-c", "print('loss:2\\nother\\nloss:1')", total=2, pattern="loss:")
+    assert printed == "loss:2\nother\nloss:1\n"
+    assert seen == [("python", 1, 2), ("python", 1, 2), ("python", 2, 2)]
+
+
+@pytest.mark.parametrize(
+    ("successes", "trials", "low", "high"), [(36, 40, 76.9, 96.0), (40, 40, 91.2, 100.0), (0, 10, 0.0, 27.8)]
+)
+def test_the_interval_is_wilsons(successes, trials, low, high, tmp_path):
+    """Wilson's centre and half width, by hand."""
+    result = DemoResult(tmp_path, {"evaluate": {"successes": successes, "trials": trials}})
+    p, z = successes / trials, 1.959964
+    middle = (p + z**2 / (2 * trials)) / (1 + z**2 / trials)
+    half = z / (1 + z**2 / trials) * np.sqrt(p * (1 - p) / trials + z**2 / (4 * trials**2))
+    assert result.success_ci95 == pytest.approx((100 * (middle - half), 100 * (middle + half)), abs=1e-6)
+    assert result.success_ci95 == pytest.approx((low, high), abs=0.05)
+
+
+def test_the_sentence_says_what_was_found_and_the_report_is_written(commands, tmp_path, monkeypatch):
+    monkeypatch.setattr(command, "Console", lambda: Console(width=500))
+    out = tmp_path / "d"
+    command.main([f"--out={out}"])
+    result = json.loads((out / "result.json").read_text())
+    assert result["trials"] == 40 and result["success_ci95"] == pytest.approx([76.95, 96.04], abs=0.01)
+    page = (out / "report.html").read_text()
+    sentence = (
+        "The finger had creep and valve_lag that its twin lacked; with this the held-out tip error fell from "
+        "2.50 to 0.83 mm (noise 0.50 mm). Trained on demonstrations of the corrected twin, the policy "
+        "flipped the switch in 36 of 40 starts that it had not seen (90 %, 95 % interval 77 to 96)."
+    )
+    assert sentence in page
+    for text in ("The error of the twin", "Learning curve", "lerobot-eval", "Two are missing."):
+        assert text in page
+    assert result["selected"] == SELECTED
+
+
+def test_the_command_ends_with_three_to_try_next(commands, tmp_path, capsys):
+    command.main([f"--out={tmp_path / 'd'}"])
+    printed = capsys.readouterr().out
+    after = printed.split("Try next:\n")[1].strip().splitlines()
+    assert [line.split()[0] for line in after] == ["pneutac", "pneutac", "python"]
+    assert "--twin=" in after[0] and "report.html" in printed
