@@ -21,7 +21,8 @@ def bench(tmp_path_factory):
     folder = tmp_path_factory.mktemp("api") / "bench"
     once(generate, ["creep"], folder, 5003, minutes=3.0, hz=10)
     recording = Recording.load(folder)
-    twin = Twin("finger", recording.length_mm, recording.spine_joint_positions_mm)
+    twin = Twin.builtin()
+    twin.length_mm, twin.spine_joint_positions_mm = recording.length_mm, recording.spine_joint_positions_mm
     return calibrate(twin, recording), recording
 
 
