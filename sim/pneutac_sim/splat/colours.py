@@ -75,6 +75,7 @@ def solve_colours(
     def normal(c):
         return splats.transpose(weight * splats.render(c).image) + ridge * c
 
+    # (W^T M W + ridge) c = W^T M (target - (1 - alpha) background) + ridge prior; Jacobi's preconditioner
     scale = 1 / (splats.transpose(weight * splats.render(np.ones_like(colours)).image) + ridge)
     residual = splats.transpose(weight * (target - splats.render(colours, background).image))
     direction = step = scale * residual

@@ -1,7 +1,9 @@
 """Composites listed Gaussians front to back, tile by tile, and takes that back to colours and opacities.
 
+    C = sum_i c_i alpha_i T_i + T_end background, T_i = prod_{j<i} (1 - alpha_j)  (Kerbl et al. 2023, eq. 3)
+
 alpha = opacity exp(-sigma) is at most 0.999 and left out below 1/255; a pixel is finished before its
-transmittance falls to 1e-4 (as in Kerbl et al. 2023).
+transmittance falls to 1e-4 (as there).
 
 Every kernel takes (share, shares) and does that share of the tiles, without the interpreter's lock, so that
 plain threads divide the work. A Gaussian touches rows of a tile whole, 16 lanes, with alpha = 0 off the
@@ -29,6 +31,7 @@ def _alpha(lane, x, bdy, cdy2, a, opacity):
     """Uncut alpha and exp(-sigma) at a lane of a row, dx = lane centre - x."""
     dx = np.float32(lane) + _HALF - x
     t = (a * dx + bdy) * dx + cdy2
+    # t = sigma / 8; exp(-sigma) = exp(-t)^8
     t = t if t < _FARTHEST else _FARTHEST
     e = _E0 + t * (_E1 + t * (_E2 + t * (_E3 + t * (_E4 + t * _E5))))
     e = e * e
@@ -91,8 +94,8 @@ def composite(share, shares, starts, ids, splats, colours, background, tiles_x, 
                 bdy, cdy2, line = b * dy, c * dy * dy, state[row]
                 for lane in range(TILE):
                     raw, _ = _alpha(lane, x, bdy, cdy2, a, opacity)
-                    w = _cut(raw) * line[lane]
-                    left = line[lane] - w
+                    w = _cut(raw) * line[lane]  # alpha_i T_i
+                    left = line[lane] - w  # T_{i+1} = T_i (1 - alpha_i)
                     goes_on = left > LEAST_TRANSMITTANCE
                     w = w if goes_on else _ZERO
                     line[lane] = left if goes_on else -abs(line[lane])
@@ -182,6 +185,7 @@ def replay(share, shares, starts, ids, splats, colours, image, alpha, grad_image
         for row in range(min(TILE, height - y0)):
             for lane in range(min(TILE, width - x0)):
                 p, q = y0 + row, x0 + lane
+                # r_0 = g . C - dL/dA T_end, all that lies behind the camera's plane
                 behind = -grad_alpha[p, q] * (_ONE - alpha[p, q])
                 for k in range(3):
                     state[row, lane + 16 * (k + 1)] = grad_image[p, q, k]
@@ -211,6 +215,7 @@ def replay(share, shares, starts, ids, splats, colours, image, alpha, grad_image
                     g_colour = line[lane + 16] * red + line[lane + 32] * green + line[lane + 48] * blue
                     behind = line[lane + 64] - w * g_colour
                     line[lane + 64] = behind
+                    # dL/dopacity = dL/dalpha exp(-sigma), zero where alpha is cut
                     slope = (before * g_colour - behind / (_ONE - cut)) * e
                     slope = slope if goes_on else _ZERO
                     slope = slope if raw >= LEAST_ALPHA else _ZERO

@@ -20,6 +20,7 @@ LEAST_ALPHA = np.float32(1 / 255)
 def _image_plane(u, v, lens):
     """OpenCV's distortion of a point (u, v) at unit depth."""
     k1, k2, p1, p2, k3 = lens[0], lens[1], lens[2], lens[3], lens[4]
+    # x = u (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 u v + p2 (r^2 + 2 u^2), y alike (Brown 1966)
     r2 = u * u + v * v
     radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
     x = u * radial + 2 * p1 * u * v + p2 * (r2 + 2 * u * u)
@@ -85,7 +86,8 @@ def project(
         x, y = _image_plane(u, v, lens)
         x, y = fx * x + cx, fy * y + cy
         u, v = min(max(u, u_low), u_high), min(max(v, v_low), v_high)
-        # rows of the Jacobian of the pixel by the point, times the world-to-camera rotation
+        # Kerbl eq. 5: S2 = J W S W^T J^T. j and k are the rows of J W, W the world-to-camera rotation and J
+        # the Jacobian of the pixel by the point, ((fx/z, 0, -fx u/z), (0, fy/z, -fy v/z)).
         p, q = fx / z, fy / z
         j0, j1, j2 = p * (E[0, 0] - u * E[2, 0]), p * (E[0, 1] - u * E[2, 1]), p * (E[0, 2] - u * E[2, 2])
         k0, k1, k2 = q * (E[1, 0] - v * E[2, 0]), q * (E[1, 1] - v * E[2, 1]), q * (E[1, 2] - v * E[2, 2])
@@ -99,6 +101,7 @@ def project(
         s1 = S[1, 0] * k0 + S[1, 1] * k1 + S[1, 2] * k2
         s2 = S[2, 0] * k0 + S[2, 1] * k1 + S[2, 2] * k2
         yy = s0 * k0 + s1 * k1 + s2 * k2 + BLUR_PX2
+        # the ellipse of LEAST_ALPHA: half widths reach sqrt(variance)
         rx, ry = reach[i] * math.sqrt(xx), reach[i] * math.sqrt(yy)
         if not (x + rx > 0 and x - rx < width and y + ry > 0 and y - ry < height):
             continue
@@ -107,6 +110,7 @@ def project(
         if last_x < first_x or last_y < first_y:
             continue
         det = xx * yy - xy * xy
+        # sigma = (x - mu)^T S2^-1 (x - mu) / 2, kept over 8 (see `compositing`)
         out = splats[i]
         out[0], out[1] = x, y
         out[2], out[3], out[4] = yy / det / 16, -xy / det / 8, xx / det / 16

@@ -204,6 +204,7 @@ def pairs(skeleton: Skeleton, motions: list[Motion]) -> tuple[np.ndarray, np.nda
     for m in motions:
         q, v = m.q[1:-1], m.q_vel[1:-1]
         states.append(np.column_stack([q, v, m.pressure_kpa[1:-1]]))
+        # tau_r* = M q'' + D q' + K q - tau_mpm (paper, Sec. Action and Perception Networks)
         torques.append(skeleton.residual_torque(q, v, m.accelerations(), m.target[1:-1]))
     return np.concatenate(states), np.concatenate(torques)
 

@@ -24,7 +24,7 @@ def residual(numbers, q, qd, p, x, f):
         if not low[i] <= v <= high[i]:
             inside = False
             v = min(max(v, low[i]), high[i])
-        x[i] = (v - mean[i]) / scale[i]
+        x[i] = (v - mean[i]) / scale[i]  # of unit variance
     _layer(x, w1, b1, h1)
     _softsign(h1)
     _layer(h1, w2, b2, h2)
@@ -47,7 +47,7 @@ def _layer(x, w, b, y):
 
 @njit(cache=True)
 def _softsign(y):
-    for i in range(len(y)):
+    for i in range(len(y)):  # y / (1 + |y|): smooth enough, and cheaper than tanh
         y[i] /= np.float32(1) + abs(y[i])
 
 
@@ -58,6 +58,7 @@ def roll(A, inertia, K, D, loss, numbers, x, f, q, qd, targets, pressure, subste
     extra, target, end = np.empty(n), np.empty(n), np.empty(n)
     for s in range(len(out_q)):
         for k in range(substeps):
+            # targets and pressure run straight from one control step to the next
             middle, last = (k + 0.5 * G) / substeps, (k + 1) / substeps
             p = pressure[s] + middle * (pressure[s + 1] - pressure[s])
             residual(numbers, q + 0.5 * h * qd, qd, p, x, f)
@@ -80,7 +81,7 @@ def rest(K, numbers, x, f, q, p):
         inside = residual(numbers, q, still, p, x, f)
         change = 0.0
         for i in range(len(q)):
-            new = target[i] + f[2][i] / K
+            new = target[i] + f[2][i] / K  # K (q - target) = f_r(q, 0, p)
             change = max(change, abs(new - q[i]))
             q[i] = new
         if change < RESOLUTION_RAD:

@@ -116,6 +116,7 @@ def _dynamics(A, inertia, q, qd):
     for i in range(n):
         for j in range(n):
             s, k = np.sin(phi[j] - phi[i]), np.cos(phi[j] - phi[i])
+            # Re(A e^{i(phi_j - phi_i)}) and -Im(A e^{i(phi_j - phi_i)}) phi_j'^2, see above
             M[i, j] = A[i, j].real * k - A[i, j].imag * s
             c[i] -= (A[i, j].real * s + A[i, j].imag * k) * rate[j] ** 2
         M[i, i] += inertia[i]
@@ -130,7 +131,7 @@ def _dynamics(A, inertia, q, qd):
 
 @njit(cache=True)
 def advance(A, inertia, K, D, loss, q, qd, target, end, extra, h, fastest):
-    """One step of `h` seconds by TR-BDF2: of second order, and stiff swings die away.
+    """One step of `h` seconds by TR-BDF2 (Bank et al. 1985): of second order, and stiff swings die away.
 
     First the trapezoidal rule over the share G of the step, then the backward formula over all of it; `a` is
     the same in both. `q` and `qd` (N,) are changed in place; `target` (N,) holds in the middle of the first
@@ -142,6 +143,7 @@ def advance(A, inertia, K, D, loss, q, qd, target, end, extra, h, fastest):
     middle, new = qd.copy(), qd.copy()
     for _ in range(2):  # the second time with the rates in the middle, for the second order of M and c
         M, c = _dynamics(A, inertia, q + a * middle, middle)
+        # (M (1 + a d) + a (D + a K)) q'_1 = M (1 - a d) q' + a (2 (f - c + K (target - q)) - (D + a K) q')
         b = (1.0 - a * loss) * (M @ qd)
         for i in range(n):
             b[i] += a * (2.0 * (extra[i] - c[i] + K * (target[i] - q[i])) - (D + a * K) * qd[i])
@@ -149,6 +151,7 @@ def advance(A, inertia, K, D, loss, q, qd, target, end, extra, h, fastest):
         for i in range(n):
             new[i] = min(max(new[i], -fastest), fastest)
             middle[i] = 0.5 * (qd[i] + new[i])
+    # BDF2: y_2 = BACK y_1 - (BACK - 1) y_0 + a y_2', BACK = 1 / (G (2 - G)), a = G h / 2
     later, rate, angle = np.empty(n), np.empty(n), np.empty(n)
     for i in range(n):
         now = q[i] + 2.0 * a * middle[i]
@@ -156,6 +159,7 @@ def advance(A, inertia, K, D, loss, q, qd, target, end, extra, h, fastest):
         angle[i] = BACK * now - (BACK - 1.0) * q[i]
         rate[i] = BACK * new[i] - (BACK - 1.0) * qd[i]
         middle[i] = new[i] + (1.0 - G) / G * (new[i] - qd[i])
+    # (M (1 + a d) + a (D + a K)) q'_2 = M rate + a (f - c + K (end - angle)), q_2 = angle + a q'_2
     M, c = _dynamics(A, inertia, later, middle)
     b = M @ rate
     for i in range(n):

@@ -15,9 +15,11 @@ from pneutac_sim.finger.online import PressurePipeline
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.twin import Twin
 from pneutac_sim.world import scene
+from pneutac_sim.world.action import checked_action
+from pneutac_sim.world.deforming import check_stability, deforming
 from pneutac_sim.world.panda import HOME_JOINTS, CartesianIK
 from pneutac_sim.world.tasks import make_task
-from pneutac_sim.world.touch import Touch
+from pneutac_sim.world.touch import Touch, imprint_m
 from pneutac_sim.world.view import View
 
 DT = 1 / CONTROL_HZ
@@ -95,7 +97,7 @@ class World:
             )
         if fidelity not in FIDELITIES:
             raise InputError(f"fidelity is '{fidelity}'; it must be one of {', '.join(FIDELITIES)}.")
-        self.finger, gel = _deforming(self.twin, fidelity, touch)
+        self.finger, gel = deforming(self.twin, fidelity, touch)
         self.model = mujoco.MjModel.from_xml_string(scene.build(self.task, self.twin))
         self.data = mujoco.MjData(self.model)
         self.sensor = TactileSensor(self.twin)
@@ -112,7 +114,7 @@ class World:
         self._arm, self._spine = slice(0, len(JOINT_NAMES)), slice(len(JOINT_NAMES), len(JOINT_NAMES) + n)
         self._stiffness = self.twin.parameter("joint_stiffness_nm_per_rad")
         self._pipeline = PressurePipeline(self.twin)
-        self._check_stability()
+        check_stability(self.model, self.data, self._spine, self._stiffness)
         self.reset(0)
 
     # ---------------------------------------------------------------- episode
@@ -168,25 +170,18 @@ class World:
         return self._observe()
 
     def _clip(self, action) -> np.ndarray:
-        try:
-            action = np.asarray(action, float)
-        except (TypeError, ValueError) as e:
-            raise InputError(
-                f"The action must be 4 numbers (dx, dy, dz in m/s, pressure in kPa): {e}."
-            ) from e
-        if action.shape != (4,):
-            raise InputError(
-                f"The action has shape {action.shape}; it must be (4,): dx, dy, dz in m/s, pressure in kPa."
-            )
-        if not np.isfinite(action).all():
-            raise InputError(f"The action {action.tolist()} is not finite; every entry must be a number.")
+        action = checked_action(action)
         clipped = np.clip(action, ACTION_LOW.astype(float), ACTION_HIGH.astype(float))
         # A float32 action at the limit is not beyond it.
         self.clipped += int(np.any(np.abs(clipped - action) > 1e-6))
         return clipped
 
     def _advance(self, joints: np.ndarray, spine: np.ndarray) -> None:
-        """Physics substeps of one control step, towards joint targets of the arm (7,) and the spine (N,)."""
+        """Physics substeps of one control step, towards joint targets of the arm (7,) and the spine (N,).
+
+        MuJoCo's joints have spring and damper of the skeleton, M q'' + D q' + K q = tau_s; the motors give
+        tau_s = tau_mpm(p) + tau_r = K towards(p, load), see `_bend`.
+        """
         drive = self._bend(spine)
         ctrl = np.empty((scene.SUBSTEPS, self._spine.stop))
         ctrl[:, self._arm] = self._joints + RAMP * (joints - self._joints)
@@ -222,21 +217,6 @@ class World:
             return q_cmd
         q = self.finger.bend(q_cmd, self._load)
         return q if self._load is None else q - self._load / self._stiffness
-
-    def _check_stability(self) -> None:
-        """Raises InputError where the twin's finger is too stiff for the time step."""
-        n, d = self.model.nv, self.data
-        M, K = np.zeros((n, n)), np.zeros(n)
-        mujoco.mj_forward(self.model, d)
-        mujoco.mj_fullM(self.model, d, M)
-        K[self._spine] = self._stiffness
-        rate = np.sqrt(np.linalg.eigvals(np.linalg.solve(M, np.diag(K))).real.max())
-        if rate * scene.TIMESTEP > 1.9:  # explicit springs are stable up to 2
-            largest = self._stiffness * (1.9 / (rate * scene.TIMESTEP)) ** 2
-            raise InputError(
-                f"Twin parameter 'joint_stiffness_nm_per_rad' is {self._stiffness:g}; the world can "
-                f"integrate up to {largest:.2g} with this finger."
-            )
 
     # ---------------------------------------------------------------- senses
 
@@ -289,16 +269,7 @@ class World:
 
         Along is positive towards the tip. The tactile image shows the same.
         """
-        model, data = self.model, self.data
-        pad, total, moment, force = model.geom("pad").id, 0.0, np.zeros(3), np.zeros(6)
-        for i in range(data.ncon):
-            if pad in (data.contact[i].geom1, data.contact[i].geom2):
-                mujoco.mj_contactForce(model, data, i, force)
-                total += force[0]
-                moment += force[0] * (data.contact[i].pos - self.gel_m)
-        if total < 0.02:
-            return None
-        return (data.site("gel").xmat.reshape(3, 3).T @ moment)[:2] / total
+        return imprint_m(self.model, self.data)
 
     @property
     def flange_m(self) -> np.ndarray:
@@ -322,19 +293,3 @@ class World:
     def close(self) -> None:
         """Frees the renderer."""
         self._view.close()
-
-
-def _deforming(twin: Twin, fidelity: str, touch: str):
-    """What bends the finger, and what indents the gel; None for the formulas."""
-    deforms = touch in ("image", "area")
-    if fidelity == "surrogate":  # PyTorch and compilers take seconds to start
-        from pneutac_sim.surrogate.networks import Networks
-
-        networks = Networks.of(twin)
-        return networks.finger(twin), networks.gel if deforms else None
-    if fidelity == "mpm":
-        from pneutac_sim.world.mpm_finger import MpmFinger
-        from pneutac_sim.world.mpm_gel import MpmGel
-
-        return MpmFinger(twin), MpmGel(twin) if deforms else None
-    return None, None
