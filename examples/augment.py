@@ -1,4 +1,4 @@
-"""Demonstrations from demonstrations: one is recorded, one more is planned from it in another scene."""
+"""Demonstrations from demonstrations: two are recorded, one more is planned from them in another scene."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ if __name__ == "__main__":  # workers import this file
     robot = PneutacSim(PneutacSimConfig(id="twin", task="switch", fidelity="probe"))
     operator = PneutacScripted(PneutacScriptedConfig(episode_steps=300))
     demos = Path("outputs/demos")
-    record_episodes(robot, operator, "local/demos", demos, 1, "flip the switch", use_videos=False)
+    record_episodes(robot, operator, "local/demos", demos, 2, "flip the switch", use_videos=False)
 
     config = AugmentConfig(
         dataset=DatasetRef("local/demos", demos),

@@ -9,6 +9,7 @@ TEXT = (ROOT / "README.md").read_text()
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1200)
 def test_blocks_run(tmp_path):
     run_page("README.md", tmp_path)
     assert (tmp_path / "outputs/added/report.html").is_file()

@@ -6,6 +6,8 @@ from doc_blocks import run_page
 SLOW = pytest.mark.slow
 NIGHTLY = pytest.mark.nightly
 
+pytestmark = pytest.mark.timeout(1200)  # two busy cores; a page takes one or two minutes on idle ones
+
 
 @pytest.mark.parametrize(
     "page",
