@@ -91,8 +91,7 @@ def write_photographs(
         pressures_kpa: (T,), or (T, 3) of an arm; None for `default_pressures`.
         disturbances: what is wrong with the session; None for nothing.
         particles: of the hidden body, about; not those of a twin, whose lattice would be the same.
-        after_s: rising times after each step at which it is photographed, the last one being that of the next
-            step.
+        after_s: rising times after each step at which it is photographed; the last is that of the next step.
         conditions: further columns of the recording, such as `gravity_x`: a number, or (T,) numbers.
 
     Returns:
@@ -109,33 +108,35 @@ def write_photographs(
     pressure = default_pressures(device) if pressures_kpa is None else np.asarray(pressures_kpa, float)
     table = session(pressure, device, after_s, conditions or {})
     meshes, rest, q, tips = bent_meshes(twin, joints_of(twin, table), particles)
-    # a base that is turned in its mount turns all that is seen of the body
-    tilt = Rotation.from_euler("y", -wrong.tilt_deg, degrees=True).as_matrix()
-    tips = 1e3 * tips @ tilt.T
-    for mesh in meshes:
-        mesh.vertices = mesh.vertices @ tilt.T
+    tips = _tilted(wrong.tilt_deg, meshes, 1e3 * tips)
     rng = np.random.default_rng([seed, 12])
-    length = 1e-3 * twin.length_mm
-    studio = Studio.random(rng, length, 1e-3 * devices.parameter(twin, "width_mm"))
+    length, width = 1e-3 * twin.length_mm, 1e-3 * devices.parameter(twin, "width_mm")
+    studio = Studio.random(rng, length, width)
     nominal = {name: place_camera(name, length, rng) for name in CAMERAS[device]}
     actual = {n: knocked(c, wrong.camera_deg, wrong.camera_mm, rng) for n, c in nominal.items()}
     folder = Path(folder)
     observed = _photograph_all(folder, meshes, rest, studio, actual, tips, wrong.mask_px, rng)
     samples = pd.concat([table, pd.DataFrame(observed)], axis=1)
     Recording(folder, _metadata(twin, nominal), samples, device).write(folder)
-    write_truth(
-        folder,
-        {
-            "parameters": {k: v.value for k, v in twin.parameters.items()},
-            "joints_rad": q.tolist(),
-            "tips_mm": tips.tolist(),
-            "disturbances": asdict(wrong),
-            "camera_extrinsics": {name: c.extrinsics.tolist() for name, c in actual.items()},
-            "seed": seed,
-            "recording": folder.name,
-        },
-    )
+    truth = {
+        "parameters": {k: v.value for k, v in twin.parameters.items()},
+        "joints_rad": q.tolist(),
+        "tips_mm": tips.tolist(),
+        "disturbances": asdict(wrong),
+        "camera_extrinsics": {name: c.extrinsics.tolist() for name, c in actual.items()},
+        "seed": seed,
+        "recording": folder.name,
+    }
+    write_truth(folder, truth)
     return Recording.load(folder)
+
+
+def _tilted(tilt_deg: float, meshes: list[trimesh.Trimesh], tips_mm: np.ndarray) -> np.ndarray:
+    """Turns the meshes, in place, and the tips (T, 3) with a base that is turned about y in its mount."""
+    turn = Rotation.from_euler("y", -tilt_deg, degrees=True).as_matrix()
+    for mesh in meshes:
+        mesh.vertices = mesh.vertices @ turn.T
+    return tips_mm @ turn.T
 
 
 def _photograph_all(folder, meshes, rest, studio, cameras, tips_mm, mask_px, rng) -> list[dict]:

@@ -128,15 +128,7 @@ def augment_guided(
     try:
         scenes = _find_scenes(pool, work, len(setup.references), progress)
         planned = _plan(pool, work, scenes, episodes, progress)
-        features = demonstration_features(meta)
-        use_videos = features[TACTILE]["dtype"] == "video"
-        longest = max(map(len, setup.references)) + EXTRA_STEPS
-        with quiet_encoders():
-            out = create_dataset(out_repo_id, part, meta.fps, features, meta.robot_type, use_videos, longest)
-            try:
-                provenance, seconds = _write(out, planned, setup.references)
-            finally:
-                out.finalize()
+        provenance, seconds = _write(part, out_repo_id, meta, setup.references, planned)
         finish(part, out_root, provenance)
         shutil.rmtree(work.folder)
     except BrokenProcessPool as e:
@@ -187,18 +179,32 @@ def _plan(
 
 
 def _write(
-    out: LeRobotDataset, planned: Iterator[tuple[Attempt, dict, dict]], references: list[Reference]
+    part: Path,
+    repo_id: str,
+    meta: LeRobotDatasetMetadata,
+    references: list[Reference],
+    planned: Iterator[tuple[Attempt, dict, dict]],
 ) -> tuple[list[dict], dict[str, float]]:
-    """Writes demonstrations; returns their provenance and the seconds spent, by part."""
+    """Writes the dataset into `part`; returns the provenance and the seconds spent, by part of the work."""
+    features = demonstration_features(meta)
+    use_videos = features[TACTILE]["dtype"] == "video"
+    longest = max(map(len, references)) + EXTRA_STEPS
     provenance, seconds = [], {"writing": 0.0}
-    for attempt, line, spent in planned:
-        provenance.append(line)
-        for name, s in spent.items():
-            seconds[name] = seconds.get(name, 0.0) + s
-        start = time.perf_counter()
-        instruction = references[line["source"]].task
-        save_episode(out, Episode(attempt.state, attempt.action, attempt.images, instruction, out.fps))
-        seconds["writing"] += time.perf_counter() - start
+    with quiet_encoders():
+        out = create_dataset(repo_id, part, meta.fps, features, meta.robot_type, use_videos, longest)
+        try:
+            for attempt, line, spent in planned:
+                provenance.append(line)
+                for name, s in spent.items():
+                    seconds[name] = seconds.get(name, 0.0) + s
+                start = time.perf_counter()
+                instruction = references[line["source"]].task
+                save_episode(
+                    out, Episode(attempt.state, attempt.action, attempt.images, instruction, meta.fps)
+                )
+                seconds["writing"] += time.perf_counter() - start
+        finally:
+            out.finalize()
     return provenance, seconds
 
 

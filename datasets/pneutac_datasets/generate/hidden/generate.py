@@ -69,18 +69,8 @@ def generate(
     rng = np.random.default_rng([seed, 2])
     noise = float(rng.uniform(0.2, 0.4))
     floor = noise * np.sqrt(3)
-    active, details = [REGISTRY[n] for n in names], []
-    for effect in active:
-        size, misfit = find_size(effect, bench, seed, strength * FULL_MISFIT * floor, strength * effect.least)
-        details.append(
-            {
-                "name": effect.name,
-                "form": effect.form,
-                "accepts": list(effect.accepts),
-                "size": size,
-                "misfit_alone_mm": misfit,
-            }
-        )
+    active = [REGISTRY[n] for n in names]
+    details = [_sized(effect, bench, seed, strength, floor) for effect in active]
     reading, tip = simulate(bench, active, {d["name"]: d["size"] for d in details}, seed)
     samples = _samples(bench, reading if measured_pressure else None, tip, noise, rng)
     _write_recording(Path(out), bench, samples)
@@ -107,6 +97,18 @@ def _known(effects: str | list[str]) -> list[str]:
         if name not in REGISTRY:
             raise InputError(f"There is no hidden effect '{name}'; there are none, {', '.join(REGISTRY)}.")
     return names
+
+
+def _sized(effect: Foreign, bench: HiddenBench, seed: int, strength: float, floor: float) -> dict:
+    """What the truth says of one effect, its size with it."""
+    size, misfit = find_size(effect, bench, seed, strength * FULL_MISFIT * floor, strength * effect.least)
+    return {
+        "name": effect.name,
+        "form": effect.form,
+        "accepts": list(effect.accepts),
+        "size": size,
+        "misfit_alone_mm": misfit,
+    }
 
 
 def _samples(
