@@ -15,7 +15,7 @@ from lerobot_pneutac.verbs.calibration import Calibration
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.finger.fit import BY_IMAGES
 from pneutac_sim.photo_fit.coarse import Coarse, coarse_fit
-from pneutac_sim.photo_fit.confidence import Confidence, confidence
+from pneutac_sim.photo_fit.confidence import Posterior, confidence
 from pneutac_sim.photo_fit.equilibria import Bodies, Equilibria
 from pneutac_sim.photo_fit.objective import SILHOUETTE, MaskedPhotograph, Objective, Scores
 from pneutac_sim.photo_fit.parameters import BodyParameters, body_parameters
@@ -68,7 +68,7 @@ class PhotoCalibration(Calibration):
     study: PhotoStudy
     start: Coarse | None = None
     search: Search
-    confidence: Confidence
+    confidence: Posterior
     objective: Objective
     bodies: Bodies
     scores: Scores
@@ -250,7 +250,7 @@ def _calibration(
     fitted: BodyParameters,
     study: PhotoStudy,
     found: Search,
-    sure: Confidence,
+    sure: Posterior,
     objective: Objective,
     everywhere: Equilibria,
 ) -> PhotoCalibration:
@@ -274,7 +274,7 @@ def _calibration(
     )
 
 
-def _rows(fitted: BodyParameters, found: Search, sure: Confidence) -> dict[str, dict]:
+def _rows(fitted: BodyParameters, found: Search, sure: Posterior) -> dict[str, dict]:
     rows = {}
     for name, unit, value in zip(fitted.names, fitted.units, fitted.values(found.x), strict=True):
         unclear = name in sure.not_identified

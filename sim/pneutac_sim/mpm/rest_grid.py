@@ -79,6 +79,7 @@ class RestGrid:
         slots = np.full((len(nodes), 27), len(cells), np.int32)
         slots[node_of, np.arange(27)] = np.arange(len(cells))[:, None]
         w = WEIGHT[local]  # (P, 3 axes, 3 nodes)
+        # V_i = sum_p w_ip V_p, w_ip the product of the axes' splines
         share = np.einsum("pa,pb,pc->pabc", w[:, 0], w[:, 1], w[:, 2]).reshape(-1, 27)
         volume = np.zeros(len(nodes))
         np.add.at(volume, node_of[index], share * body.spacing_m**3)

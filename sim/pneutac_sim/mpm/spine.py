@@ -106,6 +106,7 @@ class Spine:
             K = np.array([[0, -a[2], a[1]], [a[2], 0, -a[0]], [-a[1], a[0], 0]])
             s, c = np.sin(q[..., h, None, None]), np.cos(q[..., h, None, None])
             R, t = out[..., h, :, :3], out[..., h, :, 3]
+            # Rodrigues: R <- R (1 + sin q K + (1 - cos q) K^2), about the hinge's origin
             turned = R @ (np.eye(3) + s * K + (1 - c) * (K @ K))
             out[..., h + 1, :, :3] = turned
             out[..., h + 1, :, 3] = np.einsum("...ij,j->...i", R - turned, row[:3]) + t
@@ -120,6 +121,7 @@ class Spine:
                 continue
             centre = (m[:, None] * p).sum(0) / m.sum()
             r = p - centre
+            # I = sum m (|r|^2 1 - r r^T)
             inertia = (
                 m[:, None, None] * ((r**2).sum(1)[:, None, None] * np.eye(3) - r[:, :, None] * r[:, None])
             ).sum(0)

@@ -15,7 +15,7 @@ TELLING = 0.1  # of the prior's standard deviation: where more is left, the para
 
 
 @dataclass(frozen=True)
-class Confidence:
+class Posterior:
     """Of P parameters.
 
     Attributes:
@@ -29,7 +29,7 @@ class Confidence:
     not_identified: list[str]
 
 
-def confidence(objective: Objective, x: np.ndarray) -> Confidence:
+def confidence(objective: Objective, x: np.ndarray) -> Posterior:
     """Posterior of the parameters at the optimum, from how silhouettes move with each.
 
     Linearised: residual r is blurred coverage less mask, J its derivative by central differences through all
@@ -69,13 +69,14 @@ def confidence(objective: Objective, x: np.ndarray) -> Confidence:
     M *= len(objective.photographs)
     # No photograph is known better than to a thousandth of a pixel's coverage.
     M += 1e-6 * H + 1e-12 * np.trace(H) / n * np.eye(n)
+    # Godambe: H M^-1 H, plus the prior's inverse variance, 1 in these units
     information = H @ np.linalg.solve(M, H)
     sd = scale * np.sqrt(np.diag(np.linalg.inv(information + np.eye(n))))
     low, high = (np.clip(x + s * 1.96 * sd, parameters.lower, parameters.upper) for s in (-1, 1))
     ends = zip(parameters.values(low), parameters.values(high), strict=True)
     ci95 = {name: (float(a), float(b)) for name, (a, b) in zip(parameters.names, ends, strict=True)}
     unclear = [name for name, a, b in zip(parameters.names, sd, scale, strict=True) if a > TELLING * b]
-    return Confidence(sd, ci95, unclear)
+    return Posterior(sd, ci95, unclear)
 
 
 def _blocks(pictures: np.ndarray) -> np.ndarray:

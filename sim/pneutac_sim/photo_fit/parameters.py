@@ -52,8 +52,8 @@ class BodyParameters:
     def coordinates(self, twin: Twin) -> np.ndarray:
         """(P,) of a twin's values, inside the bounds."""
         pipeline = Pipeline.of(twin)
-        held = dict(zip(pipeline.names, pipeline.theta(twin), strict=True))
-        values = np.array([held[n] if n in held else parameter(twin, n) for n in self.names])
+        own = dict(zip(pipeline.names, pipeline.theta(twin), strict=True))
+        values = np.array([own[n] if n in own else parameter(twin, n) for n in self.names])
         return np.clip(_coordinates(values, self.log), self.lower, self.upper)
 
     def values(self, x: np.ndarray) -> np.ndarray:
@@ -83,10 +83,10 @@ def body_parameters(twin: Twin, pressure_range_kpa: float) -> BodyParameters:
     limits = np.array([p.limits(pressure_range_kpa) for p in free])
     log = np.array([p.log for p in free])
     bounds = np.stack([_coordinates(column, log) for column in limits.T[1:]], 1)
-    held = twin.parameters.get("gain_rad_per_kpa")
+    own = twin.parameters.get("gain_rad_per_kpa")
     half = max((geometry.n_joints - 1) / 2, 1.0)
     step = {
-        "gain_rad_per_kpa": STEP * (abs(held.value) if held and held.value else limits[0, 0]),
+        "gain_rad_per_kpa": STEP * (abs(own.value) if own and own.value else limits[0, 0]),
         "gain_alpha": STEP / half,
         "gain_beta": STEP / half**2,
     }

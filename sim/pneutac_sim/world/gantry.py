@@ -162,7 +162,7 @@ class Gantry(VariedWorld):
         mujoco.mj_setState(self.model, self.data, self._state, _STATE)
         self.model.dof_frictionloss[:] = self._friction
         vars(self.task.inner).update(_memory(self._memory))
-        held = self.target_m, self._joints, self.spine_target_rad, self._drive, self._load
+        saved = self.target_m, self._joints, self.spine_target_rad, self._drive, self._load
         pipeline, target = _copy(self._pipeline), self.target_m
         flange, area = np.empty((len(actions), 3)), np.empty(len(actions))
         self.centre_mm = np.full((len(actions), 2), np.nan)
@@ -181,7 +181,7 @@ class Gantry(VariedWorld):
                 self.centre_mm[t] = centre_mm(self.touch.depth_mm, self.sensor.model.window_mm)
             flange[t], area[t] = self.flange_m, max(felt + self._residual_area, 0.0) if felt else 0.0
         self.steps += len(actions)
-        self.target_m, self._joints, self.spine_target_rad, self._drive, self._load = held
+        self.target_m, self._joints, self.spine_target_rad, self._drive, self._load = saved
         return flange, area
 
     @override
