@@ -147,46 +147,9 @@ class PhotoCalibration(Calibration):
 
     def page(self) -> Report:
         """Parameters, photographs beside renderings, and how the objective fell."""
-        import plotly.graph_objects as go
+        from lerobot_pneutac.reports.photographs import photo_page
 
-        page = Report(self.title)
-        page.lead(self.sentence)
-        page.table(
-            self.rows(),
-            "Intervals tell how sharply the silhouettes fix each parameter. A body whose shape or neutral "
-            "axis is not the twin's shifts all of them together, by more than that.",
-        )
-        page.heading("Photographs and renderings")
-        page.text(
-            "Above the photograph, below the twin; then red where only the photograph, blue where only the "
-            "twin."
-        )
-        for pictures, caption in self._strips():
-            page.image(pictures, caption)
-        page.heading("How the objective fell")
-        tried, best = self.search.objectives, {"color": "#0b6e99"}
-        figure = go.Figure()
-        figure.add_scatter(y=tried, mode="markers", name="candidates", marker={"color": "#9aa5b1"})
-        figure.add_scatter(y=np.minimum.accumulate(tried), mode="lines", name="best", line=best)
-        page.figure(
-            figure.update_xaxes(title="evaluation").update_yaxes(title="L1 + 2 (1 - IoU)", type="log")
-        )
-        return page
-
-    def _strips(self):
-        """Pictures of six photographs each, with what they show."""
-        study = self.study
-        shown = sorted(study.photographs, key=lambda p: p.state)
-        for i in range(0, len(shown), 6):
-            some = shown[i : i + 6]
-            if len({p.mask.shape for p in some}) > 1:
-                continue
-            labels = [
-                f"{'/'.join(f'{v:g}' for v in study.pressures[p.state])} kPa"
-                f"{'' if study.train[p.state] else ' (held out)'}"
-                for p in some
-            ]
-            yield strip(self.objective, self.bodies.positions[0], some), ", ".join(labels)
+        return photo_page(self)
 
 
 def calibrate_photographs(
