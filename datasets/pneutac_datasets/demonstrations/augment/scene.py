@@ -33,7 +33,7 @@ CENTRES, CENTRE_MM = 12, 10.0  # frames whose imprints are compared; their error
 FAR_MM = 8.0  # error where the twin feels nothing of what was felt: half the gel
 ELITES = 3  # neighbours that make the next middle
 UNSTEADY = 0.3  # added to the misfit of a scene none of whose neighbours works
-MOST_LATE, TELLING = 4, 40  # control steps: the latencies tried, and the frames of a free way that tell them
+MOST_LATE, FREE_FRAMES = 4, 40  # control steps: latencies tried, frames of a free way compared
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ def command_latency(world: VariedWorld, gantry: Gantry, references: list[Referen
     errors = np.zeros(MOST_LATE + 1)
     for late in range(len(errors)):
         for r in references:
-            actions = np.clip(r.action[: min(r.onset, TELLING)], ACTION_LOW, ACTION_HIGH)
+            actions = np.clip(r.action[: min(r.onset, FREE_FRAMES)], ACTION_LOW, ACTION_HIGH)
             world.variation = Variation(tuple(r.flange_m[0]), AWAY_M, late_commands=late)
             world.reset(0)
             gantry.mirror(world)
