@@ -28,6 +28,7 @@ lint: .venv/ready
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports --no-cache --no-logo
 	$(BIN)/deptry --no-ansi .
+	$(BIN)/pyright --project pyproject.toml --pythonpath $(BIN)/python
 
 docs: .venv/ready
 	$(BIN)/mkdocs build --strict

@@ -194,7 +194,7 @@ class Engine:
                 self._start()
                 break
         rest = jobs[len(out) :]
-        if not rest:
+        if self._pool is None or not rest:
             return out
         futures = {self._pool.submit(_work, job): i for i, job in enumerate(rest)}
         found = [None] * len(rest)

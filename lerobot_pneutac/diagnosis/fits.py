@@ -29,7 +29,7 @@ class FittedModel:
     effects: tuple[str, ...]
     residual: np.ndarray
     count: int
-    twin: Twin | None = None
+    twin: Twin
     names: list[str] = field(default_factory=list)
     at_bound: dict[str, str] = field(default_factory=dict)
     not_identified: dict[str, str] = field(default_factory=dict)

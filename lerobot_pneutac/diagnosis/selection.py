@@ -125,7 +125,7 @@ def worth(base: FittedModel, floor: float, judge: Resampler) -> float:
 def _best(now, fits, base, parts, floor, judge, result) -> str | None:
     n = now.independent(parts.train, len(np.unique(parts.unit[parts.train])))
     score = {c: bic(f, parts.train, n, floor) for c, f in fits.items()}
-    order = sorted(fits, key=score.get)
+    order = sorted(fits, key=score.__getitem__)
     for i, name in enumerate(order[:TRIES]):
         sure, perhaps = accepted(now, fits[name], base, floor, judge)
         if sure:
@@ -174,7 +174,7 @@ def _check_backward(fitter, start, parts, floor, judge, result, steps) -> None:
         if not needless:
             result.importance = rise
             break
-        result.final = result.without[min(needless, key=rise.get)]
+        result.final = result.without[min(needless, key=rise.__getitem__)]
     kept = set(result.final.effects)
     result.path = (
         _replay(fitter, start, result, kept) if len(result.added) != len(kept) - len(start) else result.path

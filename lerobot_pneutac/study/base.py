@@ -65,6 +65,7 @@ class EffectStudy(Study, ABC):
 
     Attributes:
         twin: as it was given.
+        noise: as in every study, but always known.
         unknown_where: end of a sentence, where an effect that nobody knows shows.
         more_data: what to record where there is too little.
         repeat: what to record where nothing explains the error.
@@ -72,6 +73,7 @@ class EffectStudy(Study, ABC):
     """
 
     twin: Twin
+    noise: NoiseFloor
     unknown_where: str
     more_data: str
     repeat: str

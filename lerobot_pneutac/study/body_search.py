@@ -78,8 +78,8 @@ def search_body(study: "BodyStudy", jobs: int, steps: Steps) -> Outcome:
     else:
         after = body.final if body.selected else before
     importance = {}
-    for chosen in (air, body):
-        for e in chosen.selected if chosen else ():
+    for chosen in [s for s in (air, body) if s]:
+        for e in chosen.selected:
             without = chosen.without[e]
             pair = (body.final, without) if chosen is air else (without,)
             squared = squared_distance(study.residual(found.twin(*pair)))
@@ -88,8 +88,8 @@ def search_body(study: "BodyStudy", jobs: int, steps: Steps) -> Outcome:
     evidence = _evidence(study, found, before, after, selected)
     pressure_error = None
     if air:
-        errors = (float(np.sqrt(study.test.value(f.squared))) for f in (air.base, air.final))
-        pressure_error = (*errors, study.air_noise)
+        base, final = (float(np.sqrt(study.test.value(f.squared))) for f in (air.base, air.final))
+        pressure_error = (base, final, study.air_noise)
     drive = found.driven.samples[study.measured or study.recording.pressure_columns].to_numpy(float)
     return Outcome(
         before=before,
@@ -111,7 +111,7 @@ def search_body(study: "BodyStudy", jobs: int, steps: Steps) -> Outcome:
 
 def _stages(study: "BodyStudy", jobs: int, steps: Steps) -> Searched:
     """Selects effects of the air, then those of the body, and looks for rivals of both."""
-    names, own = study.candidates, tuple(sorted(study.own))
+    names, own = list(study.candidates), tuple(sorted(study.own))
     parts, seed, floor = study.parts, study.seed, study.noise.value
     air, driven, source, profiles = None, study.recording, "command", []
     with Engine(study.recording, parts.train, jobs, steps.done) as engine:
@@ -186,7 +186,7 @@ def _tested(study: "BodyStudy", found: Searched) -> list[Tested]:
     how = "pose, driven by the measured pressure" if found.air else "pose, driven by the command"
     for name, fit in found.body.first.items():
         out.append(_tried(study, name, fit, found.body.base.squared, fit.squared, how))
-    return sorted(out, key=lambda t: -t.reduction)
+    return sorted(out, key=lambda t: t.reduction or 0.0, reverse=True)
 
 
 def _tried(

@@ -31,7 +31,7 @@ from pneutac_sim.twin import Twin
 NOISE_LIMIT = 1.25  # final error over noise: on generated images of the model's own form it stays below
 
 
-@dataclass
+@dataclass(kw_only=True)
 class FittedGel(FittedModel):
     """Light and effects fitted to the training photographs; `residual` (n, 1) is each photograph's own error.
 
@@ -42,10 +42,10 @@ class FittedGel(FittedModel):
         patches: independent residuals in a photograph.
     """
 
-    fit: GelFit | None = None
-    contact: np.ndarray | None = None
-    differences: list[np.ndarray] | None = None
-    patches: float = 1.0
+    fit: GelFit
+    contact: np.ndarray
+    differences: list[np.ndarray]
+    patches: float
 
     def independent(self, mask: np.ndarray, least: int = 10) -> float:
         """Light varies over a contact and no faster: each patch of a photograph is worth a sample."""
@@ -121,6 +121,7 @@ class GelStudy(EffectStudy):
         radius_px = float(np.median([s.radius_px for s in self.data.samples]))
         self._known[effects] = found = FittedGel(
             effects=effects,
+            twin=self.twin,
             residual=np.sqrt(_mean_squares(differences))[:, None],
             count=sum(len(get_effect(e).parameters) for e in effects),
             fit=fit,

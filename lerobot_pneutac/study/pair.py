@@ -55,7 +55,7 @@ def other_unit(twin: Twin, recording: Recording) -> list[str]:
     if gain is None or gain.ci95 is None:
         return []
     top = {c: float(np.abs(recording.column(c)).max()) for c in recording.pressure_columns}
-    name = max(top, key=top.get)
+    name = max(top, key=top.__getitem__)
     if gain.value * top[name] < 2 * math.pi:
         return []
     return [

@@ -63,7 +63,8 @@ class Addition(Result):
     def save(self, folder: str | Path) -> "Addition":
         """Writes the twin as the next version of `folder`; returns the result that knows where it lies."""
         twin = self.twin.copy()
-        errors = {k: self.after[k] for k in ("train", "heldout")} | {"unit": self.unit, "seed": self.seed}
+        after = self.after or {}
+        errors = {k: after[k] for k in ("train", "heldout")} | {"unit": self.unit, "seed": self.seed}
         twin.save_version(folder, f"added {self.effect}", self.recording, errors)
         return replace(self, twin=twin, saved_to=Path(folder))
 
@@ -75,12 +76,13 @@ class Addition(Result):
     @property
     def sentence(self) -> str:
         """What the effect does and by how much the error fell, or why it was refused."""
-        if not self.accepted:
+        before, after = self.before, self.after
+        if not self.accepted or before is None or after is None:
             return self.reason
         share = percent(self.reduction, self.reduction_ci95)
         return (
-            f"{self.physics} With {self.effect} the held-out error fell from {self.before['heldout']:.3g} to "
-            f"{self.after['heldout']:.3g} {self.unit}: {share} of what could be avoided."
+            f"{self.physics} With {self.effect} the held-out error fell from {before['heldout']:.3g} to "
+            f"{after['heldout']:.3g} {self.unit}: {share} of what could be avoided."
         )
 
     def rows(self) -> list[dict]:
@@ -152,6 +154,8 @@ class Addition(Result):
 
         figure = go.Figure()
         for name, e, colour in (("before", self.before, "#9aa5b1"), ("after", self.after, "#0b6e99")):
+            if e is None:
+                continue
             a, b = e["heldout_ci95"]
             error = {"type": "data", "array": [b - e["heldout"]], "arrayminus": [e["heldout"] - a]}
             figure.add_bar(x=[name], y=[e["heldout"]], error_y=error, marker_color=colour, showlegend=False)
@@ -195,15 +199,15 @@ def add(
     fall = study.judge.drop(before.squared, after.squared)
     reduction, interval = study.reduction(before, after)
     accepted = fall[1] > 0
-    errors = tuple(study.errors(m) | {"heldout_ci95": study.interval(m)} for m in (before, after))
+    error, new_error = (study.errors(m) | {"heldout_ci95": study.interval(m)} for m in (before, after))
     return Addition(
         accepted=accepted,
-        reason="" if accepted else _no_sure_fall(study, effect, *errors, fall),
+        reason="" if accepted else _no_sure_fall(study, effect, error, new_error, fall),
         twin=study.twin_of(after) if accepted else twin,
         unit=study.unit,
         noise_floor=study.noise.value,
-        before=errors[0],
-        after=errors[1],
+        before=error,
+        after=new_error,
         reduction=reduction,
         reduction_ci95=interval,
         parameters=study.parameters(after, effect),

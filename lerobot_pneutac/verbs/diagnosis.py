@@ -86,7 +86,7 @@ class Diagnosis(Result):
         rows = [("(as it is)", self.before, "", "", "")]
         for t in chosen + rest:
             values = ", ".join(f"{k} {v['value']:.3g}" for k, v in list(t.parameters.items())[:3])
-            share = "" if t.reduction is None else percent(t.reduction, t.ci95)
+            share = "" if t.reduction is None or t.ci95 is None else percent(t.reduction, t.ci95)
             rows.append((t.name, t.errors, share, values, self._how_found(t)))
         if self.selected:
             rows.append(("(all found)", self.after, "", "", ""))

@@ -223,6 +223,9 @@ def _values(d, where: str) -> dict[str, Value]:
     for name, v in _mapping(d, where).items():
         if not isinstance(v, dict) or "value" not in v:
             raise InputError(f"field '{where}.{name}' is {v!r}; it must hold 'value', a number.")
-        ci95 = tuple(float(x) for x in v["ci95"]) if v.get("ci95") else None
+        ci95 = None
+        if v.get("ci95"):
+            low, high = v["ci95"]
+            ci95 = float(low), float(high)
         out[name] = Value(float(v["value"]), ci95)
     return out

@@ -222,11 +222,11 @@ def _number(row: pd.Series, *names: str) -> float | None:
 def _place(row: pd.Series, where: str, px_per_mm: float, axis: str, size_px: int) -> tuple[float, float]:
     """Contact centre along one axis: pixel, and mm from the image's centre."""
     px, mm = _number(row, f"contact_{axis}_px"), _number(row, f"{axis}_mm")
-    if px is None and mm is None:
-        raise InputError(
-            f"{where}: the contact's place is empty; fill x_mm and y_mm, or contact_x_px, contact_y_px."
-        )
     if px is None:
+        if mm is None:
+            raise InputError(
+                f"{where}: the contact's place is empty; fill x_mm and y_mm, or contact_x_px, contact_y_px."
+            )
         px = size_px / 2 + mm * px_per_mm
     centred_mm = (px - size_px / 2) / px_per_mm
     if mm is not None and abs(centred_mm - mm) > AGREE_MM:

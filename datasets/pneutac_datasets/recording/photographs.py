@@ -22,19 +22,19 @@ def masked_cameras(recording: Recording) -> list[str]:
     names = [n for n in names if recording.has(f"mask_{n}") or background_of(recording, n)]
     if names or not (recording.has("image") and recording.has("mask")):
         return names
-    described = recording.meta.get("cameras")
-    if not isinstance(described, dict) or len(described) != 1:
-        many = isinstance(described, dict) and len(described) > 1
+    cameras = recording.meta.get("cameras")
+    described = list(cameras) if isinstance(cameras, dict) else []
+    if len(described) != 1:
         wrong = (
             f"{', '.join(described)}; name the columns image_<camera> and mask_<camera>"
-            if many
+            if described
             else "none; describe it"
         )
         raise InputError(
             f"{recording.folder / 'recording.json'}: columns 'image' and 'mask' are those of one camera, but "
             f"field 'cameras' describes {wrong}."
         )
-    return list(described)
+    return described
 
 
 def background_of(recording: Recording, camera: str) -> str | None:

@@ -1,6 +1,7 @@
 """Reads the table of a bench recording from CSV, Parquet or a LeRobotDataset, bounded in memory."""
 
 import json
+from collections.abc import Sized
 from pathlib import Path
 
 import pandas as pd
@@ -123,7 +124,7 @@ def _read_lerobot(folder: Path) -> pd.DataFrame:
         names = feature.get("names")
         names = list(names.values())[0] if isinstance(names, dict) else names
         first = raw[name].iloc[0] if len(raw) else None
-        if hasattr(first, "__len__") and not isinstance(first, str | dict):
+        if isinstance(first, Sized) and not isinstance(first, str | dict):
             if not isinstance(names, list) or len(names) != len(first):
                 continue
             for i, entry in enumerate(names):

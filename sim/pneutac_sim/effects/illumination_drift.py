@@ -23,11 +23,13 @@ def estimate(photographs: Sequence[Quiet]) -> dict[str, float]:
     """Weighted least squares of each photograph's brightness over its rest image, with priors."""
     gains, drifts = {}, {}
     for k, c in enumerate(CHANNELS):
-        A, b = [np.diag(1 / np.array([PRIOR_GAIN, PRIOR_DRIFT]))], [np.zeros(2)]
+        A: list[np.ndarray] = [np.diag(1 / np.array([PRIOR_GAIN, PRIOR_DRIFT]))]
+        b: list[np.ndarray] = [np.zeros(2)]
         for p in photographs:
             rest, image = p.rest[:, k], p.image[:, k]
             A.append(np.array([[1.0, p.clock]]) / GAIN_SD)
-            b.append([((image * rest).sum() / max((rest * rest).sum(), 1e-9) - 1) / GAIN_SD])
+            gain = (image * rest).sum() / max((rest * rest).sum(), 1e-9)
+            b.append(np.array([(gain - 1) / GAIN_SD]))
         x = np.linalg.lstsq(np.concatenate(A), np.concatenate(b), rcond=None)[0]
         gains[f"gain_{c}"], drifts[f"drift_{c}"] = 1 + float(x[0]), float(x[1])
     return EFFECT.inside(gains | drifts)

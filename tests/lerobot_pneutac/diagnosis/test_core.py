@@ -10,6 +10,7 @@ from lerobot_pneutac.diagnosis.fits import FittedModel, effective_count
 from lerobot_pneutac.diagnosis.parts import deal
 from lerobot_pneutac.diagnosis.selection import select
 from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.twin import Twin
 
 N, HZ = 4000, 10.0
 
@@ -36,6 +37,9 @@ def make_recording(seed=0, noise=0.3):
     return Recording(None, {"length_mm": 110.0}, table, "finger")
 
 
+TWIN = Twin("finger", 110.0)  # stands there; the toy's fits have no use for it
+
+
 class LinearFitter:
     """Effects are columns that are added to a straight line in pressure; the fit is exact least squares."""
 
@@ -49,7 +53,7 @@ class LinearFitter:
         for names in effects:
             J = np.stack([np.ones(N), self.p, *(self.columns[n] for n in names)], 1)
             theta = np.linalg.lstsq(J[self.parts.train], self.y[self.parts.train], rcond=None)[0]
-            fits.append(FittedModel(tuple(names), (self.y - J @ theta)[:, None], J.shape[1]))
+            fits.append(FittedModel(tuple(names), (self.y - J @ theta)[:, None], J.shape[1], TWIN))
         return fits
 
     def promising(self, fit, candidates, least):
