@@ -93,7 +93,7 @@ def search(
         z = np.array(strategy.ask())
         if not values:
             z[0] = 0.0  # the warm start itself
-        wanted = start.x + z @ axes.T
+        wanted = start.x + z @ axes.T  # z ~ N(0, sigma^2 C); beyond a bound a candidate pays
         x = np.clip(wanted, parameters.lower, parameters.upper)
         old = kept[len(values) : len(values) + population]
         if len(old) == population and np.allclose([o["x"] for o in old], x, rtol=1e-9, atol=1e-12):
@@ -104,7 +104,6 @@ def search(
             raise InputError(
                 "The objective is not a finite number; check masks and cameras of the recording."
             )
-        # z ~ N(0, sigma^2 C), x = start + A z; a candidate beyond a bound pays for its distance
         strategy.tell(list(z), found + OUTSIDE * np.square((wanted - x) / parameters.step).sum(1))
         tried += list(x)
         values += found.tolist()
