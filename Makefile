@@ -31,7 +31,7 @@ lint: .venv/ready
 	$(BIN)/pyright --project pyproject.toml --pythonpath $(BIN)/python
 
 docs: .venv/ready
-	$(BIN)/mkdocs build --strict
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 bench: .venv/ready
 	for f in benchmarks/*_speed.py; do $(BIN)/python $$f || exit 1; done
