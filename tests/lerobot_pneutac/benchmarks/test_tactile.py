@@ -104,7 +104,7 @@ def test_the_second_run_measures_nothing_and_prints_what_result_json_holds(data,
 def test_changed_images_are_measured_again(data, tmp_path, capsys):
     copy, out = tmp_path / "data", tmp_path / "out"
     shutil.copytree(data, copy)
-    argv = [f"--data={copy}", "--methods=rest", f"--out={out}"]
+    argv = ["tactile", f"--data={copy}", "--methods=rest", f"--out={out}"]
     main(argv)
     before = result(out)["sets"]
     file = copy / "second" / "images" / "ball_1.png"
