@@ -22,7 +22,7 @@ from pneutac_datasets.recording.checks import check
 from pneutac_datasets.recording.mounts import on_one_mount
 from pneutac_datasets.recording.noise import noise_floor
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.effects.registry import get_effect, of_body
+from pneutac_sim.effects.registry import body_effects, get_effect, of_body
 from pneutac_sim.finger.data import BodyData
 from pneutac_sim.twin import Twin
 
@@ -113,6 +113,8 @@ class BodyStudy(EffectStudy):
 
     def refusal(self, effect: str) -> str:
         """Why an effect cannot be switched on."""
+        if effect not in body_effects():
+            return f"'{effect}' does not bend a body; give one of {', '.join(body_effects())}."
         untested = {u.name: f"{self.recording.folder}: effect '{effect}' {u.reason}." for u in self.untested}
         return self.already_on(effect) or untested.get(effect, "")
 

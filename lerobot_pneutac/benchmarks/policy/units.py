@@ -97,10 +97,11 @@ def student(folder: Path, options: dict, needs: list[Path], workers: int) -> dic
     from lerobot_pneutac.rl.options import StudentRef
     from lerobot_pneutac.rl.student import record_student
 
-    actor, root, o = needs[0] / "actor", folder / "dataset", options
+    root = folder / "dataset"
     shutil.rmtree(root, ignore_errors=True)
+    o = options
     wanted = StudentRef(repo_id(folder), root, o["episodes"], o["fidelity"], video=True)
-    done = record_student(actor, o["task"], _twin(o), o["seed"], wanted)
+    done = record_student(needs[0] / "actor", o["task"], _twin(o), o["seed"], wanted)
     return {"dataset": str(root), "episodes": done.episodes, "trials": done.trials}
 
 

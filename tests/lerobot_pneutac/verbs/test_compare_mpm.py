@@ -86,6 +86,17 @@ def test_a_stiff_spine_follows_the_pipeline(device):
     np.testing.assert_allclose(seen[:, :3], model[rows, :3], atol=5e-3 * twin.length_mm)
     np.testing.assert_allclose(seen[:, 3], model[rows, 3], rtol=5e-3, atol=1e-3)
 
+    soft = twin.copy()
+    soft.parameters["spine_stiffness_nm_per_rad"] = Value(20.0)
+    bent = rows[1:]
+    back = 1 - markers_by_mpm(soft, bench, bent)[0][:, 3] / model[bent, 3]
+    assert (back > 0.003).all() and (back < 0.1).all(), "a softer controller gives way to the body"
+    straight = twin.copy()
+    straight.effects = {}
+    moved = seen[:, :3] - markers_by_mpm(straight, bench, rows)[0][:, :3]
+    np.testing.assert_allclose(moved, (model - simulate(straight, bench).model)[rows, :3], atol=0.2)
+    assert np.abs(moved).max() > 1.0, "and the tilt of the base is seen"
+
 
 def test_samples_are_spread(tmp_path):
     assert spread(7, 10).tolist() == list(range(7))

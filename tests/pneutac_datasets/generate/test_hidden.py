@@ -1,8 +1,9 @@
 """Hidden effects are there, are as large as asked for, are foreign, and keep their answer to themselves."""
 
-import ast
 import json
+import sys
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -12,7 +13,11 @@ from pneutac_datasets.generate.hidden.generate import FULL_MISFIT, disturbance_n
 from pneutac_datasets.recording.checks import check
 from pneutac_datasets.recording.noise import noise_floor
 from pneutac_datasets.recording.recording import Recording
+from pneutac_sim import effects
+from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
+from pneutac_sim.finger import PressurePipeline
+from pneutac_sim.twin import Twin
 
 QUICK = {"minutes": 2.0, "hz": 20.0}
 
@@ -109,13 +114,42 @@ def test_the_session_has_every_program_and_condition(tmp_path):
         assert set(part[train]) == set(part[heldout]), column
 
 
-def test_the_forms_are_foreign():
-    """Nothing of the library's effects is imported, so that no formula can be shared."""
-    for file in Path(hidden.__file__).parent.glob("*.py"):
-        for node in ast.walk(ast.parse(file.read_text())):
-            names = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
-            names += [a.name for a in node.names] if isinstance(node, ast.Import) else []
-            assert not [n for n in names if n.startswith("pneutac_sim.effects")], file
+def test_no_effect_of_the_library_takes_part(tmp_path):
+    """Watched while every hidden effect is generated: nothing of the library's effects is even entered.
+
+    Compiled functions leave no trace of their calls, so none may be within reach of the generator's modules.
+    """
+    library = str(Path(effects.__file__).parent)
+    entered = set()
+
+    def watch(frame, event, _):
+        if event == "call" and frame.f_code.co_filename.startswith(library):
+            entered.add(frame.f_code.co_qualname)
+
+    for name in [*effect_names(), *disturbance_names()]:
+        sys.setprofile(watch)
+        try:
+            generate(name, tmp_path / name, seed=1, minutes=1.0, hz=10.0)
+        finally:
+            sys.setprofile(None)
+    assert entered == set()
+    own = [m for n, m in sys.modules.items() if n.startswith(f"{hidden.__name__}.")]
+    assert len(own) >= 8
+    for module in own:
+        for name, thing in vars(module).items():
+            home = thing.__name__ if isinstance(thing, ModuleType) else getattr(thing, "__module__", None)
+            assert not str(home).startswith(effects.__name__), f"{module.__name__}.{name}"
+
+
+def test_the_watch_sees_a_library_effect(tmp_path):
+    """Else the test above could not fail."""
+    entered = set()
+    sys.setprofile(lambda frame, event, _: entered.add(frame.f_code.co_filename))
+    try:
+        PressurePipeline(Twin("finger", effects={"creep": get_effect("creep").start(15.0)})).step(5.0, 0.1)
+    finally:
+        sys.setprofile(None)
+    assert any(f.startswith(str(Path(effects.__file__).parent)) for f in entered)
 
 
 @pytest.mark.parametrize(("option", "value"), [("strength", 0.0), ("minutes", 0.1), ("hz", 1000.0)])

@@ -74,7 +74,32 @@ def test_step_by_step_equals_the_whole_recording(program, with_effects, device):
     np.testing.assert_allclose(pressures, run.pressure_kpa[1:], atol=1e-9)
 
 
-def test_online_rests_effects_whose_conditions_are_not_given(with_effects):
+@pytest.mark.parametrize(
+    ("device", "name", "conditions"),
+    [
+        ("finger", "thermal", {"temperature_c": 31.0}),
+        ("arm", "thermal", {"temperature_c": 31.0}),
+        ("finger", "crosstalk", {"pressure_cmd_2_kpa": 6.0, "pressure_cmd_3_kpa": 3.0}),
+    ],
+)
+def test_online_rests_effects_whose_conditions_are_not_given(with_effects, device, name, conditions):
+    """Beside an effect that has its own: the rest of the chain goes on, memory and all."""
+    lagging = with_effects(Twin(device), {"valve_lag": {}, "creep": {}})
+    both, alone = PressurePipeline(with_effects(lagging, {name: {}})), PressurePipeline(lagging)
+    some = {k: conditions[k] for k in list(conditions)[1:]}  # not all that it asks for: none at all
+    one = np.eye(3)[0] if device == "arm" else 1.0  # all chambers alike would not bend an arm
+    for command, given in ((9.0, None), (4.0, some), (12.0, {"payload_g": 20.0}), (12.0, None)):
+        command = command * one
+        np.testing.assert_array_equal(both.step(command, 0.1, given), alone.step(command, 0.1, given))
+        np.testing.assert_array_equal(both.pressure_kpa, alone.pressure_kpa)
+    strong = {"thermal": {"softening_1_per_k": 0.1}}.get(name, {})
+    acting = PressurePipeline(with_effects(lagging, {name: strong}))
+    for command in (9.0, 4.0, 12.0):
+        moved = acting.step(command * one, 0.1, conditions)
+    assert np.abs(moved - both.step(12.0 * one, 0.1)).max() > 1e-3, "with them it acts"
+
+
+def test_online_heat_softens_by_the_exponential_of_the_warming(with_effects):
     twin = with_effects(Twin.builtin(), {"thermal": {"softening_1_per_k": 0.2}})
     plain, thermal = PressurePipeline(Twin.builtin()), PressurePipeline(twin)
     np.testing.assert_array_equal(plain.step(9.0, 0.1), thermal.step(9.0, 0.1))

@@ -137,19 +137,32 @@ def test_two_seconds_in_the_world_agree_with_the_skeleton(worlds):
     assert full.finger.substeps > 0 and skeleton.finger is None
 
 
-def test_a_force_at_the_tip_bends_it_as_far_as_the_skeleton(worlds):
-    deflections = []
+def torques(world, body, force):
+    """About the spine's joints (N m), of a force (3,) in a body's centre of mass: axis . (lever x force)."""
+    data, joints = world.data, [world.model.joint(f"spine_{n}").id for n in (1, 2, 3, 4)]
+    lever = data.xipos[body] - data.xanchor[joints]
+    return np.einsum("ni,ni->n", data.xaxis[joints], np.cross(lever, force))
+
+
+def test_a_force_at_the_tip_bends_it_as_far_as_its_stiffness_says(worlds):
+    """By hand: each joint turns by the torque about it over its stiffness."""
+    stiffness, deflections = Twin.builtin().parameter("joint_stiffness_nm_per_rad"), []
     for world in worlds:
+        body = world.model.body("spine_4").id
         world.reset(0)
         bend = []
-        for load in (0.0, 0.3):
+        for load in (0.0, 0.3, -0.3):
             for _ in range(25):
-                world.data.xfrc_applied[world.model.body("spine_4").id, 0] = -load
+                world.data.xfrc_applied[body, 0] = -load
                 world.step([0.0, 0.0, 0.0, 5.0])
             bend.append(world.spine_rad.copy())
+            if load:
+                expected = torques(world, body, [-load, 0.0, 0.0]) / stiffness
+                np.testing.assert_allclose(bend[-1] - bend[0], expected, rtol=0.06, atol=3e-4)
+        world.data.xfrc_applied[body, 0] = 0.0
         deflections.append(bend[1] - bend[0])
-    assert (deflections[0] < -0.01).all()
-    np.testing.assert_allclose(deflections[1], deflections[0], rtol=0.03, atol=1e-3)
+        assert (bend[1] < bend[0] - 0.008).all() and (bend[2] > bend[0] + 0.008).all()
+    np.testing.assert_allclose(deflections[1], deflections[0], rtol=0.03)
 
 
 def test_fidelity_is_checked():

@@ -1,0 +1,243 @@
+"""What bad input is told, word for word: `tests/snapshots/sentences.txt` holds a sentence for each case.
+
+`PNEUTAC_SNAPSHOTS=write pytest tests/test_sentences.py` rewrites the file; read what changed before a commit.
+"""
+
+import json
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from lerobot_pneutac.cli import _dispatch
+from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.errors import InputError
+from pneutac_sim.twin import Twin
+
+FILE = Path(__file__).parent / "snapshots" / "sentences.txt"
+WRITE = os.environ.get("PNEUTAC_SNAPSHOTS") == "write"
+
+# Run in a folder with twins `finger`, `arm` and `gel`, and a recording `bench` of the finger.
+COMMANDS = """
+calibrat
+calibrate
+calibrate --recording=bench
+calibrate --twin=nowhere --recording=bench
+calibrate --twin=finger --recording=nowhere
+calibrate --twin=arm --recording=bench
+calibrate --twin=gel --recording=bench
+calibrate --twin=finger --recording=bench --by=smell
+calibrate --twin=finger --recording=bench --twins=x
+calibrate --twin=finger --recording=bench --seed=many
+compare
+compare --twin=finger --recording=bench --fidelity=exact
+compare --twin=finger --recording=bench --samples=50
+compare --twin=finger --recording=bench --fidelity=mpm --samples=1
+compare --twin=arm --recording=bench
+diagnose
+diagnose --twin=gel --recording=bench
+diagnose --twin=finger --recording=bench --jobs=some
+add
+add --twin=finger --recording=bench
+add --twin=finger --recording=bench --effect=crep
+add --twin=finger --recording=bench --effect=shadow
+add --twin=arm --recording=bench --effect=creep
+new
+new --twin=other --device=hand
+new --twin=other --length_mm=-1
+new --twin=other --mesh=nowhere.stl
+new --twin=other --recording=nowhere
+measure
+measure --program=dance
+render
+render --twin=nowhere
+surrogate --twin=nowhere
+surrogate --twin=arm
+augment
+augment --task=bottle
+augment --dataset.repo_id=local/x --dataset.root=nowhere --output.repo_id=local/y --output.root=o
+augment --method=magic
+augment --planner.samples=1
+ppo --task=bottle
+ppo --steps=0
+demo --trials=0
+benchmark
+benchmark speed --twins=x
+benchmark juggling
+doctor --port
+""".strip().splitlines()
+
+
+def field(**changes):
+    """Changes fields of recording.json; None takes one out."""
+
+    def spoil(folder):
+        meta = json.loads((folder / "recording.json").read_text())
+        kept = {k: v for k, v in (meta | changes).items() if v is not None}
+        (folder / "recording.json").write_text(json.dumps(kept))
+
+    return spoil
+
+
+def table(change):
+    """Changes the table of samples."""
+
+    def spoil(folder):
+        changed = change(pd.read_csv(folder / "samples.csv", dtype=object))
+        changed.to_csv(folder / "samples.csv", index=False)
+
+    return spoil
+
+
+def cell(column, row, value):
+    def change(samples):
+        samples.loc[row, column] = value
+        return samples
+
+    return table(change)
+
+
+def text(file, content):
+    return lambda folder: (folder / file).write_text(content)
+
+
+def replaced(file, before, after):
+    def spoil(folder):
+        content = (folder / file).read_text()
+        assert before in content
+        (folder / file).write_text(content.replace(before, after))
+
+    return spoil
+
+
+RECORDINGS = {
+    "no recording.json": lambda folder: (folder / "recording.json").unlink(),
+    "no samples.csv": lambda folder: (folder / "samples.csv").unlink(),
+    "recording.json is no JSON": text("recording.json", '{"device": '),
+    "recording.json is a list": text("recording.json", "[]"),
+    "no device": field(device=None),
+    "another device": field(device="hand"),
+    "a length in metres": field(length_mm=0.11),
+    "a negative length": field(length_mm=-110),
+    "samples outside the folder": field(samples="../samples.csv"),
+    "samples of another kind": field(samples="samples.xlsx"),
+    "joints that do not rise": field(spine_joint_positions_mm=[50, 20]),
+    "joints beyond the tip": field(spine_joint_positions_mm=[20, 300]),
+    "an empty table": text("samples.csv", ""),
+    "a table without rows": table(lambda s: s[:0]),
+    "semicolons": lambda folder: replaced("samples.csv", ",", ";")(folder),
+    "no time": table(lambda s: s.drop(columns="time_s")),
+    "no trial": table(lambda s: s.drop(columns="trial")),
+    "no pressure": table(lambda s: s.drop(columns="pressure_cmd_kpa")),
+    "no pose": table(lambda s: s.drop(columns=["tip_x_mm", "tip_y_mm", "tip_z_mm"])),
+    "a word for a number": cell("pressure_cmd_kpa", 7, "high"),
+    "time goes back": cell("time_s", 9, "0.05"),
+    "a trial that is no number": cell("trial", 3, "first"),
+    "a column twice": text("samples.csv", "trial,time_s,time_s,pressure_cmd_kpa\n0,0,0,1\n"),
+    "noise of no column": field(noise={"tip_w_mm": 0.1}),
+    "negative noise": field(noise={"tip_x_mm": -0.1}),
+}
+
+TWINS = {
+    "no twin.yaml": lambda folder: (folder / "twin.yaml").unlink(),
+    "no YAML": text("twin.yaml", "device: [finger"),
+    "another format": replaced("twin.yaml", "format: ", "format: other-"),
+    "another device": replaced("twin.yaml", "device: finger", "device: hand"),
+    "no device": replaced("twin.yaml", "device: finger", "gadget: finger"),
+    "a negative length": replaced("twin.yaml", "length_mm: 110.0", "length_mm: -110.0"),
+    "a length in words": replaced("twin.yaml", "length_mm: 110.0", "length_mm: long"),
+    "effects as a list": replaced("twin.yaml", "effects: {}", "effects: [creep]"),
+    "an effect without a value": replaced("twin.yaml", "effects: {}", "effects: {creep: {weight_4s: 0.1}}"),
+    "broken arrays": lambda folder: (folder / "arrays.safetensors").write_bytes(b"no arrays"),
+}
+
+
+def write_bench(folder: Path) -> None:
+    """A minute of a finger that follows its pressure, in two trials."""
+    t = np.arange(0, 30, 0.1)
+    p = np.round(5 + 5 * np.sin(t), 3)
+    samples = pd.concat(
+        pd.DataFrame(
+            {
+                "trial": trial,
+                "time_s": np.round(t, 2),
+                "pressure_cmd_kpa": p,
+                "tip_x_mm": np.round(109 - 0.3 * p, 3),
+                "tip_y_mm": 0.0,
+                "tip_z_mm": np.round(3 * p + trial, 3),
+            }
+        )
+        for trial in (0, 1)
+    )
+    folder.mkdir()
+    samples.to_csv(folder / "samples.csv", index=False)
+    meta = {"device": "finger", "length_mm": 110.0, "samples": "samples.csv"}
+    (folder / "recording.json").write_text(json.dumps(meta))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("sentences")
+    Twin.builtin().save(path / "finger")
+    Twin("arm", 200.0).save(path / "arm")
+    Twin("gel", 16.0).save(path / "gel")
+    write_bench(path / "bench")
+    return path
+
+
+@pytest.fixture(scope="module")
+def sentences():
+    """Case to sentence; rewritten at the end where that is asked for."""
+    found = {}
+    if FILE.exists() and not WRITE:
+        for part in FILE.read_text().strip().split("\n\n"):
+            case, _, sentence = part.partition("\n")
+            found[case] = sentence
+    yield found
+    if WRITE:
+        FILE.write_text("\n\n".join(f"{case}\n{sentence}" for case, sentence in found.items()) + "\n")
+
+
+def refused(call) -> str:
+    with pytest.raises((InputError, SystemExit)) as error:
+        call()
+    return "\n".join(line for line in str(error.value).splitlines() if line.strip())
+
+
+def check(sentences, case, sentence):
+    assert "/tmp" not in sentence and "Traceback" not in sentence
+    if WRITE:
+        sentences[case] = sentence
+    assert sentences.get(case) == sentence
+
+
+@pytest.mark.parametrize("line", COMMANDS)
+def test_a_command(line, sentences, folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    check(sentences, f"pneutac {line}", refused(lambda: _dispatch(line.split())))
+
+
+@pytest.mark.parametrize("fault", RECORDINGS)
+def test_a_recording(fault, sentences, folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    shutil.rmtree("bad", ignore_errors=True)
+    shutil.copytree("bench", "bad")
+    RECORDINGS[fault](Path("bad"))
+    check(sentences, f"recording: {fault}", refused(lambda: Recording.load("bad")))
+
+
+@pytest.mark.parametrize("fault", TWINS)
+def test_a_twin(fault, sentences, folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    shutil.rmtree("spoilt", ignore_errors=True)
+    shutil.copytree("finger", "spoilt")
+    TWINS[fault](Path("spoilt"))
+    check(sentences, f"twin: {fault}", refused(lambda: Twin.load("spoilt")))
+
+
+def test_the_unspoilt_are_taken(folder):
+    assert len(Recording.load(folder / "bench")) == 600
+    assert Twin.load(folder / "finger").device == "finger"
