@@ -15,6 +15,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[1]
 SITE = Path(sysconfig.get_path("purelib"))
 NAME = "lerobot_robot_pneutac"
@@ -146,7 +148,6 @@ def test_installed_wheel_is_discovered_by_lerobot(wheel, tmp_path):
     assert "pneutac_sim" in execute("python", "-m", "lerobot.scripts.lerobot_record", "--help")
 
 
-@pytest.mark.slow
 def test_bench_verbs_run_from_the_wheel_without_taichi_torch_and_lerobot(wheel, tmp_path):
     """From `new` to `add`, on a recording of two minutes."""
     execute, _ = clean_environment(wheel, tmp_path, without=("lerobot", "quadrants", "taichi", "torch"))

@@ -115,11 +115,7 @@ def accepted(
 
 def worth(base: FittedModel, floor: float, judge: Resampler) -> float:
     """Least fall of the mean square error that is worth an effect."""
-    return max(
-        WORTH_OF_BASE * (judge.value(base.squared) - floor**2),
-        WORTH_OF_FLOOR * floor**2,
-        1e-12 * judge.value(base.squared),
-    )
+    return max(WORTH_OF_BASE * (judge.value(base.squared) - floor**2), WORTH_OF_FLOOR * floor**2)
 
 
 def _best(now, fits, base, parts, floor, judge, result) -> str | None:

@@ -23,6 +23,8 @@ from pathlib import Path
 import pytest
 import yaml
 
+pytestmark = pytest.mark.slow
+
 HERE = Path(__file__).parent
 WRITE = os.environ.get("PNEUTAC_GOLDEN") == "write"
 
@@ -149,12 +151,9 @@ CASES = {
         (f"{AUGMENT} {NAIVE}", f"{AUGMENT} {PLANNED} {QUICK}"),
     ),
 }
-SLOW = {"compare_mpm", "render", "augment"}
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] if name in SLOW else []) for name in CASES]
-)
+@pytest.mark.parametrize("name", CASES)
 def test_results_are_as_they_were(name, tmp_path):
     case = CASES[name]
     for given in case.given:

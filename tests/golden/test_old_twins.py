@@ -19,6 +19,8 @@ from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.photograph import Predictor
 from pneutac_sim.twin import Twin
 
+pytestmark = pytest.mark.slow
+
 TWINS = Path(__file__).parent / "twins"
 PRESSURES = {"finger": [[0.0], [5.0], [10.0], [15.0]], "arm": [[0, 0, 0], [8, 0, 0], [0, 8, 0], [2, 4, 8]]}
 PRESSES = [Press("sphere", 3.0, 0.5, -0.5, 0.8), Press("cube", 3.0, -3.0, 2.0, 0.5)]

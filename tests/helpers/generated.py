@@ -13,6 +13,7 @@ from filelock import FileLock
 import pneutac_datasets
 import pneutac_sim
 from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.twin import Twin
 
 FOLDER = "PNEUTAC_TEST_RECORDINGS"  # of the run; `conftest.py` makes it before the processes part
 
@@ -43,6 +44,11 @@ def once(make: Callable, *args, **options) -> Recording:
         for file in (made / "truth").iterdir():
             shutil.copy(file, folder.parent / "truth" / file.name.replace("recording", folder.name, 1))
     return Recording.load(folder)
+
+
+def twin_of(recording: Recording) -> Twin:
+    """A plain twin of a recording's device."""
+    return Twin(recording.device, recording.length_mm, recording.spine_joint_positions_mm)
 
 
 @cache

@@ -33,6 +33,8 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.splat.rasteriser import Rendering
 from pneutac_sim.twin import Value
 
+pytestmark = pytest.mark.slow
+
 FEW = 1500
 LEVELS = np.array([0.0, 1.0, 3.0, 4.0, 6.0, 7.0, 9.0, 10.0, 12.0, 13.0, 15.0])
 

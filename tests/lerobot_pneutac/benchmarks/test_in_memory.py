@@ -14,6 +14,8 @@ from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, ACTION_NAMES, CONTROL_HZ, IMAGE_SHAPE, STATE_NAMES
 
+pytestmark = pytest.mark.slow
+
 LENGTHS = (5, 7, 4)
 
 

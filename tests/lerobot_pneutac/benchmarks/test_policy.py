@@ -20,6 +20,8 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.features import TASK_NAMES
 from pneutac_sim.twin import Twin
 
+pytestmark = pytest.mark.slow
+
 
 def config(*argv, out="unused"):
     return parse_options(BenchmarkPolicyConfig, [*argv, "--device=cpu", f"--out={out}"])
@@ -206,7 +208,6 @@ def test_a_killed_benchmark_goes_on_and_writes_its_tables(tmp_path, capsys):
     assert "Learning curves" in (tmp_path / "report.html").read_text()
 
 
-@pytest.mark.slow
 def test_all_six_conditions(tmp_path):
     benchmark.main(["policy", "--fast=true", "--device=cpu", "--jobs=2", f"--out={tmp_path}"])
     result = json.loads((tmp_path / "result.json").read_text())

@@ -16,6 +16,8 @@ from pneutac_sim.surrogate.programs import joint_targets
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.world import World
 
+pytestmark = pytest.mark.slow
+
 
 def test_a_motion_of_the_network_itself_has_no_error():
     network, twin = ActionNetwork.load(builtin("action")), Twin.builtin()

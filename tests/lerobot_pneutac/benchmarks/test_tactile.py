@@ -23,6 +23,8 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.gel.layout import DIGIT
 from pneutac_sim.gel.metrics import rmse
 
+pytestmark = pytest.mark.slow
+
 FAST = "rest,pasted,linear,model"
 
 

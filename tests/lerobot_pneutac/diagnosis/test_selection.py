@@ -9,7 +9,9 @@ from lerobot_pneutac.diagnosis.fits import FittedModel
 from lerobot_pneutac.diagnosis.parts import Parts
 from lerobot_pneutac.diagnosis.selection import accepted, rank, select, worth
 from lerobot_pneutac.diagnosis.steps import Steps
+from pneutac_sim.twin import Twin
 
+TWIN = Twin("finger", 110.0)  # stands there; nothing asks for it
 FLOOR = 0.5  # its square is a quarter
 UNITS, SIZE = 40, 10
 N = UNITS * SIZE
@@ -26,7 +28,7 @@ def model(effects, validation, train=None, count=2, patchy=False):
         squared[~TRAIN] = np.where(UNIT >= UNITS - 2, 10 * validation, 0.0)[~TRAIN]
     sign = np.where(np.arange(N) % 2, 1.0, -1.0)  # neighbours do not go together: as many samples as rows
     residual = np.sqrt(squared) * sign
-    return FittedModel(tuple(sorted(effects)), residual[:, None], count)
+    return FittedModel(tuple(sorted(effects)), residual[:, None], count, TWIN)
 
 
 class Table:

@@ -17,6 +17,8 @@ from lerobot_pneutac.rl.ppo import Compute, PpoSettings, actor_of, make_ppo, mak
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin
 
+pytestmark = pytest.mark.slow
+
 SMALL = PpoSettings(hidden=(32, 32), update_steps=128, batch=64, epochs=2)
 TWO = Compute(envs=2, tries=2)
 

@@ -20,6 +20,8 @@ from pneutac_datasets.demonstrations.record import record_episodes
 from pneutac_datasets.demonstrations.save import create_dataset
 from pneutac_sim.errors import InputError
 
+pytestmark = pytest.mark.slow
+
 QUICK = ["--planner.samples=4", "--planner.elites=2", "--planner.iterations=1", "--planner.horizon=6"]
 
 

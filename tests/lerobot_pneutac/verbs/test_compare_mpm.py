@@ -20,6 +20,8 @@ from pneutac_sim.gel.model import GelModel
 from pneutac_sim.mpm import devices
 from pneutac_sim.twin import Twin, Value
 
+pytestmark = pytest.mark.slow
+
 SAMPLES = 25
 
 

@@ -17,6 +17,8 @@ from pneutac_datasets.generate.hidden_gel import SIZES, write_hidden_gel
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin
 
+pytestmark = pytest.mark.slow
+
 
 def linear_twin(folder, recording):
     """The paper's linear model of a recording's sensor."""
@@ -29,7 +31,6 @@ def run(verb, out, twin, recording, *more):
     return json.loads((out / "result.json").read_text())
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("effect", SIZES)
 def test_a_hidden_effect_is_named_added_and_lowers_the_error(effect, tmp_path, capsys):
     recording = once(write_hidden_gel, tmp_path / "recording", [effect], seed=3, images=16)

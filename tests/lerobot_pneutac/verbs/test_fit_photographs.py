@@ -21,6 +21,8 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.splat.body import looks_from_twin
 from pneutac_sim.twin import Twin
 
+pytestmark = pytest.mark.slow
+
 LEVELS = (0.0, 7.0, 14.0)
 PRESSURES = np.array([[0.0], [4.0], [7.0], [14.0]])
 
@@ -252,7 +254,6 @@ def test_a_search_goes_on_only_with_the_same_photographs(drawn):
     assert search_key(drawn, twin, session.photographs, 2000) != key
 
 
-@pytest.mark.slow
 def test_a_hidden_finger_is_found(tmp_path):
     from pneutac_datasets.generate.photographs import write_photographs
 

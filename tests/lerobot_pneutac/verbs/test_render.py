@@ -20,6 +20,8 @@ from pneutac_sim.gel.probe import BOX, CONE, CYLINDER, SPHERE
 from pneutac_sim.mpm import devices, solve
 from pneutac_sim.twin import PAPER_FINGER, Twin, Value
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def finger(tmp_path):

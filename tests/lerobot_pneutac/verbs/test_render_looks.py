@@ -22,6 +22,8 @@ from pneutac_sim.splat.follow import blank_looks, carried
 from pneutac_sim.splat.rasteriser import rasterise
 from pneutac_sim.twin import Twin, Value
 
+pytestmark = pytest.mark.slow
+
 PRESSURES = (0.0, 6.0, 12.0)
 RED, BLUE = (194, 65, 12), (11, 110, 153)
 

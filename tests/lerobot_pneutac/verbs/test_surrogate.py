@@ -12,6 +12,8 @@ from pneutac_sim.surrogate import collect
 from pneutac_sim.twin import Twin, Value
 from pneutac_sim.world.world import World
 
+pytestmark = pytest.mark.slow
+
 TINY = ["--trajectories=6", "--seconds=0.1", "--particles=600", "--device=cpu"]
 STIFFENING = {"linear_1_per_kpa": Value(0.02), "quadratic_1_per_kpa2": Value(0.0)}
 
@@ -53,7 +55,6 @@ def trained(tmp_path_factory):
     return folder, kept
 
 
-@pytest.mark.slow
 def test_an_effect_of_the_twin_is_seen_in_the_world_through_its_own_networks(trained):
     folder, _ = trained
     twin = Twin.load(folder)
@@ -63,14 +64,12 @@ def test_an_effect_of_the_twin_is_seen_in_the_world_through_its_own_networks(tra
     assert change == pytest.approx(wanted, rel=0.1)
 
 
-@pytest.mark.slow
 def test_an_interrupted_run_goes_on_with_what_it_has(trained):
     folder, kept = trained
     assert all(f.stat().st_mtime_ns == then for f, then in kept.items())
     assert len(list(folder.glob("surrogate_data/*/action_*.safetensors"))) == 6
 
 
-@pytest.mark.slow
 def test_the_result_tells_errors_and_where_the_networks_are_from(trained):
     folder, _ = trained
     networks = json.loads((folder.parent / "out" / "result.json").read_text())["networks"]

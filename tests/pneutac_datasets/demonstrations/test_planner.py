@@ -14,6 +14,8 @@ from pneutac_sim.world.expert import ScriptedExpert
 from pneutac_sim.world.gantry import Gantry
 from pneutac_sim.world.varied import Variation, VariedWorld
 
+pytestmark = pytest.mark.slow
+
 
 def demonstrate(task: str, seed: int, late: int = 0) -> tuple[Reference, bool]:
     """A scripted demonstration, with ten frames after its end; commands act `late` control steps too late."""

@@ -23,6 +23,8 @@ from pneutac_sim.finger.kinematics import forward_kinematics
 from pneutac_sim.mpm import devices
 from pneutac_sim.twin import Value
 
+pytestmark = pytest.mark.slow
+
 PRESSURES = [0.0, 7.0, 15.0]
 FEW = 1500
 

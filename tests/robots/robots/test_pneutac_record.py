@@ -19,6 +19,8 @@ from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
 from pneutac_sim.features import ACTION_NAMES, STATE_NAMES
 
+pytestmark = pytest.mark.slow
+
 # A person's hand, and simulated parts that write into a diary what they are told.
 PLUGIN = {
     "lerobot_teleoperator_hand/__init__.py": """
@@ -207,7 +209,6 @@ def test_episodes_are_kept_the_arm_stops_and_the_chamber_is_vented(tmp_path):
         check_dataset(record, tmp_path)
 
 
-@pytest.mark.slow
 def test_a_controller_that_is_unplugged_ends_the_recording_and_keeps_the_episodes(tmp_path):
     program = build(tmp_path)
     with terminal(program, tmp_path / "rig") as rig, recording(tmp_path, tmp_path / "rig") as record:

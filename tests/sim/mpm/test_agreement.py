@@ -16,6 +16,8 @@ from pneutac_sim.mpm.solve import simulate, solve_equilibrium
 from pneutac_sim.mpm.spine import Spine
 from pneutac_sim.mpm.total_lagrangian import TotalLagrangian
 
+pytestmark = pytest.mark.slow
+
 SOLVERS = (TotalLagrangian, UpdatedLagrangian)
 REST = {TotalLagrangian: 2e-3, UpdatedLagrangian: 2e-4}  # of the forces from outside, of those inside
 G = np.array([0.0, 0.0, -1.0])

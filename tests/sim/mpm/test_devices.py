@@ -14,6 +14,8 @@ from pneutac_sim.mpm.solve import solve_equilibrium
 from pneutac_sim.twin import PAPER_FINGER, Twin, Value
 from pneutac_sim.world.world import World
 
+pytestmark = pytest.mark.slow
+
 
 def with_effect(name: str, **values: float) -> Twin:
     twin = Twin.builtin()
@@ -144,7 +146,7 @@ def torques(world, body, force):
     return np.einsum("ni,ni->n", data.xaxis[joints], np.cross(lever, force))
 
 
-def test_a_force_at_the_tip_bends_it_as_far_as_its_stiffness_says(worlds):
+def test_a_force_at_the_tip_turns_the_joints_as_far_as_their_stiffness_says(worlds):
     """By hand: each joint turns by the torque about it over its stiffness."""
     stiffness, deflections = Twin.builtin().parameter("joint_stiffness_nm_per_rad"), []
     for world in worlds:
@@ -163,6 +165,20 @@ def test_a_force_at_the_tip_bends_it_as_far_as_its_stiffness_says(worlds):
         deflections.append(bend[1] - bend[0])
         assert (bend[1] < bend[0] - 0.008).all() and (bend[2] > bend[0] + 0.008).all()
     np.testing.assert_allclose(deflections[1], deflections[0], rtol=0.03)
+
+
+def test_a_torque_bends_the_material_as_far_as_the_twins_stiffness_says(worlds):
+    finger, stiffness = worlds[1].finger, Twin.builtin().parameter("joint_stiffness_nm_per_rad")
+    tip = finger.solver.body.positions[:, 0] > 0.105
+    q_cmd, torque = devices.joint_targets(Twin.builtin(), [5.0])[0], np.array([0.03, 0.02, 0.01, 0.005])
+    finger.bend(q_cmd)
+    q, heights = {}, {}
+    for sign in (0, -1, 1):
+        q[sign] = finger.bend(q_cmd, sign * torque)
+        heights[sign] = finger.solver.particles()[0][0, tip, 2].mean()
+    for sign in (-1, 1):
+        np.testing.assert_allclose(q[sign] - q[0], sign * torque / stiffness, rtol=0.03)
+    assert heights[-1] < heights[0] - 1e-3 and heights[1] > heights[0] + 1e-3, "the body comes along"
 
 
 def test_fidelity_is_checked():

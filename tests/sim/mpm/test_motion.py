@@ -8,6 +8,8 @@ from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import simulate
 from pneutac_sim.mpm.total_lagrangian import TotalLagrangian
 
+pytestmark = pytest.mark.slow
+
 RUBBER = Material(3e5, 0.4, 1100.0)
 
 

@@ -17,6 +17,8 @@ from pneutac_sim.mpm.solve import simulate, solve_equilibrium
 from pneutac_sim.mpm.spine import Spine
 from pneutac_sim.mpm.total_lagrangian import TotalLagrangian
 
+pytestmark = pytest.mark.slow
+
 # A short bend and a short press; prints positions, angles and force.
 CASE = """
 import json, sys
@@ -61,7 +63,6 @@ def same(a, b, tolerance):
     assert np.abs(np.array(a["force"])).max() > 1e-3  # it touched
 
 
-@pytest.mark.slow
 def test_quadrants_gives_what_taichi_gives(tmp_path):
     pytest.importorskip("quadrants", reason="quadrants, Taichi's fork, is not installed")
     pytest.importorskip("taichi", reason="taichi is not installed: nothing to compare quadrants with")

@@ -14,6 +14,8 @@ from pneutac_sim.mpm.solve import solve_equilibrium
 from pneutac_sim.mpm.user_mesh import read_mesh, store_mesh, stored_mesh
 from pneutac_sim.twin import Twin
 
+pytestmark = pytest.mark.slow
+
 RUBBER = Material(1e6, 0.45)
 L_SHAPE = np.array([(0, 0), (12, 0), (12, 4), (4, 4), (4, 16), (0, 16)], float)  # mm, in y and z
 

@@ -11,6 +11,8 @@ from pneutac_sim.photo_fit.parameters import body_parameters
 from pneutac_sim.photo_fit.search import SearchRecord, first_axes, search
 from pneutac_sim.twin import Twin
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def parameters():

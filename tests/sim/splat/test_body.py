@@ -16,6 +16,8 @@ from pneutac_sim.splat.follow import carried
 from pneutac_sim.splat.rasteriser import Splats, rasterise
 from pneutac_sim.twin import Twin
 
+pytestmark = pytest.mark.slow
+
 
 def fit(p, **options):
     image, mask = p.pictures["front"][0]

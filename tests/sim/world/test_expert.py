@@ -12,6 +12,8 @@ from pneutac_sim.world.expert import ScriptedExpert
 from pneutac_sim.world.experts.motion import VENTED_KPA, Habits
 from pneutac_sim.world.world import World
 
+pytestmark = pytest.mark.slow
+
 BENCHMARK = Path(__file__).parents[3] / "benchmarks" / "task_difficulty.py"
 spec = importlib.util.spec_from_file_location("task_difficulty", BENCHMARK)
 difficulty = importlib.util.module_from_spec(spec)
@@ -48,7 +50,6 @@ def test_expert_succeeds_within_limits(worlds, task):
     assert np.median(lengths) <= 8 * CONTROL_HZ
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("task", TASK_NAMES)
 def test_task_needs_touch(task):
     expert, replayed, _ = difficulty.measure(task, 60)

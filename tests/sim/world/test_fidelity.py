@@ -12,6 +12,8 @@ from pneutac_sim.world.env import PneutacEnv
 from pneutac_sim.world.mpm_gel import MpmGel, signed_distance
 from pneutac_sim.world.world import World
 
+pytestmark = pytest.mark.slow
+
 PUSH = np.array([0.05, 0.0, 0.0, 9.0])
 
 
@@ -94,7 +96,6 @@ def test_signed_distances_of_the_shapes_of_a_world(kind, size, surface):
         signed_distance(0, np.ones(3), points)
 
 
-@pytest.mark.slow
 def test_the_full_gel_feels_a_ball_as_the_material_points_under_an_indenter_do():
     from pneutac_sim.mpm import devices
     from pneutac_sim.mpm.solve import solve_equilibrium

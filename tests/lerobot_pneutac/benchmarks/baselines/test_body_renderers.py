@@ -12,6 +12,8 @@ from lerobot_pneutac.benchmarks.baselines.textured_mesh import TexturedMesh
 from pneutac_sim.errors import InputError
 from pneutac_sim.splat.camera import Camera
 
+pytestmark = pytest.mark.slow
+
 FITS = {
     "mesh": TexturedMesh.fit,
     "disks": ParticleSplat.fit,

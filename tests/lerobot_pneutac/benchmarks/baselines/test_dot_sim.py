@@ -9,6 +9,8 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.pair import Pair
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def briefly_trained(generated, fit):
@@ -56,7 +58,6 @@ def test_images_of_two_sizes_are_refused(generated):
         DotSim.fit(Pair(generated.rest[:-1], c.image, c.press, generated.px_per_mm))
 
 
-@pytest.mark.slow
 def test_photographs(photographs, scores):
     data = photographs("digit_fots")
     got = scores(DotSim, data)

@@ -7,6 +7,8 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.pair import Pair
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def taxim(generated, fit):
