@@ -1,6 +1,6 @@
 """Options of the policy `pneutac_bc`, and what it demands of a dataset."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pyarrow.parquet as parquet
@@ -13,6 +13,8 @@ from lerobot_robot_pneutac.options import refuse_if
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_NAMES, CONTROL_HZ, IMAGE_NAME, IMAGE_SHAPE, STATE_NAMES
 
+POOL = 4  # the network sees the mean of 4 x 4 pixels; a dataset may hold these means instead of images
+POOLED_SHAPE = (IMAGE_SHAPE[0] // POOL, IMAGE_SHAPE[1] // POOL, IMAGE_SHAPE[2])
 MOST_STEPS = 10**9  # LeRobot fits the fall of the learning rate into the steps that there are
 TACTILE = f"{OBS_IMAGES}.{IMAGE_NAME}"
 
@@ -104,7 +106,10 @@ class PneutacBCConfig(PreTrainedConfig):
         _need_shape(inputs, OBS_STATE, (len(STATE_NAMES),))
         _need_shape(outputs, ACTION, (len(ACTION_NAMES),))
         if self.use_tactile:
-            _need_shape(inputs, TACTILE, (IMAGE_SHAPE[2], *IMAGE_SHAPE[:2]))
+            full, pooled = ((s[2], *s[:2]) for s in (IMAGE_SHAPE, POOLED_SHAPE))
+            if TACTILE in inputs and tuple(inputs[TACTILE].shape) == pooled:  # of a dataset; robots give all
+                inputs[TACTILE] = replace(inputs[TACTILE], shape=full)
+            _need_shape(inputs, TACTILE, full)
         # Other cameras, and without touch this one too, are not looked at; robots need not have them.
         used = (TACTILE,) if self.use_tactile else ()
         self.input_features = {
@@ -143,7 +148,7 @@ class PneutacBCConfig(PreTrainedConfig):
             if TACTILE not in meta.features:
                 raise InputError(f"{where} has no '{TACTILE}'; record it, or use --policy.use_tactile=false.")
             found = tuple(meta.features[TACTILE]["shape"])
-            if found != IMAGE_SHAPE:
+            if found not in (IMAGE_SHAPE, POOLED_SHAPE):
                 raise InputError(
                     f"{where}: '{TACTILE}' has the shape {found}; pneutac_bc needs {IMAGE_SHAPE}."
                 )

@@ -6,7 +6,7 @@ from lerobot.datasets import LeRobotDataset
 from torch import Tensor
 from torch.nn import functional as F
 
-from lerobot_robot_pneutac.policy.configuration_pneutac_bc import TACTILE
+from lerobot_robot_pneutac.policy.configuration_pneutac_bc import POOL, POOLED_SHAPE, TACTILE
 from pneutac_sim.errors import InputError
 
 MAX_EPISODES = 16
@@ -41,7 +41,10 @@ def rest_image_of(*metas) -> torch.Tensor:
         if inside.any():
             frames += _first_images(meta, (chosen[inside] - before).tolist())
         before += meta.total_episodes
-    return torch.stack(frames).float().quantile(0.5, dim=0)
+    rest = torch.stack(frames).float().quantile(0.5, dim=0)
+    if tuple(rest.shape[1:]) == POOLED_SHAPE[:2]:  # each mean stands for its pixels, and pools to itself
+        rest = rest.repeat_interleave(POOL, 1).repeat_interleave(POOL, 2)
+    return rest
 
 
 def _first_images(meta, episodes: list[int]) -> list[Tensor]:

@@ -4,11 +4,11 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from lerobot_robot_pneutac.policy.configuration_pneutac_bc import POOL, POOLED_SHAPE
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import IMAGE_SHAPE
 
 EMBEDDING = 64
-POOL = 4  # the difference image is averaged over 4 x 4 pixels
 DIFFERENCE_SCALE = 32 / 255  # a firm touch changes the image by some 32 of 255 levels
 DARK = 8 / 255  # a pixel darker than this tells nothing of the light
 DRIFT = 0.5, 2.0  # of brightness; beyond these a camera is covered, which must not look like no touch
@@ -45,14 +45,18 @@ class TactileEncoder(nn.Module):
         return self.layers(difference.abs())
 
     def difference(self, image: Tensor) -> Tensor:
-        """Image less rest (B, 3, 80, 60), of size 1 in a firm touch, of images (B, 3, 320, 240) in [0, 1].
+        """Image less rest (B, 3, 80, 60), of size 1 in a firm touch.
+
+        Args:
+            image: (B, 3, 320, 240) in [0, 1], or (B, 3, 80, 60) where its pixels are means already.
 
         The brightness is the median ratio to the rest image: a touch covers less than half of the image.
 
         Raises:
             InputError: the images have another shape, or there is no rest image.
         """
-        if image.shape[1:] != self.rest_image.shape:
+        pooled = tuple(image.shape[1:]) == (POOLED_SHAPE[2], *POOLED_SHAPE[:2])
+        if not pooled and image.shape[1:] != self.rest_image.shape:
             raise InputError(
                 f"The tactile image has the shape {tuple(image.shape[1:])}; pneutac_bc needs"
                 f" {tuple(self.rest_image.shape)}."
@@ -61,6 +65,7 @@ class TactileEncoder(nn.Module):
             raise InputError(
                 "The policy has no rest image: train it on a dataset with tactile images or load its weights."
             )
-        seen, rest = F.avg_pool2d(image, POOL), F.avg_pool2d(self.rest_image[None], POOL)
+        seen = image if pooled else F.avg_pool2d(image, POOL)
+        rest = F.avg_pool2d(self.rest_image[None], POOL)
         gain = (seen / rest.clamp_min(DARK)).flatten(2).median(2).values.clamp(*DRIFT)[..., None, None]
         return (seen - gain * rest) / DIFFERENCE_SCALE

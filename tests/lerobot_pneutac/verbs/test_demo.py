@@ -100,7 +100,7 @@ def test_the_stages_run_in_order_and_hand_on_what_they_found(commands, tmp_path)
         *["pneutac add", "pneutac add", "pneutac compare"],
         *["lerobot-record", "unpaced 9", "lerobot-edit-dataset"],
         "pneutac augment",
-        *["lerobot-edit-dataset", "lerobot-train"],
+        *["pneutac_datasets.demonstrations.pool", "lerobot-train"],
         "lerobot-eval",
     ]
     assert [re.search(r"--effect=(\w+)", line)[1] for line in commands.added] == SELECTED
@@ -133,7 +133,7 @@ def test_the_options_reach_the_commands(commands, tmp_path):
     [
         ("pneutac new", 1, "pneutac new"),
         ("--effect=valve_lag", 3, "pneutac add"),
-        ("lerobot-train", 6, "lerobot-edit-dataset"),
+        ("lerobot-train", 6, "pneutac_datasets.demonstrations.pool"),
     ],
 )
 def test_an_interrupted_demo_goes_on_where_it_stopped(commands, tmp_path, stop, finished, first):

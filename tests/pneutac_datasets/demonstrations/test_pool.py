@@ -1,0 +1,81 @@
+"""Datasets of small images: they say to `pneutac_bc` what the whole ones say."""
+
+import numpy as np
+import pytest
+import torch
+from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
+from lerobot.utils.constants import ACTION, OBS_STATE
+
+from lerobot_robot_pneutac.policy.configuration_pneutac_bc import TACTILE
+from lerobot_robot_pneutac.policy.rest_image import rest_image_of
+from lerobot_robot_pneutac.policy.tactile_encoder import TactileEncoder
+from pneutac_datasets.demonstrations.pool import main, pool_demonstrations
+from pneutac_datasets.demonstrations.save import create_dataset
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import ACTION_NAMES, IMAGE_SHAPE, STATE_NAMES
+
+FRAMES = 4
+
+
+def write(root, seed, fps=15):
+    """Two demonstrations of random states and smooth random images."""
+    features = {
+        OBS_STATE: {"dtype": "float32", "shape": (len(STATE_NAMES),), "names": list(STATE_NAMES)},
+        ACTION: {"dtype": "float32", "shape": (len(ACTION_NAMES),), "names": list(ACTION_NAMES)},
+        TACTILE: {"dtype": "image", "shape": IMAGE_SHAPE, "names": ["height", "width", "channels"]},
+    }
+    rng = np.random.default_rng(seed)
+    dataset = create_dataset(f"local/{root.name}", root, fps, features, "pneutac", False, FRAMES)
+    for _ in range(2):
+        for _ in range(FRAMES):
+            image = rng.integers(40, 200, IMAGE_SHAPE, dtype=np.uint8)
+            state, action = (
+                rng.normal(size=n).astype(np.float32) for n in (len(STATE_NAMES), len(ACTION_NAMES))
+            )
+            dataset.add_frame({OBS_STATE: state, ACTION: action, TACTILE: image, "task": "flip"})
+        dataset.save_episode()
+    dataset.finalize()
+    return root
+
+
+@pytest.fixture(scope="module")
+def pooled(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("pool")
+    sources = [write(folder / "a", 1), write(folder / "b", 2)]
+    return sources, pool_demonstrations(sources, folder / "small", "local/small")
+
+
+def test_states_actions_and_means_are_those_of_the_sources_in_order(pooled):
+    sources, out = pooled
+    small = LeRobotDataset("local/small", root=out)
+    whole = [f for s in sources for f in LeRobotDataset(f"local/{s.name}", root=s)]
+    assert small.num_episodes == 4 and len(small) == len(whole)
+    for a, b in zip(small, whole, strict=True):
+        assert torch.equal(a[OBS_STATE], b[OBS_STATE]) and torch.equal(a[ACTION], b[ACTION])
+        means = torch.nn.functional.avg_pool2d(b[TACTILE], 4)
+        assert (a[TACTILE] - means).abs().max() < 0.51 / 255  # rounded to 8 bit, no more
+
+
+def test_the_encoder_feels_the_same(pooled):
+    sources, out = pooled
+    encoders = []
+    for root in (sources[0], out):
+        encoder = TactileEncoder()
+        encoder.rest_image.copy_(rest_image_of(LeRobotDatasetMetadata(f"local/{root.name}", root)))
+        assert encoder.rest_image.shape == (3, 320, 240)
+        encoders.append(encoder)
+    encoders[1].rest_image.copy_(encoders[0].rest_image)
+    whole = LeRobotDataset(f"local/{sources[0].name}", root=sources[0])[1][TACTILE][None]
+    small = LeRobotDataset("local/small", root=out)[1][TACTILE][None]
+    difference = encoders[0].difference(whole) - encoders[1].difference(small)
+    assert difference.abs().max() < 1.5 / 32  # of a firm touch of 32 levels: image and brightness rounded
+
+
+def test_bad_input_is_named(pooled, tmp_path):
+    sources, _ = pooled
+    with pytest.raises(InputError, match="holds no LeRobotDataset"):
+        pool_demonstrations([tmp_path / "none"], tmp_path / "x", "local/x")
+    with pytest.raises(InputError, match="frames per second"):
+        pool_demonstrations([sources[0], write(tmp_path / "slow", 3, fps=10)], tmp_path / "y", "local/y")
+    with pytest.raises(SystemExit, match="exists"):
+        main(["--out", str(sources[1]), str(sources[0])])
