@@ -42,6 +42,6 @@ def _lines(console: Console) -> Callable[[str, int, int], None]:
         nonlocal last
         if time.monotonic() - last >= LINE_S:
             last = time.monotonic()
-            console.print(f"{text}: {done} of {total}", highlight=False)
+            console.print(f"{text}: {done} of {total}" if total else f"{text} ...", highlight=False)
 
     return progress
