@@ -331,7 +331,7 @@ class Demo:
         env["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{env['PATH']}"
         log = self._path("logs") / f"{len(self.state):02d}_{len(self._commands)}_{Path(command[0]).name}.log"
         log.parent.mkdir(exist_ok=True)
-        lines, done, name = [], 0, " ".join(w for w in command[:3] if not w.startswith("-"))
+        lines, done, name = [], 0, " ".join(w for w in command[:2] if not w.startswith("-"))
         pipe = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True, "errors": "replace"}
         with log.open("w", buffering=1) as file, subprocess.Popen(command, env=env, **pipe) as process:
             for line in process.stdout:
