@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
-from rich.table import Table
 
+from lerobot_pneutac.benchmarks.tables import markdown, terminal
 from lerobot_pneutac.reports.page import write_result
 from lerobot_pneutac.verbs.augment import AugmentConfig, DatasetRef, augment
 from pneutac_sim.errors import InputError
@@ -50,17 +50,11 @@ def benchmark_augment(cfg: BenchmarkAugmentConfig) -> None:
     """Records, augments and prints the table."""
     console = Console()
     rows = [_measure(cfg, task, console) for task in cfg.tasks]
-    table = Table(title="Augmentation")
-    for name in rows[0]:
-        table.add_column(name, justify="left" if name == "task" else "right")
-    for row in rows:
-        table.add_row(*(x if isinstance(x, str) else f"{x:.3g}" for x in row.values()))
-    console.print(table)
+    heads = list(rows[0])
+    cells = [[x if isinstance(x, str) else f"{x:.3g}" for x in r.values()] for r in rows]
+    console.print(terminal("Augmentation", heads, cells, left=1))
     write_result(cfg.out, {"rows": rows})
-    lines = ["| " + " | ".join(rows[0]) + " |", "|" + "---|" * len(rows[0])]
-    for row in rows:
-        lines.append("| " + " | ".join(x if isinstance(x, str) else f"{x:.3g}" for x in row.values()) + " |")
-    (cfg.out / "table.md").write_text("\n".join(lines) + "\n")
+    (cfg.out / "table.md").write_text("\n".join(markdown(heads, cells)) + "\n")
 
 
 def _measure(cfg: BenchmarkAugmentConfig, task: str, console: Console) -> dict:

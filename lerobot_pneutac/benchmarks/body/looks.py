@@ -16,9 +16,9 @@ import numpy as np
 from PIL import Image
 from rich.console import Console
 from rich.progress import Progress
-from rich.table import Table
 
 from lerobot_pneutac.benchmarks.body.options import BenchmarkBodyConfig
+from lerobot_pneutac.benchmarks.tables import markdown, terminal
 from lerobot_pneutac.reports.page import write_result
 from pneutac_datasets.recording.photographs import read_camera, read_photograph
 from pneutac_datasets.recording.recording import Recording
@@ -181,18 +181,15 @@ def summary(rows: list[dict]) -> list[dict]:
 def write_table(result: dict, out: Path, console: Console) -> None:
     """Prints the table and writes `table.md`."""
     heads = ("method", "front", "back", "fit, s", "picture, s", "paper: front", "paper: back")
-    table = Table(title=f"RMSE, {result['unit']}; mean ± SEM")
-    lines = [f"| {' | '.join(heads)} |", "|" + "---|" * len(heads)]
-    for head in heads:
-        table.add_column(head)
+    rows = []
     for r in result["table"]:
         cells = [r["method"], *(f"{r[v]:.2f} ± {r[f'{v}_sem']:.2f}" for v in VIEWS)]
         cells += [f"{r['fit_s']:.1f}", f"{r['render_s']:.3f}"]
         cells += [f"{m:.2f} ± {s:.2f}" for m, s in PAPER[r["method"]]] if r["method"] in PAPER else ["-", "-"]
-        table.add_row(*cells)
-        lines.append(f"| {' | '.join(cells)} |")
-    console.print(table)
-    lines += [
+        rows.append(cells)
+    console.print(terminal(f"RMSE, {result['unit']}; mean ± SEM", heads, rows))
+    lines = [
+        *markdown(heads, rows),
         "",
         f"Unit: {result['unit']}. Trained on one photograph, {result['trained_on']}; the means leave it out.",
         "The paper's numbers are of its own photographs and not comparable by their size.",

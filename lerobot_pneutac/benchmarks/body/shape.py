@@ -28,6 +28,7 @@ from lerobot_pneutac.benchmarks.body.shape_case import (
     take_photographs,
 )
 from lerobot_pneutac.benchmarks.body.shape_table import write_tables
+from lerobot_pneutac.benchmarks.tables import write_whole
 from lerobot_pneutac.verbs.fit_photographs import PhotoOptions, calibrate_photographs
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import Pipeline
@@ -51,7 +52,6 @@ def benchmark_shape(cfg: BenchmarkBodyConfig) -> dict:
         What `result.json` holds: `bodies`, one a body, and the tables `shape`, `parameters`, `effects`.
     """
     out, console = cfg.out / "shape", Console()
-    (out / "bodies").mkdir(parents=True, exist_ok=True)
     everything = cases(cfg)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True) as bar:
@@ -63,9 +63,7 @@ def benchmark_shape(cfg: BenchmarkBodyConfig) -> dict:
             file = out / "bodies" / f"{case.key}.json"
             if not file.is_file():
                 answer = solve(case, out, cfg.device, lambda done: bar.update(search, completed=done))
-                part = file.with_suffix(".part")
-                part.write_text(json.dumps(answer, indent=1) + "\n")
-                part.replace(file)
+                write_whole(file, answer)
             bar.advance(whole)
     bodies = [json.loads((out / "bodies" / f"{c.key}.json").read_text()) for c in everything]
     return write_tables(bodies, out, console)

@@ -4,19 +4,11 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 
+from lerobot_pneutac.benchmarks.tables import markdown, mean_sem, shown, terminal
 from lerobot_pneutac.reports.page import write_result
 
 OWN = "in the model's form"
-
-
-def mean_sem(values) -> list[float | None]:
-    """Mean and standard error over bodies; the latter is None for one body, both for none."""
-    v = np.asarray([x for x in values if x is not None], float)
-    if not len(v):
-        return [None, None]
-    return [float(v.mean()), float(v.std(ddof=1) / np.sqrt(len(v))) if len(v) > 1 else None]
 
 
 def summary(bodies: list[dict]) -> dict[str, list[dict]]:
@@ -78,14 +70,6 @@ def parameter_row(name: str, bodies: list[dict]) -> dict:
     }
 
 
-def shown(value: list[float | None], digits: int = 2, sign: str = "") -> str:
-    """`1.20 ± 0.05`, `1.20` of one body, `-` of none."""
-    mean, sem = value
-    if mean is None:
-        return "-"
-    return f"{mean:{sign}.{digits}f}" + (f" ± {sem:.{digits}f}" if sem is not None else "")
-
-
 def write_tables(bodies: list[dict], out: Path, console: Console) -> dict:
     """Prints the tables, writes `tables.md` and `result.json`, and returns the content of the latter."""
     rows = summary(bodies)
@@ -127,13 +111,8 @@ def write_tables(bodies: list[dict], out: Path, console: Console) -> dict:
     for title, heads, cells in tables:
         if not cells:
             continue
-        table = Table(*heads, title=title)
-        lines += [f"{title}:", "", f"| {' | '.join(heads)} |", "|" + "---|" * len(heads)]
-        for row in cells:
-            table.add_row(*row)
-            lines.append(f"| {' | '.join(row)} |")
-        lines.append("")
-        console.print(table)
+        lines += [f"{title}:", "", *markdown(heads, cells), ""]
+        console.print(terminal(title, heads, cells))
     for sentence in refused:
         console.print(f"[yellow]refused:[/] {sentence}", highlight=False)
         lines.append(f"- refused: {sentence}")

@@ -1,15 +1,21 @@
 """Scores the blind benchmark, prints its table and draws the confusion matrix."""
 
 import math
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 from rich.console import Console
-from rich.table import Table
 
+from lerobot_pneutac.benchmarks.tables import markdown, terminal
 from lerobot_pneutac.reports.page import write_result
 
+HEADS = (
+    "recordings", "right", "95 % interval", "error before, mm", "after, mm", "noise, mm",
+    "avoidable error removed", "with an extra effect", "median s",
+)  # fmt: skip
+HIDDEN_HEADS = ("hidden", "strength", "right", "answers", "error before, mm", "after, mm", "removed")
 NAMED = ("missing_effect", "insufficient_form")
 
 
@@ -77,47 +83,32 @@ def wilson(k: int, n: int, z: float = 1.96) -> tuple[float, float]:
 def write_table(answers: list[dict], out: Path, console: Console) -> None:
     """Prints the table; writes `result.json`, `table.md` and `confusion.png` into `out`."""
     rows = summary(answers)
-    table = Table(title="blind diagnosis")
-    for head in ("", "right", "95 %", "error before", "after", "noise", "removed", "extra", "s"):
-        table.add_column(head)
-    lines = [
-        "| recordings | right | 95 % interval | error before, mm | after, mm | noise, mm | avoidable error "
-        "removed | with an extra effect | median s |",
-        "|---|---|---|---|---|---|---|---|---|",
-    ]
-    for r in rows:
-        cells = [
-            f"{r['group']}", f"{r['right']} of {r['recordings']}", f"{r['ci95'][0]:.0%}-{r['ci95'][1]:.0%}",
+    cells = [
+        (
+            r["group"], f"{r['right']} of {r['recordings']}", f"{r['ci95'][0]:.0%}-{r['ci95'][1]:.0%}",
             f"{r['before']:.2f}", f"{r['after']:.2f}", f"{r['noise']:.2f}", f"{r['removed']:.0%}",
             f"{r['with_extra']}", f"{r['seconds']:.0f}",
-        ]  # fmt: skip
-        table.add_row(*cells)
-        lines.append("| " + " | ".join(cells) + " |")
-    console.print(table)
-    lines += ["", "| hidden | strength | right | answers | error before, mm | after, mm | removed |"]
-    lines += ["|---|---|---|---|---|---|---|"]
-    for (name, strength), members in _by_effect(answers).items():
-        counts: dict[str, int] = {}
-        for a in members:
-            counts[answered(a)] = counts.get(answered(a), 0) + 1
-        words = ", ".join(f"{k} {v}" for k, v in sorted(counts.items(), key=lambda x: -x[1]))
-        before, after, removed = (np.mean([a[k] for a in members]) for k in ("before", "after", "reduction"))
-        lines.append(
-            f"| {name} | {strength:g} | {sum(map(right, members))} of {len(members)} | {words} | "
-            f"{before:.2f} | {after:.2f} | {removed:.0%} |"
         )
+        for r in rows
+    ]  # fmt: skip
+    heads = ("", "right", "95 %", "error before", "after", "noise", "removed", "extra", "s")
+    console.print(terminal("blind diagnosis", heads, cells))
+    by_effect: dict[tuple[str, float], list[dict]] = {}
+    for a in answers:
+        by_effect.setdefault((a["effects"].replace(",", " + "), a["strength"]), []).append(a)
+    hidden = []
+    for (name, strength), members in by_effect.items():
+        words = ", ".join(f"{k} {v}" for k, v in Counter(map(answered, members)).most_common())
+        before, after, removed = (np.mean([a[k] for a in members]) for k in ("before", "after", "reduction"))
+        count = f"{sum(map(right, members))} of {len(members)}"
+        errors = f"{before:.2f}", f"{after:.2f}", f"{removed:.0%}"
+        hidden.append((name, f"{strength:g}", count, words, *errors))
+    lines = [*markdown(HEADS, cells), "", *markdown(HIDDEN_HEADS, hidden)]
     wrong = [a for a in answers if not right(a)]
     write_result(out, {"groups": rows, "wrong": wrong})
     (out / "table.md").write_text("\n".join(lines) + "\n")
     Image.fromarray(confusion(answers)).save(out / "confusion.png", optimize=True)
     console.print(f"table: {out / 'table.md'}, picture: {out / 'confusion.png'}", highlight=False)
-
-
-def _by_effect(answers: list[dict]) -> dict[tuple[str, float], list[dict]]:
-    out: dict[tuple[str, float], list[dict]] = {}
-    for a in answers:
-        out.setdefault((a["effects"].replace(",", " + "), a["strength"]), []).append(a)
-    return out
 
 
 def confusion(answers: list[dict]) -> np.ndarray:

@@ -12,6 +12,7 @@ from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
 from lerobot_pneutac.benchmarks.policy.plan import COST_S, Unit, as_dict
+from lerobot_pneutac.benchmarks.tables import write_whole
 from pneutac_sim.errors import InputError
 from pneutac_sim.worker import start_worker
 
@@ -113,9 +114,7 @@ def run_unit(out: Path, unit: Unit, workers: int) -> dict:
     start = time.monotonic()
     result = KINDS[unit.kind](folder, unit.options, [out / need for need in unit.needs], workers)
     found = {"unit": as_dict(unit), "seconds": time.monotonic() - start, "result": result}
-    part = folder / f"{RESULT}.part"
-    part.write_text(json.dumps(found, indent=2, allow_nan=False))
-    os.replace(part, folder / RESULT)
+    write_whole(folder / RESULT, found)
     return found
 
 

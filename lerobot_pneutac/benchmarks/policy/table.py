@@ -5,10 +5,9 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 
 from lerobot_pneutac.benchmarks.policy.plan import COMPARED, CONDITIONS, Condition, conditions
-from lerobot_pneutac.benchmarks.tactile.table import mean_sem
+from lerobot_pneutac.benchmarks.tables import markdown, mean_sem, shown, terminal
 from lerobot_pneutac.reports.page import Report, write_result
 
 PACKAGES = ("lerobot", "lerobot_robot_pneutac", "torch", "mujoco", "stable-baselines3")
@@ -37,7 +36,7 @@ def success(cfg, done: dict[str, dict], name: str) -> dict[str, dict | None]:
     out = {}
     for task, found in values.items():
         found = [x for x in found if x is not None]
-        mean, sem = mean_sem(found) if found else (None, None)
+        mean, sem = mean_sem(found)
         out[task] = {"mean": mean, "sem": sem, "seeds": len(found)} if found else None
     return out
 
@@ -67,8 +66,9 @@ def write(cfg, done: dict[str, dict], failed: dict[str, str], wall_s: float, con
     )
     text = []
     for title, table in tables.items():
-        _print(console, title, table)
-        text += [f"{title}:", "", *_markdown(table), ""]
+        heads, cells = list(table[0]), [row.values() for row in table]
+        console.print(terminal(title, heads, cells, left=2))
+        text += [f"{title}:", "", *markdown(heads, cells), ""]
     text += [note, *(f"- {name}: {why}" for name, why in failed.items())]
     (cfg.out / "table.md").write_text("\n".join(text) + "\n")
     found = {name: success(cfg, done, name) for name in chosen}
@@ -103,22 +103,8 @@ def write(cfg, done: dict[str, dict], failed: dict[str, str], wall_s: float, con
 def _cell(cell: dict | None, seeds: int) -> str:
     if cell is None:
         return "-"
-    text = f"{cell['mean']:.0f}" + (f" ± {cell['sem']:.0f}" if cell["sem"] is not None else "")
+    text = shown((cell["mean"], cell["sem"]), 0)
     return text if cell["seeds"] == seeds else f"{text} ({cell['seeds']} of {seeds} seeds)"
-
-
-def _print(console: Console, title: str, table: list[dict]) -> None:
-    shown = Table(title=title)
-    for name in table[0]:
-        shown.add_column(name, justify="left" if name in ("condition", "trained on") else "right")
-    for row in table:
-        shown.add_row(*row.values())
-    console.print(shown)
-
-
-def _markdown(table: list[dict]) -> list[str]:
-    lines = ["| " + " | ".join(table[0]) + " |", "|" + "---|" * len(table[0])]
-    return lines + ["| " + " | ".join(row.values()) + " |" for row in table]
 
 
 def _bars(cfg, part: dict[str, Condition], found: dict[str, dict]):

@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.markdown import Markdown
 
 from lerobot_pneutac.benchmarks.speed.splats import time_splats
+from lerobot_pneutac.benchmarks.tables import markdown
 from lerobot_pneutac.reports.page import write_result
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm.body import Body, Material
@@ -195,11 +196,11 @@ def genesis_row(device: str, chosen: str, repeats: int) -> dict:
 
 def table(rows: list[dict]) -> str:
     """Rows as markdown."""
-    lines = ["| work | measured | |", "|---|---|---|"]
-    for r in rows:
-        value = f"{r['value']:,.3g}" if r["value"] < 1e4 else f"{r['value']:,.0f}"
-        lines.append(f"| {r['work']} | {value} {r['unit']} | {r['note']} |")
-    return "\n".join(lines) + "\n"
+    cells = [
+        (r["work"], f"{r['value']:,{'.3g' if r['value'] < 1e4 else '.0f'}} {r['unit']}", r["note"])
+        for r in rows
+    ]
+    return "\n".join(markdown(("work", "measured", ""), cells)) + "\n"
 
 
 def benchmark_speed(config: BenchmarkSpeedConfig) -> None:

@@ -1,6 +1,6 @@
 """Rows of the table of the networks."""
 
-import numpy as np
+from lerobot_pneutac.benchmarks.tables import markdown, mean_sem
 
 
 def row(what: str, unit: str, values, without=None, goal=None, paper=None, note: str = "") -> dict:
@@ -15,26 +15,23 @@ def row(what: str, unit: str, values, without=None, goal=None, paper=None, note:
         paper: what the paper has.
         note: more.
     """
-    values = np.asarray(values, float)
-    sem = float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else None
+    mean, sem = mean_sem(values)
     return {
-        "what": what, "unit": unit, "mean": float(values.mean()), "sem": sem, "cases": len(values),
+        "what": what, "unit": unit, "mean": mean, "sem": sem, "cases": len(values),
         "without": without, "goal": goal, "paper": paper, "note": note,
     }  # fmt: skip
 
 
 def table(rows: list[dict]) -> str:
     """Rows as markdown."""
-    lines = ["| what | measured | without network | goal | paper | |", "|---|---|---|---|---|---|"]
+    lines = []
     for r in rows:
         spread = "" if r["sem"] is None else f" ± {_short(r['sem'])}"
         cells = [
             _short(r[k]) if isinstance(r[k], float) else r[k] or "" for k in ("without", "goal", "paper")
         ]
-        lines.append(
-            f"| {r['what']} | {_short(r['mean'])}{spread} {r['unit']} | {' | '.join(cells)} | {r['note']} |"
-        )
-    return "\n".join(lines) + "\n"
+        lines.append((r["what"], f"{_short(r['mean'])}{spread} {r['unit']}", *cells, r["note"]))
+    return "\n".join(markdown(("what", "measured", "without network", "goal", "paper", ""), lines)) + "\n"
 
 
 def _short(x: float) -> str:

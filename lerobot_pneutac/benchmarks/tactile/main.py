@@ -10,6 +10,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+from lerobot_pneutac.benchmarks.tables import write_whole
 from lerobot_pneutac.benchmarks.tactile.methods import METHODS, makes_for, own_gel
 from lerobot_pneutac.benchmarks.tactile.picture import picture_grid
 from lerobot_pneutac.benchmarks.tactile.sets import TactileSet, find_sets, thumbnail
@@ -158,10 +159,8 @@ def _done(file: Path, key: str) -> bool:
 
 
 def _write(file: Path, row: dict, thumbs: np.ndarray | None) -> None:
-    """The row last and at once, so that a stopped run leaves no half of one."""
+    """The row last, so that a stopped run leaves no half of one."""
     file.parent.mkdir(parents=True, exist_ok=True)
     if thumbs is not None:
         np.savez_compressed(file.with_suffix(".npz"), images=thumbs)
-    part = file.with_suffix(".part")
-    part.write_text(json.dumps(row, indent=1, allow_nan=False))
-    part.replace(file)
+    write_whole(file, row)

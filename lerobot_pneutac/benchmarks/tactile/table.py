@@ -1,13 +1,12 @@
 """Means and standard errors of the tactile benchmark, its tables, and where other methods come out ahead."""
 
-import math
 from pathlib import Path
 
-import numpy as np
 from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from lerobot_pneutac.benchmarks.tables import markdown, mean_sem, shown
 from lerobot_pneutac.benchmarks.tactile.methods import METHODS
 from lerobot_pneutac.reports.page import write_result
 
@@ -25,12 +24,6 @@ ACROSS = {
     "drift": "and half the drift",
     "own": "its own fit",
 }
-
-
-def mean_sem(values: list[float]) -> list[float | None]:
-    """Mean and its standard error; None for the error of a single value."""
-    n = len(values)
-    return [float(np.mean(values)), float(np.std(values, ddof=1) / math.sqrt(n)) if n > 1 else None]
 
 
 def by_role(images: list[dict]) -> dict[str, dict[str, list]]:
@@ -82,12 +75,6 @@ def summary(measured: dict[str, dict[str, dict]], across: list[dict]) -> dict:
         for r in across
     ]
     return {"unit": "levels", "sets": sets, "across": moved}
-
-
-def shown(value: list, decimals: int) -> str:
-    """Mean ± standard error."""
-    mean, sem = value
-    return f"{mean:.{decimals}f}" + ("" if sem is None else f" ± {sem:.{decimals}f}")
 
 
 def set_table(content: dict) -> list[list[str]]:
@@ -167,8 +154,5 @@ def _print(title: str, cells: list[list[str]], bold: set[str], console: Console)
 
 
 def _markdown(cells: list[list[str]], bold: set[str]) -> list[str]:
-    lines = ["| " + " | ".join(cells[0]) + " |", "|" + "---|" * len(cells[0])]
-    for first, *rest in cells[1:]:
-        marked = [f"**{c}**" for c in rest] if rest[0] in bold else rest
-        lines.append("| " + " | ".join([first, *marked]) + " |")
-    return lines
+    rows = [[r[0], *(f"**{c}**" for c in r[1:])] if r[1] in bold else r for r in cells[1:]]
+    return markdown(cells[0], rows)
