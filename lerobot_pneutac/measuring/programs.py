@@ -74,13 +74,12 @@ def _builtin(name: str, top: float, hz: float) -> list[PressureTrial]:
         ],
     }[name]
     unit_s = 3.0 if name == "steps" else 1.0
-    return [_sampled(name, np.array(points) * [unit_s, top], hz) for points in shapes]
-
-
-def _sampled(name: str, points: np.ndarray, hz: float) -> PressureTrial:
-    """A trial through breakpoints (k, 2), (s, kPa)."""
-    time_s = np.arange(round(points[-1, 0] * hz) + 1) / hz
-    return PressureTrial(name, time_s, np.interp(time_s, points[:, 0], points[:, 1]))
+    trials = []
+    for points in shapes:
+        knots_s, kpa = (np.array(points) * [unit_s, top]).T
+        time_s = np.arange(round(knots_s[-1] * hz) + 1) / hz
+        trials.append(PressureTrial(name, time_s, np.interp(time_s, knots_s, kpa)))
+    return trials
 
 
 def _table(path: Path, hz: float) -> list[PressureTrial]:

@@ -22,7 +22,8 @@ def sentence(c) -> str:
     what = {"mm": "tip", "rad": "bend", "1/m": "curvature"}.get(c.unit, "device")
     who = "The twin" if c.fidelity == "pipeline" else "The twin's full simulation"
     text = f"{who} misses the measured {what} by {error:.3g} {c.unit}{where}"
-    if not _moves(c):
+    commanded = c.recording.samples[c.recording.pressure_columns].to_numpy(float)
+    if np.ptp(commanded, axis=0).max() <= 1e-3:
         return (
             "The commanded pressure never moves in this recording, so nothing about bending can be learnt "
             f"from it; record steps or ramps. {text}."
@@ -51,13 +52,6 @@ _PHRASES = {
     "pressure_kpa": "where the measured pressure is {0} kPa",
     "temperature_c": "at {0} °C",
 }
-
-
-def _moves(c) -> bool:
-    """Whether the commanded pressure moves at all."""
-    return bool(
-        np.ptp(c.recording.samples[c.recording.pressure_columns].to_numpy(float), axis=0).max() > 1e-3
-    )
 
 
 def phrase(axis: Axis, i: int) -> str:

@@ -208,7 +208,11 @@ def compare_body(twin: Twin, recording: Recording, seed: int = 0) -> BodyCompari
     findings += moved
     findings += [f"Effect '{name}' could not act: {why}." for name, why in prediction.left_out.items()]
     bench = prediction.data
-    outside, range_finding = _out_of_range(twin, bench)
+    outside, range_finding = None, None
+    if twin.networks:
+        from lerobot_pneutac.verbs.compare_networks import out_of_range
+
+        outside, range_finding = out_of_range(twin, bench)
     rate = motion(clean)[0]
     return BodyComparison(
         recording=clean,
@@ -228,14 +232,6 @@ def compare_body(twin: Twin, recording: Recording, seed: int = 0) -> BodyCompari
         bench=bench,
         out_of_range=outside,
     )
-
-
-def _out_of_range(twin: Twin, bench: BodyData) -> tuple[float | None, str | None]:
-    if not twin.networks:
-        return None, None
-    from lerobot_pneutac.verbs.compare_networks import out_of_range
-
-    return out_of_range(twin, bench)
 
 
 def train_mask(twin: Twin, recording: Recording, seed: int = 0) -> np.ndarray:

@@ -201,8 +201,10 @@ class Demo:
         return {"selected": found["selected"], "verdict": found["verdict"], "sentence": found["sentence"]}
 
     def _add(self) -> dict:
+        from pneutac_sim.twin import Twin
+
         for effect in self.state["diagnose"]["selected"]:
-            if not self._has(effect):
+            if effect not in Twin.load(self.twin).effects:  # else an interrupted run added it
                 self._verb("add", self.finger, f"added_{effect}", f"--effect={effect}")
         return self._compare("compare_after")
 
@@ -289,12 +291,6 @@ class Demo:
 
     def _path(self, name: str) -> Path:
         return self.cfg.out / name
-
-    def _has(self, effect: str) -> bool:
-        """Whether an interrupted run added the effect already."""
-        from pneutac_sim.twin import Twin
-
-        return effect in Twin.load(self.twin).effects
 
     def _verb(self, verb: str, recording: Path, out: str, *options: str) -> dict:
         """One of our verbs on twin and recording; returns its `result.json`."""

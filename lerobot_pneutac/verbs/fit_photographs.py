@@ -218,7 +218,9 @@ def _calibration(
     everywhere: Equilibria,
 ) -> PhotoCalibration:
     """The result of a search, but for what it was made from."""
-    scores = objective.scores(everywhere.first)
+    scores, tip_error_mm = objective.scores(everywhere.first), None
+    if study.markers_mm is not None:
+        tip_error_mm = np.linalg.norm(1e3 * everywhere.first.tips[0] - study.markers_mm, axis=1)
     return PhotoCalibration(
         twin=twin,
         parameters=_rows(fitted, found, sure),
@@ -233,7 +235,7 @@ def _calibration(
         objective=objective,
         bodies=everywhere.first,
         scores=scores,
-        tip_error_mm=_tip_error_mm(study, everywhere),
+        tip_error_mm=tip_error_mm,
     )
 
 
@@ -250,13 +252,6 @@ def _parts(study: PhotoStudy, values: np.ndarray) -> dict[str, float | None]:
     """Mean of (n,) values over fitted and over held-out photographs, None where there are none."""
     parts = {"train": study.parts.train, "heldout": study.parts.heldout}
     return {k: float(np.mean(values[m])) if m.any() else None for k, m in parts.items()}
-
-
-def _tip_error_mm(study: PhotoStudy, everywhere: Equilibria) -> np.ndarray | None:
-    """(T,) distance to the markers."""
-    if study.markers_mm is None:
-        return None
-    return np.linalg.norm(1e3 * everywhere.first.tips[0] - study.markers_mm, axis=1)
 
 
 def search_key(recording: Recording, twin: Twin, photographs: list[MaskedPhotograph], particles: int) -> str:

@@ -68,7 +68,11 @@ class PneutacExchange:
         if command.number != self._taken:
             self._taken = command.number
             self._sequence = (self._sequence + 1) & 0xFFFF
-            self._pending = out = self._encode(command)
+            if command.target_kpa is None:
+                out = wire.vent(self._session, self._sequence)
+            else:
+                out = wire.set_point(self._session, self._sequence, round(command.target_kpa * 1000))
+            self._pending = out
         if now_s >= self._next_s:
             self._next_s = now_s + HEARTBEAT_S
             self._beat = (self._beat + 1) & 0xFFFF
@@ -91,11 +95,6 @@ class PneutacExchange:
             return b""
         self._next_s = now_s + HELLO_S
         return wire.hello(self._session, self._clear_faults)
-
-    def _encode(self, command: Command) -> bytes:
-        if command.target_kpa is None:
-            return wire.vent(self._session, self._sequence)
-        return wire.set_point(self._session, self._sequence, round(command.target_kpa * 1000))
 
     def _take_reply(self, reply: wire.HelloReply, session: int, now_s: float) -> None:
         if reply.version != wire.VERSION:

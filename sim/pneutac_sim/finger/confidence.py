@@ -20,14 +20,12 @@ class Confidence:
 
     Attributes:
         rho: correlation of residuals of neighbouring samples.
-        n_effective: independent samples that the training samples are worth.
         sigma: standard deviation of the residuals, in the unit of the error.
         sd: (F,) standard deviations; infinite where nothing was learned.
         correlation: (F, F) between parameters; zero rows for those at a bound.
     """
 
     rho: float
-    n_effective: float
     sigma: float
     sd: np.ndarray
     correlation: np.ndarray
@@ -86,7 +84,7 @@ def confidence(J: np.ndarray, residual: np.ndarray, adjacent: np.ndarray, at_bou
         at_bound: (F,) parameters stopped by a bound: they stay there while the others' spread is found, and
             each gets the spread that it would have alone with those.
     """
-    n, count = len(residual), J.shape[1]
+    count = J.shape[1]
     rho = autocorrelation(residual, adjacent)
     inflation = (1 + rho) / (1 - rho)
     variance = (residual**2).sum() / max(residual.size - count, 1)
@@ -105,7 +103,6 @@ def confidence(J: np.ndarray, residual: np.ndarray, adjacent: np.ndarray, at_bou
         sd[j] = np.sqrt(_inverse(H[np.ix_(which, which)])[-1, -1])
     return Confidence(
         rho=rho,
-        n_effective=n / inflation,
         sigma=rms(residual),
         sd=sd * np.sqrt(variance * inflation),
         correlation=correlation,

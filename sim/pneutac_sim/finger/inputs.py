@@ -177,17 +177,13 @@ def _conditions(samples: Mapping, drive: list[str], own: tuple[str, ...]) -> dic
     columns = {
         str(name): np.asarray(samples[name], dtype=float)
         for name in samples
-        if _is_number(samples[name]) and name not in drive
+        if np.asarray(samples[name]).dtype.kind in "fiub" and name not in drive
     }
     others = [c for c in columns if c.endswith("_kpa") and c not in own]
     if others:
         zero = np.zeros(len(columns[others[0]]))
         columns |= {f"other_{i + 1}_kpa": columns[others[i]] if i < len(others) else zero for i in range(3)}
     return columns
-
-
-def _is_number(column) -> bool:
-    return np.asarray(column).dtype.kind in "fiub"
 
 
 def _session_time(time: np.ndarray, first: np.ndarray) -> np.ndarray:

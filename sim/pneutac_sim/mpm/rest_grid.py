@@ -40,7 +40,6 @@ class RestGrid:
         surface_cell: (S,) cell of each point of the body's surface, sorted.
         surface_weights: (S, 3, 3) spline weights along x, y, z.
         surface_points: (S, 3) at rest, m.
-        surface_normal: (S, 3) outward at rest.
         surface_start: (C + 1,) first surface point of each cell.
     """
 
@@ -57,7 +56,6 @@ class RestGrid:
     surface_cell: np.ndarray
     surface_weights: np.ndarray
     surface_points: np.ndarray
-    surface_normal: np.ndarray
     surface_start: np.ndarray
 
     @staticmethod
@@ -133,6 +131,5 @@ def _surface(body: Body, cells: np.ndarray, index: np.ndarray) -> dict[str, np.n
         "surface_cell": cell.astype(np.int32),
         "surface_weights": spline(place).astype(np.float32),
         "surface_points": body.positions[owner] + 0.5 * body.spacing_m * normal,
-        "surface_normal": normal.astype(np.float32),
         "surface_start": np.searchsorted(cell, np.arange(len(cells) + 1)).astype(np.int32),
     }

@@ -23,7 +23,9 @@ def body_mesh(twin: Twin) -> trimesh.Trimesh:
         return own
     if twin.device == "gel":
         model = GelModel.from_twin(twin)
-        return gel_mesh(*(1e-3 * side for side in model.window_mm), 1e-3 * model.thickness_mm)
+        # a block under its window, in the gel frame of `gel.probe`: the resting surface is at z = 0
+        block = trimesh.creation.box(1e-3 * np.array([*model.window_mm, model.thickness_mm]))
+        return block.apply_translation((0, 0, -0.5e-3 * model.thickness_mm))
     width = twin.parameters["width_mm"].value if "width_mm" in twin.parameters else WIDTH_MM[twin.device]
     shape = finger_mesh if twin.device == "finger" else arm_mesh
     return shape(1e-3 * twin.length_mm, 1e-3 * width)
@@ -54,12 +56,6 @@ def arm_mesh(length_m: float, width_m: float) -> trimesh.Trimesh:
     lobes = np.cos(3 * (angle - np.pi / 2))
     section = 0.5 * width_m * (0.9 + 0.1 * lobes)[:, None] * np.stack([np.cos(angle), np.sin(angle)], 1)
     return _tube(length_m, section, 0.15 * np.ones(ANGLES))
-
-
-def gel_mesh(width_m: float, height_m: float, thickness_m: float) -> trimesh.Trimesh:
-    """A block under its window, in the gel frame of `gel.probe`: the resting surface is at z = 0."""
-    block = trimesh.creation.box((width_m, height_m, thickness_m))
-    return block.apply_translation((0, 0, -thickness_m / 2))
 
 
 def digit_mount_mesh(length_m: float, width_m: float) -> trimesh.Trimesh:

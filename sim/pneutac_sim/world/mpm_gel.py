@@ -72,17 +72,15 @@ class MpmGel:
         back = np.linspace(max(deep - self._deep, 0.0), 0.0, steps + 1)[1:]
         try:
             for b in back:
-                solve_equilibrium(self.solver, self._loads(less + b), warm=warm)
+                at = np.array([0.0, 0.0, CENTRE_M + less + b])
+                loads = Loads(indenter="mesh", size_m=np.full(3, self._half), position_m=at)
+                solve_equilibrium(self.solver, loads, warm=warm)
                 warm = True
         except MpmDiverged as e:
             self._deep = 0.0
             raise InputError(f"{e.finding}; move slower, or press less deep than {1e3 * deep:.2g} mm.") from e
         self._deep = deep
         return devices.surface_displacement(self.solver, self._window)[0].astype(np.float32)
-
-    def _loads(self, back_m: float) -> Loads:
-        at = np.array([0.0, 0.0, CENTRE_M + back_m])
-        return Loads(indenter="mesh", size_m=np.full(3, self._half), position_m=at)
 
 
 def signed_distance(kind: int, size: np.ndarray, p: np.ndarray) -> np.ndarray:

@@ -110,7 +110,11 @@ class StandinWorld(World):
         self._waiting: deque[np.ndarray] = deque()
         super().__init__(task, standin_twin(), touch, fidelity="probe")
         self._build_otherwise()
-        full = _material_points(self.twin) if gel == "mpm" and touch != "none" else None
+        full = None
+        if gel == "mpm" and touch != "none":
+            from pneutac_sim.world.mpm_gel import MpmGel  # compilers take seconds to start
+
+            full = MpmGel(self.twin)
         self.touch = StandinTouch(self.model, self.sensor, touch, full)
         self.reset(0)
 
@@ -160,9 +164,3 @@ class StandinWorld(World):
         o = super()._observe()
         state = o.state + NOISE * self._noise.standard_normal(len(NOISE))
         return Observation(np.clip(state, STATE_LOW, STATE_HIGH).astype(np.float32), o.tactile)
-
-
-def _material_points(twin: Twin):
-    from pneutac_sim.world.mpm_gel import MpmGel  # compilers take seconds to start
-
-    return MpmGel(twin)
