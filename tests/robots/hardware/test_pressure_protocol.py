@@ -37,7 +37,7 @@ def test_the_crc_gives_the_published_check_value():
 
 
 def test_a_frame_looks_on_the_wire_as_the_document_says():
-    document = Path(__file__).parents[3] / "docs" / "pressure_protocol.md"
+    document = Path(__file__).parents[3] / "docs" / "reference" / "pressure_protocol.md"
     assert wire.set_point(0x1234, 5, 8000).hex(" ").upper() in document.read_text()
 
 

@@ -134,7 +134,7 @@ def test_the_documents_rig_follows_limits_and_lets_go(tmp_path):
     compiler = shutil.which("g++") or shutil.which("clang++")
     if compiler is None:
         pytest.skip("needs a C++ compiler")
-    document = Path(__file__).parents[3] / "docs" / "pressure_protocol.md"
+    document = Path(__file__).parents[3] / "docs" / "reference" / "pressure_protocol.md"
     (sketch,) = re.findall(r"```cpp\n(.*?)```", document.read_text(), re.S)
     (tmp_path / "rig.cpp").write_text(BOARD + sketch + PLAY)
     subprocess.run([compiler, tmp_path / "rig.cpp", "-o", tmp_path / "rig"], check=True)
