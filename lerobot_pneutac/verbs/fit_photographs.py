@@ -160,7 +160,7 @@ def calibrate_photographs(
     best: Path | None = None,
     progress=lambda text, done, total: None,
 ) -> PhotoCalibration:
-    """Fits actuation and material to the photographs at the training levels.
+    """Fits drive and material to the photographs at the training levels.
 
     Args:
         twin: of the recording's device; what is not fitted stays.

@@ -1,4 +1,4 @@
-"""What photographs are fitted by: parameters of actuation and material, with bounds and first steps."""
+"""What photographs are fitted by: parameters of drive and material, with bounds and first steps."""
 
 from dataclasses import dataclass
 
@@ -41,7 +41,7 @@ class BodyParameters:
 
     @property
     def of_pose(self) -> np.ndarray:
-        """(P,) bool: those of the actuation, which a body without material points has too."""
+        """(P,) bool: those of the drive, which a body without material points has too."""
         return np.array([name not in MATERIAL for name in self.names])
 
     @property
@@ -69,7 +69,7 @@ class BodyParameters:
 
 
 def body_parameters(twin: Twin, pressure_range_kpa: float) -> BodyParameters:
-    """The actuation parameters that data can tell, and the material's two.
+    """The drive parameters that data can tell, and the material's two.
 
     The first step is 15 % of each gain: of the overall gain by its own size, of the profile's parameters and
     the rest pressure by what changes a joint by about as much.
