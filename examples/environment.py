@@ -1,5 +1,7 @@
 """The switch as a Gymnasium environment: a script feels for it and flips it; a film of it is kept."""
 
+from pathlib import Path
+
 import gymnasium
 import numpy as np
 from PIL import Image
@@ -19,4 +21,5 @@ while not done:
         frames.append(Image.fromarray(observation["pixels"]["tactile"]))
 
 print("flipped" if info["is_success"] else "not flipped", "state:", observation["agent_pos"].shape)
+Path("outputs").mkdir(exist_ok=True)
 frames[0].save("outputs/tactile.webp", save_all=True, append_images=frames[1:], duration=67)

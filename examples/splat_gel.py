@@ -1,5 +1,7 @@
 """The gel as Gaussian splats: 61,360 particles, each with one Gaussian, move with a press and are drawn."""
 
+from pathlib import Path
+
 import numpy as np
 from PIL import Image
 
@@ -14,4 +16,5 @@ depth_mm = sensor.probe(*Press("sphere", 4.0, x_mm=1.0, y_mm=-2.0, depth_mm=1.0)
 plane, drawn = sensor.image(depth_mm), splats.image(sensor.displacement(depth_mm))
 rmse = np.sqrt(np.mean((plane.astype(float) - drawn) ** 2))
 print(f"image plane and splats differ by {rmse:.2f} of 255 levels (RMSE)")
+Path("outputs").mkdir(exist_ok=True)
 Image.fromarray(np.hstack([plane, drawn])).save("outputs/gel.png")

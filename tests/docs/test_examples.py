@@ -17,7 +17,6 @@ def test_there_are_eight():
 @pytest.mark.slow
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda p: p.stem)
 def test_it_runs(path, tmp_path):
-    (tmp_path / "outputs").mkdir()
     env = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "PNEUTAC_DATA")}
     env |= {"HF_HOME": str(tmp_path / "hf"), "HF_HUB_OFFLINE": "1", "OMP_NUM_THREADS": "1"}
     done = subprocess.run([sys.executable, path], cwd=tmp_path, env=env, capture_output=True, text=True)
