@@ -58,7 +58,19 @@ def parse_options(config_class: type, argv: list[str]):
         cause = e
         while cause.__cause__ is not None and not isinstance(cause, InputError):
             cause = cause.__cause__
-        raise cause if isinstance(cause, InputError) else InputError(" ".join(str(e).split())) from e
+        raise cause if isinstance(cause, InputError) else InputError(_in_words(str(e))) from e
+
+
+def _in_words(text: str) -> str:
+    """What draccus reports, as a sentence that says what to give."""
+    text = " ".join(text.split())
+    if missing := re.match(r"Missing required field\(s\) (.+) for \w+", text):
+        names = re.findall(r"`(\w+)`", missing[1])
+        return f"Give {' and '.join(f'--{name}=...' for name in names)}; --help lists all options."
+    if wrong := re.match(r"`([\w.]+)`: Couldn't parse '(.*)' into an? (\w+)$", text):
+        kind = {"int": "a whole number", "float": "a number", "bool": "true or false"}.get(wrong[3], wrong[3])
+        return f"--{wrong[1]} is '{wrong[2]}'; it must be {kind}."
+    return text
 
 
 def list_options(config_class: type, group: str = "") -> Iterator[Option]:

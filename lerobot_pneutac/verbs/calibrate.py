@@ -61,6 +61,11 @@ def calibrate(
         if isinstance(effects, str):
             effects = [e.strip() for e in effects.split(",") if e != "none"]
         return calibrate_gel(twin, recording, effects)
+    if effects is not None:
+        raise InputError(
+            f"--effects chooses the optics of a gel, but {recording.folder} is a recording of a "
+            f"'{recording.device}'; omit it, and switch an effect on with `pneutac add --effect=NAME`."
+        )
     if by == "images" or (by is None and _photographs_alone(recording)):
         from lerobot_pneutac.verbs.fit_photographs import PhotoOptions, calibrate_photographs
 
