@@ -52,6 +52,9 @@ def parse_options(config_class: type, argv: list[str]):
     if "-h" in argv or "--help" in argv:
         print(help_text(config_class))
         raise SystemExit(0)
+    for path in (a.partition("=")[2] for a in argv if a.startswith("--config_path=")):
+        if not Path(path).is_file():
+            raise InputError(f"--config_path={path} is no file; give a YAML file of options.")
     try:
         return draccus.parse(config_class, args=_completed(options, argv))
     except draccus.ParsingError as e:  # draccus hides what the dataclass itself raised

@@ -16,7 +16,7 @@ from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.twin import Twin
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Addition(Result):
     """What switching an effect on did.
 

@@ -8,7 +8,7 @@ from lerobot_pneutac.verbs.result import Result
 from pneutac_sim.twin import Twin
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Calibration(Result):
     """A calibrated twin; subclasses hold what is particular to markers, photographs and gels.
 

@@ -23,7 +23,7 @@ PASSAGES = 5
 APART_S = 10.0  # between the starts of two: the next-worst place says more than the same one again
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class BodyComparison(Comparison):
     """A twin against a recording, sample by sample.
 

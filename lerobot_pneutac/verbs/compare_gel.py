@@ -21,7 +21,7 @@ QUIET_RADII = 3.0  # beyond so many contact radii the image should equal the res
 WORST = 5
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class GelComparison(Comparison):
     """A gel against photographs.
 

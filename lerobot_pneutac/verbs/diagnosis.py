@@ -14,7 +14,7 @@ from lerobot_pneutac.verbs.result import Result
 LITTLE_ALONE = 0.03  # share of the avoidable error: an effect that alone removes less looks like nothing
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Diagnosis(Result):
     """What a twin lacks to explain a recording.
 

@@ -22,7 +22,7 @@ from pneutac_sim.twin import Twin
 MOST_POINTS = 4000  # of a line in the report
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class BodyCalibration(Calibration):
     """A body calibrated to markers or angles.
 

@@ -25,7 +25,7 @@ OURS, PASTED, REST = "this model", "difference pasted", "rest image"
 PICTURES = 6  # held-out images in the picture grid
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class GelCalibration(Calibration):
     """A gel calibrated to one pair of images.
 
@@ -188,13 +188,16 @@ def calibrate_gel(twin: Twin, recording: Recording, effects: Sequence[str] | Non
 
 
 def wanted(effects: Sequence[str] | None, twin: Twin) -> list[str]:
-    """Optics effects to fit: those asked for, else those of the twin, else those of a sensor.
+    """Optics effects to fit: those asked for, else those of a calibrated twin, else those of a sensor.
+
+    What `pneutac new` writes are defaults, no findings: its history has no calibration in levels.
 
     Raises:
         InputError: a name is no optics effect, or acts on a session and not on one pair.
     """
     if effects is None:
-        return of_sensor(twin.effects) if twin.gel else standard_effects()
+        calibrated = any(version.get("unit") == "levels" for version in twin.history)
+        return of_sensor(twin.effects) if twin.gel and calibrated else standard_effects()
     of_one_pair = [name for name, effect in sensor_effects().items() if not effect.of_session]
     for name in effects:
         if name not in of_one_pair:

@@ -48,7 +48,7 @@ class PhotoOptions:
     device: str = "auto"
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class PhotoCalibration(Calibration):
     """A body calibrated to photographs.
 

@@ -64,6 +64,10 @@ class Result:
             page.code(command)
         return page.write(out)
 
+    def __repr__(self) -> str:
+        """Kind and sentence; the numbers are in `to_dict`."""
+        return f"<{type(self).__name__}: {self.sentence or self.title}>"
+
     def _repr_html_(self) -> str:
         page = Report(self.title)
         page.lead(self.sentence)

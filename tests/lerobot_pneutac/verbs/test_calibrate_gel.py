@@ -8,6 +8,7 @@ import pytest
 from PIL import Image
 
 from lerobot_pneutac.cli.calibrate import main
+from lerobot_pneutac.cli.new import main as new_verb
 from lerobot_pneutac.study.pasted import shift
 from lerobot_pneutac.verbs.fit_gel import render, scores_of, wanted
 from pneutac_datasets.generate.gel import HEIGHT, WIDTH, write_gel_recording
@@ -107,6 +108,16 @@ def test_effects_asked_for_are_fitted_and_kept_at_the_next_calibration(generated
     run(twin, generated)
     read = Twin.load(twin)
     assert set(read.effects) == {"photometric_nonlinearity", "rest_colour"} and len(read.history) == 4
+
+
+def test_the_optics_that_new_writes_are_no_findings(generated, twin, tmp_path):
+    new_verb([f"--twin={tmp_path / 'twin'}", f"--recording={generated}"])
+    run(tmp_path / "twin", generated)
+    begun, alone = Twin.load(tmp_path / "twin"), Twin.load(twin)
+    assert set(begun.effects) == set(alone.effects) == set(standard_effects())
+    for name, values in alone.effects.items():
+        for key, value in values.items():
+            assert begun.effects[name][key].value == pytest.approx(value.value, rel=1e-6, abs=1e-9)
 
 
 def test_a_new_twin_gets_every_effect_of_a_sensor(twin):
