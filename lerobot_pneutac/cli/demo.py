@@ -20,7 +20,8 @@ def main(argv: list[str]) -> None:
         result = Demo(cfg, announce, progress).run()
     report = result.report(cfg.out)
     console.print(f"\n[bold]{result.sentence}[/]", highlight=False)
-    console.print(f"Report: {report} ({(time.monotonic() - start) / 60:.1f} minutes)", highlight=False)
+    minutes = (time.monotonic() - start) / 60
+    console.print(f"Report: {report} ({minutes:.1f} minutes)", highlight=False, soft_wrap=True)
     console.print("Try next:", highlight=False)
     for command in result.next_commands:
         console.print(f"  {command}", soft_wrap=True, highlight=False, markup=False)

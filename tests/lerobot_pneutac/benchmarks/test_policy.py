@@ -141,7 +141,7 @@ def test_a_unit_that_fails_costs_none_but_those_that_need_it(tmp_path):
     done, failed, faults = run_units(tmp_path, [broken, needing, sound], 1, lambda share, words: None)
     assert set(done) == {sound.name}
     assert faults == [broken.name]  # and none that needs it
-    assert "IndexError" in failed[broken.name] and "log.txt" in failed[broken.name]
+    assert "KeyError" in failed[broken.name] and "log.txt" in failed[broken.name]
     assert failed[needing.name] == f"needs {broken.name}"
     assert "Traceback" in (tmp_path / broken.name / LOG).read_text()
 

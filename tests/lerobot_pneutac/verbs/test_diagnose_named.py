@@ -64,4 +64,4 @@ def test_real_segment_lag_and_creep_are_told_apart(fabric_segment):
 
 
 def test_real_segment_error_is_halved(fabric_segment):
-    assert fabric_segment.after_error < 0.5 * fabric_segment.before_error
+    assert fabric_segment.after["heldout"] < 0.5 * fabric_segment.before["heldout"]
