@@ -3,7 +3,7 @@
 import numpy as np
 import torch
 
-from lerobot_pneutac.benchmarks.speed.splats import OPACITY, finger, gel
+from pneutac_benchmarks.speed.splats import OPACITY, finger, gel
 from pneutac_sim.splat.cuda import rasterise_tensors
 
 REPEATS = 200

@@ -12,12 +12,12 @@ from pneutac_datasets.demonstrations.record import record_episodes
 if __name__ == "__main__":  # workers import this file
     robot = PneutacSim(PneutacSimConfig(id="twin", task="switch", fidelity="probe"))
     operator = PneutacScripted(PneutacScriptedConfig(episode_steps=300))
-    demos = Path("outputs/demos")
+    demos = Path("outputs/augment/demos")
     record_episodes(robot, operator, "local/demos", demos, 2, "flip the switch", use_videos=False)
 
     config = AugmentConfig(
         dataset=DatasetRef("local/demos", demos),
-        output=DatasetRef("local/more", Path("outputs/more")),
+        output=DatasetRef("local/more", Path("outputs/augment/more")),
         task="switch",
         episodes=1,
         fidelity="probe",

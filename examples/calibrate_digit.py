@@ -10,7 +10,7 @@ from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.sensor import TactileSensor
 
 # Generated photographs; with a sensor of yours: Recording.load("your/folder").
-recording = write_hidden_gel("outputs/presses", ["shadow"], seed=1, images=6)
+recording = write_hidden_gel("outputs/calibrate_digit/presses", ["shadow"], seed=1, images=6)
 
 result = calibrate(new_twin("gel", recording), recording)
 comparison = compare(result.twin, recording)
@@ -21,4 +21,4 @@ sensor = TactileSensor(result.twin)
 depth_mm = sensor.probe(*Press("edge", 6.0, x_mm=0.0, y_mm=2.0, depth_mm=0.8, yaw_rad=0.4).shapes())
 image = sensor.image(depth_mm)
 print(sensor.contact(image), "largest depth", np.round(depth_mm.max(), 2), "mm")
-Image.fromarray(image).save("outputs/edge.png")
+Image.fromarray(image).save("outputs/calibrate_digit/edge.png")

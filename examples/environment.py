@@ -21,5 +21,5 @@ while not done:
         frames.append(Image.fromarray(observation["pixels"]["tactile"]))
 
 print("flipped" if info["is_success"] else "not flipped", "state:", observation["agent_pos"].shape)
-Path("outputs").mkdir(exist_ok=True)
-frames[0].save("outputs/tactile.webp", save_all=True, append_images=frames[1:], duration=67)
+Path("outputs/environment").mkdir(parents=True, exist_ok=True)
+frames[0].save("outputs/environment/tactile.webp", save_all=True, append_images=frames[1:], duration=67)

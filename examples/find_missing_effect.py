@@ -4,10 +4,10 @@ from lerobot_pneutac import Recording, add, calibrate, compare, diagnose
 from lerobot_pneutac.verbs.new import new_twin
 from pneutac_datasets.generate.hidden.generate import generate
 
-# A finger with a hidden effect; the answer is in outputs/truth/, which nothing here opens.
-generate("creep", "outputs/bench", seed=7, minutes=4, hz=10)
+# A finger with a hidden effect; the answer is in outputs/missing_effect/truth/, which nothing here opens.
+generate("creep", "outputs/missing_effect/bench", seed=7, minutes=4, hz=10)
 
-recording = Recording.load("outputs/bench")
+recording = Recording.load("outputs/missing_effect/bench")
 twin = calibrate(new_twin(recording=recording), recording).twin
 before = compare(twin, recording)
 print(f"calibrated: {before.heldout:.2f} {before.unit} where the noise has {before.noise_floor:.2f}")
@@ -22,5 +22,5 @@ for effect in diagnosis.selected:
 
 after = compare(twin, recording)
 print(f"with effects: {after.heldout:.2f} {after.unit}")
-after.report("outputs/report")  # outputs/report/report.html opens offline
-twin.save("outputs/twin")
+after.report("outputs/missing_effect/report")  # outputs/report/report.html opens offline
+twin.save("outputs/missing_effect/twin")

@@ -58,7 +58,7 @@ TARGETS = {
         ("tests/robots/hardware/test_pressure_firmware.py",),
     ),
     "selection": Target(
-        ("lerobot_pneutac/diagnosis/selection.py",), ("tests/lerobot_pneutac/diagnosis/test_selection.py",)
+        ("lerobot_pneutac/diagnosis/search.py",), ("tests/lerobot_pneutac/diagnosis/test_search.py",)
     ),
     "planner": Target(
         ("datasets/pneutac_datasets/demonstrations/augment/planner.py",),
@@ -234,14 +234,14 @@ def c_mutations(source: str) -> list[tuple[int, int, str]]:
     return found
 
 
-def mutations(target: Target) -> list[Mutation]:
-    """All of a target that are tried, in the order of the code."""
+def mutations(target: Target, match: str = "") -> list[Mutation]:
+    """All of a target that are tried and have `match` in their text, in the order of the code."""
     found = []
     for file in target.files:
         source = (ROOT / file).read_text()
         spans = PythonMutations(source).found if file.endswith(".py") else c_mutations(source)
         found += [Mutation(file, *span) for span in sorted(set(spans))]
-    found = [m for m in found if str(m) not in NO_CHANGE]
+    found = [m for m in found if match in str(m) and str(m) not in NO_CHANGE]
     if target.most and len(found) > target.most:
         found = [found[k * len(found) // target.most] for k in range(target.most)]
     return found
@@ -304,10 +304,10 @@ def seconds(trees: list[Path], tests: tuple[str, ...]) -> float:
     return time.monotonic() - began
 
 
-def outcomes(target: Target, trees: list[Path]) -> Iterator[tuple[Mutation, bool]]:
+def outcomes(target: Target, trees: list[Path], match: str) -> Iterator[tuple[Mutation, bool]]:
     """Yields each mutation and whether it survives; those that do not compile are none."""
     longest = 60 + 5 * seconds(trees, target.tests)
-    waiting, free, running = mutations(target)[::-1], list(trees), {}
+    waiting, free, running = mutations(target, match)[::-1], list(trees), {}
     while waiting or running:
         while waiting and free:
             tree, mutation = free.pop(), waiting.pop()
@@ -337,7 +337,7 @@ def main() -> int:
     targets = {args.only: TARGETS[args.only]} if args.only else TARGETS
     if args.list:
         for target in targets.values():
-            print(*mutations(target), sep="\n")
+            print(*mutations(target, args.match), sep="\n")
         return 0
     os.environ |= {"OMP_NUM_THREADS": "1", "HF_HUB_OFFLINE": "1"}
     sys.dont_write_bytecode = True
@@ -350,7 +350,7 @@ def main() -> int:
         trees = [copy_tree(Path(folder) / str(i)) for i in range(args.jobs)]
         for name, target in targets.items():
             tried, left = 0, []
-            for mutation, survived in outcomes(target, trees):
+            for mutation, survived in outcomes(target, trees, args.match):
                 tried += 1
                 if survived:
                     left.append(mutation)

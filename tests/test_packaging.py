@@ -101,12 +101,19 @@ def test_sdist_builds_the_same_wheel_as_the_tree(wheel, tmp_path):
     assert contents(direct) == contents(wheel)
 
 
-def test_wheel_holds_the_four_packages_under_the_name_that_lerobot_looks_for(wheel):
+def test_wheel_holds_the_six_packages_under_the_name_that_lerobot_looks_for(wheel):
     with zipfile.ZipFile(wheel) as archive:
         names = archive.namelist()
         header = email.message_from_bytes(archive.read(next(n for n in names if n.endswith("/METADATA"))))
     tops = {n.split("/")[0] for n in names if ".dist-info" not in n}
-    assert tops == {"lerobot_pneutac", "lerobot_robot_pneutac", "pneutac_datasets", "pneutac_sim"}
+    assert tops == {
+        "lerobot_pneutac",
+        "lerobot_robot_pneutac",
+        "pneutac_benchmarks",
+        "pneutac_datasets",
+        "pneutac_sim",
+        "pneutac_truths",
+    }
     # With a dash in the name LeRobot would not find it.
     assert header["Name"] == NAME
     assert header["License-Expression"] == "Apache-2.0"

@@ -30,6 +30,12 @@ calibrate --twin=finger --recording=nowhere
 calibrate --twin=arm --recording=bench
 calibrate --twin=gel --recording=bench
 calibrate --twin=finger --recording=bench --by=smell
+calibrate --twin=finger --recording=bench --particles=3
+calibrate --config_path=nowhere.yaml
+calibrate --config_path=broken.yaml
+calibrate --config_path=list.yaml
+calibrate --config_path=typo.yaml
+calibrate --twin=finger --recording=bench --out=typo.yaml
 calibrate --twin=finger --recording=bench --twins=x
 calibrate --twin=finger --recording=bench --seed=many
 compare
@@ -43,17 +49,22 @@ diagnose --twin=finger --recording=bench --jobs=some
 add
 add --twin=finger --recording=bench
 add --twin=finger --recording=bench --effect=crep
+add --twin=finger --recording=bench --effect=magnetism
 add --twin=finger --recording=bench --effect=shadow
 add --twin=arm --recording=bench --effect=creep
 new
 new --twin=other --device=hand
 new --twin=other --length_mm=-1
 new --twin=other --mesh=nowhere.stl
+new --twin=other --mesh=nowhere.stl --mesh_unit=inch
 new --twin=other --recording=nowhere
 measure
 measure --program=dance
 render
 render --twin=nowhere
+render --twin=finger --seconds=0
+render --twin=finger --view.distance_lengths=0
+render --twin=finger --pressure_kpa=[] --size_mm=3
 surrogate --twin=nowhere
 surrogate --twin=arm
 augment
@@ -63,10 +74,14 @@ augment --method=magic
 augment --planner.samples=1
 ppo --task=bottle
 ppo --steps=0
+ppo --steps=0 --out=a
+ppo --out=a --student.fidelity=exact
 demo --trials=0
 benchmark
 benchmark speed --twins=x
 benchmark juggling
+benchmark body --hidden=-1
+benchmark augment --tasks=[bottle]
 doctor --port
 """.strip().splitlines()
 
@@ -139,6 +154,13 @@ RECORDINGS = {
     "a column twice": text("samples.csv", "trial,time_s,time_s,pressure_cmd_kpa\n0,0,0,1\n"),
     "noise of no column": field(noise={"tip_w_mm": 0.1}),
     "negative noise": field(noise={"tip_x_mm": -0.1}),
+    "a trial that is not there": field(trials={"5": {"start": "rested"}}),
+    "another start of a trial": field(trials={"1": {"start": "fresh"}}),
+    "a negative pause": field(trials={"1": {"start": "continues", "pause_s": -2}}),
+    "a pause after a rest": field(trials={"1": {"start": "rested", "pause_s": 12}}),
+    "a first trial that continues": field(trials={"0": {"start": "continues"}}),
+    "a command sent too late": table(lambda s: s.assign(time_sent_s=s.time_s.astype(float) + 0.3)),
+    "a command sent too early": table(lambda s: s.assign(time_sent_s=s.time_s.astype(float) - 0.3)),
 }
 
 TWINS = {
@@ -185,6 +207,9 @@ def folder(tmp_path_factory):
     Twin("arm", 200.0).save(path / "arm")
     Twin("gel", 16.0).save(path / "gel")
     write_bench(path / "bench")
+    (path / "broken.yaml").write_text("twin: [a")
+    (path / "list.yaml").write_text("- twin")
+    (path / "typo.yaml").write_text("twim: finger")
     return path
 
 

@@ -2,21 +2,19 @@
 
 import io
 import sys
+import textwrap
 from dataclasses import replace
 
 import numpy as np
-import pandas as pd
 from mkdocs.structure.files import File
 from PIL import Image
 
+from lerobot_pneutac.verbs.effects import tips
 from pneutac_sim.effects.registry import all_effects, body_effects, get_effect, of_sensor, sensor_effects
-from pneutac_sim.finger import simulate
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.sensor import TactileSensor
-from pneutac_sim.twin import Twin, Value
 
-COLUMNS = ["tip_x_mm", "tip_y_mm", "tip_z_mm"]
 NEEDS = {  # conditions that the program varies for an effect which lives by them
     "gravity": "the base is turned from hanging to lying",
     "payload": "50 g hang at the tip",
@@ -69,11 +67,13 @@ def _sentence(effect) -> str:
 
 
 def _equation(effect) -> list[str]:
+    """The formula; where it comes from and what else the code says lies folded below, since it repeats it."""
     module = sys.modules.get(f"pneutac_sim.effects.{effect.name}")
-    lines = [rf"\[ {effect.equation} \]", ""] if effect.equation else []
-    if module is not None:
-        lines += [(module.__doc__ or "").strip().replace("*", r"\*")]
-    return lines
+    words = (module.__doc__ or "").strip().replace("*", r"\*") if module else ""
+    if not effect.equation:
+        return [words]
+    folded = ['??? quote "Sources and details, as in the code"', "", textwrap.indent(words, "    ")]
+    return [rf"\[ {effect.equation} \]", "", *(folded if words else [])]
 
 
 def _parameters(effect) -> list[str]:
@@ -87,40 +87,9 @@ def _parameters(effect) -> list[str]:
 # ---------------------------------------------------------------- a finger under pressure
 
 
-class Program:
-    """A bench recording of stairs, a hold, triangles and random steps, without measurements."""
-
-    device = "finger"
-
-    def __init__(self, hz: float = 20.0):
-        t = np.arange(0, 60, 1 / hz)
-        steps = np.array([0.0, 4, 8, 12, 12, 12, 6, 0])[np.minimum(t // 4, 7).astype(int)]
-        triangles = 12 * np.abs((t - 32) / 7 % 2 - np.round((t - 32) / 7 % 2 / 2) * 2)
-        pressure = np.where(t < 32, steps, triangles)
-        self.samples = pd.DataFrame(
-            {
-                "trial": 0,
-                "time_s": t,
-                "pressure_cmd_kpa": pressure,
-                "gravity_x": np.cos(t / 60 * np.pi / 2),
-                "gravity_y": 0.0,
-                "gravity_z": -np.sin(t / 60 * np.pi / 2),
-                "temperature_c": 20 + t / 6,
-                "payload_g": 50.0,
-                "neighbour_kpa": np.where(t < 30, 0.0, 8.0),
-                **dict.fromkeys(COLUMNS, 0.0),
-            }
-        )
-
-
 def curve(name: str) -> str:
     """Deflection of the built-in finger without and with one effect, as an SVG."""
-    effect, twin, program = all_effects()[name], Twin.builtin(), Program()
-    twin.effects = {name: {p.name: Value(p.limits(12.0)[0]) for p in effect.parameters}}
-    with_it, without = simulate(twin, program), simulate(twin, program, effects=[])
-    rows = [with_it.data.columns.index(c) for c in COLUMNS]
-    a, b = without.model[:, rows], with_it.model[:, rows]
-    t = program.samples["time_s"].to_numpy()
+    t, _, a, b = tips(name)
     z = [(a[:, 2], "thin"), (b[:, 2], "thick")]
     left = _panel(0, t, "deflection, mm", z, min(a[:, 2].min(), b[:, 2].min()))
     right = _panel(370, t, "apart, mm", [(np.linalg.norm(b - a, axis=1), "thick")], 0.0)

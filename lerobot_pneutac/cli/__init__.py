@@ -7,19 +7,20 @@ import sys
 
 # verb -> what it does; the module of its name has `main(argv)`
 VERBS = {
-    "demo": "the main job, end to end, on the built-in twin",
-    "new": "a new twin",
+    "demo": "do the main job, end to end, on a robot that stands in for a real one",
+    "new": "make a new twin",
     "measure": "drive a pressure program and record finger and gel",
     "calibrate": "fit a twin to a bench recording",
-    "compare": "errors of a twin against a recording, and where it fails",
-    "diagnose": "which physical effect is missing",
+    "compare": "compare a twin with a recording, and show where it fails",
+    "diagnose": "find which physical effect is missing",
+    "effects": "list, show and export the effects and laws that a twin may have",
     "add": "switch an effect on, re-fit, show the error before and after",
     "surrogate": "train the fast networks from full simulations",
-    "render": "pictures and a film of a twin under pressure or an indenter",
-    "augment": "demonstrations in, more demonstrations out",
+    "render": "draw a twin under pressure or an indenter, as pictures and a film",
+    "augment": "make more demonstrations out of a few",
     "ppo": "train an actor by reinforcement learning",
-    "benchmark": "tables of speed and accuracy",
-    "doctor": "what is installed; which GPU, ports and cameras answer",
+    "benchmark": "measure accuracy and speed, as tables",
+    "doctor": "check what is installed, and which GPU, ports and cameras answer",
 }
 
 
@@ -38,6 +39,7 @@ def main() -> None:
 
 
 def _dispatch(argv: list[str]) -> None:
+    from lerobot_pneutac.cli.options import name_option
     from pneutac_sim.errors import InputError
 
     verb = argv[0] if argv else "help"
@@ -55,7 +57,8 @@ def _dispatch(argv: list[str]) -> None:
     try:
         _module(verb).main(argv[1:])
     except InputError as e:
-        sys.exit(f"pneutac {verb}: {e}")
+        known = options_class(verb)
+        sys.exit(f"pneutac {verb}: {name_option(str(e), known) if known else e}")
 
 
 def options_class(command: str) -> type | None:

@@ -1,4 +1,4 @@
-"""`pneutac add`: switches an effect on in a twin, re-fits everything, shows the error before and after."""
+"""`pneutac add`: switches an effect on in a twin, re-fits all, and shows the error before and after."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,7 +7,7 @@ from rich.console import Console
 
 from lerobot_pneutac.cli.options import parse_options
 from lerobot_pneutac.cli.progress import progress_bar
-from lerobot_pneutac.cli.show import check_given, check_out, show, write
+from lerobot_pneutac.cli.show import show, write
 from lerobot_pneutac.study.pair import load_pair
 from lerobot_pneutac.verbs.add import add
 from pneutac_sim.effects.registry import get_effect
@@ -19,35 +19,39 @@ class AddConfig:
     """Options of `pneutac add`.
 
     Attributes:
-        twin: the twin's folder; its next version is written there if the error falls.
-        recording: a bench recording of the same finger, arm or gel.
-        effect: name of the effect to switch on.
+        twin: folder of the twin; its next version is written there if the error falls.
+        recording: folder of a bench recording of the same finger, arm or gel.
+        effect: names of the effects or laws to switch on, joined by commas.
+        diagnosis: folder that `pneutac diagnose` wrote; all that it found is switched on. Also `--from`.
         out: folder for `result.json` and `report.html`.
-        seed: decides which blocks of time are held out, and the bootstrap.
+        seed: seed of the choice of what is held out, and of the bootstrap.
     """
 
-    twin: Path | None = None
-    recording: Path | None = None
+    twin: Path
+    recording: Path
     effect: str = ""
+    diagnosis: Path | None = None
     out: Path | None = None
     seed: int = 0
 
     def __post_init__(self):
-        check_given(self, "twin", "recording")
-        if not self.effect:
+        if bool(self.effect) == (self.diagnosis is not None):
             raise InputError(
-                "Give the effect with --effect=NAME; `pneutac diagnose` tells which one is missing."
+                "Give the effects with --effect=A,B, or all that a diagnosis found with --from=DIR; "
+                "`pneutac diagnose --out=DIR` tells what is missing."
             )
-        check_out(self.out)
 
 
 def main(argv: list[str]) -> None:
     """Runs the verb."""
-    cfg, console = parse_options(AddConfig, argv), Console()
-    get_effect(cfg.effect)
+    given = [f"--diagnosis={a[7:]}" if a.startswith("--from=") else a for a in argv]
+    cfg, console = parse_options(AddConfig, given), Console()
+    effects = [e.strip() for e in cfg.effect.split(",")] if cfg.effect else []
+    for e in effects:
+        get_effect(e)
     twin, recording = load_pair(cfg.twin, cfg.recording, "add to")
     with progress_bar(console) as progress:
-        result = add(twin, recording, cfg.effect, seed=cfg.seed, progress=progress)
+        result = add(twin, recording, cfg.diagnosis or effects, seed=cfg.seed, progress=progress)
     if result.accepted:
         result = result.save(cfg.twin)
     show(result, console, sentence=result.accepted)

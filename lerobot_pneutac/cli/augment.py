@@ -1,4 +1,4 @@
-"""`pneutac augment`: a few demonstrations in, many new ones out, planned on the twin and guided by touch."""
+"""`pneutac augment`: makes many demonstrations out of a few, planned on the twin and guided by touch."""
 
 from rich.console import Console
 

@@ -3,18 +3,18 @@
 import importlib
 import sys
 
-from lerobot_pneutac.cli.options import parse_options
+from lerobot_pneutac.cli.options import name_option, parse_options
 from pneutac_sim.errors import InputError
 
 # name -> module with the dataclass `BenchmarkNameConfig` and the function `benchmark_name` that takes it
 TABLES = {
-    "diagnosis": "lerobot_pneutac.benchmarks.diagnosis.main",
-    "body": "lerobot_pneutac.benchmarks.body.main",
-    "tactile": "lerobot_pneutac.benchmarks.tactile.main",
-    "surrogate": "lerobot_pneutac.benchmarks.surrogate.main",
-    "augment": "lerobot_pneutac.benchmarks.augment",
-    "policy": "lerobot_pneutac.benchmarks.policy.main",
-    "speed": "lerobot_pneutac.benchmarks.speed.main",
+    "diagnosis": "pneutac_benchmarks.diagnosis.main",
+    "body": "pneutac_benchmarks.body.main",
+    "tactile": "pneutac_benchmarks.tactile.main",
+    "surrogate": "pneutac_benchmarks.surrogate.main",
+    "augment": "pneutac_benchmarks.augment",
+    "policy": "pneutac_benchmarks.policy.main",
+    "speed": "pneutac_benchmarks.speed.main",
 }
 
 
@@ -28,5 +28,8 @@ def main(argv: list[str]) -> None:
         raise InputError(f"'{name}' is no benchmark; give one of {', '.join(TABLES)}.")
     sys.argv[0] = f"pneutac benchmark {name}"
     module = importlib.import_module(TABLES[name])
-    config = parse_options(getattr(module, f"Benchmark{name.capitalize()}Config"), argv[1:])
-    getattr(module, f"benchmark_{name}")(config)
+    config_class = getattr(module, f"Benchmark{name.capitalize()}Config")
+    try:
+        getattr(module, f"benchmark_{name}")(parse_options(config_class, argv[1:]))
+    except InputError as e:
+        raise InputError(name_option(str(e), config_class)) from e

@@ -8,11 +8,10 @@ from rich.console import Console
 
 from lerobot_pneutac.cli.options import parse_options
 from lerobot_pneutac.cli.progress import progress_bar
-from lerobot_pneutac.cli.show import check_out, show, write
-from lerobot_pneutac.verbs.calibrate import WAYS, calibrate
+from lerobot_pneutac.cli.show import show, write
+from lerobot_pneutac.verbs.calibrate import calibrate
 from lerobot_pneutac.verbs.calibrate_files import forget_search, recording_for, stopped, twin_for
 from lerobot_pneutac.verbs.calibration import Calibration
-from pneutac_sim.errors import InputError
 
 
 @dataclass
@@ -24,17 +23,18 @@ class CalibrateConfig:
         recording: folder of the bench recording. Without it a gel is calibrated from the DIGIT photographs in
             $PNEUTAC_DATA, or from generated images where that is unset.
         out: folder for `result.json`, `report.html` and pictures.
-        effects: gel only: optics effects to fit, with commas between, or `none` for the paper's linear model;
-            those that the twin has, if it has been calibrated, else all that one pair of images can tell.
-        by: body only: `images` (photographs with masks) or `markers` (markers and angles); by markers where
-            the recording has them, else by images.
-        train_kpa: body by images: pressures to fit, with commas between; all others are held out.
-        evaluations: body by images: of the search.
-        particles: body by images: of the body, about.
-        seed: decides every random choice.
+        effects: optics effects of a gel to fit, with commas between, or `none` for the paper's linear model;
+            where left out, those that the twin has, if it has been calibrated, else all that one pair of
+            images can tell.
+        by: what a finger or an arm is fitted to: `images` (photographs with masks) or `markers` (markers and
+            angles); where left out, markers if the recording has them, else images.
+        train_kpa: pressures to fit by images, with commas between; all others are held out.
+        evaluations: number of bodies that the search by images tries.
+        particles: number of material points of a body by images, about.
+        seed: seed of every random choice.
     """
 
-    twin: Path | None = None
+    twin: Path
     recording: Path | None = None
     out: Path | None = None
     effects: str | None = None
@@ -43,15 +43,6 @@ class CalibrateConfig:
     evaluations: int = 84
     particles: int = 4000
     seed: int = 0
-
-    def __post_init__(self):
-        if self.twin is None:
-            raise InputError("Give the twin's folder with --twin=DIR.")
-        check_out(self.out)
-        if self.by not in (None, *WAYS):
-            raise InputError(f"--by={self.by} is unknown; choose images or markers.")
-        if self.particles < 500 or self.evaluations < 7:
-            raise InputError("--particles must be 500 or more, --evaluations 7 or more.")
 
 
 def main(argv: list[str]) -> None:

@@ -1,4 +1,4 @@
-"""`pneutac compare`: how far a twin is from a recording, and where it fails."""
+"""`pneutac compare`: compares a twin with a recording, and shows where it fails."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,7 +7,7 @@ from rich.console import Console
 
 from lerobot_pneutac.cli.options import parse_options
 from lerobot_pneutac.cli.progress import progress_bar
-from lerobot_pneutac.cli.show import check_given, check_out, show, write
+from lerobot_pneutac.cli.show import show, write
 from lerobot_pneutac.study.pair import load_pair
 from lerobot_pneutac.verbs.compare import check_fidelity, compare
 
@@ -17,27 +17,25 @@ class CompareConfig:
     """Options of `pneutac compare`.
 
     Attributes:
-        twin: the twin's folder.
-        recording: a bench recording of the same device.
+        twin: folder of the twin.
+        recording: folder of a bench recording of the same device.
         out: folder for `result.json` and `report.html`; nothing is written without it.
         fidelity: `pipeline` (the twin's kinematics, every sample) or `mpm` (of a finger or an arm: the full
             body of material points, at samples spread over the recording).
-        samples: by mpm: at most so many, 200 where left out.
-        seed: decides which blocks of time are held out, where the twin was not fitted on this recording, and
-            which samples are simulated by mpm.
+        samples: largest number of samples by mpm; where left out, 200.
+        seed: seed of the choice of what is held out, where the twin was not fitted on this recording, and of
+            the samples by mpm.
     """
 
-    twin: Path | None = None
-    recording: Path | None = None
+    twin: Path
+    recording: Path
     out: Path | None = None
     fidelity: str = "pipeline"
     samples: int | None = None
     seed: int = 0
 
     def __post_init__(self):
-        check_given(self, "twin", "recording")
         check_fidelity(self.fidelity, self.samples)
-        check_out(self.out)
 
 
 def main(argv: list[str]) -> None:

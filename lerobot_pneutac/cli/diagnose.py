@@ -1,4 +1,4 @@
-"""`pneutac diagnose`: which physical effect a twin lacks, with rivals, intervals and the next experiment."""
+"""`pneutac diagnose`: finds the physical effect that a twin lacks, its rivals and the next experiment."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,10 +7,9 @@ from rich.console import Console
 
 from lerobot_pneutac.cli.options import parse_options
 from lerobot_pneutac.cli.progress import progress_bar
-from lerobot_pneutac.cli.show import check_given, check_out, show, write
+from lerobot_pneutac.cli.show import show, write
 from lerobot_pneutac.study.pair import load_pair
 from lerobot_pneutac.verbs.diagnose import diagnose
-from pneutac_sim.errors import InputError
 
 
 @dataclass
@@ -18,24 +17,18 @@ class DiagnoseConfig:
     """Options of `pneutac diagnose`.
 
     Attributes:
-        twin: the twin's folder; it is not changed.
-        recording: a bench recording of the same finger, arm or gel.
+        twin: folder of the twin, which is not changed.
+        recording: folder of a bench recording of the same finger, arm or gel.
         out: folder for `result.json` and `report.html`.
-        jobs: processes; 0 for all cores.
-        seed: decides which blocks of time are held out, and every bootstrap.
+        jobs: number of processes; 0 for all cores.
+        seed: seed of the choice of what is held out, and of every bootstrap.
     """
 
-    twin: Path | None = None
-    recording: Path | None = None
+    twin: Path
+    recording: Path
     out: Path | None = None
     jobs: int = 0
     seed: int = 0
-
-    def __post_init__(self):
-        check_given(self, "twin", "recording")
-        check_out(self.out)
-        if self.jobs < 0:
-            raise InputError(f"--jobs={self.jobs} must be 0 (all cores) or a positive number.")
 
 
 def main(argv: list[str]) -> None:
@@ -46,3 +39,5 @@ def main(argv: list[str]) -> None:
         result = diagnose(twin, recording, jobs=cfg.jobs, seed=cfg.seed, progress=progress)
     show(result, console)
     write(result, cfg.out, "diagnose", argv, console)
+    if cfg.out is not None and recording.device != "gel":
+        result.save(cfg.out)

@@ -1,4 +1,4 @@
-"""`pneutac new`: a new twin, from the parametric device, a mesh or with the geometry of a recording."""
+"""`pneutac new`: makes a twin from the parametric device, a mesh, or the geometry of a recording."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +10,7 @@ from lerobot_pneutac.cli.options import parse_options
 from lerobot_pneutac.verbs.new import mesh_sentence, new_twin, read_body, write_geometry
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import an
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import InputError, check_choice
 from pneutac_sim.twin import DEVICES
 
 
@@ -20,13 +20,14 @@ class NewConfig:
 
     Attributes:
         twin: folder to write; it must not hold a twin yet.
-        device: finger, arm or gel; left out, the recording's own, else a finger.
-        recording: geometry is taken from its recording.json.
+        device: `finger`, `arm` or `gel`; where left out, the recording's own, else a finger.
+        recording: bench recording whose recording.json tells the geometry.
         mesh: STL, OBJ or PLY of the soft body of a finger or an arm.
-        mesh_unit: of its coordinates, mm or m.
-        mesh_axis: x, y or z, along which it lies, base first; left out, its longest side. Axes are renamed in
-            cyclic order: along z it bends towards the file's y, along y towards x, along x towards z.
-        length_mm: of the straight device, where no mesh, recording or the paper's finger tells it.
+        mesh_unit: unit of the mesh's coordinates, `mm` or `m`.
+        mesh_axis: axis along which the mesh lies, base first: `x`, `y` or `z`; where left out, its longest
+            side. Axes are renamed in cyclic order: along z it bends towards the file's y, along y towards x,
+            along x towards z.
+        length_mm: length of the straight device, where no mesh, recording or the paper's finger tells it.
     """
 
     twin: Path
@@ -38,8 +39,7 @@ class NewConfig:
     length_mm: float | None = None
 
     def __post_init__(self):
-        if self.device is not None and self.device not in DEVICES:
-            raise InputError(f"--device is '{self.device}'; it must be one of {', '.join(DEVICES)}.")
+        check_choice("device", self.device or DEVICES[0], DEVICES)
         if self.mesh is None:
             return
         if self.device == "gel":

@@ -18,6 +18,7 @@ from pathlib import Path
 import draccus
 
 from pneutac_sim.errors import InputError
+from pneutac_sim.files import read_yaml
 
 PLACEHOLDERS = {str: "TEXT", int: "INT", float: "NUMBER", Path: "PATH"}
 COLUMN = 28  # where help texts begin
@@ -52,24 +53,53 @@ def parse_options(config_class: type, argv: list[str]):
     if "-h" in argv or "--help" in argv:
         print(help_text(config_class))
         raise SystemExit(0)
+    argv = _completed(options, argv)
     for path in (a.partition("=")[2] for a in argv if a.startswith("--config_path=")):
-        if not Path(path).is_file():
-            raise InputError(f"--config_path={path} is no file; give a YAML file of options.")
+        _check_file(Path(path), options)
     try:
-        return draccus.parse(config_class, args=_completed(options, argv))
+        config = draccus.parse(config_class, args=argv)
     except draccus.ParsingError as e:  # draccus hides what the dataclass itself raised
         cause = e
         while cause.__cause__ is not None and not isinstance(cause, InputError):
             cause = cause.__cause__
-        raise cause if isinstance(cause, InputError) else InputError(_in_words(str(e))) from e
+        raise cause if isinstance(cause, InputError) else InputError(_in_words(str(e), options)) from e
+    out = getattr(config, "out", None)
+    if out is not None and not getattr(config, "names_a_file", False) and out.exists() and not out.is_dir():
+        raise InputError(f"--out={out} is a file; give a folder.")
+    return config
 
 
-def _in_words(text: str) -> str:
+def name_option(sentence: str, config_class: type) -> str:
+    """A library's sentence about a parameter, `jobs=-1 must be ...`, as one about the option `--jobs`."""
+    first = re.match(r"\w+(?==| is | has | and )", sentence)
+    name = first[0] if first else ""
+    options = [o.name for o in list_options(config_class)]
+    named = [o for o in options if o == name] or [o for o in options if re.search(rf"[._]{name}$", o)]
+    return f"--{named[0]}{sentence.removeprefix(name)}" if name and len(named) == 1 else sentence
+
+
+def _check_file(path: Path, options: dict[str, Option]) -> None:
+    """Raises InputError where a file of options cannot be read, or names another option."""
+    if not path.is_file():
+        raise InputError(f"--config_path={path} is no file; give a YAML file of options.")
+    content = read_yaml(path)
+    if not isinstance(content, dict):
+        raise InputError(f"--config_path={path} must hold options, one `name: value` in each line.")
+    for name in content:
+        if name not in options:
+            raise InputError(f"{path}: {_unknown(str(name), options)}")
+
+
+def _in_words(text: str, options: dict[str, Option]) -> str:
     """What draccus reports, as a sentence that says what to give."""
     text = " ".join(text.split())
-    if missing := re.match(r"Missing required field\(s\) (.+) for \w+", text):
-        names = re.findall(r"`(\w+)`", missing[1])
-        return f"Give {' and '.join(f'--{name}=...' for name in names)}; --help lists all options."
+    if missing := re.match(r"(?:`(\w+)`: )?Missing required field\(s\) (.+) for \w+", text):
+        group = f"{missing[1]}." if missing[1] else ""
+        names = re.findall(r"`(\w+)`", missing[2])
+        asked = [o for o in options.values() if o.name.removeprefix(group).split(".")[0] in names]
+        shown = [f"--{o.name}{_placeholder(o.kind)}" for o in asked if not dataclasses.is_dataclass(o.kind)]
+        shown = [", ".join(shown[:-1]), shown[-1]] if shown[1:] else shown
+        return f"Give {' and '.join(shown)}; --help lists all options."
     if wrong := re.match(r"`([\w.]+)`: Couldn't parse '(.*)' into an? (\w+)$", text):
         kind = {"int": "a whole number", "float": "a number", "bool": "true or false"}.get(wrong[3], wrong[3])
         return f"--{wrong[1]} is '{wrong[2]}'; it must be {kind}."
@@ -117,7 +147,7 @@ def help_text(config_class: type) -> str:
     lines = [f"usage: {sys.argv[0].rpartition('/')[2]} [--option=value ...]", ""]
     lines += [*textwrap.wrap(sentence[:1].upper() + sentence[1:], width), "", "options:"]
     extra = (
-        Option("config_path", Path, None, "YAML file of options; those of the command line win."),
+        Option("config_path", Path, None, "YAML file of options; those of the command line win over it."),
         Option("help", bool, None, "this text."),
     )
     for option in (*list_options(config_class), *extra):

@@ -4,23 +4,10 @@ import shlex
 from pathlib import Path
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from lerobot_pneutac.reports.page import cell
-from pneutac_sim.errors import InputError
-
-
-def check_out(out: Path | None) -> None:
-    """Raises InputError where the folder for results is a file."""
-    if out is not None and out.exists() and not out.is_dir():
-        raise InputError(f"--out={out} is a file; give a folder.")
-
-
-def check_given(options, *names: str) -> None:
-    """Raises InputError where a folder that the verb needs was not given."""
-    for name in names:
-        if getattr(options, name) is None:
-            raise InputError(f"Give the {name}'s folder with --{name}=DIR.")
 
 
 def show(result, console: Console, sentence: bool = True) -> None:
@@ -28,7 +15,7 @@ def show(result, console: Console, sentence: bool = True) -> None:
     for finding in result.findings:
         console.print(f"[yellow]note:[/] {finding}", highlight=False)
     if sentence and result.sentence:
-        console.print(f"\n[bold]{result.sentence}[/]\n", highlight=False)
+        console.print(f"\n[bold]{escape(result.sentence)}[/]\n", highlight=False)
     rows = result.rows()
     if rows:
         table = Table(*map(str, rows[0]), title=result.title)

@@ -9,7 +9,6 @@ from lerobot_pneutac.cli.options import parse_options
 from lerobot_pneutac.cli.progress import progress_bar
 from lerobot_pneutac.cli.show import show, write
 from lerobot_pneutac.verbs.surrogate import CARD, Collection, train_networks
-from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin
 
 
@@ -19,17 +18,17 @@ class SurrogateConfig:
 
     Attributes:
         twin: folder of a finger's twin; the networks are written into it.
-        trajectories: motions of the full finger, of `seconds` each; two sixths of them are held out.
-        seconds: of each.
-        contacts: presses on the full gel; of two kinds of indenter all are held out.
-        particles: of the finger, about.
-        fresh: train even where the networks that are shipped were trained for such a finger and gel.
-        device: auto, cpu or cuda.
-        seed: decides programs, contacts and weights.
-        out: folder for report.html and result.json; none where it is not given.
+        trajectories: number of motions of the full finger; two sixths of them are held out.
+        seconds: length of each motion.
+        contacts: number of presses on the full gel; of two kinds of indenter all are held out.
+        particles: number of material points of the finger, about.
+        fresh: training also where the networks that are shipped were trained for such a finger and gel.
+        device: `auto`, `cpu` or `cuda`.
+        seed: seed of programs, contacts and weights.
+        out: folder for `result.json` and `report.html`; nothing is written without it.
     """
 
-    twin: Path | None = None
+    twin: Path
     trajectories: int = 24
     seconds: float = 1.0
     contacts: int = 100
@@ -38,12 +37,6 @@ class SurrogateConfig:
     device: str = "auto"
     seed: int = 0
     out: Path | None = None
-
-    def __post_init__(self):
-        if self.twin is None:
-            raise InputError("Give the twin's folder with --twin=DIR.")
-        if self.device not in ("auto", "cpu", "cuda"):
-            raise InputError(f"--device is '{self.device}'; choose auto, cpu or cuda.")
 
 
 def main(argv: list[str]) -> None:

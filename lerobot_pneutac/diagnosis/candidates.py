@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.effects.laws import is_law, law, law_names
 from pneutac_sim.effects.registry import body_effects
 from pneutac_sim.finger.inputs import conditions_of
 from pneutac_sim.twin import Twin
@@ -30,8 +31,10 @@ def sort_candidates(recording: Recording, twin: Twin) -> tuple[list[str], list[U
     names, untested = [], []
     known = conditions_of(recording.samples, recording.device)
     marked = any(recording.has(f"tip_{a}_mm") for a in "xyz")
-    for name, effect in body_effects().items():
-        if name in twin.effects:
+    for name, effect in (body_effects() | {n: law(n) for n in law_names()}).items():
+        if name in twin.effects and not is_law(name):
+            continue
+        if is_law(name) and not can_act(name, recording, marked, known):
             continue
         missing = [c for c in effect.columns if c not in known]
         if any(c.startswith("other_") for c in missing):
@@ -50,3 +53,17 @@ def sort_candidates(recording: Recording, twin: Twin) -> tuple[list[str], list[U
         else:
             names.append(name)
     return names, untested
+
+
+def can_act(name: str, recording: Recording, marked: bool, known: set[str]) -> bool:
+    """Whether a law can show in a recording; one that cannot is not worth a word."""
+    effect = law(name)
+    if any(c not in known for c in effect.columns):
+        return False
+    if any(
+        np.ptp(recording.column(c)) < LEAST_CHANGE.get(c, 0.1) for c in effect.columns if recording.has(c)
+    ):
+        return False
+    if name.startswith("bend"):
+        return not marked
+    return marked or effect.stage != "observation" or name == "tracker_lag"

@@ -2,10 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from lerobot_pneutac.diagnosis.fingerprints import Fingerprint
-from lerobot_pneutac.diagnosis.fits import FittedModel
-from lerobot_pneutac.diagnosis.profile import Profile
-from lerobot_pneutac.diagnosis.rivals import Rival
+from lerobot_pneutac.diagnosis.model import FittedModel
 from lerobot_pneutac.diagnosis.verdict import Evidence
 from pneutac_sim.twin import Twin
 
@@ -37,6 +34,25 @@ class Tested:
 
 
 @dataclass
+class Rival:
+    """An effect that could stand in the place of a selected one.
+
+    Attributes:
+        effect: the selected one.
+        rival: the other.
+        difference: held-out mean square error of the rival minus that of the choice, over the choice's.
+        fit: the model with the rival instead.
+        winner: the model that was chosen.
+    """
+
+    effect: str
+    rival: str
+    difference: float
+    fit: FittedModel
+    winner: FittedModel
+
+
+@dataclass
 class Outcome:
     """Everything that a search found.
 
@@ -52,10 +68,8 @@ class Outcome:
         verdict: one of five.
         twin: the final model.
         seconds: wall time.
-        fingerprints: how effects would show in what is left of the twin as it is.
-        profiles: what the recording tells of each parameter of the selected effects.
-        pressure_error: error of the modelled pressure before and after, and its noise, kPa, where pressure
-            was measured.
+        chosen_in: effect to the share of split seeds that chose it.
+        base_model: how the device bends before any effect, in numbers.
     """
 
     before: FittedModel
@@ -69,6 +83,5 @@ class Outcome:
     verdict: str
     twin: Twin
     seconds: float
-    fingerprints: list[Fingerprint] = field(default_factory=list)
-    profiles: list[Profile] = field(default_factory=list)
-    pressure_error: tuple[float, float, float] | None = None
+    chosen_in: dict[str, float] = field(default_factory=dict)
+    base_model: dict = field(default_factory=dict)

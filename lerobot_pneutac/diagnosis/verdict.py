@@ -1,18 +1,20 @@
 """The five verdicts.
 
 adequate            nothing but noise is left
-missing_effect      effects were found and explain what could be explained
-insufficient_form   effects were found and explain most of it, but more than noise is left
-unknown_effect      most of what could be explained is explained by no effect of the library
+missing_effect      what was found explains all but noise, holds in the whole recording, and nothing beats it
+insufficient_form   what was found explains most of the avoidable error, but not all that could be
+unknown_effect      most of it is explained by nothing that was found; an equation found stands in for it
 ambiguous           this recording cannot tell
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 MOST = 0.5  # share of the avoidable error that effects must remove to carry the headline
+CLOSE = 1.5  # error over noise up to which a law may be named
+LITTLE = 1.2  # error over noise up to which nothing need be missing
+UNFINISHED = 0.2  # share of what is left that a black box may remove without a word
 FEW_UNITS = 6  # held-out pieces of time below which no bootstrap means much
 FEW_SAMPLES = 60
-SMALL_LEFTOVER = 0.12  # share of the avoidable error that may stay without a word on the form
 
 
 @dataclass
@@ -23,13 +25,16 @@ class Evidence:
         samples: number of training samples.
         units: number of held-out pieces of time, or of photographs.
         moves: whether the pressure moves at all.
-        before: held-out error over the noise floor, the twin as it is.
-        after: the same with the selected effects.
-        limit: largest such ratio that noise explains.
-        selected: effects found, the most important first.
+        before: held-out error over the noise: the best of the twin as it is, re-fitted, and a constant.
+        after: the same with what was found.
+        selected: effects and laws found, the most important first.
         removed: share of the avoidable error that they remove together.
-        at_bound: parameters of selected effects at a bound.
+        at_bound: constants of what was found that stopped at a bound.
         near_miss: effects that helped, but not for sure.
+        left_to_black_box: share of what is left that a black box removes.
+        forward: whether it holds for the later part when fitted to the earlier one.
+        agreed: share of split seeds that chose the same.
+        noise_known: whether the noise was declared or measured by repeats.
         few_samples: training samples below which nothing can be claimed; a photograph is worth many rows.
     """
 
@@ -38,11 +43,14 @@ class Evidence:
     moves: bool
     before: float
     after: float
-    limit: float
     selected: list[str]
     removed: float
-    at_bound: list[str]
-    near_miss: list[str]
+    at_bound: list[str] = field(default_factory=list)
+    near_miss: list[str] = field(default_factory=list)
+    left_to_black_box: float = 0.0
+    forward: bool = True
+    agreed: float = 1.0
+    noise_known: bool = True
     few_samples: int = FEW_SAMPLES
 
     @property
@@ -50,17 +58,39 @@ class Evidence:
         """Whether the recording is too poor for any claim."""
         return not self.moves or self.samples < self.few_samples or self.units < FEW_UNITS
 
+    @property
+    def unfinished(self) -> bool:
+        """Whether a black box still finds much in what is left, where that is more than noise."""
+        much = not self.noise_known or self.after > LITTLE
+        return much and self.left_to_black_box > UNFINISHED
+
+    @property
+    def objections(self) -> list[str]:
+        """Why what was found may not be called the missing effect, one phrase each."""
+        out = []
+        if self.noise_known and self.after > CLOSE:
+            out.append(f"the error stays at {self.after:.2g} times the noise")
+        if not self.noise_known and self.unfinished:
+            out.append("the noise is not known")
+        if self.unfinished:
+            out.append(f"a black box still removes {100 * self.left_to_black_box:.0f} % of what is left")
+        if not self.forward:
+            out.append("fitted to the earlier part, it does not hold in the later one")
+        if self.agreed < 0.5:
+            out.append(f"only {100 * self.agreed:.0f} % of the splits chose it")
+        if self.at_bound:
+            out.append(f"{', '.join(self.at_bound)} stopped at a bound")
+        return out
+
 
 def decide(e: Evidence) -> str:
     """The verdict."""
     if e.poor:
         return "ambiguous"
     if not e.selected:
-        if e.before <= e.limit:
+        if e.after <= LITTLE or not e.noise_known and not e.unfinished:
             return "adequate"
         return "ambiguous" if e.near_miss else "unknown_effect"
-    if e.after <= e.limit:
-        return "missing_effect"
     if e.removed < MOST:
         return "unknown_effect"
-    return "insufficient_form" if e.at_bound or 1 - e.removed > SMALL_LEFTOVER else "missing_effect"
+    return "insufficient_form" if e.objections else "missing_effect"

@@ -37,7 +37,7 @@ def body_film(twin: Twin, config: RenderConfig) -> Film:
         recorded = read_recorded(twin, config)
     given = config.pressure_kpa
     if given is not None and len(given) % CHAMBERS[twin.device]:
-        raise InputError(f"--pressure_kpa has {len(given)} numbers; an arm takes three for each pose.")
+        raise InputError(f"pressure_kpa has {len(given)} numbers; an arm takes three for each pose.")
     points = recorded.pressures if given is None else np.reshape(given, (-1, CHAMBERS[twin.device]))
     each = max(2, round(config.seconds * FPS))
     share = np.minimum(np.arange(1, each + 1) / (each // 2), 1.0)[:, None]

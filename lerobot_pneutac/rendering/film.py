@@ -26,12 +26,14 @@ class Film(NamedTuple):
         frames: computed one by one.
         count: how many there will be.
         lead: what they show, in a sentence.
+        about: which twin and recording, for the report.
     """
 
     device: str
     frames: Iterator[FilmFrame]
     count: int
     lead: str
+    about: str = ""
 
 
 class Pose(NamedTuple):

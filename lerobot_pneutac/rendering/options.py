@@ -1,4 +1,4 @@
-"""`pneutac render`: pictures and a film of a finger, arm or gel of material points under load.
+"""`pneutac render`: draws a finger, arm or gel of material points under load, as pictures and a film.
 
 Its options, and which of them a finger, an arm or a gel takes.
 """
@@ -10,7 +10,7 @@ import numpy as np
 
 from pneutac_datasets.recording.wording import an
 from pneutac_sim.effects.registry import get_effect, of_body
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import InputError, check_least
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.twin import Twin
@@ -30,9 +30,9 @@ class RenderView:
     """From where a body is seen, hanging from its base.
 
     Attributes:
-        azimuth_deg: round its length, from the side on which a bend goes to the right towards the bend.
-        elevation_deg: from below (-90) through level to above (90).
-        distance_lengths: from the middle of its motion, in lengths of the body.
+        azimuth_deg: angle round its length, from the side on which a bend goes to the right towards the bend.
+        elevation_deg: angle from below (-90) through level to above (90).
+        distance_lengths: distance from the middle of its motion, in lengths of the body.
     """
 
     azimuth_deg: float = 30.0
@@ -42,12 +42,12 @@ class RenderView:
     def __post_init__(self):
         if not np.isfinite([self.azimuth_deg, self.elevation_deg]).all() or abs(self.elevation_deg) > 90:
             raise InputError(
-                f"--view.azimuth_deg is {self.azimuth_deg} and --view.elevation_deg {self.elevation_deg}; "
+                f"azimuth_deg is {self.azimuth_deg} and elevation_deg {self.elevation_deg}; "
                 "give numbers, the elevation between -90 and 90."
             )
         if not 1.5 <= self.distance_lengths <= 100:
             raise InputError(
-                f"--view.distance_lengths is {self.distance_lengths}; from there the camera does not see the "
+                f"distance_lengths is {self.distance_lengths}; from there the camera does not see the "
                 "body: give 1.5 to 100."
             )
 
@@ -58,25 +58,25 @@ class RenderConfig:
 
     Attributes:
         twin: folder of the twin.
-        pressure_kpa: finger: pressures, one after the other; arm: three numbers for each pose.
-            Left out: those of the recording; without one 0, 5, 10, 15, for an arm at rest, then 10 in one
+        pressure_kpa: pressures of a finger, one after the other; of an arm three numbers for each pose. Where
+            left out, those of the recording; without one 0, 5, 10, 15, for an arm at rest, then 10 in one
             chamber after the other.
-        seconds: that each pressure takes in the film: half the time to get there, half to stay. Left out: 1.
-        conditions: what the twin's effects ask for, such as {temperature_c: 30}.
-        recording: photographs to put beside a finger or an arm, which has to be calibrated by images.
-        camera: which of the recording's; left out: the first.
-        view: without a recording: any other view, in the twin's looks where it has them.
-        indenter: for a gel: sphere, cylinder, cube, edge or cone. Left out: sphere.
-        size_mm: of the indenter: radius, or side of cube and edge. Left out: 4.
-        depth_mm: how deep it is pressed into the gel. Left out: 1.4.
-        x_mm: where, along image columns from the middle. Left out: 0.
-        y_mm: where, along image rows. Left out: 0.
-        particles: of a finger or an arm, about. Left out: 4000.
-        device: auto, cpu or cuda.
-        out: folder for pictures, film.mp4, report.html and result.json.
+        seconds: time of each pressure in the film, half to get there, half to stay; where left out, 1.
+        conditions: values that the twin's effects ask for, such as {temperature_c: 30}.
+        recording: folder of photographs to put beside a finger or an arm calibrated by images.
+        camera: name of one of the recording's cameras; where left out, the first.
+        view: direction of view without a recording, in the twin's looks where it has them.
+        indenter: indenter of a gel: `sphere`, `cylinder`, `cube`, `edge` or `cone`; where left out, a sphere.
+        size_mm: radius of the indenter, or side of cube and edge; where left out, 4.
+        depth_mm: depth of the press into the gel; where left out, 1.4.
+        x_mm: place along image columns, from the middle; where left out, 0.
+        y_mm: place along image rows, from the middle; where left out, 0.
+        particles: number of material points of a finger or an arm, about; where left out, 4000.
+        device: `auto`, `cpu` or `cuda`.
+        out: folder for pictures, film.mp4, `report.html` and `result.json`.
     """
 
-    twin: Path | None = None
+    twin: Path
     pressure_kpa: list[float] | None = None
     seconds: float | None = None
     conditions: dict[str, float] = field(default_factory=dict)
@@ -93,17 +93,15 @@ class RenderConfig:
     out: Path = Path("outputs/render")
 
     def __post_init__(self):
-        if self.twin is None:
-            raise InputError("Give the twin's folder with --twin=DIR.")
         if self.pressure_kpa is not None and not (self.pressure_kpa and np.isfinite(self.pressure_kpa).all()):
-            raise InputError(f"--pressure_kpa is {self.pressure_kpa}; give finite numbers, as in [0,5,10].")
+            raise InputError(f"pressure_kpa is {self.pressure_kpa}; give finite numbers, as in [0,5,10].")
         if self.seconds is not None and not (np.isfinite(self.seconds) and self.seconds >= 2 / FPS):
-            raise InputError(f"--seconds is {self.seconds}; a pressure needs at least {2 / FPS:.2f} s.")
-        if self.particles is not None and self.particles < 100:
-            raise InputError(f"--particles is {self.particles}; a body needs at least 100.")
+            raise InputError(f"seconds is {self.seconds}; a pressure needs at least {2 / FPS:.2f} s.")
+        if self.particles is not None:
+            check_least(100, particles=self.particles)
         for name, value in self.conditions.items():
             if not np.isfinite(value):
-                raise InputError(f"--conditions has {name}: {value}; give a finite number.")
+                raise InputError(f"conditions has {name}: {value}; give a finite number.")
 
 
 def filled(config: RenderConfig, twin: Twin) -> RenderConfig:
@@ -116,16 +114,13 @@ def filled(config: RenderConfig, twin: Twin) -> RenderConfig:
     for name in FINGER if own is GEL else GEL:
         if getattr(config, name) is not None:
             raise InputError(
-                f"--{name} is of {'a finger or an arm' if own is GEL else 'a gel'}, but the twin at "
+                f"{name} is of {'a finger or an arm' if own is GEL else 'a gel'}, but the twin at "
                 f"{config.twin} is of {an(twin.device)}; omit it."
             )
     if config.camera is not None and config.recording is None:
-        raise InputError(
-            "--camera is of a recording; give its folder with --recording=DIR, or choose a view with "
-            "--view.azimuth_deg and --view.elevation_deg."
-        )
+        raise InputError("camera is one of a recording; give its folder too, or choose a view instead.")
     if config.view is not None and config.recording is not None:
-        raise InputError("--view and --recording exclude each other; omit one.")
+        raise InputError("view and recording exclude each other; omit one.")
     _check_conditions(config, twin)
     if config.recording is not None:
         own = {name: value for name, value in own.items() if name != "pressure_kpa"}
@@ -142,14 +137,14 @@ def deepest_press(config: RenderConfig, gel: GelModel) -> Press:
     deepest = 0.8 * gel.thickness_mm
     if config.depth_mm >= deepest:
         raise InputError(
-            f"--depth_mm is {config.depth_mm}; the gel is {gel.thickness_mm:g} mm thick: press less than "
+            f"depth_mm is {config.depth_mm}; the gel is {gel.thickness_mm:g} mm thick: press less than "
             f"{deepest:.2g} mm."
         )
     for name, side, reach in zip(("x_mm", "y_mm"), gel.window_mm, _footprint_mm(press), strict=True):
         place, most = getattr(config, name), side / 2 + reach
         if not abs(place) < most:
             raise InputError(
-                f"--{name} is {place:g}, where the {config.indenter} misses the gel's window; give a place "
+                f"{name} is {place:g}, where the {config.indenter} misses the gel's window; give a place "
                 f"between {-most:.3g} and {most:.3g}."
             )
     return press
@@ -162,7 +157,7 @@ def _check_conditions(config: RenderConfig, twin: Twin) -> None:
         if name not in asked:
             wanted = f"ask for {', '.join(asked)}" if asked else "ask for none, omit it"
             raise InputError(
-                f"--conditions has '{name}', which the twin at {config.twin} has no use for: its effects "
+                f"conditions has '{name}', which the twin at {config.twin} has no use for: its effects "
                 f"{wanted}."
             )
 

@@ -9,7 +9,7 @@ from PIL import Image
 from lerobot_pneutac.reports.page import Report
 
 if TYPE_CHECKING:
-    from lerobot_pneutac.verbs.demo import DemoResult
+    from lerobot_pneutac.verbs.demo_result import DemoResult
 
 TITLES = {
     "bench": "Measured",

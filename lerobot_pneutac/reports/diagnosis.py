@@ -35,7 +35,6 @@ def diagnosis_page(d, separation: Separation | None) -> Report:
     _parameters(page, study, o)
     if separation is not None:
         page.figure(proposed(separation), f"Predictions of the two rivals: {separation.advice}")
-    _fingerprints(page, o)
     page.heading("The recording")
     page.text(f"Noise floor {study.noise.value:.3g} {study.unit}: {study.noise.how}.")
     for sentence in d.findings or ["The data check found nothing to complain about."]:
@@ -94,46 +93,18 @@ def _parameters(page: Report, study: EffectStudy, o: Outcome) -> None:
     if not o.selected:
         return
     page.heading("How well each parameter is known")
-    if not o.profiles:
-        fitted = {e: study.parameters(o.after, e) for e in o.selected}
-        page.table(
-            [
-                {"effect": e, "parameter": k, "value": p["value"], "unit": p["unit"] or "(a ratio)"}
-                for e, parameters in fitted.items()
-                for k, p in parameters.items()
-            ]
-        )
+    fitted = {e: study.parameters(o.after, e) for e in o.selected}
     page.table(
         [
             {
-                "parameter": f"{p.name} ({p.unit})" if p.unit else p.name,
-                "value": p.value,
-                "95 % interval": f"{p.interval[0]:.4g} to {p.interval[1]:.4g}",
-                "remark": p.remark,
+                "effect": e,
+                "parameter": k,
+                "value": p["value"],
+                "95 % interval": "{:.4g} to {:.4g}".format(*p["ci95"]) if p["ci95"] else "held",
+                "unit": p["unit"] or "(a ratio)",
             }
-            for p in o.profiles
-        ],
-        "Second look, by profile likelihood: each parameter is held beside its value and all others are "
-        "fitted again; the interval holds what the training blocks do not contradict.",
-    )
-
-
-def _fingerprints(page: Report, o: Outcome) -> None:
-    if not o.fingerprints:
-        return
-    page.heading("Fingerprints")
-    page.text(
-        "How each effect would show in what is left of the twin as it is. A hint, no more: fits decide."
-    )
-    page.table(
-        [
-            {
-                "effect": f.effect,
-                "contrast": f.contrast,
-                "share of the residual": f.share,
-                "by chance up to": f.chance,
-            }
-            for f in o.fingerprints
+            for e, parameters in fitted.items()
+            for k, p in parameters.items()
         ]
     )
 

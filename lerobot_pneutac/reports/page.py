@@ -22,6 +22,7 @@ class Report:
 
     def __init__(self, title: str):
         self.title = title
+        self.about = ""  # of what, a line under the title
         self._sections: list[dict] = []
 
     def _add(self, kind: str, text: str = "", **content) -> None:
@@ -87,7 +88,8 @@ class Report:
             from plotly.offline import get_plotlyjs
 
             script = get_plotlyjs()
-        page = _template().render(title=self.title, sections=self._sections, plotly=script)
+        content = {"title": self.title, "about": self.about, "sections": self._sections}
+        page = _template().render(**content, plotly=script)
         path.write_text(page, encoding="utf-8")
         return path
 
@@ -103,18 +105,23 @@ def write_result(out: str | Path, result: dict) -> Path:
     """Writes `result.json` into folder `out`; raises ValueError where a number is NaN or infinite."""
     path = Path(out) / "result.json"
     path.parent.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(result, indent=2, allow_nan=False, default=_plain)
+    text = json.dumps(plain(result), indent=2, allow_nan=False)
     path.write_text(text)
     return path
 
 
-def _plain(x):
-    if isinstance(x, np.ndarray):
+def plain(x):
+    """The same of dicts, lists, texts, numbers and None alone, as JSON gives it back."""
+    if isinstance(x, dict):
+        return {str(k): plain(v) for k, v in x.items()}
+    if isinstance(x, list | tuple):
+        return [plain(v) for v in x]
+    if isinstance(x, np.ndarray | np.generic):
         return x.tolist()
-    if isinstance(x, np.generic):
-        return x.item()
     if isinstance(x, Path):
         return str(x)
+    if x is None or type(x) in (bool, int, float, str):
+        return x
     raise TypeError(f"{type(x).__name__} has no place in a result.json")
 
 

@@ -24,10 +24,10 @@ def lead(study: EffectStudy, outcome: Outcome) -> str:
         )
     if outcome.verdict == "unknown_effect":
         tried = (
-            f" The best that the library offers, {_names(outcome.selected)}, removes "
+            f" The best that was found to stand in for it, {_names(outcome.selected)}, removes "
             f"{_removed(study, outcome)} of it."
             if outcome.selected
-            else " No effect in the library makes it smaller."
+            else " No effect of the library and no law makes it surely smaller."
         )
         where = study.unknown_where.format(device=device)
         return (

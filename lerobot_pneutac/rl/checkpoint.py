@@ -1,7 +1,6 @@
 """Learning curve and checkpoint of a training, so that one that was stopped goes on."""
 
 import json
-import os
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -13,6 +12,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from lerobot_pneutac.rl.reward import WEIGHTS
 from pneutac_sim.errors import InputError
+from pneutac_sim.files import whole, write_json
 
 CHECKPOINT, CURVE = "checkpoint.safetensors", "curve.json"
 
@@ -52,13 +52,9 @@ class Keeper(BaseCallback):
             "steps": str(self.model.num_timesteps),
             "curve": json.dumps(self.curve),
         }
-        self._out.mkdir(parents=True, exist_ok=True)
-        part = self._out / (CHECKPOINT + ".part")
-        save_file(tensors, part, notes)
-        os.replace(part, self._out / CHECKPOINT)
-        part = self._out / (CURVE + ".part")
-        part.write_text(json.dumps(self.curve, indent=1) + "\n")
-        os.replace(part, self._out / CURVE)
+        with whole(self._out / CHECKPOINT) as part:
+            save_file(tensors, part, notes)
+        write_json(self._out / CURVE, self.curve)
 
     def resume(self, model: PPO) -> None:
         """Puts the checkpoint into the optimiser; raises InputError where it is damaged or another run's."""

@@ -9,7 +9,6 @@ holds pickles and is not used.
 
 import functools
 import json
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -23,7 +22,8 @@ from lerobot_pneutac.rl.actor import Actor, layers, try_actor
 from lerobot_pneutac.rl.checkpoint import CHECKPOINT, Keeper
 from lerobot_pneutac.rl.env import ACTOR_SIZE, PpoEnv
 from lerobot_pneutac.rl.reward import WEIGHTS
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import InputError, check_least
+from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
 
 TEST_SEED = 1_000_000  # starts of the test are none of the training's
@@ -76,11 +76,9 @@ class Compute:
 
     def check(self, steps: int) -> None:
         """Raises InputError where a number is too small, or the device is missing."""
-        for name, value in (("steps", steps), ("envs", self.envs), ("tries", self.tries)):
-            if value < 1:
-                raise InputError(f"{name} is {value}; it must be 1 or more.")
+        check_least(1, steps=steps, envs=self.envs, tries=self.tries)
         if self.device.startswith("cuda") and not torch.cuda.is_available():
-            raise InputError(f"The device is '{self.device}', but PyTorch finds no GPU; use 'cpu'.")
+            raise InputError(f"device is '{self.device}', but PyTorch finds no GPU; use 'cpu'.")
 
 
 class Asymmetric(nn.Module):
@@ -146,7 +144,7 @@ def train_ppo(
     out: str | Path,
     compute: Compute | None = None,
     settings: PpoSettings | None = None,
-    progress: Callable[[str, int, int], None] = lambda *a: None,
+    progress: Progress = no_progress,
     **options,
 ) -> dict:
     """Trains an actor, and goes on where a training in `out` was stopped.

@@ -1,6 +1,5 @@
 """Demonstrations of a trained actor, for a student that has a camera instead of a probe grid."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,8 +13,9 @@ from lerobot_pneutac.rl.env import STEPS, actor_observation, to_action
 from lerobot_pneutac.rl.options import StudentRef
 from pneutac_datasets.demonstrations.episodes import Episode, save_episode
 from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import InputError, check_least
 from pneutac_sim.features import ACTION_NAMES, CONTROL_HZ, IMAGE_NAME, IMAGE_SHAPE, STATE_NAMES
+from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.world import World
 
@@ -49,7 +49,7 @@ def record_student(
     twin: Twin | None,
     seed: int,
     student: StudentRef,
-    progress: Callable[[str, int, int], None] = lambda *a: None,
+    progress: Progress = no_progress,
 ) -> RecordedStudent:
     """Writes a LeRobotDataset with the features of recorded demonstrations; rollouts that fail are left out.
 
@@ -71,8 +71,7 @@ def record_student(
     actor = Actor.load(actor_dir)
     if actor.card.get("task", task) != task:
         raise InputError(f"The actor in '{actor_dir}' was trained on '{actor.card['task']}', not '{task}'.")
-    if student.episodes < 1:
-        raise InputError(f"episodes is {student.episodes}; it must be 1 or more.")
+    check_least(1, episodes=student.episodes)
     if not 0 <= student.noise <= 1:
         raise InputError(f"noise is {student.noise}; it must be from 0 to 1.")
     world = World(task, twin, "image", student.fidelity)

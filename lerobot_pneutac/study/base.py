@@ -9,10 +9,9 @@ import numpy as np
 from lerobot_pneutac.diagnosis.bootstrap import Resampler
 from lerobot_pneutac.diagnosis.candidates import Untested
 from lerobot_pneutac.diagnosis.experiment import Separation
-from lerobot_pneutac.diagnosis.fits import FittedModel
+from lerobot_pneutac.diagnosis.model import FittedModel
 from lerobot_pneutac.diagnosis.parts import Parts
-from lerobot_pneutac.diagnosis.result import Outcome
-from lerobot_pneutac.diagnosis.rivals import Rival
+from lerobot_pneutac.diagnosis.result import Outcome, Rival
 from lerobot_pneutac.diagnosis.steps import Steps
 from lerobot_pneutac.diagnosis.verdict import Evidence
 from pneutac_datasets.recording.noise import NoiseFloor
@@ -112,6 +111,10 @@ class EffectStudy(Study, ABC):
     @abstractmethod
     def too_little(self, evidence: Evidence) -> str:
         """Why the recording is too poor for any claim, a sentence."""
+
+    def fall(self, before: FittedModel, after: FittedModel) -> tuple[float, float, float]:
+        """Fall of the mean square error that decides: value, lower 1 % bound, upper 99 % bound."""
+        return self.judge.drop(before.squared, after.squared)
 
     def errors(self, model: FittedModel) -> dict[str, float]:
         """Root mean square errors: `train`, and `heldout`, which is the test part."""

@@ -1,197 +1,281 @@
 """The search for what a finger or an arm lacks: air from the measured pressure, body from the pose."""
 
 import time
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
-from lerobot_pneutac.diagnosis import pneumatics
-from lerobot_pneutac.diagnosis.adequacy import noise_limit
-from lerobot_pneutac.diagnosis.engine import Engine, StageFitter
-from lerobot_pneutac.diagnosis.fingerprints import fingerprints
-from lerobot_pneutac.diagnosis.fits import FittedModel
-from lerobot_pneutac.diagnosis.profile import Profile, profile
-from lerobot_pneutac.diagnosis.result import Outcome, Tested
-from lerobot_pneutac.diagnosis.rivals import Rival, find_rivals
-from lerobot_pneutac.diagnosis.selection import Selection, select
-from lerobot_pneutac.diagnosis.steps import Steps
-from lerobot_pneutac.diagnosis.verdict import Evidence, decide
-from pneutac_datasets.recording.noise import headline
+from lerobot_pneutac.diagnosis.black_box import share_left
+from lerobot_pneutac.diagnosis.bootstrap import Resampler
+from lerobot_pneutac.diagnosis.search import Found, Scored, Search
+from lerobot_pneutac.diagnosis.votes import chosen_in, deal_folds
+from lerobot_pneutac.study.body_model import BodyFitter, BodyModel, Form, Reading
+from lerobot_pneutac.study.body_space import LINES, BodySpace
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.finger.quantities import squared_distance
-from pneutac_sim.twin import Twin
+from pneutac_sim.effects.laws import family, law
+from pneutac_sim.effects.registry import get_effect
 
 if TYPE_CHECKING:
     from lerobot_pneutac.study.body import BodyStudy
 
-ON_PRESSURE = "measured pressure"
+MOST_ROWS = 1700  # of the learning part that fits use
+JOINTS = 8  # tried where the twin has fewer
+SMOOTH_SAMPLES = 2.0
+NEAR = 1.4  # times the noise: what is nearer needs no trials that differ
 
 
 @dataclass
 class Searched:
-    """What the two stages found.
+    """What was found.
 
     Attributes:
-        base: the twin as it is, fitted to the pose from the command.
-        air: effects between command and measured pressure; None where it was not measured.
-        body: all other effects.
-        driven: the recording with the pressure that drives the body.
-        profiles: of the parameters of selected effects.
-        rivals: of selected effects.
-        correlated: pairs of effects that the data can hardly tell apart.
+        space: in which it was searched.
+        found: path and final model, of the whole device or of its body.
+        model: the final model, its base made as simple as it may be.
+        air: of the measured pressure, where there is one.
+        driven: whether the body was driven by the measured pressure.
+        terms: effects found, the most important first.
+        importance: of each, rise of the mean square error without it.
+        chosen_in: of each, share of the votes.
+        forward: whether it holds for the later part when fitted to the earlier one.
+        black_box: share of what is left that a black box removes.
     """
 
-    base: FittedModel
-    air: Selection | None
-    body: Selection
-    driven: Recording
-    profiles: list[Profile]
-    rivals: list[Rival]
-    correlated: list[tuple[str, str, float]]
-
-    def twin(self, body: FittedModel, air: FittedModel | None = None) -> Twin:
-        """One body and one air, the final one where None, as a twin."""
-        if self.air is None:
-            return body.twin
-        return pneumatics.joined(body.twin, (air or self.air.final).twin)
+    space: BodySpace
+    found: Found
+    model: Scored
+    air: Found | None = None
+    driven: bool = False
+    terms: list[str] = field(default_factory=list)
+    importance: dict[str, float] = field(default_factory=dict)
+    chosen_in: dict[str, float] = field(default_factory=dict)
+    forward: bool = True
+    black_box: float = 0.0
 
 
-def search_body(study: "BodyStudy", jobs: int, steps: Steps) -> Outcome:
-    """Finds what a twin lacks.
+class BodySearch:
+    """One search of a study.
 
     Args:
         study: of a finger or an arm.
-        jobs: processes.
-        steps: counts the fits.
+        run: like `map`, perhaps in parallel.
+        tell: called with a line of progress.
     """
-    began = time.perf_counter()
-    found = _stages(study, jobs, steps)
-    air, body = found.air, found.body
 
-    def model(twin: Twin) -> FittedModel:
-        return FittedModel(tuple(twin.effects), study.residual(twin), 0, twin)
+    def __init__(self, study: "BodyStudy", run: Callable, tell: Callable[[str], None]):
+        self.study, self.run, self.tell = study, run, tell
+        learn = (
+            np.flatnonzero(~study.parts.test) if study.parts.has_test else np.flatnonzero(study.parts.train)
+        )
+        self.rows = learn[:: max(1, len(learn) // MOST_ROWS)]
+        self.unit = study.parts.unit[self.rows]
+        self.fold = deal_folds(self.unit, 5, study.seed)
+        self.judge = Resampler(np.ones(len(self.rows), bool), self.unit, study.parts.stratum, study.seed)
+        self.began = time.perf_counter()
 
-    before, last = found.base, found.twin(body.final)
-    if air and (air.selected or body.selected):
-        after = model(last)
-    else:
-        after = body.final if body.selected else before
-    importance = {}
-    for chosen in [s for s in (air, body) if s]:
-        for e in chosen.selected:
-            without = chosen.without[e]
-            pair = (body.final, without) if chosen is air else (without,)
-            squared = squared_distance(study.residual(found.twin(*pair)))
-            importance[e] = study.judge.value(squared) - study.judge.value(after.squared)
-    selected = sorted(importance, key=lambda e: -importance[e])
-    evidence = _evidence(study, found, before, after, selected)
-    pressure_error = None
-    if air:
-        base, final = (float(np.sqrt(study.test.value(f.squared))) for f in (air.base, air.final))
-        pressure_error = (base, final, study.air_noise)
-    drive = found.driven.samples[study.measured or study.recording.pressure_columns].to_numpy(float)
-    return Outcome(
-        before=before,
-        after=replace(after, twin=last if selected else before.twin),
-        ladder=_ladder(found, model),
-        selected=selected,
-        tested=_tested(study, found),
-        rivals=found.rivals,
-        correlated=found.correlated,
-        evidence=evidence,
-        verdict=decide(evidence),
-        twin=last if selected else before.twin,
-        seconds=time.perf_counter() - began,
-        fingerprints=fingerprints(study.recording, before.residual, drive, study.seed),
-        profiles=found.profiles,
-        pressure_error=pressure_error,
-    )
+    def find(self) -> Searched:
+        """Looks for what the twin lacks."""
+        study = self.study
+        air = self._air() if study.measured else None
+        done = self._body(study.recording, Reading(start=study.start), air)
+        if air is not None and np.sqrt(air.final.value) > 1.3 * max(study.air_noise, 1e-9):
+            driven = self._driven(air)
+            other = self._body(driven, Reading(source="measured", start=study.start), None)
+            if other.model.value < 0.9 * done.model.value:
+                done = replace(other, driven=True)
+        done.air = air
+        return self._told(done)
+
+    # ---------------------------------------------------------------- stages
+
+    def _search(self, space: BodySpace, floor: float) -> Search:
+        return Search(space, self.judge, self.fold, floor, self.run, self.tell)
+
+    def _air(self) -> Found:
+        """What lies between command and measured pressure."""
+        study = self.study
+        fitter = BodyFitter(study.recording, study.twin, self.rows)
+        own = tuple(e for e in study.own if get_effect(e).stage == "pneumatics")
+        candidates = [e for e in study.candidates if get_effect(e).stage == "pneumatics"]
+        joints = len(study.twin.spine_joint_positions_mm)
+        reading = Reading(target="pressure", start=study.start)
+        space = BodySpace(fitter, own, [joints], candidates, _lines(own), reading)
+        return self._search(space, study.air_noise).find()
+
+    def _driven(self, air: Found) -> Recording:
+        """The recording with the best guess of the true pressure: the modelled one and the smoothed rest."""
+        study, model = self.study, air.final.model
+        fitter = BodyFitter(study.recording, study.twin, self.rows)
+        predicted = fitter.predict(model)
+        samples = study.recording.samples.copy()
+        measured = samples[study.measured].to_numpy(float)
+        rest = measured - predicted
+        for rows in study.recording.trials().values():
+            rest[rows] = gaussian_filter1d(rest[rows], SMOOTH_SAMPLES, axis=0, mode="nearest")
+        samples[study.measured] = predicted + rest
+        return replace(study.recording, samples=samples)
+
+    def _body(self, recording: Recording, reading: Reading, air: Found | None) -> Searched:
+        """What the pose tells."""
+        study = self.study
+        fitter = BodyFitter(recording, study.twin, self.rows)
+        of_air = [e for e in study.own if get_effect(e).of_air] if reading.source == "measured" else []
+        own = tuple(e for e in study.own if e not in of_air)
+        base = (*own, *(e for e in base_effects(study) if e not in own))
+        joints = sorted({len(study.twin.spine_joint_positions_mm), study.joints})
+        candidates = [c for c in study.candidates if c not in base and get_effect(c).stage != "pneumatics"]
+        lines, values = _lines(own), {}
+        if reading.source == "measured":
+            lines = ((),)
+        elif air is not None:
+            told = tuple(e for e in air.final.model.form.effects if e not in own and get_effect(e).of_air)
+            values = {k: v for k, v in air.final.model.values.items() if k.rpartition(".")[0] in told}
+            lines = (*lines, told) if told and told not in lines else lines
+        space = BodySpace(fitter, base, joints, candidates, lines, reading, values)
+        found = self._search(space, study.noise.value).find()
+        if self._trials_differ(space, found):
+            self.tell("each trial seems to have a zero of its own; the search begins anew beside that")
+            space.trials = True
+            found = self._search(space, study.noise.value).find()
+        return Searched(space, found, self._simplified(space, found, own))
+
+    def _trials_differ(self, space: BodySpace, found: Found) -> bool:
+        """Whether offsets, gains and zeros of single trials explain a good part of what a search leaves."""
+        now, floor2 = found.final, self.study.noise.value**2
+        if now.value < NEAR**2 * floor2 or self.study.recording.samples["trial"].nunique() < 4:
+            return False
+        model = space.fitter.fit(replace(now.model.form, trials=True), now.model.values, 8)
+        beside = self._score(model)
+        drop, low, _ = self.judge.drop(now.crossed, beside.crossed)
+        return bool(low > 0 and drop > 0.3 * (now.value - floor2))
+
+    def _simplified(self, space: BodySpace, found: Found, own: tuple[str, ...]) -> Scored:
+        """The final model with the paper's base, and without parts of the base, where that is as good."""
+        search = self._search(space, self.study.noise.value)
+        final = found.final
+        floor2 = self.study.noise.value**2
+        form = replace(final.model.form, own=False, trials=space.trials)
+        values = {k: v for k, v in final.model.values.items() if not k.startswith(("bend_", "curl"))}
+        plain = search.fits([_trial(form, values), _trial(form, values | space.fitter.rough(form))], 12)
+        kept = final
+        if plain:
+            room = max(found.base.value - floor2, 0.0)
+            drop, low, _ = self.judge.drop(plain[0].crossed, final.crossed)
+            if low <= 0 or drop < max(0.01 * room, 0.03 * floor2):
+                kept = plain[0]
+        removable = [e for e in space.base if e not in own and (not kept.model.form.own or e in NAMED)]
+        space.kept = tuple(e for e in space.base if e not in removable)
+        return search._pruned(kept, found)
+
+    # ---------------------------------------------------------------- what it means
+
+    def _told(self, done: Searched) -> Searched:
+        """Which terms count as found, how sure each is, and what is left."""
+        study, space, model = self.study, done.space, done.model
+        own = set(study.own)
+        parts_of_base = set() if not model.model.form.own else {e for e in space.base if e not in NAMED}
+        terms = [e for e in model.model.form.effects if e not in own and e not in parts_of_base]
+        without = dict(self.run(lambda t: (t, self._score(space.without(model.model, t))), terms))
+        done.importance = {t: s.value - model.value for t, s in without.items()}
+        if done.air is not None and done.driven:
+            terms += [e for e in done.air.final.model.form.effects if e not in own]
+            done.importance |= {e: 0.0 for e in terms if e not in done.importance}
+        done.terms = sorted(terms, key=lambda t: -done.importance[t])
+        done.chosen_in = dict.fromkeys(terms, 1.0) | {
+            t: share
+            for t, share in chosen_in(done.found, self.unit, study.noise.value, family).items()
+            if t in terms
+        }
+        done.forward = self._holds_forward(done)
+        return done
+
+    def _score(self, model: BodyModel) -> Scored:
+        crossed = model.crossed(self.fold)
+        return Scored(model, crossed, self.judge.value(crossed))
+
+    def _holds_forward(self, done: Searched) -> bool:
+        """Fitted to the first 60 % of the rows, at least half of the fall of the error stays in the rest."""
+        if not done.terms:
+            return True
+        fold = np.where(np.arange(len(self.rows)) < 0.6 * len(self.rows), -1, 0)
+        later = fold == 0
+        before, after = (float(s.model.crossed(fold)[later].mean()) for s in (done.found.base, done.model))
+        fall = done.found.base.value - done.model.value
+        return fall <= 0 or before - after > 0.5 * fall * (before / max(done.found.base.value, 1e-12))
 
 
-def _stages(study: "BodyStudy", jobs: int, steps: Steps) -> Searched:
-    """Selects effects of the air, then those of the body, and looks for rivals of both."""
-    names, own = list(study.candidates), tuple(sorted(study.own))
-    parts, seed, floor = study.parts, study.seed, study.noise.value
-    air, driven, source, profiles = None, study.recording, "command", []
-    with Engine(study.recording, parts.train, jobs, steps.done) as engine:
-        steps.expect("the twin as it is", 1)
-        base = StageFitter(engine, study.twin, "pose", "command").fit_all([own])[0]
-        if study.measured:
-            fitter = StageFitter(engine, base.twin, "pressure", "command")
-            start, tried = (_pneumatic(own), list(_pneumatic(names)))
-            air = select(fitter, start, tried, parts, study.air_noise, seed, steps)
-            profiles = profile(fitter, air.final, air.selected, parts, steps)
-    if air:
-        driven, source = study.driven(air.final.residual), "measured"
-        names, own = ([e for e in es if e not in _pneumatic(es)] for es in (names, own))
-    with Engine(driven, parts.train, jobs, steps.done) as engine:
-        fitter = StageFitter(engine, base.twin, "pose", source)
-        body = select(fitter, tuple(own), names, parts, floor, seed, steps)
-        rivals, correlated = find_rivals(fitter, body, names, parts, floor, seed, steps)
-        profiles = profiles + profile(fitter, body.final, body.selected, parts, steps)
-    if air:
-        of_air, pairs = find_rivals(None, air, [], parts, study.air_noise, seed, steps)
-        rivals, correlated = of_air + rivals, pairs + correlated
-    return Searched(base, air, body, driven, profiles, rivals, correlated)
+NAMED = (
+    "gravity",
+    "payload",
+    "elongation",
+)  # parts of the base that are effects of their own where they show
 
 
-def _pneumatic(effects) -> tuple[str, ...]:
-    return tuple(e for e in effects if pneumatics.is_pneumatic(e))
+def base_effects(study: "BodyStudy") -> tuple[str, ...]:
+    """What belongs to how a body bends: its mount, its weight, its stretch, as far as they can be seen."""
+    recording, out = study.recording, []
+    tip = all(recording.has(f"tip_{a}_mm") for a in "xz")
+    if tip:
+        out.append("base_tilt")
+    known = all(recording.has(f"gravity_{a}") for a in "xyz")
+    if known and tip:
+        g = recording.samples[[f"gravity_{a}" for a in "xyz"]].to_numpy(float)
+        if np.ptp(g, axis=0).max() > 0.1:
+            out.append("gravity")
+        if recording.has("payload_g") and np.ptp(recording.column("payload_g")) > 1e-3:
+            out.append("payload")
+    if tip:
+        out.append("elongation")
+    return tuple(out)
 
 
-def _evidence(
-    study: "BodyStudy", found: Searched, before: FittedModel, after: FittedModel, selected: list[str]
-) -> Evidence:
-    """What the verdict rests on: errors of test blocks, which nothing was fitted or chosen on."""
-    recording, test, floor = study.recording, study.test, study.noise.value
-    finals = [found.body.final, *([found.air.final] if found.air else [])]
-    columns, _ = headline(recording)
-    sigma = np.array([study.noise.by_column.get(c, 0.0) for c in columns])
-    command = recording.samples[recording.pressure_columns].to_numpy(float)
-    count = sum(f.count for f in finals)
-    return Evidence(
-        samples=int(study.parts.train.sum()),
-        units=test.units,
-        moves=bool(np.ptp(command, axis=0).max() > 1e-3),
-        before=float(np.sqrt(test.value(before.squared))) / max(floor, 1e-12),
-        after=float(np.sqrt(test.value(after.squared))) / max(floor, 1e-12),
-        limit=noise_limit(recording, after.residual, study.parts.test, sigma, count, study.seed),
-        selected=selected,
-        removed=test.reduction(before.squared, after.squared, floor)[0] if selected else 0.0,
-        at_bound=[name for f in finals for name in f.at_bound if "." in name],
-        near_miss=found.body.near_miss,
-    )
+def labels(terms: Iterable[str]) -> dict[str, str]:
+    """Term to what the library calls such physics."""
+    return {t: family(t) for t in terms}
 
 
-def _ladder(found: Searched, model) -> list[tuple[str, FittedModel]]:
-    """Labels and models from the twin as it is to the final one, all from the commanded pressure."""
-    air, body = found.air, found.body
-    rungs = [("as it is", found.base)]
-    if air is None:
-        return rungs + [(f"+ {e}", f) for e, f in zip(body.added, body.path[1:], strict=True)]
-    for e, f in zip(air.added, air.path[1:], strict=True):
-        rungs.append((f"+ {e}", model(found.twin(body.base, f))))
-    for e, f in zip(body.added, body.path[1:], strict=True):
-        rungs.append((f"+ {e}", model(found.twin(f))))
-    return rungs
+def features(study: "BodyStudy") -> np.ndarray:
+    """(n, f) causal signals of the command and the conditions, for a black box."""
+    from pneutac_sim.finger.data import BodyData
+
+    data = BodyData.of(study.recording, study.twin, source="command", start=study.start)
+    u, dt = data.inputs.pressure_kpa / data.inputs.pressure_range_kpa, data.inputs.dt_s
+    columns = [u]
+    for name, values in (
+        *(
+            ("lag(p)", {"weight": 1.0, "scale_kpa": 1.0, "time_s": t})
+            for t in (0.05, 0.15, 0.5, 1.5, 5.0, 20.0, 80.0)
+        ),
+        *(("play(p)", {"weight": 1.0, "scale_kpa": 1.0, "width_kpa": w}) for w in (0.05, 0.2)),
+    ):
+        effect = law(name)
+        x = np.array(u)
+        theta = np.array([*effect.codes, *(values[p.name] for p in effect.parameters)])
+        effect.run(x, dt, theta, np.zeros((len(x), 0)), np.zeros(effect.state_size(x.shape[1])))
+        columns.append(x - u)
+    columns = [c[data.inputs.rows] for c in columns]
+    for name in ("temperature_c", "payload_g", "gravity_x", "gravity_y", "gravity_z"):
+        if study.recording.has(name):
+            columns.append(study.recording.column(name).astype(float)[:, None])
+    return np.concatenate(columns, axis=1)
 
 
-def _tested(study: "BodyStudy", found: Searched) -> list[Tested]:
-    """Each candidate alone, the one that removes most first."""
-    out = []
-    for name, fit in (found.air.first if found.air else {}).items():
-        after = squared_distance(study.residual(found.twin(found.body.base, fit)))
-        out.append(_tried(study, name, fit, found.base.squared, after, ON_PRESSURE))
-    how = "pose, driven by the measured pressure" if found.air else "pose, driven by the command"
-    for name, fit in found.body.first.items():
-        out.append(_tried(study, name, fit, found.body.base.squared, fit.squared, how))
-    return sorted(out, key=lambda t: t.reduction or 0.0, reverse=True)
+def left_to_black_box(study: "BodyStudy", residual: np.ndarray) -> float:
+    """Share of what a model leaves that a black box removes on test blocks."""
+    test = study.parts.test
+    learn = ~test if study.parts.has_test else study.parts.train
+    return share_left(residual, features(study), learn, test, study.noise.value)
 
 
-def _tried(
-    study: "BodyStudy", name: str, fit: FittedModel, before: np.ndarray, after: np.ndarray, how: str
-) -> Tested:
-    share, interval = study.test.reduction(before, after, study.noise.value)
-    errors = {"heldout": float(np.sqrt(study.test.value(after)))}
-    return Tested(name, errors, share, interval, study.parameters(fit, name), how)
+def _lines(own: tuple[str, ...]) -> tuple[tuple[str, ...], ...]:
+    """Lines of which nothing is in the twin already."""
+    return ((), *(line for line in LINES if line and not set(line) & set(own)))
+
+
+def _trial(form: Form, values: dict[str, float]):
+    from lerobot_pneutac.study.body_space import Trial
+
+    return Trial(0.0, form, values)

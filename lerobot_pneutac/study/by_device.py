@@ -1,18 +1,20 @@
 """The study of a recording, by its device."""
 
+from collections.abc import Sequence
+
 from lerobot_pneutac.study.base import EffectStudy
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.twin import Twin
 
 
-def study_of(twin: Twin, recording: Recording, seed: int = 0, adding: str | None = None) -> EffectStudy:
+def study_of(twin: Twin, recording: Recording, seed: int = 0, adding: Sequence[str] = ()) -> EffectStudy:
     """The study of a recording by its device.
 
     Args:
         twin: of the recording's device, or a finger with the gel of the recording.
         recording: of a finger, an arm or a gel.
         seed: decides the parts and every bootstrap.
-        adding: the one effect that is to be tried; None where all are.
+        adding: the effects that are to be tried; empty where all are.
 
     Raises:
         InputError: there is too little to fit or to judge by.

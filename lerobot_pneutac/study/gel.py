@@ -1,55 +1,33 @@
 """Photographs of a gel under judgement; a sample is a photograph."""
 
 import time
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
-from lerobot_pneutac.diagnosis.fits import FittedModel
-from lerobot_pneutac.diagnosis.result import Outcome, Tested
-from lerobot_pneutac.diagnosis.rivals import find_rivals
-from lerobot_pneutac.diagnosis.selection import Selection, select
+from lerobot_pneutac.diagnosis.result import Outcome, Rival, Tested
+from lerobot_pneutac.diagnosis.search import Found, Scored, Search
 from lerobot_pneutac.diagnosis.steps import Steps
-from lerobot_pneutac.diagnosis.verdict import FEW_UNITS, MOST, Evidence, decide
+from lerobot_pneutac.diagnosis.verdict import MOST, Evidence, decide
+from lerobot_pneutac.diagnosis.votes import chosen_in
 from lerobot_pneutac.study import gel_maps
 from lerobot_pneutac.study.base import EffectStudy
 from lerobot_pneutac.study.gel_model import at_bound, for_twin, seen_by
-from lerobot_pneutac.study.gel_parts import FEW_TRAINED, NEEDED, deal_photographs
+from lerobot_pneutac.study.gel_noise import away, noise
+from lerobot_pneutac.study.gel_parts import APART, FOLDS, NEEDED, deal_photographs, photograph_folds
+from lerobot_pneutac.study.gel_space import FittedGel, GelSpace, Trial, mean_squares
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.noise import NoiseFloor
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect, of_sensor, sensor_effects
-from pneutac_sim.gel import optics
-from pneutac_sim.gel.fit import GelFit, fit_photographs
-from pneutac_sim.gel.metrics import CONTACT_DISC
+from pneutac_sim.finger.quantities import root_mean
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.pair import check_pair
-from pneutac_sim.gel.photograph import Predictor, session_light
 from pneutac_sim.twin import Twin
 
-NOISE_LIMIT = 1.25  # final error over noise: on generated images of the model's own form it stays below
-
-
-@dataclass(kw_only=True)
-class FittedGel(FittedModel):
-    """Light and effects fitted to the training photographs; `residual` (n, 1) is each photograph's own error.
-
-    Attributes:
-        fit: what was fitted.
-        contact: (n,) mean square error in the contact region, levels^2.
-        differences: n of predicted - photographed, int16 (H, W, 3).
-        patches: independent residuals in a photograph.
-    """
-
-    fit: GelFit
-    contact: np.ndarray
-    differences: list[np.ndarray]
-    patches: float
-
-    def independent(self, mask: np.ndarray, least: int = 10) -> float:
-        """Light varies over a contact and no faster: each patch of a photograph is worth a sample."""
-        return float(mask.sum()) * self.patches
+AS_GOOD = 0.02  # of the avoidable mean square error: models that differ by less are rivals
 
 
 class GelStudy(EffectStudy):
@@ -58,10 +36,11 @@ class GelStudy(EffectStudy):
     Args:
         twin: of a gel, or of a finger with one.
         recording: of a gel.
-        seed: decides which photographs train, and the bootstrap.
+        seed: decides folds, the photographs of the report, and the bootstrap.
 
     Attributes:
         data: the photographs.
+        space: fits sets of effects to them.
 
     Raises:
         InputError: there is no good calibration pair, or no photograph to judge by.
@@ -87,147 +66,143 @@ class GelStudy(EffectStudy):
         self.candidates, self.untested = [e for e in sensor_effects() if e not in self.own], []
         self.parts = deal_photographs(recording, seed)
         self._stored = seen_by(GelModel.from_twin(twin), data)
-        self._gel = replace(self._stored, effects={})
-        self._photographs = [s.photograph for s in data.samples]
-        self._regions = [p.near(data.px_per_mm, CONTACT_DISC) for p in self._photographs]
-        self._known: dict[tuple[str, ...], FittedGel] = {}
-        self._steps = Steps()
+        fold = photograph_folds(self.parts, seed)
+        gel = replace(self._stored, effects={})
+        self.space = GelSpace(data, gel, twin, self.parts.train, fold, self.own, self.candidates)
         how = "images away from contacts, less each image's own smooth drift of light"
-        self.noise = NoiseFloor(self._noise(), None, self.unit, how, {})
+        self.noise = NoiseFloor(noise(self.space.photographs, data.px_per_mm), None, self.unit, how, {})
 
-    # ---------------------------------------------------------------- fits
-
-    def fit_all(self, effects: Iterable[tuple[str, ...]], start: FittedGel | None = None) -> list[FittedGel]:
-        """One fit for each set of effects, in order."""
-        return [self._fit(tuple(sorted(e)), start) for e in effects]
-
-    def promising(self, fit: FittedGel, candidates: list[str], least: float) -> list[str]:
-        """All of them: there are few."""
-        return candidates
+    # ---------------------------------------------------------------- the verbs
 
     def refit(self, effects: Sequence[str], start: FittedGel | None, steps: Steps) -> FittedGel:
-        """Light and these effects, fitted to the training photographs."""
-        self._steps = steps
-        return self._fit(tuple(sorted(effects)), start)
-
-    def _fit(self, effects: tuple[str, ...], start: FittedGel | None) -> FittedGel:
-        if effects in self._known:
-            return self._known[effects]
-        chosen = [p for p, t in zip(self._photographs, self.parts.train, strict=True) if t]
-        fit = fit_photographs(self._gel, chosen, effects, near=start and start.fit.gel)
-        differences = self._differences(fit.gel)
-        regions = zip(differences, self._regions, strict=True)
-        height, width = self.data.rest.shape[:2]
-        radius_px = float(np.median([s.radius_px for s in self.data.samples]))
-        self._known[effects] = found = FittedGel(
-            effects=effects,
-            twin=self.twin,
-            residual=np.sqrt(_mean_squares(differences))[:, None],
-            count=sum(len(get_effect(e).parameters) for e in effects),
-            fit=fit,
-            contact=_mean_squares(d[m] for d, m in regions),
-            differences=differences,
-            patches=max(1.0, height * width / (np.pi * radius_px**2)),
-        )
-        self._steps.done()
-        return found
-
-    def _differences(self, gel: GelModel) -> list[np.ndarray]:
-        """Predicted - photographed of every photograph, int16 (H, W, 3)."""
-        predictor = Predictor(gel, self.data.calibration.photograph)
-        return [
-            predictor.image(p.press, p.rest, p.clock).astype(np.int16) - p.image for p in self._photographs
-        ]
-
-    # ---------------------------------------------------------------- search
+        """Light and these effects, fitted to all photographs that are not kept for the report."""
+        model = self.space.fit(Trial(tuple(sorted(effects)), start and start.fit.gel))
+        steps.done()
+        return model
 
     def search(self, jobs: int, steps: Steps) -> Outcome:
-        """Looks for optics effects that the twin lacks; in one process, as a fit takes a second."""
-        began, self._steps = time.perf_counter(), steps
-        floor = self.noise.value
-        found = select(self, self.own, self.candidates, self.parts, floor, self.seed, steps)
-        rivals, correlated = find_rivals(self, found, self.candidates, self.parts, floor, self.seed, steps)
+        """Looks for optics effects that the twin lacks; in one process."""
+        began, space = time.perf_counter(), self.space
+        engine = Search(
+            space, self.judge, space.fold, self.noise.value, tell=lambda text: steps.expect(text, 0)
+        )
+        steps.expect("the twin as it is, and with each effect", 1 + len(self.candidates))
+        space.steps = steps
+        found = engine.find()
+        base, final = found.base.model, found.final.model
+        alone = {e: space.fit(space.plus(base, e)) for e in self.candidates}
         steps.expect("what each effect of the twin is good for", len(self.own))
-        taken = {e: self._fit(tuple(x for x in found.base.effects if x != e), found.base) for e in self.own}
-        tested = [self._tried(name, fit, found.base) for name, fit in found.first.items()]
+        taken = {e: space.without(base, e) for e in self.own}
+        votes = chosen_in(found, self.parts.unit, self.noise.value, str)
+        added = [e for e in _in_order_found(found) if e not in self.own]
+        selected = sorted(added, key=lambda e: -found.without[e].value)
+        evidence = self._evidence(base, final, selected, votes, alone)
+        verdict = decide(evidence)
+        if verdict == "unknown_effect" and self.explained(final) >= MOST:
+            verdict = "insufficient_form"  # what the twin's own effects explain counts too
+        return Outcome(
+            before=base,
+            after=final,
+            ladder=self._ladder(base, added),
+            selected=selected,
+            tested=self._tested(base, alone, taken),
+            rivals=self._rivals(found),
+            correlated=[],
+            evidence=evidence,
+            verdict=verdict,
+            twin=self.twin_of(final),
+            seconds=time.perf_counter() - began,
+            chosen_in={e: votes[e] for e in selected},
+        )
+
+    def _ladder(self, base: FittedGel, added: list[str]) -> list[tuple[str, FittedGel]]:
+        out = [("as it is", base)]
+        for name in added:
+            out.append((f"+ {name}", self.space.fit(self.space.plus(out[-1][1], name))))
+        return out
+
+    def _tested(
+        self, base: FittedGel, alone: dict[str, FittedGel], taken: dict[str, FittedGel]
+    ) -> list[Tested]:
+        """Each candidate alone, the best first; then the twin without each of its own effects."""
+        tested = []
+        for name, fit in alone.items():
+            share, interval = self.reduction(base, fit)
+            values = self.parameters(fit, name)
+            tested.append(Tested(name, self.errors(fit), share, interval, values, "added to the twin"))
         tested.sort(key=lambda t: -t.reduction)
-        tested += [
+        return tested + [
             Tested(name, self.errors(fit), None, None, {}, "taken out of the twin")
             for name, fit in taken.items()
         ]
-        evidence = self._evidence(found)
-        verdict = decide(evidence)
-        if verdict == "unknown_effect" and self.explained(found.final) >= MOST:
-            verdict = "insufficient_form"  # what the twin's own effects explain counts too
-        labels = ["as it is", *(f"+ {e}" for e in found.added)]
-        return Outcome(
-            before=found.base,
-            after=found.final,
-            ladder=list(zip(labels, found.path, strict=True)),
-            selected=found.selected,
-            tested=tested,
-            rivals=rivals,
-            correlated=correlated,
-            evidence=evidence,
-            verdict=verdict,
-            twin=self.twin_of(found.final),
-            seconds=time.perf_counter() - began,
-        )
 
-    def _tried(self, name: str, fit: FittedGel, base: FittedGel) -> Tested:
-        share, interval = self.reduction(base, fit)
-        return Tested(
-            name, self.errors(fit), share, interval, self.parameters(fit, name), "added to the twin"
-        )
+    def _rivals(self, found: Found) -> list[Rival]:
+        """Models as good, as far as can be told, with another effect in the place of a found one."""
+        out = []
+        for before, taken, others in zip(found.path[:-1], found.path[1:], found.rivals, strict=True):
+            new = set(taken.model.effects) - set(before.model.effects)
+            if len(new) != 1 or not new <= set(found.final.model.effects):
+                continue
+            for other in others:
+                instead = set(other.model.effects) - set(before.model.effects)
+                if len(instead) == 1 and self._as_good(before, taken, other):
+                    share = other.value / max(taken.value, 1e-30) - 1
+                    out.append(Rival(*new, *instead, share, other.model, taken.model))
+        return sorted(out, key=lambda r: r.difference)
 
-    def _evidence(self, found: Selection) -> Evidence:
-        """What the verdict rests on: errors of test photographs; the noise counts drifts of light too."""
-        base, final = found.base, found.final
+    def _as_good(self, before: Scored, taken: Scored, other: Scored) -> bool:
+        """Whether another model helps for sure, and the one that was taken does not surely help more."""
+        more, low, _ = self.judge.drop(other.crossed, taken.crossed)
+        room = max(before.value - self.noise.value**2, 0.0)
+        return self.judge.drop(before.crossed, other.crossed)[1] > 0 and (low <= 0 or more < AS_GOOD * room)
+
+    def _evidence(
+        self,
+        base: FittedGel,
+        final: FittedGel,
+        selected: list[str],
+        votes: dict[str, float],
+        alone: dict[str, FittedGel],
+    ) -> Evidence:
+        """Errors of photographs that no fit saw, over a noise that counts drifts of light too."""
         floor = max(self.noise.value, self._far(final))
+        room = self.judge.value(base.squared) - self.noise.value**2
+        falls = {e: self.judge.drop(base.squared, fit.squared)[0] for e, fit in alone.items()}
         return Evidence(
-            samples=int(self.parts.train.sum()),
-            units=min(self.judge.units, self.test.units) if self.parts.has_test else 0,
+            samples=len(self.data.samples),
+            units=self.test.units,
             moves=True,
             before=self.errors(base)["heldout"] / floor,
             after=self.errors(final)["heldout"] / floor,
-            limit=NOISE_LIMIT,
-            selected=found.selected,
-            removed=self.test.reduction(base.squared, final.squared, floor)[0] if found.selected else 0.0,
-            at_bound=self.at_bound(final, found.selected),
-            near_miss=[] if found.selected else found.near_miss,
-            few_samples=FEW_TRAINED,
+            selected=selected,
+            removed=self.test.reduction(base.squared, final.squared, floor)[0] if selected else 0.0,
+            at_bound=self.at_bound(final, selected),
+            near_miss=[] if selected else [e for e, fall in falls.items() if fall > MOST * room > 0],
+            agreed=votes[selected[0]] if selected else 1.0,
+            few_samples=NEEDED,
         )
 
     def explained(self, model: FittedGel) -> float:
         """Share of what a contact changes that a model predicts on test photographs."""
-        rest = _mean_squares(p.image.astype(float) - p.rest for p in self._photographs)
+        rest = mean_squares(p.image.astype(float) - p.rest for p in self.space.photographs)
         return self.test.reduction(rest, model.squared, self.noise.value)[0]
 
     def _far(self, model: FittedGel) -> float:
-        """Error of a model away from contacts on test photographs, where no gel moves, levels."""
-        out = []
-        for p, d, tested in zip(self._photographs, model.differences, self.parts.test, strict=True):
-            far = ~p.near(self.data.px_per_mm)
-            if tested and far.mean() > 0.1:
-                out.append(np.mean(np.square(d[far].astype(float))))
-        return float(np.sqrt(np.mean(out))) if out else 0.0
-
-    def _noise(self) -> float:
-        """What is left away from contacts once each photograph's own drift of light is taken off, levels."""
-        out = []
-        for p in self._photographs:
-            far = ~p.near(self.data.px_per_mm)
-            if far.mean() > 0.1:
-                drift = optics.upsample(session_light(p, self.data.px_per_mm), *p.rest.shape[:2])
-                out.append(np.mean(np.square((p.image.astype(float) - p.rest - drift)[far])))
-        return float(np.sqrt(np.mean(out))) if out else 0.0
+        """Error of a model away from contacts on test photographs, levels."""
+        space, shown = self.space, np.flatnonzero(self.parts.test)
+        differences = space.differences(model.gels)
+        return away(
+            [space.photographs[i] for i in shown], [differences[i] for i in shown], self.data.px_per_mm
+        )
 
     # ---------------------------------------------------------------- what it tells
 
     def errors(self, model: FittedGel) -> dict[str, float]:
         """Also in the contact."""
-        contact = float(np.sqrt(model.contact[self.parts.test].mean()))
-        return super().errors(model) | {"heldout_contact": contact}
+        return super().errors(model) | {
+            "train": root_mean(model.seen[self.parts.train]),
+            "heldout_contact": root_mean(model.contact[self.parts.test]),
+        }
 
     def refusal(self, effect: str) -> str:
         """Why an effect cannot be switched on."""
@@ -254,20 +229,24 @@ class GelStudy(EffectStudy):
     def too_little(self, evidence: Evidence) -> str:
         """How many photographs there are and how many it takes."""
         return (
-            f"This recording cannot tell: it has {len(self.data.samples)} images, of which "
-            f"{evidence.samples} were fitted and {evidence.units} are left to judge by; it takes {NEEDED}, "
-            f"so that {FEW_UNITS} choose the effects and {FEW_UNITS} others test them."
+            f"This recording cannot tell: it has {len(self.data.samples)} images, of which {evidence.units} "
+            f"can be judged by; it takes {NEEDED}, the calibration pair's among them."
         )
 
     def how_tested(self, outcome: Outcome) -> str:
         """What was fitted to what."""
-        parts = self.parts
-        stored = self.details(outcome)["stored"]
+        parts, stored = self.parts, self._stored_error
+        n, tested = len(parts.train), parts.test.sum()
         as_stored = "" if stored is None else f"As stored it is {stored:.3g} levels off. "
-        chosen = f", effects are chosen on {parts.validation.sum()}" if parts.has_test else ""
+        if parts.has_test:
+            return (
+                f"{as_stored}All that follows is re-fitted to {parts.train.sum()} of the {n} images, chosen "
+                f"by {FOLDS}-fold cross-validation among them, and judged on the other {tested}."
+            )
         return (
-            f"{as_stored}All that follows is re-fitted to {parts.train.sum()} of the {len(parts.train)} "
-            f"images{chosen} and judged on the other {parts.test.sum()}."
+            f"{as_stored}With {n} images, fewer than {APART}, none are kept for the report alone: effects "
+            f"are chosen and judged on {tested}, each predicted by a fit without its fifth of them, so the "
+            "errors are a little optimistic."
         )
 
     def caveats(self, outcome: Outcome) -> list[str]:
@@ -278,15 +257,19 @@ class GelStudy(EffectStudy):
         """Values alone, as there is no interval."""
         return {k: p["value"] for k, p in parameters.items()}
 
+    @cached_property
+    def _stored_error(self) -> float | None:
+        """Error of the twin's gel as it is stored, on test photographs; None where it has no light."""
+        if not self._stored.light.any():
+            return None
+        differences = self.space.differences([self._stored] * len(self.data.samples))
+        return float(np.sqrt(self.test.value(mean_squares(differences))))
+
     def details(self, outcome: Outcome) -> dict:
         """What only a gel's `result.json` has."""
-        stored, fit = None, outcome.after.fit
-        if self._stored.light.any():
-            squared = _mean_squares(self._differences(self._stored))
-            stored = float(np.sqrt(self.test.value(squared)))
-        names = [s.name for s in self.data.samples]
+        fit, names = outcome.after.fit, [s.name for s in self.data.samples]
         return {
-            "stored": stored,
+            "stored": self._stored_error,
             "make": fit.make,
             "orientation": str(fit.orientation) if fit.make else "",
             "trained_on": [n for n, t in zip(names, self.parts.train, strict=True) if t],
@@ -296,10 +279,12 @@ class GelStudy(EffectStudy):
     def pictures(self, outcome: Outcome) -> list[tuple[np.ndarray, str]]:
         """Where in the image the twin fails, left as it is, right with all effects found."""
         models = [outcome.before, outcome.after] if outcome.selected else [outcome.before]
-        tested = [s for s, t in zip(self.data.samples, self.parts.test, strict=True) if t]
-        differences = [[d for d, t in zip(m.differences, self.parts.test, strict=True) if t] for m in models]
-        return gel_maps.pictures(tested, differences)
+        shown = np.flatnonzero(self.parts.test)
+        each = [self.space.differences(m.gels) for m in models]
+        return gel_maps.pictures([self.data.samples[i] for i in shown], [[d[i] for i in shown] for d in each])
 
 
-def _mean_squares(images: Iterable[np.ndarray]) -> np.ndarray:
-    return np.array([np.mean(np.square(np.asarray(image, np.float64))) for image in images])
+def _in_order_found(found: Found) -> list[str]:
+    """Effects of the final model in the order in which they came."""
+    came = [e for step in found.path for e in step.model.effects]
+    return [e for e in dict.fromkeys(came) if e in found.final.model.effects]

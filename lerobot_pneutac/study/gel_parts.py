@@ -1,45 +1,45 @@
-"""Deals photographs of a gel into training, validation and test.
+"""Deals photographs of a gel into those that fit and choose, and those that the report alone looks at.
 
-As one pair of images cannot tell a drift or a shift, some of the photographs beside the calibration pair
-train too; of the others one half decides which effects are kept and the other half is looked at by the
-report alone.
+The calibration pair always trains and is never judged: every twin of the gel has seen it. Choices rest on
+cross-validation over the other photographs. Where these are few they are tested by it as well.
 """
 
 import numpy as np
 
 from lerobot_pneutac.diagnosis.parts import Parts
-from lerobot_pneutac.diagnosis.verdict import FEW_UNITS
+from lerobot_pneutac.diagnosis.votes import deal_folds
 from pneutac_datasets.recording import blocks
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 
-MOST_TRAINED = 6  # photographs that train; more cost time and pin the light no better
-FEW_TRAINED = 2  # below this no drift and no shift can be told
-NEEDED = FEW_TRAINED + 2 * FEW_UNITS  # photographs, the calibration pair's among them
+NEEDED = 10  # photographs for a verdict, the calibration pair's among them
+APART = 24  # photographs from which a third is put aside for the report
+FOLDS = 5
 
 
 def deal_photographs(recording: Recording, seed: int) -> Parts:
-    """Photographs for training, validation and test; the last two are one where there are few.
+    """Photographs to fit, to choose by and to test on; the last two are one where there are fewer than 24.
 
     Raises:
         InputError: there is no photograph beside the calibration pair.
     """
     n = len(recording)
     roles = recording.samples["role"].astype(str) if recording.has("role") else np.full(n, "")
-    train = np.asarray(roles == "calibration")
-    others = np.flatnonzero(~train)
-    if not len(others):
+    judged = np.asarray(roles != "calibration")
+    if not judged.any():
         raise InputError("The recording has no image beside the calibration pair, so nothing can be judged.")
-    spare = min(MOST_TRAINED - int(train.sum()), len(others) - 2 * FEW_UNITS)
-    if len(others) < 2 * FEW_UNITS:  # too few for a verdict; the fits shall be of use all the same
-        spare = min(spare + FEW_UNITS, len(others) // 2)
-    if spare > 0:
-        train[np.random.default_rng([seed, 5]).permutation(others)[:spare]] = True
-    rest = np.flatnonzero(~train)
-    validation, test = ~train, ~train
-    if len(rest) >= 2 * FEW_UNITS:
-        samples = recording.samples.iloc[rest]
-        half = blocks.assign(samples, np.arange(len(rest)), seed, (0.5, 0.5))
-        validation, test = (np.isin(np.arange(n), rest[half == i]) for i in range(2))
+    train, test = np.ones(n, bool), judged
+    if n >= APART:
+        others = np.flatnonzero(judged)
+        part = blocks.assign(recording.samples.iloc[others], np.arange(len(others)), seed, (2 / 3, 1 / 3))
+        test = np.isin(np.arange(n), others[part == 1])
+        train = ~test
     stratum = np.unique(np.asarray(roles), return_inverse=True)[1]
-    return Parts(train, validation, test, np.arange(n), stratum)
+    return Parts(train, judged & train, test, np.arange(n), stratum)
+
+
+def photograph_folds(parts: Parts, seed: int) -> np.ndarray:
+    """(n,) fold of each photograph that is judged by cross-validation; -1 for all others."""
+    fold = np.full(len(parts.unit), -1)
+    fold[parts.validation] = deal_folds(parts.unit[parts.validation], FOLDS, seed)
+    return fold

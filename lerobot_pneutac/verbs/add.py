@@ -1,15 +1,19 @@
 """Switches an effect on in a twin, re-fits everything and tells the error before and after."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from lerobot_pneutac.diagnosis.model import FittedModel
 from lerobot_pneutac.diagnosis.steps import Steps
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.reports.sentences import percent
 from lerobot_pneutac.study.base import EffectStudy
+from lerobot_pneutac.study.body import BodyStudy
 from lerobot_pneutac.study.by_device import study_of
 from lerobot_pneutac.study.pair import same_body
+from lerobot_pneutac.verbs.diagnosis import Diagnosis
+from lerobot_pneutac.verbs.found import read_found
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect
@@ -166,43 +170,82 @@ class Addition(Result):
 def add(
     twin: Twin,
     recording: Recording,
-    effect: str,
+    effect: str | Sequence[str] | Diagnosis | Path,
     *,
     seed: int = 0,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> Addition:
-    """Fits the twin with and without an effect; it is accepted where the held-out error surely falls.
+    """Switches effects on; they are accepted where the held-out error surely falls.
 
-    Whether it falls is decided on validation blocks (or photographs); the errors are those of test blocks.
-    Neither twin nor recording is changed.
+    A diagnosis' finding is taken whole, with its parameters. Effects that are named are fitted, beside the
+    paper's base and the body's own, and judged on blocks that their fit did not see. The errors are those of
+    test blocks. Neither twin nor recording is changed.
 
     Args:
         twin: of the recording's device, or a finger with the gel of the recording.
         recording: of a finger, an arm or a gel.
-        effect: name of the effect to switch on.
+        effect: one or several names of effects or laws; or what `diagnose` found on this recording, itself or
+            the folder that it was written to.
         seed: decides which part is held out, and the bootstrap.
         progress: called with a text, the fits done and all of them.
 
     Raises:
         InputError: there is no such effect, the devices differ, or there are too few rows to fit at all.
     """
-    get_effect(effect)
+    if isinstance(effect, Diagnosis):
+        o = effect.outcome
+        return _whole(effect.study, twin, o.selected, o.before, o.after)
+    if isinstance(effect, Path):
+        return _written(twin, same_body(twin, recording, "add to"), effect)
+    effects = [effect] if isinstance(effect, str) else list(effect)
+    for e in effects:
+        get_effect(e)
     recording, steps = same_body(twin, recording, "add to"), Steps(progress)
-    given = {"effect": effect, "recording": str(recording.folder), "seed": seed}
-    study = study_of(twin, recording, seed, adding=effect)
-    reason = study.refusal(effect)
+    given = {"effect": ", ".join(effects), "recording": str(recording.folder), "seed": seed}
+    study = study_of(twin, recording, seed, adding=effects)
+    reason = next(filter(None, map(study.refusal, effects)), "")
     if reason:
         return Addition(accepted=False, reason=reason, twin=twin, findings=tuple(study.findings), **given)
-    steps.expect(f"fitting with and without {effect}", 2)
+    steps.expect(f"fitting with and without {given['effect']}", 2)
     before = study.refit(study.own, None, steps)
-    after = study.refit((*study.own, effect), before, steps)
-    fall = study.judge.drop(before.squared, after.squared)
+    after = study.refit((*study.own, *effects), before, steps)
+    return _judged(study, twin, effects, before, after, study.fall(before, after), given)
+
+
+def _written(twin: Twin, recording: Recording, folder: Path) -> Addition:
+    """All that a diagnosis wrote to a folder, judged on its own blocks."""
+    written = read_found(folder, recording)
+    study = BodyStudy(twin, recording, written.told["seed"])
+    before, after = (
+        FittedModel(effects=tuple(t.effects), residual=study.residual(t), count=0, twin=t)
+        for t in (written.before, written.found)
+    )
+    return _whole(study, twin, written.told["selected"], before, after)
+
+
+def _whole(study, twin: Twin, selected: list[str], before: FittedModel, after: FittedModel) -> Addition:
+    """All that a diagnosis found, judged on its test blocks."""
+    folder = str(study.recording.folder)
+    given = {"effect": ", ".join(selected) or "nothing", "recording": folder, "seed": study.seed}
+    if not selected:
+        reason = "Nothing was written: the diagnosis found nothing to add."
+        return Addition(accepted=False, reason=reason, twin=twin, findings=tuple(study.findings), **given)
+    fall = study.test.drop(before.squared, after.squared)
+    return _judged(study, twin, selected, before, after, fall, given)
+
+
+def _judged(study, twin, effects, before, after, fall, given) -> Addition:
+    """The result of switching these effects on."""
     reduction, interval = study.reduction(before, after)
     accepted = fall[1] > 0
     error, new_error = (study.errors(m) | {"heldout_ci95": study.interval(m)} for m in (before, after))
+    several = len(effects) > 1
+    parameters = {
+        f"{e}: {k}" if several else k: v for e in effects for k, v in study.parameters(after, e).items()
+    }
     return Addition(
         accepted=accepted,
-        reason="" if accepted else _no_sure_fall(study, effect, error, new_error, fall),
+        reason="" if accepted else _no_sure_fall(study, given["effect"], error, new_error, fall),
         twin=study.twin_of(after) if accepted else twin,
         unit=study.unit,
         noise_floor=study.noise.value,
@@ -210,10 +253,10 @@ def add(
         after=new_error,
         reduction=reduction,
         reduction_ci95=interval,
-        parameters=study.parameters(after, effect),
-        at_bound=tuple(study.at_bound(after, [effect])),
+        parameters=parameters,
+        at_bound=tuple(study.at_bound(after, effects)),
         not_identified=after.not_identified,
-        physics=study.describe(after, effect),
+        physics=" ".join(study.describe(after, e) for e in effects if e in after.effects),
         findings=tuple(study.findings),
         **given,
     )

@@ -1,15 +1,17 @@
-"""`pneutac augment`: a few demonstrations in, many new ones out, planned on the twin and guided by touch."""
+"""`pneutac augment`: makes many demonstrations out of a few, planned on the twin and guided by touch."""
 
 import os
-from collections.abc import Callable
+import shlex
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.demonstrations.augment.planner import PlannerConfig
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import InputError, check_choice, check_least
 from pneutac_sim.features import FIDELITIES, TASK_NAMES
+from pneutac_sim.progress import Progress, no_progress
+from pneutac_sim.twin import Twin
 
 METHODS = ("tactile", "naive")
 
@@ -19,12 +21,12 @@ class DatasetRef:
     """A LeRobotDataset.
 
     Attributes:
-        repo_id: its name.
-        root: its folder.
+        repo_id: name of the dataset.
+        root: folder of the dataset.
     """
 
-    repo_id: str = ""
-    root: Path | None = None
+    repo_id: str
+    root: Path
 
 
 @dataclass
@@ -32,24 +34,24 @@ class AugmentConfig:
     """Options of `pneutac augment`.
 
     Attributes:
-        dataset: the recorded demonstrations.
-        output: the new ones; the folder must not exist.
-        task: what stands in front of the robot: `switch`, `egg` or `card`.
+        dataset: recorded demonstrations.
+        output: new demonstrations, whose folder must not exist.
+        task: object in front of the robot: `switch`, `egg` or `card`.
         method: `tactile` (planned in the simulator), or `naive` (varied without one, which looks at dataset,
             output, episodes and seed alone).
-        episodes: new demonstrations.
-        seed: decides everything.
-        twin: folder of the finger's twin; default the built-in one.
-        fidelity: how finger and gel deform where the plans are carried out: `surrogate`, by networks, `mpm`,
-            by material points, or `probe`, by formulas; plans are made with the formulas.
-        planner: horizon, samples, weights.
-        attempts: variants tried for one demonstration before giving up.
-        workers: processes; default one a core.
+        episodes: number of new demonstrations.
+        seed: seed of every random choice.
+        twin: folder of the finger's twin; where left out, the built-in one.
+        fidelity: way in which finger and gel deform where the plans are carried out: `surrogate`, by
+            networks, `mpm`, by material points, or `probe`, by formulas; plans are made with the formulas.
+        planner: horizon, samples and weights of the planner.
+        attempts: number of variants tried for one demonstration before giving up.
+        workers: number of processes; where left out, one a core.
         out: folder for `report.html` and `result.json`.
     """
 
-    dataset: DatasetRef = field(default_factory=DatasetRef)
-    output: DatasetRef = field(default_factory=DatasetRef)
+    dataset: DatasetRef
+    output: DatasetRef
     task: str = "switch"
     method: str = "tactile"
     episodes: int = 100
@@ -62,23 +64,13 @@ class AugmentConfig:
     out: Path | None = None
 
     def __post_init__(self):
-        for name in ("dataset", "output"):
-            ref = getattr(self, name)
-            if not ref.repo_id or ref.root is None:
-                raise InputError(f"Give --{name}.repo_id and --{name}.root.")
-            ref.root = Path(ref.root)
-        choices = {"task": TASK_NAMES, "method": METHODS, "fidelity": FIDELITIES}
-        for name, known in choices.items():
-            if getattr(self, name) not in known:
-                raise InputError(
-                    f"--{name} is '{getattr(self, name)}'; it must be one of {', '.join(known)}."
-                )
+        check_choice("task", self.task, TASK_NAMES)
+        check_choice("method", self.method, METHODS)
+        check_choice("fidelity", self.fidelity, FIDELITIES)
         self.workers = self.workers if self.workers is not None else len(os.sched_getaffinity(0))
-        for name in ("episodes", "attempts", "workers"):
-            if getattr(self, name) < 1:
-                raise InputError(f"--{name} is {getattr(self, name)}; it must be 1 or more.")
+        check_least(1, episodes=self.episodes, attempts=self.attempts, workers=self.workers)
         if self.twin is not None and not (Path(self.twin) / "twin.yaml").is_file():
-            raise InputError(f"--twin is '{self.twin}', which holds no twin.yaml; give a twin's folder.")
+            raise InputError(f"twin is '{self.twin}', which holds no twin.yaml; give a twin's folder.")
 
 
 @dataclass(frozen=True)
@@ -120,6 +112,19 @@ class Augmentation(Result):
             f" ({minutes:.1f} minutes, {kept / minutes:.0f} a minute)."
         ]
 
+    def subject(self) -> tuple[Twin, Path]:
+        """The twin on which it was planned, and the recorded demonstrations."""
+        twin = Twin.load(self.config.twin) if self.config.twin else Twin.builtin()
+        return twin, self.config.dataset.root
+
+    @property
+    def next_command(self) -> str:
+        """To train a policy on the new demonstrations."""
+        new = self.config.output
+        options = [f"--dataset.repo_id={new.repo_id}", f"--dataset.root={new.root}", "--policy.device=cpu"]
+        options += [f"--output_dir={new.root}_policy", "--env_eval_freq=0", "--wandb.enable=false"]
+        return shlex.join(["lerobot-train", "--policy.type=pneutac_bc", *options])
+
     def to_dict(self) -> dict:
         """As in `result.json`."""
         from lerobot_pneutac.reports.augment import augment_result
@@ -134,9 +139,7 @@ class Augmentation(Result):
         return augment_page(new, self.summary, self.references)
 
 
-def augment(
-    config: AugmentConfig, progress: Callable[[str, int, int], None] = lambda *a: None
-) -> Augmentation:
+def augment(config: AugmentConfig, progress: Progress = no_progress) -> Augmentation:
     """Augments a LeRobotDataset; writes the new one, and goes on where it was stopped.
 
     Raises:
@@ -149,7 +152,6 @@ def augment(
         read_references,
     )
     from pneutac_sim.gel.sensor import TactileSensor
-    from pneutac_sim.twin import Twin
 
     sensor = None
     if config.method == "tactile":

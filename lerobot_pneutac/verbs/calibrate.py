@@ -1,6 +1,6 @@
 """Fits a twin to a bench recording: markers, photographs or tactile images."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +8,8 @@ import numpy as np
 from lerobot_pneutac.verbs.calibrate_files import BEST, SEARCH
 from lerobot_pneutac.verbs.calibration import Calibration
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import InputError, check_choice, check_least
+from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
 
 WAYS = ("images", "markers")
@@ -25,7 +26,7 @@ def calibrate(
     particles: int = 4000,
     seed: int = 0,
     keep: Path | None = None,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Progress = no_progress,
 ) -> Calibration:
     """Fits a twin to a recording; neither is changed.
 
@@ -47,9 +48,9 @@ def calibrate(
     Raises:
         InputError: the devices differ, or the recording does not serve.
     """
-    progress = progress or (lambda text, done, total: None)
-    if by not in (None, *WAYS):
-        raise InputError(f"--by={by} is unknown; choose {' or '.join(WAYS)}.")
+    check_choice("by", by or WAYS[0], WAYS)
+    check_least(500, particles=particles)
+    check_least(7, evaluations=evaluations)
     if (twin.device, recording.device) not in ((recording.device, recording.device), ("finger", "gel")):
         raise InputError(
             f"{recording.folder} is a recording of a '{recording.device}' but the twin is of a "
@@ -63,7 +64,7 @@ def calibrate(
         return calibrate_gel(twin, recording, effects)
     if effects is not None:
         raise InputError(
-            f"--effects chooses the optics of a gel, but {recording.folder} is a recording of a "
+            f"effects chooses the optics of a gel, but {recording.folder} is a recording of a "
             f"'{recording.device}'; omit it, and switch an effect on with `pneutac add --effect=NAME`."
         )
     if by == "images" or (by is None and _photographs_alone(recording)):
@@ -93,5 +94,5 @@ def training_levels(levels: Sequence[float] | str) -> tuple[float, ...]:
     except ValueError:
         out = ()
     if len(out) < 2 or not np.isfinite(out).all():
-        raise InputError(f"--train_kpa={shown} must be at least two pressures in kPa, such as 0,3,6,9,12,15.")
+        raise InputError(f"train_kpa={shown} must be at least two pressures in kPa, such as 0,3,6,9,12,15.")
     return out

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
 
-from lerobot_pneutac.verbs.result import Result
+from lerobot_pneutac.verbs.result import Result, command_on
 from pneutac_sim.twin import Twin
 
 
@@ -49,6 +49,15 @@ class Calibration(Result):
     def version(self) -> int | None:
         """Number of the saved version."""
         return self.twin.history[-1]["version"] if self.saved_to else None
+
+    def subject(self) -> tuple[Twin, str]:
+        """The twin and what it was fitted to."""
+        return self.twin, self.recording
+
+    @property
+    def next_command(self) -> str:
+        """To see where it still fails."""
+        return command_on("compare", self.twin, self.recording)
 
     def to_dict(self) -> dict:
         """The content of `result.json`."""

@@ -1,11 +1,10 @@
 """How far a twin is from a recording, and where it fails."""
 
-from collections.abc import Callable
-
 from lerobot_pneutac.study.pair import same_device, with_unit_note
 from lerobot_pneutac.verbs.comparison import Comparison
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import InputError, check_choice
+from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
 
 FIDELITIES = ("pipeline", "mpm")
@@ -18,7 +17,7 @@ def compare(
     fidelity: str = "pipeline",
     samples: int | None = None,
     seed: int = 0,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Progress = no_progress,
 ) -> Comparison:
     """Runs the twin on what a recording commanded and sorts the errors; neither is changed.
 
@@ -41,7 +40,7 @@ def compare(
     if recording.device == "gel":
         if fidelity != "pipeline":
             raise InputError(
-                "--fidelity=mpm is of a finger or an arm, but the recording is of a gel; omit it."
+                f"fidelity={fidelity} is of a finger or an arm, but the recording is of a gel; omit it."
             )
         from lerobot_pneutac.verbs.compare_gel import compare_gel
 
@@ -53,12 +52,11 @@ def compare(
         return whole
     from lerobot_pneutac.verbs.compare_mpm import SAMPLES, by_mpm
 
-    return by_mpm(whole, twin, samples or SAMPLES, seed, progress or (lambda text, done, total: None))
+    return by_mpm(whole, twin, samples or SAMPLES, seed, progress)
 
 
 def check_fidelity(fidelity: str, samples: int | None) -> None:
     """Raises InputError where the two do not go together."""
-    if fidelity not in FIDELITIES:
-        raise InputError(f"--fidelity={fidelity} is unknown; choose {' or '.join(FIDELITIES)}.")
+    check_choice("fidelity", fidelity, FIDELITIES)
     if samples is not None and (samples < 2 or fidelity != "mpm"):
-        raise InputError(f"--samples={samples} must be 2 or more, together with --fidelity=mpm.")
+        raise InputError(f"samples={samples} must be 2 or more, together with fidelity=mpm.")

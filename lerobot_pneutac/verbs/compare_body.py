@@ -6,9 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
+from lerobot_pneutac.diagnosis.parts import deal
 from lerobot_pneutac.reports.compare_sentence import sentence
 from lerobot_pneutac.reports.page import Report
-from lerobot_pneutac.verbs.comparison import Comparison, history_of, rms_of
+from lerobot_pneutac.study.reading import read
+from lerobot_pneutac.verbs.comparison import Comparison, rms_of
 from pneutac_datasets.recording.axes import Axis, axes, is_still, motion
 from pneutac_datasets.recording.checks import check
 from pneutac_datasets.recording.mounts import on_one_mount
@@ -41,7 +43,7 @@ class BodyComparison(Comparison):
         rate: (n,) of the commanded pressure, kPa/s.
         still: (n,) whether it stands.
         pressure: (n,) squared error of the measured pressure, kPa^2, or None where none was measured.
-        history: of the twin.
+        twin: that was compared.
         bench: what it was made from.
         simulated: by what, in words.
         fidelity: `pipeline` or `mpm`.
@@ -62,7 +64,7 @@ class BodyComparison(Comparison):
     rate: np.ndarray
     still: np.ndarray
     pressure: np.ndarray | None
-    history: list[dict]
+    twin: Twin
     bench: BodyData
     simulated: str = "by the pipeline, at every sample"
     fidelity: str = "pipeline"
@@ -77,6 +79,10 @@ class BodyComparison(Comparison):
     def title(self) -> str:
         """Heading of table and report."""
         return f"Twin against recording: {Path(self.recording.folder).name}"
+
+    def subject(self) -> tuple[Twin, Path]:
+        """The twin and the recording's folder."""
+        return self.twin, Path(self.recording.folder)
 
     @property
     def noise_floor(self) -> float:
@@ -203,8 +209,8 @@ def compare_body(twin: Twin, recording: Recording, seed: int = 0) -> BodyCompari
     """
     clean, findings = check(recording)
     train = train_mask(twin, clean, seed)
-    clean, moved = on_one_mount(clean, twin, train, refit=False)
-    prediction = simulate(twin, BodyData.of(clean, twin, source="command"))
+    clean, moved = on_one_mount(clean, twin, train)
+    prediction = simulate(twin, read(clean, twin))
     findings += moved
     findings += [f"Effect '{name}' could not act: {why}." for name, why in prediction.left_out.items()]
     bench = prediction.data
@@ -228,7 +234,7 @@ def compare_body(twin: Twin, recording: Recording, seed: int = 0) -> BodyCompari
         rate=rate,
         still=is_still(clean, rate),
         pressure=_pressure_error(clean, twin),
-        history=history_of(twin),
+        twin=twin,
         bench=bench,
         out_of_range=outside,
     )
@@ -243,6 +249,11 @@ def train_mask(twin: Twin, recording: Recording, seed: int = 0) -> np.ndarray:
     here = Path(recording.folder).resolve()
     for entry in reversed(twin.history):
         if entry.get("seed") is not None and Path(entry.get("recording") or "").resolve() == here:
+            if str(entry.get("change", "")).startswith(
+                "added"
+            ):  # an addition learns from all but its test part
+                parts = deal(recording, int(entry["seed"]))
+                return ~parts.test if parts.has_test else parts.train
             return recording.split(int(entry["seed"]))[0]
     return recording.split(seed)[0]
 

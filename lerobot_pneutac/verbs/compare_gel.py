@@ -1,12 +1,13 @@
 """Compares a gel twin with recorded images: scores, also of the contact alone, and the worst images."""
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.study.gel_model import predict, seen_by
-from lerobot_pneutac.verbs.comparison import Comparison, history_of
+from lerobot_pneutac.verbs.comparison import Comparison
 from lerobot_pneutac.verbs.fit_gel import picture_grid, scores_of
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.recording import Recording
@@ -30,23 +31,27 @@ class GelComparison(Comparison):
         predicted: of each, uint8 (H, W, 3).
         scores: of each.
         rest_scores: of the rest image alone.
-        name: of the recording.
-        history: of the twin.
+        folder: of the recording.
+        twin: that was compared.
     """
 
     data: GelRecording
     predicted: list[np.ndarray]
     scores: list[ImageScores]
     rest_scores: list[ImageScores]
-    name: str
-    history: list[dict]
+    folder: Path
+    twin: Twin
 
     unit = "levels"
 
     @property
     def title(self) -> str:
         """Heading of the report."""
-        return f"Gel twin against recording: {self.name}"
+        return f"Gel twin against recording: {self.folder.name}"
+
+    def subject(self) -> tuple[Twin, Path]:
+        """The twin and the recording's folder."""
+        return self.twin, self.folder
 
     @property
     def findings(self) -> tuple[str, ...]:
@@ -179,8 +184,8 @@ def compare_gel(twin: Twin, recording: Recording) -> GelComparison:
         predicted=predicted,
         scores=scores_of(data, predicted),
         rest_scores=scores_of(data, rest),
-        name=recording.folder.name,
-        history=history_of(twin),
+        folder=Path(recording.folder),
+        twin=twin,
     )
 
 

@@ -16,14 +16,11 @@ from pneutac_sim.mpm import devices
 from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import MpmDiverged, solve_equilibrium
 from pneutac_sim.mpm.total_lagrangian import TotalLagrangian
+from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
 
 SAMPLES = 200
 DIGITS = 6  # joint targets that agree in so many, rad, are one equilibrium
-
-
-def quiet(text: str, done: int, total: int) -> None:
-    """Progress that nobody wants to see."""
 
 
 def spread(count: int, samples: int, seed: int = 0) -> np.ndarray:
@@ -41,7 +38,9 @@ def spread(count: int, samples: int, seed: int = 0) -> np.ndarray:
     return np.unique(np.minimum(at.astype(int), count - 1))
 
 
-def by_mpm(c: BodyComparison, twin: Twin, samples: int, seed: int, progress=quiet) -> BodyComparison:
+def by_mpm(
+    c: BodyComparison, twin: Twin, samples: int, seed: int, progress: Progress = no_progress
+) -> BodyComparison:
     """A comparison at some of the samples, with a model by material points.
 
     Args:
@@ -84,7 +83,7 @@ def _thinned(axis: Axis, at: np.ndarray) -> Axis:
 
 
 def markers_by_mpm(
-    twin: Twin, bench: BodyData, samples: np.ndarray, progress=quiet
+    twin: Twin, bench: BodyData, samples: np.ndarray, progress: Progress = no_progress
 ) -> tuple[np.ndarray, int]:
     """Columns of a recording as a body of material points at rest would show them.
 
@@ -126,7 +125,7 @@ def _at_rest(solver: TotalLagrangian, targets: np.ndarray, progress) -> tuple[np
         try:
             rest = solve_equilibrium(solver, Loads(q_cmd=targets[i][None]), warm=done > 0)
         except MpmDiverged as e:
-            raise InputError(f"{e.finding}; compare by --fidelity=pipeline, or leave that sample out.") from e
+            raise InputError(f"{e.finding}; compare by fidelity=pipeline, or leave that sample out.") from e
         joints[i], tips[i] = rest.q[0], devices.spine_points(solver, rest.q)[0, -1]
     return joints, tips
 

@@ -4,7 +4,7 @@ from abc import abstractmethod
 
 import numpy as np
 
-from lerobot_pneutac.verbs.result import Result
+from lerobot_pneutac.verbs.result import Result, command_on
 from pneutac_sim.finger.quantities import root_mean
 from pneutac_sim.twin import Twin
 
@@ -13,10 +13,12 @@ class Comparison(Result):
     """A twin against a recording.
 
     Attributes:
+        twin: that was compared.
         unit: of the errors.
         noise_floor: error that the measurement's own noise makes.
     """
 
+    twin: Twin
     unit: str
     noise_floor: float
 
@@ -36,6 +38,17 @@ class Comparison(Result):
         """Where it fails most."""
 
     @property
+    def history(self) -> list[dict]:
+        """How the error of the twin's versions fell."""
+        names = ("version", "change", "train", "heldout", "unit")
+        return [{k: e.get(k) for k in names} for e in self.twin.history]
+
+    @property
+    def next_command(self) -> str:
+        """To learn why it fails there."""
+        return command_on("diagnose", self.twin, self.subject()[1])
+
+    @property
     def heldout(self) -> float | None:
         """Error where the twin was not fitted."""
         return self.error["heldout"]
@@ -44,11 +57,6 @@ class Comparison(Result):
     def train(self) -> float | None:
         """Error where the twin was fitted."""
         return self.error["train"]
-
-
-def history_of(twin: Twin) -> list[dict]:
-    """How the error of a twin's versions fell."""
-    return [{k: e.get(k) for k in ("version", "change", "train", "heldout", "unit")} for e in twin.history]
 
 
 def rms_of(squared: np.ndarray) -> float | None:

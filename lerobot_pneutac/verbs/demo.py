@@ -1,4 +1,4 @@
-"""The demo: the main job end to end, on the stand-in for reality, by the commands that a user would type.
+"""Does the main job end to end, on the stand-in for reality, by the commands that a user would type.
 
 A finger with hidden physics is measured; its twin is compared with the measurements, the missing effects are
 found and added, and the error falls. The corrected twin then turns ten demonstrations into more, one policy
@@ -17,13 +17,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from scipy.stats import binomtest
-
-from lerobot_pneutac.reports.demo import demo_page
-from lerobot_pneutac.reports.page import Report
-from lerobot_pneutac.verbs.result import Result
-from pneutac_sim.errors import InputError
+from lerobot_pneutac.verbs.demo_result import DemoResult
+from pneutac_sim.errors import InputError, check_least
 from pneutac_sim.features import CONTROL_HZ, DEMONSTRATION_S
+from pneutac_sim.files import write_json
+from pneutac_sim.progress import Progress
+from pneutac_sim.twin import Twin
 
 TASK, TASK_TEXT = "switch", "flip the switch"
 
@@ -35,13 +34,13 @@ class DemoConfig:
     Attributes:
         out: folder of everything that the demo writes.
         minutes: length of the session in which the finger is measured.
-        demonstrations: recorded on the stand-in, one of them by lerobot-record itself.
-        augmented: further demonstrations, planned on the corrected twin and guided by touch.
+        demonstrations: number of those recorded on the stand-in, one of them by lerobot-record itself.
+        augmented: number of those planned on the corrected twin, guided by touch.
         steps: optimiser steps of lerobot-train.
-        batch_size: frames per optimiser step.
+        batch_size: frames of an optimiser step.
         trials: randomised starts on which the policy is tried.
-        seed: decides every random choice.
-        fresh: delete an earlier demo in `out` first.
+        seed: seed of every random choice.
+        fresh: deletion of an earlier demo in `out`, before all else.
     """
 
     out: Path = Path("outputs/demo")
@@ -55,72 +54,10 @@ class DemoConfig:
     fresh: bool = False
 
     def __post_init__(self):
-        for name in ("demonstrations", "augmented", "steps", "batch_size", "trials"):
-            least = 2 if name == "demonstrations" else 1
-            if getattr(self, name) < least:
-                raise InputError(f"--{name} is {getattr(self, name)}; it must be at least {least}.")
-
-
-@dataclass(frozen=True)
-class DemoResult(Result):
-    """What the demo came to.
-
-    Attributes:
-        out: its folder.
-        state: stage name to its numbers, seconds and commands.
-    """
-
-    out: Path
-    state: dict
-    title = "A twin learns what its finger lacked, and a policy flips the switch"
-
-    @property
-    def success_ci95(self) -> tuple[float, float]:
-        """Wilson's 95 % interval of the success rate, percent."""
-        e = self.state["evaluate"]
-        interval = binomtest(e["successes"], e["trials"]).proportion_ci(method="wilson")
-        return 100 * interval.low, 100 * interval.high
-
-    @property
-    def sentence(self) -> str:
-        """What was found, how the error fell, what the policy does."""
-        found, e = self.state["diagnose"]["selected"], self.state["evaluate"]
-        lo, hi = self.success_ci95
-        before, after = self.state["twin"]["tip_error_mm"], self.state["add"]["tip_error_mm"]
-        rate = f"{e['success_percent']:.0f} %, 95 % interval {lo:.0f} to {hi:.0f}"
-        return (
-            f"The finger had {' and '.join(found)} that its twin lacked; with this the held-out tip error "
-            f"fell from {before:.2f} to {after:.2f} mm (noise {self.state['add']['noise_mm']:.2f} mm). "
-            "Trained on demonstrations of the corrected twin, the policy flipped the switch in "
-            f"{e['successes']} of {e['trials']} starts that it had not seen ({rate})."
+        check_least(2, demonstrations=self.demonstrations)
+        check_least(
+            1, augmented=self.augmented, steps=self.steps, batch_size=self.batch_size, trials=self.trials
         )
-
-    @property
-    def next_commands(self) -> list[str]:
-        """Three commands to try next."""
-        return [
-            f"pneutac diagnose --twin={self.out}/twin --recording={self.out}/bench/finger --out=outputs/rest",
-            f"pneutac render --twin={self.out}/twin --pressure_kpa=[0,15] --out=outputs/render",
-            "python -m pneutac_datasets.generate --effect=hysteresis --seed=7 --out=outputs/bench",
-        ]
-
-    def to_dict(self) -> dict:
-        """The content of `result.json`."""
-        s = self.state
-        return {
-            "tip_error_mm": {"before": s["twin"]["tip_error_mm"], "after": s["add"]["tip_error_mm"]},
-            "noise_mm": s["add"]["noise_mm"],
-            "selected": s["diagnose"]["selected"],
-            "success_percent": s["evaluate"]["success_percent"],
-            "success_ci95": list(self.success_ci95),
-            "trials": s["evaluate"]["trials"],
-            "final_loss": s["train"]["losses"][-1],
-            "seconds": {name: stage["seconds"] for name, stage in s.items() if name != "options"},
-        }
-
-    def page(self) -> Report:
-        """The report, not yet written."""
-        return demo_page(self)
 
 
 Announce = Callable[[str], None]
@@ -138,7 +75,7 @@ class Demo:
         InputError: the folder holds a demo with other options.
     """
 
-    def __init__(self, cfg: DemoConfig, announce: Announce, progress: Callable[[str, int, int], None]):
+    def __init__(self, cfg: DemoConfig, announce: Announce, progress: Progress):
         self.cfg, self._announce, self._progress = cfg, announce, progress
         self._file = cfg.out / "state.json"
         if cfg.fresh and self._file.exists():
@@ -147,7 +84,7 @@ class Demo:
         options = {k: v for k, v in vars(cfg).items() if k not in ("fresh", "out")}
         self.state = json.loads(self._file.read_text()) if self._file.exists() else {}
         if self.state.setdefault("options", options) != options:
-            raise InputError(f"{cfg.out} holds a demo with other options; add --fresh.")
+            raise InputError(f"{cfg.out} holds a demo with other options; give fresh=true.")
         self.twin = self._path("twin")
         self.finger, self.gel = self._path("bench/finger"), self._path("bench/gel")
 
@@ -173,7 +110,7 @@ class Demo:
             start, self._commands = time.monotonic(), []
             found = stage()
             self.state[name] = {**found, "seconds": time.monotonic() - start, "commands": self._commands}
-            self._file.write_text(json.dumps(self.state, indent=2))
+            write_json(self._file, self.state)
         return DemoResult(cfg.out, self.state)
 
     # ------------------------------------------------------------ stages
@@ -196,13 +133,11 @@ class Demo:
         if not found["selected"]:
             raise InputError(
                 f"The diagnosis found no missing effect ({found['verdict']}; {self._path('diagnosis')} tells "
-                "why). Give another --seed, or a longer session with --minutes."
+                "why). Give another seed, or a longer session with more minutes."
             )
         return {"selected": found["selected"], "verdict": found["verdict"], "sentence": found["sentence"]}
 
     def _add(self) -> dict:
-        from pneutac_sim.twin import Twin
-
         for effect in self.state["diagnose"]["selected"]:
             if effect not in Twin.load(self.twin).effects:  # else an interrupted run added it
                 self._verb("add", self.finger, f"added_{effect}", f"--effect={effect}")

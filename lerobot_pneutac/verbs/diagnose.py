@@ -1,8 +1,8 @@
 """Which physical effect a twin lacks, with rivals, intervals and the next experiment."""
 
+import os
 from collections.abc import Callable
 
-from lerobot_pneutac.diagnosis.engine import cores
 from lerobot_pneutac.diagnosis.steps import Steps
 from lerobot_pneutac.study.by_device import study_of
 from lerobot_pneutac.study.pair import same_body
@@ -25,7 +25,7 @@ def diagnose(
     Args:
         twin: of the recording's device, or a finger with the gel of the recording.
         recording: of a finger, an arm or a gel.
-        jobs: processes; 0 for all cores.
+        jobs: threads; 0 for all cores.
         seed: decides which part is held out, and every bootstrap.
         progress: called with a text, the fits done and all of them.
 
@@ -36,3 +36,8 @@ def diagnose(
         raise InputError(f"--jobs={jobs} must be 0 (all cores) or a positive number.")
     study = study_of(twin, same_body(twin, recording, "diagnose"), seed)
     return Diagnosis(study=study, outcome=study.search(jobs or cores(), Steps(progress)))
+
+
+def cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -3,13 +3,16 @@
 import time
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 
 from lerobot_pneutac.diagnosis.experiment import Separation
 from lerobot_pneutac.diagnosis.result import Outcome, Tested
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.reports.sentences import lead, next_experiment, percent
 from lerobot_pneutac.study.base import EffectStudy
+from lerobot_pneutac.verbs.found import BEFORE, FOUND
 from lerobot_pneutac.verbs.result import Result
+from pneutac_sim.twin import Twin
 
 LITTLE_ALONE = 0.03  # share of the avoidable error: an effect that alone removes less looks like nothing
 
@@ -27,6 +30,11 @@ class Diagnosis(Result):
     study: EffectStudy
     outcome: Outcome
     made_at: str = field(default_factory=lambda: time.strftime("%Y-%m-%d %H:%M"))
+
+    @property
+    def twin(self) -> Twin:
+        """The twin with all that was found, as `add` would write it."""
+        return self.study.twin_of(self.outcome.after)
 
     @property
     def verdict(self) -> str:
@@ -134,20 +142,28 @@ class Diagnosis(Result):
             "effects": [_tested(t, study) for t in o.tested] + [_untested(u) for u in study.untested],
             "indistinguishable": [[r.effect, r.rival] for r in o.rivals],
             "correlated": [{"effects": [a, b], "correlation": c} for a, b, c in o.correlated],
-            "profile": [_profile(p) for p in o.profiles],
+            "chosen_in": {e: o.chosen_in.get(e, 1.0) for e in o.selected},
             "at_bound": o.evidence.at_bound,
-            "error_over_noise": {k: getattr(o.evidence, k) for k in ("before", "after", "limit")},
+            "error_over_noise": {k: getattr(o.evidence, k) for k in ("before", "after")},
+            "black_box": {
+                "share_of_rest": o.evidence.left_to_black_box,
+                "unfinished": o.evidence.unfinished,
+            },
+            "objections": o.evidence.objections,
             "findings": list(self.findings),
             "notes": study.caveats(o),
-            "fingerprints": [
-                {"effect": f.effect, "share": f.share, "chance": f.chance, "p_value": f.p_value}
-                for f in o.fingerprints
-            ],
             "next_experiment": self.next_experiment,
+            "rows": len(study.recording),
+            "seed": study.seed,
             "seconds": o.seconds,
             "time": self.made_at,
             **study.details(o),
         }
+
+    def save(self, folder: str | Path) -> None:
+        """Writes the twins before and after into folders of `folder`, for `add --from`."""
+        self.study.twin_of(self.outcome.before).save(Path(folder) / BEFORE)
+        self.twin.save(Path(folder) / FOUND)
 
     def page(self) -> Report:
         """The sentence, then the evidence as pictures."""
@@ -168,12 +184,4 @@ def _untested(u) -> dict:
     return {
         "name": u.name, "heldout": None, "reduction": None, "reduction_ci95": None, "parameters": {},
         "tested_by": u.reason,
-    }  # fmt: skip
-
-
-def _profile(p) -> dict:
-    return {
-        "parameter": p.name, "value": p.value, "unit": p.unit, "interval95": list(p.interval),
-        "bounded_below": p.below, "bounded_above": p.above, "remark": p.remark,
-        "points": [{"value": v, "chi2": c} for v, c in p.points],
     }  # fmt: skip

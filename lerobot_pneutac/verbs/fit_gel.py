@@ -203,7 +203,7 @@ def wanted(effects: Sequence[str] | None, twin: Twin) -> list[str]:
         if name not in of_one_pair:
             why = "needs more than one pair of images" if of_sensor([name]) else "is no optics effect"
             raise InputError(
-                f"--effects={','.join(effects)}: '{name}' {why}; give some of {','.join(of_one_pair)}, or "
+                f"effects={','.join(effects)}: '{name}' {why}; give some of {','.join(of_one_pair)}, or "
                 "none for the paper's linear model."
             )
     return list(dict.fromkeys(effects))

@@ -20,6 +20,7 @@ from pneutac_sim.photo_fit.equilibria import Bodies, Equilibria
 from pneutac_sim.photo_fit.objective import SILHOUETTE, MaskedPhotograph, Objective, Scores
 from pneutac_sim.photo_fit.parameters import BodyParameters, body_parameters
 from pneutac_sim.photo_fit.search import EVALUATIONS, Search, SearchRecord, search
+from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.splat.body import fit_body_looks, looks_into_twin
 from pneutac_sim.splat.gaussians import Gaussians
 from pneutac_sim.twin import Twin
@@ -158,7 +159,7 @@ def calibrate_photographs(
     options: PhotoOptions = PhotoOptions(),
     file: Path | None = None,
     best: Path | None = None,
-    progress=lambda text, done, total: None,
+    progress: Progress = no_progress,
 ) -> PhotoCalibration:
     """Fits drive and material to the photographs at the training levels.
 

@@ -20,6 +20,7 @@ from pneutac_datasets.recording.recording import Recording
 BASE_IMAGES = 15
 FRAME_MS = 1000 * COMMAND_S  # a camera that is slower than this is lost; the chamber vents by itself then
 OVERPRESSURE = 1.15  # of the set maximum, measured: everything stops
+RESTED_S = 60.0  # without pressure before the first trial: what came before the run is then forgotten
 
 
 @dataclass(frozen=True)
@@ -106,6 +107,8 @@ class BenchDriver:
     ):
         self._config, self._pressure, self._cameras, self._tracker = config, pressure, cameras, tracker
         self._rows: list[dict] = []
+        self._starts: dict[str, dict] = {}
+        self._vented_s: float | None = None  # clock at the end of the trial before, if it was kept
 
     def images(self, number: int) -> Path:
         """Folder of a trial's images."""
@@ -122,9 +125,12 @@ class BenchDriver:
         self._pressure.vent()
         time.sleep(self._config.rest_s)
         rows, taken, k, start_s = [], 0, 0, time.monotonic()
+        started, command, sent_s = self._started(start_s), None, None
         while k < len(trial.time_s):
             time.sleep(max(0.0, start_s + trial.time_s[k] - time.monotonic()))
-            sample, command, taken = k, float(trial.pressure_kpa[k]), taken + 1
+            sample, before, command, taken = k, command, float(trial.pressure_kpa[k]), taken + 1
+            if sent_s is None or command != before:  # one that is sent again counts from the first time
+                sent_s = time.monotonic() - start_s
             self._pressure.set_pressure(command)
             images = {name: _image(c, name) for name, c in self._cameras.items()}
             now_s, kpa = time.monotonic() - start_s, float(self._pressure.pressure())
@@ -135,7 +141,7 @@ class BenchDriver:
             k = max(k + 1, min(due - 1, len(trial.time_s) - 1))
             if tip is None:
                 continue
-            row = {"trial": number, "time_s": now_s, "program": trial.program}
+            row = {"trial": number, "time_s": now_s, "time_sent_s": sent_s, "program": trial.program}
             row |= {"pressure_cmd_kpa": command, "pressure_kpa": kpa}
             row |= dict(zip(("tip_x_mm", "tip_y_mm", "tip_z_mm"), tip.tolist(), strict=True))
             for name, image in images.items():
@@ -143,11 +149,20 @@ class BenchDriver:
                 Image.fromarray(image).save(file, quality=95)
                 row[f"image_{name}"] = str(file.relative_to(self._config.out))
             rows.append(row)
+            sent_s = None
         self._pressure.vent()
+        self._vented_s = time.monotonic() if rows else None
         if rows:
             self._rows += rows
+            self._starts[str(number)] = started
             self._write()
         return taken, len(rows)
+
+    def _started(self, start_s: float) -> dict:
+        """How a trial that begins at this time on the clock starts: each trial leaves the chamber vented."""
+        if self._vented_s is not None:
+            return {"start": "continues", "pause_s": round(start_s - self._vented_s, 3)}
+        return {"start": "rested" if self._config.rest_s >= RESTED_S else "unknown"}
 
     def _write(self) -> None:
         """The recording so far; the old one stays until the new one is whole."""
@@ -155,6 +170,7 @@ class BenchDriver:
         meta = {
             "length_mm": self._config.length_mm,
             "notes": self._config.notes,
+            "trials": self._starts,
             "cameras": {
                 "camera": {
                     "intrinsics": camera.matrix.tolist(),
@@ -165,7 +181,9 @@ class BenchDriver:
         }
         samples = pd.DataFrame(self._rows)
         new = Recording(self._config.out, meta, samples, "finger").write(self._config.out / "new")
-        for name in ("recording.json", "samples.csv"):  # the table last: a trial in it is kept
+        # a trial in the table is kept, and recording.json names none that is not in it
+        names = ["recording.json", "samples.csv"]
+        for name in names[::-1] if (self._config.out / "samples.csv").exists() else names:
             (new / name).replace(self._config.out / name)
         new.rmdir()
 

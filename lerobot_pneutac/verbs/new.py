@@ -92,7 +92,7 @@ def read_body(
     from pneutac_sim.mpm.user_mesh import read_mesh
 
     if device == "gel":
-        raise InputError(f"--mesh is of a finger or an arm, but {recording.folder} is of a gel; omit one.")
+        raise InputError(f"mesh is of a finger or an arm, but {recording.folder} is of a gel; omit one.")
     body = read_mesh(mesh, unit, axis)
     expected = recording.length_mm if recording else None
     if expected is not None and abs(body.length_mm - expected) > SAME_LENGTH * expected:

@@ -1,7 +1,6 @@
 """Pictures and a film of a finger, arm or gel of material points under load."""
 
 import time
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -11,7 +10,8 @@ from PIL import Image
 from lerobot_pneutac.rendering.film import Film
 from lerobot_pneutac.rendering.options import FPS, RenderConfig, filled
 from lerobot_pneutac.reports.page import Report, write_result
-from lerobot_pneutac.verbs.result import Result
+from lerobot_pneutac.verbs.result import Result, about
+from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
 
 
@@ -44,9 +44,7 @@ class RenderedFilm(Result):
         return asdict(self)
 
 
-def render(
-    twin: Twin, config: RenderConfig, progress: Callable[[str, int, int], None] = lambda *a: None
-) -> RenderedFilm:
+def render(twin: Twin, config: RenderConfig, progress: Progress = no_progress) -> RenderedFilm:
     """Draws a twin under load into `config.out`: pictures, `film.mp4`, `report.html` and `result.json`.
 
     Raises:
@@ -63,17 +61,13 @@ def make_film(twin: Twin, config: RenderConfig) -> Film:
         InputError: an option does not fit the twin.
     """
     if twin.device == "gel":
-        from lerobot_pneutac.rendering.gel import gel_film
-
-        return gel_film(twin, config)
-    from lerobot_pneutac.rendering.body import body_film
-
-    return body_film(twin, config)
+        from lerobot_pneutac.rendering.gel import gel_film as film_of
+    else:
+        from lerobot_pneutac.rendering.body import body_film as film_of
+    return film_of(twin, config)._replace(about=about(twin, config.recording or ""))
 
 
-def draw_film(
-    film: Film, out: Path, progress: Callable[[str, int, int], None] = lambda *a: None
-) -> RenderedFilm:
+def draw_film(film: Film, out: Path, progress: Progress = no_progress) -> RenderedFilm:
     """Draws frames; what is finished is kept where it is interrupted."""
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
@@ -102,6 +96,7 @@ def _write(film: Film, pictures: list[np.ndarray], result: RenderedFilm, out: Pa
 
         write_video(out / result.film, pictures + [pictures[-1]] * FPS, FPS)
         report = Report(f"A {film.device} of material points")
+        report.about = film.about
         report.lead(film.lead)
         report.video(out / result.film, width=min(960, pictures[0].shape[1]))
         report.table(result.stills)

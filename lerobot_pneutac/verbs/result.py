@@ -1,11 +1,15 @@
 """What the results of all verbs share: `result.json`, a report, a look in a notebook."""
 
+import functools
+import shlex
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
-from lerobot_pneutac.reports.page import Report, write_result
+from lerobot_pneutac.reports.page import Report, plain, write_result
+from pneutac_sim.twin import Twin
 
 
 class Result:
@@ -18,6 +22,21 @@ class Result:
 
     title: str = ""
     findings: tuple[str, ...] = ()
+
+    def __init_subclass__(cls, **options):
+        """Makes plain numbers, texts, lists and dicts of whatever a subclass' `to_dict` gives."""
+        super().__init_subclass__(**options)
+        if "to_dict" in vars(cls):
+            cls.to_dict = _plainly(cls.to_dict)
+
+    def subject(self) -> tuple[Twin | None, str | Path]:
+        """The twin that it is about, and the recording's folder; None and empty where there is none."""
+        return None, ""
+
+    @property
+    def next_command(self) -> str:
+        """What to run next; empty where nothing follows."""
+        return ""
 
     @property
     def sentence(self) -> str:
@@ -59,6 +78,10 @@ class Result:
         for name, picture in self.pictures().items():
             Image.fromarray(picture).save(Path(out) / name)
         page = self.page()
+        page.about = about(*self.subject())
+        if self.next_command:
+            page.heading("Next")
+            page.code(self.next_command)
         if command:
             page.heading("Do it again")
             page.code(command)
@@ -75,3 +98,30 @@ class Result:
         for remark in self.remarks():
             page.text(remark)
         return page.fragment()
+
+
+def _plainly(to_dict: Callable[..., dict]) -> Callable[..., dict]:
+    @functools.wraps(to_dict)
+    def found(self) -> dict:
+        return {str(k): plain(v) for k, v in to_dict(self).items()}
+
+    return found
+
+
+def about(twin: Twin | None, recording: str | Path = "") -> str:
+    """Which twin in which version, and which recording, by its folder's name; empty where there is none."""
+    parts = []
+    if twin is not None:
+        last = twin.history[-1] if twin.history else None
+        version = f"version {last['version']} ({last['change']})" if last else "as it was made"
+        where = f" `{twin.folder}`" if twin.folder else ""
+        parts.append(f"Twin: {twin.device}{where}, {version}.")
+    if recording:
+        parts.append(f"Recording: `{Path(recording).name}`.")
+    return " ".join(parts)
+
+
+def command_on(verb: str, twin: Twin, recording: str | Path, *options: str) -> str:
+    """A verb's command for a twin and a recording, to copy."""
+    folders = [f"--twin={twin.folder or 'TWIN'}", f"--recording={recording}"]
+    return shlex.join(["pneutac", verb, *folders, *options])

@@ -3,9 +3,9 @@
 Trajectories and contacts are collected one by one into the twin's folder, so that an interrupted run goes on.
 """
 
+import shlex
 import shutil
 import time
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -14,7 +14,8 @@ import numpy as np
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.recording.wording import an
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import InputError, check_choice
+from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.surrogate.fingerprint import fingerprint, gel_fingerprint
 from pneutac_sim.surrogate.networks import builtin, fits
 from pneutac_sim.twin import NETWORKS, Twin
@@ -22,7 +23,6 @@ from pneutac_sim.twin import NETWORKS, Twin
 DATA = "surrogate_data"  # in the twin's folder
 CARD = "networks.md"
 HEADER = ("what", "network", "without")
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Collection:
 
         if self.trajectories < FEWEST:
             raise InputError(
-                f"--trajectories={self.trajectories} are too few to train on; give {FEWEST} or more."
+                f"trajectories={self.trajectories} are too few to train on; give {FEWEST} or more."
             )
         seen = max(CHECK_EVERY, LEAST + 1)
         fewest = next(
@@ -61,7 +61,7 @@ class Collection:
         )
         if self.contacts < fewest:
             raise InputError(
-                f"--contacts={self.contacts} are too few to train on, since those of {' and '.join(HELDOUT)} "
+                f"contacts={self.contacts} are too few to train on, since those of {' and '.join(HELDOUT)} "
                 f"are held out; give {fewest} or more."
             )
 
@@ -71,12 +71,12 @@ class TrainedNetworks(Result):
     """What was trained.
 
     Attributes:
-        twin: its folder, which has the networks.
+        twin: whose folder has the networks.
         networks: name to `source`, `seconds` and, of those trained, `errors`.
         errors: what was measured on motions and contacts held out: what, with the network, without.
     """
 
-    twin: str
+    twin: Twin
     networks: dict
     errors: list[tuple[str, str, str]]
     title = "Networks in place of material points"
@@ -87,7 +87,16 @@ class TrainedNetworks(Result):
 
     def to_dict(self) -> dict:
         """As in `result.json`."""
-        return {"twin": self.twin, "networks": self.networks}
+        return {"twin": self.twin.folder, "networks": self.networks}
+
+    def subject(self) -> tuple[Twin, str]:
+        """The twin alone."""
+        return self.twin, ""
+
+    @property
+    def next_command(self) -> str:
+        """To measure them on more motions and contacts."""
+        return shlex.join(["pneutac", "benchmark", "surrogate", f"--twin={self.twin.folder}"])
 
     def page(self) -> Report:
         """The report."""
@@ -103,7 +112,7 @@ def train_networks(
     collection: Collection | None = None,
     fresh: bool = False,
     device: str = "auto",
-    progress: Progress = lambda *a: None,
+    progress: Progress = no_progress,
 ) -> TrainedNetworks:
     """Trains what is missing or outdated, and writes networks and their card into the twin's folder.
 
@@ -122,13 +131,14 @@ def train_networks(
     if twin.device != "finger":
         raise InputError(
             f"{folder} is the twin of {an(twin.device)}, but the networks are of a finger and the gel on "
-            "it; give a finger's with --twin=DIR."
+            "it; give a finger's twin."
         )
     if "gain_rad_per_kpa" not in twin.parameters:
         raise InputError(
             f"{folder} has not been calibrated (no gain_rad_per_kpa); run `pneutac calibrate "
             f"--twin={folder} --recording=DIR` first."
         )
+    check_choice("device", device, ("auto", "cpu", "cuda"))
     collection.check()
     networks = {}
     for name in NETWORKS:
@@ -141,7 +151,8 @@ def train_networks(
             found = {"source": "trained"} | train(twin, file, collection, device, progress)
         networks[name] = found | {"seconds": time.perf_counter() - start}
         twin.networks[name] = file
-    trained = TrainedNetworks(str(folder), networks, _errors(networks, folder))
+    twin.folder = folder
+    trained = TrainedNetworks(twin, networks, _errors(networks, folder))
     _write_card(trained, folder)
     return trained
 

@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from huggingface_hub import HfApi, snapshot_download
 from safetensors.numpy import load_file, save_file
 
 from pneutac_sim.errors import InputError
+from pneutac_sim.files import read_yaml, whole
 
 DEVICES = ("finger", "arm", "gel")
 FORMAT = "pneutac-twin/1"
@@ -58,6 +58,7 @@ class Twin:
         arrays: named float32 or uint8 arrays kept as safetensors, such as `rest_image` (H, W, 3).
         history: one entry a version: `version`, `change`, `recording`, `train`, `heldout`, `unit`.
         networks: files of those of `NETWORKS` that were trained for it (`pneutac surrogate`).
+        folder: where it was read from or written to last; None where nowhere.
     """
 
     device: str = "finger"
@@ -69,6 +70,7 @@ class Twin:
     arrays: dict[str, np.ndarray] = field(default_factory=dict)
     history: list[dict] = field(default_factory=list)
     networks: dict[str, Path] = field(default_factory=dict)
+    folder: Path | None = field(default=None, compare=False)
 
     def __post_init__(self):
         if self.device not in DEVICES:
@@ -102,8 +104,6 @@ class Twin:
         path = Path(path)
         path.mkdir(parents=True, exist_ok=True)
         text = yaml.safe_dump(self._as_dict(), sort_keys=False)
-        tmp = path / "twin.yaml.tmp"
-        tmp.write_text(text)
         if self.arrays:
             save_file(
                 {k: np.ascontiguousarray(v) for k, v in self.arrays.items()}, path / "arrays.safetensors"
@@ -111,7 +111,8 @@ class Twin:
         for name, file in self.networks.items():
             if file.resolve() != (path / f"{name}.safetensors").resolve():
                 shutil.copy2(file, path / f"{name}.safetensors")
-        tmp.replace(path / "twin.yaml")
+        with whole(path / "twin.yaml") as part:  # last, for it says that the folder holds a twin
+            part.write_text(text)
         return path
 
     def save_version(self, path: str | Path, change: str, recording: str, errors: dict) -> Path:
@@ -131,6 +132,7 @@ class Twin:
         folder.mkdir(parents=True, exist_ok=True)
         shutil.copy2(path / "twin.yaml", folder / "twin.yaml")
         (folder / "change.json").write_text(json.dumps(self.history[-1], indent=2))
+        self.folder = path
         return path
 
     @classmethod
@@ -141,10 +143,7 @@ class Twin:
             raise InputError(
                 f"There is no twin at '{path}' (no twin.yaml); make one with `pneutac new --twin={path}`."
             )
-        try:
-            d = yaml.safe_load(file.read_text())
-        except yaml.YAMLError as e:
-            raise InputError(f"{file} is not valid YAML: {e}.") from e
+        d = read_yaml(file)
         if not isinstance(d, dict) or d.get("format") != FORMAT:
             raise InputError(f"{file}: field 'format' must be '{FORMAT}'.")
         try:
@@ -163,6 +162,7 @@ class Twin:
             raise InputError(f"{file}: field {e} is missing.") from e
         except (TypeError, ValueError) as e:
             raise InputError(f"{file}: a field is malformed ({e}).") from e
+        twin.folder = Path(path)
         files = {name: Path(path) / f"{name}.safetensors" for name in NETWORKS}
         twin.networks = {name: file for name, file in files.items() if file.is_file()}
         arrays = Path(path) / "arrays.safetensors"
@@ -181,6 +181,8 @@ class Twin:
         """Uploads a saved copy of this twin to the Hugging Face Hub; returns the commit's address."""
         import tempfile
 
+        from huggingface_hub import HfApi  # slow to import, and few twins come from the Hub or go there
+
         with tempfile.TemporaryDirectory() as tmp:
             self.save(tmp)
             api = HfApi()
@@ -192,6 +194,8 @@ class Twin:
         """Loads a twin from a folder or from a Hub repository."""
         if Path(name_or_path).is_dir():
             return cls.load(name_or_path)
+        from huggingface_hub import snapshot_download
+
         return cls.load(snapshot_download(str(name_or_path), **kwargs))
 
     def _as_dict(self) -> dict:

@@ -2,9 +2,8 @@
 
 import multiprocessing
 import os
+import sys
 import threading
-
-import torch
 
 
 def start_worker() -> None:
@@ -12,7 +11,9 @@ def start_worker() -> None:
 
     Else a parent that is killed would leave its workers waiting for ever.
     """
-    torch.set_num_threads(1)
+    os.environ["OMP_NUM_THREADS"] = "1"  # for what is imported from here on; PyTorch takes seconds
+    if "torch" in sys.modules:
+        sys.modules["torch"].set_num_threads(1)
 
     def end_with_parent() -> None:
         multiprocessing.parent_process().join()

@@ -12,8 +12,8 @@ TEXT = (ROOT / "README.md").read_text()
 @pytest.mark.timeout(1200)
 def test_blocks_run(tmp_path):
     run_page("README.md", tmp_path)
-    assert (tmp_path / "outputs/added/report.html").is_file()
-    assert (tmp_path / "outputs/eval/eval_info.json").is_file()
+    assert (tmp_path / "outputs/readme/added/report.html").is_file()
+    assert (tmp_path / "outputs/readme/eval/eval_info.json").is_file()
 
 
 def test_it_is_short():

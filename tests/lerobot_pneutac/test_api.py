@@ -82,11 +82,16 @@ def test_a_refusal_is_a_result(effect, own, reason, bench):
 def test_blocks_that_report_did_not_choose(bench):
     """Whether an effect is kept is decided on other blocks than those whose error is told."""
     from lerobot_pneutac.study.by_device import study_of
+    from lerobot_pneutac.verbs.compare_body import train_mask
 
     calibrated, recording = bench
-    parts = study_of(calibrated.twin, recording, adding="creep").parts
+    parts = study_of(calibrated.twin, recording, adding=["creep"]).parts
     assert (np.stack([parts.train, parts.validation, parts.test]).sum(0) == 1).all()
-    assert (parts.train == recording.split(0)[0]).all(), "as compare knows it from the history's seed"
+    added = add(calibrated.twin, recording, "creep").twin
+    added.history.append(
+        {"version": 1, "change": "added creep", "recording": str(recording.folder), "seed": 0}
+    )
+    assert (train_mask(added, recording) == ~parts.test).all(), "compare holds these out"
 
 
 def test_a_corrected_twin_goes_into_the_world(bench):

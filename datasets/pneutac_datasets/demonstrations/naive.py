@@ -27,9 +27,10 @@ from pneutac_datasets.demonstrations.episodes import (
     load_episode,
     save_episode,
 )
-from pneutac_datasets.demonstrations.save import Progress, create_dataset, no_progress, quiet_encoders
+from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, N_PIXELS, STATE_HIGH, STATE_LOW
+from pneutac_sim.progress import Progress, no_progress
 
 # How far each variation goes; small against what tells one phase of a demonstration from the next.
 SPEED = (0.85, 1.2)  # local speed of time

@@ -20,8 +20,9 @@ from pneutac_datasets.demonstrations.episodes import (
     load_episode,
     save_episode,
 )
-from pneutac_datasets.demonstrations.save import Progress, create_dataset, no_progress, quiet_encoders
+from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError
+from pneutac_sim.progress import Progress, no_progress
 
 
 def pool_demonstrations(

@@ -12,9 +12,10 @@ from lerobot.utils.feature_utils import build_dataset_frame, combine_feature_dic
 
 from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
 from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
-from pneutac_datasets.demonstrations.save import Progress, create_dataset, no_progress, quiet_encoders
+from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import CONTROL_HZ
+from pneutac_sim.progress import Progress, no_progress
 
 
 def record_episodes(

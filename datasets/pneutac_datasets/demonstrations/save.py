@@ -2,7 +2,7 @@
 
 import contextlib
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import av
@@ -10,12 +10,6 @@ from lerobot.datasets import LeRobotDataset
 
 import datasets
 from pneutac_sim.errors import InputError
-
-Progress = Callable[[str, int, int], None]  # text, done, total
-
-
-def no_progress(text: str, done: int, total: int) -> None:
-    """Shows nothing."""
 
 
 def create_dataset(

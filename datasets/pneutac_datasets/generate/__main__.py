@@ -1,9 +1,9 @@
 """Generated bench recordings, to try the product without a bench; what is hidden in them is stored apart.
 
 python -m pneutac_datasets.generate --effect=creep --seed=7 --out=outputs/bench
-python -m pneutac_datasets.generate --device=gel --effect=shadow --out=outputs/presses
-python -m pneutac_datasets.generate --device=photographs --seed=3 --out=outputs/shots
-python -m pneutac_datasets.generate --device=standin --out=outputs/standin_bench
+python -m pneutac_datasets.generate --device=gel --effect=shadow --out=outputs/gel
+python -m pneutac_datasets.generate --device=photographs --seed=3 --out=outputs/photographs
+python -m pneutac_datasets.generate --device=standin --out=outputs/standin
 """
 
 import argparse
@@ -34,6 +34,8 @@ def main(argv: list[str] | None = None) -> int:
                 + ", ".join(f"--{o.replace('_', '-')}" for o in (*OPTIONS[device], "seed"))
                 + "."
             )
+        if out.exists() and (not out.is_dir() or any(out.iterdir())):
+            raise InputError(f"{out} exists already; delete it or give another --out.")
         lines = _WRITERS[device](out, **given)
     except InputError as e:
         sys.stderr.write(f"{e}\n")

@@ -11,6 +11,7 @@ from pneutac_sim.errors import InputError
 
 DAY_S = 86400.0
 MAX_DUPLICATES = 0.01  # share of rows with a doubled stamp that a logger's rounding explains
+ROUNDED_S = 1e-3  # by which stamps of two columns may disagree
 
 
 def check_time(samples: pd.DataFrame, file: Path, warnings: list[str]) -> pd.DataFrame:
@@ -48,6 +49,55 @@ def check_time(samples: pd.DataFrame, file: Path, warnings: list[str]) -> pd.Dat
             "divide it by 1000."
         )
     return samples
+
+
+def check_sent(samples: pd.DataFrame, file: Path) -> None:
+    """Raises InputError where `time_sent_s` cannot be when the commands of the rows were sent.
+
+    A command stands in the first row that knows of it: a logger that commands and then measures sends it
+    between the stamps of the row before and of its own, one that measures and then commands before the stamp
+    of the next row. A row that repeats the stamp of the row before repeats its command, which still stands.
+    """
+    if "time_sent_s" not in samples:
+        return
+    sent, time = (samples[c].to_numpy(float) for c in ("time_sent_s", "time_s"))
+    trial = samples["trial"].to_numpy()
+    command = samples[[c for c in samples if re.fullmatch(r"pressure_cmd_(\d+_)?kpa", c)]].to_numpy(float)
+    follows = np.r_[False, trial[1:] == trial[:-1]]
+    step = np.r_[0.0, np.diff(sent)]
+    before = np.where(follows, np.r_[-np.inf, time[:-1]], -np.inf)
+    after = np.where(np.r_[follows[1:], False], np.r_[time[1:], np.inf], np.inf)
+    new = ~follows | (step != 0)
+    changed = np.r_[False, (np.diff(command, axis=0) != 0).any(1)]
+    clock = "give it on the clock of time_s"
+    faults = (
+        (follows & (step < 0), lambda i: f"goes back from {sent[i - 1]:g} to {sent[i]:g} s; sort the rows"),
+        (
+            follows & ~new & changed,
+            lambda i: (
+                f"is {sent[i]:g} s as in the row before, though the command is another; give each "
+                "command its own time"
+            ),
+        ),
+        (
+            sent > after + ROUNDED_S,
+            lambda i: f"is {sent[i]:g} s, later than the time {after[i]:g} s of the next row; {clock}",
+        ),
+        (
+            new & (sent < before - ROUNDED_S),
+            lambda i: (
+                f"is {sent[i]:g} s, earlier than the time {before[i]:g} s of the row before; {clock}, "
+                "and repeat it exactly where no new command was sent"
+            ),
+        ),
+    )
+    found = [(int(np.argmax(wrong)), fault) for wrong, fault in faults if wrong.any()]
+    if found:
+        i, fault = min(found, key=lambda f: f[0])
+        raise InputError(
+            f"{file}: column 'time_sent_s', {row_name(int(samples.index[i]), file)} (trial {trial[i]}) "
+            f"{fault(i)}."
+        )
 
 
 def _length(samples: pd.DataFrame) -> float:

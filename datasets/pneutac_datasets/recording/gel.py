@@ -9,6 +9,7 @@ import pandas as pd
 from PIL import Image
 
 from pneutac_datasets.recording.recording import Recording
+from pneutac_datasets.recording.wording import shown
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.indenter import INDENTERS, Press
 from pneutac_sim.gel.photograph import PressPhotograph
@@ -81,7 +82,7 @@ class GelRecording:
         scale = meta.get("px_per_mm")
         if isinstance(scale, bool) or not isinstance(scale, int | float) or not 0 < scale < math.inf:
             raise InputError(
-                f"{file}: field 'px_per_mm' is {scale!r}; give the images' pixels per millimetre."
+                f"{file}: field 'px_per_mm' is {shown(scale)}; give the images' pixels per millimetre."
             )
         if not meta.get("rest_image"):
             raise InputError(f"{file}: field 'rest_image' is missing; name the image without contact.")
@@ -101,7 +102,7 @@ class GelRecording:
             name = own if isinstance(own, str) else where
             if name not in rests:
                 rests[name] = _rgb(recording, own)
-                _same_size(rests[name], out.rest, f"{where}: rest image '{name}'")
+                _same_size(rests[name], out.rest, f"{where}: rest image {shown(name)}")
             out.samples.append(_sample(recording, row, where, out, rests[name], clock))
         presses = [s.name for s in out.samples if s.role == "calibration"]
         if len(presses) > 1:
@@ -195,10 +196,10 @@ def _sample(
     clock: float,
 ) -> GelSample:
     image = _rgb(recording, row["image"])
-    _same_size(image, rest, f"{where}: image '{row['image']}'")
+    _same_size(image, rest, f"{where}: image {shown(str(row['image']))}")
     kind = str(row["indenter"])
     if kind not in INDENTERS:
-        raise InputError(f"{where}: indenter is '{kind}'; it must be one of {', '.join(INDENTERS)}.")
+        raise InputError(f"{where}: indenter is {shown(kind)}; it must be one of {', '.join(INDENTERS)}.")
     h, w = image.shape[:2]
     x_px, x_mm = _place(row, where, gel.px_per_mm, "x", w)
     y_px, y_mm = _place(row, where, gel.px_per_mm, "y", h)

@@ -1,121 +1,150 @@
 """Sessions that were mounted differently: a twin has one base, so such trials are moved onto the first one.
 
-Per trial the tip is regressed on the pressure. Where, under equal conditions, the tip at rest lies far from
-the first trial's or the same pressure bends it in another direction, the device was turned about its axis and
-shifted between trials: that says nothing about its physics, and would drown what does. Every verb that weighs
-a twin against a recording looks at it through `on_one_mount`.
+Where, under equal conditions, the same pressure brings the device elsewhere from one trial on, the device was
+perhaps turned and shifted between trials, which says nothing about its physics; perhaps it remembers (creep,
+softening), which does. So data are moved only where one rigid motion of a session surely removes most of the
+error, over whole trials, and where the history of the pressure cannot explain it as well. Every verb that
+weighs a twin against a recording looks at it through `on_one_mount`.
 """
 
 import numpy as np
 
+from pneutac_datasets.recording.motion import Motion
+from pneutac_datasets.recording.mount_cases import Bench, Case, pressure
+from pneutac_datasets.recording.noise import headline
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.finger import BodyData, fit, simulate
+from pneutac_sim.finger import quantities
 from pneutac_sim.twin import Twin
 
-FAR = 0.05  # of the device's length: further apart at rest than any creep leaves it
+FAR = 0.05  # of the device's length: the least distance that is looked into
 TURNED_DEG = 45.0
 SWEEP = 0.3  # of the whole pressure range that a trial must cover to tell its rest and direction
 CONDITIONS = {"gravity_x": 0.1, "gravity_y": 0.1, "gravity_z": 0.1, "temperature_c": 2.0, "payload_g": 0.1}
-TIP = ["tip_x_mm", "tip_y_mm", "tip_z_mm"]
 
 
-def on_one_mount(
-    recording: Recording, twin: Twin, train: np.ndarray, refit: bool = True
-) -> tuple[Recording, list[str]]:
-    """The recording as if all sessions had been mounted alike, and a sentence where they were not.
-
-    What a straight line in the pressure leaves of the shift is taken from what the twin misses each session
-    by on average over training samples, so held-out samples are never looked at.
+def on_one_mount(recording: Recording, twin: Twin, train: np.ndarray) -> tuple[Recording, list[str]]:
+    """The recording as if all sessions had been mounted alike, and a sentence for each that was not.
 
     Args:
         recording: cleaned; one of a single mount is returned as it is.
         twin: of the device.
-        train: (n,) mask of training samples.
-        refit: whether the twin is fitted first, or taken as it is.
+        train: (n,) mask of training samples; others are moved, but nothing is judged or fitted by them.
     """
-    aligned, warnings, alike = align_mounts(recording, twin.length_mm)
-    if not warnings:
-        return recording, []
-    bench = BodyData.of(aligned, twin)
-    found = fit(twin, bench, train=train, starts=2) if refit else simulate(twin, bench)
-    return _settle(aligned, alike, found.residual, train), warnings
+    return align_mounts(recording, twin.length_mm, train)
 
 
-def align_mounts(recording: Recording, length_mm: float) -> tuple[Recording, list[str], list[int]]:
-    """Moves trials that were mounted differently onto the mount of the first one.
+def align_mounts(
+    recording: Recording, length_mm: float, train: np.ndarray | None = None
+) -> tuple[Recording, list[str]]:
+    """Moves trials that were surely mounted differently onto the mount of the first one.
+
+    Of tip coordinates the motion turns and shifts; angles, curvatures and a single coordinate are shifted.
 
     Args:
-        recording: of a finger with three tip coordinates; any other is returned as it is.
+        recording: of a finger or an arm.
         length_mm: of the device.
+        train: (n,) mask of samples to judge and fit by; None means all.
 
     Returns:
-        The recording, a sentence where something was moved, and the trials whose mounts can be compared.
+        The recording and a sentence for each session that was moved.
     """
-    if recording.device != "finger" or not all(recording.has(c) for c in TIP):
-        return recording, [], []
-    column = "pressure_kpa" if recording.has("pressure_kpa") else "pressure_cmd_kpa"
-    p = recording.column(column).astype(float)
-    y = recording.samples[TIP].to_numpy(float)
-    seen = {}
-    for trial, rows in recording.trials().items():
-        if np.ptp(p[rows]) > SWEEP * np.ptp(p) > 0:
-            design = np.stack([np.ones(rows.stop - rows.start), p[rows] - p.min()], 1)
-            seen[trial] = np.linalg.lstsq(design, y[rows], rcond=None)[0]
-    if len(seen) < 2:
-        return recording, [], []
-    first = next(iter(seen))
-    rest, slope = seen[first]
-    moved, turned, alike, out = [], [], [first], y.copy()
-    for trial, (here, direction) in seen.items():
-        rows = recording.trials()[trial]
-        if trial == first or not _same(recording, recording.trials()[first].start, rows.start):
-            continue
-        alike.append(trial)
-        roll = np.arctan2(slope[1], slope[2]) - np.arctan2(direction[1], direction[2])
-        roll = (roll + np.pi) % (2 * np.pi) - np.pi
-        far = float(np.linalg.norm(here - rest))
-        if abs(np.degrees(roll)) < TURNED_DEG and far < FAR * length_mm:
-            continue
-        if abs(np.degrees(roll)) >= TURNED_DEG:
-            turned.append(str(trial))
-        c, s = np.cos(roll), np.sin(roll)
-        turn = np.array([[1, 0, 0], [0, c, s], [0, -s, c]])  # y, z -> towards the first trial's direction
-        out[rows] = (y[rows] - here) @ turn.T + rest
-        moved.append((str(trial), far))
-    if not moved:
-        return recording, [], []
-    samples = recording.samples.copy()
-    samples[TIP] = out
-    sentence = (
-        f"The device was mounted differently in {_trials([t for t, _ in moved])} (at rest its tip is "
-        f"up to {max(f for _, f in moved):.0f} mm from where it is in trial {first}"
-        + (f", and in {_trials(turned)} the same pressure bends it another way" if turned else "")
-        + "); these trials are turned and shifted onto the first mount."
-    )
-    clean = Recording(recording.folder, recording.meta, samples, recording.device, recording.warnings)
-    return clean, [sentence], alike
+    columns, unit = headline(recording)
+    train = np.ones(len(recording), bool) if train is None else train
+    sweeps = _sweeps(recording, columns, train)
+    far = FAR * length_mm / quantities.weight(unit, "mm", length_mm)
+    order = list(sweeps)
+    apart = [t for t in order if _apart(sweeps[order[0]], sweeps[t], far)]
+    if not apart:
+        return recording, []
+    bench = Bench(recording, columns, train)
+    alike = order[: order.index(apart[0])]  # later ones may be of any mount
+    others = [t for t in bench.trials if t not in alike and _same(recording, alike[0], t)]
+    moved: dict[int, Motion] = {}
+    sentences = []
+    for session in _runs(sweeps, order, apart, far):
+        case = Case(bench, alike, [t for t in session if t not in moved])
+        if case.sure():
+            rough, motion = case.motions()
+            joined = [t for t in others if t not in moved and Case(bench, alike, [t]).halves(rough)]
+            moved |= dict.fromkeys(joined, motion)
+            sentences += [_sentence(case, motion, alike, joined, unit)] if joined else []
+    return (_moved(recording, columns, moved), sentences) if moved else (recording, [])
 
 
-def _trials(numbers: list[str]) -> str:
-    """`trial 3`, `trials 3, 4 and 5`."""
-    *first, last = numbers
-    return f"trials {', '.join(first)} and {last}" if first else f"trial {last}"
-
-
-def _settle(recording: Recording, trials: list[int], residual: np.ndarray, train: np.ndarray) -> Recording:
-    """Shifts these trials by what a fitted twin misses them by on average over training samples."""
-    samples = recording.samples.copy()
-    tip = samples[TIP].to_numpy(float)
-    for trial in trials:
-        rows = np.zeros(len(tip), bool)
-        rows[recording.trials()[trial]] = True
-        if (rows & train).any():
-            tip[rows] -= residual[rows & train].mean(0)
-    samples[TIP] = tip
+def _moved(recording: Recording, columns: list[str], motions: dict[int, Motion]) -> Recording:
+    samples, trials = recording.samples.copy(), recording.trials()
+    for trial, motion in motions.items():
+        rows = samples.index[trials[trial]]
+        samples.loc[rows, columns] = motion(samples.loc[rows, columns].to_numpy(float))
     return Recording(recording.folder, recording.meta, samples, recording.device, recording.warnings)
 
 
+def _sweeps(recording: Recording, columns: list[str], train: np.ndarray) -> dict[int, np.ndarray]:
+    """Trial to what a straight line in the pressures makes of it (1 + chambers, k): at rest, and per kPa.
+
+    Of trials that cover enough of the pressures and have the conditions of the first such trial.
+    """
+    p = pressure(recording)
+    lowest, reach = p.min(0), np.ptp(p, axis=0).max()
+    y = recording.samples[columns].to_numpy(float)
+    found: dict[int, np.ndarray] = {}
+    for trial, at in recording.trials().items() if columns else ():
+        rows = np.arange(at.start, at.stop)[train[at]]
+        if len(rows) < 2 or not np.ptp(p[rows], axis=0).max() > SWEEP * reach > 0:
+            continue
+        if _same(recording, next(iter(found), trial), trial):
+            design = np.c_[np.ones(len(rows)), p[rows] - lowest]
+            found[trial] = np.linalg.lstsq(design, y[rows], rcond=None)[0]
+    return found
+
+
 def _same(recording: Recording, a: int, b: int) -> bool:
-    """Whether two samples were taken under equal conditions."""
-    s = recording.samples
+    """Whether two trials began under equal conditions."""
+    s, trials = recording.samples, recording.trials()
+    a, b = trials[a].start, trials[b].start
     return all(abs(s[c].iloc[a] - s[c].iloc[b]) <= tol for c, tol in CONDITIONS.items() if c in s)
+
+
+def _apart(a: np.ndarray, b: np.ndarray, far: float) -> bool:
+    """Whether two trials lie far from each other at rest, or bend in other directions."""
+    if np.linalg.norm(a[0] - b[0]) >= far:
+        return True
+    if a.shape[1] != 3:
+        return False
+    (ay, az), (by, bz) = a[1:, 1:].T, b[1:, 1:].T  # the straight finger lies along x
+    if min((ay**2 + az**2).sum() / (a[1:] ** 2).sum(), (by**2 + bz**2).sum() / (b[1:] ** 2).sum()) < 0.25:
+        return False
+    roll = np.arctan2((ay * bz - az * by).sum(), (ay * by + az * bz).sum())
+    return bool(abs(np.degrees(roll)) >= TURNED_DEG)
+
+
+def _runs(sweeps: dict[int, np.ndarray], order: list[int], apart: list[int], far: float) -> list[list[int]]:
+    """Trials that are apart from the first one, in runs whose trials are like each other."""
+    runs: list[list[int]] = []
+    for before, trial in zip([None, *order], order, strict=False):
+        if trial in apart:
+            if before not in apart or _apart(sweeps[runs[-1][0]], sweeps[trial], far):
+                runs.append([])
+            runs[-1].append(trial)
+    return runs
+
+
+def _sentence(case: Case, motion: Motion, alike: list[int], moved: list[int], unit: str) -> str:
+    """What was done and why."""
+    turns = len(motion.shift) > 1 and unit == "mm"
+    how = f"turned by {motion.angle_deg:.0f} degrees and shifted" if turns else "shifted"
+    far, (before, after) = case.reach(motion), case.error
+    return (
+        f"The device was mounted differently in {_trials(moved)}: pressures bring it {far:.3g} {unit} from "
+        f"where they bring it in {_trials(alike)}, early and late in a trial, and no memory explains it. "
+        f"Data of {_trials(moved)} are {how} onto the first mount, which takes the distance from "
+        f"{before:.3g} to {after:.3g} {unit} on rows that did not tell the motion."
+    )
+
+
+def _trials(numbers: list[int]) -> str:
+    """`trial 3`, `trials 3 to 5 and 8`."""
+    runs = np.split(numbers, np.flatnonzero(np.diff(numbers) != 1) + 1)
+    items = [x for r in runs for x in ([f"{r[0]} to {r[-1]}"] if len(r) > 2 else map(str, r))]
+    *first, last = items
+    return f"trial{'s' * (len(numbers) > 1)} {', '.join(first)}{' and ' * bool(first)}{last}"

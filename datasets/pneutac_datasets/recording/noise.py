@@ -30,6 +30,7 @@ class NoiseFloor:
         unit: `mm`, `rad` or `1/m`.
         how: one plain sentence: how it was found.
         by_column: standard deviation of each observed column.
+        known: whether it was stated or measured by repeats, not only seen as the fast part of the motion.
     """
 
     value: float
@@ -37,6 +38,7 @@ class NoiseFloor:
     unit: str
     how: str
     by_column: dict[str, float]
+    known: bool = True
 
 
 def headline(recording: Recording) -> tuple[list[str], str]:
@@ -69,7 +71,8 @@ def noise_floor(recording: Recording) -> NoiseFloor:
         how = "stated in recording.json"
     else:
         by, how = _from_holds(recording, numeric)
-    return NoiseFloor(_norm(by, columns), session, unit, how, by)
+    known = bool(pairs) or all(c in stated for c in columns)
+    return NoiseFloor(_norm(by, columns), session, unit, how, by, known)
 
 
 def _norm(by: dict[str, float], columns: list[str]) -> float:

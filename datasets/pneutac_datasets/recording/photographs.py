@@ -5,6 +5,7 @@ import re
 import numpy as np
 
 from pneutac_datasets.recording.recording import Recording
+from pneutac_datasets.recording.wording import listed, shown
 from pneutac_sim.errors import InputError
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.segment import segment
@@ -26,7 +27,7 @@ def masked_cameras(recording: Recording) -> list[str]:
     described = list(cameras) if isinstance(cameras, dict) else []
     if len(described) != 1:
         wrong = (
-            f"{', '.join(described)}; name the columns image_<camera> and mask_<camera>"
+            f"{listed(described)}; name the columns image_<camera> and mask_<camera>"
             if described
             else "none; describe it"
         )
@@ -66,8 +67,8 @@ def read_camera(recording: Recording, name: str) -> Camera:
     described = recording.meta.get("cameras")
     if not isinstance(described, dict) or name not in described or not isinstance(described[name], dict):
         raise InputError(
-            f"{recording.folder / 'recording.json'}: field 'cameras' does not describe '{name}'; give it "
-            '{"intrinsics": 3x3 in px, "extrinsics": 4x4 from base to camera in m}.'
+            f"{recording.folder / 'recording.json'}: field 'cameras' does not describe {shown(name)}; give "
+            'it {"intrinsics": 3x3 in px, "extrinsics": 4x4 from base to camera in m}.'
         )
     height, width = recording.image(recording.column(column_of(recording, "image", name))[0]).shape[:2]
     lens = described[name].get("distortion", ())
@@ -76,7 +77,7 @@ def read_camera(recording: Recording, name: str) -> Camera:
             described[name].get("intrinsics"), described[name].get("extrinsics"), width, height, lens
         )
     except InputError as e:
-        raise InputError(f"{recording.folder / 'recording.json'}: camera '{name}': {e}") from e
+        raise InputError(f"{recording.folder / 'recording.json'}: camera {shown(name)}: {e}") from e
 
 
 def read_photograph(recording: Recording, row: int, camera: str) -> tuple[np.ndarray, np.ndarray]:

@@ -8,12 +8,14 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from pneutac_datasets.recording.wording import cut, shown
 from pneutac_sim.errors import InputError
 
 # A bench run of one hour at 100 Hz with 20 columns is about 60 MB of text; far above that, reading a table
 # whole would fill a laptop's memory (pandas needs roughly three times the size of the file).
 MAX_CSV_BYTES = 300 * 2**20
 MAX_ROWS = 5_000_000
+MAX_NAME = 255  # characters of a file's name
 
 
 def read_meta(folder: Path) -> dict:
@@ -31,8 +33,8 @@ def read_meta(folder: Path) -> dict:
         )
     try:
         meta = json.loads(file.read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as e:
-        raise InputError(f"{file} is not valid JSON: {e}; correct it in a text editor.") from e
+    except (ValueError, RecursionError) as e:
+        raise InputError(f"{file} is not valid JSON: {cut(str(e))}; correct it in a text editor.") from e
     if not isinstance(meta, dict):
         raise InputError(f"{file} must hold a JSON object with the fields device, length_mm and samples.")
     if (folder / "meta" / "info.json").is_file() and "samples" not in meta:
@@ -49,9 +51,13 @@ def read_table(folder: Path, meta: dict) -> tuple[pd.DataFrame, Path]:
     if meta.get("lerobot"):
         return _read_lerobot(folder), folder / "data"
     name = meta.get("samples", "samples.csv")
-    if not isinstance(name, str) or Path(name).suffix.lower() not in (".csv", ".parquet"):
+    if (
+        not isinstance(name, str)
+        or len(name) > MAX_NAME
+        or Path(name).suffix.lower() not in (".csv", ".parquet")
+    ):
         raise InputError(
-            f"{folder / 'recording.json'}: field 'samples' is {name!r}; name a .csv or .parquet file."
+            f"{folder / 'recording.json'}: field 'samples' is {shown(name)}; name a .csv or .parquet file."
         )
     file = folder / name
     if not file.resolve().is_relative_to(folder.resolve()):
@@ -80,12 +86,14 @@ def _read_csv(file: Path) -> pd.DataFrame:
                 )
         doubled = sorted({c for c in header if header.count(c) > 1})
         if doubled:
-            raise InputError(f"{file}: column '{doubled[0]}' appears twice in the header; keep one of them.")
+            raise InputError(
+                f"{file}: column {shown(doubled[0])} appears twice in the header; keep one of them."
+            )
         return pd.read_csv(file, skipinitialspace=True, low_memory=False).rename(columns=str.strip)
     except UnicodeDecodeError as e:
         raise InputError(f"{file} is not UTF-8 text ({e.reason}); save it as plain CSV.") from e
     except (pd.errors.ParserError, pd.errors.EmptyDataError) as e:
-        reason = str(e).strip().splitlines()[0]
+        reason = cut(str(e).strip().splitlines()[0])
         raise InputError(f"{file} is not a comma-separated table: {reason}; save it as plain CSV.") from e
 
 
@@ -96,7 +104,7 @@ def _read_parquet(file: Path) -> pd.DataFrame:
             raise InputError(f"{file} has {rows} rows, above the limit of {MAX_ROWS}; keep every n-th row.")
         return pq.read_table(file).to_pandas()
     except (pa.ArrowInvalid, OSError) as e:
-        raise InputError(f"{file} cannot be read as Parquet: {str(e).splitlines()[0]}.") from e
+        raise InputError(f"{file} cannot be read as Parquet: {cut(str(e).splitlines()[0])}.") from e
 
 
 def _read_lerobot(folder: Path) -> pd.DataFrame:
@@ -107,8 +115,8 @@ def _read_lerobot(folder: Path) -> pd.DataFrame:
     file = folder / "meta" / "info.json"
     try:
         features = json.loads(file.read_text(encoding="utf-8"))["features"]
-    except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError) as e:
-        raise InputError(f"{file} is not a LeRobotDataset's info.json: {e!r}.") from e
+    except (ValueError, KeyError, TypeError) as e:
+        raise InputError(f"{file} is not a LeRobotDataset's info.json: {cut(repr(e))}.") from e
     parts = sorted((folder / "data").glob("**/*.parquet"))
     if not parts:
         raise InputError(

@@ -11,6 +11,8 @@ import pandas as pd
 from PIL import Image, UnidentifiedImageError
 
 from pneutac_datasets.recording import blocks, reading, rules
+from pneutac_datasets.recording.starts import TrialStart, meta_of_kept, starts
+from pneutac_datasets.recording.wording import cut, listed, shown
 from pneutac_sim.errors import InputError
 
 
@@ -86,7 +88,7 @@ class Recording:
     def column(self, name: str) -> np.ndarray:
         """One column as an array (n,); raises InputError where it is missing."""
         if name not in self.samples.columns:
-            raise InputError(f"{self.folder}: column '{name}' is missing; it has {', '.join(self.samples)}.")
+            raise InputError(f"{self.folder}: column '{name}' is missing; it has {listed(self.samples)}.")
         return self.samples[name].to_numpy()
 
     @property
@@ -102,7 +104,7 @@ class Recording:
     @property
     def conditions(self) -> list[str]:
         """All other columns: under which circumstances a sample was taken."""
-        known = {"trial", "time_s", *self.observations, *self.pressure_columns}
+        known = {"trial", "time_s", "time_sent_s", *self.observations, *self.pressure_columns}
         return [c for c in self.samples if c not in known and not re.fullmatch(r"(image|mask)(_\w+)?", c)]
 
     def trials(self) -> dict[int, slice]:
@@ -111,6 +113,11 @@ class Recording:
         edges = np.r_[0, np.flatnonzero(trial[1:] != trial[:-1]) + 1, len(trial)]
         return {int(trial[a]): slice(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True)}
 
+    @property
+    def starts(self) -> dict[int, TrialStart]:
+        """Trial number to how it began, in order."""
+        return starts(self.meta, list(self.trials()))
+
     def image(self, value) -> np.ndarray:
         """Reads an image named in a column (relative path, or bytes kept in Parquet).
 
@@ -118,26 +125,29 @@ class Recording:
             RGB uint8 (H, W, 3).
         """
         if isinstance(value, dict) and value.get("bytes"):
-            source, shown = io.BytesIO(value["bytes"]), "an image of the dataset"
+            source, what = io.BytesIO(value["bytes"]), "an image of the dataset"
         else:
             if not isinstance(value, (str, dict)):
                 raise InputError(f"{self.folder}: a row names no image (or mask) where one is needed.")
-            shown = self.folder / str(value.get("path") if isinstance(value, dict) else value)
-            if not shown.resolve().is_relative_to(self.folder.resolve()):
-                raise InputError(f"{self.folder}: image '{value}' lies outside the recording's folder.")
-            if not shown.is_file():
-                raise InputError(f"{shown} is missing, though the recording names it as an image.")
-            source = shown
+            name = str(value.get("path") if isinstance(value, dict) else value)
+            if len(name) > reading.MAX_NAME:
+                raise InputError(f"{self.folder}: image {shown(name)} has too long a name; give its file.")
+            source = what = self.folder / name
+            if not source.resolve().is_relative_to(self.folder.resolve()):
+                raise InputError(f"{self.folder}: image '{name}' lies outside the recording's folder.")
+            if not source.is_file():
+                raise InputError(f"{source} is missing, though the recording names it as an image.")
         try:
             with Image.open(source) as im:
                 return np.asarray(im.convert("RGB"))
         except (UnidentifiedImageError, OSError) as e:
-            raise InputError(f"{shown} cannot be read as an image: {e}.") from e
+            raise InputError(f"{what} cannot be read as an image: {cut(str(e), 200)}.") from e
 
     def keep(self, rows: np.ndarray) -> "Recording":
         """The same recording with only the rows where the mask (n,) is true."""
         samples = self.samples[np.asarray(rows, bool)].reset_index(drop=True)
-        return Recording(self.folder, self.meta, samples, self.device, list(self.warnings))
+        meta = meta_of_kept(self.meta, list(self.trials()), [int(t) for t in samples["trial"].unique()])
+        return Recording(self.folder, meta, samples, self.device, list(self.warnings))
 
     # ---------------------------------------------------------------- train and held-out parts
 

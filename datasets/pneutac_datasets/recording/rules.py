@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from pneutac_datasets.recording.clock import check_time
+from pneutac_datasets.recording.clock import check_sent, check_time
+from pneutac_datasets.recording.starts import check_numbers, check_starts
 from pneutac_datasets.recording.units import check_units
-from pneutac_datasets.recording.wording import an, plural, row_name
+from pneutac_datasets.recording.wording import an, listed, plural, row_name, shown
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import quantities
 from pneutac_sim.twin import DEVICES
@@ -22,7 +23,7 @@ def device_of(meta: dict, samples: pd.DataFrame, folder: Path) -> str:
     if device is None and meta.get("lerobot"):
         device = "gel" if "indenter" in samples else "arm" if "pressure_cmd_1_kpa" in samples else "finger"
     if device not in DEVICES:
-        fault = "is missing" if device is None else f"is {device!r}"
+        fault = "is missing" if device is None else f"is {shown(device)}"
         raise InputError(
             f"{folder / 'recording.json'}: field 'device' {fault}; it must be one of {', '.join(DEVICES)}."
         )
@@ -30,12 +31,12 @@ def device_of(meta: dict, samples: pd.DataFrame, folder: Path) -> str:
 
 
 def check_meta(meta: dict, file: Path) -> None:
-    """Checks lengths, joint positions and stated noise of `recording.json`."""
+    """Checks lengths, joint positions, stated noise and starts of trials in `recording.json`."""
     length = meta.get("length_mm")
     if length is not None:
         if not _positive(length):
             raise InputError(
-                f"{file}: field 'length_mm' is {length!r}; give a positive number of millimetres."
+                f"{file}: field 'length_mm' is {shown(length)}; give a positive number of millimetres."
             )
         if length < 2:
             raise InputError(
@@ -55,19 +56,22 @@ def check_meta(meta: dict, file: Path) -> None:
             )
     noise = meta.get("noise")
     if noise is not None:
-        wrong = f"{file}: field 'noise' is {noise!r}"
+        wrong = f"{file}: field 'noise' is {shown(noise)}"
         if isinstance(noise, dict):
             bad = {k: x for k, x in noise.items() if not _positive(x)}
-            wrong = "".join(f"{file}: field 'noise' of '{k}' is {x!r}" for k, x in list(bad.items())[:1])
+            wrong = "".join(
+                f"{file}: field 'noise' of {shown(k)} is {shown(x)}" for k, x in list(bad.items())[:1]
+            )
         if wrong:
             raise InputError(
                 f"{wrong}; give each measured column its standard deviation, a positive number, such as "
                 '{"tip_x_mm": 0.2}.'
             )
+    check_starts(meta, file)
 
 
 def _positive(x) -> bool:
-    return not isinstance(x, bool) and isinstance(x, int | float) and 0 < x < float("inf")
+    return not isinstance(x, bool) and isinstance(x, int | float) and 0 < x < 1e12
 
 
 def _check_noise(samples: pd.DataFrame, device: str, meta: dict, file: Path) -> None:
@@ -78,8 +82,8 @@ def _check_noise(samples: pd.DataFrame, device: str, meta: dict, file: Path) -> 
     for name in stated:
         if name not in seen and not (name in samples and re.fullmatch(quantities.PRESSURE.pattern, name)):
             raise InputError(
-                f"{source}: field 'noise' names '{name}', which is not measured in {file.name}; "
-                f"name {', '.join(seen)}."
+                f"{source}: field 'noise' names {shown(name)}, which is not measured in {file.name}; "
+                f"name {listed(seen)}."
             )
     missing = [c for c in quantities.headline(seen, device)[0] if stated and c not in stated]
     if missing:
@@ -101,7 +105,9 @@ def check_samples(
     samples["trial"] = _trials(samples["trial"], file)
     if device != "gel":
         _check_noise(samples, device, meta, file)
+        check_numbers(meta, [int(t) for t in samples["trial"].unique()], file.parent / "recording.json")
         samples = check_time(samples, file, warnings)
+        check_sent(samples, file)
         check_units(samples, meta, file)
         _check_poverty(samples, file, warnings)
     return samples, warnings
@@ -138,7 +144,7 @@ def _near(name: str, samples: pd.DataFrame) -> str:
     """Names a column that is the wanted one under another unit, such as `pressure_cmd_pa`."""
     stem = re.sub(r"_(kpa|mm|rad|s|c|g)$", "", name)
     near = [c for c in samples if isinstance(c, str) and re.fullmatch(rf"{re.escape(stem)}(_\w+)?", c, re.I)]
-    return f" (there is '{near[0]}': convert it to the unit in the name)" if near else ""
+    return f" (there is {shown(near[0])}: convert it to the unit in the name)" if near else ""
 
 
 def observations(samples: pd.DataFrame, device: str) -> list[str]:
@@ -164,7 +170,7 @@ def _numbers(samples: pd.DataFrame, device: str, file: Path) -> pd.DataFrame:
         if bad.any():
             row = int(np.argmax(bad))
             raise InputError(
-                f"{file}: column '{name}', {row_name(row, file)} is {_shown(column.iloc[row])} "
+                f"{file}: column {shown(name)}, {row_name(row, file)} is {_shown(column.iloc[row])} "
                 f"({plural(int(bad.sum()), 'such row')}); delete it or fill in a finite number."
             )
         samples[name] = values
@@ -172,7 +178,7 @@ def _numbers(samples: pd.DataFrame, device: str, file: Path) -> pd.DataFrame:
 
 
 def _shown(value) -> str:
-    return "empty" if pd.isna(value) else f"'{value}'"
+    return "empty" if pd.isna(value) else shown(str(value))
 
 
 def _trials(trial: pd.Series, file: Path) -> np.ndarray:

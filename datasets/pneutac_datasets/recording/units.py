@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from pneutac_datasets.recording.wording import row_name
+from pneutac_datasets.recording.wording import row_name, shown
 from pneutac_sim.errors import InputError
 
 # A soft actuator bursts well below 20 bar, so a larger number is another unit. A tip cannot be much further
@@ -103,4 +103,6 @@ def _other_unit(
 ) -> InputError:
     value = abs(float(samples[name].iloc[row])) if value is None else value
     where = row_name(int(samples.index[row]), file)
-    return InputError(f"{file}: column '{name}', {where} is {value:g}, which can only be {other}; {remedy}.")
+    return InputError(
+        f"{file}: column {shown(name)}, {where} is {value:g}, which can only be {other}; {remedy}."
+    )

@@ -16,3 +16,20 @@ def an(device: str) -> str:
 def row_name(row: int, file: Path) -> str:
     """`row 3 (line 4 of the file)`: rows of data count from 1, and a text file has its header above them."""
     return f"row {row + 1}" + (f" (line {row + 2} of the file)" if file.suffix.lower() == ".csv" else "")
+
+
+def cut(text: str, most: int = 120) -> str:
+    """A text that may be long."""
+    return text if len(text) <= most else f"{text[: most - 4]} ..."
+
+
+def shown(value, most: int = 60) -> str:
+    """A wrong value as it stands in a sentence: in quotes where it is text, cut where it is long."""
+    return cut(repr(value), most)
+
+
+def listed(names, most: int = 12) -> str:
+    """`a, b, c`, of many names the first and how many more."""
+    names = [cut(str(n), 40) for n in names]
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more

@@ -36,7 +36,8 @@ SIGNALS = {
 }
 
 # Division by zero gives inf, as in NumPy: `exp(-dt / 0)` is then the zero that a neutral lag needs.
-kernel = njit(cache=True, error_model="numpy")
+# Several run at once in threads.
+kernel = njit(cache=True, error_model="numpy", nogil=True)
 
 
 def remembers_nothing(channels: int) -> int:
@@ -59,6 +60,8 @@ class BodyEffect(Effect):
             the true one, so it acts where the measured pressure is the input too.
         masses: of the load: parameter values to the masses in kg of the body and at its tip that it hangs
             on the device; for a simulator that has gravity of its own.
+        codes: numbers before the parameters in `theta`, by which a `run` that several effects share knows
+            which one it is.
     """
 
     stages = BODY_STAGES
@@ -69,6 +72,7 @@ class BodyEffect(Effect):
     state_size: Callable[[int], int] = remembers_nothing
     of_gauge: bool = False
     masses: Callable[[dict[str, float]], tuple[float, float]] | None = None
+    codes: tuple[float, ...] = ()
 
     def __post_init__(self):
         super().__post_init__()
@@ -112,7 +116,8 @@ class BodyEffect(Effect):
             state = np.zeros(self.state_size(out.shape[1]))
             dt[0] = math.inf
         start = self.start(float(np.abs(out).max()) or 1.0)
-        theta = np.array([(values or {}).get(p.name, start[p.name].value) for p in self.parameters])
+        parameters = [(values or {}).get(p.name, start[p.name].value) for p in self.parameters]
+        theta = np.array([*self.codes, *parameters])
         k = np.zeros((len(out), 0)) if conditions is None else np.asarray(conditions, dtype=float)
         self.run(out, dt, theta, np.ascontiguousarray(k.reshape(len(out), -1)), state)
         return out.reshape(np.shape(x))

@@ -2,7 +2,7 @@
 
 Order within a stage (it matters: a leak is slowed by the lag behind it):
 
-- pneumatics: dead_time, leak, valve_lag, orifice_flow, sensor_offset
+- pneumatics: dead_time, leak, valve_lag, orifice_flow, valve_slew, air_resonance, sensor_offset
 - drive: gain_saturation, stiffening, hysteresis, friction, crosstalk
 - load (in static equilibrium with the joints): gravity, payload
 - material: thermal, cyclic_softening, creep; then elongation (of the finished pose)
@@ -10,9 +10,10 @@ Order within a stage (it matters: a leak is slowed by the lag behind it):
 - gel: registration_shift
 - light: near_light, photometric_nonlinearity, shadow, rest_colour, illumination_drift
 
-Effects of other packages come last in their stage, in alphabetical order.
+Effects of other packages come last in their stage, in alphabetical order, then laws (`laws`).
 """
 
+import difflib
 import importlib
 from collections.abc import Iterable
 from functools import cache
@@ -20,6 +21,7 @@ from importlib.metadata import entry_points
 
 from pneutac_sim.effects.body_effect import BodyEffect
 from pneutac_sim.effects.effect import STAGES, Effect
+from pneutac_sim.effects.laws import is_law, law, law_names
 from pneutac_sim.effects.sensor_effect import SensorEffect
 from pneutac_sim.errors import InputError
 
@@ -30,6 +32,8 @@ BUILTIN = (
     "leak",
     "valve_lag",
     "orifice_flow",
+    "valve_slew",
+    "air_resonance",
     "sensor_offset",
     "gain_saturation",
     "stiffening",
@@ -87,10 +91,14 @@ def sensor_effects() -> dict[str, SensorEffect]:
 
 
 def get_effect(name: str) -> Effect:
-    """One effect; raises InputError naming those that exist."""
+    """One effect or law; raises InputError naming the effects that exist."""
+    if is_law(name):
+        return law(name)
     known = all_effects()
     if name not in known:
-        raise InputError(f"There is no effect '{name}'; there are {', '.join(known)}.")
+        close = difflib.get_close_matches(name, [*known, *law_names()], n=1)
+        meant = f"did you mean '{close[0]}'?" if close else f"there are {', '.join(known)}."
+        raise InputError(f"There is no effect '{name}'; {meant}")
     return known[name]
 
 
@@ -108,5 +116,10 @@ def of_sensor(names: Iterable[str]) -> list[str]:
 
 def in_order(names: Iterable[str]) -> list[Effect]:
     """These effects, each once, sorted as they act; raises InputError where one does not exist."""
-    known = list(all_effects())
-    return [get_effect(n) for n in sorted({get_effect(n).name for n in names}, key=known.index)]
+    order = [*all_effects(), *law_names()]
+
+    def place(effect: Effect) -> tuple[int, str]:
+        structure, _, instance = effect.name.partition(" #")
+        return order.index(structure), instance
+
+    return sorted((get_effect(n) for n in set(names)), key=place)

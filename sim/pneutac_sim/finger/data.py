@@ -40,7 +40,13 @@ class BodyData:
 
     @classmethod
     def of(
-        cls, recording, twin: Twin, source: str = "auto", target: str = "pose", start: str = "auto"
+        cls,
+        recording,
+        twin: Twin,
+        source: str = "auto",
+        target: str = "pose",
+        start: str | float = "auto",
+        switch: float | np.ndarray | None = None,
     ) -> "BodyData":
         """Prepares a bench recording (anything with `.samples` and `.device`).
 
@@ -50,7 +56,8 @@ class BodyData:
             source: see `Inputs.from_samples`.
             target: `pose` (tip, angles, curvatures), or `pressure` for the measured pressure, which needs the
                 command as its source.
-            start: see `Inputs.from_samples`.
+            start: see `Inputs.from_samples`; `auto` takes the twin's `pause_s` where it has one.
+            switch: see there; None takes the twin's `switch_share` where it has one.
 
         Raises:
             InputError: the devices differ or the wanted columns are missing.
@@ -75,7 +82,13 @@ class BodyData:
                 )
         unit = groups[0][1]
         columns = [c for names, _ in groups for c in names]
-        inputs = Inputs.from_samples(samples, twin.device, twin.length_mm, source, start)
+        known = twin.parameters
+        if start == "auto" and "pause_s" in known:
+            start = known["pause_s"].value
+        if switch is None and "switch_share" in known:
+            switch = known["switch_share"].value
+        trials = getattr(recording, "meta", {}).get("trials")
+        inputs = Inputs.from_samples(samples, twin.device, twin.length_mm, source, start, trials, switch)
         trial = np.asarray(samples["trial"])
         return cls(
             inputs=inputs,

@@ -1,5 +1,6 @@
 """What drives the model: pressures, time steps and conditions of a table of samples."""
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
@@ -11,6 +12,8 @@ from pneutac_sim.finger.quantities import observations
 CHAMBERS = {"finger": 1, "arm": 3}
 SOURCES = ("auto", "command", "measured")
 STARTS = ("auto", "held", "vented")
+STEP_SHARE = 0.02  # of the range: a smaller change from sample to sample is no step
+SWITCH_S = 1e-4  # a step of the command takes this long
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,9 @@ class Inputs:
         device: str = "finger",
         length_mm: float = 110.0,
         source: str = "auto",
-        start: str = "auto",
+        start: str | float = "auto",
+        trials: Mapping[str, Mapping] | None = None,
+        switch: float | np.ndarray | None = None,
     ) -> "Inputs":
         """Reads a table (a DataFrame or a dict of arrays) with the columns of a bench recording.
 
@@ -53,12 +58,17 @@ class Inputs:
             length_mm: of the device; offered to effects as a column.
             source: `command`, `measured`, or `auto`: measured where it was logged.
             start: what a trial came from: `held` at its first pressure for long, `vented` (at rest at zero),
-                or `auto`: vented where the first poses do not differ although the first pressures do.
+                or `auto`: vented where the first poses do not differ although the first pressures do; or
+                seconds: it goes on from the trial before after so long at zero pressure.
+            trials: what is known of how single trials begin, see `recording.json`; goes before `start`.
+            switch: where in the time between two samples a step of the command happens, 0 to 1, one for all
+                or (n,), NaN for a row before which there is none. None: the command goes straight from
+                sample to sample. Column `time_sent_s` goes before it.
 
         Raises:
             InputError: a column is missing or time does not rise within a trial.
         """
-        if source not in SOURCES or start not in STARTS:
+        if source not in SOURCES or (isinstance(start, str) and start not in STARTS):
             raise InputError(
                 f"source is '{source}' and start '{start}'; they must be one of {', '.join(SOURCES)} and of "
                 f"{', '.join(STARTS)}."
@@ -86,9 +96,11 @@ class Inputs:
             measured=use_measured,
             pressure_range_kpa=float(max([*largest, np.abs(pressure).max(), 1e-3])),
         )
-        if start == "vented" or (start == "auto" and _starts_vented(pressure, first, samples, device)):
-            return inputs._with_vented_rows()
-        return inputs
+        if not use_measured:
+            inputs = inputs._with_switches(_switch_instants(samples, time, pressure, first, switch))
+        vented = start == "vented" or (start == "auto" and _starts_vented(pressure, first, samples, device))
+        default = start if not isinstance(start, str) else math.inf if vented else math.nan
+        return inputs._with_pauses(_pauses(trial[first], default, trials or {}))
 
     def conditions(self, names: tuple[str, ...]) -> np.ndarray:
         """(m, k) condition columns in this order."""
@@ -97,13 +109,17 @@ class Inputs:
             self._cache[names] = np.stack(parts, axis=1) if parts else np.zeros((len(self.dt_s), 0))
         return self._cache[names]
 
-    def at_samples(self, more: dict[str, np.ndarray]) -> Callable[[tuple[str, ...]], np.ndarray]:
-        """Like `conditions`, (n, k) at the samples, and with these further columns (m,)."""
+    def conditions_with(
+        self, more: dict[str, np.ndarray], at_samples: bool
+    ) -> Callable[[tuple[str, ...]], np.ndarray]:
+        """Like `conditions`, with these further columns (m,); (n, k) where only samples are wanted."""
 
         def conditions(names: tuple[str, ...]) -> np.ndarray:
-            if not any(name in more for name in names):
-                return self.conditions(names)[self.rows]
-            return np.stack([(more | self.columns)[name][self.rows] for name in names], axis=1)
+            if any(name in more for name in names):
+                out = np.stack([(more | self.columns)[name] for name in names], axis=1)
+            else:
+                out = self.conditions(names)
+            return out[self.rows] if at_samples else out
 
         return conditions
 
@@ -122,19 +138,45 @@ class Inputs:
         """The same inputs, observed at these samples (indices, (k,)); what happens between stays exact."""
         return replace(self, rows=self.rows[samples], _cache={})
 
-    def _with_vented_rows(self) -> "Inputs":
+    def _with_pauses(self, pause_s: np.ndarray) -> "Inputs":
+        """Trials that begin at zero pressure, after so long; NaN: long at their first pressure."""
         first = np.flatnonzero(np.isinf(self.dt_s))
         normal = np.median(self.dt_s[np.isfinite(self.dt_s)]) if np.isfinite(self.dt_s).any() else 1e-3
+        pause_s = np.array(pause_s, dtype=float)
+        if np.isfinite(pause_s[:1]).any():
+            pause_s[0] = math.inf  # before the first trial nothing is known
+        on = np.flatnonzero(~np.isnan(pause_s))
         dt = self.dt_s.copy()
-        dt[first] = normal
-        insert = {k: np.insert(v, first, v[first]) for k, v in self.columns.items()}
-        at = self.rows + np.searchsorted(first, self.rows, side="right")
+        dt[first[on]] = normal
+        zero = np.zeros((len(on), self.pressure_kpa.shape[1]))
+        out = replace(self, dt_s=dt)._insert(first[on], zero, pause_s[on])
+        going_on = np.flatnonzero(np.isfinite(pause_s[on]))  # these vent within one sample, then wait
+        at = np.flatnonzero(np.isin(np.arange(len(out.dt_s)), first[on] + np.arange(len(on))))[going_on]
+        return out._insert(at, zero[going_on], np.full(len(at), normal))
+
+    def _with_switches(self, share: np.ndarray) -> "Inputs":
+        """The command steps within the time before a row (n,), at this share of it; NaN: it goes straight."""
+        at = np.flatnonzero(np.isfinite(share))
+        whole = self.dt_s[at]
+        until = np.clip(np.clip(share[at], 0, 1) * whole, SWITCH_S, whole - 2 * SWITCH_S)
+        dt = self.dt_s.copy()
+        dt[at] = whole - until - SWITCH_S
+        both = np.stack([self.pressure_kpa[at - 1], self.pressure_kpa[at]], axis=1)
+        steps = np.stack([until, np.full(len(at), SWITCH_S)], axis=1)
+        return replace(self, dt_s=dt)._insert(
+            np.repeat(at, 2), both.reshape(2 * len(at), self.pressure_kpa.shape[1]), steps.ravel()
+        )
+
+    def _insert(self, before: np.ndarray, pressure_kpa: np.ndarray, dt_s: np.ndarray) -> "Inputs":
+        """With further rows (k,) before these, in rising order, that are no samples."""
+        if not len(before):
+            return self
         return replace(
             self,
-            pressure_kpa=np.insert(self.pressure_kpa, first, 0.0, axis=0),
-            dt_s=np.insert(dt, first, np.inf),
-            rows=at,
-            columns=insert,
+            pressure_kpa=np.insert(self.pressure_kpa, before, pressure_kpa, axis=0),
+            dt_s=np.insert(self.dt_s, before, dt_s),
+            rows=self.rows + np.searchsorted(before, self.rows, side="right"),
+            columns={k: np.insert(v, before, v[before]) for k, v in self.columns.items()},
             _cache={},
         )
 
@@ -194,6 +236,43 @@ def _session_time(time: np.ndarray, first: np.ndarray) -> np.ndarray:
         if a and time[a] + shift < out[a - 1]:
             shift = out[a - 1] - time[a]
         out[a:b] = time[a:b] + shift
+    return out
+
+
+def steps(pressure: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """Rows before which a pressure (n, chambers) steps: it changes much there and little beside.
+
+    Args:
+        pressure: commanded.
+        first: (n,) True where a trial begins.
+    """
+    change = np.abs(np.diff(pressure, axis=0, prepend=pressure[:1])).max(axis=1)
+    change[first] = 0.0
+    beside = np.maximum(np.r_[0.0, change[:-1]], np.r_[change[1:], 0.0])
+    return np.flatnonzero((change > STEP_SHARE * np.ptp(pressure)) & (change > 3 * beside))
+
+
+def _switch_instants(samples, time, pressure, first, switch) -> np.ndarray:
+    """(n,) share of the time before each row at which the command steps; NaN where it does not."""
+    out = np.full(len(time), math.nan)
+    at = steps(pressure, first)
+    if "time_sent_s" in samples:
+        sent = np.asarray(samples["time_sent_s"], dtype=float)
+        out[at] = (sent[at] - time[at - 1]) / (time[at] - time[at - 1])
+    elif switch is not None:
+        out[at] = np.broadcast_to(np.asarray(switch, dtype=float), len(time))[at]
+    return out
+
+
+def _pauses(trials: np.ndarray, default: float, known: Mapping[str, Mapping]) -> np.ndarray:
+    """(trials,) seconds at zero pressure before each; infinite: rested; NaN: held at its first pressure."""
+    out = np.full(len(trials), float(default))
+    for i, trial in enumerate(trials):
+        told = known.get(str(trial), {})
+        if told.get("start") == "rested":
+            out[i] = math.inf
+        elif told.get("start") == "continues":
+            out[i] = float(told.get("pause_s", 0.0))
     return out
 
 

@@ -39,6 +39,7 @@ def minimise(
     v: np.ndarray,
     steps: int = 30,
     tolerance: float = 1e-6,
+    prior: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> Solution:
     """Minimises the sum of squares over v in [0, 1]^F.
 
@@ -48,27 +49,33 @@ def minimise(
         v: (F,) start.
         steps: most Jacobians to take.
         tolerance: stops where a step promises or brings less than this share of the cost.
+        prior: (F,) centres and (F, F) weights W, so that (v - centre) W (v - centre) is added to the cost; a
+            slight pull towards the start where it is not given.
     """
     v = np.clip(v, 0.0, 1.0)
-    start = v.copy()
     r = residual(v)
     cost = float(r @ r)
     if len(v) == 0:
         return Solution(v, cost, 0)
-    pull = _PULL**2 * max(cost, 1e-12)
+    slight = _PULL**2 * max(cost, 1e-12) * np.eye(len(v))
+    centre, weight = (v.copy(), slight) if prior is None else (prior[0], prior[1] + slight)
+    penalty = (lambda v: 0.0) if prior is None else lambda v: float((v - centre) @ weight @ (v - centre))
+    cost += penalty(v)
     damping = 1e-3
     for step in range(1, steps + 1):
         J = jacobian(v)
-        H, g = J.T @ J, J.T @ r + pull * (v - start)
-        size = np.diag(H) + pull
+        if not np.isfinite(J).all():
+            return Solution(v, cost, step)
+        H, g = J.T @ J + weight, J.T @ r + weight @ (v - centre)
+        size = np.diag(H)
         accepted = False
         while not accepted and damping < 1e8:
-            d = _bounded_step(H + np.diag(pull + damping * size), g, v)
+            d = _bounded_step(H + np.diag(damping * size), g, v)
             promised = -(2 * g @ d + d @ H @ d)
             if promised <= tolerance * cost:
                 return Solution(v, cost, step)
             trial = residual(v + d)
-            new = float(trial @ trial)
+            new = float(trial @ trial) + penalty(v + d)
             accepted = np.isfinite(new) and new < cost
             gain = (cost - new) / promised
             damping = damping * (0.2 if gain > 0.5 else 1.0) if accepted else damping * 5.0

@@ -83,6 +83,7 @@ class Pipeline:
         chain: the links, in order.
         reads_pressure: index of the link that the sensed pressure enters.
         reads_joints: index of the link that the joint angles enter.
+        thins_at: index of the link from which on nothing is remembered, so that samples alone matter.
     """
 
     def __init__(
@@ -120,10 +121,11 @@ class Pipeline:
         to_joints = [*links["pneumatics"], *links["drive"], drive]
         to_markers = [*to_joints, *loads, *body, Markers(geometry)]
         self.chain = [*to_markers, *links["markers"], *links["observation"]]
+        self.thins_at = 1 + max([len(to_joints) - 1, *(i for i, e in enumerate(self.chain) if e.remembers)])
         gauge = [i for i, e in enumerate(links["pneumatics"]) if e.effect.of_gauge]
         self.reads_pressure = gauge[0] if gauge else len(links["pneumatics"])
         self.reads_joints = len(to_markers) - 1
-        self._drive = len(to_joints) - 1
+        self.drive = len(to_joints) - 1
 
     @classmethod
     def of(cls, twin: Twin, inputs: Inputs | None = None, effects: Sequence[str] | None = None) -> "Pipeline":
@@ -171,15 +173,23 @@ class Pipeline:
         """A copy of the twin with these parameters and exactly this pipeline's effects."""
         new = twin.copy()
         new.effects = {k: v for k, v in new.effects.items() if k not in of_body(new.effects)}
-        for name, value in zip(self.names, theta, strict=True):
+        for name, value, spec in zip(self.names, theta, self.specs, strict=True):
             effect, _, parameter = name.rpartition(".")
             values = new.effects.setdefault(effect, {}) if effect else new.parameters
+            if not effect and spec.fixed and value == spec.neutral and name not in values:
+                continue  # a part of the base model that this twin does without
             values[parameter] = Value(float(value), (ci95 or {}).get(name))
         return new
 
     # ---------------------------------------------------------------- simulation
 
-    def run(self, inputs: Inputs, theta: np.ndarray, reuse: Run | None = None) -> Run:
+    def run(
+        self,
+        inputs: Inputs,
+        theta: np.ndarray,
+        reuse: Run | None = None,
+        bending_pressure_kpa: np.ndarray | None = None,
+    ) -> Run:
         """Simulates all samples.
 
         Args:
@@ -187,6 +197,8 @@ class Pipeline:
             theta: (P,) parameters.
             reuse: an earlier run on the same inputs; what comes before the first changed parameter is not
                 repeated.
+            bending_pressure_kpa: (m, chambers) bends the body instead of what air and drive would make of the
+                command; needs `reuse` with these parameters.
         """
         theta = np.asarray(theta, dtype=float)
         at, signals = 0, [inputs.pressure_kpa]
@@ -195,20 +207,27 @@ class Pipeline:
             while at < len(self.chain) and not changed.intersection(self.chain[at].indices):
                 at += 1
             signals = reuse.signals[: at + 1]
+        if bending_pressure_kpa is not None:
+            at, signals = self.drive, [*signals[: self.drive], bending_pressure_kpa]
         for i in range(at, len(self.chain)):
-            link, x, dt, conditions = self.chain[i], signals[-1], inputs.dt_s, inputs.conditions
-            if i == self.reads_joints:
+            link, x = self.chain[i], signals[-1]
+            thin = i >= self.thins_at
+            if i == self.thins_at:
                 x = x[inputs.rows]
-            if i >= self.reads_joints:
-                dt = inputs.sample_dt_s
-                conditions = inputs.at_samples({BENDING_PRESSURE: signals[self._drive].mean(axis=1)})
-            signals.append(link(x, dt, theta, conditions, np.zeros(link.state_size(x.shape[1]))))
+            bending = {BENDING_PRESSURE: signals[self.drive].mean(axis=1)} if i > self.drive else {}
+            state = np.zeros(link.state_size(x.shape[1]))
+            dt = inputs.sample_dt_s if thin else inputs.dt_s
+            signals.append(link(x, dt, theta, inputs.conditions_with(bending, thin), state))
+
+        def at_samples(i: int) -> np.ndarray:
+            return signals[i] if i > self.thins_at else signals[i][inputs.rows]
+
         return Run(
             theta=theta,
             signals=signals,
-            pressure_kpa=signals[self.reads_pressure][inputs.rows],
-            joints=signals[self.reads_joints][inputs.rows],
-            markers=signals[-1],
+            pressure_kpa=at_samples(self.reads_pressure),
+            joints=at_samples(self.reads_joints),
+            markers=at_samples(len(signals) - 1),
         )
 
     def outputs(self, run: Run, columns: Sequence[str]) -> np.ndarray:

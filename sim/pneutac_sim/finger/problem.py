@@ -71,6 +71,12 @@ class Problem:
         theta[self.free] = self.bounds.value(v, self.free)
         return theta
 
+    @property
+    def run(self) -> Run:
+        """The last simulation of `residual`."""
+        assert self._last is not None
+        return self._last
+
     def residual(self, v: np.ndarray) -> np.ndarray:
         """Model - measured (m D,), in the unit of the error."""
         self._last = self._run(self.theta(v), self._last)

@@ -69,11 +69,16 @@ def base_parameters(geometry: Geometry) -> tuple[Parameter, ...]:
         log=True,
         fixed=True,
     )
+    own = (
+        *(Parameter(f"bend_{n + 1}", "", 0.0, -1.5, 3.0, fixed=True) for n in range(geometry.n_joints)),
+        Parameter("curl_rad", "rad", 0.0, -3.0, 3.0, fixed=True),
+    )
     if geometry.device == "finger":
         return (
             Parameter("gain_rad_per_kpa", "rad/kPa", 0.15, -2.0, 2.0, range_power=-1),
             *shape,
             Parameter("rest_pressure_kpa", "kPa", 0.0, -3.0, 3.0, range_power=1),
+            *own,
             stiffness,
         )
     return (
@@ -85,6 +90,9 @@ def base_parameters(geometry: Geometry) -> tuple[Parameter, ...]:
         Parameter("chamber_2_gain", "", 1.0, 0.2, 5.0, neutral=1.0, log=True),
         Parameter("chamber_3_gain", "", 1.0, 0.2, 5.0, neutral=1.0, log=True),
         Parameter("chamber_handedness", "", 1.0, -1.0, 1.0, fixed=True),
+        Parameter("chamber_2_turn_rad", "rad", 0.0, -1.5, 1.5, fixed=True),
+        Parameter("chamber_3_turn_rad", "rad", 0.0, -1.5, 1.5, fixed=True),
+        *own,
         stiffness,
     )
 
@@ -96,6 +104,11 @@ class EffectLink:
     effect: BodyEffect
     indices: tuple[int, ...]
 
+    @property
+    def remembers(self) -> bool:
+        """Whether what it does depends on what was before."""
+        return self.effect.state_size(1) > 0
+
     def state_size(self, channels: int) -> int:
         """Numbers that it remembers."""
         return self.effect.state_size(channels)
@@ -103,20 +116,23 @@ class EffectLink:
     def __call__(self, x, dt, theta, conditions: Conditions, state) -> np.ndarray:
         """Returns the changed signal (m, channels); `state` is updated."""
         out = np.array(x)
-        self.effect.run(out, dt, theta[list(self.indices)], conditions(self.effect.columns), state)
+        values = np.array([*self.effect.codes, *theta[list(self.indices)]])
+        self.effect.run(out, dt, values, conditions(self.effect.columns), state)
         return out
 
 
 @dataclass(frozen=True)
 class Drive:
-    """Pressure to free joint angles, q_n = G r_n(alpha, beta) (p + p0).
+    """Pressure to free joint angles, q_n = G r_n(alpha, beta) (1 + d_n) (p + p0) + curl / N.
 
-    In an arm chamber c pulls in the direction angle + handedness 2 pi (c - 1) / 3, counted from +z towards
-    +y, and p is the vector sum of the three pressures times their relative gains.
+    d_n and curl are zero in the paper: they let a body bend where its own chamber makes it. In an arm
+    chamber c pulls in the direction angle + handedness 2 pi (c - 1) / 3 + turn_c, counted from +z towards +y,
+    and p is the vector sum of the three pressures times their relative gains.
     """
 
     geometry: Geometry
     indices: tuple[int, ...]
+    remembers = False
 
     def state_size(self, channels: int) -> int:
         """It remembers nothing."""
@@ -125,22 +141,24 @@ class Drive:
     def __call__(self, x, dt, theta, conditions: Conditions, state) -> np.ndarray:
         """Returns joints (m, N axes)."""
         profile, directions, rest = self._constants(theta)
-        drive = theta[self.indices[0]] * (x @ directions + rest)
-        return (profile[:, None] * drive[:, None, :]).reshape(len(x), -1)
+        profile, directions, _ = self._constants(theta)
+        drive = theta[self.indices[0]] * (x @ directions)
+        return (profile[:, None] * drive[:, None, :]).reshape(len(x), -1) + self.rest(theta)
 
     def rest(self, theta) -> np.ndarray:
         """Joint angles (N axes,) at zero pressure: a curl without stress."""
         profile, _, rest = self._constants(theta)
-        return (theta[self.indices[0]] * profile[:, None] * rest).ravel()
+        curl = theta[self.indices[-1]] / self.geometry.n_joints
+        return (theta[self.indices[0]] * profile[:, None] * rest + curl * (np.arange(len(rest)) == 0)).ravel()
 
     def _constants(self, theta) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Profile (N,), direction of each chamber (chambers, axes), rest pressure (axes,)."""
-        values = theta[list(self.indices)]
-        profile = gain_profile(self.geometry.n_joints, values[1], values[2])
+        values, n = theta[list(self.indices)], self.geometry.n_joints
+        profile = gain_profile(n, values[1], values[2]) * (1 + values[-1 - n : -1])
         if self.geometry.device == "finger":
             return profile, np.ones((1, 1)), values[3:4]
         angle, ratios, hand = values[5], np.r_[1.0, values[6:8]], values[8]
-        phi = angle + np.sign(hand) * 2 * np.pi * np.arange(3) / 3
+        phi = angle + np.sign(hand) * 2 * np.pi * np.arange(3) / 3 + np.r_[0.0, values[9:11]]
         return profile, ratios[:, None] * np.stack([np.cos(phi), np.sin(phi)], axis=1), values[3:5]
 
 
@@ -163,6 +181,7 @@ class LoadLink:
     geometry: Geometry
     effects: tuple[EffectLink, ...]
     stiffness: int
+    remembers = False
 
     @property
     def indices(self) -> tuple[int, ...]:
@@ -170,7 +189,7 @@ class LoadLink:
         return (self.stiffness, *(i for e in self.effects for i in e.indices))
 
     def state_size(self, channels: int) -> int:
-        """Deflection of the sample before."""
+        """Deflection of the sample before, from which the next is solved; it changes nothing."""
         return channels
 
     def __call__(self, x, dt, theta, conditions: Conditions, state) -> np.ndarray:
@@ -192,6 +211,7 @@ class Markers:
 
     geometry: Geometry
     indices: tuple[int, ...] = ()
+    remembers = False
 
     def state_size(self, channels: int) -> int:
         """It remembers nothing."""

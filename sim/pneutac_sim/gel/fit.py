@@ -104,6 +104,7 @@ def fit_photographs(
     effects: Sequence[str],
     makes: Sequence[Layout] = (DIGIT,),
     near: GelModel | None = None,
+    quick: bool = False,
 ) -> GelFit:
     """Fits light, mechanics and these effects anew.
 
@@ -113,6 +114,7 @@ def fit_photographs(
         effects: of the sensor, to fit.
         makes: sensors whose lights are known.
         near: a fit with almost the same effects; the search stays around its mechanics.
+        quick: whether `near` has the same effects and almost the same photographs, so that few steps do.
     """
     chosen = in_order(of_sensor(effects))
     gel = replace(gel, effects=estimate_gains(gel, chosen, photographs))
@@ -120,7 +122,7 @@ def fit_photographs(
     gel.effects |= {e.name: {p.name: p.neutral for p in e.parameters} for e in of_contacts}
     for left in reversed(range(CONTACT_ROUNDS if of_contacts else 1)):
         problem = _Problem(gel, photographs, chosen)
-        best = problem.best(makes, near, quick=left > 0)
+        best = problem.best(makes, near, quick=quick or left > 0)
         if left:
             gel.effects |= refine_contacts(
                 best.gel, of_contacts, photographs, problem.masks, problem.seen, problem.rests

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import InputError, check_choice
 from pneutac_sim.gel.probe import BOX, CONE, CYLINDER, SPHERE
 
 INDENTERS = ("sphere", "cylinder", "cube", "edge", "cone")
@@ -33,8 +33,7 @@ class Press:
     yaw_rad: float = 0.0
 
     def __post_init__(self):
-        if self.indenter not in INDENTERS:
-            raise InputError(f"indenter is '{self.indenter}'; it must be one of {', '.join(INDENTERS)}.")
+        check_choice("indenter", self.indenter, INDENTERS)
         for name in ("size_mm", "depth_mm"):
             if not 0 < getattr(self, name) < np.inf:
                 raise InputError(

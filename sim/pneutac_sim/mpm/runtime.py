@@ -12,7 +12,7 @@ import multiprocessing
 import os
 import warnings
 
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import InputError, check_choice
 
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "False")  # it greets on stdout, where results go
 with warnings.catch_warnings():  # of an escape in one of Taichi's own docstrings
@@ -40,8 +40,7 @@ def start(device: str = "auto", threads: int = 0) -> str:
         process was forked from one in which it had been started (it would hang).
     """
     global _started
-    if device not in ("auto", "cpu", "cuda"):
-        raise InputError(f"There is no device '{device}'; choose auto, cpu or cuda.")
+    check_choice("device", device, ("auto", "cpu", "cuda"))
     if _started is not None:
         running, process = _started
         if process != os.getpid():
@@ -58,7 +57,7 @@ def start(device: str = "auto", threads: int = 0) -> str:
     elif device == "cuda" and not _has_cuda():
         raise InputError(
             "CUDA is not available: `nvidia-smi` must list a GPU, with a driver of version 450 or newer; "
-            "use --device=cpu."
+            "use the device cpu."
         )
     options = {"default_fp": ti.f32, "offline_cache": True, "log_level": ti.ERROR}
     if device == "cpu":

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import InputError, check_choice
 from pneutac_sim.mpm.sections import is_inside, lattice_inside, neutral_axis
 from pneutac_sim.twin import Twin
 
@@ -58,10 +58,8 @@ def read_mesh(file: str | Path, unit: str = "mm", axis: str | None = None) -> Us
     Raises:
         InputError: not a mesh, no closed body, several bodies, an implausible size, or a hollow one.
     """
-    if unit not in UNITS:
-        raise InputError(f"--mesh_unit is '{unit}'; it must be mm or m.")
-    if axis not in (None, *AXES):
-        raise InputError(f"--mesh_axis is '{axis}'; it must be x, y or z.")
+    check_choice("unit", unit, UNITS)
+    check_choice("axis", axis or AXES[0], AXES)
     mesh = _load(Path(file))
     mesh.apply_scale(UNITS[unit])
     _check_size(mesh, file, unit)
@@ -70,7 +68,7 @@ def read_mesh(file: str | Path, unit: str = "mm", axis: str | None = None) -> Us
     shift = _place(mesh, file, axis, notes)
     if mesh.extents[0] > UNUSUAL_MM:
         notes.append(
-            f"It is {mesh.extents[0]:.4g} mm long, unusually long for a finger or an arm: check --mesh_unit."
+            f"It is {mesh.extents[0]:.4g} mm long, unusually long for a finger or an arm: check its unit."
         )
     return UserMesh(mesh, tuple(notes), shift)
 
@@ -104,7 +102,7 @@ def stored_mesh(twin: Twin) -> trimesh.Trimesh | None:
 
 def _load(file: Path) -> trimesh.Trimesh:
     if not file.is_file():
-        raise InputError(f"There is no mesh '{file}'; give an STL, OBJ or PLY file with --mesh=FILE.")
+        raise InputError(f"There is no mesh '{file}'; give an STL, OBJ or PLY file.")
     if file.suffix.lower() not in FORMATS:
         raise InputError(f"{file} is no mesh that can be read here; export it as STL, OBJ or PLY.")
     try:
@@ -128,8 +126,8 @@ def _check_size(mesh: trimesh.Trimesh, file, unit: str) -> None:
         return
     drawn = longest / UNITS[unit]
     ways = [
-        ("metres", 1000.0, "add --mesh_unit=m"),
-        ("millimetres", 1.0, "omit --mesh_unit=m"),
+        ("metres", 1000.0, "give the unit m"),
+        ("millimetres", 1.0, "give the unit mm"),
         ("inches", 25.4, f"scale it by {25.4 / UNITS[unit]:g}"),
     ]
     likely = [f"if it is in {u}, {how}" for u, mm, how in ways if SHORTEST_MM <= mm * drawn <= LONGEST_MM]
@@ -207,7 +205,7 @@ def _place(mesh: trimesh.Trimesh, file, axis: str | None, notes: list[str]) -> n
         if extents[order[1]] > 0.95 * extents[order[0]]:
             raise InputError(
                 f"{file} is about as long along {AXES[order[0]]} as along {AXES[order[1]]}; tell which is "
-                "its length with --mesh_axis=x, y or z."
+                "its length by the axis x, y or z."
             )
         axis = AXES[order[0]]
     turn = AXES.index(axis)

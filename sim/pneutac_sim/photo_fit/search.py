@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from pneutac_sim.errors import InputError
+from pneutac_sim.files import write_json
 from pneutac_sim.photo_fit.coarse import Coarse
 from pneutac_sim.photo_fit.parameters import BodyParameters
 
@@ -161,7 +162,4 @@ def _write(file: Path | None, key: str, tried: list, values: list) -> None:
     if file is None:
         return
     rows = [{"x": x.tolist(), "objective": v} for x, v in zip(tried, values, strict=True)]
-    file.parent.mkdir(parents=True, exist_ok=True)
-    part = file.with_suffix(".tmp")
-    part.write_text(json.dumps({"key": key, "evaluations": rows}))
-    part.replace(file)
+    write_json(file, {"key": key, "evaluations": rows})

@@ -15,6 +15,7 @@ from safetensors.numpy import save
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import CONTROL_HZ, MAX_PRESSURE_KPA
+from pneutac_sim.files import whole
 from pneutac_sim.mpm import devices, runtime
 from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import simulate, solve_equilibrium
@@ -223,9 +224,8 @@ def draw(twin: Twin, plan: Plan, index: int, time_s: np.ndarray) -> tuple[np.nda
 
 def _write(file: Path, motion: Motion, label: dict[str, str]) -> None:
     arrays = {k: np.ascontiguousarray(v, np.float64) for k, v in asdict(motion).items()}
-    tmp = file.with_suffix(".tmp")
-    tmp.write_bytes(save(arrays, label))
-    tmp.replace(file)
+    with whole(file) as part:
+        part.write_bytes(save(arrays, label))
 
 
 def _label(file: Path) -> dict[str, str]:

@@ -6,7 +6,6 @@ an equilibrium and so a pair of its own. A folder holds `collection.json`, and f
 """
 
 import json
-import os
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from pneutac_sim.errors import InputError
+from pneutac_sim.files import whole, write_json
 from pneutac_sim.gel.indenter import INDENTERS
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.probe import COLS, ROWS, probe_grid
@@ -152,8 +152,7 @@ def _claim(folder: Path, what: dict) -> None:
     """Writes what a folder's contacts are of, or refuses a folder of others."""
     file = folder / "collection.json"
     if not file.exists():
-        folder.mkdir(parents=True, exist_ok=True)
-        _replace(file, json.dumps(what, indent=2).encode())
+        write_json(file, what)
         return
     try:
         found = json.loads(file.read_text())
@@ -168,8 +167,7 @@ def _claim(folder: Path, what: dict) -> None:
 
 def _store(file: Path, contact: Contact, pairs: Pairs) -> None:
     p = contact.press
-    temporary = file.with_suffix(".tmp")
-    with open(temporary, "wb") as f:
+    with whole(file) as part, part.open("wb") as f:
         np.savez_compressed(
             f,
             indenter=np.array(pairs.indenter),
@@ -180,13 +178,6 @@ def _store(file: Path, contact: Contact, pairs: Pairs) -> None:
             depth_mm=pairs.depth_mm,
             displacement_mm=pairs.displacement_mm,
         )
-    os.replace(temporary, file)
-
-
-def _replace(file: Path, content: bytes) -> None:
-    temporary = file.with_suffix(".tmp")
-    temporary.write_bytes(content)
-    os.replace(temporary, file)
 
 
 def _read(file: Path) -> Pairs:

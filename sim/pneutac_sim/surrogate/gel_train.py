@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import InputError, check_choice
 from pneutac_sim.gel.indenter import INDENTERS
 from pneutac_sim.surrogate.gel_collect import Pairs, read_contacts
 from pneutac_sim.surrogate.perception import GelSurrogate, UNet
@@ -68,10 +68,9 @@ def train_gel(
     Raises:
         InputError: no contacts, damaged ones, or too few; no such device.
     """
-    if device not in ("auto", "cpu", "cuda"):
-        raise InputError(f"There is no device '{device}'; choose auto, cpu or cuda.")
+    check_choice("device", device, ("auto", "cpu", "cuda"))
     if device == "cuda" and not torch.cuda.is_available():
-        raise InputError("PyTorch finds no CUDA device; use --device=cpu.")
+        raise InputError("device is 'cuda', but PyTorch finds none; use cpu.")
     if device == "auto":
         device = "cuda" if torch.cuda.is_available() else "cpu"
     train, check, _ = split(read_contacts(folder), heldout)

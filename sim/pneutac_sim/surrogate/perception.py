@@ -21,6 +21,7 @@ from torch import nn
 from torch.nn import functional as F
 
 from pneutac_sim.errors import InputError
+from pneutac_sim.files import whole
 from pneutac_sim.gel.probe import COLS, ROWS
 
 FORMAT = "pneutac-gel-surrogate/1"
@@ -140,9 +141,8 @@ class GelSurrogate:
             "errors": json.dumps(self.errors),
         }
         weights = {k: v.contiguous() for k, v in self.network.state_dict().items()}
-        temporary = Path(path).with_suffix(".tmp")
-        save_file(weights, temporary, metadata)
-        temporary.replace(path)
+        with whole(Path(path)) as part:
+            save_file(weights, part, metadata)
 
     @classmethod
     def load(cls, path: str | Path) -> "GelSurrogate":

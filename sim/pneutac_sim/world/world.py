@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import InputError, check_choice
 from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, CONTROL_HZ, FIDELITIES, JOINT_NAMES
 from pneutac_sim.finger.online import PressurePipeline
 from pneutac_sim.gel.sensor import TactileSensor
@@ -95,8 +95,7 @@ class World:
             raise InputError(
                 f"The world needs the twin of a finger; this twin's device is '{self.twin.device}'."
             )
-        if fidelity not in FIDELITIES:
-            raise InputError(f"fidelity is '{fidelity}'; it must be one of {', '.join(FIDELITIES)}.")
+        check_choice("fidelity", fidelity, FIDELITIES)
         self.finger, gel = deforming(self.twin, fidelity, touch)
         self.model = mujoco.MjModel.from_xml_string(scene.build(self.task, self.twin))
         self.data = mujoco.MjData(self.model)

@@ -7,7 +7,7 @@ import pytest
 
 from lerobot_pneutac.cli import VERBS, options_class
 from lerobot_pneutac.cli.benchmark import TABLES
-from lerobot_pneutac.cli.options import list_options, parse_options
+from lerobot_pneutac.cli.options import list_options, name_option, parse_options
 from pneutac_sim.errors import InputError
 
 
@@ -97,6 +97,51 @@ def test_a_wrong_option_is_one_sentence(argv, sentence):
     with pytest.raises(InputError) as e:
         parse_options(Options, argv)
     assert str(e.value) == sentence
+
+
+@pytest.mark.parametrize(
+    ("sentence", "told"),
+    [
+        ("seeds=-1 must be 0 or more.", "--seeds=-1 must be 0 or more."),
+        ("horizon is 1; it must be 2 or more.", "--planner.horizon is 1; it must be 2 or more."),
+        ("depth is 1; it must be 2 or more.", "depth is 1; it must be 2 or more."),
+        ("outside/x.csv is empty.", "outside/x.csv is empty."),
+        ("out of memory.", "out of memory."),
+    ],
+)
+def test_a_librarys_sentence_about_a_parameter_is_told_of_the_option(sentence, told):
+    assert name_option(sentence, Options) == told
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        ("program: [a", "line 1, is not valid YAML: expected"),
+        ("- program", "must hold options"),
+        ("programm: x", "no option --programm; did you mean --program?"),
+        ("planner: {horizont: 3}", "horizont"),
+        ("\xff\x00", "is not valid YAML"),
+    ],
+)
+def test_a_bad_file_of_options_is_one_sentence(tmp_path, content, sentence):
+    file = tmp_path / "o.yaml"
+    file.write_bytes(content.encode("latin-1"))
+    with pytest.raises(InputError, match=sentence) as e:
+        parse_options(Options, [f"--config_path={file}"])
+    assert "\n" not in str(e.value)
+
+
+def test_a_file_of_options_is_read_and_the_command_line_wins(tmp_path):
+    file = tmp_path / "o.yaml"
+    file.write_text("program: x\nplanner: {horizon: 3}\nseeds: [1, 2]")
+    found = parse_options(Options, [f"--config_path={file}", "--program=y"])
+    assert (found.program, found.planner.horizon, found.seeds) == ("y", 3, (1, 2))
+
+
+def test_a_file_in_place_of_the_folder_for_results_is_refused(tmp_path):
+    (tmp_path / "o").touch()
+    with pytest.raises(InputError, match=r"^--out=.* is a file; give a folder\.$"):
+        parse_options(Options, [f"--out={tmp_path / 'o'}"])
 
 
 def test_help_tells_every_option_with_its_default(capsys):

@@ -1,16 +1,12 @@
-"""Selection, bootstrap and fingerprints on toy models whose answer is known."""
+"""Bootstrap and parts, on recordings and errors whose answer is known."""
 
 import numpy as np
 import pandas as pd
 import pytest
 
 from lerobot_pneutac.diagnosis.bootstrap import Resampler
-from lerobot_pneutac.diagnosis.fingerprints import fingerprints, lagged, play, steps
-from lerobot_pneutac.diagnosis.fits import FittedModel, effective_count
 from lerobot_pneutac.diagnosis.parts import deal
-from lerobot_pneutac.diagnosis.selection import select
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.twin import Twin
 
 N, HZ = 4000, 10.0
 
@@ -35,65 +31,6 @@ def make_recording(seed=0, noise=0.3):
         }
     )
     return Recording(None, {"length_mm": 110.0}, table, "finger")
-
-
-TWIN = Twin("finger", 110.0)  # stands there; the toy's fits have no use for it
-
-
-class LinearFitter:
-    """Effects are columns that are added to a straight line in pressure; the fit is exact least squares."""
-
-    def __init__(self, recording, parts, columns):
-        self.p = recording.column("pressure_cmd_kpa")
-        self.y = recording.column("tip_z_mm")
-        self.parts, self.columns = parts, columns
-
-    def fit_all(self, effects, start=None):
-        fits = []
-        for names in effects:
-            J = np.stack([np.ones(N), self.p, *(self.columns[n] for n in names)], 1)
-            theta = np.linalg.lstsq(J[self.parts.train], self.y[self.parts.train], rcond=None)[0]
-            fits.append(FittedModel(tuple(names), (self.y - J @ theta)[:, None], J.shape[1], TWIN))
-        return fits
-
-    def promising(self, fit, candidates, least):
-        return candidates
-
-
-def toy(hidden, seed=0, noise=0.3):
-    recording = make_recording(seed, noise)
-    dt = steps(recording)
-    p = recording.column("pressure_cmd_kpa")
-    columns = {
-        "creep": lagged(p, dt, 20.0) - p,
-        "valve_lag": lagged(p, dt, 0.3) - p,
-        "hysteresis": play(p, dt, 8.0) - p,
-        "stiffening": p**2 / 50,
-        "drift": np.arange(N) / N,
-    }
-    recording.samples["tip_z_mm"] += sum(size * columns[name] for name, size in hidden.items())
-    parts = deal(recording, seed)
-    return (
-        recording,
-        parts,
-        select(LinearFitter(recording, parts, columns), (), list(columns), parts, noise, seed),
-    )
-
-
-@pytest.mark.parametrize("hidden", [{"creep": 0.1}, {"stiffening": 0.3}, {"hysteresis": 0.3, "creep": 0.2}])
-def test_selection_finds_exactly_the_hidden_effects(hidden):
-    _, _, found = toy(hidden)
-    assert set(found.selected) == set(hidden)
-    assert [set(f.effects) for f in found.path] == [set(found.added[:i]) for i in range(len(found.path))]
-
-
-def test_selection_is_silent_when_nothing_is_missing():
-    for seed in range(10):
-        assert toy({}, seed)[2].selected == []
-
-
-def test_the_most_important_effect_comes_first():
-    assert toy({"hysteresis": 0.05, "creep": 0.4})[2].selected[0] == "creep"
 
 
 def test_bootstrap_interval_covers_the_true_drop():
@@ -132,17 +69,6 @@ def test_reduction_is_one_when_only_noise_is_left():
     assert share == pytest.approx(0.5, abs=0.02)
 
 
-def test_effective_count_follows_the_autocorrelation():
-    rng = np.random.default_rng(0)
-    rho, x = 0.9, np.zeros((20000, 1))
-    e = rng.normal(size=20000)
-    for i in range(1, 20000):
-        x[i] = rho * x[i - 1] + e[i]
-    everywhere = np.ones(20000, bool)
-    assert effective_count(x, everywhere) == pytest.approx(20000 * 0.1 / 1.9, rel=0.15)
-    assert effective_count(e[:, None], everywhere) > 19000
-
-
 def test_parts_are_apart_and_hold_every_condition():
     recording = make_recording()
     parts = deal(recording, 3)
@@ -151,18 +77,3 @@ def test_parts_are_apart_and_hold_every_condition():
         assert set(recording.samples["program"][part]) == {"ramps", "steps"}
     for u in np.unique(parts.unit):
         assert len({tuple(x) for x in np.stack([parts.train, parts.validation], 1)[parts.unit == u]}) == 1
-
-
-@pytest.mark.parametrize("hidden", ["creep", "stiffening"])
-def test_fingerprint_of_the_hidden_effect_stands_above_chance(hidden):
-    recording, _, found = toy({hidden: 0.3})
-    residual = np.c_[np.zeros(N), np.zeros(N), found.base.residual]
-    prints = fingerprints(recording, residual, recording.samples[["pressure_cmd_kpa"]].to_numpy())
-    mine = next(f for f in prints if f.effect == hidden)
-    assert mine.share > 0.7 and mine.share > 2 * mine.chance and mine.p_value < 0.02
-
-
-def test_fingerprints_of_pure_noise_stay_at_chance():
-    recording, _, found = toy({})
-    prints = fingerprints(recording, found.base.residual, recording.samples[["pressure_cmd_kpa"]].to_numpy())
-    assert sum(f.p_value < 0.01 for f in prints) <= 1

@@ -144,13 +144,13 @@ def test_damaged_files_are_refused(trained, tmp_path):
 @pytest.mark.parametrize(
     ("options", "match"),
     [
-        ([], "--out=DIR"),
-        (["--task=door"], "--task is 'door'"),
-        (["--device=tpu"], "--device is 'tpu'"),
-        (["--steps=0"], "--steps is 0"),
-        (["--seed=-1"], "--seed is -1"),
+        ([], "--out=PATH"),
+        (["--task=door"], "^task is 'door'"),
+        (["--device=tpu"], "^device is 'tpu'"),
+        (["--steps=0"], "^steps is 0"),
+        (["--seed=-1"], "^seed is -1"),
         (["--twin=nowhere"], "holds no twin.yaml"),
-        (["--student.fidelity=exact"], "--student.fidelity is 'exact'"),
+        (["--student.fidelity=exact"], "^fidelity is 'exact'"),
     ],
 )
 def test_bad_options_are_refused(tmp_path, options, match):

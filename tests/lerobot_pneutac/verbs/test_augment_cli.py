@@ -139,14 +139,14 @@ def test_bad_input_is_named(recorded, made, tmp_path):
         with pytest.raises(InputError, match=match):
             verb.main(options(recorded, tmp_path / "o", *more))
 
-    refused("--task=bottle", match="--task is 'bottle'; it must be one of switch, egg, card")
-    refused("--method=magic", match="--method is 'magic'; it must be one of tactile, naive")
-    refused("--episodes=0", match="--episodes is 0; it must be 1 or more")
-    refused("--planner.replan=9", match="--planner.replan is 9; it must be at most --planner.horizon")
+    refused("--task=bottle", match="^task is 'bottle'; it must be one of switch, egg, card")
+    refused("--method=magic", match="^method is 'magic'; it must be one of tactile, naive")
+    refused("--episodes=0", match="^episodes is 0; it must be 1 or more")
+    refused("--planner.replan=9", match="^replan is 9; it must be at most horizon")
     refused(f"--twin={tmp_path}", match="holds no twin.yaml")
     refused(f"--dataset.root={tmp_path / 'none'}", match="holds no LeRobotDataset")
     refused(f"--output.root={made / 'more'}", match="exists; give a new folder")
-    with pytest.raises(InputError, match="Give --dataset.repo_id and --dataset.root"):
+    with pytest.raises(InputError, match="^Give --dataset.repo_id=TEXT and --dataset.root=PATH;"):
         verb.main(["--output.repo_id=local/o", f"--output.root={tmp_path / 'o'}"])
     features = LeRobotDatasetMetadata("local/demos", recorded).features
     ours = {k: features[k] for k in (OBS_STATE, ACTION, TACTILE)}

@@ -216,7 +216,7 @@ def test_a_twin_of_another_device_and_a_folder_of_other_things_are_refused(gener
 
 def test_bad_options_get_one_sentence(generated, tmp_path):
     for argv, says in [
-        ([f"--recording={generated}"], "--twin=DIR"),
+        ([f"--recording={generated}"], "Give --twin=PATH;"),
         ([f"--twin={tmp_path}", f"--recording={generated}", "--effects=glow"], "'glow' is no optics effect"),
         (
             [f"--twin={tmp_path}", f"--recording={generated}", "--effects=creep"],

@@ -174,7 +174,7 @@ def test_bad_input_is_refused_before_work_starts(bench, tmp_path):
         compare.main([f"--twin={tmp_path / 'nothing'}", f"--recording={bench / 'none'}"])
     with pytest.raises(InputError, match="no bench recording"):
         compare.main([f"--twin={bench / 'twin'}", f"--recording={tmp_path / 'nothing'}"])
-    with pytest.raises(InputError, match="Give the recording's folder with --recording=DIR"):
+    with pytest.raises(InputError, match="Give --recording=PATH; --help"):
         compare.main([f"--twin={bench / 'twin'}"])
 
 

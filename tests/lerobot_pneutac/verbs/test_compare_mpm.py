@@ -110,8 +110,8 @@ def test_samples_are_spread(tmp_path):
 def test_what_cannot_be_simulated_is_told(bench, tmp_path):
     recording = f"--recording={bench / 'creep'}"
     for options, said in (
-        (["--fidelity=exact"], "choose pipeline or mpm"),
-        (["--samples=50"], "together with --fidelity=mpm"),
+        (["--fidelity=exact"], "it must be one of pipeline, mpm"),
+        (["--samples=50"], "together with fidelity=mpm"),
         (["--fidelity=mpm", "--samples=1"], "2 or more"),
     ):
         with pytest.raises(InputError, match=said):

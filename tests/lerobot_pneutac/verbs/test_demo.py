@@ -9,7 +9,8 @@ from rich.console import Console
 
 from lerobot_pneutac.cli import demo as command
 from lerobot_pneutac.reports import demo as pages
-from lerobot_pneutac.verbs.demo import Demo, DemoConfig, DemoResult
+from lerobot_pneutac.verbs.demo import Demo, DemoConfig
+from lerobot_pneutac.verbs.demo_result import DemoResult
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin, Value
@@ -165,7 +166,7 @@ def test_a_finished_demo_runs_nothing_again_and_fresh_begins_anew(commands, tmp_
 
 def test_a_folder_with_other_options_is_refused(commands, tmp_path):
     demo(tmp_path / "d")[0].run()
-    with pytest.raises(InputError, match="holds a demo with other options; add --fresh"):
+    with pytest.raises(InputError, match="holds a demo with other options; give fresh=true"):
         demo(tmp_path / "d", seed=2)
 
 
@@ -173,7 +174,7 @@ def test_a_folder_with_other_options_is_refused(commands, tmp_path):
     ("option", "value", "least"), [("demonstrations", 1, 2), ("trials", 0, 1), ("steps", -1, 1)]
 )
 def test_numbers_out_of_range_are_refused(option, value, least):
-    with pytest.raises(InputError, match=f"--{option} is {value}; it must be at least {least}"):
+    with pytest.raises(InputError, match=f"^{option} is {value}; it must be {least} or more"):
         DemoConfig(**{option: value})
 
 

@@ -10,11 +10,12 @@ from lerobot_pneutac.cli.calibrate import main as calibrate
 from lerobot_pneutac.cli.compare import main as compare
 from lerobot_pneutac.cli.diagnose import main as diagnose
 from lerobot_pneutac.diagnosis.steps import Steps
-from lerobot_pneutac.diagnosis.verdict import FEW_UNITS
+from lerobot_pneutac.study import gel_space
 from lerobot_pneutac.study.gel import GelStudy
-from lerobot_pneutac.study.gel_parts import FEW_TRAINED, NEEDED, deal_photographs
+from lerobot_pneutac.study.gel_parts import APART, FOLDS, NEEDED, deal_photographs, photograph_folds
 from pneutac_datasets.generate.hidden_gel import SIZES, write_hidden_gel
 from pneutac_sim.errors import InputError
+from pneutac_sim.gel.fit import GelFit
 from pneutac_sim.twin import Twin
 
 pytestmark = pytest.mark.slow
@@ -69,29 +70,68 @@ def test_nothing_is_found_where_nothing_is_hidden(tmp_path, capsys):
     assert "Nothing is missing" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("images", [5, 13])
+@pytest.mark.parametrize("images", [5, NEEDED - 1])
 def test_too_few_images_are_no_verdict_and_the_sentence_says_how_many_it_takes(images, tmp_path, capsys):
     recording = once(write_hidden_gel, tmp_path / "recording", ["shadow"], images=images)
     twin = linear_twin(tmp_path / "twin", recording)
     found = run(diagnose, tmp_path / "d", twin, recording)
     assert found["verdict"] == "ambiguous"
     assert f"it has {images} images" in found["sentence"] and f"it takes {NEEDED}" in found["sentence"]
-    assert "left to judge by" in " ".join(capsys.readouterr().out.split())
+    assert "can be judged by" in " ".join(capsys.readouterr().out.split())
 
 
-def test_photographs_train_choose_and_test_apart(tmp_path):
+def test_ten_images_are_enough_and_it_is_said_that_none_were_kept_for_the_report(tmp_path):
+    recording = once(write_hidden_gel, tmp_path / "recording", ["shadow"], images=NEEDED)
+    found = run(diagnose, tmp_path / "d", linear_twin(tmp_path / "twin", recording), recording)
+    assert found["verdict"] == "missing_effect" and found["selected"] == ["shadow"]
+    assert "none are kept for the report" in found["notes"][0] and "optimistic" in found["notes"][0]
+
+
+def many(recording):
+    """The same photographs several times over, without the calibration pair's copies."""
+    samples = recording.samples.loc[[0, *np.repeat(np.arange(1, len(recording)), 3)]].reset_index(drop=True)
+    return replace(recording, samples=samples)
+
+
+def test_few_photographs_are_judged_by_cross_validation_and_of_many_a_third_is_kept_apart(tmp_path):
     recording = once(write_hidden_gel, tmp_path / "recording", [], images=NEEDED)
-    parts = deal_photographs(recording, 0)
-    masks = np.stack([parts.train, parts.validation, parts.test])
-    assert (masks.sum(0) == 1).all() and parts.train[0], "each in one part, the calibration pair trains"
-    assert masks.sum(1).tolist() == [FEW_TRAINED, FEW_UNITS, FEW_UNITS]
-    more = recording.samples.loc[recording.samples.index.repeat(3)].reset_index(drop=True)
-    assert deal_photographs(replace(recording, samples=more), 0).train.sum() >= 3
+    few = deal_photographs(recording, 0)
+    assert few.train.all() and not few.has_test and few.test.sum() == NEEDED - 1
+    fold = photograph_folds(few, 0)
+    assert fold[0] == -1, "the calibration pair always trains"
+    assert set(fold[1:]) == set(range(FOLDS)) and np.ptp(np.bincount(fold[1:])) <= 1
+    enough = many(recording)
+    assert len(enough) >= APART
+    parts = deal_photographs(enough, 0)
+    assert parts.has_test and (parts.train ^ parts.test).all() and parts.train[0]
+    assert parts.test.sum() == pytest.approx((len(enough) - 1) / 3, abs=1)
+    assert np.array_equal(photograph_folds(parts, 0) >= 0, parts.validation)
+
+
+def test_no_photograph_is_judged_by_a_fit_that_saw_it(tmp_path, monkeypatch):
+    """Of what is judged: by cross-validation or kept for the report. The calibration pair always trains."""
+    recording = once(write_hidden_gel, tmp_path / "recording", [], images=NEEDED)
+    twin = Twin.load(linear_twin(tmp_path / "twin", recording))
+    trained = {}
+
+    def fit(gel, photographs, effects, near=None, quick=False):
+        out = replace(gel)
+        trained[id(out)] = out, {id(p) for p in photographs}
+        return GelFit(out, 0.0, 1)
+
+    monkeypatch.setattr(gel_space, "fit_photographs", fit)
+    for r in (recording, many(recording)):
+        study = GelStudy(twin, r)
+        model = study.refit([], None, Steps())
+        seen = [id(p) in trained[id(g)][1] for g, p in zip(model.gels, study.space.photographs, strict=True)]
+        assert seen == [True] + [False] * (len(r) - 1)
+        assert min(len(photographs) for _, photographs in trained.values()) >= 0.7 * study.parts.train.sum()
+        trained.clear()
 
 
 def test_the_report_scores_photographs_that_chose_nothing(tmp_path):
     """A validation photograph spoilt after the search leaves all reported errors as they were."""
-    recording = once(write_hidden_gel, tmp_path / "recording", ["shadow"], seed=3, images=16)
+    recording = once(write_hidden_gel, tmp_path / "recording", ["shadow"], seed=3, images=APART)
     twin = Twin.load(linear_twin(tmp_path / "twin", recording))
     study = GelStudy(twin, recording)
     with_shadow = study.refit(["shadow"], None, Steps())
@@ -100,6 +140,7 @@ def test_the_report_scores_photographs_that_chose_nothing(tmp_path):
     )
     assert study.errors(spoilt)["heldout"] == study.errors(with_shadow)["heldout"]
     assert study.reduction(with_shadow, spoilt)[0] == 0.0
+    assert study.fall(with_shadow, spoilt)[2] < 0, "what chooses does look at it"
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,6 @@ from lerobot_pneutac.cli import diagnose as verb
 from lerobot_pneutac.diagnosis.experiment import separations
 from lerobot_pneutac.study.pair import same_body
 from lerobot_pneutac.verbs.diagnose import diagnose
-from pneutac_datasets.recording.mounts import align_mounts
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Value
@@ -33,7 +32,9 @@ def test_constant_pressure_is_ambiguous(bench):
     still.samples["pressure_kpa"] = 20.0
     d = diagnose(twin_of(recording), still, jobs=1)
     assert d.verdict == "ambiguous" and "the commanded pressure never moves" in d.sentence
-    assert "does not move either" in d.study.caveats(d.outcome)[0] and "ten minutes" in d.next_experiment
+    assert (
+        "does not move either" in " ".join(d.study.caveats(d.outcome)) and "ten minutes" in d.next_experiment
+    )
     still.samples["pressure_kpa"] = recording.samples["pressure_kpa"][:600]
     d = diagnose(twin_of(recording), still, jobs=1)
     assert d.verdict == "ambiguous"
@@ -107,18 +108,3 @@ def test_measuring_pressure_is_proposed_for_lag_against_creep(bench):
     b.effects = {"creep": {}}
     found = separations(blind, a, b, 0.5, ("valve_lag", "creep"))
     assert found[0].name.startswith("log the measured pressure")
-
-
-def test_trials_of_another_mount_are_moved_onto_the_first(bench):
-    recording = bench("none")
-    trials = list(recording.trials().values())
-    turned = Recording(recording.folder, recording.meta, recording.samples.copy(), "finger")
-    rows = turned.samples.index[trials[1]]
-    turned.samples.loc[rows, ["tip_y_mm", "tip_z_mm"]] *= -1
-    turned.samples.loc[rows, "tip_x_mm"] += 20.0
-    back, said, alike = align_mounts(turned, recording.length_mm)
-    assert len(said) == 1 and "trial 1" in said[0] and alike[:2] == [0, 1]
-    tip = ["tip_x_mm", "tip_y_mm", "tip_z_mm"]
-    moved = back.samples[tip].to_numpy()[trials[1]] - recording.samples[tip].to_numpy()[trials[1]]
-    assert np.abs(moved).max() < 10.0  # a straight line through a curved answer places the rest that well
-    assert align_mounts(recording, recording.length_mm)[1] == []

@@ -273,12 +273,52 @@ def test_a_run_is_a_recording_with_true_tips_that_compare_accepts(bench, tmp_pat
     assert r.image(r.column("image_tactile")[5]).shape == (320, 240, 3)
     assert r.image(r.column("image_camera")[5]).shape == (480, 640, 3)
     assert BenchRendered.chamber._target_kpa == 0.0
+    sent, t = r.column("time_sent_s"), r.column("time_s")
+    for rows in r.trials().values():
+        assert (sent[rows] <= t[rows]).all() and (sent[rows][1:] >= t[rows][:-1]).all()
+        at = sent[rows] - np.round(sent[rows] * 15) / 15  # each just after the program's grid of 15 Hz
+        assert np.median(np.abs(at)) < 0.02
+    assert [s.start for s in r.starts.values()] == ["unknown", "continues", "continues"]
+    assert all(0.3 <= r.starts[k].pause_s < 0.6 for k in (1, 2))
 
     new.main([f"--twin={tmp_path / 'twin'}", f"--recording={tmp_path / 'run'}"])
     compare.main(
         [f"--twin={tmp_path / 'twin'}", f"--recording={tmp_path / 'run'}", f"--out={tmp_path / 'c'}"]
     )
     assert json.loads((tmp_path / "c/result.json").read_text())["unit"] == "mm"
+
+
+def test_a_command_whose_picture_was_lost_keeps_the_time_at_which_it_was_sent(bench, tmp_path, monkeypatch):
+    seen, unseen = library.MarkerTracker.tip_mm, []
+
+    def hidden(self, image):
+        if not unseen and BenchRendered.chamber._target_kpa == 4.0:  # the step's first picture
+            unseen.append(image)
+            return None
+        return seen(self, image)
+
+    monkeypatch.setattr(library.MarkerTracker, "tip_mm", hidden)
+    measure.main(bench)
+    r = Recording.load(tmp_path / "run")
+    sent, t = r.column("time_sent_s"), r.column("time_s")
+    after = int(np.argmax(r.column("pressure_cmd_kpa") == 4.0))
+    assert unseen and t[after] - sent[after] > 0.9 / 15 and sent[after] >= t[after - 1]
+
+
+def test_a_trial_after_one_that_was_never_seen_starts_unknown(bench, tmp_path, monkeypatch):
+    run, seen, driven = library.BenchDriver.drive, library.MarkerTracker.tip_mm, []
+
+    def drive(self, number, trial):
+        driven.append(number)
+        return run(self, number, trial)
+
+    monkeypatch.setattr(library.BenchDriver, "drive", drive)
+    monkeypatch.setattr(
+        library.MarkerTracker, "tip_mm", lambda self, i: None if driven[-1:] == [1] else seen(self, i)
+    )
+    measure.main(bench)
+    r = Recording.load(tmp_path / "run")
+    assert {k: s.start for k, s in r.starts.items()} == {0: "unknown", 2: "unknown"}
 
 
 @pytest.mark.parametrize("end", [KeyboardInterrupt(), OSError("unplugged")])

@@ -76,9 +76,9 @@ def test_a_mesh_travels_with_its_twin_and_bends(tmp_path, capsule, capsys):
     [
         (["--device=gel"], "--mesh is of a finger or an arm"),
         (["--length_mm=80"], "--length_mm is the mesh's own"),
-        (["--mesh_unit=cm"], "--mesh_unit is 'cm'; it must be mm or m"),
-        (["--mesh_axis=up"], "--mesh_axis is 'up'; it must be x, y or z"),
-        ([], "read in mm is 0.07 mm long.*--mesh_unit=m"),
+        (["--mesh_unit=cm"], "^unit is 'cm'; it must be one of mm, m"),
+        (["--mesh_axis=up"], "^axis is 'up'; it must be one of x, y, z"),
+        ([], "read in mm is 0.07 mm long.*give the unit m"),
     ],
 )
 def test_bad_options_are_named_and_write_nothing(tmp_path, capsule, options, said):

@@ -101,18 +101,18 @@ def test_nearer_balls_hide_farther_ones():
     [
         (["--pressure_kpa=[]"], "finite numbers"),
         (["--seconds=0"], "at least"),
-        (["--particles=3"], "at least 100"),
+        (["--particles=3"], "it must be 100 or more"),
         (["--conditions={gravity_z: .nan}"], "gravity_z: nan; give a finite number"),
         (["--conditions={temperature_c: 30}"], "'temperature_c', which .* its effects ask for none"),
-        (["--indenter=cube"], "--indenter is of a gel, but the twin at .* is of a finger; omit it"),
-        (["--size_mm=4"], "--size_mm is of a gel"),
-        (["--depth_mm=1.4"], "--depth_mm is of a gel"),
-        (["--x_mm=0"], "--x_mm is of a gel"),
-        (["--y_mm=0"], "--y_mm is of a gel"),
-        (["--camera=front"], "--camera is of a recording; give its folder with --recording=DIR"),
-        (["--recording=x", "--view.azimuth_deg=3"], "--view and --recording exclude each other"),
+        (["--indenter=cube"], "indenter is of a gel, but the twin at .* is of a finger; omit it"),
+        (["--size_mm=4"], "size_mm is of a gel"),
+        (["--depth_mm=1.4"], "depth_mm is of a gel"),
+        (["--x_mm=0"], "x_mm is of a gel"),
+        (["--y_mm=0"], "y_mm is of a gel"),
+        (["--camera=front"], "camera is one of a recording; give its folder too"),
+        (["--recording=x", "--view.azimuth_deg=3"], "view and recording exclude each other"),
         (["--view.elevation_deg=91"], "between -90 and 90"),
-        (["--view.azimuth_deg=.nan"], "--view.azimuth_deg is nan"),
+        (["--view.azimuth_deg=.nan"], "azimuth_deg is nan"),
         (["--view.distance_lengths=1"], "does not see the body: give 1.5 to 100"),
     ],
 )
@@ -123,22 +123,22 @@ def test_bad_options_are_named_and_write_nothing(finger, tmp_path, options, said
 
 
 def test_a_missing_twin_is_asked_for():
-    with pytest.raises(InputError, match=r"^Give the twin's folder with --twin=DIR\.$"):
+    with pytest.raises(InputError, match=r"^Give --twin=PATH; --help lists all options\.$"):
         render.main(["--pressure_kpa=[0,5]"])
 
 
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--pressure_kpa=[0,5]"], "--pressure_kpa is of a finger or an arm, but the twin at .* is of a gel"),
-        (["--particles=4000"], "--particles is of a finger or an arm"),
-        (["--seconds=1"], "--seconds is of a finger or an arm"),
-        (["--view.azimuth_deg=3"], "--view is of a finger or an arm"),
-        (["--recording=x"], "--recording is of a finger or an arm"),
+        (["--pressure_kpa=[0,5]"], "pressure_kpa is of a finger or an arm, but the twin at .* is of a gel"),
+        (["--particles=4000"], "particles is of a finger or an arm"),
+        (["--seconds=1"], "seconds is of a finger or an arm"),
+        (["--view.azimuth_deg=3"], "view is of a finger or an arm"),
+        (["--recording=x"], "recording is of a finger or an arm"),
         (["--conditions={temperature_c: 30}"], "'temperature_c'.*ask for none"),
-        (["--x_mm=50"], "--x_mm is 50, where the sphere misses the gel's window; give a place between -"),
-        (["--y_mm=-50"], "--y_mm is -50, where the sphere misses"),
-        (["--y_mm=.nan"], "--y_mm is nan"),
+        (["--x_mm=50"], "x_mm is 50, where the sphere misses the gel's window; give a place between -"),
+        (["--y_mm=-50"], "y_mm is -50, where the sphere misses"),
+        (["--y_mm=.nan"], "y_mm is nan"),
     ],
 )
 def test_what_a_gel_has_no_use_for_is_refused(tmp_path, options, said):
@@ -159,7 +159,7 @@ def test_a_press_is_refused_just_where_the_indenter_leaves_the_window(indenter):
         edge = gel.window_mm[axis] / 2 + reach[axis]
         at = {"x_mm": 0.0, "y_mm": 0.0}
         deepest_press(given(**at | {name: edge - 0.1}), gel)
-        with pytest.raises(InputError, match=f"--{name} is .*{indenter} misses"):
+        with pytest.raises(InputError, match=f"^{name} is .*{indenter} misses"):
             deepest_press(given(**at | {name: edge + 0.1}), gel)
 
 

@@ -106,7 +106,7 @@ def test_a_damaged_network_of_the_twin_is_refused(tmp_path):
 def test_twins_that_cannot_be_trained_are_refused(tmp_path):
     for device in ("arm", "gel"):
         new.main([f"--twin={tmp_path / device}", f"--device={device}"])
-        with pytest.raises(InputError, match=f"is the twin of an? {device}, .* give a finger's with --twin"):
+        with pytest.raises(InputError, match=f"is the twin of an? {device}, .* give a finger's twin"):
             train(tmp_path / device)
     twin = Twin.builtin()
     del twin.parameters["gain_rad_per_kpa"]
@@ -120,9 +120,9 @@ def test_twins_that_cannot_be_trained_are_refused(tmp_path):
 @pytest.mark.parametrize(
     "option, said",
     [
-        ("--trajectories=5", "--trajectories=5 are too few to train on; give 6 or more"),
-        ("--contacts=8", "--contacts=8 are too few to train on, .* give 9 or more"),
-        ("--device=tpu", "--device is 'tpu'; choose auto, cpu or cuda"),
+        ("--trajectories=5", "trajectories=5 are too few to train on; give 6 or more"),
+        ("--contacts=8", "contacts=8 are too few to train on, .* give 9 or more"),
+        ("--device=tpu", "device is 'tpu'; it must be one of auto, cpu, cuda"),
         ("--seconds=0", r"duration_s is 0.0; it must lie in \[0.02, 600\]"),
     ],
 )
@@ -133,5 +133,5 @@ def test_options_that_cannot_work_are_refused_before_anything_is_collected(tmp_p
     with pytest.raises(InputError, match=said):
         train(tmp_path / "twin", option)
     assert not list((tmp_path / "twin").glob("**/action_*"))
-    with pytest.raises(InputError, match="Give the twin's folder with --twin=DIR"):
+    with pytest.raises(InputError, match="Give --twin=PATH;"):
         surrogate.main([])

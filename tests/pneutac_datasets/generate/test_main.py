@@ -24,14 +24,14 @@ def test_a_gel_and_where_its_truth_is(tmp_path, capsys):
     assert f"truth: {tmp_path / 'truth' / 'g.json'}" in capsys.readouterr().out
     assert list(json.loads((tmp_path / "truth" / "g.json").read_text())) == ["shadow"]
     assert len(Recording.load(out)) == 2
-    assert main(["--device=gel", f"--out={out}", "--images=1"]) == 1
+    assert main(["--device=gel", f"--out={tmp_path / 'one'}", "--images=1"]) == 1
     assert "images is 1; at least 2" in capsys.readouterr().err
 
 
 def test_the_standin_is_two_recordings(tmp_path, capsys):
     assert main(["--device=standin", f"--out={tmp_path}", "--minutes=1"]) == 0
     assert capsys.readouterr().out == f"finger: {tmp_path / 'finger'}\ngel: {tmp_path / 'gel'}\n"
-    assert main(["--device=standin", f"--out={tmp_path}", "--minutes=0"]) == 1
+    assert main(["--device=standin", f"--out={tmp_path / 'none'}", "--minutes=0"]) == 1
     assert "minutes must be 1 to 60" in capsys.readouterr().err
 
 
@@ -43,6 +43,15 @@ def test_photographs_take_body_and_particles(tmp_path, monkeypatch, capsys):
     assert main(["--device=photographs", f"--out={tmp_path / 'p'}", "--seed=3", "--body=arm"]) == 0
     assert calls == [((tmp_path / "p", 3, "arm"), {})]
     assert f"truth: {tmp_path / 'truth' / 'p.json'}" in capsys.readouterr().out
+
+
+def test_a_recording_that_is_there_is_not_overwritten(tmp_path, capsys):
+    out = tmp_path / "r"
+    out.mkdir()
+    (out / "samples.csv").write_text("mine")
+    assert main([f"--out={out}", "--minutes=1"]) == 1
+    assert capsys.readouterr().err == f"{out} exists already; delete it or give another --out.\n"
+    assert (out / "samples.csv").read_text() == "mine" and not (tmp_path / "truth").exists()
 
 
 @pytest.mark.parametrize(

@@ -135,7 +135,33 @@ BAD = {
     "fractional trial": (lambda s: s.assign(trial=s.trial + 0.5), "'trial', row 1"),
     "trial resumed": (lambda s: pd.concat([s, s[s.trial == 0]]), "'trial', row 401 .*goes back to trial 0"),
     "no rows": (lambda s: s.iloc[:0], "no rows"),
+    "a time sent that is empty": (lambda s: with_sent(s, 12, np.nan), "'time_sent_s', row 13 .* is empty"),
+    "sent on another clock": (
+        lambda s: s.assign(time_sent_s=s.time_s + 1.7e9),
+        r"row 1 \(line 2 of the file\) \(trial 0\) is 1.7e\+09 s, later than the time 0.05 s of the next "
+        "row; give it on the clock of time_s",
+    ),
+    "sent after the next row": (
+        lambda s: with_sent(s, 40, s.time_s[41] + 0.01),
+        "row 41 .* later than the time",
+    ),
+    "sent before the row before": (
+        lambda s: with_sent(s, 40, s.time_s[38] + 0.045),
+        "row 41 .* earlier than the time 1.95 s of the row before",
+    ),
+    "sent out of order": (lambda s: with_sent(s, 40, s.time_s[39] - 0.04), "row 41 .* goes back from"),
+    "two commands at one time": (
+        lambda s: with_sent(s, 40, s.time_s[39] - 0.01),
+        "row 41 .* as in the row before, though the command is another",
+    ),
 }
+
+
+def with_sent(samples, row, time_s):
+    """Each command sent 10 ms before its row's time, but for one."""
+    samples = samples.assign(time_sent_s=samples.time_s - 0.01)
+    samples.loc[row, "time_sent_s"] = time_s
+    return samples
 
 
 @pytest.mark.parametrize("case", BAD)
@@ -172,6 +198,33 @@ def test_bad_table_is_one_sentence_with_file_column_and_remedy(tmp_path, case):
                 ('{"tip_x_mm": 0.2, "tip_z_mm": 0.2}', "does not name 'tip_y_mm'"),
             )
         ),
+        *(
+            (f'{{"device": "finger", "length_mm": 110, "samples": "samples.csv", "trials": {told}}}', message)
+            for told, message in (
+                ("[3]", "'trials' is .3.; name trials by number"),
+                ('{"1": "rested"}', "'trials' of trial '1' is 'rested'; give 'start'"),
+                ('{"1": {"pause_s": 3}}', "give 'start' and perhaps 'pause_s'"),
+                ('{"1": {"start": "rested", "rest_s": 3}}', "give 'start' and perhaps 'pause_s'"),
+                (
+                    '{"1": {"start": "warm"}}',
+                    "'start' is 'warm'; it must be one of rested, continues, unknown",
+                ),
+                ('{"1": {"start": ["rested"]}}', "it must be one of rested"),
+                ('{"1": {"start": "continues", "pause_s": -1}}', "'pause_s' is -1; give seconds, 0 or more"),
+                ('{"1": {"start": "continues", "pause_s": NaN}}', "'pause_s' is nan; give seconds"),
+                ('{"1": {"start": "continues", "pause_s": Infinity}}', "'pause_s' is inf; give seconds"),
+                ('{"1": {"start": "continues", "pause_s": "1"}}', "'pause_s' is '1'; give seconds"),
+                (
+                    '{"1": {"start": "rested", "pause_s": 12}}',
+                    "12 though its start is 'rested'.*leave it out",
+                ),
+                (
+                    '{"7": {"start": "rested"}}',
+                    "trial '7', which is not in the table; its trials are 0, 1, 2, 3",
+                ),
+                ('{"0": {"start": "continues"}}', "lets trial 0 continue, but it is the first"),
+            )
+        ),
         ('{"device": "finger", "samples": "other.csv"}', "other.csv is missing"),
         ('{"device": "finger", "samples": "../r2/samples.csv"}', "inside the folder"),
         ('{"device": "finger", "samples": "samples.pkl"}', "samples"),
@@ -183,6 +236,63 @@ def test_bad_metadata_names_the_field(tmp_path, text, message):
     (tmp_path / "r" / "recording.json").write_text(text)
     with pytest.raises(InputError, match=message):
         Recording.load(tmp_path / "r")
+
+
+LONG = "x" * 5000
+LONG_META = {
+    "device": {"device": LONG},
+    "length_mm": {"length_mm": LONG},
+    "a length of many digits": {"length_mm": 10**4000},
+    "samples": {"samples": LONG + ".csv"},
+    "samples of another kind": {"samples": ["samples.csv"] * 500},
+    "joints": {"spine_joint_positions_mm": [LONG] * 500},
+    "noise": {"noise": [0.1] * 5000},
+    "noise of one column": {"noise": {"tip_x_mm": LONG}},
+    "noise of no column": {"noise": {LONG: 0.1}},
+    "trials": {"trials": [LONG]},
+    "a trial's name": {"trials": {LONG: {"start": "rested"}}},
+    "a trial's start": {"trials": {"1": {"start": LONG}}},
+    "a trial's fields": {"trials": {"1": {"start": "rested"} | {f"{LONG}{i}": 1 for i in range(9)}}},
+    "a trial's pause": {"trials": {"1": {"start": "continues", "pause_s": LONG}}},
+    "many trials, one unknown": {"trials": {"1234": {"start": "rested"}}},
+}
+LONG_TABLES = {
+    "a text": lambda s: break_("pressure_cmd_kpa", 7, LONG)(s),
+    "a trial": lambda s: break_("trial", 7, LONG)(s),
+    "a unit": lambda s: s.rename(columns={"pressure_cmd_kpa": f"pressure_cmd_{LONG}"}),
+    "a condition": lambda s: s.assign(**{f"{LONG}_c": "warm"}),
+    "a column twice": lambda s: s.assign(a=0, b=0).rename(columns={"a": LONG, "b": LONG}),
+    "many trials, one unknown": lambda s: s.assign(trial=np.arange(len(s))),
+}
+
+
+@pytest.mark.parametrize("case", sorted({*LONG_META, *LONG_TABLES}))
+def test_no_message_is_long(tmp_path, monkeypatch, case):
+    monkeypatch.chdir(tmp_path)
+    write(Path("r"), LONG_TABLES.get(case, lambda s: s)(table()))
+    Path("r/recording.json").write_text(json.dumps(META | LONG_META.get(case, {})))
+    with pytest.raises(InputError) as e:
+        Recording.load("r")
+    assert 20 < len(str(e.value)) <= 400 and str(e.value).endswith(".")
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, '{"length_mm": ' + "1" * 5000 + "}", "\udcff"])
+def test_what_json_cannot_hold_is_one_short_sentence(tmp_path, monkeypatch, text):
+    monkeypatch.chdir(tmp_path)
+    write(Path("r"))
+    Path("r/recording.json").write_text(text, errors="surrogateescape")
+    with pytest.raises(InputError, match="is not valid JSON") as e:
+        Recording.load("r")
+    assert len(str(e.value)) <= 400
+
+
+def test_a_missing_column_and_a_long_image_name_are_short_sentences(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    r = Recording.load(write(Path("r"), table().assign(**{f"condition_{i}": 0.0 for i in range(50)})))
+    for call in (lambda: r.column("force_x_n"), lambda: r.image(LONG + ".png")):
+        with pytest.raises(InputError) as e:
+            call()
+        assert len(str(e.value)) <= 400
 
 
 def test_missing_folder_and_garbage_files_are_refused(tmp_path):
@@ -235,6 +345,31 @@ def test_a_table_with_semicolons_says_so(tmp_path):
 def test_stated_noise_of_every_tip_column_is_accepted(tmp_path):
     noise = {"tip_x_mm": 0.2, "tip_y_mm": 0.2, "tip_z_mm": 1}
     assert Recording.load(write(tmp_path / "r", noise=noise)).meta["noise"] == noise
+
+
+def test_starts_and_times_sent_survive_a_round_trip_and_the_loss_of_trials(tmp_path):
+    told = {"0": {"start": "rested"}, "2": {"start": "continues", "pause_s": 12}, "3": {"start": "continues"}}
+    held = table().assign(pressure_cmd_kpa=lambda s: np.repeat(s.pressure_cmd_kpa[::10], 10).to_numpy())
+    first = np.repeat(held.time_s[::10] - 0.01, 10).to_numpy()  # a command stands for ten rows
+    r = Recording.load(write(tmp_path / "r", held.assign(time_sent_s=first), trials=told))
+    r = Recording.load(r.write(tmp_path / "again"))
+    np.testing.assert_allclose(r.column("time_sent_s"), first)
+    assert r.conditions == ["program", "temperature_c"]
+    assert [(s.start, s.pause_s) for s in r.starts.values()] == [
+        ("rested", None), ("unknown", None), ("continues", 12), ("continues", None)
+    ]  # fmt: skip
+    fewer = r.keep(r.column("trial") != 1)
+    fewer = Recording.load(fewer.write(tmp_path / "fewer"))
+    assert [s.start for s in fewer.starts.values()] == ["rested", "unknown", "continues"]
+    thinned = r.keep(np.arange(len(r)) % 7 > 0)
+    assert thinned.starts == r.starts and len(Recording.load(thinned.write(tmp_path / "thin"))) == len(
+        thinned
+    )
+
+
+def test_a_command_that_is_sent_after_the_rows_measurement_is_accepted(tmp_path):
+    r = Recording.load(write(tmp_path / "r", table().assign(time_sent_s=lambda s: s.time_s + 0.02)))
+    assert r.warnings == [] and not (r.column("time_sent_s") < r.column("time_s")).any()
 
 
 @pytest.mark.parametrize(

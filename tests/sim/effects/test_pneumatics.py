@@ -127,3 +127,74 @@ def test_sensor_error_is_undone_exactly():
     reading = 1.05 * p + 0.3 + 1e-3 * t
     values = {"scale": 1.05, "offset_kpa": 0.3, "drift_kpa_per_s": 1e-3}
     np.testing.assert_allclose(apply("sensor_offset", reading, values, conditions=t), p, atol=1e-12)
+
+
+# ---------------------------------------------------------------- resonance
+
+
+def step_response(t, omega, zeta):
+    """Of y'' + 2 zeta omega y' + omega^2 (y - 1) = 0 from rest."""
+    w = omega * np.sqrt(complex(1 - zeta**2))
+    return 1 - (np.exp(-zeta * omega * t) * (np.cos(w * t) + zeta * omega / w * np.sin(w * t))).real
+
+
+@pytest.mark.parametrize("zeta", [0.2, 0.8, 2.5])
+def test_a_resonance_answers_a_step_under_and_over_damped(zeta):
+    t = np.arange(300) / HZ
+    dt = np.r_[np.inf, 1e-9, np.full(299, 1 / HZ)]
+    values = {"frequency_rad_per_s": 11.0, "damping_ratio": zeta}
+    y = get_effect("air_resonance").apply(np.r_[0.0, np.full(300, 8.0)], dt, values)
+    np.testing.assert_allclose(y[1:], 8.0 * step_response(t, 11.0, zeta), atol=1e-6)
+    if zeta == 0.2:
+        assert y.max() == pytest.approx(8 * (1 + np.exp(-np.pi * 0.2 / np.sqrt(0.96))), rel=1e-2)
+
+
+@pytest.mark.parametrize("zeta", [0.2, 1.0, 2.5])
+def test_a_resonance_follows_a_ramp_behind_by_its_damping(zeta):
+    t, x = ramp_then_hold(3.0, seconds=30.0)
+    y = apply("air_resonance", x, {"frequency_rad_per_s": 25.0, "damping_ratio": zeta})
+    late = (t > 1.5) & (t < 2.0)
+    np.testing.assert_allclose((x - y)[late], 3.0 * 2 * zeta / 25.0, rtol=0.02)
+    assert y[-1] == pytest.approx(6.0, abs=1e-6)
+
+
+# ---------------------------------------------------------------- slew
+
+SLEW = {"fill_rate_kpa_per_s": 4.0, "vent_rate_kpa_per_s": 2.0, "band_kpa": 0.5, "vent_growth": 0.0}
+
+
+def test_a_slow_valve_fills_in_a_straight_line_and_settles_within_its_band():
+    dt = np.r_[np.inf, 1e-9, np.full(400, 0.01)]
+    y = get_effect("valve_slew").apply(np.r_[0.0, np.full(401, 6.0)], dt, SLEW | {"scale_kpa": 6.0})
+    t = 0.01 * np.arange(401)
+    to_band = 5.5 / 4.0
+    expected = np.where(t < to_band, 4.0 * t, 6.0 - 0.5 * np.exp(-(t - to_band) * 4.0 / 0.5))
+    np.testing.assert_allclose(y[1:], expected, atol=1e-7)
+
+
+def test_it_vents_quicker_from_a_higher_pressure():
+    dt = np.r_[np.inf, 1e-9, np.full(100, 0.01)]
+    values = SLEW | {"vent_growth": 1.5, "scale_kpa": 10.0}
+    y = get_effect("valve_slew").apply(np.r_[10.0, np.zeros(101)], dt, values)
+    t = 0.01 * np.arange(101)
+    a = 0.15  # p' = -2 (1 + 0.15 p), until the band
+    expected = (10.0 + 1 / a) * np.exp(-2.0 * a * t) - 1 / a
+    assert expected[-1] > 0.5
+    np.testing.assert_allclose(y[1:], expected, atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [("air_resonance", {"frequency_rad_per_s": 11.0, "damping_ratio": 0.3}), ("valve_slew", SLEW)],
+)
+def test_twice_the_samples_of_straight_lines_hardly_matter_and_a_rest_lasts(name, values):
+    levels = np.random.default_rng(0).uniform(0, 8, 30)
+    x = np.interp(np.linspace(0, 29, 801), np.arange(30), levels)
+    fine = np.interp(np.arange(0, 800.5, 0.5), np.arange(801), x)
+    coarse = apply(name, x, values)
+    assert np.abs(coarse - apply(name, fine, values, 0.5 / HZ)[::2]).max() < 0.02 * np.abs(coarse - x).max()
+    np.testing.assert_allclose(apply(name, np.full(50, 3.0), values), 3.0, atol=1e-12)
+    dt = np.full(801, 1 / HZ)
+    dt[400] = np.inf
+    whole = get_effect(name).apply(x, dt, values)
+    np.testing.assert_allclose(whole[400:], apply(name, x[400:], values), atol=1e-12)

@@ -221,3 +221,64 @@ def test_ten_minutes_with_every_effect_take_well_under_50_ms(program):
         model.run(inputs, run.theta)
         times.append(time.process_time() - began)
     assert min(times) < 0.05
+
+
+@pytest.mark.parametrize(
+    ("effects", "late"),
+    [(["valve_lag", "gravity"], False), (["creep", "base_tilt"], True), (["lag(p)", "tracker_lag"], True)],
+)
+def test_early_thinning_gives_what_running_all_rows_gives(program, with_effects, effects, late):
+    """What remembers nothing is run at the wanted samples alone."""
+    twin = with_effects(Twin.builtin(), dict.fromkeys(effects, {}))
+    inputs = Inputs.from_samples(program(1600), start=2.0)
+    keep = np.sort(np.random.default_rng(0).permutation(1600)[:200])
+    model, whole = simulate(twin, inputs)
+    _, thin = simulate(twin, inputs.thin(keep))
+    assert (model.thins_at > model.drive + 1) == late
+    assert len(thin.markers) == 200 and len(whole.markers) == 1600
+    assert len(thin.signals[model.thins_at]) == len(inputs.dt_s) > 1600
+    assert all(len(s) == 200 for s in thin.signals[model.thins_at + 1 :])
+    for name in ("markers", "joints", "pressure_kpa"):
+        # loads are solved from the sample before, to a tolerance
+        np.testing.assert_allclose(getattr(thin, name), getattr(whole, name)[keep], atol=1e-5)
+
+
+@pytest.mark.parametrize("device", ["finger", "arm"])
+def test_a_free_profile_bends_one_joint_alone(device):
+    samples = {"trial": np.zeros(30, int), "time_s": np.arange(30) / 10}
+    samples |= {f"pressure_cmd_{i}_kpa": np.linspace(i, 12, 30) for i in (1, 2, 3)}
+    samples["pressure_cmd_kpa"] = np.linspace(0, 12, 30)
+    twin = Twin(device=device, parameters={"gain_rad_per_kpa": Value(0.02)})
+    inputs = Inputs.from_samples(samples, device)
+    _, before = simulate(twin, inputs)
+    axes = 1 if device == "finger" else 2
+    for n in (1, 3):
+        own = twin.copy()
+        own.parameters[f"bend_{n}"] = Value(0.5)
+        _, after = simulate(own, inputs)
+        ratio = np.ones(before.joints.shape[1])
+        ratio[(n - 1) * axes : n * axes] = 1.5
+        np.testing.assert_allclose(after.joints, before.joints * ratio, atol=1e-12)
+
+
+def test_a_curl_is_shared_by_the_joints_and_has_no_stress(program, with_effects):
+    inputs = Inputs.from_samples(program(300))
+    _, before = simulate(Twin.builtin(), inputs)
+    curled = Twin.builtin()
+    curled.parameters["curl_rad"] = Value(0.8)
+    _, after = simulate(curled, inputs)
+    np.testing.assert_allclose(after.joints - before.joints, 0.8 / 4, atol=1e-12)
+    creeping = [with_effects(t, {"creep": {}}) for t in (Twin.builtin(), curled)]
+    (_, a), (_, b) = (simulate(t, inputs) for t in creeping)
+    np.testing.assert_allclose(b.joints - a.joints, 0.8 / 4, atol=1e-12)
+
+
+def test_a_chambers_turn_turns_its_own_direction():
+    p = 10.0 * np.eye(3)
+    table = {"trial": np.arange(3), "time_s": np.zeros(3)}
+    table |= {f"pressure_cmd_{i + 1}_kpa": p[:, i] for i in range(3)}
+    twin = Twin(device="arm", length_mm=117.0)
+    twin.parameters |= {"gain_rad_per_kpa": Value(0.02), "chamber_2_turn_rad": Value(np.radians(12.0))}
+    _, run = simulate(twin, Inputs.from_samples(table, "arm", 117.0))
+    direction = np.degrees(np.arctan2(run.markers[:, 1], run.markers[:, 2])) % 360
+    np.testing.assert_allclose(direction, [0, 132, 240], atol=1e-9)

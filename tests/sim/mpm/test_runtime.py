@@ -79,7 +79,7 @@ def test_cuda_gives_what_the_cpu_gives(tmp_path):
 
 
 def test_an_unknown_device_is_refused():
-    with pytest.raises(InputError, match="no device 'tpu'; choose auto, cpu or cuda"):
+    with pytest.raises(InputError, match="device is 'tpu'; it must be one of auto, cpu, cuda"):
         runtime.start("tpu")
 
 

@@ -105,10 +105,10 @@ def test_metres_and_millimetres_give_the_same_body(tmp_path):
     m = read_mesh(saved(mesh.copy().apply_scale(1e-3), tmp_path, "m.ply"), unit="m")
     np.testing.assert_allclose(m.mesh.bounds, mm.mesh.bounds, atol=1e-4)
     with pytest.raises(
-        InputError, match=r"read in mm is 0.09 mm long.*: if it is in metres, add --mesh_unit=m\.$"
+        InputError, match=r"read in mm is 0.09 mm long.*: if it is in metres, give the unit m\.$"
     ):
         read_mesh(tmp_path / "m.ply")
-    with pytest.raises(InputError, match="read in m is 9e.04 mm long.*omit --mesh_unit=m"):
+    with pytest.raises(InputError, match="read in m is 9e.04 mm long.*give the unit mm"):
         read_mesh(tmp_path / "mm.ply", unit="m")
 
 
@@ -117,8 +117,8 @@ def test_metres_and_millimetres_give_the_same_body(tmp_path):
     [
         (4.33, "mm", "if it is in inches, scale it by 25.4"),
         (4.33, "m", "if it is in inches, scale it by 0.0254"),
-        (0.11, "mm", "if it is in metres, add --mesh_unit=m"),
-        (0.5, "mm", "if it is in metres, add --mesh_unit=m, or if it is in inches, scale it by 25.4"),
+        (0.11, "mm", "if it is in metres, give the unit m"),
+        (0.5, "mm", "if it is in metres, give the unit m, or if it is in inches, scale it by 25.4"),
         (1e-6, "mm", "scale it"),
         (1e-6, "m", "scale it"),
         (2e5, "m", "scale it"),
@@ -210,7 +210,7 @@ TUBE = trimesh.creation.annulus(r_min=7, r_max=9, height=90)
         (cut(capsule(90, 9)), "is not closed: [0-9]+ edges do not join exactly two triangles"),
         (two(40.0), "holds 2 separate bodies, the largest with 50% of the volume"),
         (two(10.0), "holds 2 separate bodies"),
-        (trimesh.creation.box((20, 20, 20)), "as long along . as along .*--mesh_axis"),
+        (trimesh.creation.box((20, 20, 20)), "as long along . as along .*the axis x, y or z"),
         (TUBE, "no material along its neutral axis.*chamber"),
         (
             trimesh.Trimesh([[0, 0, 0], [90, 0, 0], [0, 9, 0]], [[0, 1, 2], [0, 2, 1]], process=False),
@@ -241,7 +241,7 @@ def test_files_that_are_no_mesh_are_refused(tmp_path):
         with pytest.raises(InputError, match=name):
             read_mesh(tmp_path / name)
     for option, value in (("unit", "inch"), ("axis", "w")):
-        with pytest.raises(InputError, match=f"--mesh_{option} is '{value}'"):
+        with pytest.raises(InputError, match=f"^{option} is '{value}'"):
             read_mesh(tmp_path / "a.stl", **{option: value})
 
 

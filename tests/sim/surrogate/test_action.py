@@ -46,7 +46,7 @@ def test_a_file_gives_the_same_network(network, tmp_path):
         again.torque(x[:, :4], x[:, 4:8], x[:, 8]), network.torque(x[:, :4], x[:, 4:8], x[:, 8])
     )
     assert again.fingerprint == network.fingerprint
-    assert not list(tmp_path.glob("*.tmp"))
+    assert not list(tmp_path.glob("*.part"))
 
 
 def test_files_that_are_none(network, tmp_path):

@@ -182,7 +182,7 @@ def test_too_few_contacts_are_refused(tmp_path, quick):
         train_gel(tmp_path, "")
     with pytest.raises(InputError, match="no indenter 'ball' to hold out; there are sphere"):
         train_gel(tmp_path, "", heldout=["ball"])
-    with pytest.raises(InputError, match="no device 'tpu'; choose auto, cpu or cuda"):
+    with pytest.raises(InputError, match="device is 'tpu'; it must be one of auto, cpu, cuda"):
         train_gel(tmp_path, "", device="tpu")
 
 

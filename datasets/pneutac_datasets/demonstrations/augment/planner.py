@@ -25,14 +25,14 @@ class PlannerConfig:
     """Options of the planner.
 
     Attributes:
-        horizon: H, control steps that a plan looks ahead.
-        samples: action sequences that an iteration tries.
-        elites: how many of the best make the next mean and spread.
-        iterations: of CEM at a replanning.
-        replan: control steps after which it plans anew.
-        area_weight: w, on the squared error of the contact area.
-        position_weight: lambda, on the squared error of the flange position, 1/m2.
-        smoothness_weight: mu, on the squared change of the action.
+        horizon: number of control steps that a plan looks ahead, H.
+        samples: number of action sequences that an iteration tries.
+        elites: number of the best sequences, which make the next mean and spread.
+        iterations: number of iterations of CEM at a replanning.
+        replan: number of control steps after which it plans anew.
+        area_weight: weight of the squared error of the contact area, w.
+        position_weight: weight of the squared error of the flange position, lambda, 1/m2.
+        smoothness_weight: weight of the squared change of the action, mu.
         jitter_m_s: spread of the velocities tried, m/s.
         jitter_kpa: spread of the pressures tried, kPa.
     """
@@ -51,16 +51,15 @@ class PlannerConfig:
     def __post_init__(self):
         for name, least in (("horizon", 2), ("samples", 3), ("elites", 2), ("iterations", 1), ("replan", 1)):
             if getattr(self, name) < least:
-                raise InputError(f"--planner.{name} is {getattr(self, name)}; it must be {least} or more.")
+                raise InputError(f"{name} is {getattr(self, name)}; it must be {least} or more.")
         for name, limit in (("elites", "samples"), ("replan", "horizon")):
             if getattr(self, name) > getattr(self, limit):
                 raise InputError(
-                    f"--planner.{name} is {getattr(self, name)}; it must be at most --planner.{limit}"
-                    f" ({getattr(self, limit)})."
+                    f"{name} is {getattr(self, name)}; it must be at most {limit} ({getattr(self, limit)})."
                 )
         for name in ("area_weight", "position_weight", "smoothness_weight", "jitter_m_s", "jitter_kpa"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
-                raise InputError(f"--planner.{name} is {getattr(self, name)}; it must be a number from 0 on.")
+                raise InputError(f"{name} is {getattr(self, name)}; it must be a number from 0 on.")
 
 
 def demonstration_cost(

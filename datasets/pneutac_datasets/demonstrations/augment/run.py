@@ -39,10 +39,11 @@ from pneutac_datasets.demonstrations.episodes import (
     save_episode,
 )
 from pneutac_datasets.demonstrations.naive import augment_naive
-from pneutac_datasets.demonstrations.save import Progress, create_dataset, no_progress, quiet_encoders
+from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import CONTROL_HZ
 from pneutac_sim.gel.sensor import TactileSensor
+from pneutac_sim.progress import Progress, no_progress
 
 PROVENANCE = "provenance.jsonl"  # in the dataset's folder `meta`
 
@@ -133,7 +134,7 @@ def augment_guided(
         shutil.rmtree(work.folder)
     except BrokenProcessPool as e:
         raise InputError(
-            "A worker process ended (out of memory?); repeat the command to go on, with fewer --workers."
+            "A worker process ended (out of memory?); repeat the command to go on, with fewer workers."
         ) from e
     finally:
         pool.shutdown(wait=True, cancel_futures=True)

@@ -5,7 +5,6 @@ workers, and pieces made twice are equal.
 """
 
 import json
-import os
 from dataclasses import asdict
 from pathlib import Path
 
@@ -14,6 +13,7 @@ import numpy as np
 from pneutac_datasets.demonstrations.augment.episode import Attempt, AugmentSetup, Generator
 from pneutac_datasets.demonstrations.augment.scene import Scene
 from pneutac_sim.errors import InputError
+from pneutac_sim.files import whole, write_json
 from pneutac_sim.worker import start_worker
 
 
@@ -29,13 +29,10 @@ class Work:
 
     def open(self, run: dict) -> None:
         """Begins a run or goes on with the same one; raises InputError where the folder holds another."""
-        file = self.folder / "run.json"
-        text = json.dumps(run, indent=2, sort_keys=True)
+        file, run = self.folder / "run.json", json.loads(json.dumps(run))
         if not file.exists():
-            self.folder.mkdir(parents=True, exist_ok=True)
-            _write(file, lambda f: f.write(text.encode()))
-        elif file.read_text() != text:
-            old = json.loads(file.read_text())
+            write_json(file, run)
+        elif (old := json.loads(file.read_text())) != run:
             changed = ", ".join(k for k in sorted(run.keys() | old.keys()) if run.get(k) != old.get(k))
             raise InputError(
                 f"'{self.folder}' holds an unfinished augmentation with another {changed}; delete that"
@@ -67,7 +64,7 @@ class Work:
 
     def save_scene(self, source: int, scene: Scene) -> None:
         """Writes a scene."""
-        _write(self.scene_file(source), lambda f: f.write(json.dumps(asdict(scene)).encode()))
+        write_json(self.scene_file(source), asdict(scene))
 
     def save_episode(self, index: int, attempt: Attempt, provenance: dict, seconds: dict) -> None:
         """Writes a demonstration; images as differences from the first, which are mostly zero."""
@@ -79,14 +76,8 @@ class Work:
             "provenance": np.array(json.dumps(provenance)),
             "seconds": np.array(json.dumps(seconds)),
         }
-        _write(self.episode_file(index), lambda f: np.savez_compressed(f, **arrays))
-
-
-def _write(file: Path, write) -> None:
-    temporary = file.with_name(f"{file.name}.{os.getpid()}.tmp")
-    with temporary.open("wb") as f:
-        write(f)
-    os.replace(temporary, file)
+        with whole(self.episode_file(index)) as part, part.open("wb") as f:
+            np.savez_compressed(f, **arrays)
 
 
 # ------------------------------------------------------------------ in a worker process

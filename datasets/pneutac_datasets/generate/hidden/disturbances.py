@@ -26,7 +26,7 @@ def marker_slip(tip, bench, size, rng):
     return tip + size * (track - track.mean(0)) / max(track.std(), 1e-9)
 
 
-@foreign("disturbance_vibration", "a machine nearby shakes the finger at a fixed rate", "body", (), 0.05, 1.0)
+@foreign("disturbance_vibration", "a machine nearby shakes it at a fixed rate", "drive", (), 0.05, 1.0)
 def vibration(drive, bench, size, rng):
     """A force that comes and goes with two rates, blind to the pressure."""
     t = np.arange(len(drive)) * bench.dt
@@ -38,7 +38,7 @@ def vibration(drive, bench, size, rng):
 
 
 @foreign(
-    "disturbance_crosstalk", "another chamber, not on record, is stepped at random", "body", (), 0.1, 1.0
+    "disturbance_crosstalk", "another chamber, not on record, is stepped at random", "drive", (), 0.1, 1.0
 )
 def crosstalk(drive, bench, size, rng):
     """A neighbouring input with its own random levels bends the finger as well."""

@@ -8,10 +8,11 @@ import numpy as np
 from pneutac_datasets.generate.hidden.bench import HiddenBench
 
 # The chain, in order. An effect takes the signal of its stage and returns it changed:
-#   command, pressure, drive, body: (n,) kPa on the fine grid;  gauge: what the gauge reads (n,) -> the true
-#   pressure (n,);  load: joint angles (m, 4), rad, of the logged samples -> torque (m, 4), N m, all added up;
+#   command, pressure, drive, material: (n,) kPa on the fine grid;
+#   gauge: what the gauge reads (n,) -> the true pressure (n,);
+#   load: joint angles (m, 4), rad, of the logged samples -> torque (m, 4), N m, all added up;
 #   marker: tip (m, 3), mm, of the logged samples.
-STAGES = ("command", "pressure", "gauge", "drive", "body", "load", "marker")
+STAGES = ("command", "pressure", "gauge", "drive", "material", "load", "marker")
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,9 @@ import pandas as pd
 
 from pneutac_datasets.generate.hidden import (  # noqa: F401  they register their effects
     actuation,
-    body,
     disturbances,
+    load,
+    material,
     observation,
     pneumatics,
 )
@@ -169,7 +170,7 @@ def simulate(
         return signal
 
     reading = act("pressure", act("command", bench.command))
-    drive = act("body", act("drive", act("gauge", reading)))
+    drive = act("material", act("drive", act("gauge", reading)))
     free = bench.angles(drive[bench.logged])
     q = free
     loads = [e for e in effects if e.stage == "load"]

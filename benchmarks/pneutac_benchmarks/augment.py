@@ -1,0 +1,94 @@
+"""`pneutac benchmark augment`: measures demonstrations a minute, yield, and where the time goes."""
+
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+
+from lerobot_pneutac.reports.page import write_result
+from lerobot_pneutac.verbs.augment import AugmentConfig, DatasetRef, augment
+from pneutac_benchmarks.tables import markdown, terminal
+from pneutac_sim.errors import check_choice, check_least
+from pneutac_sim.features import CONTROL_HZ, DEMONSTRATION_S, TASK_NAMES
+
+
+@dataclass
+class BenchmarkAugmentConfig:
+    """Options of `pneutac benchmark augment`.
+
+    Attributes:
+        tasks: names of tasks.
+        demonstrations: number of scripted demonstrations, recorded first.
+        episodes: number of new demonstrations.
+        seed: seed of every random choice.
+        workers: number of processes; where left out, one a core.
+        out: folder of the datasets, `result.json` and `table.md`.
+    """
+
+    tasks: tuple[str, ...] = TASK_NAMES
+    demonstrations: int = 4
+    episodes: int = 20
+    seed: int = 1
+    workers: int | None = None
+    out: Path = Path("outputs/benchmark_augment")
+
+    def __post_init__(self):
+        self.out = Path(self.out)
+        for task in self.tasks or ("",):
+            check_choice("tasks", task, TASK_NAMES)
+        check_least(2, demonstrations=self.demonstrations)
+        check_least(1, episodes=self.episodes, workers=1 if self.workers is None else self.workers)
+
+
+def benchmark_augment(cfg: BenchmarkAugmentConfig) -> None:
+    """Records, augments and prints the table."""
+    console = Console()
+    rows = [_measure(cfg, task, console) for task in cfg.tasks]
+    heads = list(rows[0])
+    cells = [[x if isinstance(x, str) else f"{x:.3g}" for x in r.values()] for r in rows]
+    console.print(terminal("Augmentation", heads, cells, left=1))
+    write_result(cfg.out, {"rows": rows})
+    (cfg.out / "table.md").write_text("\n".join(markdown(heads, cells)) + "\n")
+
+
+def _measure(cfg: BenchmarkAugmentConfig, task: str, console: Console) -> dict:
+    """One row of the table."""
+    from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
+    from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
+    from lerobot_robot_pneutac.teleoperators.config_pneutac_scripted import PneutacScriptedConfig
+    from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
+    from pneutac_datasets.demonstrations.record import record_episodes
+
+    recorded, made = cfg.out / f"recorded_{task}", cfg.out / f"made_{task}"
+    for folder in (recorded, made, made.with_name(made.name + ".work")):
+        shutil.rmtree(folder, ignore_errors=True)
+    cfg.out.mkdir(parents=True, exist_ok=True)
+    robot = PneutacSim(PneutacSimConfig(id="twin", task=task, seed=cfg.seed))
+    teleop = PneutacScripted(
+        PneutacScriptedConfig(id="scripted", seed=cfg.seed, episode_steps=DEMONSTRATION_S * CONTROL_HZ)
+    )
+    record_episodes(robot, teleop, f"local/{recorded.name}", recorded, cfg.demonstrations, task, True)
+    config = AugmentConfig(
+        dataset=DatasetRef(f"local/{recorded.name}", recorded),
+        output=DatasetRef(f"local/{made.name}", made),
+        task=task,
+        episodes=cfg.episodes,
+        seed=cfg.seed,
+        workers=cfg.workers,
+    )
+    with console.status(f"augmenting {task}"):
+        summary = augment(config).summary
+    s = summary["seconds"]
+    parts = {k: s[k] for k in ("physics", "touch", "execution", "writing")}
+    total = sum(parts.values())
+    return {
+        "task": task,
+        "demonstrations a minute": 60 * summary["kept"] / summary["wall_s"],
+        "yield (%)": 100 * summary["kept"] / summary["attempts"],
+        "planner steps a second and worker": s["planner_steps"] / (s["physics"] + s["touch"]),
+        "planner physics (%)": 100 * parts["physics"] / total,
+        "planner touch (%)": 100 * parts["touch"] / total,
+        "carrying out (%)": 100 * parts["execution"] / total,
+        "writing (%)": 100 * parts["writing"] / total,
+    }

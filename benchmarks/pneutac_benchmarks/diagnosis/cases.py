@@ -1,0 +1,105 @@
+"""`pneutac benchmark diagnosis`: whether the diagnosis finds what a device does, and says so where not."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from pneutac_sim.errors import InputError
+
+SETS = ("truths", "hidden", "real", "extrapolation", "own_form_out", "rivals")
+DEVICES = ("rod", "arm", "cosserat")
+
+
+@dataclass
+class BenchmarkDiagnosisConfig:
+    """Options of `pneutac benchmark diagnosis`.
+
+    Attributes:
+        set: `truths` (devices that share nothing with the twin, judged on another day), `hidden` (devices
+            built like the twin), `real` ($PNEUTAC_DATA/soft), `extrapolation` (truths, learnt below 60 % of
+            the pressure), `own_form_out` (without the truth's families) or `rivals` (other methods).
+        out: folder of the table; finished cases in it are not repeated. Where left out,
+            outputs/benchmark_diagnosis/SET.
+        fast: one seed, few cases and four-minute recordings only.
+        seeds: devices or recordings of each kind; splits of a real one.
+        first_seed: of the first; another one makes another, equally blind test.
+        minutes: length of each recording; a cosserat rod is always recorded for two.
+        devices: of truths, with commas between.
+        effects: of truths, with commas between; where left out, all, pairs, `plain` and `device`.
+        jobs: processes; 0 for all cores.
+    """
+
+    set: str = "truths"
+    out: Path | None = None
+    fast: bool = False
+    seeds: int = 5
+    first_seed: int = 0
+    minutes: float = 10.0
+    devices: tuple[str, ...] = DEVICES
+    effects: tuple[str, ...] = ()
+    jobs: int = 0
+
+    def __post_init__(self):
+        if self.set not in SETS:
+            raise InputError(f"--set={self.set} must be one of {', '.join(SETS)}.")
+        if self.seeds < 1 or self.jobs < 0 or not 1 <= self.minutes <= 60:
+            raise InputError("--seeds must be 1 or more, --jobs 0 or more, --minutes 1 to 60.")
+        unknown = sorted(set(self.devices) - set(DEVICES))
+        if unknown:
+            raise InputError(f"--devices={','.join(unknown)} must be some of {', '.join(DEVICES)}.")
+        if self.fast:
+            self.seeds, self.minutes = 1, min(self.minutes, 4.0)
+
+    @property
+    def folder(self) -> Path:
+        """Of the table."""
+        return self.out or Path("outputs/benchmark_diagnosis") / self.set
+
+
+@dataclass(frozen=True)
+class Case:
+    """One diagnosis, or one comparison of methods.
+
+    Attributes:
+        set: one of `SETS`.
+        kind: within the set: `effect`, `pair`, `none`, `unknown`, `plain`, `device`; or how a real one is
+            split.
+        effects: names, joined by commas.
+        seed: of everything random.
+        minutes: of the recording.
+        strength: of a hidden effect.
+        device: of a truth, or the folder of a real recording.
+    """
+
+    set: str
+    kind: str
+    effects: str
+    seed: int
+    minutes: float = 0.0
+    strength: float = 1.0
+    device: str = ""
+
+    @property
+    def key(self) -> str:
+        """File name of its answer."""
+        parts = (self.kind, self.device, self.effects.replace(",", "+"), f"{self.strength:g}", str(self.seed))
+        return "_".join(p for p in (*parts, f"{self.minutes:g}min") if p)
+
+
+def diagnosed(twin, recording, seed: int, wanted: Callable[[str], bool] | None = None):
+    """A diagnosis in one thread.
+
+    Args:
+        twin: as it is.
+        recording: to learn from.
+        seed: of the split.
+        wanted: which candidates may be tried; all where None.
+    """
+    from lerobot_pneutac.diagnosis.steps import Steps
+    from lerobot_pneutac.study.by_device import study_of
+    from lerobot_pneutac.verbs.diagnosis import Diagnosis
+
+    study = study_of(twin, recording, seed)
+    if wanted is not None:
+        study.candidates = [c for c in study.candidates if wanted(c)]
+    return Diagnosis(study=study, outcome=study.search(1, Steps()))

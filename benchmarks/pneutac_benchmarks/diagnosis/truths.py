@@ -1,0 +1,165 @@
+"""Sets `truths`, `extrapolation`, `own_form_out`: day 1 of a foreign device is diagnosed, day 2 judges."""
+
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pneutac_benchmarks.diagnosis.cases import BenchmarkDiagnosisConfig, Case, diagnosed
+from pneutac_benchmarks.diagnosis.rules import BASE, COUNTS, counts, removed
+from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.errors import InputError
+from pneutac_sim.twin import Twin
+from pneutac_truths import EFFECTS, PAIRS, Truth, generate, write
+
+COSSERAT_MINUTES = 2.0
+GENTLE = 0.6  # share of the top pressure below which `extrapolation` learns
+LONG_HOLD_S = 4.0
+FAST = ("plain", "creep_fractional", "hysteresis_preisach", "unfolding", "tracker_outliers")
+
+
+def cases(cfg: BenchmarkDiagnosisConfig) -> list[Case]:
+    """All devices of a set; a moving rod has only what no other can have, beside `plain` and `device`."""
+    known = ("plain", "device", *EFFECTS, *PAIRS)
+    for name in cfg.effects:
+        if name not in known:
+            raise InputError(f"--effects: there is no truth '{name}'; see `python -m pneutac_truths --list`.")
+    wanted = cfg.effects or (FAST if cfg.fast else known)
+    made = []
+    for seed in range(cfg.first_seed, cfg.first_seed + cfg.seeds):
+        for device in cfg.devices[: 1 if cfg.fast else None]:
+            for name in wanted:
+                parts = PAIRS.get(name, (name,) if name in EFFECTS else ())
+                devices = [EFFECTS[p].devices for p in parts]
+                if not all(device in d for d in devices):
+                    continue
+                if device == "cosserat" and not cfg.effects and any(len(d) > 1 for d in devices):
+                    continue
+                if cfg.set == "own_form_out" and not _can_be_taken_out(parts):
+                    continue
+                kind = name if name in ("plain", "device") else "pair" if name in PAIRS else "effect"
+                minutes = COSSERAT_MINUTES if device == "cosserat" else cfg.minutes
+                made.append(Case(cfg.set, kind, name, seed, minutes, device=device))
+    return made
+
+
+def _can_be_taken_out(truth: tuple[str, ...]) -> bool:
+    """Whether all names of a truth's physics are candidates; lines and parts of the base are tried always."""
+    from lerobot_pneutac.study.body_space import LINES
+
+    always = {BASE, "base_tilt", "gravity", "payload", "elongation", *(e for line in LINES for e in line)}
+    if len(truth) != 1 or not EFFECTS[truth[0]].physics or not COUNTS[truth[0]]:
+        return False
+    return not always & set(COUNTS[truth[0]])
+
+
+@dataclass
+class Days:
+    """Two days of one device.
+
+    Attributes:
+        truth: of day 1.
+        learn: recording of day 1.
+        judge: of day 2, as checked.
+        twin: as it is.
+    """
+
+    truth: Truth
+    learn: Recording
+    judge: Recording
+    twin: Twin
+
+    @property
+    def floor(self) -> float:
+        """Noise of the pose."""
+        return self.truth.noise_floor
+
+    @property
+    def physics(self) -> list[str]:
+        """Effects that are of the device."""
+        return [e for e in self.truth.effects if EFFECTS[e].physics]
+
+    def residual(self, twin: Twin) -> np.ndarray:
+        """(n, k) of day 2, predicted from its commands alone."""
+        from lerobot_pneutac.diagnosis.experiment import predict
+        from lerobot_pneutac.study.reading import read
+
+        data = read(self.judge, twin)
+        return data.measured[:, : data.counted] - predict(twin, data)[0]
+
+    def constant(self) -> float:
+        """Root mean square error of day 2's own mean."""
+        from lerobot_pneutac.study.reading import read
+
+        data = read(self.judge, self.twin)
+        seen = data.measured[:, : data.counted]
+        return rms(seen - seen.mean(axis=0))
+
+
+@contextmanager
+def two_days(case: Case) -> Iterator[Days]:
+    """Generates both days of a device, and a twin that knows nothing but its kind and its length."""
+    from pneutac_datasets.recording.checks import check
+
+    with tempfile.TemporaryDirectory() as tmp:
+        truths = [
+            generate(case.device, [case.effects], case.seed, day=d, minutes=case.minutes) for d in (1, 2)
+        ]
+        first, second = (Recording.load(write(t, Path(tmp) / f"day{i}")) for i, t in enumerate(truths))
+        twin = Twin(first.device, first.length_mm or 110.0)
+        yield Days(truths[0], first, check(second)[0], twin)
+
+
+def solve(case: Case) -> dict:
+    """Diagnoses day 1 and judges on day 2."""
+    with two_days(case) as days:
+        learn, wanted = days.learn, None
+        if case.set == "extrapolation":
+            learn = gentle(learn)
+        if case.set == "own_form_out":
+            out = [n for t in days.physics for n in COUNTS[t]]
+            wanted = lambda name: not counts(name, out)  # noqa: E731
+        began = time.perf_counter()
+        d = diagnosed(days.twin, learn, case.seed, wanted)
+        seconds = time.perf_counter() - began
+        return (
+            asdict(case)
+            | {"truth": list(days.truth.effects), "physics": days.physics}
+            | scored(days, d, seconds)
+        )
+
+
+def scored(days: Days, d, seconds: float) -> dict:
+    """What a diagnosis found and how it did on day 2."""
+    evidence, floor, constant = d.outcome.evidence, days.floor, days.constant()
+    before, after = (rms(days.residual(m.twin)) for m in (d.outcome.before, d.outcome.after))
+    return {
+        "verdict": d.verdict, "selected": d.selected, "floor": floor, "constant": constant,
+        "before": before, "after": after, "ratio": after / floor,
+        "removed": removed(before, constant, after, floor),
+        "test_before": d.before["heldout"], "test_after": d.after["heldout"],
+        "black_box": evidence.left_to_black_box, "agreed": evidence.agreed, "forward": evidence.forward,
+        "objections": evidence.objections, "gauge": bool(d.study.measured), "seconds": seconds,
+    }  # fmt: skip
+
+
+def gentle(recording: Recording) -> Recording:
+    """Each trial up to where the command first passes 60 % of its top, or has been held for long."""
+    command = recording.samples[recording.pressure_columns].abs().to_numpy(float)
+    top, keep = command.max(), np.zeros(len(command), bool)
+    for rows in recording.trials().values():
+        p, t = command[rows], recording.samples["time_s"].to_numpy(float)[rows]
+        moved = np.r_[True, np.abs(np.diff(p, axis=0)).max(axis=1) > 1e-6 * top]
+        held = t - t[np.maximum.accumulate(np.where(moved, np.arange(len(t)), 0))]
+        beyond = (p.max(axis=1) > GENTLE * top) | ((held > LONG_HOLD_S) & (p.max(axis=1) > 0))
+        keep[rows.start : rows.start + (int(np.argmax(beyond)) if beyond.any() else len(t))] = True
+    return recording.keep(keep)
+
+
+def rms(residual: np.ndarray) -> float:
+    """Root mean square length of the rows."""
+    return float(np.sqrt((residual**2).sum(axis=1).mean()))

@@ -1,0 +1,166 @@
+"""`pneutac benchmark policy`: measures what augmentation, touch and more demonstrations do for a policy.
+
+The stand-in for reality plays the real robot: demonstrations are recorded on it and policies tried on it,
+while augmentation and reinforcement learning know the twin alone. Finished units of work are kept, so a
+benchmark that was stopped goes on with the same command.
+"""
+
+import importlib.util
+import os
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+from pneutac_benchmarks.policy.plan import CONDITIONS, MAX_SEED, MAX_TRIALS, plan
+from pneutac_sim.errors import InputError, check_choice, check_least
+from pneutac_sim.features import FIDELITIES, TASK_NAMES
+
+_FAST = {
+    "tasks": ("switch",),
+    "seeds": (0,),
+    "trials": 1,
+    "demonstrations": 2,
+    "augmented": 2,
+    "pretrain_updates": 30,
+    "finetune_updates": 10,
+    "batch": 16,
+    "ppo_steps": 2000,
+}
+
+
+@dataclass
+class BenchmarkPolicyConfig:
+    """Options of `pneutac benchmark policy`.
+
+    Attributes:
+        tasks: names of tasks.
+        conditions: names of conditions; see the table.
+        seeds: seeds, each with demonstrations, networks and trials of its own.
+        trials: number of trials of each policy, from the same starts for all policies of a seed.
+        demonstrations: number of demonstrations on the stand-in.
+        augmented: number of demonstrations made from these, or by the actor of PPO.
+        pretrain_updates: gradient steps before fine-tuning.
+        finetune_updates: gradient steps of fine-tuning; conditions without pre-training make all on their
+            data.
+        batch: samples of a gradient step.
+        lr: learning rate of Adam, where each stage begins.
+        finetune_lr: learning rate of fine-tuning: lower, lest few demonstrations make the many forgotten.
+        select: weights that are kept: `last`, after the last update, or `held_out`, with the lowest loss on a
+            tenth of the demonstrations, at least one, which are then not trained on.
+        ppo_steps: control steps of reinforcement learning.
+        device: device of the training, `cpu` or `cuda`; where left out, cuda if there is one.
+        jobs: number of processes; where left out, one a core.
+        twin: folder of the twin for augmentation and reinforcement learning; where left out, the built-in
+            one.
+        fidelity: way in which finger and gel deform there: `probe`, by formulas, which every twin has,
+            `surrogate`, by networks that fit the twin, or `mpm`.
+        twin_before: folder of a twin before it was corrected: a second table compares it with `twin`, by
+            augmented data alone, and fine-tuned.
+        fast: tiny size, to see that it works; other options of size are not looked at.
+        out: folder of all units, `result.json`, `table.md` and `report.html`.
+    """
+
+    tasks: tuple[str, ...] = TASK_NAMES
+    conditions: tuple[str, ...] = tuple(CONDITIONS)
+    seeds: tuple[int, ...] = (0, 1, 2)
+    trials: int = 10
+    demonstrations: int = 10
+    augmented: int = 100
+    pretrain_updates: int = 6000
+    finetune_updates: int = 2000
+    batch: int = 64
+    lr: float = 3e-4
+    finetune_lr: float = 3e-5
+    select: str = "last"
+    ppo_steps: int = 400_000
+    device: str | None = None
+    jobs: int | None = None
+    twin: Path | None = None
+    fidelity: str = "probe"
+    twin_before: Path | None = None
+    fast: bool = False
+    out: Path = Path("outputs/benchmark_policy")
+
+    def __post_init__(self):
+        self.out = Path(self.out).absolute()
+        if self.fast:
+            vars(self).update(_FAST)
+        self.jobs = self.jobs if self.jobs is not None else len(os.sched_getaffinity(0))
+        self._check_lists()
+        for name in ("augmented", "pretrain_updates", "finetune_updates", "batch", "ppo_steps", "jobs"):
+            check_least(1, **{name: getattr(self, name)})
+        check_least(2, demonstrations=self.demonstrations)
+        if not 1 <= self.trials <= MAX_TRIALS:
+            raise InputError(f"trials is {self.trials}; it must be from 1 to {MAX_TRIALS}.")
+        for name in ("lr", "finetune_lr"):
+            if not 0 < getattr(self, name) < 1:
+                raise InputError(f"{name} is {getattr(self, name)}; it must be between 0 and 1.")
+        check_choice("select", self.select, ("last", "held_out"))
+        self._check_twins()
+        self._check_device()
+
+    def _check_lists(self) -> None:
+        for option, known in (("tasks", TASK_NAMES), ("conditions", tuple(CONDITIONS))):
+            values = getattr(self, option)
+            unknown = [v for v in values if v not in known]
+            if unknown or len(set(values)) != len(values):
+                raise InputError(f"{option} is {list(values)}; give some of {', '.join(known)}, each once.")
+        if not self.tasks or not (self.conditions or self.twin_before):
+            raise InputError("Give at least one of the tasks and one of the conditions.")
+        seeds = self.seeds
+        if not seeds or len(set(seeds)) != len(seeds) or not all(0 <= s < MAX_SEED for s in seeds):
+            raise InputError(f"seeds is {list(seeds)}; give different numbers from 0 to {MAX_SEED - 1}.")
+
+    def _check_twins(self) -> None:
+        check_choice("fidelity", self.fidelity, FIDELITIES)
+        for name in ("twin", "twin_before"):
+            path = getattr(self, name)
+            if path is None:
+                continue
+            if not (Path(path) / "twin.yaml").is_file():
+                raise InputError(f"{name} is '{path}', which holds no twin.yaml; give a twin's folder.")
+            setattr(self, name, Path(path).absolute())
+
+    def _check_device(self) -> None:
+        import torch
+
+        there = torch.cuda.is_available()
+        self.device = self.device if self.device is not None else ("cuda" if there else "cpu")
+        check_choice("device", self.device, ("cpu", "cuda"))
+        if self.device == "cuda" and not there:
+            raise InputError("device is 'cuda', but PyTorch finds no GPU; use cpu.")
+        if "ppo" in self.conditions and importlib.util.find_spec("stable_baselines3") is None:
+            raise InputError(
+                "The condition 'ppo' needs Stable-Baselines3; install lerobot_robot_pneutac[rl]."
+            )
+
+
+def benchmark_policy(cfg: BenchmarkPolicyConfig) -> None:
+    """Runs the benchmark and prints its table."""
+    from pneutac_benchmarks.policy.run import finished, run_units
+    from pneutac_benchmarks.policy.table import write
+
+    console = Console()
+    units, start = plan(cfg), time.monotonic()
+    before = sum(finished(cfg.out, unit) is not None for unit in units)
+    console.print(f"{len(units)} units of work in {cfg.out}, {before} of them done before.", highlight=False)
+    columns = (TextColumn("{task.description:.60}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True) as bar:
+        row = bar.add_task("starting", total=1.0)
+        done, failed, faults = run_units(
+            cfg.out,
+            units,
+            cfg.jobs,
+            lambda share, words: bar.update(row, completed=share, description=words),
+        )
+    for name, why in failed.items():
+        console.print(f"[yellow]not done:[/] {name}: {why}", highlight=False)
+    report = write(cfg, done, failed, time.monotonic() - start, console)
+    console.print(f"Report: {report}", highlight=False)
+    if not any(unit.kind == "evaluate" and unit.name in done for unit in units):
+        raise InputError(f"No policy could be tried; '{cfg.out / 'table.md'}' says why.")
+    if faults:
+        raise InputError(f"{', '.join(faults)} ended in a fault; each one's log.txt tells which.")

@@ -1,0 +1,153 @@
+"""Faults of pose columns: angles that wrap, axes in each other's place, drift."""
+
+import re
+
+import numpy as np
+
+from pneutac_datasets.recording.blocks import time_blocks
+from pneutac_datasets.recording.finding import Finding
+from pneutac_datasets.recording.gauges import measured_pressures
+from pneutac_datasets.recording.memory import regress, static_columns
+from pneutac_datasets.recording.noise import headline, noise_floor
+from pneutac_datasets.recording.recording import Recording
+from pneutac_datasets.recording.tracker import where
+from pneutac_datasets.recording.wording import plural
+
+TURN = 2 * np.pi
+
+
+def unwrap(recording: Recording) -> tuple[Recording, list[Finding]]:
+    """Takes whole turns off angles where it is certain that they are the tracker's."""
+    found, samples = [], recording.samples
+    for name in [c for c in samples if re.fullmatch(r"\w+_rad", str(c))]:
+        x = recording.column(name).astype(float)
+        straight, jumps, certain = x.copy(), [], True
+        for rows in recording.trials().values():
+            step = np.diff(x[rows])
+            wraps = np.abs(np.abs(step) - TURN) < 0.25 * np.pi
+            jumps += list(np.flatnonzero(wraps) + 1 + rows.start)
+            straight[rows] = np.unwrap(x[rows])
+            certain &= bool(np.abs(np.diff(straight[rows])).max(initial=0) < 0.25 * np.pi)
+        if not jumps:
+            continue
+        # a tracker wraps at the ends of one turn and shows nothing beyond
+        certain &= bool(
+            np.ptp(x) <= TURN + 1e-6 and np.abs(np.diff(x[np.add.outer(jumps, [-1, 0])])).min() > 5.5
+        )
+        times = f"{plural(len(jumps), 'time')} (first in {where(recording, jumps[0])})"
+        text = f"Column '{name}' jumps by a whole turn {times}; " + (
+            "it moves smoothly otherwise, so the turns are taken off."
+            if certain
+            else "it also moves quickly elsewhere, so it is kept: unwrap it yourself."
+        )
+        found.append(Finding("wrapped_angle", text, (name,), np.array(jumps), {"unwrapped": float(certain)}))
+        if certain:
+            samples = samples.assign(**{name: straight})
+    if samples is recording.samples:
+        return recording, found
+    return Recording(recording.folder, recording.meta, samples, recording.device, recording.warnings), found
+
+
+def _drive(recording: Recording) -> np.ndarray:
+    """(n, chambers) pressure of the order of 1, measured where all of it was."""
+    measured = list(measured_pressures(recording))
+    names = measured if len(measured) == len(recording.pressure_columns) else recording.pressure_columns
+    p = recording.samples[names].to_numpy(float)
+    return p / max(float(np.abs(p).max()), 1e-9)
+
+
+def exchanged_axes(recording: Recording) -> list[Finding]:
+    """Tip columns of a finger in each other's place: it bends in z and lies along x."""
+    length = recording.length_mm
+    if recording.device != "finger" or length is None:
+        return []
+    p, found = _drive(recording), []
+    if recording.has("tip_y_mm") and recording.has("tip_z_mm"):
+        y, z = (_moved_by(recording, p, c) for c in ("tip_y_mm", "tip_z_mm"))
+        if y > 0.03 * length and z < 0.2 * y:
+            text = (
+                f"The pressure moves tip_y_mm (by {y:.3g} mm) and hardly tip_z_mm (by {z:.2g} mm), but a "
+                "finger bends in z: the axes are exchanged, or the base is turned by 90 degrees; give both "
+                "in the finger's base frame."
+            )
+            found.append(Finding("exchanged_axes", text, ("tip_y_mm", "tip_z_mm")))
+    if recording.has("tip_x_mm") and recording.has("tip_z_mm"):
+        rest = np.abs(p[:, 0]) <= np.quantile(np.abs(p[:, 0]), 0.1)
+        x, z = (float(np.median(recording.column(c)[rest])) for c in ("tip_x_mm", "tip_z_mm"))
+        if abs(z) > 0.8 * length and abs(x) < 0.5 * length:
+            text = (
+                f"At the lowest pressures the tip is at tip_x_mm {x:.3g} and tip_z_mm {z:.3g}, but a finger "
+                f"of {length:g} mm lies along x: the axes are exchanged; give both in its base frame."
+            )
+            found.append(Finding("exchanged_axes", text, ("tip_x_mm", "tip_z_mm")))
+    return found
+
+
+def _moved_by(recording: Recording, p: np.ndarray, name: str) -> float:
+    """Range of a column that a static map of the pressure explains, the median over trials."""
+    y, ranges = recording.column(name).astype(float)[:, None], []
+    for rows in recording.trials().values():
+        if np.ptp(p[rows], axis=0).max() > 0.3 * np.ptp(p, axis=0).max():
+            columns = static_columns(p[rows])
+            ranges.append(float(np.ptp(columns @ regress(columns, y[rows]))))
+    return float(np.median(ranges)) if ranges else 0.0
+
+
+def drift(recording: Recording) -> list[Finding]:
+    """A steady move of the output over the session at equal pressures."""
+    columns, unit = headline(recording)
+    same = _usual_conditions(recording)
+    if not columns or same.sum() < 200:
+        return []
+    p, block = _drive(recording)[same], time_blocks(recording.samples)[same]
+    done = _session_s(recording)[same]
+    y = recording.samples[columns].to_numpy(float)[same]
+    floor = noise_floor(recording).by_column
+    moved = {}
+    for i, name in enumerate(columns):
+        total, steady = _trend(static_columns(p), y[:, i : i + 1], done, block)
+        if steady and abs(total) > max(5 * floor[name], 0.02 * np.ptp(y[:, i])):
+            moved[name] = total
+    if not moved:
+        return []
+    how = " and ".join(f"'{c}' by {x:+.3g} {unit}" for c, x in moved.items())
+    text = (
+        f"At equal pressures the output drifts steadily over the session, {how}: the tracker, the mount or a "
+        "gauge drifts, or the device softens or warms. Repeat the first program at the end to tell."
+    )
+    return [Finding("drift", text, tuple(moved), numbers=moved)]
+
+
+def _usual_conditions(recording: Recording) -> np.ndarray:
+    """Mask (n,) of rows in the most common orientation and payload, and near the median temperature."""
+    s, mask = recording.samples, np.ones(len(recording), bool)
+    for name in ("gravity_x", "gravity_y", "gravity_z", "payload_g"):
+        if name in s:
+            rounded = s[name].round(1)
+            mask &= (rounded == rounded.mode()[0]).to_numpy()
+    if "temperature_c" in s:
+        mask &= ((s["temperature_c"] - s["temperature_c"].median()).abs() < 2.0).to_numpy()
+    return mask
+
+
+def _session_s(recording: Recording) -> np.ndarray:
+    """(n,) seconds recorded since the first row; pauses between trials are not counted."""
+    t, out, before = recording.column("time_s"), np.empty(len(recording)), 0.0
+    for rows in recording.trials().values():
+        out[rows] = before + t[rows] - t[rows.start]
+        before = out[rows.stop - 1]
+    return out
+
+
+def _trend(design: np.ndarray, y: np.ndarray, done: np.ndarray, block: np.ndarray) -> tuple[float, bool]:
+    """Move of y (n, 1) over the session beside a static map, and whether it is steady over blocks."""
+    share = (done - done.min()) / max(np.ptp(done), 1e-9)
+    left = y - design @ regress(design, y)
+    clock = share[:, None] - design @ regress(design, share[:, None])
+    total = float((clock * left).sum() / max((clock**2).sum(), 1e-12))
+    numbers = np.unique(block, return_inverse=True)[1]
+    n = np.bincount(numbers)
+    a, b = (np.bincount(numbers, v[:, 0]) / n for v in (clock, left))
+    if len(n) < 8 or np.ptp(a) < 1e-9 or np.ptp(b) < 1e-12:
+        return total, False
+    return total, bool(abs(np.corrcoef(a, b)[0, 1]) > 0.9)

@@ -1,0 +1,186 @@
+"""Faults of the tracker: jumps, slips, a picture that stands still, frames that were dropped."""
+
+import numpy as np
+
+from pneutac_datasets.recording.finding import Finding
+from pneutac_datasets.recording.noise import headline
+from pneutac_datasets.recording.recording import Recording
+from pneutac_datasets.recording.wording import plural
+
+LONGEST_EXCURSION_S = 2.0
+EXPLAINED_BY_S = 2.0  # a pressure change this long before can still move the tip (dead time and fill time)
+STARTED_BY_S = 1.0  # a trial may begin with a step that came before its first sample
+
+
+def where(recording: Recording, row: int) -> str:
+    """`trial 3 at 1.40 s`."""
+    return f"trial {recording.column('trial')[row]} at {recording.column('time_s')[row]:.2f} s"
+
+
+def jumps(recording: Recording) -> list[Finding]:
+    """Rows of excursions: the marker leaves faster than anything explains and is back within two seconds."""
+    bad = np.zeros(len(recording), bool)
+    columns, _ = headline(recording)
+    # other chambers move the marker too
+    pressures = [c for c in recording.samples if c.endswith("_kpa")]
+    slips: list[int] = []
+    for rows in recording.trials().values() if columns else ():
+        y = recording.samples[columns].to_numpy(float)[rows]
+        t = recording.column("time_s")[rows]
+        p = recording.samples[pressures].to_numpy(float)[rows]
+        if len(t) < 10:
+            continue
+        stale = np.r_[False, (np.diff(y, axis=0) == 0).all(1)]
+        for a, b, returns in excursions(t, y, p):
+            if stale[a - 1] and stale.mean() < 0.05:
+                continue  # a tracker that stood still for once catches up
+            if returns:
+                bad[rows.start + a : rows.start + b] = True
+            else:
+                slips.append(rows.start + a)
+    found, at = [], np.flatnonzero(bad)
+    if bad.mean() > 0.05:
+        text = (
+            f"The tracker seems to jump in {bad.mean():.0%} of the rows (first in "
+            f"{where(recording, at[0])}); so many may be the device itself, so they are kept: see a video."
+        )
+        found.append(Finding("jumps", text, tuple(columns), at, {"kept": 1}))
+    elif bad.any():
+        runs = int(np.sum(np.diff(np.r_[0, bad.astype(int)]) == 1))
+        text = (
+            f"The tracker jumps away and comes back {plural(runs, 'time')} (first in "
+            f"{where(recording, at[0])}); {_left_out(bad)}."
+        )
+        found.append(Finding("jumps", text, tuple(columns), at, {"kept": 0}))
+    if slips:
+        text = (
+            f"The marker shifts suddenly {plural(len(slips), 'time')} without a change of pressure and stays "
+            f"there (first in {where(recording, slips[0])}); these rows are kept: a slipped marker or the "
+            "device itself."
+        )
+        found.append(Finding("shift", text, tuple(columns), np.array(slips)))
+    return found
+
+
+def excursions(t: np.ndarray, y: np.ndarray, p: np.ndarray) -> list[tuple[int, int, bool]]:
+    """Sudden unexplained moves of one trial.
+
+    Args:
+        t: time (n,) in s.
+        y: measured position (n, k).
+        p: every pressure (n, k) in kPa.
+
+    Returns:
+        First row, row after the last, and whether the position came back within `LONGEST_EXCURSION_S`.
+    """
+    span = np.linalg.norm(np.quantile(y, 0.99, axis=0) - np.quantile(y, 0.01, axis=0))
+    size = np.r_[0.0, np.linalg.norm(np.diff(y, axis=0), axis=1)]
+    window = max(5, round(0.5 / np.median(np.diff(t))))
+    usual = _local_median(size, window)
+    noise = np.median(size)
+    sudden = size > np.maximum(8 * np.maximum(usual, noise), 0.02 * span)
+    # a sudden change of pressure shortly before, as motion at three times the mean slope over the range
+    back = np.searchsorted(t, t - EXPLAINED_BY_S)
+    change = np.r_[0.0, np.abs(np.diff(p, axis=0)).max(1)]
+    change *= change > 3 * _local_median(change, window)
+    change = np.cumsum(change)
+    change -= change[np.searchsorted(t, t - 0.15)]
+    change *= 3 * span / max(float(np.ptp(p, axis=0).max()), 1e-9)
+    found, end = [], 0
+    for i in np.flatnonzero(sudden):
+        if i < end or t[i] - t[0] < STARTED_BY_S:
+            continue
+        peak = i
+        while peak + 1 < len(t) and size[peak + 1] > 4 * max(usual[peak + 1], noise):
+            peak += 1
+        before = np.median(y[max(0, i - 5) : i], axis=0)
+        away = np.linalg.norm(y[i : peak + 1] - before, axis=1)
+        reach = float(away.max())
+        near = np.searchsorted(t, t[i] + LONGEST_EXCURSION_S)
+        off = np.linalg.norm(y[i:near] - before, axis=1)
+        home = np.flatnonzero((off < 0.15 * reach) & (np.arange(len(off)) > 0))
+        if len(home):
+            # no device leaves and comes back by itself; a pulse of pressure or the swing after a step does
+            end = i + int(home[0])
+            if change[back[i] : end + 1].max() < reach or (end - i <= 3 and _lonely(y, i, end)):
+                end = min(len(t), end + round(0.3 * (end - i)))
+                found.append((int(i), int(end), True))
+            else:
+                end = i + 1
+        elif change[back[i] : peak + 1].max() < reach:
+            found.append((int(i), int(peak + 1), False))
+            end = peak + 1
+    return found
+
+
+def _lonely(y: np.ndarray, i: int, end: int) -> bool:
+    """Whether rows i..end-1 stand apart from calm neighbours on both sides."""
+    around = np.r_[y[max(0, i - 4) : i], y[end : end + 4]]
+    calm = np.linalg.norm(around - np.median(around, axis=0), axis=1).max()
+    return bool(np.linalg.norm(y[i:end] - np.median(around, axis=0), axis=1).min() > 4 * max(calm, 1e-12))
+
+
+def _local_median(x: np.ndarray, window: int) -> np.ndarray:
+    from scipy.ndimage import median_filter
+
+    return median_filter(x, size=2 * window + 1, mode="nearest")
+
+
+def frozen(recording: Recording) -> list[Finding]:
+    """Rows where every observed number repeats for half a second and more while the pressure moves."""
+    bad = np.zeros(len(recording), bool)
+    columns = [c for c in recording.observations if not c.startswith("image")]
+    p_span = np.ptp(recording.samples[recording.pressure_columns].to_numpy(float), axis=0).max()
+    repeated = 0
+    for rows in recording.trials().values() if columns else ():
+        y = recording.samples[columns].to_numpy(float)[rows]
+        p = recording.samples[recording.pressure_columns].to_numpy(float)[rows]
+        t = recording.column("time_s")[rows]
+        same = np.r_[False, (np.diff(y, axis=0) == 0).all(1)]
+        repeated += int(same.sum())
+        edges = np.flatnonzero(np.diff(np.r_[0, same.astype(int), 0]))
+        for a, b in zip(edges[::2], edges[1::2], strict=True):
+            if b - a >= 8 and t[b - 1] - t[a] >= 0.5 and np.ptp(p[a:b], axis=0).max() > 0.05 * p_span:
+                bad[rows.start + a : rows.start + b] = True
+    # a recording without any noise repeats numbers everywhere, which tells nothing about the tracker
+    if repeated - bad.sum() > 0.2 * len(recording) or not bad.any():
+        return []
+    at = np.flatnonzero(bad)
+    text = (
+        f"The tracker stands still while the pressure moves (first in {where(recording, at[0])}); "
+        f"{_left_out(bad)}."
+    )
+    return [Finding("frozen", text, tuple(columns), at)]
+
+
+def stale(recording: Recording) -> list[Finding]:
+    """Rows that repeat the pose of the row before to the last digit, also while it moves."""
+    columns = [c for c in recording.observations if not c.startswith("image")]
+    repeats, moving = np.zeros(len(recording), bool), np.zeros(len(recording), bool)
+    for rows in recording.trials().values() if columns else ():
+        y = recording.samples[columns].to_numpy(float)[rows]
+        repeats[rows] = np.r_[False, (np.diff(y, axis=0) == 0).all(1)]
+        moving[rows] = is_moving(y)
+    share = repeats[moving].mean() if moving.any() else 0.0
+    if (repeats & moving).sum() < 10 or share < 0.005:
+        return []
+    text = (
+        f"{repeats.mean():.1%} of the rows repeat the pose of the row before to the last digit, and so do "
+        f"{share:.1%} of those in which it moves: frames were dropped, or the tracker is slower than the "
+        "log, so such a pose is older than its time."
+    )
+    return [
+        Finding("stale_pose", text, tuple(columns), np.flatnonzero(repeats), {"share": float(repeats.mean())})
+    ]
+
+
+def is_moving(y: np.ndarray) -> np.ndarray:
+    """Mask (n,) of rows around which a signal (n, k) moves within ten rows by 3 % of its span."""
+    n = len(y)
+    far = np.linalg.norm(y[np.minimum(np.arange(n) + 5, n - 1)] - y[np.maximum(np.arange(n) - 5, 0)], axis=1)
+    return far > max(0.03 * np.linalg.norm(np.ptp(y, axis=0)), 1e-12)
+
+
+def _left_out(bad: np.ndarray) -> str:
+    n = int(bad.sum())
+    return f"{plural(n, 'row')} {'is' if n == 1 else 'are'} left out"

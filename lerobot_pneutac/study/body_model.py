@@ -1,0 +1,370 @@
+"""Models of a body that a search fits: which effects, how the recording is read, and all their parameters."""
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from pneutac_sim.effects.registry import get_effect
+from pneutac_sim.finger.data import BodyData
+from pneutac_sim.finger.least_squares import minimise
+from pneutac_sim.finger.pipeline import Pipeline
+from pneutac_sim.finger.problem import Bounds, Problem
+from pneutac_sim.finger.starts import rough_drive
+from pneutac_sim.twin import Twin
+
+ALIKE = 8.0  # neighbouring samples of one kind: so many residuals are worth one independent one
+
+# Standard deviation of what is not a law, in its own unit, before any data is seen; at full pressure where a
+# parameter is counted per kPa.
+PRIOR = {
+    "bend": 0.4,
+    "curl_rad": 0.4,
+    "turn": 0.3,
+    "base_tilt.pitch_rad": 0.05,
+    "base_tilt.yaw_rad": 0.1,
+    "base_tilt.roll_rad": 0.1,
+    "base_tilt.shift_x_mm": 3.0,
+    "base_tilt.shift_y_mm": 3.0,
+    "base_tilt.shift_z_mm": 3.0,
+    "elongation.strain_1_per_kpa": 0.05,
+    "payload.share": 3.0,
+    "gravity.body_mass_g": 300.0,
+    "gravity.tip_mass_g": 300.0,
+}
+LAW_WEIGHT = 1.0
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How a recording is taken to have been made; see `Inputs.from_samples`.
+
+    Attributes:
+        source: `command` or `measured` pressure drives the model.
+        target: `pose` or `pressure` is predicted.
+        start: of trials.
+        switch: (n,) instants at which the command steps, as a tuple; one for all; None for no steps.
+    """
+
+    source: str = "command"
+    target: str = "pose"
+    start: str | float = "held"
+    switch: float | tuple[float, ...] | None = None
+
+
+@dataclass(frozen=True)
+class Form:
+    """The structure of a model.
+
+    Attributes:
+        effects: all that are switched on, in the order in which they came.
+        reading: of the recording.
+        joints: of the spine.
+        own: whether bend profile, curl and directions of chambers are the device's own, or the paper's.
+        trials: whether each trial has an offset, a gain and a zero of its own, no part of the device.
+    """
+
+    effects: tuple[str, ...]
+    reading: Reading
+    joints: int
+    own: bool = True
+    trials: bool = False
+
+    def plus(self, *effects: str) -> "Form":
+        """With further effects; a law that is there already comes in a second instance."""
+        now = list(self.effects)
+        for e in effects:
+            number, name = 2, e
+            while name in now:
+                name, number = f"{e} #{number}", number + 1
+            now.append(name)
+        return replace(self, effects=tuple(now))
+
+    def without(self, effect: str) -> "Form":
+        """Without one effect."""
+        return replace(self, effects=tuple(e for e in self.effects if e != effect))
+
+
+@dataclass
+class BodyModel:
+    """A fitted model.
+
+    Attributes:
+        form: its structure.
+        pipeline: that runs it.
+        theta: (P,) all parameters.
+        free: (F,) those that were fitted.
+        v: (F,) their scaled values.
+        residual: (N, D) model - measured at the rows of the search, in the unit of the error.
+        jacobian: (N D, F) of it; with further columns for what each trial has of its own.
+        weight: (F, F) of the prior, in units of the residual's squares.
+        pull: (F,) weight times the distance from the prior's centre.
+        counted: columns that count in the error.
+        bounds: of the parameters.
+        of_trials: (trials, D + 2) offset of each output, gain and zero of the drive, in their widths.
+    """
+
+    form: Form
+    pipeline: Pipeline
+    theta: np.ndarray
+    free: np.ndarray
+    v: np.ndarray
+    residual: np.ndarray
+    jacobian: np.ndarray
+    weight: np.ndarray
+    pull: np.ndarray
+    counted: int
+    bounds: Bounds = field(repr=False)
+    of_trials: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Name to value of all parameters."""
+        return dict(zip(self.pipeline.names, map(float, self.theta), strict=True))
+
+    @property
+    def cost(self) -> int:
+        """Number of parameters, which a simpler model has fewer of; one stuck at a bound counts twice."""
+        stuck = (self.v <= 1e-3) | (self.v >= 1 - 1e-3)
+        return len(self.free) + int(stuck.sum())
+
+    @cached_property
+    def normal(self) -> np.ndarray:
+        """(F, F) normal matrix with the prior."""
+        return self.jacobian.T @ self.jacobian + self.weight
+
+    def crossed(self, fold: np.ndarray) -> np.ndarray:
+        """(N,) squared errors, each by a fit without its own fold, one Gauss-Newton step from the whole one.
+
+        Args:
+            fold: (N,) number of each row's fold; rows of a negative one stay out and count 0.
+        """
+        d = self.residual.shape[1]
+        out = np.zeros(len(fold))
+        stuck = (self.v <= 1e-6) | (self.v >= 1 - 1e-6)
+        use = np.flatnonzero(np.r_[~stuck, np.ones(self.jacobian.shape[1] - len(stuck), bool)])
+        if not len(use):
+            return np.where(fold >= 0, (self.residual[:, : self.counted] ** 2).sum(axis=1), 0.0)
+        J = self.jacobian.reshape(len(fold), d, -1)[:, :, use]
+        H = self.normal[np.ix_(use, use)]
+        slope = self.jacobian.T @ self.residual.ravel() + self.pull
+        for k in range(fold.max() + 1):
+            mine = fold == k
+            Jk, rk = J[mine].reshape(-1, len(use)), self.residual[mine]
+            left = H - Jk.T @ Jk
+            step = np.linalg.solve(left + 1e-9 * np.trace(H) / max(len(H), 1) * np.eye(len(H)),
+                                   Jk.T @ rk.ravel() - slope[use])  # fmt: skip
+            step = np.clip(step, -0.3, 0.3)
+            moved = rk + (Jk @ step).reshape(rk.shape)
+            out[mine] = (moved[:, : self.counted] ** 2).sum(axis=1)
+        return out
+
+
+TRIAL_OFFSET, TRIAL_DRIVE = 0.01, 0.02  # widths: share of the output's, and of the pressure's range
+TRIAL_RANGE = 6.0  # widths that a trial may be off
+
+
+class TrialProblem:
+    """A problem in which each trial has offsets of its outputs, a gain and a zero of its drive.
+
+    Args:
+        problem: without them.
+        trial: (N,) of each row.
+    """
+
+    def __init__(self, problem: Problem, trial: np.ndarray):
+        self._problem, self._trial, self.free = problem, trial, problem.free
+        data = problem.data
+        self._width = TRIAL_OFFSET * np.ptp(data.measured * data.scale, axis=0).max()
+        self.count = (trial.max() + 1) * (len(data.columns) + 2)
+        self._columns: np.ndarray | None = None
+
+    def theta(self, v: np.ndarray) -> np.ndarray:
+        """All parameters of the device."""
+        return self._problem.theta(v[: len(self.free)])
+
+    def residual(self, v: np.ndarray) -> np.ndarray:
+        """Model - measured."""
+        r = self._problem.residual(v[: len(self.free)])
+        if self._columns is None:
+            self._columns = self._own_columns()
+        return r + self._columns @ (v[len(self.free) :] - 0.5)
+
+    def jacobian(self, v: np.ndarray) -> np.ndarray:
+        """Of the residual."""
+        J = self._problem.jacobian(v[: len(self.free)])
+        assert self._columns is not None
+        return np.concatenate([J, self._columns], axis=1)
+
+    def _own_columns(self) -> np.ndarray:
+        """(N D, count): what each trial's numbers do, over their whole range."""
+        problem, data = self._problem, self._problem.data
+        run = problem.run
+        p = data.inputs.pressure_range_kpa
+        u, eps = run.signals[problem.pipeline.drive], 1e-4 * p
+        moved = problem.pipeline.run(data.inputs, run.theta, run, u + eps)
+        at = problem.pipeline.outputs(run, data.columns)
+        bent = (problem.pipeline.outputs(moved, data.columns) - at) * data.scale / eps
+        n, d = bent.shape
+        each = np.zeros((n, d, d + 2))
+        each[:, range(d), range(d)] = self._width
+        share = u[data.inputs.rows].mean(axis=1, keepdims=True)
+        each[:, :, d], each[:, :, d + 1] = TRIAL_DRIVE * share * bent, TRIAL_DRIVE * p * bent
+        out = np.zeros((n, d, self._trial.max() + 1, d + 2))
+        out[np.arange(n), :, self._trial] = 2 * TRIAL_RANGE * each
+        return out.reshape(n * d, -1)
+
+
+class BodyFitter:
+    """Fits forms to a recording.
+
+    Args:
+        recording: of a finger or an arm.
+        twin: gives where fits start.
+        rows: (N,) samples that are fitted.
+    """
+
+    def __init__(self, recording, twin: Twin, rows: np.ndarray):
+        self.recording, self.twin, self.rows = recording, twin, rows
+        self.trial = np.unique(np.asarray(recording.samples["trial"]), return_inverse=True)[1]
+        self._data: dict[Reading, BodyData] = {}
+
+    def data(self, reading: Reading) -> BodyData:
+        """The whole recording, read so."""
+        if reading not in self._data:
+            if len(self._data) > 60:
+                self._data.clear()
+            switch = np.array(reading.switch) if isinstance(reading.switch, tuple) else reading.switch
+            self._data[reading] = BodyData.of(
+                self.recording, self.twin, reading.source, reading.target, reading.start, switch
+            )
+        return self._data[reading]
+
+    def twin_with(self, joints: int) -> Twin:
+        """The twin with so many joints, in the middle of equal segments where that is not its own number."""
+        if joints == len(self.twin.spine_joint_positions_mm):
+            return self.twin
+        twin = self.twin.copy()
+        twin.spine_joint_positions_mm = [twin.length_mm * (i + 0.5) / joints for i in range(joints)]
+        for name in [n for n in twin.parameters if n in ("gain_alpha", "gain_beta") or n.startswith("bend_")]:
+            del twin.parameters[name]
+        if "gain_rad_per_kpa" in twin.parameters:
+            ratio = len(self.twin.spine_joint_positions_mm) / joints
+            gain = twin.parameters["gain_rad_per_kpa"]
+            twin.parameters["gain_rad_per_kpa"] = replace(gain, value=gain.value * ratio, ci95=None)
+            stiffness = twin.parameters.get("joint_stiffness_nm_per_rad")
+            if stiffness is not None:
+                twin.parameters["joint_stiffness_nm_per_rad"] = replace(
+                    stiffness, value=stiffness.value / ratio
+                )
+        return twin
+
+    def pipeline(self, form: Form) -> Pipeline:
+        """The model of a form."""
+        return Pipeline.of(self.twin_with(form.joints), self.data(form.reading).inputs, form.effects)
+
+    def start(self, form: Form, pipeline: Pipeline, values: dict[str, float]) -> np.ndarray:
+        """(P,) parameters to start from: given ones, else the twin's, else defaults."""
+        theta = pipeline.theta(self.twin_with(form.joints), self.data(form.reading).inputs.pressure_range_kpa)
+        return np.array([values.get(n, t) for n, t in zip(pipeline.names, theta, strict=True)])
+
+    def fit(
+        self, form: Form, values: dict[str, float], steps: int = 8, every: int = 1, hold: bool = False
+    ) -> BodyModel:
+        """Fits all parameters of a form.
+
+        Args:
+            form: structure.
+            values: where to start, by name.
+            steps: most Gauss-Newton steps.
+            every: uses one row in so many.
+            hold: True to take the values as they are.
+        """
+        data, pipeline = self.data(form.reading), self.pipeline(form)
+        p = data.inputs.pressure_range_kpa
+        bounds = Bounds(pipeline, p)
+        theta = np.clip(self.start(form, pipeline, values), bounds.lower, bounds.upper)
+        free = self.free(pipeline, data, form.own)
+        problem = Problem(pipeline, data.thin(self.rows[::every]), theta, bounds, free)
+        v = bounds.scaled(theta, free)
+        centre, spread = self._prior(pipeline, free, bounds, p)
+        if form.trials:
+            problem = TrialProblem(problem, self.trial[self.rows[::every]])
+            more = problem.count
+            v, centre = np.r_[v, np.full(more, 0.5)], np.r_[centre, np.full(more, 0.5)]
+            spread = np.r_[spread, np.full(more, 0.5 / TRIAL_RANGE)]
+        r = problem.residual(v)
+        if not hold:
+            for part in (steps // 2, steps - steps // 2):
+                weight = np.diag(np.mean(r**2) * ALIKE / spread**2)
+                v = minimise(problem.residual, problem.jacobian, v, part, 1e-4, (centre, weight)).v
+                r = problem.residual(v)
+        J = problem.jacobian(v)
+        weight = np.diag(np.mean(r**2) * ALIKE / spread**2)
+        return BodyModel(
+            form=form,
+            pipeline=pipeline,
+            theta=problem.theta(v),
+            free=free,
+            v=v[: len(free)],
+            of_trials=(2 * v[len(free) :] - 1).reshape(-1, len(data.columns) + 2) * TRIAL_RANGE
+            if form.trials
+            else np.zeros((0, 0)),
+            residual=r.reshape(-1, len(data.columns)),
+            jacobian=J,
+            weight=weight,
+            pull=weight @ (v - centre),
+            counted=data.counted,
+            bounds=bounds,
+        )
+
+    def rough(self, form: Form) -> dict[str, float]:
+        """Gain, rest pressure and directions of chambers from a coarse grid, by name."""
+        data, pipeline = self.data(form.reading), self.pipeline(form)
+        bounds = Bounds(pipeline, data.inputs.pressure_range_kpa)
+        theta = self.start(form, pipeline, {})
+        thin = data.thin(self.rows[:: max(1, len(self.rows) // 400)])
+        theta = rough_drive(pipeline, thin, theta, bounds, self.free(pipeline, data, form.own))
+        return dict(zip(pipeline.names, map(float, theta), strict=True))
+
+    def free(self, pipeline: Pipeline, data: BodyData, own: bool) -> np.ndarray:
+        """(F,) parameters that a search fits."""
+        out = []
+        for i, (name, spec) in enumerate(zip(pipeline.names, pipeline.specs, strict=True)):
+            effect = name.rpartition(".")[0]
+            if effect in pipeline.left_out:
+                continue
+            if data.unit == "kPa":
+                if not effect or get_effect(effect).stage != "pneumatics":
+                    continue
+            elif effect and get_effect(effect).of_air and data.inputs.measured:
+                continue
+            shape = name.startswith("bend_") or name == "curl_rad" or name.endswith("_turn_rad")
+            if shape and own or not spec.fixed and not (own and name in ("gain_alpha", "gain_beta")):
+                out.append(i)
+        return np.array(out, int)
+
+    def _prior(self, pipeline: Pipeline, free: np.ndarray, bounds: Bounds, p: float):
+        """(F,) centres and standard deviations, both scaled."""
+        centre, spread = np.full(len(free), 0.5), np.full(len(free), 1e3)
+        for j, i in enumerate(free):
+            name, spec = pipeline.names[i], pipeline.specs[i]
+            known = "bend" if name.startswith("bend_") else "turn" if name.endswith("_turn_rad") else name
+            width = PRIOR.get(known)
+            if name.endswith(".weight"):
+                width = LAW_WEIGHT
+            if width is None:
+                continue
+            width *= p**spec.range_power
+            centre[j] = bounds.scaled(
+                np.full(len(pipeline.names), np.clip(0.0, bounds.lower[i], bounds.upper[i])), np.array([i])
+            )[0]
+            spread[j] = width / (bounds.upper[i] - bounds.lower[i])
+        return centre, spread
+
+    def predict(self, model: BodyModel, rows: np.ndarray | None = None) -> np.ndarray:
+        """(n, D) predictions at these samples."""
+        data = self.data(model.form.reading)
+        data = data if rows is None else data.thin(rows)
+        run = model.pipeline.run(data.inputs, model.theta)
+        return model.pipeline.outputs(run, data.columns)

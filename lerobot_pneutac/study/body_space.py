@@ -1,0 +1,329 @@
+"""What a search may try on a body: bases and lines to begin with, terms to add, and how trials begin."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from lerobot_pneutac.study.body_model import BodyFitter, BodyModel, Form, Reading
+from pneutac_sim.effects.laws import is_law, law_names, starts
+from pneutac_sim.effects.registry import body_effects, get_effect
+from pneutac_sim.finger.instants import instants, step_rows
+
+LINES = (
+    (),
+    ("dead_time",),
+    ("valve_lag",),
+    ("dead_time", "valve_lag"),
+    ("dead_time", "air_resonance"),
+    ("dead_time", "valve_lag", "air_resonance"),
+    ("dead_time", "orifice_flow"),
+    ("dead_time", "valve_slew"),
+)
+PAUSES_S = (0.0, 2.0, 4.0, 6.0, 9.0, 15.0, 30.0, 100.0)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A form to be fitted, with where to start.
+
+    Attributes:
+        promise: mean square error that the screening expects to be left.
+        form: structure.
+        values: starting values by name.
+    """
+
+    promise: float
+    form: Form
+    values: dict[str, float]
+
+
+class BodySpace:
+    """Everything that a search asks of a body.
+
+    Args:
+        fitter: of the recording.
+        base: effects that every model has.
+        joints: numbers of joints to try.
+        candidates: names of effects and laws that may be added.
+        lines: alternatives for the air; only () where the measured pressure drives the body.
+        reading: to begin with.
+        told: parameters of air that the gauge told, by name.
+    """
+
+    def __init__(self, fitter: BodyFitter, base, joints, candidates, lines, reading: Reading, told=None):
+        self.told, self.kept, self.trials = told or {}, tuple(base), False
+        self.fitter, self.base, self.joints = fitter, tuple(base), tuple(joints)
+        self.candidates, self.lines, self.reading = list(candidates), lines, reading
+        data = fitter.data(reading)
+        self._steps = step_rows(fitter.recording) if reading.source == "command" else []
+        begins = np.abs(data.inputs.pressure_kpa[np.isinf(data.inputs.dt_s)])
+        self._begins_under_pressure = bool(begins.max() > 0.02 * data.inputs.pressure_range_kpa)
+        self.range_kpa = data.inputs.pressure_range_kpa
+
+    # ---------------------------------------------------------------- to begin with
+
+    def bases(self) -> list[Trial]:
+        """Bases without any line."""
+        out = []
+        for n in self.joints:
+            form = Form(self.base, self.reading, n, trials=self.trials)
+            out.append(Trial(0.0, form, {}))
+            if self.reading.target == "pose":
+                out.append(Trial(0.0, form, self.fitter.rough(form)))
+        return out
+
+    def with_lines(self, model: BodyModel) -> list[Trial]:
+        """The model with each line; the command's steps happen between samples."""
+        out = []
+        for begin in ("held", "vented") if self._begins_under_pressure else ("held",):
+            for line in self.lines:
+                reading = replace(model.form.reading, start=begin)
+                if line and len(self._steps):
+                    reading = replace(reading, switch=0.5)
+                form = replace(model.form, effects=(*line, *model.form.effects), reading=reading)
+                told = {k: v for k, v in self.told.items() if k.rpartition(".")[0] in line}
+                for start in (*_line_starts(line), *((told,) if told else ())):
+                    out.append(Trial(0.0, form, model.values | start))
+        return out
+
+    # ---------------------------------------------------------------- growing
+
+    def grow(self, model: BodyModel, most: int, pairs: int) -> list[Trial]:
+        """The most promising additions, single and in pairs."""
+        atoms, columns, groups = self._columns(model)
+        if not atoms:
+            return []
+        Q = np.linalg.qr(model.jacobian / (np.linalg.norm(model.jacobian, axis=0) + 1e-12))[0]
+        r = -model.residual.ravel()
+        r = r - Q @ (Q.T @ r)
+        N = columns - Q @ (Q.T @ columns)
+        size0, size = (columns**2).sum(0) + 1e-300, (N**2).sum(0)
+        ok = size > 1e-5 * size0
+        dot = N.T @ r
+        now = float((model.residual**2).sum()) / len(model.residual)
+        gain = np.zeros(len(atoms))
+        for a, cols in enumerate(groups):
+            cols = [c for c in cols if ok[c]]
+            if len(cols) == 1:
+                gain[a] = dot[cols[0]] ** 2 / size[cols[0]]
+            elif cols:
+                G = N[:, cols].T @ N[:, cols]
+                gain[a] = dot[cols] @ np.linalg.lstsq(G, dot[cols], rcond=1e-6)[0]
+        gain /= len(model.residual)
+        order = [a for a in np.argsort(-gain) if gain[a] > 0]
+        out, seen = [], {}
+        for a in order:
+            name, values = atoms[a]
+            if seen.get(name, 0) >= (2 if is_law(name) else 1):
+                continue
+            seen[name] = seen.get(name, 0) + 1
+            out.append(self._added(model, [a], atoms, dot, size, groups, now - gain[a]))
+            if len(out) >= most:
+                break
+        if pairs:
+            top = [a for a in order[:60] if len(groups[a]) == 1 and ok[groups[a][0]]][:36]
+            index = [groups[a][0] for a in top]
+            G, p, found = N[:, index].T @ N[:, index], dot[index], []
+            for x, y in combinations(range(len(top)), 2):
+                det = G[x, x] * G[y, y] - G[x, y] ** 2
+                if atoms[top[x]][0] == atoms[top[y]][0] or det < 0.02 * G[x, x] * G[y, y]:
+                    continue
+                both = (G[y, y] * p[x] ** 2 - 2 * G[x, y] * p[x] * p[y] + G[x, x] * p[y] ** 2) / det
+                c = ((G[y, y] * p[x] - G[x, y] * p[y]) / det, (G[x, x] * p[y] - G[x, y] * p[x]) / det)
+                found.append((both, top[x], top[y], c))
+            for both, x, y, c in sorted(found, key=lambda f: -f[0])[:pairs]:
+                out.append(
+                    self._added(model, [x, y], atoms, dot, size, groups, now - both / len(model.residual), c)
+                )
+        return out
+
+    def _added(self, model, which, atoms, dot, size, groups, promise, weights=None) -> Trial:
+        form, values = model.form, model.values
+        for k, a in enumerate(which):
+            name, start = atoms[a]
+            form = form.plus(name)
+            new = form.effects[-1]
+            values = values | {f"{new}.{n}": v for n, v in start.items()}
+            if (
+                is_law(name)
+                and f"{name}.weight"
+                and "weight" in {p.name for p in get_effect(name).parameters}
+            ):
+                c = weights[k] if weights else dot[groups[a][0]] / max(size[groups[a][0]], 1e-300)
+                values[f"{new}.weight"] = float(np.clip(c, -1.0, 1.0))
+        return Trial(promise, form, values)
+
+    def _columns(self, model: BodyModel):
+        """Atoms as (name, start values), their columns (N D, C), and which columns are each atom's."""
+        f, form = self.fitter, model.form
+        data = f.data(form.reading)
+        thin = data.thin(f.rows)
+        pipe, theta = model.pipeline, model.theta
+        run = pipe.run(thin.inputs, theta)
+        base = self._values(pipe, run, data)
+        u = run.signals[pipe.drive]
+        eps, bent = 1e-4 * self.range_kpa, []
+        for c in range(u.shape[1]):
+            moved = u.copy()
+            moved[:, c] += eps
+            bent.append((self._values(pipe, pipe.run(thin.inputs, theta, run, moved), data) - base) / eps)
+        atoms, columns, groups = [], [], []
+        for name in self.candidates:
+            effect = get_effect(name)
+            if name in form.effects and not is_law(name):
+                continue
+            if is_law(name) and effect.stage == "drive":
+                if data.unit == "kPa":
+                    continue
+                for start in starts(name):
+                    values = self._start_values(effect, start)
+                    changed = self._act(effect, u, data, values | {"weight": 1.0}) - u
+                    g = changed[thin.inputs.rows]
+                    column = np.sum([b * g[:, c : c + 1] for c, b in enumerate(bent)], axis=0)
+                    atoms.append((name, values))
+                    groups.append([len(columns)])
+                    columns.append(column.ravel())
+                continue
+            new = self._by_running(name, model, thin, base)
+            if new:
+                atoms.append((name, {}))
+                groups.append(list(range(len(columns), len(columns) + len(new))))
+                columns += new
+        return atoms, np.stack(columns, 1) if columns else np.zeros((base.size, 0)), groups
+
+    def _by_running(self, name: str, model: BodyModel, thin, base: np.ndarray) -> list[np.ndarray]:
+        """Columns of an effect: what it does at its start, and what moving each of its parameters does."""
+        f = self.fitter
+        form = model.form.plus(name)
+        pipe = f.pipeline(form)
+        if name in pipe.left_out:
+            return []
+        theta = f.start(form, pipe, model.values)
+        run = pipe.run(thin.inputs, theta)
+        at = self._values(pipe, run, thin)
+        if not np.isfinite(at).all():
+            return []
+        out = [at - base] if np.abs(at - base).max() > 1e-9 else []
+        for i, (n, spec) in enumerate(zip(pipe.names, pipe.specs, strict=True)):
+            if n.rpartition(".")[0] != form.effects[-1] or spec.fixed:
+                continue
+            _, low, high = spec.limits(self.range_kpa)
+            moved = theta.copy()
+            step = 0.02 * moved[i] if spec.log else 0.002 * (high - low)
+            moved[i] += step if moved[i] + step <= high else -step
+            change = self._values(pipe, pipe.run(thin.inputs, moved, run), thin) - at
+            if np.isfinite(change).all() and np.abs(change).max() > 1e-9:
+                out.append(change / np.abs(change).max())
+        return [c.ravel() for c in out]
+
+    def _values(self, pipe, run, data) -> np.ndarray:
+        return pipe.outputs(run, data.columns) * data.scale
+
+    def _start_values(self, effect, start: tuple[float, ...]) -> dict[str, float]:
+        constants = [p for p in effect.parameters if p.name not in ("weight", "scale_kpa")]
+        return {p.name: s * self.range_kpa**p.range_power for p, s in zip(constants, start, strict=True)}
+
+    def _act(self, effect, u, data, values) -> np.ndarray:
+        out = np.array(u)
+        theta = [values.get(p.name, p.limits(self.range_kpa)[0]) for p in effect.parameters]
+        state = np.zeros(effect.state_size(out.shape[1]))
+        conditions = data.inputs.conditions(effect.columns)
+        effect.run(out, data.inputs.dt_s, np.array([*effect.codes, *theta]), conditions, state)
+        return out
+
+    # ---------------------------------------------------------------- fitting
+
+    def fit(self, trial: Trial, steps: int, every: int = 1) -> BodyModel | None:
+        """Fits a trial; None where it does not come to a finite error."""
+        try:
+            model = self.fitter.fit(trial.form, trial.values, steps, every)
+        except np.linalg.LinAlgError:
+            return None
+        if every > 1:
+            model = self.fitter.fit(model.form, model.values, 0, 1, hold=True)
+        return model if np.isfinite(model.residual).all() and np.isfinite(model.jacobian).all() else None
+
+    def trial(self, form: Form, values: dict[str, float], name: str, start: tuple[float, ...]) -> Trial:
+        """A form whose last effect starts with these constants, see `laws.starts`."""
+        effect = get_effect(name)
+        begin = self._start_values(effect, start) if start else {}
+        return Trial(0.0, form, values | {f"{form.effects[-1]}.{k}": v for k, v in begin.items()})
+
+    def again(self, model: BodyModel) -> Trial:
+        """The model's form, started where it is."""
+        return Trial(0.0, model.form, model.values)
+
+    def settle_line(self, model: BodyModel) -> BodyModel:
+        """Finds the instants of steps, then fits well."""
+        for _ in range(5):
+            before = (model.residual**2).mean()
+            model = self.again_whole(self.with_instants(model, 2))
+            if (model.residual**2).mean() > 0.97 * before:
+                break
+        return self.fitter.fit(model.form, model.values, 8)
+
+    def again_whole(self, model: BodyModel) -> BodyModel:
+        """The same parameters, judged on all rows of the search."""
+        return self.fitter.fit(model.form, model.values, 0, hold=True)
+
+    def settle(self, model: BodyModel) -> BodyModel:
+        """Tries how trials may begin, then the instants of steps."""
+        best, now = model, float((model.residual**2).mean())
+        if model.pipeline.thins_at > model.pipeline.drive + 1 or any(
+            e.remembers for e in model.pipeline.chain
+        ):
+            for form in self.starts_of_trials(model):
+                tried = self.fit(Trial(0.0, form, best.values), 3, 2)
+                if tried is not None and (tried.residual**2).mean() < 0.995 * now:
+                    best, now = tried, float((tried.residual**2).mean())
+        best = self.with_instants(best, 1)
+        return self.fitter.fit(best.form, best.values, 8)
+
+    def removable(self, model: BodyModel) -> list[str]:
+        """Effects that the model might do without."""
+        return [e for e in model.form.effects if e not in self.kept]
+
+    def without(self, model: BodyModel, effect: str) -> BodyModel:
+        """The model re-fitted without an effect."""
+        return self.fitter.fit(model.form.without(effect), model.values, 8)
+
+    # ---------------------------------------------------------------- how it was recorded
+
+    def starts_of_trials(self, model: BodyModel) -> list[Form]:
+        """The form with trials that begin otherwise."""
+        known = ("held", "vented", *PAUSES_S)
+        reading = model.form.reading
+        return [replace(model.form, reading=replace(reading, start=s)) for s in known if s != reading.start]
+
+    def with_instants(self, model: BodyModel, every: int) -> BodyModel:
+        """The model with the instant of each step of the command, within its sample, re-fitted once."""
+        if model.form.reading.switch is None:
+            return model
+        read = lambda share: self.fitter.data(replace(model.form.reading, switch=share))  # noqa: E731
+        share = instants(self.fitter.recording, read, model.pipeline, model.theta)
+        if share is None:
+            return model
+        form = replace(model.form, reading=replace(model.form.reading, switch=tuple(share)))
+        return self.fitter.fit(form, model.values, 6, every)
+
+
+def _line_starts(line: tuple[str, ...]) -> list[dict[str, float]]:
+    """Starting values of a line's parameters: quick and slow, and several tones where it may ring."""
+    out = []
+    for delay, fill, vent in ((0.03, 0.05, 0.05), (0.03, 0.5, 0.7), (0.3, 0.1, 0.1)):
+        lag = {"dead_time.delay_s": delay, "valve_lag.fill_time_s": fill, "valve_lag.vent_time_s": vent}
+        out.append(
+            lag | {"orifice_flow.fill_rate_1_per_s": 0.2 / fill, "orifice_flow.vent_rate_1_per_s": 0.2 / vent}
+        )
+    if "air_resonance" in line:
+        tones = [(w, z) for w in (5.0, 11.0, 24.0, 48.0) for z in (0.1, 0.4)]
+        name = "air_resonance"
+        out = [out[0] | {f"{name}.frequency_rad_per_s": w, f"{name}.damping_ratio": z} for w, z in tones]
+    return out[: 1 if not line else None]
+
+
+def candidate_names(own: Iterable[str], excluded: Iterable[str] = ()) -> list[str]:
+    """All effects and laws that may be added."""
+    return [n for n in (*body_effects(), *law_names()) if n not in own and n not in set(excluded)]

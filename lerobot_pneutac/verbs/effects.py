@@ -1,0 +1,178 @@
+"""The effects and laws that a twin may have: what each says, and what it does to a finger."""
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from lerobot_pneutac.reports.page import Report
+from lerobot_pneutac.verbs.effect_file import units
+from lerobot_pneutac.verbs.result import Result
+from pneutac_sim.effects.body_effect import BodyEffect
+from pneutac_sim.effects.effect import Effect
+from pneutac_sim.effects.laws import family, is_law, law_names
+from pneutac_sim.effects.registry import all_effects, get_effect, of_sensor
+from pneutac_sim.twin import Twin, Value
+
+TIP = ["tip_x_mm", "tip_y_mm", "tip_z_mm"]
+TOP_KPA = 12.0
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class ShownEffect(Result):
+    """One effect or law.
+
+    Attributes:
+        effect: of the registry or of the table of laws.
+    """
+
+    effect: Effect
+
+    @property
+    def title(self) -> str:
+        """Name and stage."""
+        return f"{self.effect.name} ({self.effect.stage})"
+
+    @property
+    def sentence(self) -> str:
+        """What it says of a device at the size with which a fit starts."""
+        values = {p.name: p.limits(TOP_KPA)[0] for p in self.effect.parameters}
+        return self.effect.describe(values, "gel" if of_sensor([self.effect.name]) else "finger")
+
+    def rows(self) -> list[dict]:
+        """Its parameters."""
+        return units(self.effect)
+
+    def remarks(self) -> list[str]:
+        """Equation, experiment, what it needs."""
+        e = self.effect
+        out = [f"equation: {plain_equation(e.equation)}", f"LaTeX: {e.equation}"] if e.equation else []
+        out += [f"family: {family(e.name)}"] if is_law(e.name) else []
+        columns = getattr(e, "columns", ())
+        out += [f"needs on record: {', '.join(columns)}"] if columns else []
+        return [*out, f"seen by: {e.experiment}"]
+
+    def to_dict(self) -> dict:
+        """The content of `result.json`."""
+        e = self.effect
+        return {
+            "name": e.name, "stage": e.stage, "family": family(e.name), "sentence": self.sentence,
+            "equation": plain_equation(e.equation), "latex": e.equation, "parameters": self.rows(),
+            "columns": list(getattr(e, "columns", ())), "experiment": e.experiment,
+        }  # fmt: skip
+
+    def page(self) -> Report:
+        """The same with a picture of a finger that goes through steps and ramps."""
+        page = super().page()
+        for remark in self.remarks():
+            page.text(remark)
+        if isinstance(self.effect, BodyEffect):
+            page.heading("What it does")
+            page.figure(
+                _figure(self.effect.name),
+                "The built-in finger without it and with it, at the above start of a fit.",
+            )
+        return page
+
+
+def show_effect(name: str) -> ShownEffect:
+    """One effect or law by its name; raises InputError where there is none."""
+    return ShownEffect(effect=get_effect(name))
+
+
+def list_effects() -> list[dict]:
+    """All effects and laws: name, stage, family and equation."""
+    found = [*all_effects().values(), *map(get_effect, law_names())]
+    return [
+        {"name": e.name, "stage": e.stage, "family": family(e.name), "equation": plain_equation(e.equation)}
+        for e in found
+    ]
+
+
+class Program:
+    """A bench recording of stairs, a hold, triangles and random steps, without measurements."""
+
+    device = "finger"
+
+    def __init__(self, hz: float = 20.0):
+        t = np.arange(0, 60, 1 / hz)
+        steps = np.array([0.0, 4, 8, 12, 12, 12, 6, 0])[np.minimum(t // 4, 7).astype(int)]
+        triangles = TOP_KPA * np.abs((t - 32) / 7 % 2 - np.round((t - 32) / 7 % 2 / 2) * 2)
+        self.samples = pd.DataFrame(
+            {
+                "trial": 0,
+                "time_s": t,
+                "pressure_cmd_kpa": np.where(t < 32, steps, triangles),
+                "gravity_x": np.cos(t / 60 * np.pi / 2),
+                "gravity_y": 0.0,
+                "gravity_z": -np.sin(t / 60 * np.pi / 2),
+                "temperature_c": 20 + t / 6,
+                "payload_g": 50.0,
+                "neighbour_kpa": np.where(t < 30, 0.0, 8.0),
+                **dict.fromkeys(TIP, 0.0),
+            }
+        )
+
+
+def tips(name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Steps and ramps of the built-in finger without and with one effect at its start of a fit.
+
+    Returns:
+        Time (n,) in s, command (n,) in kPa, tip without and with it (n, 3) in mm.
+    """
+    from pneutac_sim.finger import simulate
+
+    effect, twin, program = get_effect(name), Twin.builtin(), Program()
+    twin.effects = {name: {p.name: Value(p.limits(TOP_KPA)[0]) for p in effect.parameters}}
+    with_it, without = simulate(twin, program), simulate(twin, program, effects=[])
+    rows = [with_it.data.columns.index(c) for c in TIP]
+    time, command = (program.samples[c].to_numpy() for c in ("time_s", "pressure_cmd_kpa"))
+    return time, command, without.model[:, rows], with_it.model[:, rows]
+
+
+def _figure(name: str):
+    import plotly.graph_objects as go
+
+    t, command, without, with_it = tips(name)
+    figure = go.Figure()
+    apart = np.linalg.norm(with_it - without, axis=1)
+    for label, y, colour, axis in (
+        ("command (kPa)", command, "#d9dee3", "y2"),
+        ("deflection without (mm)", without[:, 2], "#9aa5b1", "y"),
+        ("deflection with it (mm)", with_it[:, 2], "#b8442f", "y"),
+        ("apart (mm)", apart, "#0b6e99", "y"),
+    ):
+        figure.add_scatter(x=t, y=np.round(y, 4), name=label, yaxis=axis, line={"color": colour})
+    return figure.update_layout(
+        xaxis={"title": "time (s)"},
+        yaxis={"title": "mm", "overlaying": "y2"},
+        yaxis2={"title": "kPa", "side": "right", "showgrid": False},
+        legend={"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0},
+    )
+
+
+_WORDS = {
+    r"\to": "->", r"\le": "<=", r"\cdot": "*", r"\quad": " ", r"\,": " ", r"\;": " ", r"\left": "",
+    r"\right": "", r"\mathrel": "", r"\pm": "+-", r"\int": "integral ", r"\Delta ": "d", r"\varphi": "phi",
+    r"\nabla ": "grad ",
+}  # fmt: skip
+
+
+def plain_equation(latex: str) -> str:
+    """An equation in characters of the keyboard."""
+    text = re.sub(r"\\(?:text|mathrm|mathrel)\{([^{}]*)\}", r"\1", latex)
+    text = re.sub(r"\\bar\s*(\w+)", r"mean \1", text)
+    text = re.sub(r"\\ddot\s*(\w+)", r"d^2\1/dt^2", text)
+    text = re.sub(r"\\dot\s*(\w+)", r"d\1/dt", text)
+    for _ in range(4):
+        text = re.sub(
+            r"\\frac\{([^{}]*(?:\{[^{}]*\}[^{}]*)*)\}\{([^{}]*(?:\{[^{}]*\}[^{}]*)*)\}", r"(\1)/(\2)", text
+        )
+        text = re.sub(r"\\sqrt\{([^{}]*(?:\{[^{}]*\}[^{}]*)*)\}", r"sqrt(\1)", text)
+    for word in sorted(_WORDS, key=len, reverse=True):
+        text = text.replace(word, _WORDS[word])
+    text = re.sub(r"_\{([^{}]*)\}", r"_\1", text)
+    text = re.sub(r"\^\{([^{}]*)\}", r"^(\1)", text)
+    text = re.sub(r"\\(\w+)", r"\1", text).replace("{", "").replace("}", "")
+    return " ".join(text.split())

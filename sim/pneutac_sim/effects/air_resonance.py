@@ -1,0 +1,39 @@
+"""Air of second order: line and chamber overshoot, p'' + 2 zeta omega p' + omega^2 (p - p_cmd) = 0.
+
+A line's inductance and a chamber's capacity make a resonator (Blackburn, Reethof, Shearer, Fluid Power
+Control, 1960, ch. 5). The command is taken as a straight line between samples.
+"""
+
+import math
+
+from pneutac_sim.effects.body_effect import BodyEffect, kernel
+from pneutac_sim.effects.effect import Parameter
+from pneutac_sim.effects.memories import SLOTS, mode
+
+
+@kernel
+def run(x, dt, theta, conditions, state):
+    """State = per channel as in `laws`: the input before, pressure and its rate."""
+    n, channels = x.shape
+    for t in range(n):
+        for c in range(channels):
+            s = state[SLOTS * c : SLOTS * (c + 1)]
+            p = x[t, c]
+            x[t, c] = mode(s, p, s[1], dt[t], theta[0], theta[1])
+            s[1] = p
+
+
+EFFECT = BodyEffect(
+    name="air_resonance",
+    stage="pneumatics",
+    parameters=(
+        Parameter("frequency_rad_per_s", "rad/s", 15.0, 1.0, 90.0, neutral=math.inf, log=True),
+        Parameter("damping_ratio", "", 0.5, 0.02, 4.0, neutral=1.0, log=True),
+    ),
+    run=run,
+    state_size=lambda channels: SLOTS * channels,
+    equation=r"\ddot p + 2\zeta\omega\,\dot p + \omega^2 (p - p_{cmd}) = 0",
+    summary="Your pressure swings: its line and chamber resonate at {frequency_rad_per_s:.3g} rad/s (damping "
+    "ratio {damping_ratio:.2g}).",
+    experiment="Log the measured pressure at 50 Hz or more after a step: it overshoots, or arrives in an S.",
+)

@@ -1,0 +1,64 @@
+"""A proportional valve: full flow while the error is large, proportional flow near the goal.
+
+p' = sign(e) min(|e| / b, 1) b k with e = p_cmd - p, b the proportional band; venting is quicker from a higher
+pressure by the factor 1 + h p / P. Exact for a command that is held; it is taken at the middle of each of
+four pieces of the straight line between samples.
+"""
+
+import math
+
+from pneutac_sim.effects.body_effect import BodyEffect, kernel
+from pneutac_sim.effects.effect import Parameter
+
+_PIECES = 4
+
+
+@kernel
+def run(x, dt, theta, conditions, state):
+    """State = per channel pressure and command before."""
+    fill, vent, band, higher, scale = theta[0], theta[1], theta[2], theta[3], theta[4]
+    n, channels = x.shape
+    p, before = state[:channels], state[channels:]
+    for t in range(n):
+        for c in range(channels):
+            command = x[t, c]
+            if math.isinf(fill * dt[t]):
+                p[c] = command
+            else:
+                h = dt[t] / _PIECES
+                for i in range(_PIECES):
+                    e = before[c] + (command - before[c]) * (i + 0.5) / _PIECES - p[c]
+                    size = abs(e)
+                    rate = fill if e > 0 else vent * (1.0 + higher * max(p[c], 0.0) / scale)
+                    if size > band:
+                        left = size - rate * h
+                        if left < band:
+                            left = band * math.exp(-(rate * h - (size - band)) / band)
+                    else:
+                        left = size * math.exp(-rate * h / band)
+                    p[c] += e - math.copysign(left, e)
+            before[c] = command
+            x[t, c] = p[c]
+
+
+EFFECT = BodyEffect(
+    name="valve_slew",
+    stage="pneumatics",
+    parameters=(
+        Parameter(
+            "fill_rate_kpa_per_s", "kPa/s", 3.0, 0.05, 100.0, neutral=math.inf, log=True, range_power=1
+        ),
+        Parameter(
+            "vent_rate_kpa_per_s", "kPa/s", 2.0, 0.05, 100.0, neutral=math.inf, log=True, range_power=1
+        ),
+        Parameter("band_kpa", "kPa", 0.15, 0.005, 1.5, log=True, range_power=1),
+        Parameter("vent_growth", "", 0.5, 0.0, 10.0),
+        Parameter("scale_kpa", "kPa", 1.0, 1e-3, 3.0, neutral=1.0, fixed=True, range_power=1),
+    ),
+    run=run,
+    state_size=lambda channels: 2 * channels,
+    equation=r"\dot p = k\,\mathrm{clip}(p_{cmd} - p,\, -b,\, b)",
+    summary="Your valve is slow for large steps: at most {fill_rate_kpa_per_s:.3g} kPa/s in and "
+    "{vent_rate_kpa_per_s:.3g} kPa/s out, proportional within {band_kpa:.2g} kPa.",
+    experiment="Step to several pressures and log the measured pressure: it rises in straight lines.",
+)

@@ -1,0 +1,58 @@
+"""When a command stepped: between two samples, at an instant that nobody wrote down."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from pneutac_sim.finger.data import BodyData
+from pneutac_sim.finger.inputs import steps
+from pneutac_sim.finger.pipeline import Pipeline
+
+_AFTER = 6  # samples after a step that tell its instant
+_GRID = np.linspace(0, 1, 25)
+
+
+def step_rows(recording) -> np.ndarray:
+    """Rows before which the command of a recording (with `.samples`) steps."""
+    trial = np.asarray(recording.samples["trial"])
+    names = [c for c in recording.samples if c.startswith("pressure_cmd_")]
+    command = np.stack([np.asarray(recording.samples[c], dtype=float) for c in names], axis=1)
+    return steps(command, np.r_[True, trial[1:] != trial[:-1]])
+
+
+def instants(
+    recording, read: Callable[[float], BodyData], pipeline: Pipeline, theta: np.ndarray
+) -> np.ndarray | None:
+    """The share of the time between two samples at which each step happened, as a model sees it.
+
+    Each step has one number of its own, within one sample's time, found by the six samples after it.
+
+    Args:
+        recording: with `.samples`.
+        read: share of all steps to the recording read so.
+        pipeline: the model.
+        theta: (P,) its parameters.
+
+    Returns:
+        (n,), NaN where there is no step; None where there are none, or `time_sent_s` tells them.
+    """
+    at = step_rows(recording)
+    if not len(at) or "time_sent_s" in recording.samples:
+        return None
+    trial = np.asarray(recording.samples["trial"])
+    rows = np.minimum(at[:, None] + np.arange(_AFTER), len(trial) - 1)
+    same = trial[rows] == trial[at][:, None]
+    errors = []
+    for share in _GRID:
+        data = read(float(share)).thin(rows.ravel())
+        run = pipeline.run(data.inputs, theta)
+        r = (pipeline.outputs(run, data.columns) - data.measured) * data.scale
+        errors.append(((r**2).sum(axis=1).reshape(rows.shape) * same).sum(axis=1))
+    E = np.stack(errors)
+    best = E.argmin(axis=0)
+    inner, step = np.clip(best, 1, len(_GRID) - 2), np.arange(len(at))
+    a, b, c = E[inner - 1, step], E[inner, step], E[inner + 1, step]
+    x = _GRID[inner] + 0.5 * (a - c) / np.maximum(a - 2 * b + c, 1e-12) * _GRID[1]
+    out = np.full(len(trial), np.nan)
+    out[at] = np.round(np.where(best == inner, np.clip(x, 0, 1), _GRID[best]), 3)
+    return out

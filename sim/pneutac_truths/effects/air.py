@@ -1,0 +1,260 @@
+"""From the regulator's inlet to the pressure in the chamber. Pressures are shares of the top pressure."""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from pneutac_truths.effects.table import effect
+from pneutac_truths.programs import DT_S
+from pneutac_truths.world import World
+
+AMBIENT_KPA = 101.3
+
+
+@njit(cache=True)
+def lag(x, tau):
+    """First-order lag of the columns of x (n, c) with time constant tau in s, settled at the start."""
+    out = np.empty_like(x)
+    a = 1.0 - math.exp(-DT_S / tau)
+    for j in range(x.shape[1]):
+        y = x[0, j]
+        for i in range(len(x)):
+            y += a * (x[i, j] - y)
+            out[i, j] = y
+    return out
+
+
+@effect(
+    "air",
+    "Air passes an orifice, choked or subsonic, into a chamber that grows as it fills.",
+    "ISO 6358-1:2013; Beater, Pneumatic Drives (2007) ch. 4",
+    critical=(0.2, 0.45),
+    supply=(1.6, 3.0),
+    growth=(0.3, 1.5),
+    size=(0.02, 4.0),
+)
+def fill_orifice(w: World, critical: float, supply: float, growth: float, size: float) -> None:
+    """`size`: s to fill the chamber with the valve full open; `supply` gauge pressure over the top one."""
+    w.air = _orifice(w.air, AMBIENT_KPA / w.body.top_kpa, critical, supply, growth, size)
+
+
+@njit(cache=True)
+def _flow(up, down, b):
+    """Mass flow per conductance, ISO 6358: up- and downstream absolute pressures, critical ratio b."""
+    ratio = down / up
+    if ratio >= 1.0:
+        return 0.0
+    if ratio <= b:
+        return up
+    return up * math.sqrt(1.0 - ((ratio - b) / (1.0 - b)) ** 2)
+
+
+@njit(cache=True)
+def _orifice(wanted, ambient, b, supply, growth, fill):
+    out = np.empty_like(wanted)
+    # conductance such that a chamber at ambient pressure takes the top pressure's air in the time `fill`
+    c = (1.0 + growth * (ambient + 1.0)) / (fill * _flow(ambient + supply, ambient, b))
+    parts = 4
+    for j in range(wanted.shape[1]):
+        x = wanted[0, j]
+        for i in range(len(wanted)):
+            for _ in range(parts):
+                u = min(max(12.0 * (wanted[i, j] - x), -1.0), 1.0)
+                if u > 0:
+                    q = c * u * _flow(ambient + supply, ambient + x, b)
+                else:
+                    q = c * u * _flow(ambient + x, ambient, b) if x > 0 else 0.0
+                room = 1.0 + growth * x + growth * (ambient + x)
+                x += min(max(DT_S / parts * q / room, -abs(wanted[i, j] - x)), abs(wanted[i, j] - x))
+            out[i, j] = x
+    return out
+
+
+@effect(
+    "air",
+    "The proportional valve opens no faster than its slew limit, so pressure follows in ramps.",
+    "Festo VPPM data sheet (rise of the set pressure); Rao and Bone, IEEE T. Control Syst. 16 (2008)",
+    size=(0.05, 6.0),
+)
+def valve_slew(w: World, size: float) -> None:
+    """`size`: s from zero to the top pressure."""
+    w.air = _slew(w.air, DT_S / size)
+
+
+@njit(cache=True)
+def _slew(x, most):
+    out = np.empty_like(x)
+    for j in range(x.shape[1]):
+        y = x[0, j]
+        for i in range(len(x)):
+            y += min(max(x[i, j] - y, -most), most)
+            out[i, j] = y
+    return out
+
+
+@effect(
+    "air",
+    "Air in a long tube with a volume behind it swings (second order).",
+    "Richer and Hurmuzlu, ASME J. Dyn. Syst. Meas. Control 122 (2000) 416; Bergh and Tijdeman, NLR (1965)",
+    damping=(0.08, 0.5),
+    size=(0.05, 3.0),
+)
+def line_second_order(w: World, damping: float, size: float) -> None:
+    """`size`: period of the swing, s. The gauge sits at the valve."""
+    w.at_gauge = w.air
+    w.air = swing(w.air, 2 * np.pi / size, damping)
+
+
+@njit(cache=True)
+def swing(x, omega, damping):
+    """Second-order answer to the columns of x (n, c), settled at the start; omega in rad/s."""
+    out = np.empty_like(x)
+    parts = 4
+    h = DT_S / parts
+    for j in range(x.shape[1]):
+        y, v = x[0, j], 0.0
+        for i in range(len(x)):
+            for _ in range(parts):
+                v = (v + h * omega**2 * (x[i, j] - y)) / (1.0 + 2 * h * damping * omega)
+                y += h * v
+            out[i, j] = y
+    return out
+
+
+@effect(
+    "air",
+    "A leak draws more the higher the pressure is, against the regulator's finite flow.",
+    "Beater, Pneumatic Drives (2007) ch. 4 and 5 (leakage of seals)",
+    power=(1.3, 3.0),
+    lag_s=(0.015, 0.04),
+    size=(0.005, 0.4),
+)
+def leak(w: World, power: float, lag_s: float, size: float) -> None:
+    """`size`: share of the top pressure lost there."""
+    w.air = _leak(w.air, power, lag_s, size)
+
+
+@njit(cache=True)
+def _leak(u, power, lag_s, size):
+    out = np.empty_like(u)
+    for j in range(u.shape[1]):
+        x = u[0, j]
+        for i in range(len(u)):
+            x += DT_S / lag_s * (u[i, j] - x - size * max(x, 0.0) ** power)
+            out[i, j] = x
+    return out
+
+
+@effect(
+    "air",
+    "The on-off regulator never settles: pressure hunts about the command in a limit cycle.",
+    "van Varseveld and Bone, IEEE/ASME T. Mechatronics 2 (1997) 195",
+    pace=(0.3, 1.5),
+    size=(0.01, 0.25),
+)
+def hunting(w: World, pace: float, size: float) -> None:
+    """`size`: half the band, share of the top pressure; `pace`: share per s at which it fills or vents."""
+    w.air = _hunting(w.air, size, pace)
+
+
+@njit(cache=True)
+def _hunting(u, band, pace):
+    out = np.empty_like(u)
+    for j in range(u.shape[1]):
+        x, way = 0.0, 1.0
+        for i in range(len(u)):
+            if abs(u[i, j] - x) > 2 * band:  # far away the servo loop works
+                x += min(max(u[i, j] - x, -0.15), 0.15)
+            elif x > u[i, j] + band * (1.0 + 0.2 * u[i, j]):
+                way = -1.0
+            elif x < u[i, j] - band:
+                way = 1.0
+            x = max(x + way * pace * (1.0 if way > 0 else 0.4 + 0.6 * x) * DT_S, 0.0)
+            if u[i, j] < 0.02:
+                x = min(x, u[i, j])  # it vents fully and shuts off
+            out[i, j] = x
+    return out
+
+
+@effect(
+    "air",
+    "The supply sags while air is drawn, and recovers slowly through its own regulator.",
+    "Beater, Pneumatic Drives (2007) ch. 3 (supply characteristic of regulators)",
+    recover_s=(2.0, 12.0),
+    size=(0.02, 0.8),
+)
+def supply_sag(w: World, recover_s: float, size: float) -> None:
+    """`size`: share lost by filling all chambers once from zero to the top."""
+    used = np.diff(w.air, axis=0, prepend=w.air[:1]).clip(0).sum(1)
+    keep = math.exp(-DT_S / recover_s)
+    w.air = w.air / (1 + size * _leaky_sum(used, keep))[:, None]
+
+
+@njit(cache=True)
+def _leaky_sum(x, keep):
+    out = np.empty_like(x)
+    y = 0.0
+    for i in range(len(x)):
+        y = y * keep + x[i]
+        out[i] = y
+    return out
+
+
+@effect(
+    "air",
+    "Filled fast, the air warms and then cools at the wall, so pressure overshoots and falls back.",
+    "Carneiro and de Almeida, Proc. IMechE I 221 (2007): heat transfer of air in cylinders",
+    cool_s=(0.4, 4.0),
+    size=(0.02, 0.4),
+)
+def gas_heat(w: World, cool_s: float, size: float) -> None:
+    """`size`: overshoot over a step; at most 0.4 (adiabatic)."""
+    w.air = w.air + size * (w.air - lag(w.air, cool_s))
+
+
+@effect(
+    "air",
+    "Venting through a clogged silencer is slower than filling.",
+    "Joshi and Paik, Soft Robotics 8 (2021): in- and deflation through supply lines",
+    fill_share=(0.1, 0.4),
+    size=(0.02, 5.0),
+)
+def vent_slow(w: World, fill_share: float, size: float) -> None:
+    """`size`: time constant of venting, s; filling takes `fill_share` of it."""
+    w.air = _uneven_lag(w.air, size * fill_share, size)
+
+
+@njit(cache=True)
+def _uneven_lag(u, up, down):
+    out = np.empty_like(u)
+    for j in range(u.shape[1]):
+        x = u[0, j]
+        for i in range(len(u)):
+            x += (1.0 - math.exp(-DT_S / (up if u[i, j] > x else down))) * (u[i, j] - x)
+            out[i, j] = x
+    return out
+
+
+@effect(
+    "air",
+    "Bent beyond an angle the supply tube kinks, and air passes slowly until it opens again.",
+    "Brazier, Proc. R. Soc. A 116 (1927) 104: kinking of bent tubes",
+    kink=(0.35, 0.65),
+    size=(0.02, 20.0),
+)
+def tube_kink(w: World, kink: float, size: float) -> None:
+    """`size`: time constant while kinked, s; kinked above the share `kink` of the top bend."""
+    w.air = _kinked(w.air, kink, size)
+
+
+@njit(cache=True)
+def _kinked(u, kink, slow):
+    out = np.empty_like(u)
+    for j in range(u.shape[1]):
+        x, shut = u[0, j], False
+        for i in range(len(u)):
+            shut = x > (kink - 0.08 if shut else kink)
+            x += (1.0 - math.exp(-DT_S / (slow if shut else 0.005))) * (u[i, j] - x)
+            out[i, j] = x
+    return out

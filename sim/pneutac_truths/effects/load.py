@@ -1,0 +1,173 @@
+"""Loads, further ways to move, and what the base does."""
+
+from dataclasses import replace
+
+import numpy as np
+from numba import njit
+
+from pneutac_truths.effects.table import effect
+from pneutac_truths.world import World
+
+DOWN = np.array([[1, 0, 0], [0, 0, -1], [0, 0, 1], [0, 1, 0], [0, -1, 0]], float)
+
+
+@effect(
+    "load",
+    "The body's own weight bends it; the base is mounted in several directions.",
+    "Antman, Nonlinear Problems of Elasticity (2005) ch. 4; Till, Aloi and Rucker, IJRR 38 (2019) 723",
+    devices=("rod", "arm"),
+    size=(0.02, 1.2),
+)
+def gravity(w: World, size: float) -> None:
+    """`size`: weight times length squared over bending stiffness."""
+    rng = w.draws("gravity")
+    w.body = replace(w.body, weight=size)
+    w.weighs = True
+    ways = DOWN[rng.permutation(len(DOWN))[: rng.integers(3, 5)]]
+    # each direction for a run of trials, as the rig is turned seldom; the repeats at the end as they come
+    w.gravity = ways[np.sort(np.arange(len(w.plan.starts)) % len(ways))]
+
+
+@effect(
+    "load",
+    "Weights are hung on the tip in some trials.",
+    "Polygerinos et al., IEEE T. Robotics 31 (2015) 778 (payload tests)",
+    devices=("rod", "arm"),
+    size=(0.5, 80.0),
+)
+def payload(w: World, size: float) -> None:
+    """`size`: the larger of two weights, g. Without `gravity` the mount stays as it is."""
+    rng = w.draws("payload")
+    n = len(w.plan.starts)
+    w.payload_g = np.round(rng.permutation(np.resize([0.0, size, 0.0, size / 2], n)), 2)
+    if w.gravity is None:
+        w.gravity = np.tile(DOWN[1], (n, 1))
+
+
+@effect(
+    "load",
+    "Pressure also stretches the body.",
+    "Connolly, Walsh and Bertoldi, PNAS 114 (2017) 51",
+    power=(1.0, 1.6),
+    size=(0.01, 0.3),
+)
+def stretch(w: World, power: float, size: float) -> None:
+    """`size`: strain of the chamber at the top pressure."""
+    w.stretch = w.stretch + size * np.clip(w.air.mean(1), 0, None) ** power
+
+
+@effect(
+    "load",
+    "The bend leaves the plane as pressure rises (uneven walls).",
+    "Holland et al., Soft Robotics 1 (2014) 224; Bishop-Moser and Kota, IEEE T. Robotics 31 (2015) 536",
+    devices=("rod", "cosserat"),
+    power=(1.0, 2.0),
+    size=(0.01, 0.5),
+)
+def out_of_plane(w: World, power: float, size: float) -> None:
+    """`size`: sideways bend over the bend in the plane at the top pressure."""
+    x = np.clip(w.drive[:, 0] / w.body.bend_rad[0], 0, None)
+    w.aside = w.aside + size * w.body.bend_rad[0] * x**power
+
+
+@effect(
+    "load",
+    "Fibres wound unevenly twist the body under pressure.",
+    "Bishop-Moser and Kota, IEEE T. Robotics 31 (2015) 536; Connolly et al., Soft Robotics 2 (2015) 26",
+    size=(0.03, 1.2),
+)
+def twist(w: World, size: float) -> None:
+    """`size`: twist over the length at the top pressure, rad."""
+    w.twist = w.twist + size * w.air.mean(1)
+
+
+@effect(
+    "load",
+    "The base has play in its clamp and is pushed over by the body's motion.",
+    "Nordin and Gutman, Automatica 38 (2002) 1633: backlash",
+    lever=(0.1, 0.4),
+    size=(0.005, 0.3),
+)
+def mount_play(w: World, lever: float, size: float) -> None:
+    """`size`: play, rad; it is crossed while the bend changes by `lever` of the top bend."""
+    x = w.drive.sum(1) / w.body.bend_rad.max()
+    w.base_turn = w.base_turn.copy()
+    w.base_turn[:, 1] += size * (_play(x, lever) - 0.5)
+
+
+@njit(cache=True)
+def _play(x, width):
+    """Where in its play (0 to 1) a part sits that is dragged by x and stays when x turns."""
+    out = np.empty_like(x)
+    y = 0.0
+    for i in range(len(x)):
+        y = min(max(y + ((x[i] - x[i - 1]) / width if i else 0.0), 0.0), 1.0)
+        out[i] = y
+    return out
+
+
+@effect(
+    "load",
+    "The clamp is soft: the base turns with the moment that the chamber passes into it.",
+    "Timoshenko, Strength of Materials (1955): elastic clamping",
+    power=(1.0, 1.8),
+    size=(0.005, 0.25),
+)
+def soft_clamp(w: World, power: float, size: float) -> None:
+    """`size`: turn of the base against the bend at the top pressure, rad."""
+    x = np.clip(w.drive / w.body.bend_rad, 0, None) ** power
+    way = w.body.direction_rad
+    w.base_turn = w.base_turn.copy()
+    w.base_turn[:, 1] += size * (x @ np.cos(way))
+    w.base_turn[:, 2] -= size * (x @ np.sin(way))
+
+
+@effect(
+    "load",
+    "The air tube trails along the body and holds it back by presliding friction.",
+    "Dahl, AIAA J. 14 (1976) 1675",
+    presliding=(0.05, 0.3),
+    size=(0.005, 0.3),
+)
+def tube_drag(w: World, presliding: float, size: float) -> None:
+    """`size`: bend that the friction holds back, share of the top bend."""
+    x = w.drive / w.body.bend_rad
+    w.memory = w.memory - size * w.body.bend_rad * _dahl(x, presliding)
+
+
+@njit(cache=True)
+def _dahl(x, length):
+    out = np.empty_like(x)
+    for j in range(x.shape[1]):
+        z = 0.0
+        for i in range(len(x)):
+            d = x[i, j] - x[i - 1, j] if i else 0.0
+            z = 1.0 - (1.0 - z) * np.exp(-d / length) if d > 0 else -1.0 + (1.0 + z) * np.exp(d / length)
+            out[i, j] = z
+    return out
+
+
+@effect(
+    "load",
+    "The tip leans on a wall that stands in its way.",
+    "Signorini (1959); Wriggers, Computational Contact Mechanics (2006): penalty of a compliant wall",
+    devices=("rod",),
+    stiffness=(1.0, 20.0),
+    size=(0.03, 0.7),
+)
+def wall_lean(w: World, stiffness: float, size: float) -> None:
+    """`size`: share of the way to the top pose that the wall takes away; `stiffness` over the tip's own."""
+    w.contact = {"taken": size, "stiffness": stiffness, "lets_go": np.inf}
+
+
+@effect(
+    "load",
+    "The tip catches on an edge, and snaps past it when pressed hard enough.",
+    "Gorissen et al., Science Robotics 5 (2020) eabb1967; Johnson, Contact Mechanics (1985)",
+    devices=("rod",),
+    lets_go=(0.2, 0.4),
+    size=(0.1, 0.8),
+)
+def wall_snap(w: World, lets_go: float, size: float) -> None:
+    """`size`: share of the way at which the edge sits from the top; it holds against `lets_go` of the way."""
+    w.contact = {"taken": size, "stiffness": 20.0, "lets_go": lets_go}

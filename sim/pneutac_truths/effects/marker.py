@@ -1,0 +1,179 @@
+"""Faults between the device and the log of the tip: none of them is physics of the device."""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from pneutac_truths.effects.air import lag
+from pneutac_truths.effects.table import effect
+from pneutac_truths.programs import ROW_S
+from pneutac_truths.seen import Seen
+from pneutac_truths.world import World, seconds
+
+
+@effect(
+    "marker",
+    "The tracker smooths the marker's path.",
+    "Welch and Foxlin, IEEE CG&A 22 (2002) 24; OptiTrack Motive manual (smoothing)",
+    physics=False,
+    size=(0.02, 3.0),
+)
+def tracker_lowpass(w: World, seen: Seen, size: float) -> None:
+    """`size`: time constant, s; each trial starts settled."""
+    seen.path = np.concatenate([lag(np.ascontiguousarray(p), size) for p in seen.trials(seen.path)])
+
+
+@effect(
+    "marker",
+    "The tracker's samples come late.",
+    "Welch and Foxlin, IEEE CG&A 22 (2002) 24",
+    physics=False,
+    size=(0.008, 0.8),
+)
+def tracker_latency(w: World, seen: Seen, size: float) -> None:
+    """`size`: delay, s."""
+    k = seconds(size)
+    seen.path = np.concatenate([np.vstack([np.tile(p[:1], (k, 1)), p[:-k]]) for p in seen.trials(seen.path)])
+
+
+@effect(
+    "marker",
+    "Samples are taken off their stamps: the clocks of camera and log wander against each other.",
+    "Mills, Computer Network Time Synchronization (2011); Furgale, Rehder and Siegwart, IROS (2013)",
+    physics=False,
+    size=(0.01, 1.0),
+)
+def clock_jitter(w: World, seen: Seen, size: float) -> None:
+    """`size`: standard deviation of a slow wander, s, to which a quick jitter of a quarter is added."""
+    rng = w.draws("clock_jitter")
+    n = len(w.plan.rows)
+    slow = np.zeros(n)
+    keep = np.exp(-ROW_S / 3.0)
+    for i, x in enumerate(rng.normal(0, 1, n)):
+        slow[i] = keep * slow[i - 1] + np.sqrt(1 - keep**2) * x if i else x
+    seen.late_s = seen.late_s + size * (slow + 0.25 * rng.normal(0, 1, n))
+
+
+@effect(
+    "marker",
+    "The marker slips once on the body and stays where it is.",
+    "Chiari et al., Gait & Posture 21 (2005) 197 (artefacts of markers)",
+    physics=False,
+    size=(0.3, 15.0),
+)
+def marker_slip(w: World, seen: Seen, size: float) -> None:
+    """`size`: slip, mm, at a moment between a quarter and three quarters of the recording."""
+    rng = w.draws("marker_slip")
+    n = len(seen.tips)
+    way = rng.normal(size=3)
+    seen.tips[int(n * rng.uniform(0.25, 0.75)) :] += size * way / np.linalg.norm(way)
+
+
+@effect(
+    "marker",
+    "The tracker takes something else for the marker for moments.",
+    "Huber, Robust Statistics (1981) ch. 1; Hampel et al., Robust Statistics (1986)",
+    physics=False,
+    per_minute=(1.5, 5.0),
+    size=(2.0, 80.0),
+)
+def tracker_outliers(w: World, seen: Seen, per_minute: float, size: float) -> None:
+    """`size`: typical distance, mm; each lasts 1 to 4 samples."""
+    rng = w.draws("tracker_outliers")
+    n = len(seen.tips)
+    for at in rng.integers(0, n - 4, max(2, round(per_minute * n * ROW_S / 60))):
+        seen.tips[at : at + rng.integers(1, 5)] += rng.normal(0, size / np.sqrt(3), 3)
+
+
+@effect(
+    "marker",
+    "The tracker's axes are not square: one leaks into another.",
+    "Zhang, IEEE T. PAMI 22 (2000) 1330 (skew); Hartley and Zisserman, Multiple View Geometry (2004)",
+    physics=False,
+    size=(0.005, 0.25),
+)
+def tracker_crosstalk(w: World, seen: Seen, size: float) -> None:
+    """`size`: share of z that shows in y, and half of it of x in z."""
+    seen.tips = seen.tips @ np.array([[1, 0, -size / 2], [0, 1, 0], [0, size, 1]])
+    seen.tips[:, 2] += size / 2 * w.body.length_mm  # calibrated on the straight device
+
+
+@effect(
+    "marker",
+    "The lens bends straight lines and its calibration leaves some of it.",
+    "Brown, Photogrammetric Engineering 37 (1971) 855",
+    physics=False,
+    size=(0.005, 0.6),
+)
+def lens_distortion(w: World, seen: Seen, size: float) -> None:
+    """`size`: share by which a length's distance from the image's middle is off."""
+    middle = np.array([0.6, 0, 0.4]) * w.body.length_mm
+    away = seen.tips - middle
+    far2 = (away[:, [0, 2]] ** 2).sum(1, keepdims=True) / w.body.length_mm**2
+    seen.tips = seen.tips + size * far2 * away * np.array([1, 0, 1])
+
+
+@effect(
+    "marker",
+    "Someone knocks the mount: from then on the whole device points elsewhere.",
+    "Chiari et al., Gait & Posture 21 (2005) 197",
+    physics=False,
+    size=(0.004, 0.2),
+)
+def mount_knock(w: World, seen: Seen, size: float) -> None:
+    """`size`: turn, rad, at a moment between a third and two thirds of the recording."""
+    rng = w.draws("mount_knock")
+    n = len(seen.tips)
+    way = rng.normal(size=3) * [0.3, 1, 1]
+    at = int(n * rng.uniform(0.33, 0.67))
+    seen.tips[at:] = Rotation.from_rotvec(size * way / np.linalg.norm(way)).apply(seen.tips[at:])
+
+
+@effect(
+    "marker",
+    "The device is taken off between two sessions of the recording and mounted turned about its axis.",
+    "Chiari et al., Gait & Posture 21 (2005) 197 (remounting)",
+    physics=False,
+    size=(0.01, 0.6),
+)
+def mount_turned(w: World, seen: Seen, size: float) -> None:
+    """`size`: turn about the axis, rad, from a trial in the second half on."""
+    start = w.draws("mount_turned").integers(len(w.plan.starts) // 2, max(2, 3 * len(w.plan.starts) // 4))
+    after = w.plan.trial[w.plan.rows] >= start
+    seen.tips[after] = Rotation.from_rotvec([size, 0, 0]).apply(seen.tips[after])
+
+
+@effect(
+    "marker",
+    "The tracker loses the marker for moments, mostly in motion, and repeats the last position.",
+    "OptiTrack Motive manual (gap filling); Welch and Foxlin, IEEE CG&A 22 (2002) 24",
+    physics=False,
+    per_minute=(5.0, 12.0),
+    size=(0.06, 4.0),
+)
+def tracker_freezes(w: World, seen: Seen, per_minute: float, size: float) -> None:
+    """`size`: mean length of a freeze, s."""
+    rng = w.draws("tracker_freezes")
+    n = len(seen.tips)
+    trial = w.plan.trial[w.plan.rows]
+    k = round(per_minute * n * ROW_S / 60)
+    speed = np.linalg.norm(np.diff(seen.tips, axis=0, append=seen.tips[-1:]), axis=1)
+    chance = speed + 0.2 * speed.mean() + 1e-9
+    starts = rng.choice(n, k, p=chance / chance.sum())
+    for at, length in zip(starts, rng.uniform(0.3, 1.7, k) * size / ROW_S, strict=True):
+        rows = np.arange(at, min(at + 1 + round(length), n))
+        seen.tips[rows[trial[rows] == trial[at]]] = seen.tips[at]
+        seen.frozen[rows[trial[rows] == trial[at]][1:]] = True
+
+
+@effect(
+    "marker",
+    "The camera warms and its scale drifts.",
+    "Podbreznik and Potočnik, Machine Vision and Applications 23 (2012): camera and temperature",
+    physics=False,
+    minutes=(1.0, 6.0),
+    size=(0.004, 0.15),
+)
+def camera_warm_up(w: World, seen: Seen, minutes: float, size: float) -> None:
+    """`size`: share by which lengths are off in the end; the scale is that of the cold camera."""
+    t = w.time_s[w.plan.rows]
+    seen.tips = seen.tips * (1 + size * (1 - np.exp(-t / (60 * minutes))))[:, None]

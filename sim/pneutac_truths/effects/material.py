@@ -1,0 +1,242 @@
+"""What the material adds by memory and rate."""
+
+import math
+
+import numpy as np
+from numba import njit
+from scipy.signal import fftconvolve
+
+from pneutac_truths.effects.air import lag
+from pneutac_truths.effects.table import effect
+from pneutac_truths.programs import DT_S
+from pneutac_truths.world import World, seconds
+
+
+def share_of(w: World) -> np.ndarray:
+    """Driven bend (n, c) as share of the top bend."""
+    return w.drive / w.body.bend_rad
+
+
+def softer(w: World, by: np.ndarray) -> None:
+    """More compliant by the factor `by` (n,) against air and load alike."""
+    w.drive = w.drive * by[:, None]
+    w.softer = w.softer * by
+
+
+@effect(
+    "material",
+    "Spring-pot creep: bend under held pressure grows with a power of time.",
+    "Scott Blair, J. Colloid Sci. 2 (1947) 21; Mainardi, Fractional Calculus and Waves (2010)",
+    order=(0.12, 0.45),
+    size=(0.003, 0.15),
+)
+def creep_fractional(w: World, order: float, size: float) -> None:
+    """`size`: bend added one second after a step, over the step."""
+    n = len(w.drive)
+    grown = ((np.arange(n) + 0.5) * DT_S) ** order
+    step = np.diff(w.drive, axis=0, prepend=0.0)
+    w.memory = w.memory + size * fftconvolve(step, grown[:, None], axes=0)[:n]
+
+
+@effect(
+    "material",
+    "One slow relaxation (standard linear solid).",
+    "Zener, Elasticity and Anelasticity of Metals (1948); Christensen, Theory of Viscoelasticity (1982)",
+    relax_s=(1.0, 20.0),
+    size=(0.02, 0.5),
+)
+def standard_solid(w: World, relax_s: float, size: float) -> None:
+    """`size`: bend gained in the end over the bend at once."""
+    w.memory = w.memory + size * lag(w.drive, relax_s)
+
+
+@effect(
+    "material",
+    "Hysteresis of a distribution of relays between loading and unloading.",
+    "Preisach, Z. Phys. 94 (1935) 277; Mayergoyz, Mathematical Models of Hysteresis (2003)",
+    width=(0.1, 0.35),
+    size=(0.02, 1.2),
+)
+def hysteresis_preisach(w: World, width: float, size: float) -> None:
+    """`size`: weight of the relays; `width`: scale of the distribution of their half widths."""
+    side = np.linspace(0.01, 0.99, 40)
+    up, down = (a[np.triu_indices(40, 1)] for a in np.meshgrid(side, side))
+    up, down = np.maximum(up, down), np.minimum(up, down)
+    weight = np.exp(-(up - down) / (2 * width)) * np.exp(-((((up + down) / 2 - 0.45) / 0.4) ** 2))
+    x = share_of(w)
+    relays = _relays(np.ascontiguousarray(x), up, down, weight / weight.sum())
+    w.memory = w.memory + size * w.body.bend_rad * (relays - x)
+
+
+@njit(cache=True)
+def _relays(x, up, down, weight):
+    out = np.empty_like(x)
+    for j in range(x.shape[1]):
+        state = np.zeros(len(up))
+        last, y = 0.0, 0.0
+        for i in range(len(x)):
+            v = x[i, j]
+            if v > last:
+                for k in range(len(up)):
+                    if state[k] == 0.0 and v > up[k]:
+                        state[k] = 1.0
+                        y += weight[k]
+            elif v < last:
+                for k in range(len(up)):
+                    if state[k] == 1.0 and v < down[k]:
+                        state[k] = 0.0
+                        y -= weight[k]
+            last = v
+            out[i, j] = y
+    return out
+
+
+@effect(
+    "material",
+    "Dry friction of many small elements that stick, stretch and slip one after the other.",
+    "Iwan, J. Appl. Mech. 33 (1966) 893; Al-Bender, Lampaert and Swevers, IEEE T. Autom. Control 50 (2005)",
+    strength=(0.8, 2.0),
+    size=(0.01, 0.3),
+)
+def friction_maxwell(w: World, strength: float, size: float) -> None:
+    """`size`: total slip moment over the moment of the top pressure; slip forces spread as a Weibull law."""
+    n = 48
+    slip = (-np.log(1 - (np.arange(n) + 0.5) / n)) ** (1 / strength)
+    slip *= size / slip.sum()
+    x = share_of(w)
+    w.memory = w.memory + w.body.bend_rad * (_slipping(x, slip, 12.0 * size / n) - x)
+
+
+@njit(cache=True)
+def _slipping(moment, slip, stiffness):
+    """Bend (n, c) at which body and elements of friction together balance the moment."""
+    out = np.empty_like(moment)
+    n = len(slip)
+    for j in range(moment.shape[1]):
+        force, bend = np.zeros(n), 0.0
+        for i in range(len(moment)):
+            x = bend
+            for _ in range(20):  # Newton on a rising, piecewise linear sum
+                total, slope = x, 1.0
+                for k in range(n):
+                    f = force[k] + stiffness * (x - bend)
+                    if abs(f) < slip[k]:
+                        slope += stiffness
+                    total += min(max(f, -slip[k]), slip[k])
+                step = (moment[i, j] - total) / slope
+                x += step
+                if abs(step) < 1e-10:
+                    break
+            for k in range(n):
+                force[k] = min(max(force[k] + stiffness * (x - bend), -slip[k]), slip[k])
+            bend = x
+            out[i, j] = bend
+    return out
+
+
+@effect(
+    "material",
+    "The faster it is strained, the stiffer it is: flow by thermally activated jumps.",
+    "Eyring, J. Chem. Phys. 4 (1936) 283; Bergström and Boyce, J. Mech. Phys. Solids 46 (1998) 931",
+    overstress=(0.05, 0.4),
+    size=(0.02, 4.0),
+)
+def rate_stiffening(w: World, overstress: float, size: float) -> None:
+    """`size`: time constant of slow motion, s; faster above the share `overstress` of the top moment."""
+    w.drive = w.body.bend_rad * _eyring(share_of(w), size, overstress)
+
+
+@njit(cache=True)
+def _eyring(m, tau, sigma):
+    out = np.empty_like(m)
+    parts = 4
+    for j in range(m.shape[1]):
+        x = m[0, j]
+        for i in range(len(m)):
+            for _ in range(parts):
+                miss = m[i, j] - x
+                step = DT_S / parts / tau * sigma * math.sinh(min(max(miss / sigma, -8.0), 8.0))
+                x += step if abs(step) < abs(miss) else miss
+            out[i, j] = x
+    return out
+
+
+@effect(
+    "material",
+    "Strained beyond what it knew, the silicone is stiffer; what it knew it forgets at rest (Mullins).",
+    "Mullins, Rubber Chem. Technol. 42 (1969) 339; Ogden and Roxburgh, Proc. R. Soc. A 455 (1999) 2861",
+    forget_s=(20.0, 200.0),
+    round=(0.1, 0.3),
+    size=(0.02, 0.8),
+)
+def mullins(w: World, forget_s: float, round: float, size: float) -> None:
+    """`size`: bend gained well below the greatest one known."""
+    x = share_of(w)
+    known = _known(x, math.exp(-DT_S / forget_s))
+    w.drive = w.drive * (1 + size * np.tanh((known - x) / round))
+
+
+@njit(cache=True)
+def _known(x, keep):
+    out = np.empty_like(x)
+    for j in range(x.shape[1]):
+        y = 0.0
+        for i in range(len(x)):
+            y = max(y * keep, x[i, j])
+            out[i, j] = y
+    return out
+
+
+@effect(
+    "material",
+    "High pressure leaves a set by power-law flow, which heals slowly.",
+    "Norton, The Creep of Steel (1929); Findley, Lai and Onaran, Creep and Relaxation (1976)",
+    power=(2.0, 5.0),
+    heal_s=(15.0, 120.0),
+    size=(0.0005, 0.05),
+)
+def set_norton(w: World, power: float, heal_s: float, size: float) -> None:
+    """`size`: share of the top bend gained per second at the top pressure."""
+    x = np.clip(share_of(w), 0, None) ** power
+    w.memory = w.memory + size * heal_s * w.body.bend_rad * lag(np.vstack([0 * x[:1], x[:-1]]), heal_s)
+
+
+@effect(
+    "material",
+    "Motion breaks the filler's network, rest builds it again: softer when worked (thixotropy).",
+    "Payne, J. Appl. Polym. Sci. 6 (1962) 57; Kraus, J. Appl. Polym. Sci. Symp. 39 (1984) 75",
+    rest_s=(5.0, 60.0),
+    stroke=(0.3, 1.5),
+    size=(0.02, 0.6),
+)
+def filler_network(w: World, rest_s: float, stroke: float, size: float) -> None:
+    """`size`: compliance gained when all is broken; `stroke` breaks most of it."""
+    moved = np.abs(np.diff(share_of(w), axis=0, prepend=0.0)).mean(1)
+    softer(w, 1 + size * (1 - _network(moved, DT_S / rest_s, stroke)))
+
+
+@njit(cache=True)
+def _network(moved, rest, stroke):
+    out = np.empty_like(moved)
+    whole = 1.0
+    for i in range(len(moved)):
+        whole += rest * (1.0 - whole) - min(moved[i] / stroke, 0.5) * whole
+        out[i] = whole
+    return out
+
+
+@effect(
+    "material",
+    "Bend goes on for a while after a change of pressure, by a tail of stretched exponential.",
+    "Kohlrausch (1854); Williams and Watts, Trans. Faraday Soc. 66 (1970) 80",
+    stretch=(0.35, 0.7),
+    relax_s=(1.0, 15.0),
+    size=(0.02, 0.4),
+)
+def stretched_relaxation(w: World, stretch: float, relax_s: float, size: float) -> None:
+    """`size`: bend gained in the end over the bend at once."""
+    n = min(len(w.drive), seconds(600.0))
+    grown = 1 - np.exp(-((np.arange(n) * DT_S / relax_s) ** stretch))
+    grown = np.concatenate([grown, np.full(len(w.drive) - n, grown[-1])])
+    step = np.diff(w.drive, axis=0, prepend=0.0)
+    w.memory = w.memory + size * fftconvolve(step, grown[:, None], axes=0)[: len(w.drive)]

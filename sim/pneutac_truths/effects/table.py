@@ -1,0 +1,60 @@
+"""The table of effects and how one is entered."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+STAGES = ("command", "air", "drive", "material", "load", "motion", "marker", "gauge")
+BODIES = ("rod", "arm", "cosserat")
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One departure from the plain device.
+
+    Attributes:
+        name: in the table.
+        summary: what happens, in a line.
+        physics: False for a fault of tracker, gauge or mount, which is no physics of the device.
+        devices: to which it applies.
+        source: from which literature its form and natural range come.
+        stage: where it acts, one of `STAGES`.
+        ranges: parameter to (lowest, highest); `size` decides how strong it is.
+        act: changes a `World`; takes the parameters by name.
+    """
+
+    name: str
+    summary: str
+    physics: bool
+    devices: tuple[str, ...]
+    source: str
+    stage: str
+    ranges: dict[str, tuple[float, float]]
+    act: Callable
+
+    def draw(self, rng: np.random.Generator) -> dict[str, float]:
+        """Parameters within their ranges, log-uniform where a range is positive; `size` is the middle."""
+        out = {}
+        for name, (low, high) in self.ranges.items():
+            if name == "size":
+                out[name] = float(np.sqrt(low * high))
+            elif low > 0:
+                out[name] = float(np.exp(rng.uniform(np.log(low), np.log(high))))
+            else:
+                out[name] = float(rng.uniform(low, high))
+        return out
+
+
+EFFECTS: dict[str, Effect] = {}
+
+
+def effect(stage: str, summary: str, source: str, *, physics=True, devices=BODIES, **ranges):
+    """Enters the decorated function under its name."""
+
+    def enter(act: Callable) -> Callable:
+        name = act.__name__
+        EFFECTS[name] = Effect(name, summary, physics, devices, source, stage, ranges, act)
+        return act
+
+    return enter

@@ -1,0 +1,234 @@
+"""A truth: a recording of a device of which everything is known, and how it is written."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from pneutac_truths import make
+from pneutac_truths.effects import EFFECTS
+from pneutac_truths.effects.heat import room_temperature
+from pneutac_truths.seen import in_columns, logged
+from pneutac_truths.world import CHAMBERS, World, stream
+
+SIX = {"command": 1, "air": 1, "drive": 1, "material": 2, "load": 1}  # of what `device` is made
+
+PAIRS: dict[str, tuple[str, ...]] = {
+    "creep_and_slow_fill": ("creep_fractional", "fill_orifice"),
+    "creep_and_hysteresis": ("creep_fractional", "hysteresis_preisach"),
+    "friction_and_deadband": ("friction_maxwell", "valve_deadband"),
+    "gravity_and_payload": ("gravity", "payload"),
+    "stretch_and_unfolding": ("stretch", "unfolding"),
+    "temperature_and_mullins": ("temperature_drift", "mullins"),
+    "leak_and_late_gauge": ("leak", "gauge_late"),
+    "late_tracker_and_rate": ("tracker_latency", "rate_stiffening"),
+    "slip_and_swelling": ("marker_slip", "humidity_swelling"),
+    "hunting_and_lowpass": ("hunting", "tracker_lowpass"),
+    "wall_and_gravity": ("wall_lean", "gravity"),
+    "bow_and_locking": ("regulator_bow", "chain_locking"),
+}
+
+
+@dataclass(frozen=True)
+class Truth:
+    """One recording and what is behind it.
+
+    Attributes:
+        device: `rod`, `arm` or `cosserat`.
+        seed: of the device.
+        day: of the recording.
+        effects: name to its drawn parameters.
+        meta: what recording.json holds.
+        samples: the table as logged.
+        observed: columns of the pose.
+        pose: (rows, columns) the log without noise, in the columns' units.
+        true_pose: (rows, columns) where the device truly is at the stamps.
+        noise_floor: rms Euclidean noise of the pose, in its unit.
+        pauses_s: (trials,) rest before each trial.
+        top_kpa: highest commanded pressure.
+    """
+
+    device: str
+    seed: int
+    day: int
+    effects: dict[str, dict[str, float]]
+    meta: dict
+    samples: pd.DataFrame
+    observed: list[str]
+    pose: np.ndarray
+    true_pose: np.ndarray
+    noise_floor: float
+    pauses_s: list[float]
+    top_kpa: float
+
+
+def named(device: str, effects: Sequence[str], seed: int) -> tuple[str, ...]:
+    """Names of single effects for names that may be pairs, `plain` or `device`.
+
+    Raises:
+        ValueError: a name is unknown, or does not apply to the device.
+    """
+    if device not in CHAMBERS:
+        raise ValueError(f"There is no device '{device}'; it must be one of {', '.join(CHAMBERS)}.")
+    out = []
+    for name in effects:
+        out += {"plain": [], "device": _six(device, seed)}.get(name, PAIRS.get(name, [name]))
+    for name in out:
+        if name not in EFFECTS:
+            raise ValueError(f"There is no effect '{name}'; see pneutac_truths.EFFECTS and PAIRS.")
+        if device not in EFFECTS[name].devices:
+            raise ValueError(f"Effect '{name}' applies to {', '.join(EFFECTS[name].devices)}, not {device}.")
+    return tuple(dict.fromkeys(out))
+
+
+def _six(device: str, seed: int) -> list[str]:
+    rng = stream(seed, device, "six")
+    out = []
+    for stage, n in SIX.items():
+        fit = [e.name for e in EFFECTS.values() if e.stage == stage and device in e.devices and e.physics]
+        out += [str(x) for x in rng.choice(fit, n, replace=False)]
+    return out
+
+
+def generate(
+    device: str,
+    effects: Sequence[str],
+    seed: int,
+    day: int = 1,
+    gauge: bool | None = None,
+    minutes: float | None = None,
+    tell_noise: bool = True,
+    tell_pauses: bool = False,
+) -> Truth:
+    """Makes one recording of a device.
+
+    Args:
+        device: `rod`, `arm` or `cosserat`.
+        effects: names of `EFFECTS` or `PAIRS`, `plain` for none, `device` for six drawn from the seed.
+        seed: of the device; all its numbers and those of its effects.
+        day: another day is the same device with other programs, pauses and noise.
+        gauge: whether the pressure is measured; None draws it.
+        minutes: of recording; None takes the usual time of the device.
+        tell_noise: whether recording.json states the noise.
+        tell_pauses: whether recording.json tells how long the device rested before each trial.
+
+    Raises:
+        ValueError: an unknown name, or a gauge's fault without a gauge.
+    """
+    names = named(device, effects, seed)
+    faulty = [n for n in names if EFFECTS[n].stage == "gauge"]
+    if faulty and gauge is False:
+        raise ValueError(f"Effect '{faulty[0]}' needs a gauge.")
+    rng = stream(seed, device, day, "log")
+    gauged = bool(faulty) or (stream(seed, "gauge").random() < 0.5 if gauge is None else gauge)
+    drawn = make.draw(device, names, seed)
+    w = World.start(device, seed, day, make.MINUTES[device] if minutes is None else minutes)
+    truly, seen = make.run(w, drawn)
+    samples = _commands(w, rng)
+    noise = {}
+    if gauged:
+        read = make.read_gauge(w, drawn)[w.plan.rows] * w.body.top_kpa
+        sd = w.body.gauge_noise_kpa
+        for j, name in enumerate(_numbered("pressure_{}kpa", read.shape[1])):
+            samples[name] = read[:, j] + rng.normal(0, sd, len(read))
+            noise[name] = round(sd, 4)
+    observed, sd = logged(w.body, names)
+    pose, true_pose = (in_columns(w.body, observed, x) for x in (seen.tips, truly))
+    shown = pose + rng.normal(0, sd, pose.shape)
+    for i in np.flatnonzero(seen.frozen):
+        shown[i] = shown[i - 1]
+    for j, name in enumerate(observed):
+        samples[name] = shown[:, j]
+        noise[name] = float(f"{sd:.4g}")
+    _conditions(w, samples, rng)
+    meta = {
+        "device": "arm" if device == "arm" else "finger",
+        "length_mm": round(w.body.length_mm, 2),
+        "samples": "samples.csv",
+    }
+    if tell_noise:
+        meta["noise"] = noise
+    if tell_pauses:
+        told = {str(i): {"start": "continues", "pause_s": p} for i, p in enumerate(w.plan.pauses_s)}
+        meta["trials"] = told | {"0": {"start": "rested"}}
+    floor = float(sd * np.sqrt(len(observed)))
+    pauses = [float(p) for p in w.plan.pauses_s]
+    return Truth(
+        device,
+        seed,
+        day,
+        drawn,
+        meta,
+        samples,
+        observed,
+        pose,
+        true_pose,
+        floor,
+        pauses,
+        w.body.top_kpa,
+    )
+
+
+def _numbered(pattern: str, n: int) -> list[str]:
+    return [pattern.format("" if n == 1 else f"{i + 1}_") for i in range(n)]
+
+
+def _commands(w: World, rng: np.random.Generator) -> pd.DataFrame:
+    """Trial, clock, program and commands of each row; some computers log when they sent a command."""
+    p, rows = w.plan, w.plan.rows
+    trial = p.trial[rows]
+    start = np.array(p.starts)[trial]
+    table = pd.DataFrame({"trial": trial, "program": np.array(p.programs)[trial]})
+    table["time_s"] = p.time_s[rows] - p.time_s[start]
+    for j, name in enumerate(_numbered("pressure_cmd_{}kpa", p.command.shape[1])):
+        table[name] = p.command[rows, j] * w.body.top_kpa
+    if rng.random() < 0.4:
+        table["time_sent_s"] = p.sent_s[rows] - p.time_s[start]
+    return table
+
+
+def _conditions(w: World, samples: pd.DataFrame, rng: np.random.Generator) -> None:
+    """Columns of weight, payload and temperature; a thermometer is at times logged where it tells nothing."""
+    rows = w.plan.rows
+    trial = w.plan.trial[rows]
+    if w.gravity is not None:
+        for k, axis in enumerate("xyz"):
+            samples[f"gravity_{axis}"] = w.gravity[trial, k] + 0.0
+    if w.payload_g is not None:
+        samples["payload_g"] = w.payload_g[trial]
+    idle = rng.random() < 0.25
+    air = w.temperature_c if w.temperature_c is not None else room_temperature(w, "temperature")
+    if idle or w.temperature_c is not None:
+        samples["temperature_c"] = air[rows] + rng.normal(0, 0.05, len(rows))
+
+
+def write(truth: Truth, folder: str | Path) -> Path:
+    """Writes recording.json, samples.csv and, beside them, truth.json; returns the folder.
+
+    Raises:
+        FileExistsError: the folder exists.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True)
+    truth.samples.to_csv(folder / "samples.csv", index=False, float_format="%.6g", lineterminator="\n")
+    (folder / "recording.json").write_text(json.dumps(truth.meta, indent=1) + "\n", encoding="utf-8")
+    known = {
+        "device": truth.device,
+        "seed": truth.seed,
+        "day": truth.day,
+        "effects": [
+            {"name": k, "physics": EFFECTS[k].physics, "summary": EFFECTS[k].summary, "parameters": v}
+            for k, v in truth.effects.items()
+        ],
+        "noise_floor": truth.noise_floor,
+        "top_kpa": truth.top_kpa,
+        "pauses_s": truth.pauses_s,
+        "observed": truth.observed,
+        "pose": truth.pose.round(5).tolist(),
+        "true_pose": truth.true_pose.round(5).tolist(),
+    }
+    (folder / "truth.json").write_text(json.dumps(known) + "\n", encoding="utf-8")
+    return folder

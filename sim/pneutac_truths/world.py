@@ -1,0 +1,200 @@
+"""What the effects act on: one device on one day, as series on the fine time grid."""
+
+import zlib
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+
+from pneutac_truths.programs import DT_S, Plan, plan
+from pneutac_truths.rod import BASE_TURN, BEND_Y, BEND_Z, COLUMNS, SET_Y, SET_Z, SOFT, STRETCH, TWIST, Rod
+
+CHAMBERS = {"rod": 1, "cosserat": 1, "arm": 3}
+
+
+@dataclass(frozen=True)
+class Body:
+    """One device as drawn from its seed: everything that no effect changes.
+
+    Attributes:
+        top_kpa: highest commanded pressure.
+        bend_rad: of each chamber alone at the top pressure (chambers,).
+        direction_rad: of each chamber's bend about the axis (chambers,); 0 bends towards z, pi/2 towards y.
+        length_mm: from base to marker.
+        rod: its elastic line.
+        weight: weight of the flexible part times length squared over bending stiffness.
+        tip_share: weight of the tip piece over that of the flexible part.
+        mass_g: of the flexible part.
+        noise_mm: standard deviation of the marker per axis.
+        gauge_noise_kpa: of a pressure gauge.
+        curvatures: an arm that is told in curvatures instead of a marker.
+        period_s: of the lowest mode where the body moves.
+        damping: ratio of that mode.
+    """
+
+    top_kpa: float
+    bend_rad: np.ndarray
+    direction_rad: np.ndarray
+    length_mm: float
+    rod: Rod
+    weight: float
+    tip_share: float
+    mass_g: float
+    noise_mm: float
+    gauge_noise_kpa: float
+    curvatures: bool
+    period_s: float
+    damping: float
+
+    @classmethod
+    def draw(cls, device: str, seed: int) -> "Body":
+        """The device of this seed, within the ranges of silicone bending actuators in the literature.
+
+        Sources: Polygerinos et al., IEEE T. Robotics 31 (2015) 778; Mosadegh et al., Adv. Funct. Mater. 24
+        (2014) 2163; Xavier et al., IEEE Access 10 (2022) 59442 (survey).
+        """
+        rng = stream(seed, "body", device)
+        c = CHAMBERS[device]
+        length = rng.uniform(80, 200)
+        tip = rng.uniform(4, 14)
+        radius = length * rng.uniform(0.06, 0.1)
+        rod = Rod.of(
+            length - tip,
+            tip,
+            rng.uniform(0.02, 0.12),
+            rng.uniform(0.68, 0.95),
+            rng.uniform(-0.5, 0.5),
+            radius,
+        )
+        return cls(
+            top_kpa=round(rng.uniform(15, 90), 1),
+            bend_rad=np.full(c, rng.uniform(0.8, 1.8)),
+            direction_rad=2 * np.pi * np.arange(c) / c,
+            length_mm=length,
+            rod=rod,
+            weight=rng.uniform(0.1, 0.5),
+            tip_share=rng.uniform(0.1, 0.4),
+            mass_g=1.05e-3 * np.pi * radius**2 * length * 0.7,
+            noise_mm=rng.uniform(0.15, 0.4),
+            gauge_noise_kpa=rng.uniform(0.05, 0.2),
+            curvatures=device == "arm" and rng.random() < 0.5,
+            period_s=rng.uniform(0.18, 0.24),
+            damping=rng.uniform(0.6, 0.8),
+        )
+
+
+def stream(*keys: int | str) -> np.random.Generator:
+    """Random numbers of their own for these keys, so that one draw never shifts another."""
+    return np.random.default_rng([k if isinstance(k, int) else zlib.crc32(k.encode()) for k in keys])
+
+
+@dataclass
+class World:
+    """One recording while it is made; effects change the series below, stage by stage.
+
+    Attributes:
+        body: the device.
+        plan: what is commanded; c chambers, n rows of the fine grid.
+        seed: of the device.
+        day: of the recording.
+        sent: (n, c) what reaches the regulator, share of the top pressure.
+        air: (n, c) pressure in the chamber.
+        at_gauge: (n, c) pressure where the gauge sits; None: in the chamber.
+        drive: (n, c) bend that this pressure drives, rad.
+        memory: (n, c) bend that the material adds by what it remembers, rad.
+        softer: (n,) compliance of the material over that of the plain one.
+        aside: (n,) bend out of the plane, rad.
+        twist: (n,) twist over the length, rad.
+        stretch: (n,) axial strain of the chamber.
+        base_turn: (n, 3) rotation vector of the mount, rad.
+        gravity: (trials, 3) unit vectors where weight acts, else None.
+        weighs: whether the rod's own weight acts.
+        payload_g: (trials,) at the tip, or None.
+        temperature_c: (n,) where it is logged, else None.
+        after_pose: functions of (tips, rows) that sit at the marker or between device and world.
+        contact: a wall (see `contact`), or None.
+        dynamics: period, damping and more of a body that moves; empty for one in equilibrium.
+    """
+
+    body: Body
+    plan: Plan
+    seed: int
+    day: int
+    sent: np.ndarray = field(init=False)
+    air: np.ndarray | None = None
+    at_gauge: np.ndarray | None = None
+    drive: np.ndarray | None = None
+    memory: np.ndarray | None = None
+    softer: np.ndarray = field(init=False)
+    aside: np.ndarray = field(init=False)
+    twist: np.ndarray = field(init=False)
+    stretch: np.ndarray = field(init=False)
+    base_turn: np.ndarray = field(init=False)
+    gravity: np.ndarray | None = None
+    weighs: bool = False
+    payload_g: np.ndarray | None = None
+    temperature_c: np.ndarray | None = None
+    contact: dict | None = None
+    dynamics: dict = field(default_factory=dict)
+
+    def __post_init__(self):
+        n = len(self.plan.time_s)
+        self.sent = self.plan.command.copy()
+        self.softer = np.ones(n)
+        self.aside, self.twist, self.stretch = np.zeros(n), np.zeros(n), np.zeros(n)
+        self.base_turn = np.zeros((n, 3))
+
+    @classmethod
+    def start(cls, device: str, seed: int, day: int, minutes: float) -> "World":
+        """A device before its first trial of the day."""
+        body = Body.draw(device, seed)
+        w = cls(body, _planned(device, seed, day, minutes), seed, day)
+        if device == "cosserat":
+            w.dynamics = {"period_s": body.period_s, "damping": body.damping}
+        return w
+
+    @property
+    def time_s(self) -> np.ndarray:
+        """(n,) of the fine grid, from the start of the first trial."""
+        return self.plan.time_s
+
+    def draws(self, name: str) -> np.random.Generator:
+        """Random numbers that are new each day."""
+        return stream(self.seed, name, self.day)
+
+    def told(self, rows: np.ndarray) -> np.ndarray:
+        """What the rod is told (k, COLUMNS) in these rows of the fine grid."""
+        u = np.zeros((len(rows), COLUMNS))
+        way = self.body.direction_rad
+        u[:, BEND_Z] = self.drive[rows] @ np.cos(way)
+        u[:, BEND_Y] = self.drive[rows] @ np.sin(way) + self.aside[rows]
+        u[:, SET_Z] = self.memory[rows] @ np.cos(way)
+        u[:, SET_Y] = self.memory[rows] @ np.sin(way)
+        u[:, TWIST], u[:, STRETCH], u[:, SOFT] = self.twist[rows], self.stretch[rows], self.softer[rows]
+        u[:, BASE_TURN] = self.base_turn[rows]
+        if self.gravity is not None:
+            self._load(u, rows)
+        return u
+
+    def _load(self, u: np.ndarray, rows: np.ndarray) -> None:
+        trial = np.maximum(self.plan.trial, 0)[rows]
+        down = self.gravity[trial]
+        length = self.body.rod.length_mm
+        unit = self.body.weight / length**2  # the flexible part's weight over its bending stiffness, 1/mm^2
+        tip = np.zeros(len(rows))
+        if self.weighs:
+            u[:, 7:10] = down * unit / length
+            tip = tip + self.body.tip_share * unit
+        if self.payload_g is not None:
+            tip = tip + self.payload_g[trial] / self.body.mass_g * unit
+        u[:, 10:13] = down * tip[:, None]
+
+
+@lru_cache(maxsize=4)
+def _planned(device: str, seed: int, day: int, minutes: float) -> Plan:
+    return plan(stream(seed, device, day), CHAMBERS[device], minutes, quiet=device == "cosserat")
+
+
+def seconds(duration_s: float) -> int:
+    """Rows of the fine grid in a duration, at least one."""
+    return max(1, round(duration_s / DT_S))

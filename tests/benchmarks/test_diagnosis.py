@@ -1,0 +1,253 @@
+"""The benchmark of the diagnosis: what is in each set, how it scores, and that it resumes."""
+
+import json
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from lerobot_pneutac.cli import benchmark
+from pneutac_benchmarks.diagnosis import (
+    hidden,
+    main,
+    real,
+    regressors,
+    rules,
+    table_rivals,
+    table_truths,
+    truths,
+)
+from pneutac_benchmarks.diagnosis.cases import BenchmarkDiagnosisConfig, Case
+from pneutac_benchmarks.diagnosis.table import confusion, right, summary, wilson, write_table
+from pneutac_sim.effects.laws import family, law_names
+from pneutac_sim.effects.registry import body_effects
+from pneutac_sim.errors import InputError
+from pneutac_truths import EFFECTS, PAIRS
+
+
+def answer(kind, effects, verdict, selected, accepts, strength=1.0):
+    return {
+        "kind": kind, "effects": effects, "strength": strength, "seed": 0, "verdict": verdict,
+        "selected": selected,
+        "before": 2.5, "after": 0.6, "noise_floor": 0.5, "reduction": 0.95, "seconds": 10.0,
+        "truth": {"effects": effects.split(","), "accepts": accepts},
+    }  # fmt: skip
+
+
+ANSWERS = [
+    answer("effect", "creep", "missing_effect", ["creep"], [["creep"]]),
+    answer("effect", "creep", "insufficient_form", ["lag(p)", "leak"], [["creep"]]),
+    answer(
+        "effect", "stiffening", "missing_effect", ["gain_saturation"], [["stiffening", "gain_saturation"]]
+    ),
+    answer("effect", "leak", "unknown_effect", ["leak"], [["leak"]]),
+    answer("none", "none", "adequate", [], []),
+    answer("none", "none", "unknown_effect", [], []),
+    answer("unknown", "disturbance_vibration", "unknown_effect", [], []),
+    answer("pair", "creep,gravity", "missing_effect", ["gravity", "creep"], [["creep"], ["gravity"]]),
+    answer("pair", "creep,gravity", "missing_effect", ["gravity"], [["creep"], ["gravity"]]),
+]
+
+
+def test_scoring_is_strict():
+    assert [right(a) for a in ANSWERS] == [True, True, True, False, True, False, True, True, False]
+
+
+def test_table_and_picture(tmp_path):
+    write_table(ANSWERS, tmp_path, Console(quiet=True))
+    text = (tmp_path / "table.md").read_text()
+    assert (
+        "| one effect, strength 1 | 3 of 4 |" in text and "| leak | 1 | 0 of 1 | unknown_effect 1 |" in text
+    )
+    result = json.loads((tmp_path / "result.json").read_text())
+    assert len(result["wrong"]) == 3
+    assert {r["group"]: r["with_extra"] for r in result["groups"]}["one effect, strength 1"] == 1
+    picture = confusion(ANSWERS)
+    assert picture.dtype == np.uint8 and picture.shape[2] == 3 and len(np.unique(picture)) > 10
+    assert summary(ANSWERS)[0]["ci95"] == pytest.approx(wilson(3, 4))
+
+
+def test_the_hidden_set_holds_every_effect_strength_and_seed():
+    full = hidden.cases(BenchmarkDiagnosisConfig(set="hidden"))
+    assert len({c.key for c in full}) == len(full)
+    singles = [c for c in full if c.kind == "effect"]
+    assert len(singles) == len({c.effects for c in singles}) * 3 * 5
+    assert sum(c.kind == "none" for c in full) == 40
+    assert {c.kind for c in full} == {"effect", "pair", "none", "unknown"}
+    assert len(hidden.cases(BenchmarkDiagnosisConfig(set="hidden", fast=True))) < len(full) / 8
+
+
+@pytest.mark.slow
+def test_a_case_is_solved_blindly_and_kept(tmp_path, monkeypatch):
+    """A finished case is not repeated."""
+    case = Case("hidden", "none", "none", 5004, 2.0)
+    out = tmp_path / "out"
+    main.solve(case, out / "cases")
+    kept = json.loads((out / "cases" / f"{case.key}.json").read_text())
+    assert kept["truth"]["effects"] == [] and kept["verdict"] in ("adequate", "ambiguous")
+    monkeypatch.setattr(hidden, "cases", lambda cfg: [case])
+    monkeypatch.setattr(main, "solve", None)
+    benchmark.main(["diagnosis", "--set=hidden", f"--out={out}"])
+    assert (out / "table.md").is_file() and (out / "confusion.png").is_file()
+
+
+# ---------------------------------------------------------------- truths
+
+
+def truth_answer(effects, selected, verdict="missing_effect", ratio=1.1, kind="effect", device="rod"):
+    parts = PAIRS.get(effects, (effects,) if effects in EFFECTS else ())
+    floor, before = 0.4, 2.0
+    return {
+        "set": "truths", "kind": kind, "effects": effects, "device": device, "seed": 0, "truth": list(parts),
+        "physics": [p for p in parts if EFFECTS[p].physics], "verdict": verdict, "selected": selected,
+        "floor": floor, "constant": 20.0, "before": before, "after": ratio * floor, "ratio": ratio,
+        "removed": rules.removed(before, 20.0, ratio * floor, floor), "seconds": 30.0,
+    }  # fmt: skip
+
+
+def test_the_rules_know_every_truth_and_every_name():
+    names = {family(n) for n in law_names()} | set(law_names()) | set(body_effects()) | {rules.BASE}
+    assert set(rules.COUNTS) == set(EFFECTS)
+    assert {n for accepted in rules.COUNTS.values() for n in accepted} <= names
+
+
+def test_the_share_removed_counts_only_what_could_be_removed():
+    assert rules.removed(2.0, 9.0, 0.4, 0.4) == 1.0
+    assert rules.removed(2.0, 9.0, 2.0, 0.4) == 0.0
+    assert rules.removed(2.0, 1.0, 1.0, 0.4) == 0.0, "a twin worse than a constant has no credit for that"
+    assert rules.removed(2.0, 9.0, 3.0, 0.4) < -1
+    assert rules.removed(0.402, 9.0, 0.4, 0.4) is None
+    assert rules.removed(1.0, 9.0, 0.1, 0.4) == 1.0, "below the floor is no more than all"
+
+
+@pytest.mark.parametrize("effects, selected, verdict, ratio, expected", [
+    ("creep_fractional", ["power_law_memory(p)"], "missing_effect", 1.1, True),
+    ("creep_fractional", ["creep"], "insufficient_form", 1.6, True),
+    ("creep_fractional", ["lag(p) #2"], "missing_effect", 1.1, True),
+    ("creep_fractional", ["lag(p)"], "unknown_effect", 1.1, False),
+    ("creep_fractional", ["play(p)", "lag(p)"], "missing_effect", 1.1, False),
+    ("creep_fractional", [], "adequate", 1.0, False),
+    ("hunting", ["play(p)"], "missing_effect", 1.1, False),
+    ("hunting", [], "unknown_effect", 3.0, True),
+    ("soft_clamp", [], "adequate", 1.1, True),
+    ("soft_clamp", [], "unknown_effect", 4.0, False),
+    ("creep_and_hysteresis", ["play(p)", "lag(p)"], "missing_effect", 1.1, True),
+    ("creep_and_hysteresis", ["lag(p)"], "missing_effect", 1.1, False),
+    ("tube_kink", ["lag(p; time moves with p)"], "missing_effect", 1.1, True),
+    ("tube_kink", ["lag(p)"], "missing_effect", 1.1, False),
+    ("marker_slip", [], "unknown_effect", 5.0, True),
+    ("marker_slip", ["lag(p)"], "unknown_effect", 5.0, False),
+    ("tracker_lowpass", ["tracker_lag"], "missing_effect", 1.1, True),
+    ("plain", [], "adequate", 1.0, True),
+    ("plain", ["p^3"], "missing_effect", 1.0, False),
+])  # fmt: skip
+def test_right_physics(effects, selected, verdict, ratio, expected):
+    kind = "plain" if effects == "plain" else "pair" if effects in PAIRS else "effect"
+    assert table_truths.score(truth_answer(effects, selected, verdict, ratio, kind))["right"] is expected
+
+
+def test_the_table_of_truths(tmp_path):
+    answers = [
+        truth_answer("creep_fractional", ["lag(p)"]),
+        truth_answer("creep_fractional", ["play(p)"], ratio=3.0),
+        truth_answer("marker_slip", [], "unknown_effect", 5.0),
+        truth_answer("plain", [], "adequate", kind="plain"),
+    ]
+    table_truths.write_table(answers, tmp_path, Console(quiet=True))
+    text = (tmp_path / "table.md").read_text()
+    assert "| rod, effect | 2 | 1 | 1 | 1 |" in text and "| rod, disturbance | 1 | 0 | 0 | 1 |" in text
+    assert "| creep_fractional | rod | 1 of 2 | 1 of 2 | 1 of 2 |" in text and "creep 1, hysteresis 1" in text
+    groups = {r["group"]: r for r in json.loads((tmp_path / "result.json").read_text())["groups"]}
+    assert groups["rod, effect"]["too_much"] == 1 and groups["rod, plain"]["right"] == 1
+    assert (tmp_path / "confusion.png").is_file() and (tmp_path / "ladder.png").is_file()
+
+
+def test_truths_are_what_applies_to_each_device():
+    full = truths.cases(BenchmarkDiagnosisConfig(seeds=2))
+    assert len({c.key for c in full}) == len(full)
+    singles = {c.effects for c in full if c.device == "rod"} & set(EFFECTS)
+    assert singles == {e.name for e in EFFECTS.values() if "rod" in e.devices}
+    moving = {c.effects for c in full if c.device == "cosserat"} - {"plain", "device"}
+    assert moving == {e.name for e in EFFECTS.values() if e.devices == ("cosserat",)}
+    out = truths.cases(BenchmarkDiagnosisConfig(set="own_form_out", seeds=1))
+    assert {"creep_fractional", "hysteresis_preisach"} <= {c.effects for c in out}
+    assert not {"hunting", "gravity", "dead_time", "marker_slip"} & {c.effects for c in out}
+    with pytest.raises(InputError, match="there is no truth 'cooking'"):
+        truths.cases(BenchmarkDiagnosisConfig(effects=("cooking",)))
+
+
+def test_the_gentle_part_stays_low_and_holds_nothing_long(tmp_path):
+    from pneutac_datasets.recording.recording import Recording
+    from pneutac_truths import generate, write
+
+    whole = Recording.load(write(generate("rod", ["plain"], 3, minutes=4.0), tmp_path / "day"))
+    part, column = truths.gentle(whole), "pressure_cmd_kpa"
+    assert 0.05 < len(part) / len(whole) < 0.6
+    assert part.column(column).max() <= 0.6 * whole.column(column).max()
+    for rows in part.trials().values():
+        assert part.column("time_s")[rows][0] == 0.0, "each part begins as its trial did"
+
+
+def test_real_recordings_are_split_by_blocks_and_forward():
+    made = real.cases(BenchmarkDiagnosisConfig(set="real"))
+    assert sum(c.kind == "blocks" for c in made) == 9 and sum(c.kind == "forward" for c in made) == 3
+
+
+# ---------------------------------------------------------------- rivals
+
+
+@pytest.mark.parametrize(
+    "method", [regressors.ridge, regressors.stlsq, regressors.gaussian_process, regressors.network]
+)
+def test_a_black_box_learns_what_features_tell(method):
+    rng = np.random.default_rng(0)
+    F, G = rng.normal(size=(2000, 3)), rng.normal(size=(500, 3))
+
+    def target(x):
+        return np.stack([x[:, 0] * x[:, 1] + 0.5 * x[:, 2], 2.0 + x[:, 0]], axis=1)
+
+    noisy = target(F) + rng.normal(0, 0.1, (2000, 2))
+    left = target(G) - method(F, noisy, G, 0)
+    inside = (np.abs(G) < 2).all(axis=1)
+    assert np.sqrt((left[inside] ** 2).mean()) < 0.2
+    assert np.abs(method(F, noisy, np.full((1, 3), 1e6), 0)).max() < 50, "held to what was shown"
+
+
+def test_the_table_of_rivals(tmp_path):
+    def method(share, ratio):
+        return {"after": 1.0, "ratio": ratio, "removed": share, "seconds": 2.0}
+
+    none = {"laws": method(None, 1.0), "network": method(None, 1.0)}
+    answers = [
+        {
+            "methods": {
+                "laws": method(0.95, 1.2),
+                "network": method(0.5, 3.0),
+                "x": {"skipped": "not installed"},
+            }
+        },
+        {
+            "methods": {
+                "laws": method(0.80, 1.6),
+                "network": method(0.92, 1.4),
+                "x": {"skipped": "not installed"},
+            }
+        },
+        {"methods": none},
+    ]
+    table_rivals.write_table(answers, tmp_path, Console(quiet=True))
+    text = (tmp_path / "table.md").read_text()
+    assert "| laws | 1 of 2 | 1 of 2 | 88% |" in text and "| x | not installed |" in text
+
+
+def test_options_are_told_what_is_right():
+    with pytest.raises(InputError, match="--set=cooking must be one of truths"):
+        BenchmarkDiagnosisConfig(set="cooking")
+    with pytest.raises(InputError, match="must be some of rod, arm, cosserat"):
+        BenchmarkDiagnosisConfig(devices=("tentacle",))
+    assert BenchmarkDiagnosisConfig(set="real").folder.name == "real"
+
+
+def test_other_tables_say_so_in_one_sentence():
+    with pytest.raises(InputError, match="no benchmark; give one of diagnosis"):
+        benchmark.main(["cooking"])

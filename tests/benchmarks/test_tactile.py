@@ -1,0 +1,201 @@
+"""The tactile benchmark: its numbers, that it resumes, and that no method has seen what it is scored on."""
+
+import json
+import math
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from lerobot_pneutac.cli.benchmark import main
+from pneutac_benchmarks.tactile import methods as methods
+from pneutac_benchmarks.tactile.main import measure
+from pneutac_benchmarks.tactile.methods import FOUND_ALONE, METHODS, makes_for
+from pneutac_benchmarks.tactile.picture import columns
+from pneutac_benchmarks.tactile.sets import TactileSet
+from pneutac_benchmarks.tactile.table import SCORES, ahead, mean_sem, shown
+from pneutac_datasets.generate.gel import write_gel_recording
+from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.errors import InputError
+from pneutac_sim.gel.layout import DIGIT
+from pneutac_sim.gel.metrics import rmse
+
+pytestmark = pytest.mark.slow
+
+FAST = "rest,pasted,linear,model"
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    """Two sessions of one generated sensor."""
+    folder = tmp_path_factory.mktemp("tactile")
+    for seed, name in enumerate(("first", "second")):
+        write_gel_recording(folder / name, seed, heldout=3)
+    (folder / "notes").mkdir()
+    return folder
+
+
+@pytest.fixture(scope="module")
+def out(data, tmp_path_factory):
+    """Where the verb was run once."""
+    folder = tmp_path_factory.mktemp("out")
+    main(["tactile", f"--data={data}", f"--methods={FAST}", f"--out={folder}"])
+    return folder
+
+
+def result(out: Path) -> dict:
+    return json.loads((out / "result.json").read_text())
+
+
+def test_scores_are_means_over_held_out_images_alone(data, out):
+    recording = Recording.load(data / "first")
+    rest = recording.image("rest.png")
+    held = recording.samples[recording.samples["role"] == "heldout"]["image"]
+    errors = [rmse(rest, recording.image(i)) for i in held]
+    found = result(out)["sets"]["first"]
+    assert found["images"] == {"heldout": 3}
+    mean, sem = found["methods"]["rest image"]["heldout"]["rmse"]
+    assert mean == pytest.approx(np.mean(errors))
+    assert sem == pytest.approx(np.std(errors, ddof=1) / math.sqrt(3))
+    assert found["methods"]["rest image"]["heldout"]["contact_dncc"][0] == 0
+
+
+def test_ours_is_ahead_of_the_pasted_difference_and_of_the_rest_image(out):
+    for content in result(out)["sets"].values():
+        ours, pasted, rest = (
+            content["methods"][m]["heldout"]["contact_rmse"][0]
+            for m in ("this model", "difference pasted", "rest image")
+        )
+        assert ours < 0.75 * min(pasted, rest)
+        assert content["times"]["this model"]["fit_s"] > content["times"]["difference pasted"]["fit_s"]
+
+
+def test_a_gel_serves_another_session_of_its_sensor_with_the_rest_image_alone(out):
+    across = result(out)["across"]
+    assert [(r["from"], r["to"]) for r in across] == [("first", "second"), ("second", "first")]
+    for r in across:
+        assert r["moved"]["contact_rmse"][0] < 0.5 * r["rest"]["contact_rmse"][0]
+        assert r["own"]["contact_rmse"][0] < 0.5 * r["rest"]["contact_rmse"][0]
+
+
+def test_the_second_run_measures_nothing_and_prints_what_result_json_holds(data, out, monkeypatch, capsys):
+    def fail(*_):
+        raise AssertionError("measured again")
+
+    before = result(out)
+    for key in FAST.split(","):
+        monkeypatch.setitem(METHODS, key, replace(METHODS[key], fit=fail))
+    monkeypatch.setattr(methods, "own_gel", fail)
+    monkeypatch.setenv("COLUMNS", "160")
+    main(["tactile", f"--data={data}", f"--methods={FAST}", f"--out={out}"])
+    said, table = capsys.readouterr().out, (out / "table.md").read_text()
+    assert " 0 to do" in said and result(out) == before
+    for name, content in before["sets"].items():
+        assert name in said and (out / f"tactile_{name}.png").is_file()
+        for method, roles in content["methods"].items():
+            for score, (_, decimals) in SCORES.items():
+                cell = shown(roles["heldout"][score], decimals)
+                line = next(x for x in said.splitlines() if x.startswith((method + " ", " " + method + " ")))
+                assert (cell in said and cell in table) and (name != "first" or cell in line)
+    assert "| **this model** |" in table and "| **rest image** |" not in table
+
+
+def test_changed_images_are_measured_again(data, tmp_path, capsys):
+    copy, out = tmp_path / "data", tmp_path / "out"
+    shutil.copytree(data, copy)
+    argv = ["tactile", f"--data={copy}", "--methods=rest", f"--out={out}"]
+    main(argv)
+    before = result(out)["sets"]
+    file = copy / "second" / "images" / "ball_1.png"
+    Image.fromarray(255 - np.asarray(Image.open(file))).save(file)
+    main(argv)
+    assert ", 1 to do" in capsys.readouterr().out
+    after = result(out)["sets"]
+    assert after["first"] == before["first"]
+    worse = [x["second"]["methods"]["rest image"]["heldout"]["rmse"][0] for x in (before, after)]
+    assert worse[1] > worse[0] + 5
+
+
+def test_splats_show_the_same_model(data):
+    """Drawn by Gaussians the picture is the same but for their size, drift of light included."""
+    chosen = TactileSet.load(data / "first")
+    ours, splats = (METHODS[k].fit("first", chosen.data)(chosen.heldout[0]) for k in ("model", "splats"))
+    contact = rmse(ours, chosen.heldout[0].rest)
+    assert rmse(ours, splats) < 0.25 * contact
+
+
+def test_another_sessions_rest_image_takes_a_baselines_change(data):
+    chosen = TactileSet.load(data / "first")
+    sample = chosen.heldout[0]
+    darker = replace(sample, rest=(sample.rest * 0.8).astype(np.uint8))
+    for key in ("rest", "pasted"):
+        predict = METHODS[key].fit("first", chosen.data)
+        change = predict(sample).astype(int) - sample.rest
+        moved = predict(darker).astype(int) - darker.rest
+        inside = (predict(sample) > 60) & (predict(sample) < 255)
+        np.testing.assert_array_equal(change[inside], moved[inside])
+
+
+def test_a_digit_is_never_lent_constants_that_were_found_on_it():
+    assert makes_for("digit_nagoya", "digit_fots") == (FOUND_ALONE["digit_nagoya"],)
+    assert makes_for("digit_fots", "gelsight_thu") == (DIGIT,)
+    for name, other in methods.OTHER_UNIT.items():
+        assert other != name and FOUND_ALONE[other] != FOUND_ALONE[name]
+    assert METHODS["other_unit"].sets == METHODS["no_make"].sets == tuple(FOUND_ALONE)
+
+
+def test_who_is_ahead_is_told_by_paired_differences():
+    def row(values):
+        return {"images": [{"role": "heldout", "rmse": v, "contact_rmse": 5.0} for v in values]}
+
+    rows = {"model": row([4.0, 6.0, 8.0]), "taxim": row([3.0, 5.0, 7.0]), "tacchi": row([5.0, 6.0, 9.0])}
+    rows["no_make"] = row([0.0, 0.0, 0.0])
+    assert ahead(rows) == [{"method": "Taxim", "role": "heldout", "score": "rmse", "by": [1.0, 0.0]}]
+    assert mean_sem([2.0]) == [2.0, None] and shown([2.0, None], 1) == "2.0"
+
+
+def test_pictured_images_spread_from_the_best_to_the_worst():
+    errors = np.random.default_rng(0).permutation(21).astype(float)
+    picks = columns([{"rmse": e} for e in errors])
+    assert list(errors[picks]) == [0, 5, 10, 15, 20]
+
+
+@pytest.mark.parametrize(
+    "options, says",
+    [
+        (["--data=/nowhere"], "--data=/nowhere is no folder"),
+        (["--methods=taxin"], "--methods is 'taxin'; it must be one of rest, pasted"),
+        (["--sets=third"], "--sets is 'third'; it must be one of first, second"),
+    ],
+)
+def test_bad_options_end_in_one_sentence(data, tmp_path, options, says):
+    with pytest.raises(InputError, match=says) as e:
+        main(["tactile", f"--data={data}", f"--out={tmp_path / 'out'}", *options])
+    assert "\n" not in str(e.value)
+
+
+def test_bad_folders_end_in_one_sentence(data, tmp_path, monkeypatch):
+    monkeypatch.delenv("PNEUTAC_DATA", raising=False)
+    with pytest.raises(InputError, match="^--data is not given; .* set PNEUTAC_DATA"):
+        main(["tactile"])
+    with pytest.raises(InputError, match="whose device is 'gel'"):
+        main(["tactile", f"--data={data / 'first'}"])
+    with pytest.raises(InputError, match="is a file"):
+        main(["tactile", f"--data={data}", f"--out={data / 'first' / 'rest.png'}"])
+    shutil.copytree(data / "first", tmp_path / "data" / "bare")
+    recording = Recording.load(tmp_path / "data" / "bare")
+    for roles, says in (("calibration", "bare has no held-out image"), ("heldout", "bare.*no row with role")):
+        recording.samples["role"] = roles
+        recording.write(tmp_path / "data" / "bare")
+        with pytest.raises(InputError, match=says):
+            main(["tactile", f"--data={tmp_path / 'data'}", f"--out={tmp_path / 'out'}"])
+
+
+def test_a_pair_that_shows_no_contact_is_named(data, tmp_path):
+    shutil.copytree(data / "first", tmp_path / "quiet")
+    shutil.copy(tmp_path / "quiet" / "rest.png", tmp_path / "quiet" / "images" / "ball_0.png")
+    with pytest.raises(InputError, match="quiet, 'images/ball_0.png'.*the same picture"):
+        measure(TactileSet.load(tmp_path / "quiet"), "linear")

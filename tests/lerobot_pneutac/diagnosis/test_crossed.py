@@ -1,0 +1,58 @@
+"""Errors on folds that a fit did not see, from one fit, against fits without each fold."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from lerobot_pneutac.study.body_model import BodyModel
+
+N, F, D = 300, 4, 2
+
+
+def linear(weight, held=()):
+    """A linear model of two columns, fitted by ridge regression; `held`: parameters at a bound."""
+    rng = np.random.default_rng(0)
+    A = rng.normal(size=(N * D, F))
+    y = A @ np.array([0.4, 0.5, 0.6, 0.5]) + 0.2 * rng.normal(size=N * D)
+    centre, W = np.full(F, 0.5), weight * np.eye(F)
+    use = [j for j in range(F) if j not in held]
+
+    def fit(rows):
+        v, u = np.zeros(F), np.ix_(use, use)
+        H = A[rows].T @ A[rows] + W
+        v[use] = np.linalg.solve(H[u], (A[rows].T @ y[rows] + W @ centre)[use])
+        return v
+
+    every = np.arange(N * D)
+    v = fit(every)
+    model = BodyModel(
+        form=None, pipeline=None, theta=v, free=np.arange(F), v=v, residual=(A @ v - y).reshape(N, D),
+        jacobian=A, weight=W, pull=W @ (v - centre), counted=1, bounds=SimpleNamespace(),
+    )  # fmt: skip
+    return model, fit, A, y
+
+
+@pytest.mark.parametrize(("weight", "held"), [(0.0, ()), (25.0, ()), (0.0, (2,))])
+def test_crossed_equals_explicit_refits_of_a_linear_model(weight, held):
+    model, fit, A, y = linear(weight, held)
+    fold = np.arange(N) // 20 % 5
+    crossed = model.crossed(fold)
+    for k in range(5):
+        v = fit(np.flatnonzero(np.repeat(fold != k, D)))
+        apart = ((A @ v - y).reshape(N, D)[:, 0] ** 2)[fold == k]
+        np.testing.assert_allclose(crossed[fold == k], apart, rtol=1e-4, atol=1e-8)
+
+
+def test_rows_of_no_fold_stay_out_and_count_nothing():
+    model, fit, A, y = linear(0.0)
+    fold = np.where(np.arange(N) < 200, -1, 0)
+    crossed = model.crossed(fold)
+    assert not crossed[:200].any()
+    v = fit(np.flatnonzero(np.repeat(fold < 0, D)))
+    np.testing.assert_allclose(crossed[200:], (A @ v - y).reshape(N, D)[200:, 0] ** 2, rtol=1e-4, atol=1e-8)
+
+
+def test_without_a_free_parameter_nothing_moves():
+    model, *_ = linear(0.0, held=range(F))
+    np.testing.assert_array_equal(model.crossed(np.arange(N) % 5), model.residual[:, 0] ** 2)

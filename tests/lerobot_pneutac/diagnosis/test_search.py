@@ -1,0 +1,329 @@
+"""The search, on linear models whose answer is known, and on models whose errors are written down."""
+
+from dataclasses import dataclass, field
+from itertools import combinations
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from lerobot_pneutac.diagnosis import search
+from lerobot_pneutac.diagnosis.bootstrap import Resampler
+from lerobot_pneutac.diagnosis.search import Scored, Search, chosen
+
+UNITS, SIZE = 40, 25
+N = UNITS * SIZE
+UNIT = np.repeat(np.arange(UNITS), SIZE)
+FOLD = UNIT % 5
+JUDGE = Resampler(np.ones(N, bool), UNIT, np.zeros(UNITS, int), 0)
+NOISE = 0.3
+
+
+@dataclass(frozen=True)
+class Linear:
+    """Least squares on a constant and some columns."""
+
+    effects: tuple
+    X: np.ndarray
+    y: np.ndarray
+    cost: int
+
+    @property
+    def form(self):
+        return SimpleNamespace(effects=self.effects)
+
+    def crossed(self, fold):
+        out = np.zeros(N)
+        for k in range(fold.max() + 1):
+            w = np.linalg.lstsq(self.X[fold != k], self.y[fold != k], rcond=None)[0]
+            out[fold == k] = (self.y - self.X @ w)[fold == k] ** 2
+        return out
+
+
+@dataclass
+class LinearSpace:
+    """Columns that may be added to a constant; `costs` of those that stand for several parameters."""
+
+    columns: dict
+    y: np.ndarray
+    costs: dict = field(default_factory=dict)
+
+    def bases(self):
+        return [()]
+
+    def with_lines(self, model):
+        return []
+
+    def fit(self, trial, steps=0, every=1):
+        X = np.stack([np.ones(N), *(self.columns[e] for e in trial)], 1)
+        return Linear(trial, X, self.y, 1 + sum(self.costs.get(e, 1) for e in trial))
+
+    def again(self, model):
+        return model.effects
+
+    def settle(self, model):
+        return model
+
+    def removable(self, model):
+        return list(model.effects)
+
+    def without(self, model, term):
+        return self.fit(tuple(e for e in model.effects if e != term))
+
+    def grow(self, model, most, pairs):
+        rest = [e for e in self.columns if e not in model.effects]
+        found = sorted(((e,) for e in rest), key=lambda new: self._left(model, new))[:most]
+        both = sorted(combinations(rest, 2), key=lambda new: self._left(model, new))[:pairs]
+        return [(*model.effects, *new) for new in (*found, *both)]
+
+    def _left(self, model, new):
+        fitted = self.fit((*model.effects, *new))
+        return float((fitted.y - fitted.X @ np.linalg.lstsq(fitted.X, fitted.y, rcond=None)[0]).var())
+
+
+def smooth(seed):
+    rng = np.random.default_rng(seed)
+    return np.interp(np.arange(N), np.linspace(0, N - 1, 120), rng.normal(size=120))
+
+
+def toy(hidden, seed=0, columns=None, costs=None):
+    columns = columns or {c: smooth([seed, i]) for i, c in enumerate("ABCDEFGH")}
+    y = sum(size * columns[c] for c, size in hidden.items())
+    y = y + NOISE * np.random.default_rng([seed, 99]).normal(size=N)
+    return Search(LinearSpace(columns, y, costs or {}), JUDGE, FOLD, NOISE)
+
+
+@pytest.mark.parametrize("hidden", [{"B": 1.0}, {"B": -0.4, "F": 1.5}, {"A": 1.0, "D": 0.7, "H": -0.5}])
+def test_exactly_the_hidden_terms_are_found(hidden):
+    found = toy(hidden).find()
+    assert set(found.final.model.effects) == set(hidden)
+    assert found.base.model.effects == () and found.path[0] is found.base
+    assert found.final.value == pytest.approx(NOISE**2, rel=0.15)
+    assert set(found.without) == set(hidden) and len(found.rivals) == len(found.path) - 1
+    assert all(s.value > found.final.value for s in found.without.values())
+
+
+def test_nothing_is_found_where_nothing_is_missing():
+    for seed in range(10):
+        assert toy({}, seed).find().final.model.effects == ()
+
+
+def test_a_pair_is_found_of_which_each_alone_is_worth_nothing(monkeypatch):
+    """Two columns that are nearly alike, and what is seen is their difference."""
+    columns = {c: smooth([7, i]) for i, c in enumerate("ABCDEF")}
+    columns["B"] = columns["A"] + 0.15 * columns["B"]
+    columns["A"] = columns["A"] - 0.02 * columns["C"]
+    hidden = {"A": -8.0, "B": 8.0}
+    assert set(toy(hidden, columns=columns).find().final.model.effects) == {"A", "B"}
+    grow = LinearSpace.grow
+    monkeypatch.setattr(LinearSpace, "grow", lambda self, model, most, pairs: grow(self, model, most, 0))
+    first = toy(hidden, columns=columns).find().path[1:2]
+    assert not first or first[0].value > 0.5, "alone neither does"
+
+
+def test_of_confounded_terms_the_simpler_is_taken():
+    """R does as well as A, within noise, by three parameters."""
+    columns = {c: smooth([3, i]) for i, c in enumerate("ABC")}
+    columns["R"] = columns["A"] + 0.02 * columns["B"]
+    found = toy({"R": 1.0}, columns=columns, costs={"R": 3}).find()
+    assert found.final.model.effects == ("A",)
+    assert ("R",) in {s.model.effects for s in found.rivals[0]}
+    columns["R"] = columns["A"] + 0.5 * smooth(8)
+    assert toy({"R": 1.0}, columns=columns, costs={"R": 3}).find().final.model.effects == ("R",)
+
+
+# ---------------------------------------------------------------- errors that are written down
+
+FLOOR = 0.5  # its square is a quarter
+
+
+class Written:
+    """A model with this mean square error. `patchy`: all of it in two of the forty blocks."""
+
+    def __init__(self, effects, value, cost=None, patchy=False):
+        self.effects, self.cost = effects, len(effects) + 1 if cost is None else cost
+        self.form = SimpleNamespace(effects=effects)
+        self._crossed = np.where(UNIT >= UNITS - 2, 20 * value, 0.0) if patchy else np.full(N, float(value))
+
+    def crossed(self, fold):
+        return self._crossed
+
+
+class Table:
+    """A space whose fits are rows: value, or a dict of `Written`'s arguments. Terms are letters."""
+
+    def __init__(self, rows, bases=("",), lines=(), kept=""):
+        self.rows, self.kept, self.begins, self.lines = rows, kept, bases, lines
+        self.asked, self.fitted = [], []
+
+    def fit(self, trial, steps=0, every=None):
+        self.fitted.append((tuple(trial), steps, every))
+        row = self.rows.get("".join(sorted(trial)))
+        if row is None:
+            return None
+        return Written(tuple(trial), **(row if isinstance(row, dict) else {"value": row}))
+
+    def bases(self):
+        return [tuple(b) for b in self.begins]
+
+    def with_lines(self, model):
+        return [(*line, *model.effects) for line in self.lines]
+
+    def grow(self, model, most, pairs):
+        self.asked.append((model.effects, most, pairs))
+        terms = sorted(set("".join(self.rows)) - set(model.effects) - set("".join(self.lines) + "!"))
+        return [(*model.effects, *new) for k in (1, 2) for new in combinations(terms, k)]
+
+    def again(self, model):
+        return model.effects
+
+    def settle(self, model):
+        row = self.rows.get("!" + "".join(sorted(model.effects)))
+        return model if row is None else Written(model.effects, row)
+
+    settle_line = settle
+
+    def removable(self, model):
+        return [e for e in model.effects if e not in self.kept]
+
+    def without(self, model, term):
+        left = tuple(e for e in model.effects if e != term)
+        return self.fit(left) or Written(left, 99.0)
+
+
+def find(rows, tell=lambda text: None, **options):
+    table = Table(rows, **options)
+    return table, Search(table, JUDGE, FOLD, FLOOR, tell=tell).find()
+
+
+def test_the_thresholds_are_those_of_the_manual():
+    assert (search.MOST_TERMS, search.BEAM, search.COARSE, search.FINE) == (6, 3, 12, 6)
+    assert (search.WORTH_OF_ROOM, search.WORTH_OF_FLOOR) == (0.04, 0.03)
+    assert (search.WORTH_OF_START, search.ALIKE) == (0.005, 0.01)
+
+
+@pytest.mark.parametrize(
+    ("start", "after", "taken"),
+    [(4.25, 4.085, True), (4.25, 4.095, False), (0.285, 0.2770, True), (0.285, 0.2780, False)],
+)
+def test_a_fall_must_be_worth_a_share_of_the_room_or_of_the_noise(start, after, taken):
+    _, found = find({"": start, "A": after})
+    assert (found.final.model.effects == ("A",)) == taken
+
+
+def test_late_falls_must_be_worth_a_share_of_the_start():
+    rows = {"": 8.25, "A": 0.75, "B": 8.25}  # 0.04 is needed of a start's room of 8
+    assert find(rows | {"AB": 0.711})[1].final.model.effects == ("A",)
+    assert find(rows | {"AB": 0.709})[1].final.model.effects == ("A", "B")
+
+
+def test_a_fall_that_a_few_blocks_undo_is_not_sure():
+    assert find({"": 1.25, "A": {"value": 1.0, "patchy": True}})[1].final.model.effects == ()
+    assert find({"": 1.25, "A": 1.0})[1].final.model.effects == ("A",)
+
+
+@pytest.mark.parametrize(("start", "asked"), [(0.2649, False), (0.2651, True)])
+def test_nothing_is_tried_where_next_to_nothing_is_left(start, asked):
+    table, _ = find({"": start, "A": start})
+    assert bool(table.asked) == asked
+
+
+def test_the_beam_goes_on_from_the_others_too():
+    rows = {"": 4.25, "A": 2.0, "B": 2.2, "C": 2.4, "D": 2.6}
+    table, found = find(rows)
+    assert [e for e, _, _ in table.asked] == [(), ("A",), ("B",), ("C",)] and table.asked[1:] == [
+        (("A",), search.COARSE, 4),
+        (("B",), 4, 2),
+        (("C",), 4, 2),
+    ]
+    assert {s.model.effects for s in found.rivals[0]} == {("B",), ("C",), ("D",)}
+
+
+def test_additions_are_fitted_roughly_first_and_then_well():
+    table, _ = find({"": 4.25, "A": 1.0, "L": 4.0}, lines=("L",))
+    by = {trial: [(s, e) for t, s, e in table.fitted if t == trial] for trial in ((), ("A",), ("L",))}
+    assert by[()][0] == (12, 1) and by[("L",)] == [(2, 4)] and by[("A",)][:2] == [(5, 2), (8, 1)]
+
+
+def test_only_so_many_different_ones_are_fitted_well():
+    rows = {"": 4.25} | {c: 4.2 + 0.001 * i for i, c in enumerate("ABCDEFGH")}
+    table, found = find(rows)
+    well = [trial for trial, steps, _ in table.fitted if steps == 8]
+    assert well == [(c,) for c in "ABCDEF"] and len(well) == search.FINE and found.rivals == []
+    rows = {"": 4.25, "A": 2.0, "B": 2.001, "AB": 1.999}
+    table, found = find(rows)  # in the second round AB comes from A and from B
+    assert [len(r) for r in found.rivals] == [2]
+    assert [t for t, steps, _ in table.fitted if steps == 8].count(("B", "A")) == 0
+
+
+def test_progress_is_told():
+    told = []
+    find({"": 4.25, "A": 1.0}, told.append)
+    assert told == [": 2.062", "found A: 1"]
+
+
+def test_no_more_acceptances_than_allowed():
+    """One or two terms each."""
+    rows = {"ABCDEFGHIJKLMNOP"[:k]: 20.0 - k for k in range(17)}
+    _, found = find(rows)
+    assert len(found.path) == search.MOST_TERMS + 1 and len(found.rivals) == search.MOST_TERMS
+
+
+def test_among_alike_the_simplest_is_accepted():
+    """Alike within 0.01 of a room of 4."""
+    rows = {"": 4.25, "A": {"value": 1.0, "cost": 6}, "B": {"value": 1.03, "cost": 2}}
+    assert find(rows)[1].final.model.effects == ("B",)
+    assert find(rows | {"B": {"value": 1.05, "cost": 2}})[1].final.model.effects == ("A",)
+
+
+def test_what_settles_worse_is_taken_as_it_was_fitted():
+    rows = {"": 4.25, "A": 1.0}
+    assert find(rows | {"!A": 0.5})[1].path[-1].value == 0.5
+    assert find(rows | {"!A": 1.5})[1].path[-1].value == 1.0
+
+
+def test_what_others_made_needless_is_pruned_and_the_rest_weighed_anew():
+    """A stood for B and C."""
+    rows = {"": 4.25, "A": 2.25, "B": 3.25, "C": 3.25, "AB": 1.25, "AC": 2.0, "ABC": 0.45, "BC": 0.45}
+    rows["BC"] = {"value": 0.451}
+    _, found = find({k: v for k, v in rows.items() if k != "BC"} | {"BC": {"value": 0.451, "cost": 9}})
+    assert set(found.final.model.effects) == {"B", "C"} and set(found.without) == {"B", "C"}
+    assert found.without["B"].value == 3.25
+
+
+def test_what_must_be_kept_is_not_taken_away():
+    rows = {"S": 4.25, "AS": 1.0}
+    _, found = find(rows, bases=("S",), kept="S")
+    assert found.base.model.effects == ("S",) and set(found.final.model.effects) == {"A", "S"}
+    assert set(found.without) == {"A"}
+    assert find(rows | {"A": 1.0}, bases=("S",))[1].final.model.effects == ("A",)
+
+
+# ---------------------------------------------------------------- where it begins
+
+
+def test_the_cheaper_base_stays_unless_the_other_is_surely_better():
+    # 0.05 of a room of 4 is 0.2, of a room of 0.5 it is 0.025
+    for start, value, first in ((4.25, 4.06, "S"), (4.25, 4.04, "T"), (0.75, 0.73, "S"), (0.75, 0.72, "T")):
+        rows = {"S": {"value": start, "cost": 3}, "T": {"value": value, "cost": 9}}
+        _, found = find(rows, bases=("S", "T"), kept="ST")
+        assert found.base.model.effects == (first,)
+
+
+@pytest.mark.parametrize(("value", "first"), [(2.03, "M"), (2.05, "L")])
+def test_of_lines_within_two_hundredths_the_simplest_is_taken(value, first):
+    rows = {"": 4.25, "L": {"value": 2.0, "cost": 5}, "M": {"value": value, "cost": 2}}
+    _, found = find(rows, lines=("L", "M"))
+    assert found.base.model.effects == (first,)
+
+
+def test_what_does_not_fit_or_is_not_finite_is_left_out():
+    space = Table({"A": 2.0, "B": np.nan, "C": 1.0})
+    scored = Search(space, JUDGE, FOLD, FLOOR).fits([("A",), ("B",), ("C",), ("D",)], 1)
+    assert [s.model.effects for s in scored] == [("C",), ("A",)]
+
+
+def test_chosen_is_the_simplest_of_those_that_are_as_good():
+    a, b, c = (Scored(SimpleNamespace(cost=k), np.zeros(1), v) for k, v in ((5, 4.25), (3, 4.32), (1, 4.34)))
+    assert chosen([a, b, c], lambda s: s.value, 0.25) is b  # alike within 0.08
+    assert chosen([a, c], lambda s: s.value, 0.25) is a

@@ -1,0 +1,84 @@
+"""Each branch of the verdict, and each objection."""
+
+import pytest
+
+from lerobot_pneutac.diagnosis.verdict import Evidence, decide
+
+
+def evidence(**change):
+    base = {
+        "samples": 5000, "units": 20, "moves": True, "before": 5.0, "after": 1.05, "selected": ["lag(p)"],
+        "removed": 0.99,
+    }  # fmt: skip
+    return Evidence(**(base | change))
+
+
+NOTHING = {"selected": [], "removed": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("change", "verdict"),
+    [
+        ({}, "missing_effect"),
+        ({"after": 1.49}, "missing_effect"),
+        ({"after": 1.51}, "insufficient_form"),
+        ({"after": 1.21, "left_to_black_box": 0.19}, "missing_effect"),
+        ({"after": 1.21, "left_to_black_box": 0.21}, "insufficient_form"),
+        ({"after": 1.19, "left_to_black_box": 0.9}, "missing_effect"),
+        ({"forward": False}, "insufficient_form"),
+        ({"agreed": 0.49}, "insufficient_form"),
+        ({"agreed": 0.5}, "missing_effect"),
+        ({"at_bound": ["lag(p).time_s"]}, "insufficient_form"),
+        ({"removed": 0.51}, "missing_effect"),
+        ({"removed": 0.49}, "unknown_effect"),
+        ({"removed": 0.49, "after": 4.0}, "unknown_effect"),
+        ({"after": 9.0, "noise_known": False}, "missing_effect"),
+        ({"after": 9.0, "noise_known": False, "left_to_black_box": 0.5}, "insufficient_form"),
+        (NOTHING | {"before": 1.19, "after": 1.19}, "adequate"),
+        (NOTHING | {"before": 1.21, "after": 1.21}, "unknown_effect"),
+        (NOTHING | {"after": 5.0, "near_miss": ["creep"]}, "ambiguous"),
+        (NOTHING | {"before": 1.1, "after": 1.1, "near_miss": ["creep"]}, "adequate"),
+        (NOTHING | {"before": 5.0, "after": 1.1}, "adequate"),
+        (NOTHING | {"after": 5.0, "noise_known": False}, "adequate"),
+        (NOTHING | {"after": 5.0, "noise_known": False, "left_to_black_box": 0.5}, "unknown_effect"),
+        ({"moves": False}, "ambiguous"),
+        ({"samples": 59}, "ambiguous"),
+        ({"samples": 60}, "missing_effect"),
+        ({"samples": 7, "few_samples": 6}, "missing_effect"),
+        ({"units": 5}, "ambiguous"),
+        ({"units": 6}, "missing_effect"),
+        (NOTHING | {"before": 1.0, "units": 5}, "ambiguous"),
+    ],
+)
+def test_verdicts_follow_the_evidence(change, verdict):
+    assert decide(evidence(**change)) == verdict
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({}, []),
+        ({"after": 2.34}, ["the error stays at 2.3 times the noise"]),
+        ({"after": 1.4, "left_to_black_box": 0.4}, ["a black box still removes 40 % of what is left"]),
+        (
+            {"noise_known": False, "after": 9.0, "left_to_black_box": 0.4},
+            ["the noise is not known", "a black box still removes 40 % of what is left"],
+        ),
+        ({"forward": False}, ["fitted to the earlier part, it does not hold in the later one"]),
+        ({"agreed": 2 / 7}, ["only 29 % of the splits chose it"]),
+        ({"at_bound": ["a.b", "c.d"]}, ["a.b, c.d stopped at a bound"]),
+    ],
+)
+def test_each_objection_is_one_phrase(change, said):
+    assert evidence(**change).objections == said
+
+
+def test_objections_add_up():
+    all_at_once = {
+        "after": 3.0,
+        "left_to_black_box": 0.4,
+        "forward": False,
+        "agreed": 0.1,
+        "at_bound": ["a.b"],
+    }
+    assert len(evidence(**all_at_once).objections) == 5

@@ -1,0 +1,141 @@
+"""`pneutac effects`: what it lists and shows, and that an exported file does what the effect does."""
+
+import importlib.util
+import sys
+
+import numpy as np
+import pytest
+
+from lerobot_pneutac.cli import effects as command
+from lerobot_pneutac.verbs.effect_file import effect_source, file_name
+from lerobot_pneutac.verbs.effects import list_effects, plain_equation, show_effect, tips
+from pneutac_sim.effects.body_effect import BodyEffect
+from pneutac_sim.effects.laws import law_names
+from pneutac_sim.effects.registry import all_effects, body_effects, get_effect
+from pneutac_sim.errors import InputError
+
+
+@pytest.fixture
+def load(tmp_path):
+    def of(name: str):
+        path = tmp_path / f"{file_name(name)}.py"
+        path.write_text(effect_source(name))
+        spec = importlib.util.spec_from_file_location(path.stem, path)
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[path.stem] = module
+        spec.loader.exec_module(module)
+        return module.EFFECT
+
+    yield of
+    for name in law_names():
+        sys.modules.pop(file_name(name), None)
+
+
+def bench(effect: BodyEffect):
+    """A signal that moves, rests and turns back, and conditions that move."""
+    rng = np.random.default_rng(3)
+    n = 400
+    channels = 5 if effect.signal == "markers" else 2
+    x = np.cumsum(rng.normal(0, 1.0, (n, channels)), axis=0)
+    x[100:160] = x[100]
+    x = 12.0 * np.abs(x) / np.abs(x).max()
+    dt = rng.uniform(0.03, 0.07, n)
+    conditions = rng.uniform(0.5, 1.5, (n, len(effect.columns))) * 30.0
+    return x, dt, conditions
+
+
+SOME = ("lag(p)", "play(p)^3", "mode(p)", "lag(p; time moves with dT)", "tip_y += x z", "p dT", "tracker_lag")
+
+
+@pytest.mark.parametrize("name", SOME)
+def test_an_exported_law_does_what_the_law_does(name, load):
+    law, own = get_effect(name), load(name)
+    x, dt, conditions = bench(law)
+    expected = law.apply(x, dt, {"weight": 0.3}, conditions)
+    assert np.abs(expected - x).max() > 1e-3
+    np.testing.assert_allclose(
+        own.apply(x, dt, {"weight": 0.3}, conditions), expected, rtol=1e-12, atol=1e-12
+    )
+    assert own.parameters == law.parameters and own.name == file_name(name) != name
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1200)
+@pytest.mark.parametrize("name", law_names())
+def test_every_law_can_be_exported(name, load):
+    law, own = get_effect(name), load(name)
+    x, dt, conditions = bench(law)
+    np.testing.assert_allclose(own.apply(x, dt, {}, conditions), law.apply(x, dt, {}, conditions), rtol=1e-12)
+
+
+def test_an_exported_law_holds_its_own_branch_alone():
+    text = effect_source("lag(p)")
+    assert "_lag(" in text and "tanh" not in text and "kind ==" not in text
+    assert 'lag_p = "lag_p:EFFECT"' in text and "pneutac.effects" in text
+    assert len(text.splitlines()) < 90
+
+
+def test_names_of_files_are_distinct():
+    names = [file_name(n) for n in (*law_names(), *all_effects())]
+    assert len(set(names)) == len(names) and all(n.isidentifier() for n in names)
+    assert not set(names) & set(all_effects())
+
+
+def test_an_exported_effect_has_a_name_of_its_own(load):
+    own, creep = load("creep"), get_effect("creep")
+    x, dt, _ = bench(creep)
+    assert own.name == "my_creep"
+    np.testing.assert_allclose(own.apply(x, dt), creep.apply(x, dt), rtol=1e-12)
+
+
+def test_equations_need_no_latex():
+    for row in list_effects():
+        assert row["equation"] and not set(row["equation"]) & set("\\{}"), row
+    assert plain_equation(r"\tau\,\dot p = p_{cmd} - p") == "tau dp/dt = p_cmd - p"
+    assert plain_equation(r"p \to \frac{p + a}{1 + b}") == "p -> (p + a)/(1 + b)"
+
+
+@pytest.mark.parametrize("name", ["lag(p^2)", "hysteresis", "shadow"])
+def test_show_writes_a_page(name, tmp_path, capsys):
+    command.main(["show", name, f"--out={tmp_path / 'page'}"])
+    page = (tmp_path / "page" / "report.html").read_text()
+    assert ("Plotly.newPlot" in page) == (name in body_effects() or name == "lag(p^2)")
+    out = capsys.readouterr().out
+    assert "equation:" in out and show_effect(name).sentence[-40:] in " ".join(out.split())
+    assert show_effect(name).to_dict()["parameters"]
+
+
+def test_a_late_law_makes_the_tip_late():
+    t, command_kpa, without, with_it = tips("lag(p)")
+    held = (t > 15) & (t < 20)
+    rising = (t > 8.0) & (t < 8.4)
+    assert np.abs(with_it - without)[rising].max() > 20 * np.abs(with_it - without)[held & (t > 19)].max()
+    assert command_kpa.max() == 12.0
+
+
+def test_export_writes_a_new_file_once(tmp_path):
+    out = tmp_path / "mine.py"
+    command.main(["export", "lag(p^2)", f"--out={out}"])
+    assert "EFFECT = BodyEffect(" in out.read_text()
+    with pytest.raises(InputError, match="must name a new file"):
+        command.main(["export", "lag(p^2)", f"--out={out}"])
+
+
+WRONG = (
+    (["cook"], "no action of effects"),
+    (["show"], "Name the effect"),
+    (["show", "crep"], "did you mean 'creep'"),
+)
+
+
+@pytest.mark.parametrize("argv, sentence", WRONG)
+def test_what_is_wrong_is_told(argv, sentence):
+    with pytest.raises(InputError, match=sentence):
+        command.main(argv)
+
+
+def test_list_names_all(capsys):
+    command.main(["list"])
+    out = capsys.readouterr().out
+    assert "creep" in out and "tracker_lag" in out
+    assert len(list_effects()) == len(all_effects()) + len(law_names())

@@ -1,0 +1,113 @@
+"""What all results share: plain numbers, and a report that says of what it is and what comes next."""
+
+import json
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lerobot_pneutac import add, calibrate, compare
+from lerobot_pneutac.verbs.new import new_twin
+from lerobot_pneutac.verbs.result import Result
+from lerobot_pneutac.verbs.surrogate import train_networks
+from pneutac_datasets.generate.hidden_gel import write_hidden_gel
+from pneutac_sim.twin import Twin
+
+PLAIN = (bool, int, float, str, type(None))
+
+
+def all_plain(x) -> bool:
+    if isinstance(x, dict):
+        return type(x) is dict and all(type(k) is str and all_plain(v) for k, v in x.items())
+    return all(map(all_plain, x)) if type(x) is list else type(x) in PLAIN
+
+
+@pytest.fixture(scope="module")
+def body(bench, tmp_path_factory):
+    """Results of the verbs of a body; it has the effect already when that is refused."""
+    recording = bench("creep")
+    folder = new_twin(recording=recording).save(tmp_path_factory.mktemp("body") / "my twin")
+    calibrated = calibrate(Twin.load(folder), recording).save(folder)
+    added = add(calibrated.twin, recording, "creep").save(folder)
+    return {
+        "calibrate": calibrated,
+        "compare": compare(calibrated.twin, recording),
+        "add": added,
+        "refused": add(added.twin, recording, "creep"),
+    }
+
+
+@pytest.fixture(scope="module")
+def gel(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("gel")
+    recording = write_hidden_gel(folder / "presses", ["shadow"], images=3)
+    calibrated = calibrate(new_twin("gel", recording), recording).save(folder / "twin")
+    uncalibrated = compare(new_twin("gel"), recording)
+    return {"calibrate": calibrated, "compare": compare(calibrated.twin, recording), "new": uncalibrated}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("verb", ["calibrate", "compare", "add", "refused"])
+def test_results_of_a_body_are_plain(body, verb):
+    found = body[verb].to_dict()
+    assert found and all_plain(found) and json.loads(json.dumps(found, allow_nan=False)) == found
+
+
+@pytest.mark.parametrize("verb", ["calibrate", "compare"])
+def test_results_of_a_gel_are_plain(gel, verb):
+    found = gel[verb].to_dict()
+    assert found and all_plain(found) and json.loads(json.dumps(found, allow_nan=False)) == found
+
+
+def test_results_of_networks_are_plain(tmp_path):
+    found = train_networks(Twin.builtin(), Twin.builtin().save(tmp_path / "twin"))
+    assert all_plain(found.to_dict()) and found.to_dict()["twin"] == str(tmp_path / "twin")
+
+
+def test_whatever_a_verb_finds_becomes_plain():
+    class Found(Result):
+        def to_dict(self):
+            return {
+                1: np.float64(0.5),
+                "a": (np.int64(2), [np.arange(2)]),
+                "b": Path("x"),
+                "c": np.bool_(True),
+            }
+
+    class More(Found):
+        def to_dict(self):
+            return super().to_dict() | {"d": np.float32(0.25)}
+
+    plain = {"1": 0.5, "a": [2, [[0, 1]]], "b": "x", "c": True, "d": 0.25}
+    assert More().to_dict() == plain and all_plain(More().to_dict())
+
+
+def test_what_has_no_place_in_json_is_refused():
+    class Found(Result):
+        def to_dict(self):
+            return {"a": {1, 2}}
+
+    with pytest.raises(TypeError, match="set has no place in a result.json"):
+        Found().to_dict()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("verb", "version", "after"),
+    [("calibrate", "version 0 (calibrated", "compare"), ("compare", "version 0 (calibrated", "diagnose")],
+)
+def test_a_report_names_twin_version_and_recording_and_what_comes_next(body, tmp_path, verb, version, after):
+    result = body[verb]
+    page = result.report(tmp_path).read_text()
+    twin, recording = result.subject()
+    about = page.partition('<p class="about">')[2].partition("</p>")[0]
+    assert f"<code>{twin.folder}</code>, {version}" in about
+    assert f"Recording: <code>{Path(recording).name}</code>." in about
+    assert shlex.split(result.next_command)[:3] == ["pneutac", after, f"--twin={twin.folder}"]
+    shown = page.partition("<h2>Next</h2>")[2].partition("<pre>")[2].partition("</pre>")[0]
+    assert shown.replace("&#39;", "'") == result.next_command and f"--recording={recording}" in shown
+
+
+def test_a_twin_in_no_folder_is_named_by_its_device(gel, tmp_path):
+    assert "Twin: gel, as it was made." in gel["new"].report(tmp_path).read_text()

@@ -1,0 +1,282 @@
+"""Each fault that is put into a generated recording is found, alone, and told apart from physics."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from generated import once
+
+from pneutac_datasets.generate.hidden.generate import generate
+from pneutac_datasets.recording.checks import check, findings
+from pneutac_datasets.recording.finding import KINDS
+from pneutac_datasets.recording.recording import Recording
+
+
+def copy(r):
+    return Recording(r.folder, r.meta, r.samples.copy(), r.device, list(r.warnings))
+
+
+def by_trial(r, column, change):
+    """Changes a column (n,) trial by trial."""
+    r = copy(r)
+    x = r.column(column).astype(float)
+    for rows in r.trials().values():
+        x[rows] = change(x[rows])
+    r.samples[column] = x
+    return r
+
+
+def only(r):
+    """The one finding of a recording, whose sentence is short."""
+    (f,) = findings(r)
+    assert f.kind in KINDS and 40 < len(f.sentence) <= 400 and f.sentence.endswith(".")
+    assert f.sentence in check(r)[1]
+    return f
+
+
+@pytest.fixture(scope="module")
+def generated(tmp_path_factory):
+    """Makes a generated recording of a hidden effect."""
+
+    def make(effect):
+        folder = tmp_path_factory.mktemp("checks") / effect
+        once(generate, effect, folder, seed=4, minutes=5)
+        return Recording.load(folder)
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def clean(generated):
+    return generated("none")
+
+
+@pytest.mark.parametrize("effect", ["none", "creep", "valve_lag", "dead_time", "hysteresis", "leak"])
+def test_physics_is_no_fault(generated, effect):
+    r = generated(effect)
+    assert findings(r) == [] and len(check(r)[0]) == len(r)
+
+
+PUBLIC = {
+    "asu_segment": {"jumps", "stale_pose", "quantised", "repeated"},  # a gauge of 12 bits, read now and then
+    "sopra_segment": {"stale_pose", "no_measured_pressure"},  # 80 frames in 100 rows
+    "three_bellow_arm": {"jumps", "no_measured_pressure"},
+}
+
+
+@pytest.mark.parametrize("name", PUBLIC)
+def test_what_is_found_in_public_recordings_is_true(name):
+    if "PNEUTAC_DATA" not in os.environ:
+        pytest.skip("PNEUTAC_DATA does not name a folder with real recordings")
+    r = Recording.load(Path(os.environ["PNEUTAC_DATA"]) / "soft" / name)
+    found = {f.kind: f for f in findings(r)}
+    assert set(found) == PUBLIC[name] and set(found) <= set(KINDS)
+    assert all(len(f.sentence) <= 400 for f in found.values())
+    if name == "asu_segment":
+        assert found["quantised"].numbers["step"] == pytest.approx(0.644, abs=0.001)
+        assert 3 < found["repeated"].numbers["rows_each"] < 5
+    if name == "sopra_segment":
+        assert found["stale_pose"].numbers["share"] == pytest.approx(0.2, abs=0.01)
+
+
+@pytest.mark.parametrize("each", [2, 5])
+def test_a_gauge_that_repeats_its_readings_tells_how_often(clean, each):
+    f = only(by_trial(clean, "pressure_kpa", lambda x: np.repeat(x[::each], each)[: len(x)]))
+    assert (f.kind, f.columns, f.numbers["rows_each"]) == ("repeated", ("pressure_kpa",), each)
+    assert f"each value {each} times" in f.sentence
+
+
+def test_a_gauge_that_is_read_now_and_then_repeats_too(clean):
+    rng = np.random.default_rng(0)
+
+    def hold(x):
+        new = np.r_[True, rng.random(len(x) - 1) < 0.4]
+        return x[np.maximum.accumulate(np.where(new, np.arange(len(x)), 0))]
+
+    f = only(by_trial(clean, "pressure_kpa", hold))
+    assert f.kind == "repeated" and f.numbers["rows_each"] == pytest.approx(2.5, rel=0.2)
+
+
+def test_an_ideal_gauge_that_follows_a_stair_of_short_steps_repeats_nothing(clean):
+    r = copy(clean)
+    stair = np.repeat(np.random.default_rng(0).uniform(0, 30, len(r) // 5 + 1), 5)[: len(r)]
+    r.samples["pressure_cmd_kpa"] = r.samples["pressure_kpa"] = stair
+    assert "repeated" not in {f.kind for f in findings(r)}
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.05])
+def test_a_coarse_gauge_tells_its_step(clean, noise):
+    rng = np.random.default_rng(1)
+    step = 0.03 * clean.column("pressure_cmd_kpa").max()
+
+    def read(x):
+        return step * np.round(x / step) + noise * step * rng.normal(size=len(x))
+
+    f = only(by_trial(clean, "pressure_kpa", read))
+    assert f.kind == "quantised" and f.numbers["step"] == pytest.approx(step, rel=0.03)
+
+
+def test_a_fine_gauge_whose_noise_hides_its_step_is_not_coarse(clean):
+    step = 0.5 * np.diff(clean.column("pressure_kpa"))[:25].std()  # at rest
+    assert findings(by_trial(clean, "pressure_kpa", lambda x: step * np.round(x / step))) == []
+
+
+@pytest.mark.parametrize("rows", [1, 3])
+@pytest.mark.parametrize("gauge", [True, False])
+def test_a_command_that_is_written_late_is_found_at_its_steps(clean, rows, gauge):
+    r = by_trial(clean, "pressure_cmd_kpa", lambda u: np.r_[np.full(rows, u[0]), u[:-rows]])
+    if not gauge:
+        r.samples = r.samples.drop(columns="pressure_kpa")
+    (f,) = [f for f in findings(r) if f.kind == "late_command"]
+    assert f.numbers["rows_late"] == rows and f"move it up by {rows} row" in f.sentence
+
+
+def loop(seen, written=0, n=3000, every=1, gauge=False):
+    """A body of first order under a controller that knows the pose of the row `seen` before its own.
+
+    The command is written `written` rows late; with None for `seen` it is a program.
+    """
+    rng = np.random.default_rng(3)
+    u, p, y = np.zeros(n), np.zeros(n), np.zeros(n)
+    for k in range(1, n):
+        p[k] = 0.3 * p[k - 1] + 0.7 * u[k - 1] + 0.02 * rng.normal()
+        y[k] = 0.8 * y[k - 1] + 0.2 * p[k] + 0.2 * rng.normal()
+        goal = 20 + 10 * np.sin(k / 60)
+        if k % every:
+            u[k] = u[k - 1]
+        elif seen is None:
+            u[k] = goal + 3 * rng.normal()
+        else:
+            u[k] = u[k - 1] + 0.3 * (goal - y[k - seen])
+    u = np.r_[np.zeros(written), u[: n - written]]
+    s = {"trial": 0, "time_s": np.arange(n) / 20, "pressure_cmd_kpa": u}
+    s |= {"pressure_kpa": p} if gauge else {}
+    return Recording(Path("r"), {}, pd.DataFrame(s | {"bend_angle_rad": y / 40}), "finger")
+
+
+@pytest.mark.parametrize("every", [1, 5])
+@pytest.mark.parametrize(("seen", "same_row"), [(0, 1.0), (1, 0.0), (None, None)])
+def test_feedback_is_found_by_the_row_of_which_it_knows(seen, same_row, every):
+    found = [f for f in findings(loop(seen, every=every)) if f.kind == "closed_loop"]
+    if seen is None:
+        assert found == []
+    else:
+        assert found[0].numbers["same_row"] == same_row
+        assert ("pose of its own row" in found[0].sentence) == bool(same_row)
+
+
+@pytest.mark.parametrize("seen", [1, None])
+@pytest.mark.parametrize("written", [0, 2, 3])
+def test_a_gauge_that_is_ahead_of_an_ever_changing_command_is_found(seen, written):
+    found = [f for f in findings(loop(seen, written, gauge=True)) if f.kind == "late_command"]
+    # the body gets each command one row after it was sent
+    assert [f.numbers["rows_late"] for f in found] == ([written - 1] if written else [])
+
+
+def turning(clean):
+    """The bend, enlarged so that it passes half a turn, with a tracker's noise."""
+    bend = 4.5 * clean.column("tip_z_mm") / clean.column("tip_z_mm").max()
+    return np.convolve(bend, np.ones(5) / 5, "same")
+
+
+def test_an_angle_that_wraps_is_unwrapped_where_that_is_certain(clean):
+    r, bend = copy(clean), turning(clean)
+    r.samples["bend_angle_rad"] = (bend + np.pi) % (2 * np.pi) - np.pi
+    f = only(r)
+    assert (f.kind, f.numbers["unwrapped"]) == ("wrapped_angle", 1.0) and len(f.rows) > 10
+    np.testing.assert_allclose(check(r)[0].column("bend_angle_rad"), bend, atol=1e-9)
+
+
+def test_an_angle_that_wraps_in_a_wild_signal_is_kept_and_told(clean):
+    r, rng = copy(clean), np.random.default_rng(0)
+    wild = turning(clean) + 0.5 * rng.normal(size=len(r))
+    r.samples["bend_angle_rad"] = (wild + np.pi) % (2 * np.pi) - np.pi
+    f = next(f for f in findings(r) if f.kind == "wrapped_angle")
+    assert f.numbers["unwrapped"] == 0.0
+    kept = check(r)[0]
+    assert set(kept.column("bend_angle_rad")) <= set(r.column("bend_angle_rad"))
+
+
+def test_rows_that_an_even_clock_lacks_are_counted(clean):
+    keep = np.ones(len(clean), bool)
+    keep[[500, 900, 901, 1500]] = False
+    f = only(clean.keep(keep))
+    assert (f.kind, f.numbers["count"]) == ("missing_rows", 4) and list(f.rows) == [500, 899, 1497]
+    uneven = copy(clean)
+    uneven.samples["time_s"] += np.random.default_rng(0).uniform(-0.012, 0.012, len(clean))
+    assert findings(uneven.keep(keep)) == []
+
+
+def test_poses_that_are_repeated_are_found(clean):
+    r = copy(clean)
+    tip = ["tip_x_mm", "tip_y_mm", "tip_z_mm"]
+    at = np.arange(7, len(r), 20)
+    r.samples.loc[at, tip] = r.samples.loc[at - 1, tip].to_numpy()
+    f = only(r)
+    assert f.kind == "stale_pose" and f.numbers["share"] == pytest.approx(0.05, abs=0.002)
+    assert set(at) - set(f.rows) <= {int(s.start) for s in r.trials().values()}
+
+
+@pytest.mark.parametrize("pair", [("tip_y_mm", "tip_z_mm"), ("tip_x_mm", "tip_z_mm")])
+def test_axes_in_each_others_place_are_named(clean, pair):
+    r = copy(clean)
+    r.samples[list(pair)] = clean.samples[list(pair[::-1])].to_numpy()
+    f = only(r)
+    assert f.kind == "exchanged_axes" and set(f.columns) == set(pair)
+
+
+def test_a_steady_drift_is_found_and_measured(clean):
+    r = copy(clean)
+    r.samples["tip_x_mm"] += np.linspace(0, 6, len(r))
+    f = only(r)
+    assert f.kind == "drift" and set(f.numbers) == {"tip_x_mm"}
+    assert f.numbers["tip_x_mm"] == pytest.approx(6, rel=0.2)
+    wandering = copy(clean)
+    wandering.samples["tip_x_mm"] += 3 * np.sin(np.linspace(0, 12, len(r)))
+    assert findings(wandering) == []
+
+
+def test_a_gauge_whose_range_ends_is_found_beneath_its_noise(clean):
+    top, rng = clean.column("pressure_cmd_kpa").max(), np.random.default_rng(0)
+    f = only(
+        by_trial(clean, "pressure_kpa", lambda x: np.minimum(x, 0.8 * top) + 0.01 * rng.normal(size=len(x)))
+    )
+    assert f.kind == "saturated" and f.numbers["at"] == pytest.approx(0.8 * top, rel=0.01)
+
+
+def test_an_output_that_sticks_to_its_extreme_is_found(clean):
+    limit = np.quantile(clean.column("tip_z_mm"), 0.9)
+    f = only(by_trial(clean, "tip_z_mm", lambda x: np.minimum(x, limit)))
+    assert (f.kind, f.columns, f.numbers["at"]) == ("saturated", ("tip_z_mm",), limit)
+
+
+def test_a_command_that_the_log_clipped_is_found(clean):
+    limit = 0.7 * clean.column("pressure_cmd_kpa").max()
+    f = only(by_trial(clean, "pressure_cmd_kpa", lambda u: np.minimum(u, limit)))
+    assert (f.kind, f.columns, f.numbers["at"]) == ("clipped_command", ("pressure_cmd_kpa",), limit)
+
+
+@pytest.mark.parametrize(
+    ("column", "factor", "unit"),
+    [
+        ("pressure_kpa", 1 / 6.894757, "psi"),
+        ("pressure_kpa", 10.0, "mbar"),
+        ("pressure_kpa", 7.50062, "mmHg"),
+        ("pressure_cmd_kpa", 1 / 6.894757, "psi"),
+    ],
+)
+def test_a_pressure_in_another_unit_than_the_other_is_named(clean, column, factor, unit):
+    f = only(by_trial(clean, column, lambda x: factor * x))
+    assert f.kind == "other_unit" and f"'{column}' seems to be in {unit}" in f.sentence
+
+
+def test_a_gauge_whose_scale_is_off_is_in_no_other_unit(clean):
+    for factor in (0.5, 0.8, 1.3, 4.0):
+        assert findings(by_trial(clean, "pressure_kpa", lambda x, f=factor: f * x)) == []
+
+
+def test_a_gels_recording_has_no_findings_here():
+    s = pd.DataFrame({"trial": [0], "time_s": [0.0], "image": ["a.png"], "indenter": ["sphere"]})
+    assert findings(Recording(Path("r"), {}, s, "gel")) == []

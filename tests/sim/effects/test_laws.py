@@ -1,0 +1,509 @@
+"""Every law of the table against an answer of its own: closed forms, SciPy's solvers, areas of loops."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import quad, solve_ivp
+from scipy.signal import lfilter
+
+from pneutac_sim.effects import get_effect, in_order
+from pneutac_sim.effects.laws import REFERENCE_C, family, is_law, law, law_names, starts, table
+from pneutac_sim.effects.memories import TIMES_S
+from pneutac_sim.errors import InputError
+from pneutac_sim.finger import Inputs, Pipeline, PressurePipeline
+from pneutac_sim.twin import Twin, Value
+
+P = 10.0
+DT = 0.05
+
+
+def act(name, p, dt=DT, conditions=None, weight=1.0, **constants):
+    """What a law makes of a pressure; of weight 1, a memory that p is taken off replaces p."""
+    values = {"weight": weight, "scale_kpa": P} | constants
+    return law(name).apply(p, np.broadcast_to(dt, len(p)), values, conditions)
+
+
+def stepped(to=P, seconds=20.0):
+    """A step right after the first sample, then held: time since the step, pressure, time steps."""
+    n = int(seconds / DT)
+    dt = np.r_[math.inf, 1e-9, np.full(n, DT)]
+    return np.r_[0.0, 0.0, DT * np.arange(1, n + 1)], np.r_[0.0, np.full(n + 1, to)], dt
+
+
+def polyline(n=400, seed=0, knots=23):
+    """Straight lines between random pressures, some held."""
+    rng = np.random.default_rng(seed)
+    levels = rng.uniform(0, P, knots)
+    levels[5], levels[12] = levels[4], levels[11]
+    return np.interp(np.linspace(0, knots - 1, n), np.arange(knots), levels)
+
+
+def path(*corners, n=400):
+    return np.concatenate([np.linspace(a, b, n) for a, b in zip(corners[:-1], corners[1:], strict=True)])
+
+
+def area(x, y):
+    return float(np.sum(0.5 * (y[1:] + y[:-1]) * np.diff(x)))
+
+
+# ---------------------------------------------------------------- lags
+
+
+def test_a_lag_answers_a_step_by_the_exponential():
+    t, p, dt = stepped()
+    y = act("lag(p)", p, dt, time_s=1.7)
+    np.testing.assert_allclose(y[1:], P * (1 - np.exp(-t[1:] / 1.7)), atol=1e-7)
+
+
+@pytest.mark.parametrize("tau", [0.03, 0.4, 7.0])
+def test_a_lag_follows_straight_lines_as_the_solved_equation_does(tau):
+    p = polyline()
+    t = DT * np.arange(len(p))
+    exact = solve_ivp(
+        lambda s, y: (np.interp(s, t, p) - y) / tau,
+        (0, t[-1]),
+        p[:1],
+        t_eval=t,
+        max_step=DT / 20,
+        rtol=1e-9,
+        atol=1e-9,
+    )
+    np.testing.assert_allclose(act("lag(p)", p, time_s=tau), exact.y[0], atol=2e-5)
+
+
+def test_a_lag_is_the_digital_filter_of_a_ramp_invariant_pole():
+    p, tau = polyline(), 0.3
+    a, h = math.exp(-DT / tau), DT / tau
+    b = 1 - (1 - a) / h
+    by_filter = lfilter([b, 1 - a - b], [1, -a], p - p[0]) + p[0]
+    np.testing.assert_allclose(act("lag(p)", p, time_s=tau), by_filter, atol=1e-10)
+
+
+def test_a_lag_of_the_square_and_a_gain_are_what_their_equations_say():
+    t, p, dt = stepped(to=6.0)
+    m = 36.0 / P * (1 - np.exp(-t / 2.0))
+    np.testing.assert_allclose(act("lag(p^2)", p, dt, time_s=2.0)[1:], (p + m)[1:], atol=1e-7)
+    y = act("p lag(p)", p, dt, time_s=2.0)
+    np.testing.assert_allclose(y[1:], (p + p * 6.0 / P * (1 - np.exp(-t / 2.0)))[1:], atol=1e-7)
+    y = act("p lag(p^2)", p, dt, time_s=2.0)
+    np.testing.assert_allclose(y[1:], (p + p / P * m)[1:], atol=1e-7)
+
+
+def test_filling_and_venting_have_a_time_each():
+    t, p, dt = stepped(seconds=6.0)
+    y = act("fill_vent(p)", np.r_[p, np.zeros(80)], np.r_[dt, 1e-9, np.full(79, DT)],
+            fill_time_s=0.4, vent_time_s=1.1)  # fmt: skip
+    np.testing.assert_allclose(y[1 : len(t)], P * (1 - np.exp(-t[1:] / 0.4)), atol=1e-7)
+    np.testing.assert_allclose(y[len(t) :], y[len(t) - 1] * np.exp(-DT * np.arange(80) / 1.1), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "constant", "tau"),
+    [
+        ("lag(p; time moves with p)", {"times_at_full_pressure": 0.25}, 4.0 * 0.25**0.6),
+        ("lag(p; time moves with dT)", {"times_per_10_k": 0.5}, 4.0 * 0.5**1.5),
+    ],
+)
+def test_a_lags_time_moves_with_pressure_or_warmth(name, constant, tau):
+    t, p, dt = stepped(to=6.0)
+    warm = np.full(len(p), REFERENCE_C + 15.0) if law(name).columns else None
+    y = act(name, p, dt, warm, time_s=4.0, **constant)
+    np.testing.assert_allclose(y[1:], 6.0 * (1 - np.exp(-t[1:] / tau)), atol=1e-7)
+
+
+def test_warmth_is_counted_from_23_degrees_in_tens():
+    t, p, dt = stepped()
+    warm = np.linspace(REFERENCE_C, REFERENCE_C + 20.0, len(p))
+    np.testing.assert_allclose(act("p dT", p, dt, warm), p * (1 + (warm - REFERENCE_C) / 10))
+    y = act("lag(p) dT", p, dt, warm, time_s=1.0)
+    np.testing.assert_allclose(y[1:], (p - P * np.exp(-t) * (warm - REFERENCE_C) / 10)[1:], atol=1e-7)
+
+
+def test_a_body_warms_with_the_room_and_with_its_own_time():
+    p = np.full(200, 6.0)
+    warm = np.r_[REFERENCE_C, np.full(199, REFERENCE_C + 20.0)]
+    dt = np.r_[math.inf, 1e-9, np.full(198, DT)]
+    y = act("p lag(dT)", p, dt, warm, time_s=3.0)
+    np.testing.assert_allclose(y[1:], 6.0 * (1 + 2 * (1 - np.exp(-DT * np.arange(199) / 3.0))), atol=1e-7)
+    t = DT * np.arange(200)
+    np.testing.assert_allclose(act("p exp(-t)", p, conditions=t, time_s=4.0), 6.0 * (1 + np.exp(-t / 4.0)))
+
+
+# ---------------------------------------------------------------- power-law memory
+
+
+def test_power_law_memory_is_the_weighted_sum_of_its_lags():
+    t, p, dt = stepped(seconds=60.0)
+    weights = TIMES_S**0.3 / (TIMES_S**0.3).sum()
+    expected = P * (1 - np.exp(-t[:, None] / TIMES_S) @ weights)
+    np.testing.assert_allclose(act("power_law_memory(p)", p, dt, exponent=0.3)[1:], expected[1:], atol=1e-7)
+
+
+@pytest.mark.parametrize("exponent", [-0.6, -0.9])
+def test_between_its_lags_it_relaxes_by_the_power_law(exponent):
+    t, p, dt = stepped(seconds=30.0)
+    left = 1 - act("power_law_memory(p)", p, dt, exponent=exponent) / P
+    between = (t > 0.5) & (t < 8.0)
+    slope = np.polyfit(np.log(t[between]), np.log(left[between]), 1)[0]
+    assert slope == pytest.approx(exponent, abs=0.08)
+
+
+# ---------------------------------------------------------------- second order
+
+
+def second_order(t, omega, zeta):
+    """Step response."""
+    if zeta == 1:
+        return 1 - np.exp(-omega * t) * (1 + omega * t)
+    w = omega * np.sqrt(complex(1 - zeta**2))
+    return 1 - (np.exp(-zeta * omega * t) * (np.cos(w * t) + zeta * omega / w * np.sin(w * t))).real
+
+
+@pytest.mark.parametrize("zeta", [0.05, 0.6, 1.0, 1.9])
+def test_a_mode_answers_a_step_under_and_over_damped(zeta):
+    t, p, dt = stepped(seconds=5.0)
+    y = act("mode(p)", p, dt, frequency_rad_per_s=6.0, damping_ratio=zeta)
+    np.testing.assert_allclose(y[1:], P * second_order(t[1:], 6.0, zeta), atol=1e-6)
+
+
+@pytest.mark.parametrize(("omega", "zeta"), [(2.0, 0.1), (12.0, 0.3), (30.0, 1.5)])
+def test_a_mode_follows_straight_lines_as_the_solved_equation_does(omega, zeta):
+    p = polyline()
+    t = DT * np.arange(len(p))
+    f = lambda s, y: (y[1], omega**2 * (np.interp(s, t, p) - y[0]) - 2 * zeta * omega * y[1])  # noqa: E731
+    exact = solve_ivp(f, (0, t[-1]), (p[0], 0.0), t_eval=t, max_step=DT / 4, rtol=1e-8).y[0]
+    y = act("mode(p)", p, frequency_rad_per_s=omega, damping_ratio=zeta)
+    assert np.abs(y - exact).max() < 0.01 * P
+
+
+# ---------------------------------------------------------------- loops
+
+
+def test_a_plays_loop_has_its_area_at_any_pace():
+    cycle = path(0, 8, 0)
+    x = np.r_[cycle, cycle]
+    y = act("play(p)", x, width_kpa=1.5)
+    assert area(cycle, y[len(cycle) :]) == pytest.approx(-2 * 1.5 * (8 - 3), rel=1e-3)
+    np.testing.assert_array_equal(act("play(p)", x, 7.0, width_kpa=1.5), y)
+    y = act("play_two(p)", x, width_up_kpa=0.5, width_down_kpa=2.0)
+    assert area(cycle, y[len(cycle) :]) == pytest.approx(-2.5 * (8 - 2.5), rel=1e-3)
+
+
+def test_a_dead_band_lets_only_larger_moves_through():
+    p = np.r_[2.0, 2.3, 2.4, 2.6, 2.9, 3.2, 2.7, 2.5]
+    np.testing.assert_array_equal(
+        act("dead_band(p)", p, width_kpa=0.5), [2.0, 2.0, 2.0, 2.6, 2.6, 3.2, 3.2, 2.5]
+    )
+    fresh = act("dead_band(p)", np.r_[2.0, 2.3, 2.3], np.r_[0.1, math.inf, 0.1], width_kpa=0.5)
+    np.testing.assert_array_equal(fresh, [2.0, 2.3, 2.3])
+
+
+def test_what_acts_on_a_play_acts_on_the_play():
+    x = path(0, 8, 2, 6, 0)
+    play = act("play(p)", x, width_kpa=1.0)
+    np.testing.assert_allclose(act("play(p)^3", x, width_kpa=1.0), play**3 / P**2, atol=1e-12)
+    np.testing.assert_allclose(act("p play(p)", x, width_kpa=1.0), x + x * (play - x) / P)
+    flipped = act("flip(p)", x, width_kpa=1.0, centre_kpa=4.0, slope_kpa=0.5)
+    np.testing.assert_allclose(flipped, x + P * np.tanh((play - 4.0) / 0.5))
+
+
+def test_a_bouc_wen_loop_saturates_at_its_width_both_ways():
+    x, width = path(0, 8, 0), 0.7
+    z = act("loop(p)", x, width_kpa=width) - x
+    assert z[399] == pytest.approx(width, rel=1e-3) and z[-1] == pytest.approx(-width, rel=1e-3)
+    assert np.abs(z).max() <= width * (1 + 1e-9)
+    at = np.searchsorted(x[:400], width)  # x as a function of z is an integral
+    for k in (at // 2, at, 2 * at):
+        assert quad(lambda u: width / (1 - u**1.3), 0, z[k] / width)[0] == pytest.approx(x[k], rel=0.06)
+    once = act("loop(p)", x[::8], width_kpa=width) - x[::8]
+    np.testing.assert_allclose(once, z[::8], atol=0.03 * width)
+
+
+# ---------------------------------------------------------------- history
+
+
+def test_a_fading_maximum_decays_until_the_pressure_meets_it():
+    p = np.r_[0.0, 8.0, np.full(300, 1.0)]
+    t = DT * np.arange(1, 301)
+    expected = np.maximum(8.0 * np.exp(-t / 3.0), 1.0)
+    np.testing.assert_allclose(act("p fading_max(p)", p, time_s=3.0)[2:], 1 + (expected - 1) / P)
+
+
+def test_the_share_of_the_largest_pressure_lasts():
+    p = np.r_[0.0, 8.0, 4.0, 8.0, 2.0]
+    np.testing.assert_allclose(act("p below_max(p)", p, exponent=2.0), p + p * np.r_[1, 0, 0.5, 0, 0.75] ** 2)
+
+
+def test_a_path_counts_every_move():
+    p = path(0, 6, 2, 9)
+    n = np.cumsum(np.abs(np.diff(p, prepend=0.0)))
+    np.testing.assert_allclose(act("p path(p)", p, path_kpa=5.0), p * (1 + n / (n + 5.0)), rtol=1e-12)
+
+
+def test_what_is_held_leaks_and_is_refilled_by_a_move():
+    p = np.r_[0.0, np.full(101, 8.0), np.full(51, 3.0)]
+    y = act("held(p)", p, rate_1_per_s=0.2)
+    np.testing.assert_allclose(y[1:102], 8.0 * np.exp(-0.2 * DT * np.arange(101)))
+    np.testing.assert_allclose(y[102:], 3.0 * np.exp(-0.2 * DT * np.arange(51)))
+
+
+# ---------------------------------------------------------------- rates
+
+
+def test_rates_are_those_of_the_line_since_the_sample_before():
+    p = path(0, 8, 3)
+    rate = np.r_[0.0, np.diff(p) / DT]
+    smoothed = lfilter([1 - math.exp(-DT / 0.4)], [1, -math.exp(-DT / 0.4)], rate)
+    y = act("tanh(dp/dt)", p, rate_kpa_per_s=0.3, time_s=0.4)
+    np.testing.assert_allclose(y, p + P * np.tanh(smoothed / 0.3), atol=1e-7)
+    y = act("p tanh(|dp/dt|)", p, rate_kpa_per_s=0.3, time_s=1e-6)
+    np.testing.assert_allclose(y, p * (1 + np.tanh(np.abs(rate) / 0.3)))
+    a = math.exp(-DT / 2.0)
+    held = lfilter([1 - a], [1, -a], np.abs(rate))  # the rate is constant from sample to sample
+    np.testing.assert_allclose(act("p lag(|dp/dt|)", p, time_s=2.0), p * (1 + held / P), atol=1e-10)
+    work = lfilter([1 - a], [1, -a], p * np.abs(rate) / P)
+    np.testing.assert_allclose(act("p lag(p |dp/dt|)", p, time_s=2.0), p * (1 + work / P), atol=1e-10)
+    y = act("p root lag(|dp/dt|)", p, time_s=2.0)
+    np.testing.assert_allclose(y, p * (1 + np.sqrt(held / P)), atol=1e-10)
+
+
+# ---------------------------------------------------------------- statics
+
+
+@pytest.mark.parametrize(
+    ("name", "constants", "expected"),
+    [
+        ("power(p)", {"exponent": 1.6}, lambda p: np.sign(p) * P * np.abs(p / P) ** 1.6),
+        ("tanh(p)", {"slope": 2.0}, lambda p: P * np.tanh(2 * p / P) / 2),
+        ("hinge(p)", {"threshold_kpa": 4.0}, lambda p: p + np.maximum(p - 4.0, 0)),
+        ("p^2", {}, lambda p: p + p * np.abs(p) / P),
+        ("p^3", {}, lambda p: p**3 / P**2),
+    ],
+)
+def test_statics_are_their_formulas(name, constants, expected):
+    p = np.linspace(-P, P, 81)
+    np.testing.assert_allclose(act(name, p, **constants), expected(p), atol=1e-12)
+
+
+# ---------------------------------------------------------------- what is seen
+
+
+def test_what_is_seen_gains_its_feature():
+    rng = np.random.default_rng(0)
+    markers = rng.normal(size=(50, 5)) * [100, 30, 60, 1, 1]
+    length = np.full(50, 120.0)
+
+    def seen(name, *more):
+        conditions = np.stack([length, *more], axis=1)
+        out = law(name).apply(markers, np.ones(50), {"weight": 0.2}, conditions)
+        changed = np.flatnonzero(np.abs(out - markers).max(axis=0))
+        assert len(changed) == 1
+        return int(changed[0]), (out - markers)[:, changed[0]]
+
+    x, _, z, bend, _ = markers.T
+    warm, sideways = rng.uniform(10, 40, 50), rng.uniform(-1, 1, 50)
+    for name, out, gain, more in (
+        ("tip_y += z^2", 1, z**2 / 120.0, ()),
+        ("tip_z += x z", 2, x * z / 120.0, ()),
+        ("tip_x += dT", 0, 120.0 * (warm - REFERENCE_C) / 10, (warm,)),
+        ("tip_y += g_y", 1, 120.0 * sideways, (sideways,)),
+        ("bend += bend^2", 3, bend**2, ()),
+        ("bend += dT", 3, (warm - REFERENCE_C) / 10, (warm,)),
+    ):
+        at, difference = seen(name, *more)
+        assert at == out
+        np.testing.assert_allclose(difference, 0.2 * gain, atol=1e-12)
+
+
+def test_a_tracker_lags_in_all_it_sees():
+    t, p, dt = stepped()
+    y = law("tracker_lag").apply(p[:, None] * np.arange(1, 6), dt, {"time_s": 0.4})
+    np.testing.assert_allclose(y[1:], P * (1 - np.exp(-t[1:, None] / 0.4)) * np.arange(1, 6), atol=1e-6)
+
+
+# ---------------------------------------------------------------- of all laws
+
+
+def case(name, n=400):
+    """Signal, conditions and values of a law at its first start."""
+    effect = law(name)
+    x = np.stack([polyline(n, k) for k in range(3 if effect.stage == "drive" else 5)], axis=1)
+    columns = {"temperature_c": np.linspace(15, 35, n), "gravity_y": np.linspace(-1, 1, n)}
+    columns["session_time_s"] = np.linspace(0, 20, n)
+    columns["length_mm"] = np.full(n, 100.0)
+    conditions = np.stack([columns[c] for c in effect.columns] or [np.zeros(n)], axis=1)
+    values = {"weight": 0.5, "scale_kpa": P}
+    constants = [p for p in effect.parameters if p.name not in values]
+    start = starts(name)[0] or tuple(p.default for p in constants)
+    values |= {p.name: s * P**p.range_power for p, s in zip(constants, start, strict=True)}
+    return effect, x, conditions, {p.name: values[p.name] for p in effect.parameters}
+
+
+@pytest.mark.parametrize("name", law_names())
+def test_two_calls_with_the_state_equal_one(name):
+    effect, x, c, values = case(name)
+    dt = np.full(len(x), DT)
+    dt[[0, 250]] = math.inf
+    states = [np.zeros(effect.state_size(x.shape[1])) for _ in range(2)]
+    whole = effect.apply(x, dt, values, c, states[0])
+    parts = [effect.apply(x[s], dt[s], values, c[s], states[1]) for s in (slice(173), slice(173, None))]
+    np.testing.assert_array_equal(np.concatenate(parts), whole)
+    np.testing.assert_array_equal(*states)
+    assert not np.allclose(whole, x)
+
+
+@pytest.mark.parametrize("name", table())
+def test_no_law_reads_beyond_its_own_constants(name):
+    effect, x, c, values = case(name)
+    out, dt = np.array(x), np.full(len(x), DT)
+    theta = np.array([*effect.codes, *values.values(), *np.full(8, np.nan)])
+    effect.run(out, dt, theta, np.ascontiguousarray(c), np.zeros(effect.state_size(3)))
+    assert np.isfinite(out).all()
+
+
+# A dead band lets its input through in jumps, earlier where it looks more often.
+@pytest.mark.parametrize("name", [n for n in law_names() if n != "dead_band(p)"])
+def test_twice_the_samples_of_straight_lines_change_nothing(name):
+    effect, x, c, values = case(name, 401)
+    fine = np.arange(0, 400.5, 0.5)
+    line = lambda v: np.stack([np.interp(fine, np.arange(401), k) for k in v.T], axis=1)  # noqa: E731
+    coarse = effect.apply(x, np.full(401, DT), values, c)
+    twice = effect.apply(line(x), np.full(801, DT / 2), values, line(c))[::2]
+    size = np.abs(coarse - x).max()
+    worst = 0.05 if name.startswith(("mode", "loop", "p fading")) else 0.02
+    assert np.abs(coarse - twice).max() < worst * size
+
+
+@pytest.mark.parametrize("name", [n for n in law_names() if n != "held(p)"])
+def test_what_has_rested_stays_at_rest(name):
+    """At a constant pressure nothing changes with time, at whatever pace it is looked at."""
+    effect, x, c, values = case(name)
+    rest = np.broadcast_to(x[0], x.shape)
+    still = np.broadcast_to(c[0], c.shape)
+    for dt in (0.001, 0.1, 30.0):
+        y = effect.apply(rest, np.full(len(x), dt), values, still)
+        np.testing.assert_allclose(y, np.broadcast_to(y[0], y.shape), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "name", [n for n, r in table().items() if r.family in ("creep", "ringing", "leak", "rate")]
+)
+def test_a_long_rest_wipes_out_what_fades(name):
+    effect, x, c, values = case(name)
+    dt = np.full(len(x), DT)
+    dt[200] = math.inf
+    whole = effect.apply(x, dt, values, c)
+    alone = effect.apply(x[200:], dt[200:], values, c[200:])
+    np.testing.assert_allclose(whole[200:], alone, atol=1e-12)
+
+
+def test_the_other_chambers_do_not_matter():
+    for name, row in table().items():
+        effect, x, c, values = case(name)
+        both = effect.apply(x, np.full(len(x), DT), values, c)
+        alone = effect.apply(x[:, 1], np.full(len(x), DT), values, c)
+        np.testing.assert_array_equal(both[:, 1], alone, err_msg=row.equation)
+
+
+def test_a_law_of_no_weight_changes_nothing():
+    for name in table():
+        effect, x, c, values = case(name)
+        np.testing.assert_array_equal(
+            effect.apply(x, np.full(len(x), DT), values | {"weight": 0.0}, c), x, err_msg=name
+        )
+
+
+def test_every_law_tells_what_it_is():
+    for name in law_names():
+        effect, _, _, values = case(name)
+        text = effect.describe(values, "arm")
+        assert text.endswith(".") and "{" not in text and effect.experiment.endswith(".") and family(name)
+        assert all(len(s) == len(row.constants) for s in starts(name)) if (row := table().get(name)) else True
+
+
+# ---------------------------------------------------------------- laws of a twin
+
+
+LAWS = {
+    "lag(p)": {"weight": 0.3, "time_s": 4.0},
+    "lag(p) #2": {"weight": -0.2, "time_s": 0.3},
+    "play(p)": {"weight": 0.4, "width_kpa": 0.8},
+    "mode(p)": {"weight": 0.5, "frequency_rad_per_s": 9.0, "damping_ratio": 0.2},
+    "lag(p; time moves with dT)": {"weight": 0.2, "time_s": 6.0, "times_per_10_k": 0.5},
+}
+
+
+def twin_with(laws, device="finger"):
+    twin = Twin(device, parameters={"gain_rad_per_kpa": Value(0.011)})
+    for name, values in laws.items():
+        twin.effects[name] = law(name).start(P)
+        for k, v in values.items():
+            twin.effects[name][k].value = v
+    return twin
+
+
+def test_a_law_may_act_twice_and_statics_come_first():
+    names = [e.name for e in in_order(["lag(p) #2", "creep", "lag(p)", "tracker_lag", "p^2", "stiffening"])]
+    assert names == ["stiffening", "creep", "p^2", "lag(p)", "lag(p) #2", "tracker_lag"]
+    assert family("lag(p) #2") == "creep" == family("power_law_memory(p)") and family("creep") == "creep"
+    assert is_law("lag(p) #2") and not is_law("creep")
+
+
+@pytest.mark.parametrize("device", ["finger", "arm"])
+def test_step_by_step_equals_the_whole_recording(device):
+    n = 300
+    names = ["pressure_cmd_kpa"] if device == "finger" else [f"pressure_cmd_{i}_kpa" for i in (1, 2, 3)]
+    samples = {"trial": np.zeros(n, int), "time_s": DT * np.arange(n)}
+    samples |= {c: np.r_[2.0, polyline(n - 1, seed=k)] for k, c in enumerate(names)}
+    samples["temperature_c"] = np.full(n, 31.0)
+    twin = twin_with(LAWS, device)
+    inputs = Inputs.from_samples(samples, device, start="held")
+    model = Pipeline.of(twin, inputs)
+    joints = model.run(inputs, model.theta(twin, P)).joints
+    online = PressurePipeline(twin)
+    online._rested[:] = 2.0
+    found = []
+    for k in range(1, n):
+        command = np.array([samples[c][k] for c in names])
+        found.append(online.step(command, DT, {"temperature_c": 31.0}).ravel())
+    np.testing.assert_allclose(found, joints[1:], atol=1e-12)
+
+
+def test_a_law_is_kept_as_its_name_and_its_constants(tmp_path):
+    twin = twin_with(LAWS)
+    text = (twin.save(tmp_path / "twin") / "twin.yaml").read_text()
+    again = Twin.load(tmp_path / "twin")
+    assert again.effects == twin.effects and "python" not in text and "lambda" not in text
+    samples = {"trial": np.zeros(50, int), "time_s": DT * np.arange(50), "pressure_cmd_kpa": polyline(50)}
+    inputs = Inputs.from_samples(samples | {"temperature_c": np.full(50, 30.0)})
+    runs = [m.run(inputs, m.theta(t, P)).markers for t in (twin, again) for m in [Pipeline.of(t, inputs)]]
+    np.testing.assert_array_equal(*runs)
+
+
+@pytest.mark.parametrize(
+    ("name", "meant"), [("lag(q)", r"lag\(p\)"), ("power_law_memory", "power_law_memory")]
+)
+def test_a_law_that_does_not_exist_is_refused_with_the_one_that_was_meant(tmp_path, name, meant):
+    twin = Twin()
+    twin.effects[name] = {"weight": Value(0.1)}
+    twin = Twin.load(twin.save(tmp_path / "twin"))
+    with pytest.raises(InputError, match=f"There is no effect '.*'; did you mean '{meant}") as e:
+        Pipeline.of(twin)
+    assert "\n" not in str(e.value)
+
+
+def test_nothing_that_came_with_a_twin_is_executed(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    folder = Twin().save(tmp_path / "twin")
+    plain = (folder / "twin.yaml").read_text()
+    code = "__import__('pathlib').Path('executed').touch()"
+    for bad in (f'"{code}": {{}}', f'"lag({code})": {{}}', f'"lag(p) #{code}": {{weight: {{value: 0.1}}}}'):
+        (folder / "twin.yaml").write_text(plain.replace("effects: {}", f"effects:\n  {bad}"))
+        assert bad in (folder / "twin.yaml").read_text()
+        with pytest.raises(InputError):
+            get_effect(next(iter(Twin.load(folder).effects)))
+    (folder / "twin.yaml").write_text(f'{plain}\nextra: !!python/object/apply:eval ["{code}"]\n')
+    with pytest.raises(InputError, match="not valid YAML"):
+        Twin.load(folder)
+    assert not (tmp_path / "executed").exists()
