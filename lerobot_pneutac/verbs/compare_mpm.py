@@ -11,7 +11,6 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.finger import BodyData, Pipeline
 from pneutac_sim.finger.inputs import Inputs
 from pneutac_sim.finger.pipeline import BENDING_PRESSURE, Run
-from pneutac_sim.finger.stages import Drive
 from pneutac_sim.mpm import devices
 from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import MpmDiverged, solve_equilibrium
@@ -132,8 +131,8 @@ def _at_rest(solver: TotalLagrangian, targets: np.ndarray, progress) -> tuple[np
 
 def _observed(pipeline: Pipeline, run: Run, inputs: Inputs, markers: np.ndarray) -> np.ndarray:
     """Markers (k, 5) of the body as the pipeline's effects of the observation show them."""
-    drive = next(i for i, link in enumerate(pipeline.chain) if isinstance(link, Drive))
-    conditions = inputs.at_samples({BENDING_PRESSURE: run.signals[drive].mean(axis=1)})
+    bending = {BENDING_PRESSURE: run.signals[pipeline.drive].mean(axis=1)}
+    conditions = inputs.conditions_with(bending, at_samples=True)
     for link in pipeline.chain[pipeline.reads_joints + 1 :]:
         state = np.zeros(link.state_size(markers.shape[1]))
         markers = link(markers, inputs.sample_dt_s, run.theta, conditions, state)

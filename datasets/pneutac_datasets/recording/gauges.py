@@ -125,7 +125,7 @@ def coarse(recording: Recording) -> list[Finding]:
         steps = [s for s in (_step(x[rows]) for rows in trials) if s is not None]
         still = [np.diff(x[rows])[~is_moving(x[rows][:, None])[1:]] == 0 for rows in trials]
         step = float(np.median(steps)) if len(steps) >= 0.5 * len(trials) else 0.0
-        if step < COARSE * np.ptp(x) or np.concatenate(still).mean() < 0.3:
+        if step <= COARSE * np.ptp(x) or np.concatenate(still).mean() < 0.3:
             step = _comb(x[ramps]) if name in gauges else None
         if step is None:
             continue
