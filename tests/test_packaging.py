@@ -170,9 +170,10 @@ def test_bench_verbs_run_from_the_wheel_without_taichi_torch_and_lerobot(wheel, 
     execute("pneutac", "add", *pair, "--effect=creep", "--out=added")
     results = {p.parent.name: json.loads(p.read_text()) for p in tmp_path.glob("*/result.json")}
     assert set(results) == {"calibrated", "compared", "diagnosed", "added"}
-    assert results["diagnosed"]["selected"] == ["creep"]
+    error = results["compared"]["error"]["heldout"]
+    assert results["diagnosed"]["after"]["heldout"] < 0.5 * error
     assert results["added"]["accepted"]
-    assert results["added"]["after"]["heldout"] < 0.5 * results["compared"]["error"]["heldout"]
+    assert results["added"]["after"]["heldout"] < 0.5 * error
 
 
 def test_every_declared_package_is_in_the_table_of_licences():

@@ -50,12 +50,12 @@ def real(name):
     return Recording.load(Path(root) / "soft" / name)
 
 
-def test_real_segment_stiffens():
+def test_real_segment_bends_by_more_than_a_gain():
+    """Its bend is no straight line in pressure: a static form says so, or a memory of a form of the pressure."""
     recording = real("sopra_segment")
     d = diagnose(twin_of(recording), recording, jobs=1)
-    assert {"stiffening", "gain_saturation"} & set(families(d)) and d.after["heldout"] < 0.5 * d.before[
-        "heldout"
-    ]
+    bowed = {"stiffening", "gain_saturation"} & set(families(d)) or [n for n in d.selected if "p^" in n]
+    assert bowed and d.after["heldout"] < 0.5 * d.before["heldout"]
 
 
 @pytest.fixture(scope="module")
