@@ -4,10 +4,12 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from lerobot_pneutac.reports.compare_sentence import inside_band
 from lerobot_pneutac.reports.page import Report
 from pneutac_datasets.recording.axes import numbers, unit_of
 from pneutac_sim.finger.quantities import root_mean
 
+BAND = "rgba(11, 110, 153, 0.3)"
 MEASURED, MODEL, TRAIN, HELDOUT, FLOOR = "#1b2430", "#d1495b", "#9bb1c4", "#0b6e99", "#e0a100"
 POINTS = 1500  # a line: more cannot be seen on a screen
 
@@ -24,7 +26,8 @@ def comparison_page(c) -> Report:
         ]
         + [{"part": "noise floor", f"error, {unit}": c.noise.value}],
         f"Root mean square distance, simulated {c.simulated}. Noise floor: {c.noise.how}. The held-out part "
-        "is made of whole blocks of time.",
+        "is made of whole blocks of time."
+        + (f" Inside the 95 % band: {inside_band(c)}." if c.coverage is not None else ""),
     )
     if c.out_of_range is not None:
         report.table(
@@ -34,9 +37,12 @@ def comparison_page(c) -> Report:
         report.heading("What the checks found")
         report.text("\n\n".join(c.findings))
     report.heading("Over time")
-    report.figure(
-        over_time(c), "Measured and modelled; the worst passages are shaded.", 130 + 150 * c.counted
-    )
+    caption = "Measured and modelled; the worst passages are shaded."
+    caption += " In blue the 95 % band of the held-out part." if c.coverage is not None else ""
+    report.figure(over_time(c), caption, 130 + 150 * c.counted)
+    if c.coverage is not None:
+        caption = f"Measured minus modelled. Inside the band lie {inside_band(c)}."
+        report.figure(in_band(c), caption, 110 + 150 * c.counted)
     report.heading("Loops")
     report.figure(loops(c), "The same against the commanded pressure: a loop shows history.", 420)
     if len(c.history) > 1:
@@ -76,6 +82,50 @@ def _session_time(c) -> tuple[np.ndarray, dict[int, float]]:
     return t, shift
 
 
+def _heldout(c) -> list[np.ndarray]:
+    """Row numbers of each stretch of held-out samples."""
+    out = []
+    for rows in c.recording.trials().values():
+        index = np.arange(rows.start, rows.stop)
+        parts = np.split(index, np.flatnonzero(np.diff(c.train_samples[rows])) + 1)
+        out += [part for part in parts if not c.train_samples[part[0]]]
+    return out
+
+
+def _add_band(figure: go.Figure, c, i: int, t: np.ndarray, centre: np.ndarray) -> None:
+    """The band of column `i` about `centre` (n,), a closed shape for each held-out stretch."""
+    x, y = [], []
+    low, high = centre - c.band.half[:, i], centre + c.band.half[:, i]
+    for part in _heldout(c):
+        part = _thin(part, centre[part], max(60, POINTS * len(part) // len(t)))
+        x += [*t[part].round(3), *t[part[::-1]].round(3), None]
+        y += [*high[part].round(4), *low[part[::-1]].round(4), None]
+    figure.add_scatter(
+        x=x, y=y, name="95 % band, held out", legendgroup="band", showlegend=i == 0, mode="lines",
+        fill="toself", fillcolor=BAND, line={"width": 0}, hoverinfo="skip", row=i + 1, col=1,
+    )  # fmt: skip
+
+
+def in_band(c) -> go.Figure:
+    """What is left of each counted column over the held-out part, in its band."""
+    figure = make_subplots(c.counted, 1, shared_xaxes=True, vertical_spacing=0.04)
+    t, _ = _session_time(c)
+    for i, name in enumerate(c.columns[: c.counted]):
+        left = c.measured[:, i] - c.model[:, i]
+        x, y = [], []
+        for part in _heldout(c):
+            part = _thin(part, left[part], max(60, POINTS * len(part) // len(t)))
+            x += [*t[part].round(3), None]
+            y += [*left[part].round(4), None]
+        figure.add_scatter(
+            x=x, y=y, name="measured minus modelled", legendgroup="left", showlegend=i == 0, mode="lines",
+            line={"color": MEASURED, "width": 1}, row=i + 1, col=1,
+        )  # fmt: skip
+        _add_band(figure, c, i, t, np.zeros(len(t)))
+        figure.update_yaxes(title_text=_title(name), row=i + 1, col=1)
+    return figure.update_xaxes(title_text="session, s", row=c.counted, col=1)
+
+
 def over_time(c) -> go.Figure:
     """Each counted column over the session."""
     figure = make_subplots(
@@ -83,6 +133,8 @@ def over_time(c) -> go.Figure:
         row_heights=[1.0] * c.counted + [0.6],
     )  # fmt: skip
     t, shift = _session_time(c)
+    for i in range(c.counted if c.band is not None else 0):
+        _add_band(figure, c, i, t, c.model[:, i])
     for i, name in enumerate(c.columns[: c.counted]):
         for values, colour, label in (
             (c.measured[:, i], MEASURED, "measured"),

@@ -39,6 +39,12 @@ def sentence(c) -> str:
     return f"{text}; it is worst {peak}." if peak else f"{text}."
 
 
+def inside_band(c) -> str:
+    """The coverage, which must not be None, in words."""
+    share = f"{100 * c.coverage:.0f} % of the held-out values; 95 % if the twin is right"
+    return f"{share} (made from {c.band.how})"
+
+
 _PHRASES = {
     ("direction", "loading"): "while the pressure rises",
     ("direction", "unloading"): "while the pressure falls",

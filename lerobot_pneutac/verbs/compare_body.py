@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from lerobot_pneutac.diagnosis.parts import deal
-from lerobot_pneutac.reports.compare_sentence import sentence
+from lerobot_pneutac.reports.compare_sentence import inside_band, sentence
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.study.reading import read
+from lerobot_pneutac.verbs.compare_band import Band, prediction_band
 from lerobot_pneutac.verbs.comparison import Comparison, rms_of
 from pneutac_datasets.recording.axes import Axis, axes, is_still, motion
 from pneutac_datasets.recording.checks import check
@@ -39,6 +40,7 @@ class BodyComparison(Comparison):
         unit: of the error.
         train_samples: (n,) mask; the other samples are held out.
         noise: floor of the error.
+        band: within which a measurement should lie if the twin is right; None where nothing tells.
         axes: ways to sort the samples.
         rate: (n,) of the commanded pressure, kPa/s.
         still: (n,) whether it stands.
@@ -60,6 +62,7 @@ class BodyComparison(Comparison):
     unit: str
     train_samples: np.ndarray
     noise: NoiseFloor
+    band: Band | None
     axes: list[Axis]
     rate: np.ndarray
     still: np.ndarray
@@ -95,6 +98,14 @@ class BodyComparison(Comparison):
         train = self.train_samples
         parts = {"train": self.squared[train], "heldout": self.squared[~train]}
         return {"all": rms_of(self.squared)} | {k: rms_of(v) for k, v in parts.items()}
+
+    @cached_property
+    def coverage(self) -> float | None:
+        """Share of the held-out values inside their 95 % band."""
+        if self.band is None or self.train_samples.all():
+            return None
+        inside = self.band.inside((self.measured - self.model)[:, : self.counted])
+        return float(inside[~self.train_samples].mean())
 
     @property
     def pressure_error(self) -> dict | None:
@@ -149,6 +160,8 @@ class BodyComparison(Comparison):
         rows = [("simulated", self.simulated)] if self.fidelity != "pipeline" else []
         rows += [("held-out error", number(self.heldout)), ("train error", number(self.train))]
         rows.append(("noise floor", f"{number(self.noise.value)} ({self.noise.how})"))
+        if self.coverage is not None:
+            rows.append(("inside the 95 % band", inside_band(self)))
         if self.pressure_error:
             e = self.pressure_error["heldout"]
             rows.append(("pressure, held out", "-" if e is None else f"{e:.3g} kPa"))
@@ -182,6 +195,8 @@ class BodyComparison(Comparison):
                 "how": self.noise.how,
                 "by_column": self.noise.by_column,
             },
+            "coverage": self.coverage,
+            "band": None if self.band is None else {"level": 0.95, "how": self.band.how},
             "columns": {name: rms_of(residual[:, i] ** 2) for i, name in enumerate(self.columns)},
             "pressure": pressure,
             "out_of_range": self.out_of_range,
@@ -219,7 +234,7 @@ def compare_body(twin: Twin, recording: Recording, seed: int = 0) -> BodyCompari
         from lerobot_pneutac.verbs.compare_networks import out_of_range
 
         outside, range_finding = out_of_range(twin, bench)
-    rate = motion(clean)[0]
+    rate, noise = motion(clean)[0], noise_floor(clean)
     return BodyComparison(
         recording=clean,
         findings=(*findings, *([range_finding] if range_finding else [])),
@@ -229,7 +244,8 @@ def compare_body(twin: Twin, recording: Recording, seed: int = 0) -> BodyCompari
         model=prediction.model,
         unit=bench.unit,
         train_samples=train,
-        noise=noise_floor(clean),
+        noise=noise,
+        band=prediction_band(twin, bench, train, noise),
         axes=axes(clean),
         rate=rate,
         still=is_still(clean, rate),
@@ -249,9 +265,7 @@ def train_mask(twin: Twin, recording: Recording, seed: int = 0) -> np.ndarray:
     here = Path(recording.folder).resolve()
     for entry in reversed(twin.history):
         if entry.get("seed") is not None and Path(entry.get("recording") or "").resolve() == here:
-            if str(entry.get("change", "")).startswith(
-                "added"
-            ):  # an addition learns from all but its test part
+            if str(entry.get("change", "")).startswith("added"):  # it learns from all but its test part
                 parts = deal(recording, int(entry["seed"]))
                 return ~parts.test if parts.has_test else parts.train
             return recording.split(int(entry["seed"]))[0]

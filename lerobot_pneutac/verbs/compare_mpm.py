@@ -63,6 +63,7 @@ def by_mpm(
         measured=c.measured[at],
         model=model,
         train_samples=c.train_samples[at],
+        band=None if c.band is None else c.band.at(at),
         axes=[axis for axis in (_thinned(a, at) for a in c.axes) if axis.labels],
         rate=c.rate[at],
         still=c.still[at],
