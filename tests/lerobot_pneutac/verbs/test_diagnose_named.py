@@ -51,7 +51,7 @@ def real(name):
 
 
 def test_real_segment_bends_by_more_than_a_gain():
-    """Its bend is no straight line in pressure: a static form says so, or a memory of a form of the pressure."""
+    """Its bend is no straight line in pressure: a static form says so, or a memory of one."""
     recording = real("sopra_segment")
     d = diagnose(twin_of(recording), recording, jobs=1)
     bowed = {"stiffening", "gain_saturation"} & set(families(d)) or [n for n in d.selected if "p^" in n]
