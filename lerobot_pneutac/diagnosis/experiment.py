@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lerobot_pneutac.diagnosis.programs import Program, menu
+from lerobot_pneutac.diagnosis.law_programs import law_programs
+from lerobot_pneutac.diagnosis.programs import HZ, SECONDS, Program, menu
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
@@ -41,7 +42,7 @@ class Separation:
 def separations(
     recording: Recording, a: Twin, b: Twin, floor: float, effects: tuple[str, ...] = ()
 ) -> list[Separation]:
-    """All experiments of the menu, the one that separates two twins most first.
+    """All experiments of the menu and of the first twin's laws, the one that separates two twins most first.
 
     Args:
         recording: what has been measured so far.
@@ -54,17 +55,19 @@ def separations(
     found = []
     pneumatic = {get_effect(e).stage == "pneumatics" for e in effects}
     logged = any(c.replace("cmd_", "") in recording.samples for c in recording.pressure_columns)
-    for program in menu(recording):
+    constants = {e: {k: v.value for k, v in a.effects[e].items()} for e in effects if e in a.effects}
+    for program in [*menu(recording), *law_programs(recording, constants)]:
         pair = _predict(recording, program, a, b)
         if pair is None:
             continue
         (ya, pa), (yb, pb), columns = pair
-        score = float(((ya - yb) ** 2).sum() / max(floor, 1e-12) ** 2)
+        each = SECONDS * HZ / len(program.samples)
+        score = each * float(((ya - yb) ** 2).sum() / max(floor, 1e-12) ** 2)
         t = program.samples["time_s"].to_numpy()
         found.append(Separation(program.name, program.advice, score, t, (ya, yb), columns))
         if pneumatic == {True, False} and not logged:
             noise = PRESSURE_NOISE * max(float(np.ptp(program.samples[recording.pressure_columns])), 1e-9)
-            score = float(((pa - pb) ** 2).sum() / noise**2)
+            score = each * float(((pa - pb) ** 2).sum() / noise**2)
             advice = f"{LOG_ADVICE} {program.advice}"
             found.append(
                 Separation(f"{LOG_PRESSURE}, {program.name}", advice, score, t, (pa, pb), ["pressure_kpa"])

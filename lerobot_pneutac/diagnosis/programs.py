@@ -28,13 +28,17 @@ class Program:
 
 def menu(recording: Recording) -> list[Program]:
     """All experiments that make sense for this recording's columns."""
-    command = recording.samples[recording.pressure_columns].to_numpy(float)
-    low, top = float(min(command.min(), 0.0)), float(command.max())
-    if top - low < 1e-6:
-        top = low + 50.0
+    low, top = pressure_span(recording)
     t = np.arange(round(SECONDS * HZ)) / HZ
     made = _pressure_programs(t, low, top) + _condition_programs(recording, _triangle(t, 60.0, low, top))
-    return [Program(name, advice, _table(recording, t, p, change)) for name, advice, p, change in made]
+    return [Program(name, advice, table(recording, t, p, change)) for name, advice, p, change in made]
+
+
+def pressure_span(recording: Recording) -> tuple[float, float]:
+    """Lowest (zero at most) and highest commanded pressure, kPa."""
+    command = recording.samples[recording.pressure_columns].to_numpy(float)
+    low, top = float(min(command.min(), 0.0)), float(command.max())
+    return low, top if top - low >= 1e-6 else low + 50.0
 
 
 def _triangle(t: np.ndarray, period: float, low: float, high: float) -> np.ndarray:
@@ -90,7 +94,7 @@ def _condition_programs(recording: Recording, loop: np.ndarray) -> list[tuple[st
     return made
 
 
-def _table(recording: Recording, t: np.ndarray, p: np.ndarray, change: dict) -> pd.DataFrame:
+def table(recording: Recording, t: np.ndarray, p: np.ndarray, change: dict) -> pd.DataFrame:
     """All columns of the recording: conditions and markers at their usual value, the command as given."""
     table = pd.DataFrame({"trial": np.zeros(len(t), int), "time_s": t})
     for i, c in enumerate(recording.pressure_columns):

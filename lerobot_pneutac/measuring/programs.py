@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from lerobot_pneutac.diagnosis.law_programs import law_programs
 from lerobot_pneutac.diagnosis.programs import menu
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
@@ -110,12 +111,15 @@ def _table(path: Path, hz: float) -> list[PressureTrial]:
 def _proposed(path: Path, recording: Path | None, hz: float) -> PressureTrial:
     """The program on the diagnosis' menu that its advice names."""
     try:
-        advice = json.loads(path.read_text())["next_experiment"]
+        told = json.loads(path.read_text())
+        advice = told["next_experiment"]
     except (ValueError, KeyError, TypeError) as e:
         raise InputError(f"{path} is no result of pneutac diagnose: 'next_experiment' is missing.") from e
     if recording is None:
         raise InputError("--program=result.json needs --recording, the folder that was diagnosed.")
-    for p in menu(Recording.load(recording)):
+    r = Recording.load(recording)
+    found = {e: {k: v["value"] for k, v in c.items()} for e, c in told.get("parameters", {}).items()}
+    for p in [*menu(r), *law_programs(r, found)]:
         columns = [c for c in p.samples if c.startswith("pressure_cmd")]
         if p.advice in advice and len(columns) == 1:
             s = p.samples

@@ -19,11 +19,16 @@ def diagnosis_page(d, separation: Separation | None) -> Report:
     study, o = d.study, d.outcome
     page = Report("What is missing")
     page.lead(d.sentence)
-    for sentence in study.caveats(o):
-        page.text(sentence)
-    page.text(f"**Next experiment.** {d.next_experiment}")
-    page.heading("How the error falls")
-    page.figure(ladder(study, o), "Held-out error, on what nothing was fitted or chosen on; bars are 95 %.")
+    page.text(f"**How sure.** {d.how_sure} Verdict: `{d.verdict}`.")
+    page.text(f"**Not explained.** {' '.join([d.not_explained, *study.caveats(o)])}")
+    page.text(f"**Record next.** {d.next_experiment}")
+    page.figure(
+        ladder(study, o),
+        "The error as more is added, where nothing was fitted; whiskers: 95 % interval, dashed: noise.",
+        270,
+    )
+    if o.selected:
+        page.text(f"**In numbers.** {' '.join(study.describe(o.after, e) for e in o.selected)}")
     _candidates(page, study, o)
     if study.recording.device == "gel":
         page.heading("Where it fails")
@@ -118,12 +123,13 @@ def ladder(study: EffectStudy, o: Outcome) -> go.Figure:
     down = [max(0.0, v - float(b[0])) for b, v in zip(band, rms, strict=True)]
     figure = go.Figure(
         go.Bar(
-            x=labels, y=rms, marker_color=[GREY] + [BLUE] * (len(rms) - 1),
+            x=labels, y=rms, marker_color=[GREY] + [BLUE] * (len(rms) - 1), width=0.5,
+            text=[f"{x:.3g} {study.unit}" for x in rms], textposition="inside", insidetextanchor="start",
             error_y={"type": "data", "array": up, "arrayminus": down, "color": "#333"},
         )
     )  # fmt: skip
     figure.add_hline(y=study.noise.value, line_dash="dash", line_color=RED, annotation_text="noise")
-    return figure.update_yaxes(title=f"held-out error ({study.unit})", rangemode="tozero")
+    return figure.update_yaxes(title=f"error ({study.unit})", rangemode="tozero")
 
 
 def reductions(o: Outcome) -> go.Figure:

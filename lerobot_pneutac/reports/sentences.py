@@ -3,7 +3,8 @@
 from lerobot_pneutac.diagnosis.experiment import Separation
 from lerobot_pneutac.diagnosis.result import Outcome
 from lerobot_pneutac.study.base import EffectStudy
-from pneutac_sim.effects.registry import get_effect
+from pneutac_datasets.recording.wording import plural
+from pneutac_sim.effects.laws import family, is_law
 
 
 def lead(study: EffectStudy, outcome: Outcome) -> str:
@@ -38,14 +39,65 @@ def lead(study: EffectStudy, outcome: Outcome) -> str:
     if not outcome.selected:
         return f"What the twin has explains most of the {device}'s error, and no other effect more.{form}"
     first = outcome.selected[0]
+    before = f"{study.errors(outcome.before)['heldout']:.3g} {unit}"
     text = (
-        f"{study.describe(outcome.after, first)} Adding {_names(outcome.selected)} removes "
-        f"{_removed(study, outcome)} of the avoidable error."
+        f"{plainly(study, outcome, first)} With {_names(outcome.selected)} the error where nothing was "
+        f"fitted falls from {before} to {after}; the noise of the measurement makes {noise}."
     )
     rivals = sorted({r.rival for r in outcome.rivals if r.effect == first})
     if rivals:
-        text += f" As far as this recording can tell it may be {' or '.join(rivals)} instead."
-    return text + (form if outcome.verdict == "insufficient_form" else "")
+        text += f" As far as this recording can tell it may be {' or '.join(map(called, rivals))} instead."
+    return text + (" Its form is not the whole truth." if outcome.verdict == "insufficient_form" else "")
+
+
+def plainly(study: EffectStudy, outcome: Outcome, effect: str) -> str:
+    """What an effect does and how much, without its equation."""
+    text = study.describe(outcome.after, effect)
+    if is_law(effect):
+        text = text.partition(": ")[0].rstrip(".") + "."
+    size = study.size(outcome.after, effect)
+    return f"{text} {size}" if size else text
+
+
+def how_sure(study: EffectStudy, outcome: Outcome) -> str:
+    """How far what was found can be trusted."""
+    o, e = outcome, outcome.evidence
+    if e.poor:
+        return "Not at all: the recording is too poor for any claim."
+    if not o.selected:
+        tried = f"{plural(len(o.tested), 'effect')} came closest" if o.tested else "no effect came close"
+        return f"Nothing that was tried surely lowers the error; {tried}."
+    sure = {
+        "missing_effect": "Very: it explains all that is more than noise",
+        "insufficient_form": "That something of this kind is there, yes; of its form, no",
+        "unknown_effect": "Not at all: it only stands in for what is there",
+    }.get(o.verdict, "Hardly: it may be chance")
+    votes = (
+        f"; {100 * o.chosen_in[o.selected[0]]:.0f} % of repeated searches on other parts of the data chose it"
+    )
+    return (
+        f"{sure}. It removes {_removed(study, o)} of the squared error above the noise, on stretches of time "
+        f"that no fit saw{votes if o.selected[0] in o.chosen_in else ''}."
+    )
+
+
+def not_explained(study: EffectStudy, outcome: Outcome) -> str:
+    """What stays, and what could not be looked for."""
+    unit = study.unit
+    after, noise = study.errors(outcome.after)["heldout"], study.noise.value
+    if after <= 1.02 * noise:
+        text = f"Nothing that this recording could show: the error of {after:.3g} {unit} is the noise."
+    else:
+        left = (after**2 - noise**2) ** 0.5
+        text = f"{left:.2g} {unit} beside the noise (the error is {after / noise:.3g} times the noise)."
+    if study.untested:
+        text += f" Not looked for, as it was not recorded: {_names([u.name for u in study.untested])}."
+    return text
+
+
+def called(name: str) -> str:
+    """An effect by its name, a law by its family and its name."""
+    return f"{family(name).replace('_', ' ')} as {name}" if is_law(name) else name.replace("_", " ")
 
 
 def next_experiment(study: EffectStudy, outcome: Outcome) -> tuple[str, Separation | None]:
@@ -56,15 +108,14 @@ def next_experiment(study: EffectStudy, outcome: Outcome) -> tuple[str, Separati
         rival = outcome.rivals[0]
         best = study.separation(rival)
         if best:
-            return f"To tell {rival.effect} from {rival.rival}: {best.advice}", best
+            return f"To tell {called(rival.effect)} from {called(rival.rival)}: {best.advice}", best
     if outcome.verdict == "unknown_effect":
         return study.repeat, None
     hints = outcome.selected or outcome.evidence.near_miss
-    if outcome.verdict in ("ambiguous", "insufficient_form") and hints:
-        return f"To see {hints[0]} alone: {get_effect(hints[0]).experiment}", None
-    if outcome.verdict == "missing_effect":
-        return f"To confirm {hints[0]}: {get_effect(hints[0]).experiment}", None
-    return study.nothing_left, None
+    aim = {"ambiguous": "see", "insufficient_form": "see", "missing_effect": "confirm"}.get(outcome.verdict)
+    if aim is None or not hints:
+        return study.nothing_left, None
+    return f"To {aim} {called(hints[0])}: {study.experiment(outcome.after, hints[0])}", None
 
 
 def _removed(study: EffectStudy, outcome: Outcome) -> str:
@@ -78,4 +129,5 @@ def percent(share: float, interval: tuple[float, float]) -> str:
 
 
 def _names(names: list[str]) -> str:
+    names = [called(n) for n in names]
     return names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]

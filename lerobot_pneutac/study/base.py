@@ -136,6 +136,14 @@ class EffectStudy(Study, ABC):
         values = {k: p["value"] for k, p in self.parameters(model, effect).items()}
         return get_effect(effect).describe(values, self.recording.device)
 
+    def size(self, model: FittedModel, effect: str) -> str:
+        """How much an effect moves the device, a sentence; empty where it cannot be told."""
+        return ""
+
+    def experiment(self, model: FittedModel, effect: str) -> str:
+        """What to record to see an effect apart from its rivals."""
+        return get_effect(effect).experiment
+
     def already_on(self, effect: str) -> str:
         """A sentence where the twin has this effect."""
         if effect not in self.own:

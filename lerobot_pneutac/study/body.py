@@ -9,6 +9,7 @@ import numpy as np
 
 from lerobot_pneutac.diagnosis.candidates import sort_candidates
 from lerobot_pneutac.diagnosis.experiment import Separation, predict, separations
+from lerobot_pneutac.diagnosis.law_programs import law_program
 from lerobot_pneutac.diagnosis.model import FittedModel
 from lerobot_pneutac.diagnosis.parts import deal
 from lerobot_pneutac.diagnosis.result import Outcome, Rival, Tested
@@ -208,7 +209,7 @@ class BodyStudy(EffectStudy):
                 (" + ".join(["how it bends", *new] if i == 0 else ["", *new]).strip(), self.fitted(s.model))
             )
             had |= set(s.model.form.effects)
-        return [*out[:-1], (out[-1][0], after)] if len(out) > 1 else [("as found", after)]
+        return [*out[:-1], ("all that was found", after)]
 
     def _base(self, done: Searched) -> dict:
         """How it bends, in numbers."""
@@ -373,6 +374,22 @@ class BodyStudy(EffectStudy):
             k: {"value": v.value, "ci95": list(v.ci95) if v.ci95 else None, "unit": units.get(k, "")}
             for k, v in model.twin.effects.get(effect, {}).items()
         }
+
+    def size(self, model: FittedModel, effect: str) -> str:
+        """What the effect does to the prediction that another gain and offset could not."""
+        data = read(self.recording, model.twin)
+        others = {k: v for k, v in model.twin.effects.items() if k != effect}
+        seen, plain = (predict(t, data)[0] for t in (model.twin, replace(model.twin, effects=others)))
+        ground = np.concatenate([plain, np.ones((len(plain), 1))], axis=1)
+        left = seen - ground @ np.linalg.lstsq(ground, seen, rcond=None)[0]
+        what = {"mm": "tip", "rad": "bend", "1/m": "curvature"}[self.unit]
+        return f"That moves its {what} by up to {np.linalg.norm(left, axis=1).max():.2g} {self.unit}."
+
+    def experiment(self, model: FittedModel, effect: str) -> str:
+        """By the law's own program where it is one and was found."""
+        constants = {k: v.value for k, v in model.twin.effects.get(effect, {}).items()}
+        program = law_program(self.recording, effect, constants) if constants else None
+        return program.advice if program else super().experiment(model, effect)
 
     def at_bound(self, model: FittedModel, effects: Sequence[str]) -> list[str]:
         """Parameters stopped by a bound."""

@@ -8,7 +8,7 @@ from pathlib import Path
 from lerobot_pneutac.diagnosis.experiment import Separation
 from lerobot_pneutac.diagnosis.result import Outcome, Tested
 from lerobot_pneutac.reports.page import Report
-from lerobot_pneutac.reports.sentences import lead, next_experiment, percent
+from lerobot_pneutac.reports.sentences import how_sure, lead, next_experiment, not_explained, percent
 from lerobot_pneutac.study.base import EffectStudy
 from lerobot_pneutac.verbs.found import BEFORE, FOUND
 from lerobot_pneutac.verbs.result import Result
@@ -80,12 +80,22 @@ class Diagnosis(Result):
     @property
     def title(self) -> str:
         """Heading of the table."""
-        return f"held-out error, {self.study.unit} (noise {self.study.noise.value:.3g})"
+        return f"error where nothing was fitted, {self.study.unit} (noise {self.study.noise.value:.3g})"
 
     @property
     def sentence(self) -> str:
         """What was found, in a sentence or two."""
         return lead(self.study, self.outcome)
+
+    @property
+    def how_sure(self) -> str:
+        """How far what was found can be trusted."""
+        return how_sure(self.study, self.outcome)
+
+    @property
+    def not_explained(self) -> str:
+        """What stays, and what could not be looked for."""
+        return not_explained(self.study, self.outcome)
 
     def rows(self) -> list[dict]:
         """The effects found and some others."""
@@ -93,7 +103,8 @@ class Diagnosis(Result):
         rest = [t for t in self.outcome.tested if t.name not in self.selected][: max(2, 6 - len(chosen))]
         rows = [("(as it is)", self.before, "", "", "")]
         for t in chosen + rest:
-            values = ", ".join(f"{k} {v['value']:.3g}" for k, v in list(t.parameters.items())[:3])
+            shown = [(k, v["value"]) for k, v in t.parameters.items() if k != "scale_kpa"][:3]
+            values = ", ".join(f"{k} {value:.3g}" for k, value in shown)
             share = "" if t.reduction is None or t.ci95 is None else percent(t.reduction, t.ci95)
             rows.append((t.name, t.errors, share, values, self._how_found(t)))
         if self.selected:
@@ -101,9 +112,9 @@ class Diagnosis(Result):
         out = []
         for name, errors, share, values, how in rows:
             contact = errors.get("heldout_contact")
-            row = {"effect": name, "error alone": f"{errors['heldout']:.3g}"}
+            row = {"effect": name, "error": f"{errors['heldout']:.3g}"}
             row |= {} if contact is None else {"contact": f"{contact:.3g}"}
-            out.append(row | {"avoidable error removed": share, "parameters": values, "": how})
+            out.append(row | {"alone removes": share, "constants": values, "": how})
         return out
 
     def _how_found(self, t: Tested) -> str:
@@ -115,11 +126,13 @@ class Diagnosis(Result):
         return "found" if t.reduction > LITTLE_ALONE or len(self.selected) == 1 else "found, with the others"
 
     def remarks(self) -> list[str]:
-        """What was not tested, caveats, the next experiment, the verdict."""
+        """How sure it is, what is not explained, the next experiment, what was not tested, the verdict."""
         return [
-            *(f"  {u.name}: {u.reason}" for u in self.study.untested),
+            f"[bold]How sure:[/] {self.how_sure}",
+            f"[bold]Not explained:[/] {self.not_explained}",
             *self.study.caveats(self.outcome),
-            f"[bold]Next experiment:[/] {self.next_experiment}",
+            f"[bold]Record next:[/] {self.next_experiment}",
+            *(f"  {u.name}: {u.reason}" for u in self.study.untested),
             f"verdict: {self.verdict}   ({self.outcome.seconds:.0f} s)",
         ]
 
@@ -129,6 +142,8 @@ class Diagnosis(Result):
         return {
             "verdict": o.verdict,
             "sentence": self.sentence,
+            "how_sure": self.how_sure,
+            "not_explained": self.not_explained,
             "unit": study.unit,
             "noise_floor": study.noise.value,
             "noise_floor_how": study.noise.how,

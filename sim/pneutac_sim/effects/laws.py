@@ -18,6 +18,7 @@ from functools import cache
 from pneutac_sim.effects import memories as by
 from pneutac_sim.effects.body_effect import BodyEffect
 from pneutac_sim.effects.effect import Parameter
+from pneutac_sim.effects.law_words import WORDS, seen_by
 
 REFERENCE_C = 23.0
 
@@ -359,26 +360,6 @@ def table() -> dict[str, Row]:
     return out
 
 
-# Family to what such physics does to a device.
-WORDS = {
-    "stiffening": "bends not in proportion to the pressure",
-    "gain_saturation": "saturates",
-    "contact": "bends otherwise above a pressure, as if it met something",
-    "hysteresis": "has hysteresis",
-    "snap": "snaps over at a pressure and back at a lower one",
-    "creep": "creeps",
-    "valve_lag": "fills and vents with a lag",
-    "ringing": "rings",
-    "leak": "loses pressure while it is held",
-    "friction": "is held back by friction",
-    "rate": "bends less or more the faster it moves",
-    "cyclic_softening": "is softer or stiffer after what it went through",
-    "self_heating": "changes as it works, as if it warmed itself",
-    "thermal": "feels the temperature",
-    "dead_band": "stays where it is until its command has moved enough",
-    "warm_up": "bends otherwise until it has warmed up",
-}
-
 # output and feature: code of the output, code of the feature, columns
 _SEEN = {
     **{f"tip_{a} += {f}": (i, j, ()) for i, a in enumerate("xyz") for j, f in enumerate(("z^2", "x z"))},
@@ -460,9 +441,9 @@ def law(name: str) -> BodyEffect:
         columns=row.columns,
         state_size=lambda channels: by.SLOTS * channels,
         equation=rf"p \to p + w\,({row.equation})",
-        summary=f"Your {{device}} {WORDS[row.family]}: p + {{weight:.3g}} [{structure}]"
-        + (f", {constants}." if constants else "."),
-        experiment="Repeat the program at another pace and at other pressures: the law must hold there too.",
+        summary=f"Your {{device}} {WORDS[row.family]}: the pressure p that bends it becomes "
+        f"p + {{weight:.3g}} [{structure}]" + (f", {constants}." if constants else "."),
+        experiment=seen_by(row.input, row.memory, row.role),
     )
 
 

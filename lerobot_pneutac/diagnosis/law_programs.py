@@ -1,0 +1,274 @@
+"""The experiment that shows one law apart from its neighbours, made from what it remembers and its constants.
+
+A lag shows after a step, for a few of its time constants; a play where the pressure turns, whatever the
+speed; friction by speed; a limit that was passed only when one comes back below it.
+"""
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from lerobot_pneutac.diagnosis.programs import HZ, Program, pressure_span, table
+from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.effects import laws
+from pneutac_sim.effects import memories as by
+
+MOST_S = 600.0
+MOST_HZ = 100.0
+WARMER_C = 8.0
+STEP_S = 1e-3  # that a commanded step takes
+
+Knots = list[tuple[float, float]]  # seconds since the one before, kPa
+
+
+def law_program(recording: Recording, name: str, constants: Mapping[str, float]) -> Program | None:
+    """What to command to see a law, and what to look at.
+
+    Args:
+        recording: gives the range of pressures and the conditions.
+        name: of a law, perhaps its second instance.
+        constants: its parameters, by name.
+
+    Returns:
+        None for what is no law of the drive.
+    """
+    row = laws.table().get(name.partition(" #")[0])
+    if row is None:
+        return None
+    low, top = pressure_span(recording)
+    advice, knots, hz = _shape(row)(row, constants, low, top)
+    time_s, kpa = np.array([(0.0, low), *knots]).T
+    time_s = np.cumsum(time_s)
+    t = np.arange(int(min(time_s[-1], MOST_S) * hz)) / hz
+    p, change = np.interp(t, time_s, kpa), {}
+    if "temperature_c" in row.columns:
+        cold = float(recording.samples["temperature_c"].median())
+        if row.input != by.CONDITION:  # the whole program, then once more in the warm
+            t, p = np.arange(2 * len(p)) / hz, np.tile(p, 2)
+        change = {"temperature_c": np.where(np.arange(len(t)) < len(t) // 2, cold, cold + WARMER_C)}
+        advice += f" Do the first half at {cold:.0f} °C, the second at {cold + WARMER_C:.0f} °C."
+    return Program(f"for {name}", advice, table(recording, t, p, change))
+
+
+def law_programs(recording: Recording, effects: Mapping[str, Mapping[str, float]]) -> list[Program]:
+    """Of all laws among some effects, each with its constants."""
+    made = (law_program(recording, name, constants) for name, constants in effects.items())
+    return [p for p in made if p is not None]
+
+
+def _shape(row: laws.Row) -> Callable[..., tuple[str, Knots, float]]:
+    if row.input == by.CONDITION:
+        return _soak
+    if row.memory == by.LAG and row.input in (by.SPEED, by.WORK):
+        return _work
+    return _SHAPES[row.memory]
+
+
+def _hold(kpa: float, seconds: float) -> Knots:
+    return [(STEP_S, kpa), (seconds, kpa)]
+
+
+def _strokes(low: float, high: float, seconds: float, count: int) -> Knots:
+    return [(seconds / 2, high), (seconds / 2, low)] * count
+
+
+def _stairs(row, c, low, top):
+    levels = np.linspace(low, top, 11)
+    text = (
+        f"Go from {low:.3g} to {top:.3g} kPa in ten equal stairs of 5 s, and down again: what depends on the "
+        "pressure alone is the same on both ways, and its steps change evenly."
+    )
+    return text, [k for p in (*levels, *levels[-2::-1]) for k in _hold(p, 5.0)], HZ
+
+
+def _around_threshold(row, c, low, top):
+    a = c["threshold_kpa"]
+    up = [*np.linspace(low, a, 6), *np.linspace(a, max(top, 1.2 * a), 6)[1:]]
+    text = (
+        f"Go in five stairs of 5 s from {low:.3g} to {a:.3g} kPa, in five more to {up[-1]:.3g} kPa, and down "
+        f"again: up to {a:.3g} kPa nothing differs, above it each step does."
+    )
+    return text, [k for p in (*up, *up[-2::-1]) for k in _hold(p, 5.0)], HZ
+
+
+def _after_steps(row, c, low, top):
+    """Memories that relax: two levels tell the power of the pressure, a gain needs a third."""
+    tau = c.get("time_s", 1 / c["rate_1_per_s"] if "rate_1_per_s" in c else 33.0)
+    hold, middle = float(np.clip(3 * tau, 3.0, 100.0)), 0.5 * (low + top)
+    knots = [*_hold(middle, hold), *_hold(low, hold), *_hold(top, hold), *_hold(low, hold)]
+    text = (
+        f"Step to {middle:.3g} kPa and hold {hold:.3g} s, vent to {low:.3g} kPa for {hold:.3g} s, then "
+        f"the same with {top:.3g} kPa"
+    )
+    seen = {
+        by.LAG: "the bend goes on for "
+        f"{hold:.3g} s and then stops, and what comes late "
+        + (
+            "grows with the square of the pressure"
+            if row.input == by.P_SQUARED
+            else "doubles with the pressure"
+        ),
+        by.LAG_PRESSURE: "the bend goes on, faster or slower at the higher pressure",
+        by.LAG_WARM: "the bend goes on, faster or slower in the warm",
+        by.SPECTRUM: "the bend grows as much from 1 to 10 s as from 10 to 100 s, and does not stop",
+        by.HELD: "while the pressure is held the bend falls at a steady pace",
+    }[row.memory]
+    if row.role == by.GAIN:
+        knots += [*_hold(top, hold), *_hold(middle, hold)]
+        text += f", then {top:.3g} kPa and {middle:.3g} kPa for {hold:.3g} s each"
+        seen = f"at {middle:.3g} kPa it bends otherwise right after {top:.3g} kPa than after rest"
+    return f"{text}: {seen}.", knots, max(HZ, min(MOST_HZ, 5 / tau))
+
+
+def _turns(row, c, low, top):
+    r = c.get("width_kpa", max(c.get("width_up_kpa", 0.0), c.get("width_down_kpa", 0.0)))
+    middle, knots = 0.5 * (low + top), []
+    spans = [min(k * r, 0.5 * (top - low)) for k in (1.0, 3.0)] + [0.5 * (top - low)]
+    for seconds in (20.0, 5.0):
+        for span in spans:
+            knots += [(5.0, middle - span), *_strokes(middle - span, middle + span, seconds, 2)]
+    text = (
+        f"Go back and forth about {middle:.3g} kPa by {spans[0]:.3g}, {spans[1]:.3g} and {spans[2]:.3g} kPa, "
+        "twice each in 20 s, then the same in 5 s: the loop is as wide at both paces, and the smallest moves "
+        "hardly bend it."
+    )
+    return text, knots, HZ
+
+
+def _small_stairs(row, c, low, top):
+    r = c["width_kpa"]
+    middle, step = 0.5 * (low + top), min(0.5 * r, 0.05 * (top - low))
+    levels = middle + step * np.r_[np.arange(11), np.arange(10)[::-1]]
+    text = (
+        f"From {middle:.3g} kPa go up ten times by {step:.2g} kPa, every 4 s, and down again: nothing moves "
+        f"until the command is {r:.2g} kPa away, then it follows."
+    )
+    return text, [k for p in levels for k in _hold(p, 4.0)], HZ
+
+
+def _over_the_snap(row, c, low, top):
+    a, b, r = c["centre_kpa"], c["slope_kpa"], c["width_kpa"]
+    below, above = max(low, a - b - r), min(max(top, a + r), a + b + r)
+    knots = [*_strokes(low, max(top, above), 120.0, 1), (5.0, below), *_strokes(below, above, 30.0, 3)]
+    text = (
+        f"Go slowly from {low:.3g} to {max(top, above):.3g} kPa and back in 120 s, then three times between "
+        f"{below:.3g} and {above:.3g} kPa in 30 s: it snaps near {a + r:.3g} kPa on the way up and near "
+        f"{a - r:.3g} kPa on the way down."
+    )
+    return text, knots, HZ
+
+
+def _swing(row, c, low, top):
+    w, z = c["frequency_rad_per_s"], c["damping_ratio"]
+    wait = float(np.clip(5 / (z * w), 2.0, 20.0))
+    hz = float(np.clip(10 * w / (2 * np.pi), HZ, MOST_HZ))
+    text = (
+        f"Step from {low:.3g} to {top:.3g} kPa and back five times, {wait:.2g} s apart, and record at "
+        f"{hz:.0f} Hz or more: it swings {w / (2 * np.pi):.2g} times a second about where it ends."
+    )
+    return text, [*_hold(low, 1.0), *([*_hold(top, wait), *_hold(low, wait)] * 5)], hz
+
+
+def _fill_and_vent(row, c, low, top):
+    fill, vent = c["fill_time_s"], c["vent_time_s"]
+    wait, hz = (
+        float(np.clip(5 * max(fill, vent), 2.0, 30.0)),
+        float(np.clip(5 / min(fill, vent), HZ, MOST_HZ)),
+    )
+    middle = 0.5 * (low + top)
+    text = (
+        f"Step from {low:.3g} to {middle:.3g}, {low:.3g}, {top:.3g} and {low:.3g} kPa, {wait:.2g} s each, "
+        f"three times, at {hz:.0f} Hz or more: filling takes {fill:.2g} s and venting {vent:.2g} s, "
+        "at both levels."
+    )
+    return text, [k for p in (middle, low, top, low) * 3 for k in _hold(p, wait)], hz
+
+
+def _paces(row, c, low, top):
+    span = top - low
+    rate = c.get("rate_kpa_per_s", span / 5)
+    seconds = [float(np.clip(2 * span / (k * rate), 2.0, 80.0)) for k in (1 / 3, 1.0, 3.0)]
+    knots = [k for s in seconds for k in _strokes(low, top, s, max(1, round(20 / s)))]
+    text = (
+        f"Go from {low:.3g} to {top:.3g} kPa and back in {seconds[0]:.3g}, {seconds[1]:.3g} and "
+        f"{seconds[2]:.3g} s, then stop half way for 10 s: it differs by pace alone, and stops with "
+        "the motion."
+    )
+    return text, [*knots, (seconds[-1] / 4, low + span / 2), (10.0, low + span / 2)], HZ
+
+
+def _after_the_highest(row, c, low, top):
+    """A largest pressure that fades, or stays: small strokes before and after one to the top."""
+    middle = 0.5 * (low + top)
+    wait = float(np.clip(3 * c.get("time_s", 20.0), 12.0, 300.0))
+    small = _strokes(low, middle, 4.0, 3)
+    knots = [
+        *small,
+        *_strokes(low, top, 4.0, 1),
+        *_strokes(low, middle, 4.0, round(wait / 4)),
+        *_hold(low, 20.0),
+        *small,
+    ]
+    stays = "stay changed" if row.memory == by.BELOW else f"are as before within {wait:.3g} s"
+    text = (
+        f"After a rest make three strokes to {middle:.3g} kPa, one to {top:.3g} kPa, then strokes to "
+        f"{middle:.3g} kPa again for {wait:.3g} s, in 4 s each: the small strokes change at once after the "
+        f"large one and {stays}."
+    )
+    return text, knots, HZ
+
+
+def _many_strokes(row, c, low, top):
+    count = int(np.clip(c["path_kpa"] / (top - low), 8, 100))
+    text = (
+        f"After a night's rest make {count} strokes from {low:.3g} to {top:.3g} kPa, in 4 s each: each bends "
+        "a little otherwise than the one before, less and less so, and a pause does not undo it."
+    )
+    return text, _strokes(low, top, 4.0, count), HZ
+
+
+def _work(row, c, low, top):
+    """Motion that warms: about low and about high pressures, each with a rest after it."""
+    tau, middle = c["time_s"], 0.5 * (low + top)
+    move = float(np.clip(1.5 * tau, 20.0, 140.0))
+    count, knots = round(move / 2), []
+    for a, b in ((low, middle), (middle, top)):
+        knots += [(2.0, a), *_strokes(a, b, 2.0, count), (2.0, top), (move, top)]
+    more = "more so about the high pressures" if row.input == by.WORK else "alike about both"
+    text = (
+        f"Make strokes of 2 s for {move:.3g} s between {low:.3g} and {middle:.3g} kPa, hold {top:.3g} kPa as "
+        f"long, then the same between {middle:.3g} and {top:.3g} kPa: what motion changed comes back "
+        f"while held, {more}."
+    )
+    return text, knots, HZ
+
+
+def _warm_up(row, c, low, top):
+    count = round(min(3 * c["time_s"], MOST_S) / 20)
+    text = (
+        f"After a night's rest make a stroke from {low:.3g} to {top:.3g} kPa every 20 s, {count} times: it "
+        "changes with the time since the start, however little it moves."
+    )
+    return text, [k for _ in range(count) for k in (*_strokes(low, top, 6.0, 1), (14.0, low))], HZ
+
+
+def _soak(row, c, low, top):
+    count = round(min(6 * c["time_s"], MOST_S) / 20)
+    text = f"Make a stroke from {low:.3g} to {top:.3g} kPa every 20 s, {count} times, as it warms."
+    return text, [k for _ in range(count) for k in (*_strokes(low, top, 6.0, 1), (14.0, low))], HZ
+
+
+_SHAPES: dict[int, Callable[..., tuple[str, Knots, float]]] = {
+    **dict.fromkeys((by.PLAIN, by.CUBE, by.POWER, by.TANH), _stairs),
+    **dict.fromkeys((by.LAG, by.LAG_PRESSURE, by.LAG_WARM, by.SPECTRUM, by.HELD), _after_steps),
+    **dict.fromkeys((by.PLAY, by.PLAY_TWO, by.PLAY_CUBED, by.LOOP), _turns),
+    **dict.fromkeys((by.TANH_OF, by.ROOT_LAG), _paces),
+    **dict.fromkeys((by.FADING, by.BELOW), _after_the_highest),
+    by.HINGE: _around_threshold,
+    by.DEAD_BAND: _small_stairs,
+    by.FLIP: _over_the_snap,
+    by.MODE: _swing,
+    by.FILL_VENT: _fill_and_vent,
+    by.PATH: _many_strokes,
+    by.FADING_TIME: _warm_up,
+}
