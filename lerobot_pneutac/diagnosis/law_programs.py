@@ -110,7 +110,7 @@ def _after_steps(row, c, low, top):
         ),
         by.LAG_PRESSURE: "the bend goes on, faster or slower at the higher pressure",
         by.LAG_WARM: "the bend goes on, faster or slower in the warm",
-        by.SPECTRUM: "the bend grows as much from 1 to 10 s as from 10 to 100 s, and does not stop",
+        by.SPECTRUM: "the bend goes on ever slower, from 10 to 100 s still, and does not stop",
         by.HELD: "while the pressure is held the bend falls at a steady pace",
     }[row.memory]
     if row.role == by.GAIN:

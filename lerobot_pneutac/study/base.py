@@ -35,6 +35,7 @@ class Study:
         own: effects that the twin has.
         candidates: effects to try.
         untested: effects that this recording cannot test.
+        excluded: effects that are no part of any line or base that a search tries by itself.
         findings: of the checks, one sentence each.
     """
 
@@ -46,6 +47,7 @@ class Study:
     own: Sequence[str] = ()
     candidates: Sequence[str] = ()
     untested: Sequence[Untested] = ()
+    excluded: Sequence[str] = ()
     findings: Sequence[str] = ()
 
     @cached_property

@@ -102,7 +102,7 @@ class BodySearch:
         candidates = [e for e in study.candidates if get_effect(e).stage == "pneumatics"]
         joints = len(study.twin.spine_joint_positions_mm)
         reading = Reading(target="pressure", start=study.start)
-        space = BodySpace(fitter, own, [joints], candidates, _lines(own), reading)
+        space = BodySpace(fitter, own, [joints], candidates, _lines(own, study.excluded), reading)
         return self._search(space, study.air_noise).find()
 
     def _driven(self, air: Found) -> Recording:
@@ -127,7 +127,7 @@ class BodySearch:
         base = (*own, *(e for e in base_effects(study) if e not in own))
         joints = sorted({len(study.twin.spine_joint_positions_mm), study.joints})
         candidates = [c for c in study.candidates if c not in base and get_effect(c).stage != "pneumatics"]
-        lines, values = _lines(own), {}
+        lines, values = _lines(own, study.excluded), {}
         if reading.source == "measured":
             lines = ((),)
         elif air is not None:
@@ -229,7 +229,7 @@ def base_effects(study: "BodyStudy") -> tuple[str, ...]:
             out.append("payload")
     if tip:
         out.append("elongation")
-    return tuple(out)
+    return tuple(e for e in out if e not in study.excluded)
 
 
 def labels(terms: Iterable[str]) -> dict[str, str]:
@@ -270,9 +270,9 @@ def left_to_black_box(study: "BodyStudy", residual: np.ndarray) -> float:
     return share_left(residual, features(study), learn, test, study.noise.value)
 
 
-def _lines(own: tuple[str, ...]) -> tuple[tuple[str, ...], ...]:
-    """Lines of which nothing is in the twin already."""
-    return ((), *(line for line in LINES if line and not set(line) & set(own)))
+def _lines(own: tuple[str, ...], excluded: Iterable[str]) -> tuple[tuple[str, ...], ...]:
+    """Lines of which nothing is in the twin already, or excluded."""
+    return ((), *(line for line in LINES if line and not set(line) & {*own, *excluded}))
 
 
 def _trial(form: Form, values: dict[str, float]):

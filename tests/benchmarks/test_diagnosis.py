@@ -17,7 +17,8 @@ from pneutac_benchmarks.diagnosis import (
     table_truths,
     truths,
 )
-from pneutac_benchmarks.diagnosis.cases import BenchmarkDiagnosisConfig, Case
+from pneutac_benchmarks.diagnosis.cases import BenchmarkDiagnosisConfig, Case, diagnosed
+from pneutac_benchmarks.diagnosis.rules import COUNTS, counts
 from pneutac_benchmarks.diagnosis.table import confusion, right, summary, wilson, write_table
 from pneutac_sim.effects.laws import family, law_names
 from pneutac_sim.effects.registry import body_effects
@@ -171,9 +172,45 @@ def test_truths_are_what_applies_to_each_device():
     assert moving == {e.name for e in EFFECTS.values() if e.devices == ("cosserat",)}
     out = truths.cases(BenchmarkDiagnosisConfig(set="own_form_out", seeds=1))
     assert {"creep_fractional", "hysteresis_preisach"} <= {c.effects for c in out}
-    assert not {"hunting", "gravity", "dead_time", "marker_slip"} & {c.effects for c in out}
+    assert {"gravity", "dead_time", "stretch", "line_second_order"} <= {c.effects for c in out}
+    assert not {"hunting", "soft_clamp", "marker_slip"} & {c.effects for c in out}
     with pytest.raises(InputError, match="there is no truth 'cooking'"):
         truths.cases(BenchmarkDiagnosisConfig(effects=("cooking",)))
+
+
+@pytest.mark.parametrize(
+    ("truth", "out"), [("dead_time", ("dead_time",)), ("stretch", ("elongation",)), ("leak", COUNTS["leak"])]
+)
+def test_lines_and_parts_of_the_base_are_taken_out_too(truth, out, tmp_path, monkeypatch):
+    """What a search would try, without running it: nothing that counts as the truth's own physics."""
+    from lerobot_pneutac.study.body import BodyStudy
+    from lerobot_pneutac.study.body_search import BodySearch, base_effects
+    from pneutac_datasets.recording.recording import Recording
+    from pneutac_sim.twin import Twin
+    from pneutac_truths import generate, write
+
+    tried = {}
+
+    def look(study, jobs, steps):
+        tried["base"] = base_effects(study)
+        with pytest.raises(InterruptedError):
+            BodySearch(study, map, lambda text: None).find()
+
+    def stop(search):
+        tried["space"] = search.space
+        raise InterruptedError
+
+    monkeypatch.setattr("lerobot_pneutac.study.body_search.Search.find", stop)
+    monkeypatch.setattr(BodyStudy, "search", look)
+    recording = Recording.load(write(generate("rod", [truth], 3, minutes=4.0), tmp_path / "day"))
+    recording.samples.drop(columns="pressure_kpa", inplace=True)  # so that air and body are searched at once
+    twin = Twin(recording.device, recording.length_mm)
+    for wanted in (None, lambda name: not counts(name, out)):
+        diagnosed(twin, recording, 0, wanted)
+        space = tried["space"]
+        names = {*tried["base"], *space.candidates, *(e for line in space.lines for e in line)}
+        assert bool(names & set(out)) == (wanted is None)
+        assert "valve_lag" in names and "creep" in names
 
 
 def test_the_gentle_part_stays_low_and_holds_nothing_long(tmp_path):

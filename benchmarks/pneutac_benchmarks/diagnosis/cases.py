@@ -93,13 +93,16 @@ def diagnosed(twin, recording, seed: int, wanted: Callable[[str], bool] | None =
         twin: as it is.
         recording: to learn from.
         seed: of the split.
-        wanted: which candidates may be tried; all where None.
+        wanted: which effects and laws may be tried, as candidates or as a line or part of the base; all where
+            None.
     """
     from lerobot_pneutac.diagnosis.steps import Steps
     from lerobot_pneutac.study.by_device import study_of
     from lerobot_pneutac.verbs.diagnosis import Diagnosis
+    from pneutac_sim.effects.registry import body_effects
 
     study = study_of(twin, recording, seed)
     if wanted is not None:
         study.candidates = [c for c in study.candidates if wanted(c)]
+        study.excluded = [e for e in body_effects() if not wanted(e)]
     return Diagnosis(study=study, outcome=study.search(1, Steps()))

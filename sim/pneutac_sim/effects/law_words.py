@@ -31,11 +31,11 @@ _SEEN_BY = {
     **dict.fromkeys((by.PLAIN, by.CUBE, by.POWER, by.TANH), _FORM),
     **dict.fromkeys((by.PLAY, by.PLAY_TWO, by.PLAY_CUBED, by.LOOP), _TURNS),
     by.HINGE: "Go up in small stairs through the threshold: each step differs above it, none below.",
-    by.LAG: "Step to half and to full pressure, hold three time constants each, vent as long: the bend goes on "
-    "and then stops.",
+    by.LAG: "Step to half and to full pressure, hold three time constants each, vent as long: the bend goes "
+    "on and then stops.",
     by.LAG_PRESSURE: "Step to half and to full pressure and hold each: the bend goes on at another pace.",
     by.LAG_WARM: "Step and hold, cold and warm: the bend goes on at another pace.",
-    by.SPECTRUM: "Step, hold 100 s, vent as long: it bends as much from 1 to 10 s as from 10 to 100 s.",
+    by.SPECTRUM: "Step, hold 100 s, vent as long: the bend still goes on from 10 to 100 s.",
     by.HELD: "Hold a pressure for long: the bend falls at a steady pace, and not while the pressure moves.",
     by.FILL_VENT: "Step up and down to two levels, at 20 Hz or more: filling and venting take other times.",
     by.MODE: "Step up and down at ten samples a swing or more: it swings about where it ends.",
