@@ -187,7 +187,8 @@ def _fill_and_vent(row, c, low, top):
 def _paces(row, c, low, top):
     span = top - low
     rate = c.get("rate_kpa_per_s", span / 5)
-    seconds = [float(np.clip(2 * span / (k * rate), 2.0, 80.0)) for k in (1 / 3, 1.0, 3.0)]
+    middle = float(np.clip(2 * span / rate, 6.0, 30.0))  # s there and back; no valve follows much faster
+    seconds = [3 * middle, middle, middle / 3]
     knots = [k for s in seconds for k in _strokes(low, top, s, max(1, round(20 / s)))]
     text = (
         f"Go from {low:.3g} to {top:.3g} kPa and back in {seconds[0]:.3g}, {seconds[1]:.3g} and "

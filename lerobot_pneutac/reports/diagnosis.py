@@ -116,15 +116,14 @@ def _parameters(page: Report, study: EffectStudy, o: Outcome) -> None:
 
 def ladder(study: EffectStudy, o: Outcome) -> go.Figure:
     """Held-out error as effects are added."""
-    labels = [label for label, _ in o.ladder]
     rms = [study.errors(model)["heldout"] for _, model in o.ladder]
+    labels = [f"{label}<br>{x:.3g} {study.unit}" for (label, _), x in zip(o.ladder, rms, strict=True)]
     band = [study.interval(model) for _, model in o.ladder]
     up = [max(0.0, float(b[1]) - v) for b, v in zip(band, rms, strict=True)]
     down = [max(0.0, v - float(b[0])) for b, v in zip(band, rms, strict=True)]
     figure = go.Figure(
         go.Bar(
             x=labels, y=rms, marker_color=[GREY] + [BLUE] * (len(rms) - 1), width=0.5,
-            text=[f"{x:.3g} {study.unit}" for x in rms], textposition="inside", insidetextanchor="start",
             error_y={"type": "data", "array": up, "arrayminus": down, "color": "#333"},
         )
     )  # fmt: skip

@@ -40,9 +40,11 @@ def lead(study: EffectStudy, outcome: Outcome) -> str:
         return f"What the twin has explains most of the {device}'s error, and no other effect more.{form}"
     first = outcome.selected[0]
     before = f"{study.errors(outcome.before)['heldout']:.3g} {unit}"
+    others = list(dict.fromkeys(_kind(e) for e in outcome.selected[1:] if _kind(e) != _kind(first)))
     text = (
-        f"{plainly(study, outcome, first)} With {_names(outcome.selected)} the error where nothing was "
-        f"fitted falls from {before} to {after}; the noise of the measurement makes {noise}."
+        f"{plainly(study, outcome, first)}{f' It also shows {_listed(others)}.' if others else ''} With this "
+        f"the error where nothing was fitted falls from {before} to {after}; the noise of the measurement "
+        f"makes {noise}."
     )
     rivals = sorted({r.rival for r in outcome.rivals if r.effect == first})
     if rivals:
@@ -97,7 +99,11 @@ def not_explained(study: EffectStudy, outcome: Outcome) -> str:
 
 def called(name: str) -> str:
     """An effect by its name, a law by its family and its name."""
-    return f"{family(name).replace('_', ' ')} as {name}" if is_law(name) else name.replace("_", " ")
+    return f"{_kind(name)} as {name}" if is_law(name) else _kind(name)
+
+
+def _kind(name: str) -> str:
+    return family(name).replace("_", " ")
 
 
 def next_experiment(study: EffectStudy, outcome: Outcome) -> tuple[str, Separation | None]:
@@ -129,5 +135,8 @@ def percent(share: float, interval: tuple[float, float]) -> str:
 
 
 def _names(names: list[str]) -> str:
-    names = [called(n) for n in names]
-    return names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]
+    return _listed([called(n) for n in names])
+
+
+def _listed(words: list[str]) -> str:
+    return words[0] if len(words) == 1 else ", ".join(words[:-1]) + " and " + words[-1]

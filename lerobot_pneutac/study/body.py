@@ -383,7 +383,9 @@ class BodyStudy(EffectStudy):
         ground = np.concatenate([plain, np.ones((len(plain), 1))], axis=1)
         left = seen - ground @ np.linalg.lstsq(ground, seen, rcond=None)[0]
         what = {"mm": "tip", "rad": "bend", "1/m": "curvature"}[self.unit]
-        return f"That moves its {what} by up to {np.linalg.norm(left, axis=1).max():.2g} {self.unit}."
+        moved = np.linalg.norm(left, axis=1)
+        typically = f"{np.sqrt((moved**2).mean()):.2g} {self.unit}"
+        return f"That moves its {what} by {typically} typically and {moved.max():.2g} {self.unit} at most."
 
     def experiment(self, model: FittedModel, effect: str) -> str:
         """By the law's own program where it is one and was found."""

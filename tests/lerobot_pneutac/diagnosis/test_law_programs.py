@@ -105,6 +105,15 @@ def test_the_constants_set_the_program():
     )
 
 
+@pytest.mark.parametrize("rate", [0.5, 12.0, 300.0])
+def test_three_paces_are_three_at_any_rate(rate):
+    program = law_program(LOOPS, "tanh(dp/dt)", {"weight": 0.1, "rate_kpa_per_s": rate, "time_s": 0.05})
+    speed = np.abs(np.diff(program.samples["pressure_cmd_kpa"].to_numpy())) * 10
+    assert all(
+        (np.abs(speed - fast * speed.max()) < 0.05 * speed.max()).sum() > 20 for fast in (1, 1 / 3, 1 / 9)
+    )
+
+
 def test_the_warm_half_repeats_the_cold_one():
     twin = with_law("lag(p) dT")
     s = planned("lag(p) dT", twin).samples

@@ -36,7 +36,8 @@ def test_what_is_found_is_told_without_its_equation():
     text = lead(*told())
     assert text.startswith("Your finger creeps (it goes on bending while the pressure is held).")
     assert "by up to 1.8 mm" in text and "from 0.8 mm to 0.45 mm" in text and "0.43 mm" in text
-    assert "creep as lag(p)" in text and "[" not in text and "weight" not in text
+    assert "[" not in text and "weight" not in text and "lag(p)" not in text
+    assert "It also shows hysteresis." in lead(*told(selected=(LAW, "play(p)", "lag(p^2)")))
 
 
 @pytest.mark.parametrize(
