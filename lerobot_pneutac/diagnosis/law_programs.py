@@ -123,12 +123,13 @@ def _after_steps(row, c, low, top):
 def _turns(row, c, low, top):
     r = c.get("width_kpa", max(c.get("width_up_kpa", 0.0), c.get("width_down_kpa", 0.0)))
     middle, knots = 0.5 * (low + top), []
-    spans = [min(k * r, 0.5 * (top - low)) for k in (1.0, 3.0)] + [0.5 * (top - low)]
+    half = 0.5 * (top - low)
+    spans = [s for s in (r, 3 * r) if s < 0.9 * half] + [half]
     for seconds in (20.0, 5.0):
         for span in spans:
             knots += [(5.0, middle - span), *_strokes(middle - span, middle + span, seconds, 2)]
     text = (
-        f"Go back and forth about {middle:.3g} kPa by {spans[0]:.3g}, {spans[1]:.3g} and {spans[2]:.3g} kPa, "
+        f"Go back and forth about {middle:.3g} kPa by {', '.join(f'{s:.3g}' for s in spans)} kPa, "
         "twice each in 20 s, then the same in 5 s: the loop is as wide at both paces, and the smallest moves "
         "hardly bend it."
     )
