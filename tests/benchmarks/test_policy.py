@@ -174,6 +174,7 @@ def test_a_fault_writes_the_table_and_ends_the_command_with_an_error(tmp_path, m
 COMMAND = "from lerobot_pneutac.cli.__main__ import main; main()"
 
 
+@pytest.mark.nightly
 @pytest.mark.timeout(1200)  # two busy cores
 def test_a_killed_benchmark_goes_on_to_all_six_conditions(tmp_path):
     argv = ["--fast=true", "--select=held_out", "--device=cpu", "--jobs=1", f"--out={tmp_path}"]

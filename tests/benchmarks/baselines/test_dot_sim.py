@@ -58,6 +58,7 @@ def test_images_of_two_sizes_are_refused(generated):
         DotSim.fit(Pair(generated.rest[:-1], c.image, c.press, generated.px_per_mm))
 
 
+@pytest.mark.nightly
 def test_photographs(photographs, scores):
     data = photographs("digit_fots")
     got = scores(DotSim, data)
