@@ -48,7 +48,7 @@ def sort_candidates(recording: Recording, twin: Twin) -> tuple[list[str], list[U
             untested.append(Untested(name, f"cannot be tested, record column {', '.join(missing)}"))
         elif constant:
             untested.append(Untested(name, f"cannot be tested, column {constant[0]} hardly changes: vary it"))
-        elif effect.signal == "markers" and not marked:
+        elif effect.of_markers and not marked:
             untested.append(Untested(name, "cannot be tested on angles, record tip_x_mm, tip_y_mm, tip_z_mm"))
         else:
             names.append(name)
@@ -66,4 +66,4 @@ def can_act(name: str, recording: Recording, marked: bool, known: set[str]) -> b
         return False
     if name.startswith("bend"):
         return not marked
-    return marked or effect.stage != "observation" or name == "tracker_lag"
+    return marked or not effect.of_markers or name == "tracker_lag"

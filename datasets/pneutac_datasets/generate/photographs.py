@@ -58,7 +58,7 @@ class Disturbances:
 
     def __post_init__(self):
         for name in self.effects:
-            if get_effect(name).stage not in BODY_STAGES[:-1]:
+            if get_effect(name).stage not in BODY_STAGES or get_effect(name).of_markers:
                 raise InputError(
                     f"Disturbances: effect '{name}' does not act on the body; tilt_deg turns the base, "
                     "camera_deg and camera_mm move the cameras."

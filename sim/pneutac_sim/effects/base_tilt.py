@@ -1,4 +1,4 @@
-"""Base tilt: the base stands turned and shifted in the frame in which markers are measured."""
+"""Base tilt: the base stands turned and shifted in its mount, and the whole device with it."""
 
 import math
 
@@ -27,6 +27,7 @@ def run(x, dt, theta, conditions, state):
 EFFECT = BodyEffect(
     name="base_tilt",
     stage="observation",
+    signal="mount",
     parameters=(
         Parameter("pitch_rad", "rad", default=0.0, lower=-0.5, upper=0.5),
         Parameter("yaw_rad", "rad", default=0.0, lower=-0.5, upper=0.5),

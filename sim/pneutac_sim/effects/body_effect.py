@@ -31,8 +31,12 @@ SIGNALS = {
     "pneumatics": ("pressure",),  # kPa, a channel a chamber
     "drive": ("pressure",),  # kPa that bends, a channel a chamber
     "load": ("loads",),  # N, base frame: tip x, y, z, then weight of the body x, y, z, spread over its length
-    "material": ("joints", "markers"),  # joints: rad less the curl at rest, a channel a joint (and axis)
-    "observation": ("markers",),  # tip x, y, z in mm, bend towards +z and towards +y in rad
+    # joints: rad less the curl at rest, a channel a joint (and axis); markers: where the tip truly is,
+    # x, y, z in mm, bend towards +z and towards +y in rad
+    "material": ("joints", "markers"),
+    # markers: the same, as it is measured; mount: the same, by where the base stands in the frame of
+    # measurement, so that the device itself is moved
+    "observation": ("markers", "mount"),
 }
 
 # Division by zero gives inf, as in NumPy: `exp(-dt / 0)` is then the zero that a neutral lag needs.
@@ -58,8 +62,6 @@ class BodyEffect(Effect):
         state_size: number of channels to number of state values.
         of_gauge: of the pneumatics: an error of the pressure gauge. It lies between the measured pressure and
             the true one, so it acts where the measured pressure is the input too.
-        masses: of the load: parameter values to the masses in kg of the body and at its tip that it hangs
-            on the device; for a simulator that has gravity of its own.
         codes: numbers before the parameters in `theta`, by which a `run` that several effects share knows
             which one it is.
     """
@@ -71,7 +73,6 @@ class BodyEffect(Effect):
     signal: str = ""
     state_size: Callable[[int], int] = remembers_nothing
     of_gauge: bool = False
-    masses: Callable[[dict[str, float]], tuple[float, float]] | None = None
     codes: tuple[float, ...] = ()
 
     def __post_init__(self):
@@ -84,6 +85,11 @@ class BodyEffect(Effect):
                 f"Effect '{self.name}': signal '{self.signal}' must be one of {', '.join(signals)} "
                 f"in stage '{self.stage}'."
             )
+
+    @property
+    def of_markers(self) -> bool:
+        """Whether it acts on the tip, so that joint angles do not show it."""
+        return self.signal in ("markers", "mount")
 
     @property
     def of_air(self) -> bool:

@@ -28,7 +28,6 @@ EFFECT = BodyEffect(
         Parameter("tip_mass_g", "g", default=20.0, lower=0.0, upper=3000.0),
     ),
     run=run,
-    masses=lambda v: (1e-3 * v["body_mass_g"], 1e-3 * v["tip_mass_g"]),
     columns=("gravity_x", "gravity_y", "gravity_z"),
     equation=r"K\,(q - q_{el}) = \sum_j J_j^T\,m_j\,g",
     summary="Your {device} sags under its own weight ({body_mass_g:.0f} g along it, {tip_mass_g:.0f} g at "

@@ -4,9 +4,10 @@ A law acts on the pressure that bends a body (stage `drive`) by adding a term to
 
     p -> p + w c g,   g = M[f(p)]  (added)   or   g = p M[f(p)] / P  (a gain),
 
-or on what is seen of it (stage `observation`). f is the input, M the memory, c the condition, P the largest
-pressure. All laws are rows of one table, run by one compiled interpreter; a twin keeps a law as its name and
-its constants, so a found law is data and nothing that came with a twin is executed.
+on where its tip is (stage `material`), or on what is read of it (stage `observation`). f is the input, M the
+memory, c the condition, P the largest pressure. All laws are rows of one table, run by one compiled
+interpreter; a twin keeps a law as its name and its constants, so a found law is data and nothing that came
+with a twin is executed.
 
 The memories and their sources are in `memories`.
 """
@@ -412,15 +413,17 @@ def law(name: str) -> BodyEffect:
     if structure in _SEEN:
         out, feature, columns = _SEEN[structure]
         weight = Parameter("weight", "", 0.01, -1.0, 1.0)
+        of_tip = structure.startswith("tip")
         return BodyEffect(
             name=name,
-            stage="observation",
+            stage="material" if of_tip else "observation",
+            signal="markers",
             run=by.run_seen,
             parameters=(weight,),
             codes=(float(out), float(feature), *_COUNTED[columns]),
             columns=("length_mm", *columns),
             equation=structure.replace("+=", r"\mathrel{+}="),
-            summary="What is seen of your {device} is off: "
+            summary=f"The {'tip' if of_tip else 'bend'} of your {{device}} is off: "
             + structure.replace("+=", "gains {weight:.2g} times")
             + ".",
             experiment="Look at the same motion with a second camera.",

@@ -1,79 +1,153 @@
 """The pipeline one control step at a time, for the environment and for real time."""
 
+import copy
 import math
 from collections.abc import Mapping
 
 import numpy as np
 
-from pneutac_sim.finger.pipeline import Pipeline
-from pneutac_sim.finger.stages import EffectLink, LoadLink, Markers
+from pneutac_sim.errors import InputError
+from pneutac_sim.finger.pipeline import BENDING_PRESSURE, Pipeline
 from pneutac_sim.twin import Twin
+
+COMPUTED = ("session_time_s", "length_mm", BENDING_PRESSURE)  # conditions that nobody has to give
+OTHERS = tuple(f"other_{i}_kpa" for i in (1, 2, 3))
 
 
 class PressurePipeline:
-    """Turns commanded pressures into joint targets, with every effect of the twin up to the body.
+    """A twin's pipeline in three parts, between which a simulator moves the body.
 
-    Loads are left to the simulator that the finger stands in (it knows gravity and contact), and so are
-    observation effects. On a uniform grid the result equals `Pipeline.run` without those.
+    `step` makes joint targets of the command (pneumatics, drive, loads, material), `place` says where the
+    body's tip is at joint angles (stretch, mount), and `read` what is measured of it (observation). On a
+    uniform grid the three in a row equal `Pipeline.run`.
+
+    A session begins with a new device. `reset` begins a trial: the device has rested, as at the first sample
+    of a trial on the bench, and as there session time and what the material remembers for good (largest
+    strain, cycles) go on within a session.
 
     Args:
         twin: a `finger` or an `arm`.
+        conditions: what its effects ask for, such as `temperature_c`; further `*_kpa` are the pressures of
+            other chambers, in their order.
 
     Attributes:
-        pressure_kpa: (chambers,) in the chambers after the last step.
+        pressure_kpa: (chambers,) in the chambers after the last step, as their gauge reads it.
+        moves: whether an effect moves the tip from where the joints put it.
+        measures: whether an effect changes what is read of the tip.
+
+    Raises:
+        InputError: an effect's condition was not given, or is not a finite number.
     """
 
-    def __init__(self, twin: Twin):
+    def __init__(self, twin: Twin, conditions: Mapping[str, float] | None = None):
         self._model = Pipeline.of(twin)
         self._theta = self._model.theta(twin)
         self._arm = self._model.geometry.axes == 2
-        links = [e for e in self._model.chain if not isinstance(e, LoadLink)]
-        self._links = links[: [isinstance(e, Markers) for e in links].index(True)]
+        chain, self._tip = list(enumerate(self._model.chain)), self._model.reads_joints
+        self._to_joints, self._to_read = chain[: self._tip], chain[self._model.observes :]
+        self._to_tip = chain[self._tip : self._model.observes]
+        self.moves, self.measures = len(self._to_tip) > 1, bool(self._to_read)
+        self._given: dict[str, float] = {}
+        self.set_conditions(conditions or {})
         self.reset()
 
-    def reset(self, pressure_kpa: float | np.ndarray = 0.0) -> None:
-        """A new, rested device that has long been at this pressure."""
+    def set_conditions(self, conditions: Mapping[str, float]) -> None:
+        """Conditions from now on, in place of all given before; raises InputError as the constructor."""
+        others = [v for name, v in conditions.items() if name.endswith("_kpa")]
+        if others:
+            conditions = dict(zip(OTHERS, [*others, 0.0, 0.0], strict=False)) | dict(conditions)
+        for effect in self._model.effects:
+            for name in effect.columns:
+                if name in COMPUTED:
+                    continue
+                if name not in conditions:
+                    raise InputError(
+                        f"The twin's effect '{effect.name}' needs the condition '{name}'; give it, as in "
+                        f"conditions={{{name}: NUMBER}}."
+                    )
+                if not math.isfinite(conditions[name]):
+                    raise InputError(f"conditions has {name}: {conditions[name]}; give a finite number.")
+        clock = {name: value for name, value in self._given.items() if name in COMPUTED}
+        self._given = dict(conditions) | {"length_mm": self._model.geometry.length_mm} | clock
+
+    def reset(self, pressure_kpa: float | np.ndarray = 0.0, same_session: bool = False) -> None:
+        """A device that has long been at this pressure: a new one, or the same in a further trial."""
         n = self._model.geometry.chambers
         self.pressure_kpa = np.broadcast_to(np.asarray(pressure_kpa, dtype=float), (n,)).copy()
-        self._states: list[np.ndarray] | None = None
-        self._time_s = 0.0
         self._rested = self.pressure_kpa.copy()
+        self._began: set[int] = set()  # links that have been at rest in this trial
+        if not same_session:
+            self._states: dict[int, np.ndarray] = {}
+            self._given["session_time_s"] = 0.0
 
-    def step(
-        self,
-        pressure_cmd_kpa: float | np.ndarray,
-        dt_s: float,
-        conditions: Mapping[str, float] | None = None,
-    ) -> np.ndarray:
+    def copy(self) -> "PressurePipeline":
+        """A pipeline that goes its own way from here on."""
+        new = copy.copy(self)
+        new._states = {i: s.copy() for i, s in self._states.items()}
+        new._given, new._began = self._given.copy(), self._began.copy()
+        return new
+
+    def rest(self) -> np.ndarray:
+        """Joint targets with which a trial begins, as of `step`."""
+        joints = self._run(self._to_joints, self._rested, math.inf)
+        return joints.reshape(-1, 2) if self._arm else joints
+
+    def step(self, pressure_cmd_kpa: float | np.ndarray, dt_s: float) -> np.ndarray:
         """Advances by one control step.
 
         Args:
             pressure_cmd_kpa: command, a number or (chambers,).
             dt_s: length of the step.
-            conditions: what effects ask for, such as `temperature_c`; an effect without its columns rests.
 
         Returns:
-            Joint targets q_cmd, (N,) for a finger, (N, 2) for an arm, rad.
+            Joint targets at which the free body rests, (N,) for a finger, (N, 2) for an arm, rad.
         """
-        given = dict(conditions or {}) | {"length_mm": self._model.geometry.length_mm}
-        if self._states is None:
-            self._advance(self._rested, math.inf, given | {"session_time_s": 0.0})
-        self._time_s += dt_s
-        return self._advance(pressure_cmd_kpa, dt_s, given | {"session_time_s": self._time_s})
+        if 0 not in self._began:
+            self.rest()
+        self._given["session_time_s"] += dt_s
+        joints = self._run(self._to_joints, np.asarray(pressure_cmd_kpa, dtype=float), dt_s)
+        return joints.reshape(-1, 2) if self._arm else joints
 
-    def _advance(self, command: float | np.ndarray, dt_s: float, given: dict[str, float]) -> np.ndarray:
+    def place(self, joints: np.ndarray, dt_s: float) -> np.ndarray:
+        """Where the tip is.
+
+        Args:
+            joints: angles as `step` returns them, rad; where contact bends the body, the bent ones.
+            dt_s: length of the step.
+
+        Returns:
+            (5,) x, y, z in mm in the frame of the base, bend towards +z and towards +y in rad.
+        """
+        return self._run(self._to_tip, np.ravel(joints), dt_s)
+
+    def place_without(self, joints: np.ndarray) -> np.ndarray:
+        """As `place`, where no effect moves the tip: (5,)."""
+        return self._run(self._to_tip[:1], np.ravel(joints), 0.0)
+
+    def place_base(self, dt_s: float) -> np.ndarray:
+        """Where the same effects put a marker on the base itself, which is at zero without them: (5,)."""
+        return self._run(self._to_tip[1:], np.zeros(5), dt_s, of_base=True)
+
+    def read(self, markers: np.ndarray, dt_s: float) -> np.ndarray:
+        """What is measured of a tip that is at `markers` (5,): the same, (5,)."""
+        return self._run(self._to_read, np.asarray(markers, dtype=float), dt_s)
+
+    def _run(self, links, x: np.ndarray, dt_s: float, of_base: bool = False) -> np.ndarray:
         def conditions(names):
-            return np.array([[given[c] for c in names]], dtype=float).reshape(1, -1)
+            return np.array([[self._given[c] for c in names]], dtype=float).reshape(1, -1)
 
-        x = np.broadcast_to(np.asarray(command, dtype=float), (1, self._model.geometry.chambers))
-        new = self._states is None
-        self._states = [] if new else self._states
-        for i, link in enumerate(self._links):
-            if new:
-                self._states.append(np.zeros(link.state_size(x.shape[1])))
+        chambers = self._model.geometry.chambers
+        x = np.broadcast_to(x, (1, chambers if links is self._to_joints else x.size))
+        for i, link in links:
             if i == self._model.reads_pressure:
                 self.pressure_kpa = x[0].copy()
-            if isinstance(link, EffectLink) and any(c not in given for c in link.effect.columns):
-                continue
-            x = link(x, np.array([dt_s]), self._theta, conditions, self._states[i])
-        return x.reshape(-1, 2) if self._arm else x[0]
+            if i == self._model.drive:
+                self._given[BENDING_PRESSURE] = float(x.mean())
+            key = -i if of_base else i
+            if key not in self._states:
+                self._states[key] = np.zeros(link.state_size(x.shape[1]))
+            begins = key not in self._began  # it has rested here for ever
+            self._began.add(key)
+            dt = np.array([math.inf if begins else dt_s])
+            x = link(x, dt, self._theta, conditions, self._states[key])
+        return x[0]

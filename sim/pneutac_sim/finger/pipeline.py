@@ -12,7 +12,7 @@ segment, used by calibration, comparison, diagnosis, and step by step in the env
     run = model.run(data.inputs, theta)      # theta (P,); run.markers (n, 5), run.joints, run.pressure_kpa
     model.run(data.inputs, theta2, reuse=run)    # repeats only what follows the first changed parameter
     online = PressurePipeline(twin)
-    online.step(pressure_cmd_kpa, dt_s)       # -> joint targets (N,), one control step
+    online.step(pressure_cmd_kpa, dt_s)       # -> joint targets (N,), one control step; place, read: the tip
 
 Time: samples may be spaced unevenly. Trials are separate: at its first sample a trial is taken to have
 rested at that pressure for ever (or vented, see `Inputs`). What the material remembers for good is carried
@@ -83,6 +83,7 @@ class Pipeline:
         chain: the links, in order.
         reads_pressure: index of the link that the sensed pressure enters.
         reads_joints: index of the link that the joint angles enter.
+        observes: index of the link that the tip's true place enters.
         thins_at: index of the link from which on nothing is remembered, so that samples alone matter.
     """
 
@@ -99,7 +100,7 @@ class Pipeline:
         self.specs: list[Parameter] = list(base_parameters(geometry))
         self.left_out: dict[str, str] = {}
         links: dict[str, list[EffectLink]] = {
-            s: [] for s in ("pneumatics", "drive", "loads", "joints", "markers", "observation")
+            s: [] for s in ("pneumatics", "drive", "loads", "joints", "markers", "mount", "observation")
         }
         for e in self.effects:
             at = len(self.names)
@@ -111,7 +112,7 @@ class Pipeline:
             elif measured and e.of_air:
                 self.left_out[e.name] = "the measured pressure is the input"
             else:
-                links[e.signal if e.stage in ("load", "material") else e.stage].append(
+                links[e.signal if e.stage in ("load", "material") or e.signal == "mount" else e.stage].append(
                     EffectLink(e, tuple(range(at, len(self.names))))
                 )
         base = len(base_parameters(geometry))
@@ -120,11 +121,13 @@ class Pipeline:
         body = [BodyLink(e.effect, e.indices, drive) for e in links["joints"]]
         to_joints = [*links["pneumatics"], *links["drive"], drive]
         to_markers = [*to_joints, *loads, *body, Markers(geometry)]
-        self.chain = [*to_markers, *links["markers"], *links["observation"]]
+        to_tip = [*to_markers, *links["markers"], *links["mount"]]
+        self.chain = [*to_tip, *links["observation"]]
         self.thins_at = 1 + max([len(to_joints) - 1, *(i for i, e in enumerate(self.chain) if e.remembers)])
         gauge = [i for i, e in enumerate(links["pneumatics"]) if e.effect.of_gauge]
         self.reads_pressure = gauge[0] if gauge else len(links["pneumatics"])
         self.reads_joints = len(to_markers) - 1
+        self.observes = len(to_tip)
         self.drive = len(to_joints) - 1
 
     @classmethod

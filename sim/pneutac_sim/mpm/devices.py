@@ -3,8 +3,9 @@
     solver = finger(twin, batch=4)
     rest = solve_equilibrium(solver, Loads(q_cmd=joint_targets(twin, [0, 5, 10, 15])))
 
-The twin's pipeline gives the joint targets, so every effect up to its material acts here
-too; one that cannot is refused by name. Effects of the observation (camera, base) are no matter of the body.
+The twin's pipeline gives the joint targets, so every effect up to its joints acts here too. One that moves
+the tip alone (`elongation`) acts where the tip is what counts, in `compare` and in the world; where the
+body's shape does, as in pictures, it is refused by name. Observation is no matter of the body.
 """
 
 from collections.abc import Mapping
@@ -90,7 +91,6 @@ BODIES = {"finger": finger, "arm": arm}  # by the twin's device
 def _bending(kind, twin, batch, particles, mesh, device) -> TotalLagrangian:
     if twin.device != kind:
         raise InputError(f"The twin is of a {twin.device}; this model is of a {kind}.")
-    _refuse(twin)
     length = 1e-3 * twin.length_mm
     material = Material(
         1e6 * parameter(twin, "youngs_modulus_mpa"),
@@ -247,8 +247,8 @@ def _refuse(twin: Twin) -> None:
         effect = get_effect(name)
         if effect.stage == "material" and effect.signal == "markers":
             raise InputError(
-                f"The twin's effect '{name}' does not act in the material point model yet, since its spine "
-                "keeps its length; take the effect out to go on without it."
+                f"The twin's effect '{name}' moves the tip against its joints, which the shape of the "
+                "material points does not follow; take the effect out to go on without it."
             )
 
 

@@ -1,8 +1,9 @@
 """The action network in the world's finger: takes the place of `world.mpm_finger.MpmFinger`.
 
-Like that one it bends to where the finger rests under what acts in this control step, so the two agree as
-far as the network is right: the swing of the finger, with the mass of its sensor, is the world's own, by the
-joint springs and dampers of the twin. Motion of the finger alone over time is `ActionNetwork.roll`.
+Like that one it bends to where the finger rests under what acts in this control step, free as the twin's
+pipeline says, so the two agree as far as the network is right: the swing of the finger, with the mass of its
+sensor, is the world's own, by the joint springs and dampers of the twin. Motion of the
+finger alone over time is `ActionNetwork.roll`.
 """
 
 import numpy as np
@@ -51,8 +52,12 @@ class SurrogateFinger:
             InputError: a joint target or torque is not a finite number.
         """
         q_cmd = np.asarray(q_cmd, float)
-        target = q_cmd if torque is None else q_cmd + self._compliance * torque
+        pressure, K = bending_pressure(self._twin, q_cmd), self.network.skeleton.stiffness_nm_per_rad
+        # The pipeline was calibrated with the soft body on the spine, so what that takes back of the bend of
+        # the free finger, f_r(q_cmd) / K, is in its joint targets already.
+        free = self.network.torque(q_cmd[None], np.zeros((1, len(q_cmd))), [pressure])[0]
+        target = q_cmd - free / K + (0.0 if torque is None else self._compliance * torque)
         if not np.isfinite(target).all():
             raise InputError("A joint target or torque of the finger is not a finite number.")
-        q, self.in_range = self.network.rest(target, bending_pressure(self._twin, q_cmd))
+        q, self.in_range = self.network.rest(target, pressure)
         return q

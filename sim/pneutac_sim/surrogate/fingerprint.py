@@ -29,14 +29,14 @@ GEL = ("gel_youngs_modulus_mpa", "gel_poissons_ratio", "gel_density_kg_m3")
 def fingerprint(twin: Twin) -> str:
     """SHA-256 of what the action network of a finger or an arm depends on.
 
-    That is device, geometry, mesh, material and drive, and every effect up to the body. Effects of the
-    camera's view, of the gel's optics and the twin's history are no part of it.
+    That is device, geometry, mesh, material and drive, and every effect up to the joints. Effects of the
+    tip alone, of the camera's view, of the gel's optics and the twin's history are no part of it.
     """
     drive = {n: twin.parameters[n].value for n in DRIVE if n in twin.parameters}
     effects = {
         name: {k: v.value for k, v in values.items()}
         for name, values in twin.effects.items()
-        if get_effect(name).stage in BODY_STAGES[:-1]
+        if (effect := get_effect(name)).stage in BODY_STAGES and not effect.of_markers
     }
     what = {
         "model": MODEL,

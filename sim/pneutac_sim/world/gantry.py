@@ -16,6 +16,7 @@ import numpy as np
 from pneutac_sim.gel.sensor import TactileSensor, centre_mm
 from pneutac_sim.world import scene
 from pneutac_sim.world.panda import HOME_JOINTS, SERVO_LAG_S, forward_kinematics
+from pneutac_sim.world.placing import Placing
 from pneutac_sim.world.touch import Touch
 from pneutac_sim.world.varied import VariedWorld, _Staged
 from pneutac_sim.world.world import DT, WORKSPACE_HIGH, WORKSPACE_LOW, Observation
@@ -76,7 +77,7 @@ class Gantry(VariedWorld):
         Raises:
             InputError: as `World`.
         """
-        super().__init__(world.task.name, world.twin, touch="area", fidelity="probe")
+        super().__init__(world.task.name, world.twin, "area", "probe", world.conditions)
         task = self.task.inner
         self.model = mujoco.MjModel.from_xml_string(scene.build(task, self.twin, body, actuators))
         self.data = mujoco.MjData(self.model)
@@ -85,6 +86,7 @@ class Gantry(VariedWorld):
         self.touch = Touch(self.model, self.sensor, "area")
         self._ik = _Straight()
         self._flange, self._gel = self.model.site("flange").id, self.model.site("gel").id
+        self._tip, self._placing = self.model.site("tip").id, Placing(self.model)
         self._pad = self.data.joint("pad")
         n = self._spine.stop - self._spine.start
         self._arm, self._spine = slice(0, 3), slice(3, 3 + n)
@@ -117,8 +119,9 @@ class Gantry(VariedWorld):
         self._load = world._load
         self._residual_rad = world._drive - self._bend(self.spine_target_rad)
         self._drive = world._drive.copy()
-        self._pipeline = _copy(world._pipeline)
+        self._pipeline = world._pipeline.copy()
         self._sent = deque(world._sent)
+        self._placing.set(self.model, world._placing.poses.copy())
         self._memory = _memory(vars(world.task.inner))
         mujoco.mj_kinematics(self.model, here)
         self.touch.sense(here)
@@ -149,6 +152,7 @@ class Gantry(VariedWorld):
         """Remembers the state from which `rollout` starts."""
         self._state = np.empty(mujoco.mj_stateSize(self.model, _STATE))
         mujoco.mj_getState(self.model, self.data, self._state, _STATE)
+        self._poses = self._placing.poses
 
     def rollout(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Tries actions from the mirrored state; what was sent before and acts too late goes first.
@@ -162,15 +166,16 @@ class Gantry(VariedWorld):
         mujoco.mj_setState(self.model, self.data, self._state, _STATE)
         self.model.dof_frictionloss[:] = self._friction
         vars(self.task.inner).update(_memory(self._memory))
-        saved = self.target_m, self._joints, self.spine_target_rad, self._drive, self._load
-        pipeline, target = _copy(self._pipeline), self.target_m
+        saved = self.target_m, self._joints, self.spine_target_rad, self._drive, self._load, self._pipeline
+        self._pipeline, target = self._pipeline.copy(), self.target_m
+        self._placing.set(self.model, self._poses)
         flange, area = np.empty((len(actions), 3)), np.empty(len(actions))
         self.centre_mm = np.full((len(actions), 2), np.nan)
         acting = np.vstack([*self._sent, actions])[: len(actions)]
         for t, action in enumerate(acting):
             target = np.clip(target + action[:3] * DT, WORKSPACE_LOW, WORKSPACE_HIGH)
             began = time.perf_counter()
-            self._advance(target, pipeline.step(action[3], DT))
+            self._advance(target, self._pipeline.step(action[3], DT))
             self.task.update(self.model, self.data, DT)
             moved = time.perf_counter()
             self.touch.sense(self.data)
@@ -181,7 +186,7 @@ class Gantry(VariedWorld):
                 self.centre_mm[t] = centre_mm(self.touch.depth_mm, self.sensor.model.window_mm)
             flange[t], area[t] = self.flange_m, max(felt + self._residual_area, 0.0) if felt else 0.0
         self.steps += len(actions)
-        self.target_m, self._joints, self.spine_target_rad, self._drive, self._load = saved
+        self.target_m, self._joints, self.spine_target_rad, self._drive, self._load, self._pipeline = saved
         return flange, area
 
     @override
@@ -230,11 +235,3 @@ def _span(first: int, like: np.ndarray) -> np.ndarray:
 def _memory(attributes: dict) -> dict:
     """What a task remembers as numbers, not its handles into a model."""
     return {k: copy.copy(v) for k, v in attributes.items() if isinstance(v, int | float | tuple | np.ndarray)}
-
-
-def _copy(pipeline):
-    """A pressure pipeline that goes its own way from here on."""
-    new = copy.copy(pipeline)
-    if new._states is not None:
-        new._states = [s.copy() for s in new._states]
-    return new

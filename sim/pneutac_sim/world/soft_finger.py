@@ -3,11 +3,13 @@
 The skeleton is `M q'' + D q' + K q = tau_mpm(p)` with one hinge a spine joint; a positive angle bends
 towards the finger's +z. M follows from the finger's section and material, K and D from the twin. The world
 drives each hinge with a motor of torque `tau_mpm = K q_cmd(p)`.
+
+No weight acts on the finger here: q_cmd holds the sag under the loads of the twin's effects, and in a twin
+without such effects that of the pose in which it was calibrated (the paper's p0 absorbs it).
 """
 
 import numpy as np
 
-from pneutac_sim.effects.registry import in_order, of_body
 from pneutac_sim.twin import Twin
 
 SECTION_M = 0.020  # outer width and height of the soft segments
@@ -52,12 +54,12 @@ def body(twin: Twin) -> str:
     D = twin.parameter("joint_damping_nms_per_rad")
     ends = np.append(s, length)
 
-    float_in_air = 1 - _weights(twin, ends)
-    xml = _digit(length - s[-1], 'gravcomp="1"')
+    tip = '<site name="tip" size=".001" group="5"/>'
+    xml = f'<body name="sensor" pos="{length - s[-1]} 0 0">{tip}{_digit()}</body>'
     for n in reversed(range(len(s))):
         xml = (
             f'<body name="spine_{n + 1}" pos="{s[n] - (s[n - 1] if n else 0.0)} 0 0"'
-            f' gravcomp="{float_in_air[n]}">'
+            ' gravcomp="1">'
             f'<joint name="spine_{n + 1}" axis="0 -1 0" stiffness="{K}" damping="{D}"/>'
             f"{_segment(ends[n + 1] - ends[n], tip=n == len(s) - 1)}{xml}</body>"
         )
@@ -78,29 +80,6 @@ def actuators(twin: Twin) -> str:
         f'<motor name="spine_{n + 1}" joint="spine_{n + 1}"/>'
         for n in range(len(twin.spine_joint_positions_mm))
     )
-
-
-def _weights(twin: Twin, ends: np.ndarray) -> np.ndarray:
-    """Weight of each link over that of its mass here; the gel's is counted with the last link's.
-
-    The plain twin's q_cmd holds the sag of the pose in which it was calibrated (the paper's p0 absorbs it),
-    so weight acts only where the twin has an effect with masses, and then with those that were fitted.
-    They are right as far as the joints' stiffness is, so inertia stays that of the material.
-    """
-    fitted = [
-        effect.masses({k: v.value for k, v in twin.effects[effect.name].items()})
-        for effect in in_order(of_body(twin.effects))
-        if effect.masses is not None
-    ]
-    if not fitted:
-        return np.zeros(len(ends) - 1)
-    body_kg, tip_kg = np.sum(fitted, axis=0)
-    lengths = np.diff(ends)
-    mass = DENSITY * SECTION_M**2 * lengths
-    weight = body_kg * lengths / ends[-1]
-    mass[-1] += DIGIT_MASS
-    weight[-1] += tip_kg
-    return weight / mass
 
 
 def _box_inertia(length: float, digit_at: float | None = None) -> str:
@@ -131,22 +110,22 @@ def _segment(length: float, tip: bool) -> str:
     return _box_inertia(length, digit_at=length if tip else None) + skin + spine + touch
 
 
-def _digit(offset: float, weight: str) -> str:
-    """DIGIT housing and gel on the tip link; `offset` is the finger's end in the tip link's frame, metres.
+def _digit() -> str:
+    """DIGIT housing and gel, from the finger's end on.
 
     The site `gel` is the gel frame of `pneutac_sim.gel.probe`: y along the finger (image rows, towards the
     tip), z out of the gel, origin in the middle of the window on the resting surface.
     """
     a, b, c = (x / 2 for x in DIGIT_SIZE)
     z = GEL_ABOVE_M - 0.003 - c  # the gel stands 3 mm proud of the housing
-    x = offset + GEL_ALONG_M
+    x = GEL_ALONG_M
     px, py, pz = PAD_HALF_M
     axes = 'xyaxes="0 -1 0 1 0 0"'
     return (
-        f'<geom class="finger" type="box" pos="{offset + a} 0 {z}" size="{a} {b} {c}" mass="0"/>'
-        f'<geom class="skin" type="box" pos="{offset + a} 0 {z}" size="{a} {b} {c}" material="digit"/>'
+        f'<geom class="finger" type="box" pos="{a} 0 {z}" size="{a} {b} {c}" mass="0"/>'
+        f'<geom class="skin" type="box" pos="{a} 0 {z}" size="{a} {b} {c}" material="digit"/>'
         f'<site name="gel" pos="{x} 0 {GEL_ABOVE_M}" {axes} size=".001" group="5"/>'
-        f'<body name="pad" pos="{x} 0 {GEL_ABOVE_M}" {axes} {weight}>'
+        f'<body name="pad" pos="{x} 0 {GEL_ABOVE_M}" {axes} gravcomp="1">'
         f'<joint name="pad" type="slide" axis="0 0 1" stiffness="{GEL_STIFFNESS}" damping="{GEL_DAMPING}"'
         f' limited="true" range="{-GEL_TRAVEL_M} {GEL_TRAVEL_M}"/>'
         f'<geom name="pad" class="finger" type="box" pos="0 0 {-pz}" size="{px} {py} {pz}" mass="{PAD_MASS}"'

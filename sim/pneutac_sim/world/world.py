@@ -4,6 +4,7 @@ One description serves environment, robot twin and planner. A control step integ
 solves the inverse kinematics once, and interpolates joint targets and pressure over the physics substeps.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import mujoco
@@ -11,6 +12,7 @@ import numpy as np
 
 from pneutac_sim.errors import InputError, check_choice
 from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, CONTROL_HZ, FIDELITIES, JOINT_NAMES
+from pneutac_sim.finger.conditions import Condition, check_conditions, draw
 from pneutac_sim.finger.online import PressurePipeline
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.twin import Twin
@@ -18,6 +20,7 @@ from pneutac_sim.world import scene
 from pneutac_sim.world.action import checked_action
 from pneutac_sim.world.deforming import check_stability, deforming
 from pneutac_sim.world.panda import HOME_JOINTS, CartesianIK
+from pneutac_sim.world.placing import Placing
 from pneutac_sim.world.tasks import make_task
 from pneutac_sim.world.touch import Touch, imprint_m
 from pneutac_sim.world.view import View
@@ -27,6 +30,8 @@ RAMP = np.linspace(0, 1, scene.SUBSTEPS + 1)[1:, None]  # share of a control ste
 # Where the flange may be sent, metres in the arm's base frame: in reach with the flange down.
 WORKSPACE_LOW = np.array([0.30, -0.20, 0.18])
 WORKSPACE_HIGH = np.array([0.66, 0.20, 0.55])
+# The flange is held pointing down, so that the straight finger hangs along gravity, a unit vector.
+GRAVITY = {"gravity_x": 1.0, "gravity_y": 0.0, "gravity_z": 0.0}
 DIVERGED = (  # what MuJoCo warns of, and answers with a fresh scene
     mujoco.mjtWarning.mjWARN_BADQPOS,
     mujoco.mjtWarning.mjWARN_BADQVEL,
@@ -55,6 +60,7 @@ class World:
     Attributes:
         task: the task; `task.description` is the instruction.
         sensor: the gel's tactile sensor.
+        conditions: what the twin's effects are given in this episode, such as `temperature_c`.
         time_s: simulated time since the reset.
         clipped: number of commands that were clipped to limits since the reset.
         command: last action after clipping (4,).
@@ -63,6 +69,7 @@ class World:
         finger: what bends the finger by the pressure: `SurrogateFinger` or `MpmFinger`; None for a formula.
         out_of_range: number of steps since the reset in which a state of the finger or a contact lay outside
             what the networks were trained with.
+        markers: what a bench's camera would read of the finger's tip, `tip` through the twin's observation.
         touch: last touch: `depth_mm`, `image`, `pixels`, `area`.
         model, data: MuJoCo's, for planners, experts and tests.
     """
@@ -73,6 +80,7 @@ class World:
         twin: Twin | None = None,
         touch: str = "image",
         fidelity: str = "probe",
+        conditions: Mapping[str, Condition] | None = None,
     ):
         """A world with a task.
 
@@ -84,10 +92,13 @@ class World:
             fidelity: how finger and gel deform. `surrogate`: by networks in place of material points; `mpm`:
                 by the material points themselves, for checks and short episodes; `probe`: by formulas, the
                 joints as the pressure commands and the gel as a layer on springs.
+            conditions: what effects of the twin ask for, such as `temperature_c` or `payload_g`: a number, or
+                a range [low, high] from which every episode draws. The direction of gravity in the frame of
+                the finger's base is the world's own where it is not given.
 
         Raises:
             InputError: unknown task, touch mode or fidelity; a twin that is not a finger or too stiff to
-                integrate, has no networks or outdated ones, or an effect that the material points lack.
+                integrate, or has no networks or outdated ones; an effect without its conditions.
         """
         self.task = make_task(task)
         self.twin = twin or Twin.builtin()
@@ -96,6 +107,9 @@ class World:
                 f"The world needs the twin of a finger; this twin's device is '{self.twin.device}'."
             )
         check_choice("fidelity", fidelity, FIDELITIES)
+        check_conditions(conditions or {})
+        self._conditions = GRAVITY | dict(conditions or {})
+        self._pipeline = PressurePipeline(self.twin, draw(self._conditions, np.random.default_rng(0)))
         self.finger, gel = deforming(self.twin, fidelity, touch)
         self.model = mujoco.MjModel.from_xml_string(scene.build(self.task, self.twin))
         self.data = mujoco.MjData(self.model)
@@ -112,14 +126,21 @@ class World:
         # The arm's joints and servos come first in the model, then the spine's.
         self._arm, self._spine = slice(0, len(JOINT_NAMES)), slice(len(JOINT_NAMES), len(JOINT_NAMES) + n)
         self._stiffness = self.twin.parameter("joint_stiffness_nm_per_rad")
-        self._pipeline = PressurePipeline(self.twin)
+        self._tip = self.model.site("tip").id
+        self._placing = Placing(self.model)
         check_stability(self.model, self.data, self._spine, self._stiffness)
         self.reset(0)
 
     # ---------------------------------------------------------------- episode
 
     def reset(self, seed: int | None = None) -> Observation:
-        """Starts an episode; `seed` decides everything, None draws the next start of the same stream."""
+        """Starts an episode, before which the finger has rested.
+
+        Args:
+            seed: decides everything and begins a session, with a new finger. None draws the next start of the
+                same stream, in the same session: session time and what the finger's material remembers for
+                good go on, as from trial to trial on the bench.
+        """
         if seed is not None:
             self._rng = np.random.default_rng(seed)
         mujoco.mj_resetData(self.model, self.data)
@@ -129,17 +150,22 @@ class World:
         self._ik.reset(HOME_JOINTS)
         for _ in range(20):
             self._joints = self._ik.solve(self.target_m)
-        self._pipeline.reset(0.0)
-        self.spine_target_rad = self._pipeline.step(0.0, DT)
+        self.conditions = draw(self._conditions, self._rng)
+        self._pipeline.set_conditions(self.conditions)
+        self._pipeline.reset(0.0, same_session=seed is None)
+        self.spine_target_rad = self._pipeline.rest()
         self.data.qpos[self._arm] = self._joints
         self._load = None  # torque on the spine's joints from outside during the last step, N m
         self._drive = self._bend(self.spine_target_rad)
         self.data.qpos[self._spine] = self._drive
+        if self._pipeline.moves:
+            self._placing.set(self.model, self._placing.find(self._pipeline, self._drive, DT))
         self.clipped = self.out_of_range = 0
         self.command = np.zeros(4)
         for _ in range(SETTLE_STEPS):
             self._advance(self._joints, self.spine_target_rad)
         self.data.time = 0.0
+        self._measure()
         self.touch.sense(self.data)
         return self._observe()
 
@@ -164,6 +190,7 @@ class World:
                 "The physics has diverged: MuJoCo met values that are not finite or too large."
             )
         self.task.update(self.model, self.data, DT)
+        self._measure()
         self.touch.sense(self.data)
         self.out_of_range += not (self.touch.in_range and (self.finger is None or self.finger.in_range))
         return self._observe()
@@ -187,10 +214,16 @@ class World:
         towards = self._drive + RAMP * (drive - self._drive)
         ctrl[:, self._spine] = self._stiffness * towards  # tau_mpm = K q_cmd(p)
         model, data = self.model, self.data
+        poses = [None] * scene.SUBSTEPS
+        if self._pipeline.moves:
+            ahead = self.spine_rad + drive - self._drive
+            poses = self._placing.between(self._placing.find(self._pipeline, ahead, DT), RAMP)
         control = data.ctrl[: self._spine.stop]
         if self.finger is None:
-            for row in ctrl:
+            for row, pose in zip(ctrl, poses, strict=True):
                 control[:] = row
+                if pose is not None:
+                    self._placing.set(model, pose)
                 mujoco.mj_step(model, data)
         else:
             # Views, and sums afterwards: made in each substep they would cost half as much as the physics.
@@ -198,8 +231,10 @@ class World:
                 f[self._spine] for f in (data.qfrc_constraint, data.qfrc_bias, data.qfrc_gravcomp)
             )
             forces = np.empty((3, scene.SUBSTEPS, len(bias)))
-            for row, c, b, g in zip(ctrl, *forces, strict=True):
+            for row, pose, c, b, g in zip(ctrl, poses, *forces, strict=True):
                 control[:] = row
+                if pose is not None:
+                    self._placing.set(model, pose)
                 mujoco.mj_step(model, data)
                 c[:], b[:], g[:] = constraint, bias, gravcomp
             self._load = (forces[0] - forces[1] + forces[2]).sum(0) / scene.SUBSTEPS
@@ -218,6 +253,21 @@ class World:
         return q if self._load is None else q - self._load / self._stiffness
 
     # ---------------------------------------------------------------- senses
+
+    def _measure(self) -> None:
+        """Takes the tip's markers of this control step."""
+        self.markers = self._pipeline.read(self.tip, DT) if self._pipeline.measures else self.tip
+
+    @property
+    def tip(self) -> np.ndarray:
+        """Where the finger's tip is (5,): x, y, z in mm, bend towards +z and towards +y in rad.
+
+        In the frame in which the base is thought to stand, x along the straight finger.
+        """
+        d = self.data
+        flange = d.site_xmat[self._flange].reshape(3, 3)
+        at = self._placing.in_base(d.site_xpos[self._tip], d.site_xpos[self._flange], flange)
+        return np.append(at, self._placing.turned + [self.spine_rad.sum(), 0.0])
 
     def _observe(self) -> Observation:
         d = self.data

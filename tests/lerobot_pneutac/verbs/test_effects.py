@@ -35,7 +35,7 @@ def bench(effect: BodyEffect):
     """A signal that moves, rests and turns back, and conditions that move."""
     rng = np.random.default_rng(3)
     n = 400
-    channels = 5 if effect.signal == "markers" else 2
+    channels = 5 if effect.of_markers else 2
     x = np.cumsum(rng.normal(0, 1.0, (n, channels)), axis=0)
     x[100:160] = x[100]
     x = 12.0 * np.abs(x) / np.abs(x).max()

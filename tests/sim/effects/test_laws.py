@@ -461,12 +461,12 @@ def test_step_by_step_equals_the_whole_recording(device):
     inputs = Inputs.from_samples(samples, device, start="held")
     model = Pipeline.of(twin, inputs)
     joints = model.run(inputs, model.theta(twin, P)).joints
-    online = PressurePipeline(twin)
-    online._rested[:] = 2.0
+    online = PressurePipeline(twin, {"temperature_c": 31.0})
+    online.reset(2.0)
     found = []
     for k in range(1, n):
         command = np.array([samples[c][k] for c in names])
-        found.append(online.step(command, DT, {"temperature_c": 31.0}).ravel())
+        found.append(online.step(command, DT).ravel())
     np.testing.assert_allclose(found, joints[1:], atol=1e-12)
 
 

@@ -7,7 +7,7 @@ from pneutac_sim.effects import BodyEffect, Parameter, body_effects, get_effect,
 from pneutac_sim.effects.body_effect import SIGNALS
 from pneutac_sim.errors import InputError
 
-CHANNELS = {"pressure": 3, "joints": 4, "loads": 6, "markers": 5}
+CHANNELS = {"pressure": 3, "joints": 4, "loads": 6, "markers": 5, "mount": 5}
 EFFECTS = list(body_effects().values())
 
 

@@ -50,8 +50,7 @@ def test_body_effects_at_their_neutral_point_change_nothing(program, device):
 
 @pytest.mark.parametrize("device", ["finger", "arm"])
 def test_step_by_step_equals_the_whole_recording(program, with_effects, device):
-    """On a uniform grid, with everything that the environment leaves to the pipeline."""
-    chain = [n for n, e in body_effects().items() if e.signal in ("pressure", "joints") and n != "crosstalk"]
+    """On a uniform grid, with every effect and condition: joints, pressure and what is read of the tip."""
     table = program(300)
     n = len(table["time_s"])
     table["trial"], table["time_s"] = np.zeros(n, int), np.arange(n) / 20
@@ -59,53 +58,83 @@ def test_step_by_step_equals_the_whole_recording(program, with_effects, device):
     for i, c in enumerate(chambers):
         table[c] = np.roll(table["pressure_cmd_kpa"], 40 * i)
         table[c][0] = 2.0
+    table = {k: v for k, v in table.items() if device == "finger" or k != "pressure_cmd_kpa"}
+    table["below_kpa"] = np.linspace(0.0, 5.0, n)
     twin = with_effects(
-        Twin(device=device, parameters={"gain_rad_per_kpa": Value(0.011)}), dict.fromkeys(chain, {})
+        Twin(device=device, parameters={"gain_rad_per_kpa": Value(0.011)}), dict.fromkeys(ALL, {})
     )
     _, run = simulate(twin, Inputs.from_samples(table, device, 110.0, start="held"))
-    online = PressurePipeline(twin)
+    names = ["below_kpa", "temperature_c", "payload_g", "gravity_x", "gravity_y", "gravity_z"]
+
+    def conditions(k):
+        return {name: float(table[name][k]) for name in names}
+
+    online = PressurePipeline(twin, conditions(0))
     online.reset(2.0)
-    joints, pressures = [], []
+    joints = [online.rest()]
+    read, pressures = [online.read(online.place(joints[0], 0.05), 0.05)], [online.pressure_kpa]
     for k in range(1, n):
-        command = np.array([table[c][k] for c in chambers])
-        joints.append(online.step(command, 0.05, {"temperature_c": table["temperature_c"][k]}).ravel())
+        online.set_conditions(conditions(k))
+        joints.append(online.step(np.array([table[c][k] for c in chambers]), 0.05))
+        read.append(online.read(online.place(joints[k], 0.05), 0.05))
         pressures.append(online.pressure_kpa)
-    np.testing.assert_allclose(joints[1:], run.joints[2:], rtol=0, atol=2e-5)  # the first knew no temperature
-    np.testing.assert_allclose(pressures, run.pressure_kpa[1:], atol=1e-9)
+    np.testing.assert_allclose([q.ravel() for q in joints], run.joints, rtol=0, atol=2e-5)
+    np.testing.assert_allclose(read, run.markers, rtol=0, atol=2e-3)
+    np.testing.assert_allclose(pressures, run.pressure_kpa, atol=1e-9)
 
 
 @pytest.mark.parametrize(
-    ("device", "name", "conditions"),
+    ("name", "given", "asked"),
     [
-        ("finger", "thermal", {"temperature_c": 31.0}),
-        ("arm", "thermal", {"temperature_c": 31.0}),
-        ("finger", "crosstalk", {"pressure_cmd_2_kpa": 6.0, "pressure_cmd_3_kpa": 3.0}),
+        ("thermal", {"payload_g": 20.0}, "temperature_c"),
+        ("payload", {"payload_g": 20.0, "gravity_x": 1.0}, "gravity_y"),
+        ("crosstalk", {}, "other_1_kpa"),
+        ("p dT", {}, "temperature_c"),
     ],
 )
-def test_online_rests_effects_whose_conditions_are_not_given(with_effects, device, name, conditions):
-    """Beside an effect that has its own: the rest of the chain goes on, memory and all."""
-    lagging = with_effects(Twin(device), {"valve_lag": {}, "creep": {}})
-    both, alone = PressurePipeline(with_effects(lagging, {name: {}})), PressurePipeline(lagging)
-    some = {k: conditions[k] for k in list(conditions)[1:]}  # not all that it asks for: none at all
-    one = np.eye(3)[0] if device == "arm" else 1.0  # all chambers alike would not bend an arm
-    for command, given in ((9.0, None), (4.0, some), (12.0, {"payload_g": 20.0}), (12.0, None)):
-        command = command * one
-        np.testing.assert_array_equal(both.step(command, 0.1, given), alone.step(command, 0.1, given))
-        np.testing.assert_array_equal(both.pressure_kpa, alone.pressure_kpa)
-    strong = {"thermal": {"softening_1_per_k": 0.1}}.get(name, {})
-    acting = PressurePipeline(with_effects(lagging, {name: strong}))
-    for command in (9.0, 4.0, 12.0):
-        moved = acting.step(command * one, 0.1, conditions)
-    assert np.abs(moved - both.step(12.0 * one, 0.1)).max() > 1e-3, "with them it acts"
+def test_online_an_effect_without_its_condition_is_refused_by_name(with_effects, name, given, asked):
+    twin = with_effects(Twin.builtin(), {name: {}})
+    with pytest.raises(InputError) as refused:
+        PressurePipeline(twin, given)
+    assert str(refused.value) == (
+        f"The twin's effect '{name}' needs the condition '{asked}'; give it, as in conditions={{{asked}: "
+        "NUMBER}."
+    )
+
+
+def test_online_a_condition_that_is_no_number_is_refused(with_effects):
+    with pytest.raises(InputError, match="conditions has temperature_c: nan; give a finite number"):
+        PressurePipeline(with_effects(Twin.builtin(), {"thermal": {}}), {"temperature_c": np.nan})
 
 
 def test_online_heat_softens_by_the_exponential_of_the_warming(with_effects):
     twin = with_effects(Twin.builtin(), {"thermal": {"softening_1_per_k": 0.2}})
-    plain, thermal = PressurePipeline(Twin.builtin()), PressurePipeline(twin)
+    plain, thermal = PressurePipeline(Twin.builtin()), PressurePipeline(twin, {"temperature_c": 23.0})
     np.testing.assert_array_equal(plain.step(9.0, 0.1), thermal.step(9.0, 0.1))
-    warm = thermal.step(9.0, 0.1, {"temperature_c": 25.0})
+    thermal.set_conditions({"temperature_c": 25.0})
+    warm = thermal.step(9.0, 0.1)
     rest = plain.step(0.0, 0.1)  # the curl at rest is no strain
     np.testing.assert_allclose(warm - rest, (plain.step(9.0, 0.1) - rest) * np.exp(0.4))
+
+
+def test_online_a_session_goes_on_over_trials_as_in_a_recording(with_effects):
+    """Session time and cycles go on from trial to trial, creep is wiped out by the rest between them."""
+    effects = {"cyclic_softening": {}, "creep": {}, "p exp(-t)": {}}
+    twin = with_effects(Twin.builtin(), effects)
+    time_s, swing = 0.1 * np.arange(60), 6.0 * (1 - np.cos(0.3 * np.arange(60)))
+    trials = {"trial": np.repeat([0, 1], 60), "time_s": np.tile(time_s, 2)}
+    inputs = Inputs.from_samples(trials | {"pressure_cmd_kpa": np.tile(swing, 2)}, start="held")
+    model = Pipeline.of(twin, inputs)
+    bench = model.run(inputs, model.theta(twin)).joints
+    online, found = PressurePipeline(twin), []
+    for trial in range(2):
+        online.reset(0.0, same_session=trial > 0)
+        found += [online.rest(), *(online.step(p, 0.1) for p in swing[1:])]
+    np.testing.assert_allclose(found, bench, atol=1e-9)
+    assert np.abs(bench[:60] - bench[60:]).max() > 1e-3
+    online.reset(0.0)
+    again = [online.rest(), *(online.step(p, 0.1) for p in swing[1:])]
+    np.testing.assert_allclose(again, bench[:60], atol=1e-9)
 
 
 def test_reused_links_give_the_same_run(program):

@@ -82,8 +82,8 @@ def test_effects_act_or_are_named():
     assert (devices.joint_targets(heavy, [5.0], conditions=down) < plain.mean(0)).all()
     with pytest.raises(InputError, match="payload.*payload_g"):
         devices.joint_targets(heavy, [5.0])
-    with pytest.raises(InputError, match="elongation.*not act"):
-        devices.finger(with_effect("elongation"))
+    with pytest.raises(InputError, match="'elongation' moves the tip against its joints"):
+        devices.joint_targets(with_effect("elongation"), [5.0])
     with pytest.raises(InputError, match="finite"):
         devices.joint_targets(Twin.builtin(), [np.nan])
 

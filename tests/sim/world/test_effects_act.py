@@ -1,0 +1,279 @@
+"""Every effect acts in the world as on the bench: the finger in free air, and what is read of it.
+
+A slow sweep of the pressure through the world's finger gives the tip path of the bench's pipeline within 0.3 %
+of the finger's length: what is left is the lag of a joint behind its target. Where an effect of the body moves
+the tip, so is the gel moved; where it is measured only, the gel stays.
+"""
+
+import sys
+from functools import cache
+
+import numpy as np
+import pytest
+
+from pneutac_sim.effects import body_effects, get_effect
+from pneutac_sim.effects.registry import all_effects, sensor_effects
+from pneutac_sim.errors import InputError
+from pneutac_sim.finger import Inputs, Pipeline
+from pneutac_sim.gel.model import GelModel
+from pneutac_sim.gel.sensor import TactileSensor
+from pneutac_sim.twin import Twin, Value
+from pneutac_sim.world.gantry import Gantry
+from pneutac_sim.world.varied import VariedWorld
+from pneutac_sim.world.world import DT, World
+
+STEPS = 12 * 15
+SWEEP_KPA = np.minimum(6.5 * (1 - np.cos(2 * np.pi * np.arange(STEPS + 1) / STEPS)), 10.0)
+CONDITIONS = {
+    "temperature_c": 31.0,
+    "payload_g": 20.0,
+    "gravity_x": 0.6,
+    "gravity_y": 0.48,
+    "gravity_z": -0.64,
+    "neighbour_kpa": 4.0,
+}
+# Where the value with which a fit starts does nothing, or nothing slow.
+SIZES = {
+    "base_tilt": {"pitch_rad": 0.1, "yaw_rad": 0.05, "roll_rad": 0.03, "shift_y_mm": 2.0, "shift_z_mm": 5.0},
+    "camera_misalignment": {"roll_rad": 0.05, "shift_x_mm": 10.0},
+    "sensor_offset": {"offset_kpa": 1.0, "drift_kpa_per_s": 0.05},
+    "leak": {"leak_rate_1_per_s": 0.004},  # what it loses in the plateau comes back at once, in a jump
+}
+NEAR = {"distance": 16.0, "elevation": 0.22}  # lights that are far or high make no such effect
+LAWS = (
+    "lag(p)",
+    "hinge(p)",
+    "play(p)",
+    "p dT",
+    "p exp(-t)",
+    "tip_y += g_y",
+    "tip_y += x z",
+    "tip_x += z^2",
+    "tip_z += dT",
+    "bend += bend^2",
+    "tracker_lag",
+)
+FOREIGN = """
+from pneutac_sim.effects import BodyEffect, Parameter, kernel
+
+
+@kernel
+def run(x, dt, theta, conditions, state):
+    for t in range(len(x)):
+        x[t, 1] += theta[0] * conditions[t, 0] * x[t, 2]
+
+
+EFFECT = BodyEffect(
+    name="damp_side",
+    stage="material",
+    signal="markers",
+    columns=("humidity",),
+    parameters=(Parameter("share", "", default=0.1, lower=-1.0, upper=1.0),),
+    run=run,
+    summary="Damp makes your {device} bend sideways by {share:.2g} of its way.",
+    experiment="Repeat a program on a damp day.",
+)
+"""
+
+
+def with_effect(*names: str) -> Twin:
+    twin = Twin.builtin()
+    for name in names:
+        twin.effects[name] = get_effect(name).start(15.0)
+        twin.effects[name] |= {k: Value(v) for k, v in SIZES.get(name, {}).items()}
+    return twin
+
+
+def sweep(world: World) -> tuple[np.ndarray, np.ndarray]:
+    """Markers (n, 5) and the middle of the gel (n, 3), m, over the sweep."""
+    world.reset(0)
+    read, gel = [world.markers], [world.gel_m - world.flange_m]
+    for p in SWEEP_KPA[1:]:
+        world.step([0.0, 0.0, 0.0, p])
+        read.append(world.markers)
+        gel.append(world.gel_m - world.flange_m)
+    return np.array(read), np.array(gel)
+
+
+def bench(twin: Twin, conditions: dict) -> np.ndarray:
+    """Markers (n, 5) of the pipeline over the same."""
+    n = STEPS + 1
+    samples = {"trial": np.zeros(n, int), "time_s": DT * np.arange(n), "pressure_cmd_kpa": SWEEP_KPA}
+    samples |= {name: np.full(n, value) for name, value in conditions.items()}
+    inputs = Inputs.from_samples(samples, "finger", twin.length_mm, source="command", start="held")
+    model = Pipeline.of(twin, inputs)
+    assert not model.left_out
+    return model.run(inputs, model.theta(twin)).markers
+
+
+@cache
+def plain():
+    twin = Twin.builtin()
+    return *sweep(World("switch", twin, touch="none")), bench(twin, {})
+
+
+def apart_mm(a: np.ndarray, b: np.ndarray) -> float:
+    """Largest distance of two tip paths."""
+    return float(np.linalg.norm(a[:, :3] - b[:, :3], axis=1).max())
+
+
+def check(twin: Twin, name: str, conditions: dict) -> None:
+    read, gel = sweep(World("switch", twin, touch="none", conditions=conditions))
+    measured = bench(twin, conditions)
+    assert apart_mm(read, measured) < 0.003 * twin.length_mm
+    np.testing.assert_allclose(read[:, 3:], measured[:, 3:], atol=5e-3)
+    _, free, without = plain()
+    size, moved = apart_mm(measured, without), 1e3 * np.linalg.norm(gel - free, axis=1).max()
+    effect = get_effect(name)
+    if effect.stage == "observation" and effect.signal == "markers":
+        assert moved < 1e-3, "what is measured leaves the body alone"
+    else:
+        assert size > 0.05 and 0.4 * size < moved < 2.5 * size, (size, moved)
+
+
+def test_the_plain_finger_moves_in_the_world_as_on_the_bench():
+    read, _, measured = plain()
+    assert apart_mm(read, measured) < 0.001 * 110.0
+    np.testing.assert_allclose(read[0], measured[0], atol=1e-3)
+
+
+@pytest.mark.parametrize("name", [*body_effects(), *LAWS])
+def test_an_effect_acts_in_the_world_as_on_the_bench(name):
+    check(with_effect(name), name, CONDITIONS)
+
+
+def test_effects_act_together():
+    names = ["valve_lag", "hysteresis", "payload", "thermal", "creep", "elongation", "base_tilt"]
+    twin = with_effect(*names, "camera_misalignment", "tip_y += x z")
+    read, _ = sweep(World("switch", twin, touch="none", conditions=CONDITIONS))
+    assert apart_mm(read, bench(twin, CONDITIONS)) < 0.003 * twin.length_mm
+
+
+@pytest.fixture
+def foreign(tmp_path, monkeypatch):
+    """A package beside the library, as an installer leaves it."""
+    (tmp_path / "pneutac_damp.py").write_text(FOREIGN)
+    info = tmp_path / "pneutac_damp-0.1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: pneutac-damp\nVersion: 0.1.0\n")
+    (info / "entry_points.txt").write_text("[pneutac.effects]\ndamp_side = pneutac_damp:EFFECT\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    all_effects.cache_clear()
+    yield "damp_side"
+    sys.modules.pop("pneutac_damp", None)
+    all_effects.cache_clear()
+
+
+def test_an_effect_of_another_package_acts_in_the_world_as_on_the_bench(foreign):
+    check(with_effect(foreign), foreign, {"humidity": 0.7})
+    with pytest.raises(InputError, match="effect 'damp_side' needs the condition 'humidity'; give it, as in"):
+        World("switch", with_effect(foreign), touch="none")
+
+
+def test_the_network_bends_the_free_finger_as_the_bench_says():
+    read, _ = sweep(World("switch", touch="none", fidelity="surrogate"))
+    assert apart_mm(read, plain()[2]) < 0.001 * 110.0
+
+
+def test_the_planner_moves_the_finger_as_the_world_does():
+    twin = with_effect("thermal", "elongation", "base_tilt", "valve_lag")
+    world = VariedWorld("switch", twin, "none", conditions=CONDITIONS)
+    world.reset(0)
+    for p in SWEEP_KPA[:40]:
+        world.step([0.0, 0.0, 0.0, p])
+    gantry = Gantry(world)
+    gantry.mirror(world)
+    actions = np.column_stack([np.zeros((20, 3)), SWEEP_KPA[40:60]])
+    gantry.rollout(actions)
+    first = gantry.gel_m - gantry.flange_m
+    gantry.rollout(actions)
+    np.testing.assert_allclose(gantry.gel_m - gantry.flange_m, first, atol=1e-12)
+    for action in actions:
+        world.step(action)
+    np.testing.assert_allclose(first, world.gel_m - world.flange_m, atol=1e-4)
+
+
+# ---------------------------------------------------------------- conditions and sessions
+
+
+def test_an_effect_without_its_condition_stops_the_world_by_name():
+    with pytest.raises(InputError) as refused:
+        World("switch", with_effect("thermal"), touch="none")
+    assert str(refused.value) == (
+        "The twin's effect 'thermal' needs the condition 'temperature_c'; give it, as in "
+        "conditions={temperature_c: NUMBER}."
+    )
+
+
+@pytest.mark.parametrize("value", [[30.0, 20.0], [1.0], "warm", float("nan"), True, None, [20.0, "30"]])
+def test_a_condition_is_a_number_or_a_range(value):
+    with pytest.raises(InputError, match="conditions has temperature_c: .* give a finite number, or a range"):
+        World("switch", with_effect("thermal"), touch="none", conditions={"temperature_c": value})
+
+
+def test_a_range_is_drawn_anew_for_each_episode_and_by_the_seed():
+    world = World("switch", with_effect("thermal"), "none", conditions={"temperature_c": [20.0, 30.0]})
+
+    def bends(seeds):
+        out = []
+        for seed in seeds:
+            world.reset(seed)
+            for _ in range(10):
+                world.step([0.0, 0.0, 0.0, 10.0])
+            out.append((world.conditions["temperature_c"], world.spine_rad.sum()))
+        return np.array(out).T
+
+    warmth, bend = bends([1, None, None, None, 1])
+    assert warmth[0] == warmth[-1] and bend[0] == bend[-1]
+    assert len(set(warmth[:4])) == 4 and ((warmth >= 20) & (warmth <= 30)).all()
+    assert (np.diff(bend[np.argsort(warmth[:4])]) > 0).all(), "a warmer finger bends further"
+
+
+def test_a_session_goes_on_without_a_seed_and_begins_with_one():
+    world = World("switch", with_effect("cyclic_softening", "p exp(-t)"), "none")
+
+    def run(seed):
+        world.reset(seed)
+        for p in (12.0, 0.0) * 10:
+            world.step([0.0, 0.0, 0.0, p])
+        world.step([0.0, 0.0, 0.0, 12.0])
+        return world.spine_target_rad.sum()
+
+    first, second, again = run(0), run(None), run(0)
+    assert abs(second - first) > 1e-3 and again == first
+
+
+def test_a_payload_bends_with_the_weight_that_the_world_knows():
+    """The finger hangs along gravity, so a weight pulls the curled finger straight."""
+    loaded = World("switch", with_effect("payload"), "none", conditions={"payload_g": 20.0})
+    read, _ = sweep(loaded)
+    down = {"payload_g": 20.0, "gravity_x": 1.0, "gravity_y": 0.0, "gravity_z": 0.0}
+    assert apart_mm(read, bench(loaded.twin, down)) < 0.003 * 110.0
+    assert (read[:, 3] < plain()[0][:, 3] - 0.02).all()
+
+
+# ---------------------------------------------------------------- the gel
+
+
+@pytest.mark.parametrize("name", list(sensor_effects()))
+def test_an_effect_of_the_gel_acts_in_the_worlds_image(name):
+    """As in the gel's own model; one that tells of photographs (`of_session`) is no part of the sensor."""
+    twin = Twin.builtin()
+    gel = GelModel.builtin()
+    effect = get_effect(name)
+    values = {p.name: p.default + 0.3 * (p.upper - p.default) for p in effect.parameters}
+    values |= {p: NEAR[kind] for p in values for kind in NEAR if p.startswith(kind)}
+    with_it = GelModel(gel.rest_image, gel.light, gel.depth_light, effects={name: values})
+    without = GelModel(gel.rest_image, gel.light, gel.depth_light, effects={})
+    with_it.into_twin(twin)
+    world = World("switch", twin, touch="image")
+    world.reset(0)
+    site = world.model.site("gel").id
+    normal = world.data.site_xmat[site].reshape(3, 3)[:, 2]
+    world.data.geom_xpos[world.model.geom("bar").id] = world.data.site_xpos[site] + 0.0057 * normal
+    world.touch.sense(world.data)
+    depth = world.touch.depth_mm
+    assert 0.5 < depth.max() < 1.5
+    own, bare = (TactileSensor(g).image(depth).astype(int) for g in (with_it, without))
+    assert np.abs(world.touch.image - own).max() <= 1
+    assert (np.abs(own - bare).max() > 3) == (not effect.of_session)
