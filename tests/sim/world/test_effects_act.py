@@ -22,8 +22,9 @@ from pneutac_sim.world.gantry import Gantry
 from pneutac_sim.world.varied import VariedWorld
 from pneutac_sim.world.world import DT, World
 
-STEPS = 12 * 15
-SWEEP_KPA = np.minimum(6.5 * (1 - np.cos(2 * np.pi * np.arange(STEPS + 1) / STEPS)), 10.0)
+RISE_KPA = 5.0 * (1 - np.cos(np.pi * np.arange(91) / 90))  # in 6 s
+SWEEP_KPA = np.concatenate([RISE_KPA, np.full(15, 10.0), RISE_KPA[::-1]])
+STEPS = len(SWEEP_KPA) - 1
 CONDITIONS = {
     "temperature_c": 31.0,
     "payload_g": 20.0,
@@ -133,7 +134,7 @@ def check(twin: Twin, name: str, conditions: dict) -> None:
 
 def test_the_plain_finger_moves_in_the_world_as_on_the_bench():
     read, _, measured = plain()
-    assert apart_mm(read, measured) < 0.001 * 110.0
+    assert apart_mm(read, measured) < 0.0015 * 110.0
     np.testing.assert_allclose(read[0], measured[0], atol=1e-3)
 
 
@@ -172,18 +173,18 @@ def test_an_effect_of_another_package_acts_in_the_world_as_on_the_bench(foreign)
 
 def test_the_network_bends_the_free_finger_as_the_bench_says():
     read, _ = sweep(World("switch", touch="none", fidelity="surrogate"))
-    assert apart_mm(read, plain()[2]) < 0.001 * 110.0
+    assert apart_mm(read, plain()[2]) < 0.0015 * 110.0
 
 
 def test_the_planner_moves_the_finger_as_the_world_does():
     twin = with_effect("thermal", "elongation", "base_tilt", "valve_lag")
     world = VariedWorld("switch", twin, "none", conditions=CONDITIONS)
     world.reset(0)
-    for p in SWEEP_KPA[:40]:
+    for p in SWEEP_KPA[30:70]:
         world.step([0.0, 0.0, 0.0, p])
     gantry = Gantry(world)
     gantry.mirror(world)
-    actions = np.column_stack([np.zeros((20, 3)), SWEEP_KPA[40:60]])
+    actions = np.column_stack([np.zeros((20, 3)), SWEEP_KPA[70:90]])
     gantry.rollout(actions)
     first = gantry.gel_m - gantry.flange_m
     gantry.rollout(actions)
