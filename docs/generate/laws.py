@@ -22,7 +22,8 @@ def page() -> str:
         "",
         f"The {len(names)} laws that `pneutac diagnose` may compose a model of, beside the "
         "[effects](effects.md). Each adds a term to the pressure that bends a body, with a weight \\(w\\) "
-        "between -3 and 3, or to what is seen of it. \\(P\\) is the largest pressure of the recording "
+        "between -3 and 3, to where the tip is, or to what is read of it. \\(P\\) is the largest pressure of "
+        "the recording "
         "(`scale_kpa`), \\(\\Delta T\\) the temperature above 23 °C in tens of kelvin, lag a "
         "first-order lag, springpot a power-law spectrum, play the backlash operator, loop a Bouc-Wen "
         "loop. A law may act twice; the second is called `lag(p) #2`. [How they are searched](diagnosis.md). "

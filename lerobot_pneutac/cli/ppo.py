@@ -21,8 +21,10 @@ def main(argv: list[str]) -> None:
 
     twin = Twin.load(config.twin) if config.twin else None
     compute = Compute(config.envs, config.parallel, config.device)
+    options = {"conditions": config.conditions} if config.conditions else {}
     with progress_bar(console) as progress:
-        card = train_ppo(config.task, twin, config.seed, config.steps, config.out, compute, progress=progress)
+        train = (config.task, twin, config.seed, config.steps, config.out, compute)
+        card = train_ppo(*train, progress=progress, **options)
     test = card["test"]
     table = Table("what", "number", title=f"Actor for {config.task}")
     table.add_row("steps of training", f"{card['steps']}")
@@ -34,6 +36,8 @@ def main(argv: list[str]) -> None:
         from lerobot_pneutac.rl.student import record_student
 
         with progress_bar(console) as progress:
-            done = record_student(config.out, config.task, twin, config.seed, config.student, progress)
+            done = record_student(
+                config.out, config.task, twin, config.seed, config.student, progress, config.conditions
+            )
         share = f"{done.episodes} demonstrations of {done.trials} trials ({100 * done.success:.0f} %)"
         console.print(f"{share} in {config.student.root}.", highlight=False)

@@ -11,6 +11,7 @@ from lerobot_pneutac.rl.task import TaskView
 from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, MAX_PRESSURE_KPA
 from pneutac_sim.gel.probe import COLS, ROWS
 from pneutac_sim.twin import Twin
+from pneutac_sim.world.conditions import Conditions
 from pneutac_sim.world.panda import HOME_JOINTS
 from pneutac_sim.world.varied import Variation, VariedWorld
 from pneutac_sim.world.world import WORKSPACE_HIGH, WORKSPACE_LOW
@@ -77,7 +78,12 @@ class PpoEnv(gymnasium.Env):
     metadata = {"render_modes": []}
 
     def __init__(
-        self, task: str = "switch", twin: Twin | None = None, randomise: bool = True, length: int = STEPS
+        self,
+        task: str = "switch",
+        twin: Twin | None = None,
+        randomise: bool = True,
+        length: int = STEPS,
+        conditions: Conditions | None = None,
     ):
         """An environment with a task.
 
@@ -86,11 +92,12 @@ class PpoEnv(gymnasium.Env):
             twin: the finger with its gel; default the built-in one.
             randomise: whether friction and bend change with every episode.
             length: control steps after which a trial is cut off.
+            conditions: of the world, see `World`.
 
         Raises:
             InputError: the task is unknown, or the twin is not a finger's.
         """
-        self.world = VariedWorld(task, twin, "probe", "probe")
+        self.world = VariedWorld(task, twin, "probe", "probe", conditions)
         self.view = TaskView(self.world)
         self.randomise, self._length = randomise, length
         self.action_space = spaces.Box(-1.0, 1.0, (len(ACTION_LOW),), np.float32)

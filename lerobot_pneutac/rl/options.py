@@ -6,6 +6,8 @@ from pathlib import Path
 
 from pneutac_sim.errors import InputError, check_choice, check_least
 from pneutac_sim.features import FIDELITIES, TASK_NAMES
+from pneutac_sim.twin import Twin
+from pneutac_sim.world.conditions import conditions_for
 
 
 @dataclass
@@ -38,6 +40,8 @@ class PpoConfig:
         out: folder of the actor, its curve and the checkpoint.
         task: object in front of the robot: `switch`, `egg` or `card`.
         twin: folder of the finger's twin; where left out, the built-in one.
+        conditions: values that the twin's effects ask for, such as {temperature_c: 28}; every episode draws
+            from a range [low, high].
         steps: control steps of training, of all worlds together; with more than before the training goes on.
         seed: seed of networks and starts.
         envs: number of worlds; where left out, two a core, at least 8.
@@ -50,6 +54,7 @@ class PpoConfig:
     out: Path
     task: str = "switch"
     twin: Path | None = None
+    conditions: dict[str, float | list[float]] = field(default_factory=dict)
     steps: int = 500_000
     seed: int = 0
     envs: int | None = None
@@ -63,6 +68,7 @@ class PpoConfig:
         check_choice("device", self.device, ("cpu", "cuda"))
         if self.twin is not None and not (Path(self.twin) / "twin.yaml").is_file():
             raise InputError(f"twin is '{self.twin}', which holds no twin.yaml; give a twin's folder.")
+        conditions_for(Twin.load(self.twin) if self.twin else Twin.builtin(), self.conditions)
         if self.student.root is not None and Path(self.student.root).exists():
             raise InputError(f"root is '{self.student.root}', which exists; give a new folder.")
         cores = len(os.sched_getaffinity(0))

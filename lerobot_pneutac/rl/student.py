@@ -17,6 +17,7 @@ from pneutac_sim.errors import InputError, check_least
 from pneutac_sim.features import ACTION_NAMES, CONTROL_HZ, IMAGE_NAME, IMAGE_SHAPE, STATE_NAMES
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
+from pneutac_sim.world.conditions import Conditions
 from pneutac_sim.world.world import World
 
 ROBOT = "pneutac"  # type of the robot in recorded demonstrations, so that they merge
@@ -50,6 +51,7 @@ def record_student(
     seed: int,
     student: StudentRef,
     progress: Progress = no_progress,
+    conditions: Conditions | None = None,
 ) -> RecordedStudent:
     """Writes a LeRobotDataset with the features of recorded demonstrations; rollouts that fail are left out.
 
@@ -62,6 +64,7 @@ def record_student(
         twin: the finger with its gel; None for the built-in one.
         seed: of starts and noise.
         student: the dataset, how many demonstrations, fidelity and noise.
+        conditions: of the world, see `World`.
         progress: is called after each trial with a few words, the demonstrations and how many are wanted.
 
     Raises:
@@ -74,7 +77,7 @@ def record_student(
     check_least(1, episodes=student.episodes)
     if not 0 <= student.noise <= 1:
         raise InputError(f"noise is {student.noise}; it must be from 0 to 1.")
-    world = World(task, twin, "image", student.fidelity)
+    world = World(task, twin, "image", student.fidelity, conditions)
     dataset = _new_dataset(student)
     rng = np.random.default_rng(seed)
     kept = trials = 0

@@ -12,6 +12,7 @@ from pneutac_sim.errors import InputError, check_choice, check_least
 from pneutac_sim.features import FIDELITIES, TASK_NAMES
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
+from pneutac_sim.world.conditions import conditions_for
 
 METHODS = ("tactile", "naive")
 
@@ -44,6 +45,8 @@ class AugmentConfig:
         twin: folder of the finger's twin; where left out, the built-in one.
         fidelity: way in which finger and gel deform where the plans are carried out: `surrogate`, by
             networks, `mpm`, by material points, or `probe`, by formulas; plans are made with the formulas.
+        conditions: values that the twin's effects ask for, such as {temperature_c: 28}; every demonstration
+            draws from a range [low, high].
         planner: horizon, samples and weights of the planner.
         attempts: number of variants tried for one demonstration before giving up.
         workers: number of processes; where left out, one a core.
@@ -58,6 +61,7 @@ class AugmentConfig:
     seed: int = 0
     twin: Path | None = None
     fidelity: str = "surrogate"
+    conditions: dict[str, float | list[float]] = field(default_factory=dict)
     planner: PlannerConfig = field(default_factory=PlannerConfig)
     attempts: int = 30
     workers: int | None = None
@@ -71,6 +75,7 @@ class AugmentConfig:
         check_least(1, episodes=self.episodes, attempts=self.attempts, workers=self.workers)
         if self.twin is not None and not (Path(self.twin) / "twin.yaml").is_file():
             raise InputError(f"twin is '{self.twin}', which holds no twin.yaml; give a twin's folder.")
+        conditions_for(Twin.load(self.twin) if self.twin else Twin.builtin(), self.conditions)
 
 
 @dataclass(frozen=True)
@@ -169,6 +174,7 @@ def augment(config: AugmentConfig, progress: Progress = no_progress) -> Augmenta
             config.planner,
             config.seed,
             attempts=config.attempts,
+            conditions=config.conditions,
         )
         summary = augment_guided(meta, setup, *new, config.workers, progress)
     return Augmentation(config, summary, references)

@@ -70,7 +70,8 @@ def _law_source(effect: BodyEffect) -> str:
     return "\n".join(
         [
             head, *imports, *constants, "", "", body, "", "", "EFFECT = BodyEffect(",
-            f"    name={own!r},", f"    stage={effect.stage!r},", f"    signal={effect.signal!r},", f"    run={functions[-1].name},",
+            f"    name={own!r},", f"    stage={effect.stage!r},", f"    signal={effect.signal!r},",
+            f"    run={functions[-1].name},",
             "    parameters=(", *(f"        {_parameter(p)}," for p in effect.parameters), "    ),",
             f"    codes={effect.codes!r},", f"    columns={effect.columns!r},",
             f"    state_size=lambda channels: {step} * channels,",

@@ -9,7 +9,7 @@ from lerobot.utils.constants import ACTION, OBS_IMAGES, OBS_STATE
 
 # Registers the Gymnasium ids. Workers of lerobot-eval get them by unpickling this module's config.
 import pneutac_sim  # noqa: F401
-from lerobot_robot_pneutac.options import check_choice, check_twin_folder, refuse_if
+from lerobot_robot_pneutac.options import check_choice, check_conditions, check_twin_folder, refuse_if
 from pneutac_sim.features import (
     ACTION_NAMES,
     CONTROL_HZ,
@@ -77,15 +77,19 @@ class PneutacEnvConfig(PneutacTaskConfig):
         twin: folder of the finger's twin; default the built-in one.
         fidelity: how finger and gel deform: `surrogate`, by networks; `mpm`, by full material points (seconds
             a control step in contact, for checks); `probe`, by formulas.
+        conditions: what the twin's effects ask for, such as {temperature_c: 28, payload_g: [0, 20]}; from a
+            range [low, high] every episode draws.
     """
 
     twin: Path | None = None
     fidelity: str = "surrogate"
+    conditions: dict[str, float | list[float]] = field(default_factory=dict)
 
     def __post_init__(self):
         super().__post_init__()
         check_choice("env.fidelity", self.fidelity, FIDELITIES)
         check_twin_folder("env.twin", self.twin)
+        check_conditions("env.conditions", self.twin, self.conditions)
 
     @property
     def package_name(self) -> str:
@@ -98,7 +102,7 @@ class PneutacEnvConfig(PneutacTaskConfig):
         from pneutac_sim.twin import Twin
 
         twin = {"twin": Twin.load(self.twin)} if self.twin else {}
-        return super().gym_kwargs | {"fidelity": self.fidelity, **twin}
+        return super().gym_kwargs | {"fidelity": self.fidelity, "conditions": self.conditions, **twin}
 
 
 @EnvConfig.register_subclass("pneutac_standin")

@@ -4,6 +4,8 @@ from pathlib import Path
 
 from draccus.utils import DecodingError
 
+from pneutac_sim.errors import InputError
+
 
 def refuse_if(wrong: bool, sentence: str) -> None:
     """Raises what LeRobot's commands print as one line; they hide the text of any other error."""
@@ -20,3 +22,14 @@ def check_twin_folder(option: str, folder: Path | None) -> None:
     """Refuses a folder without a twin; None is none."""
     missing = folder is not None and not (Path(folder) / "twin.yaml").is_file()
     refuse_if(missing, f"--{option} is '{folder}', which holds no twin.yaml; give a twin's folder.")
+
+
+def check_conditions(option: str, twin: Path | None, conditions: dict) -> None:
+    """Refuses conditions that are no numbers, or a twin that has an effect without its conditions."""
+    from pneutac_sim.twin import Twin
+    from pneutac_sim.world.conditions import conditions_for
+
+    try:
+        conditions_for(Twin.load(twin) if twin else Twin.builtin(), conditions)
+    except InputError as e:
+        refuse_if(True, f"--{option}: {e}")

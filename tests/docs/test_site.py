@@ -13,6 +13,7 @@ from pneutac_sim.effects.registry import get_effect
 GENERATED = {
     "concepts/effects.md",
     "concepts/laws.md",
+    "concepts/places.md",
     "reference/commands.md",
     "changes.md",
     "contributing.md",
@@ -22,6 +23,22 @@ GENERATED = {
 @pytest.mark.parametrize("name", [*all_effects(), *law_names()])
 def test_an_effect_shows_its_equation(name):
     assert convert(get_effect(name).equation.replace("|", r"\vert ")).startswith("<math")
+
+
+def test_the_table_of_places_has_every_effect_and_asks_the_places(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "docs" / "generate")
+    import places
+
+    page = places.page()
+    assert all(f"| `{name}` |" in page for name in all_effects())
+    rows = [line for line in page.splitlines() if line.startswith(("| `", "| law"))]
+    assert len(rows) < len(all_effects()) + 12 and all(r.count("|") == rows[0].count("|") for r in rows)
+    assert places.places("thermal") == ("joints", "joints", "joints; anew", "joints", "joints")
+    assert places.places("tip_y += x z") == ("tip", "tip; no pictures", "tip", "tip", "tip")
+    assert places.places("base_tilt") == ("tip",) * 5
+    assert places.places("camera_misalignment") == (*("reading",) * 4, "-")
+    assert places.places("shadow") == (*("image",) * 4, "area")
+    assert places.places("registration_shift") == ("photographs", "-", "-", "-", "-")
 
 
 def test_what_a_reader_runs_meets_no_folder_of_another_page():

@@ -48,6 +48,40 @@ def test_a_twin_folder_reaches_the_world(tmp_path):
     env.close()
 
 
+def warm_twin(folder):
+    from pneutac_sim.effects import get_effect
+    from pneutac_sim.twin import Twin
+
+    twin = Twin.builtin()
+    twin.effects["thermal"] = get_effect("thermal").start(15.0)
+    twin.save(folder)
+    return folder
+
+
+def test_conditions_reach_the_world_from_the_command_line(tmp_path):
+    import draccus
+
+    given = [f"--twin={warm_twin(tmp_path)}", "--fidelity=probe", "--conditions={temperature_c: [26, 28]}"]
+    env = make_env(draccus.parse(PneutacEnvConfig, args=given), n_envs=1)["pneutac"][0]
+    world, drawn = env.envs[0].unwrapped.world, []
+    for seed in (1, 2, 1):
+        env.reset(seed=[seed])
+        drawn.append(world.conditions["temperature_c"])
+    assert drawn[0] == drawn[2] != drawn[1] and all(26 <= t <= 28 for t in drawn)
+    env.close()
+
+
+def test_an_effect_without_its_condition_is_refused_before_any_environment_is_made(tmp_path):
+    with pytest.raises(DecodingError) as refused:
+        PneutacEnvConfig(twin=warm_twin(tmp_path))
+    assert refused.value.message == (
+        "--env.conditions: The twin's effect 'thermal' needs the condition 'temperature_c'; give it, as in "
+        "conditions={temperature_c: NUMBER}."
+    )
+    with pytest.raises(DecodingError, match="temperature_c: .3, 2.; give a finite number, or a range"):
+        PneutacEnvConfig(twin=tmp_path, conditions={"temperature_c": [3, 2]})
+
+
 def test_fidelity_reaches_the_world():
     assert PneutacEnvConfig(fidelity="mpm").gym_kwargs["fidelity"] == "mpm"
     with pytest.raises(DecodingError, match="surrogate, mpm, probe"):

@@ -1,11 +1,11 @@
 """Options of the robot `pneutac_sim`."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from lerobot.robots import RobotConfig
 
-from lerobot_robot_pneutac.options import check_choice, check_twin_folder, refuse_if
+from lerobot_robot_pneutac.options import check_choice, check_conditions, check_twin_folder, refuse_if
 from pneutac_sim.features import FIDELITIES, TASK_NAMES
 
 
@@ -20,6 +20,8 @@ class PneutacSimConfig(RobotConfig):
         twin: folder of the finger's twin; default the built-in one.
         fidelity: how finger and gel deform: `surrogate`, by networks; `mpm`, by full material points;
             `probe`, by formulas.
+        conditions: what the twin's effects ask for, such as {temperature_c: 28, payload_g: [0, 20]}; from a
+            range [low, high] every episode draws.
         standin: act on the stand-in for reality, which has a finger and a gel of its own.
     """
 
@@ -27,6 +29,7 @@ class PneutacSimConfig(RobotConfig):
     seed: int = 0
     twin: Path | None = None
     fidelity: str = "surrogate"
+    conditions: dict[str, float | list[float]] = field(default_factory=dict)
     standin: bool = False
 
     def __post_init__(self):
@@ -34,8 +37,9 @@ class PneutacSimConfig(RobotConfig):
         check_choice("robot.task", self.task, TASK_NAMES)
         check_choice("robot.fidelity", self.fidelity, FIDELITIES)
         check_twin_folder("robot.twin", self.twin)
+        check_conditions("robot.conditions", self.twin, self.conditions)
         refuse_if(
-            self.standin and (self.twin is not None or self.fidelity != "surrogate"),
-            "--robot.standin=true has a finger and a gel of its own; leave --robot.twin and"
-            " --robot.fidelity out, or the stand-in.",
+            self.standin and (self.twin is not None or self.fidelity != "surrogate" or bool(self.conditions)),
+            "--robot.standin=true has a finger and a gel of its own; leave --robot.twin, --robot.fidelity and"
+            " --robot.conditions out, or the stand-in.",
         )

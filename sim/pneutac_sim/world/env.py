@@ -17,6 +17,7 @@ from pneutac_sim.features import (
     STATE_LOW,
 )
 from pneutac_sim.twin import NETWORKS, Twin
+from pneutac_sim.world.conditions import Conditions
 from pneutac_sim.world.standin import StandinWorld
 from pneutac_sim.world.world import Observation, World
 
@@ -47,6 +48,7 @@ class PneutacEnv(gymnasium.Env):
         render_height: int = 360,
         fidelity: str | None = None,
         world: World | None = None,
+        conditions: Conditions | None = None,
     ):
         """An environment with a task.
 
@@ -60,12 +62,13 @@ class PneutacEnv(gymnasium.Env):
             fidelity: `surrogate`, `mpm` or `probe`, see `World`; all have the same spaces. None for
                 `surrogate`, or, with a warning, `probe` where no networks were trained for the twin.
             world: another world of this task and touch, such as a `StandinWorld`, in place of the one that
-                `twin` and `fidelity` describe.
+                `twin`, `fidelity` and `conditions` describe.
+            conditions: what the twin's effects ask for, such as `{"temperature_c": [20, 30]}`, see `World`.
         """
         if world is None:
             twin = Twin.load(twin) if isinstance(twin, str | Path) else twin or Twin.builtin()
-            world = World(task, twin, touch, fidelity or _best_fidelity(twin))
-        self.world = world
+            world = World(task, twin, touch, fidelity or _best_fidelity(twin), conditions)
+        self.world, self._begun = world, False
         self.task = task
         self.task_description = self.world.task.description
         self.render_mode = render_mode
@@ -78,10 +81,15 @@ class PneutacEnv(gymnasium.Env):
         self.observation_space = spaces.Dict(observation)
 
     def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[dict, dict]:
-        """Starts an episode; a seed means the same start as `World.reset(seed)`, none a random one."""
+        """Starts an episode; a seed means the same as in `World.reset`.
+
+        Without one the start is random and the session goes on; the first begins one.
+        """
         super().reset(seed=seed)
-        start = int(self.np_random.integers(2**31)) if seed is None else seed
-        return self._observation(self.world.reset(start)), self._info()
+        if seed is None and not self._begun:
+            seed = int(self.np_random.integers(2**31))
+        self._begun = True
+        return self._observation(self.world.reset(seed)), self._info()
 
     def step(self, action: np.ndarray) -> tuple[dict, float, bool, bool, dict]:
         """One control step. Raises InputError where the action has another shape or is not finite."""

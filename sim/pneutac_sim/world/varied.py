@@ -1,7 +1,7 @@
 """A world that is laid out on purpose: object moved, other start, other gain of the finger, latency."""
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import override
 
 import numpy as np
@@ -22,6 +22,7 @@ class Variation:
         friction: factor on the friction of the gel.
         late_commands: control steps by which commands act too late.
         late_touch: control steps by which touch is shown too late.
+        conditions: in place of those that the world draws.
     """
 
     start_m: tuple[float, float, float] | None = None
@@ -30,6 +31,7 @@ class Variation:
     friction: float = 1.0
     late_commands: int = 0
     late_touch: int = 0
+    conditions: dict[str, float] = field(default_factory=dict)
 
 
 class VariedWorld(World):
@@ -50,6 +52,10 @@ class VariedWorld(World):
         self._sent = deque([self.command] * self.variation.late_commands)
         self._shown = deque([self._felt()] * self.variation.late_touch)
         return observation
+
+    @override
+    def _draw_conditions(self):
+        return super()._draw_conditions() | self.variation.conditions
 
     @override
     def step(self, action: np.ndarray):

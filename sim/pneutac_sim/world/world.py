@@ -4,7 +4,6 @@ One description serves environment, robot twin and planner. A control step integ
 solves the inverse kinematics once, and interpolates joint targets and pressure over the physics substeps.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import mujoco
@@ -12,12 +11,12 @@ import numpy as np
 
 from pneutac_sim.errors import InputError, check_choice
 from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, CONTROL_HZ, FIDELITIES, JOINT_NAMES
-from pneutac_sim.finger.conditions import Condition, check_conditions, draw
 from pneutac_sim.finger.online import PressurePipeline
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.twin import Twin
 from pneutac_sim.world import scene
 from pneutac_sim.world.action import checked_action
+from pneutac_sim.world.conditions import Conditions, conditions_for, draw
 from pneutac_sim.world.deforming import check_stability, deforming
 from pneutac_sim.world.panda import HOME_JOINTS, CartesianIK
 from pneutac_sim.world.placing import Placing
@@ -30,8 +29,6 @@ RAMP = np.linspace(0, 1, scene.SUBSTEPS + 1)[1:, None]  # share of a control ste
 # Where the flange may be sent, metres in the arm's base frame: in reach with the flange down.
 WORKSPACE_LOW = np.array([0.30, -0.20, 0.18])
 WORKSPACE_HIGH = np.array([0.66, 0.20, 0.55])
-# The flange is held pointing down, so that the straight finger hangs along gravity, a unit vector.
-GRAVITY = {"gravity_x": 1.0, "gravity_y": 0.0, "gravity_z": 0.0}
 DIVERGED = (  # what MuJoCo warns of, and answers with a fresh scene
     mujoco.mjtWarning.mjWARN_BADQPOS,
     mujoco.mjtWarning.mjWARN_BADQVEL,
@@ -80,7 +77,7 @@ class World:
         twin: Twin | None = None,
         touch: str = "image",
         fidelity: str = "probe",
-        conditions: Mapping[str, Condition] | None = None,
+        conditions: Conditions | None = None,
     ):
         """A world with a task.
 
@@ -107,8 +104,7 @@ class World:
                 f"The world needs the twin of a finger; this twin's device is '{self.twin.device}'."
             )
         check_choice("fidelity", fidelity, FIDELITIES)
-        check_conditions(conditions or {})
-        self._conditions = GRAVITY | dict(conditions or {})
+        self._conditions = conditions_for(self.twin, conditions)
         self._pipeline = PressurePipeline(self.twin, draw(self._conditions, np.random.default_rng(0)))
         self.finger, gel = deforming(self.twin, fidelity, touch)
         self.model = mujoco.MjModel.from_xml_string(scene.build(self.task, self.twin))
@@ -150,7 +146,7 @@ class World:
         self._ik.reset(HOME_JOINTS)
         for _ in range(20):
             self._joints = self._ik.solve(self.target_m)
-        self.conditions = draw(self._conditions, self._rng)
+        self.conditions = self._draw_conditions()
         self._pipeline.set_conditions(self.conditions)
         self._pipeline.reset(0.0, same_session=seed is None)
         self.spine_target_rad = self._pipeline.rest()
@@ -168,6 +164,9 @@ class World:
         self._measure()
         self.touch.sense(self.data)
         return self._observe()
+
+    def _draw_conditions(self) -> dict[str, float]:
+        return draw(self._conditions, self._rng)
 
     def step(self, action: np.ndarray) -> Observation:
         """Advances one control step of 1 / CONTROL_HZ s.

@@ -7,8 +7,10 @@ from gymnasium.utils.env_checker import check_env
 from lerobot_pneutac.rl.env import ACTOR_SIZE, GRID, PpoEnv, pool, to_action
 from lerobot_pneutac.rl.reward import WEIGHTS, Moment, reward_terms, total
 from lerobot_pneutac.rl.task import GOALS, TaskView
+from pneutac_sim.effects import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, TASK_NAMES
+from pneutac_sim.twin import Twin
 from pneutac_sim.world.world import World
 
 STILL = np.zeros(4)
@@ -153,6 +155,19 @@ def test_randomised_worlds_differ_in_what_only_the_critic_sees():
     env = PpoEnv("switch")
     seen = {tuple(env.reset(seed=k)[0]["object"][-2:].tolist()) for k in range(5)}
     assert len(seen) == 5
+
+
+def test_conditions_reach_the_world_and_are_drawn_for_each_episode():
+    twin = Twin.builtin()
+    twin.effects["thermal"] = get_effect("thermal").start(15.0)
+    with pytest.raises(InputError, match="effect 'thermal' needs the condition 'temperature_c'"):
+        PpoEnv("switch", twin)
+    env = PpoEnv("switch", twin, conditions={"temperature_c": [20.0, 30.0]})
+    drawn = set()
+    for k in range(4):
+        env.reset(seed=k)
+        drawn.add(env.world.conditions["temperature_c"])
+    assert len(drawn) == 4 and all(20.0 <= t <= 30.0 for t in drawn)
 
 
 def test_actions_span_the_robots_limits():

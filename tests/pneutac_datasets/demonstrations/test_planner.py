@@ -336,6 +336,17 @@ def test_a_demonstration_keeps_its_turn(switch, monkeypatch):
     assert all(r["late_commands"] == 1 for r in line["rejected"])
 
 
+def test_variants_draw_their_conditions_and_the_world_has_them(switch):
+    recorded, scenes = switch[0].setup.references, switch[1]
+    hot = {"temperature_c": [20.0, 30.0], "payload_g": 5.0}
+    setup = AugmentSetup(recorded, "switch", None, "probe", PlannerConfig(), 1, conditions=hot)
+    generator = Generator(setup, touch="area")
+    drawn = [Variant.draw(0, np.zeros(3), 0, np.random.default_rng(k), hot) for k in range(3)]
+    assert len({v.conditions["temperature_c"] for v in drawn}) == 3
+    generator.carry_out(drawn[1], scenes[0], np.random.default_rng(0), plan=False)
+    assert drawn[1].conditions.items() <= generator.world.conditions.items()
+
+
 def test_an_episode_is_a_function_of_seed_and_index(switch):
     generator, scenes = switch
     quick = PlannerConfig(horizon=6, samples=4, elites=2, iterations=1)

@@ -7,6 +7,7 @@ from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnected
 
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.pneutac_sim import HOME_RADIUS_M, PneutacSim
+from pneutac_sim.effects import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_HIGH, ACTION_NAMES, CONTROL_HZ, STATE_NAMES
 from pneutac_sim.twin import Twin
@@ -151,7 +152,35 @@ def test_the_standin_acts_late_and_has_no_twin(make_robot, tmp_path):
         robot.send_action(act(pressure=5.0))
     assert position(robot)[1] - start[1] == pytest.approx(0.1 / CONTROL_HZ, abs=1e-3)
     Twin.builtin().save(tmp_path)
-    with pytest.raises(DecodingError, match="leave --robot.twin and --robot.fidelity out"):
+    with pytest.raises(
+        DecodingError, match="leave --robot.twin, --robot.fidelity and --robot.conditions out"
+    ):
         PneutacSimConfig(standin=True, twin=tmp_path)
-    with pytest.raises(DecodingError, match="leave --robot.twin and --robot.fidelity out"):
+    with pytest.raises(
+        DecodingError, match="leave --robot.twin, --robot.fidelity and --robot.conditions out"
+    ):
         PneutacSimConfig(standin=True, fidelity="mpm")
+
+
+def test_conditions_reach_the_robots_world_and_its_session_goes_on(make_robot, tmp_path):
+    twin = Twin.builtin()
+    for name in ("thermal", "p exp(-t)"):
+        twin.effects[name] = get_effect(name).start(15.0)
+    twin.effects["p exp(-t)"]["weight"].value = 0.3
+    twin.save(tmp_path / "twin")
+    options = {"twin": tmp_path / "twin", "fidelity": "probe"}
+    with pytest.raises(DecodingError, match="robot.conditions: The twin's effect 'thermal' needs"):
+        PneutacSimConfig(**options)
+    with pytest.raises(
+        DecodingError, match="leave --robot.twin, --robot.fidelity and --robot.conditions out"
+    ):
+        PneutacSimConfig(standin=True, conditions={"temperature_c": 30.0})
+    robot = make_robot(**options, conditions={"temperature_c": 30.0})
+    assert robot.world.conditions["temperature_c"] == 30.0
+    bends = []
+    for _ in range(2):
+        for _ in range(60):
+            robot.send_action(act(pressure=10.0))
+        bends.append(robot.world.spine_target_rad.sum())
+        robot.reset()
+    assert bends[1] < bends[0] - 1e-3, "it has warmed up further by the second episode"

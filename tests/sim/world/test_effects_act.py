@@ -1,8 +1,8 @@
 """Every effect acts in the world as on the bench: the finger in free air, and what is read of it.
 
-A slow sweep of the pressure through the world's finger gives the tip path of the bench's pipeline within 0.3 %
-of the finger's length: what is left is the lag of a joint behind its target. Where an effect of the body moves
-the tip, so is the gel moved; where it is measured only, the gel stays.
+A slow sweep of the pressure through the world's finger gives the tip path of the bench's pipeline within 0.3
+percent of the finger's length; the rest is the lag of a joint behind its target. Where an effect of the body
+moves the tip, so is the gel moved; where it is measured only, the gel stays.
 """
 
 import sys

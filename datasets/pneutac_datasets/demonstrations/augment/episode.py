@@ -13,6 +13,7 @@ from pneutac_datasets.demonstrations.augment.scene import Scene, command_latency
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, CONTROL_HZ, STATE_NAMES
 from pneutac_sim.twin import Twin
+from pneutac_sim.world.conditions import Conditions, draw
 from pneutac_sim.world.gantry import Gantry
 from pneutac_sim.world.varied import Variation, VariedWorld
 from pneutac_sim.world.world import DT
@@ -46,6 +47,7 @@ class AugmentSetup:
         seed: decides everything.
         attempts: variants tried for one demonstration.
         candidates: scenes drawn to find where the object stood.
+        conditions: of the world, see `World`; every demonstration draws from a range.
     """
 
     references: list[Reference]
@@ -56,6 +58,7 @@ class AugmentSetup:
     seed: int
     attempts: int = 30
     candidates: int = 48
+    conditions: Conditions = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -72,6 +75,7 @@ class Variant:
         bend_gain: factor on pressure to bend.
         late_commands: control steps by which commands act too late, as they did in the demonstrations.
         late_touch: control steps by which touch is shown too late, which no recording tells.
+        conditions: of the world.
     """
 
     source: int
@@ -81,10 +85,16 @@ class Variant:
     bend_gain: float
     late_commands: int = 0
     late_touch: int = 0
+    conditions: dict[str, float] = field(default_factory=dict)
 
     @classmethod
     def draw(
-        cls, source: int, sigma_m: np.ndarray, late_commands: int, rng: np.random.Generator
+        cls,
+        source: int,
+        sigma_m: np.ndarray,
+        late_commands: int,
+        rng: np.random.Generator,
+        conditions: Conditions | None = None,
     ) -> "Variant":
         """A variant of a reference; factors stay within two standard deviations."""
         friction, peak, gain = np.clip(rng.standard_normal(3), -2, 2)
@@ -98,6 +108,7 @@ class Variant:
             float(1 + BEND_GAIN * gain),
             late_commands,
             int(rng.integers(0, LATE + 1)),
+            draw(conditions or {}, rng),
         )
 
 
@@ -131,7 +142,7 @@ class Generator:
     def __post_init__(self):
         s = self.setup
         twin = Twin.load(s.twin) if s.twin else None
-        self.world = VariedWorld(s.task, twin, touch=self.touch, fidelity=s.fidelity)
+        self.world = VariedWorld(s.task, twin, self.touch, s.fidelity, s.conditions)
         self.gantry = Gantry(self.world)
         self.sigma_m = onset_sigma_m(s.references)
         self.late_commands = command_latency(self.world, self.gantry, s.references)
@@ -161,7 +172,7 @@ class Generator:
         for number in range(s.attempts):
             rng = np.random.default_rng([s.seed, index, number])
             source = (index + number // TRIES) % len(scenes)
-            variant = Variant.draw(source, self.sigma_m, self.late_commands, rng)
+            variant = Variant.draw(source, self.sigma_m, self.late_commands, rng, s.conditions)
             attempt = self.carry_out(variant, scenes[source], rng)
             where = {"source_episode": s.references[source].source, **asdict(variant)}
             if attempt.reason is None:
@@ -195,6 +206,7 @@ class Generator:
             variant.friction,
             variant.late_commands,
             variant.late_touch,
+            variant.conditions,
         )
         observation = self.world.reset(scene.seed)
         if self.world.blocked:
