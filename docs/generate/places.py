@@ -14,12 +14,12 @@ from pneutac_sim.twin import Twin
 
 LEAD = """# Where effects act
 
-An effect acts on the *joints* (all that bends the finger: air, drive, loads, material), on the *tip* (stretch,
-sideways bend, the mount: base and gel of the world's finger are moved), or on a *reading* (what a camera or
-tracker shows of the tip, `World.markers`), which never moves the body. Which of them follows from its stage and
-signal, so an effect of [your own](../how_to/add_an_effect.md) has its place too. A slow sweep in free air moves
-the tip in the world as in the bench pipeline, within 0.3 % of the finger's length
-(`tests/sim/world/test_effects_act.py`).
+An effect acts on the *joints* (all that bends the finger: air, drive, loads, material), on the *tip*
+(stretch, sideways bend, the mount: base and gel of the world's finger are moved), or on a *reading* (what
+a camera or tracker shows of the tip, `World.markers`), which never moves the body. Which of them follows
+from its stage and signal, so an effect of [your own](../how_to/add_an_effect.md) has its place too. A
+slow sweep in free air moves the tip in the world as in the bench pipeline, within 0.3 % of the finger's
+length (`tests/sim/world/test_effects_act.py`).
 
 - *Networks* means the fidelity `surrogate`. `anew`: a twin with the effect needs networks of its own
   (`pneutac surrogate`), and a world without them stops with that sentence.
