@@ -271,9 +271,7 @@ class BodySpace:
     def settle(self, model: BodyModel) -> BodyModel:
         """Tries how trials may begin, then the instants of steps."""
         best, now = model, float((model.residual**2).mean())
-        if model.pipeline.thins_at > model.pipeline.drive + 1 or any(
-            e.remembers for e in model.pipeline.chain
-        ):
+        if any(e.remembers for e in model.pipeline.chain):
             for form in self.starts_of_trials(model):
                 tried = self.fit(Trial(0.0, form, best.values), 3, 2)
                 if tried is not None and (tried.residual**2).mean() < 0.995 * now:

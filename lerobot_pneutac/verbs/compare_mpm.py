@@ -10,7 +10,7 @@ from pneutac_datasets.recording.wording import plural
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import BodyData, Pipeline
 from pneutac_sim.finger.inputs import Inputs
-from pneutac_sim.finger.pipeline import BENDING_PRESSURE, Run
+from pneutac_sim.finger.pipeline import Run
 from pneutac_sim.mpm import devices
 from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import MpmDiverged, solve_equilibrium
@@ -132,8 +132,8 @@ def _at_rest(solver: TotalLagrangian, targets: np.ndarray, progress) -> tuple[np
 
 def _observed(pipeline: Pipeline, run: Run, inputs: Inputs, markers: np.ndarray) -> np.ndarray:
     """Markers (k, 5) of the body as the pipeline's effects of the observation show them."""
-    bending = {BENDING_PRESSURE: run.signals[pipeline.drive].mean(axis=1)}
-    conditions = inputs.conditions_with(bending, at_samples=True)
+    computed = pipeline.computed(run.signals, inputs, at_samples=True)
+    conditions = inputs.conditions_with(computed, at_samples=True)
     for link in pipeline.chain[pipeline.reads_joints + 1 :]:
         state = np.zeros(link.state_size(markers.shape[1]))
         markers = link(markers, inputs.sample_dt_s, run.theta, conditions, state)

@@ -60,7 +60,7 @@ def _law_source(effect: BodyEffect) -> str:
     body = "\n\n\n".join(f"@kernel\n{ast.unparse(f)}" for f in functions)
     constants = [f"{n} = {_value(n)}" for n in ("SLOTS", "TIMES_S") if re.search(rf"\b{n}\b", body)]
     imports = ["import math", ""] if "math." in body else []
-    imports += ["import numpy as np", ""] if "TIMES_S" in body else []
+    imports += ["import numpy as np", ""] if re.search(r"\bnp\.|TIMES_S", body) else []
     imports += ["from pneutac_sim.effects import BodyEffect, Parameter, kernel", ""]
     own = file_name(effect.name)
     head = f'"""{effect.name}: {{}}\n\n{effect.equation}\n{PROJECT.format(name=own)}"""\n'

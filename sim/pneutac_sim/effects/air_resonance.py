@@ -6,6 +6,8 @@ Control, 1960, ch. 5). The command is taken as a straight line between samples.
 
 import math
 
+import numpy as np
+
 from pneutac_sim.effects.body_effect import BodyEffect, kernel
 from pneutac_sim.effects.effect import Parameter
 from pneutac_sim.effects.memories import SLOTS, mode
@@ -15,12 +17,11 @@ from pneutac_sim.effects.memories import SLOTS, mode
 def run(x, dt, theta, conditions, state):
     """State = per channel as in `laws`: the input before, pressure and its rate."""
     n, channels = x.shape
-    for t in range(n):
-        for c in range(channels):
-            s = state[SLOTS * c : SLOTS * (c + 1)]
-            p = x[t, c]
-            x[t, c] = mode(s, p, s[1], dt[t], theta[0], theta[1])
-            s[1] = p
+    s, f = state.reshape(channels, SLOTS).T.copy(), np.empty((n + 1, channels))
+    f[0], f[1:] = s[1], x
+    mode(s, f, dt, theta[0], theta[1], x)
+    s[1] = f[n]
+    state[:] = s.T.copy().reshape(channels * SLOTS)
 
 
 EFFECT = BodyEffect(
@@ -31,6 +32,7 @@ EFFECT = BodyEffect(
         Parameter("damping_ratio", "", 0.5, 0.02, 4.0, neutral=1.0, log=True),
     ),
     run=run,
+    apart=True,
     state_size=lambda channels: SLOTS * channels,
     equation=r"\ddot p + 2\zeta\omega\,\dot p + \omega^2 (p - p_{cmd}) = 0",
     summary="Your pressure swings: its line and chamber resonate at {frequency_rad_per_s:.3g} rad/s (damping "

@@ -64,6 +64,9 @@ class BodyEffect(Effect):
             the true one, so it acts where the measured pressure is the input too.
         codes: numbers before the parameters in `theta`, by which a `run` that several effects share knows
             which one it is.
+        apart: whether it acts on each channel as if there were no other, so that further signals may be run
+            as further channels.
+        linear: parameter in which what it adds to its signal is linear; empty where there is none.
     """
 
     stages = BODY_STAGES
@@ -74,6 +77,8 @@ class BodyEffect(Effect):
     state_size: Callable[[int], int] = remembers_nothing
     of_gauge: bool = False
     codes: tuple[float, ...] = ()
+    apart: bool = False
+    linear: str = ""
 
     def __post_init__(self):
         super().__post_init__()

@@ -45,6 +45,7 @@ EFFECT = BodyEffect(
     stage="pneumatics",
     parameters=(Parameter("delay_s", "s", default=0.15, lower=0.0, upper=1.5),),
     run=run,
+    apart=True,
     state_size=lambda channels: 3 + _KEPT * (channels + 1),
     equation=r"p(t) = p_{cmd}(t - L)",
     summary="Your pressure starts late: nothing happens for {delay_s:.2g} s after a command.",

@@ -36,6 +36,7 @@ EFFECT = BodyEffect(
         Parameter("breakaway_kpa", "kPa", default=0.01, lower=0.0, upper=0.3, range_power=1, step=0.03),
     ),
     run=run,
+    apart=True,
     state_size=lambda channels: 2 * channels,
     equation=r"x \to p - c\,\mathrm{sign}(p - x) \text{ where } |p - x| > c \text{ (at rest: } c + b)",
     summary="Your {device} sticks: on each reversal it waits until the pressure has changed by {band:.2g} "

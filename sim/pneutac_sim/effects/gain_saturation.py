@@ -34,6 +34,7 @@ EFFECT = BodyEffect(
         ),
     ),
     run=run,
+    apart=True,
     equation=r"p \to p_s \tanh(p / p_s)",
     summary="Your {device} saturates: far above {saturation_pressure_kpa:.3g} kPa more pressure bends it "
     "little.",

@@ -42,6 +42,7 @@ EFFECT = BodyEffect(
         *(Parameter(f"weight_{i + 1}", "", default=0.05, lower=0.0, upper=1.5) for i in range(5)),
     ),
     run=run,
+    apart=True,
     state_size=lambda channels: 5 * channels,
     equation=r"p \to \frac{p + \sum_i w_i\,\mathrm{play}_{r_i}(p)}{1 + \sum_i w_i}",
     summary="Your {device} has hysteresis: it bends differently when pressure rises and falls, however "

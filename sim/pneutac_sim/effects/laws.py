@@ -443,6 +443,8 @@ def law(name: str) -> BodyEffect:
         ),
         columns=row.columns,
         state_size=lambda channels: by.SLOTS * channels,
+        apart=True,
+        linear="weight",
         equation=rf"p \to p + w\,({row.equation})",
         summary=f"Your {{device}} {WORDS[row.family]}: the pressure p that bends it becomes "
         f"p + {{weight:.3g}} [{structure}]" + (f", {constants}." if constants else "."),

@@ -29,6 +29,7 @@ EFFECT = BodyEffect(
     stage="pneumatics",
     parameters=(Parameter("leak_rate_1_per_s", "1/s", default=0.01, lower=0.0, upper=0.5),),
     run=run,
+    apart=True,
     state_size=lambda channels: 2 * channels,
     equation=r"\dot p = -k\,p \text{ while } \dot p_{cmd} = 0",
     summary="Your {device} leaks: while the valve holds it loses {percent_per_min:.0f} % of its pressure a "

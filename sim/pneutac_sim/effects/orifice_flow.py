@@ -95,6 +95,7 @@ EFFECT = BodyEffect(
         Parameter("critical_ratio", "", default=0.3, lower=0.1, upper=0.528, neutral=0.3, fixed=True),
     ),
     run=run,
+    apart=True,
     state_size=lambda channels: 2 * channels,
     equation=r"\dot p = k\,p_1\,\psi, \quad \psi = \sqrt{1 - \left(\frac{p_2/p_1 - b}{1 - b}\right)^2} "
     r"\text{ or, where } p_2/p_1 \le b, \; 1",

@@ -27,6 +27,7 @@ EFFECT = BodyEffect(
         Parameter("drift_kpa_per_s", "kPa/s", default=1e-4, lower=-1e-2, upper=1e-2, range_power=1),
     ),
     run=run,
+    apart=True,
     columns=("session_time_s",),
     of_gauge=True,
     equation=r"p = (p_{read} - o - d\,t) / s",

@@ -26,6 +26,7 @@ EFFECT = BodyEffect(
         Parameter("quadratic_1_per_kpa2", "1/kPa^2", default=0.0, lower=-10.0, upper=20.0, range_power=-2),
     ),
     run=run,
+    apart=True,
     equation=r"p \to p\,(1 + a\,|p| + b\,p^2)",
     summary="Your {device}'s gain changes with pressure: by {percent_per_kpa:+.2g} % for each kPa at low "
     "pressure.",

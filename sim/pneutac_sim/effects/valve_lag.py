@@ -37,6 +37,7 @@ EFFECT = BodyEffect(
         Parameter("vent_time_s", "s", default=0.3, lower=0.02, upper=3.0, log=True),
     ),
     run=run,
+    apart=True,
     state_size=lambda channels: 2 * channels,
     equation=r"\tau\,\dot p = p_{cmd} - p",
     summary="Your pressure lags its command: filling takes about {fill_time_s:.2g} s, venting "

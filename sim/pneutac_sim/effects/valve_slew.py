@@ -56,6 +56,7 @@ EFFECT = BodyEffect(
         Parameter("scale_kpa", "kPa", 1.0, 1e-3, 3.0, neutral=1.0, fixed=True, range_power=1),
     ),
     run=run,
+    apart=True,
     state_size=lambda channels: 2 * channels,
     equation=r"\dot p = k\,\mathrm{clip}(p_{cmd} - p,\, -b,\, b)",
     summary="Your valve is slow for large steps: at most {fill_rate_kpa_per_s:.3g} kPa/s in and "

@@ -141,6 +141,28 @@ def _places(free, deflection, links, at, axes):
 
 
 @kernel
+def tip_levers(q, links, out):
+    """Writes how the tip moves with each joint of a free spine.
+
+    Args:
+        q: (n, 2 N) joint angles, rad.
+        links: (N,) length of the link after each joint.
+        out: (n, 3 or more, 2 N): rows 0 to 2 become tip x, y, z per rad.
+    """
+    n, size = q.shape
+    joints = size // 2
+    at, axes, still = np.zeros((joints + 1, 3)), np.empty((size, 3)), np.zeros(size)
+    for t in range(n):
+        _places(q[t], still, links, at, axes)
+        for j in range(size):
+            i = j // 2
+            x, y, z = at[joints, 0] - at[i, 0], at[joints, 1] - at[i, 1], at[joints, 2] - at[i, 2]
+            out[t, 0, j] = axes[j, 1] * z - axes[j, 2] * y
+            out[t, 1, j] = axes[j, 2] * x - axes[j, 0] * z
+            out[t, 2, j] = axes[j, 0] * y - axes[j, 1] * x
+
+
+@kernel
 def spatial(q, loads, stiffness, links, state):
     """As `planar`, for two bending axes: q and state hold (to z, to y) of joint 1, then of joint 2, ...
 

@@ -112,14 +112,18 @@ class Inputs:
     def conditions_with(
         self, more: dict[str, np.ndarray], at_samples: bool
     ) -> Callable[[tuple[str, ...]], np.ndarray]:
-        """Like `conditions`, with these further columns (m,); (n, k) where only samples are wanted."""
+        """Like `conditions`, with these further columns; (m,), or (n,), (n, k) where samples are wanted."""
 
         def conditions(names: tuple[str, ...]) -> np.ndarray:
             if any(name in more for name in names):
-                out = np.stack([(more | self.columns)[name] for name in names], axis=1)
-            else:
-                out = self.conditions(names)
-            return out[self.rows] if at_samples else out
+                rows = self.rows if at_samples else slice(None)
+                parts = [more[name] if name in more else self.columns[name][rows] for name in names]
+                return np.stack(parts, axis=1)
+            if not at_samples:
+                return self.conditions(names)
+            if ("samples", names) not in self._cache:
+                self._cache["samples", names] = self.conditions(names)[self.rows]
+            return self._cache["samples", names]
 
         return conditions
 
@@ -206,8 +210,11 @@ def conditions_of(samples: Mapping, device: str) -> set[str]:
 
 
 def _time_steps(time: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """(n,) seconds since the sample before, infinite at the first of a trial."""
-    dt = np.where(first, np.inf, np.diff(time, prepend=time[:1]))
+    """(n,) seconds since the sample before, infinite at the first of a trial.
+
+    To the nanosecond, so that equal steps are equal numbers: laws work out what follows from a step once.
+    """
+    dt = np.where(first, np.inf, np.round(np.diff(time, prepend=time[:1]), 9))
     if not (dt > 0).all():
         row = int(np.argmax(~(dt > 0)))
         raise InputError(f"Column 'time_s', row {row + 1} does not rise within its trial; sort by time.")

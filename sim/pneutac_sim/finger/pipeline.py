@@ -123,12 +123,12 @@ class Pipeline:
         to_markers = [*to_joints, *loads, *body, Markers(geometry)]
         to_tip = [*to_markers, *links["markers"], *links["mount"]]
         self.chain = [*to_tip, *links["observation"]]
-        self.thins_at = 1 + max([len(to_joints) - 1, *(i for i, e in enumerate(self.chain) if e.remembers)])
         gauge = [i for i, e in enumerate(links["pneumatics"]) if e.effect.of_gauge]
         self.reads_pressure = gauge[0] if gauge else len(links["pneumatics"])
         self.reads_joints = len(to_markers) - 1
         self.observes = len(to_tip)
         self.drive = len(to_joints) - 1
+        self.thins_at = max([self.drive, *(i + 1 for i, e in enumerate(self.chain) if e.remembers)])
 
     @classmethod
     def of(cls, twin: Twin, inputs: Inputs | None = None, effects: Sequence[str] | None = None) -> "Pipeline":
@@ -192,6 +192,7 @@ class Pipeline:
         theta: np.ndarray,
         reuse: Run | None = None,
         bending_pressure_kpa: np.ndarray | None = None,
+        until: int | None = None,
     ) -> Run:
         """Simulates all samples.
 
@@ -202,6 +203,7 @@ class Pipeline:
                 repeated.
             bending_pressure_kpa: (m, chambers) bends the body instead of what air and drive would make of the
                 command; needs `reuse` with these parameters.
+            until: number of links to run, see `until`; what comes behind them is left empty.
         """
         theta = np.asarray(theta, dtype=float)
         at, signals = 0, [inputs.pressure_kpa]
@@ -212,17 +214,19 @@ class Pipeline:
             signals = reuse.signals[: at + 1]
         if bending_pressure_kpa is not None:
             at, signals = self.drive, [*signals[: self.drive], bending_pressure_kpa]
-        for i in range(at, len(self.chain)):
+        for i in range(at, len(self.chain) if until is None else until):
             link, x = self.chain[i], signals[-1]
             thin = i >= self.thins_at
             if i == self.thins_at:
                 x = x[inputs.rows]
-            bending = {BENDING_PRESSURE: signals[self.drive].mean(axis=1)} if i > self.drive else {}
+            more = self.computed(signals, inputs, thin) if i > self.drive else {}
             state = np.zeros(link.state_size(x.shape[1]))
             dt = inputs.sample_dt_s if thin else inputs.dt_s
-            signals.append(link(x, dt, theta, inputs.conditions_with(bending, thin), state))
+            signals.append(link(x, dt, theta, inputs.conditions_with(more, thin), state))
 
         def at_samples(i: int) -> np.ndarray:
+            if i >= len(signals):
+                return np.zeros((0, 0))
             return signals[i] if i > self.thins_at else signals[i][inputs.rows]
 
         return Run(
@@ -230,8 +234,18 @@ class Pipeline:
             signals=signals,
             pressure_kpa=at_samples(self.reads_pressure),
             joints=at_samples(self.reads_joints),
-            markers=at_samples(len(signals) - 1),
+            markers=at_samples(len(self.chain)),
         )
+
+    def computed(self, signals: list[np.ndarray], inputs: Inputs, at_samples: bool) -> dict[str, np.ndarray]:
+        """Condition columns (m,) or (n,) that follow from the signals: the pressure that bends the body."""
+        pressure = signals[self.drive]
+        return {BENDING_PRESSURE: (pressure[inputs.rows] if at_samples else pressure).mean(axis=1)}
+
+    def until(self, columns: Sequence[str]) -> int:
+        """Number of links that these outputs need."""
+        air = all(c.startswith("pressure_") for c in columns)
+        return self.reads_pressure if air else len(self.chain)
 
     def outputs(self, run: Run, columns: Sequence[str]) -> np.ndarray:
         """(n, len(columns)) model values of columns of a bench recording.

@@ -120,6 +120,17 @@ class EffectLink:
         self.effect.run(out, dt, values, conditions(self.effect.columns), state)
         return out
 
+    def side_by_side(self, x, dt, theta, conditions: Conditions) -> np.ndarray:
+        """Returns several changed signals (m, K, channels), each from a new device's state."""
+        m, k, channels = x.shape
+        if self.effect.apart:
+            state = np.zeros(self.state_size(k * channels))
+            return self(x.reshape(m, -1), dt, theta, conditions, state).reshape(x.shape)
+        each = (np.ascontiguousarray(x[:, i]) for i in range(k))
+        return np.stack(
+            [self(one, dt, theta, conditions, np.zeros(self.state_size(channels))) for one in each], axis=1
+        )
+
 
 @dataclass(frozen=True)
 class Drive:
@@ -141,15 +152,18 @@ class Drive:
     def __call__(self, x, dt, theta, conditions: Conditions, state) -> np.ndarray:
         """Returns joints (m, N axes)."""
         profile, directions, rest = self._constants(theta)
-        profile, directions, _ = self._constants(theta)
-        drive = theta[self.indices[0]] * (x @ directions)
-        return (profile[:, None] * drive[:, None, :]).reshape(len(x), -1) + self.rest(theta)
+        gain = theta[self.indices[0]] * profile[:, None] * directions[:, None, :]  # (chambers, N, axes)
+        return x @ gain.reshape(len(gain), -1) + self._still(theta, profile, rest)
 
     def rest(self, theta) -> np.ndarray:
         """Joint angles (N axes,) at zero pressure: a curl without stress."""
         profile, _, rest = self._constants(theta)
-        curl = theta[self.indices[-1]] / self.geometry.n_joints
-        return (theta[self.indices[0]] * profile[:, None] * rest + curl * (np.arange(len(rest)) == 0)).ravel()
+        return self._still(theta, profile, rest)
+
+    def _still(self, theta, profile, rest) -> np.ndarray:
+        angles = theta[self.indices[0]] * profile[:, None] * rest
+        angles[:, 0] += theta[self.indices[-1]] / self.geometry.n_joints
+        return angles.ravel()
 
     def _constants(self, theta) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Profile (N,), direction of each chamber (chambers, axes), rest pressure (axes,)."""
@@ -157,8 +171,8 @@ class Drive:
         profile = gain_profile(n, values[1], values[2]) * (1 + values[-1 - n : -1])
         if self.geometry.device == "finger":
             return profile, np.ones((1, 1)), values[3:4]
-        angle, ratios, hand = values[5], np.r_[1.0, values[6:8]], values[8]
-        phi = angle + np.sign(hand) * 2 * np.pi * np.arange(3) / 3 + np.r_[0.0, values[9:11]]
+        ratios, turn = np.array([1.0, values[6], values[7]]), np.array([0.0, values[9], values[10]])
+        phi = values[5] + np.sign(values[8]) * 2 * np.pi * np.arange(3) / 3 + turn
         return profile, ratios[:, None] * np.stack([np.cos(phi), np.sin(phi)], axis=1), values[3:5]
 
 

@@ -1,0 +1,81 @@
+"""Derivatives taken link by link against whole simulations."""
+
+import numpy as np
+import pytest
+
+from pneutac_sim.finger.derivatives import changes
+from pneutac_sim.finger.inputs import Inputs
+from pneutac_sim.finger.kinematics import forward_kinematics, forward_kinematics_spatial, tip_derivatives
+from pneutac_sim.finger.pipeline import Pipeline
+from pneutac_sim.twin import Twin, Value
+
+EFFECTS = (
+    ["base_tilt", "elongation"],
+    ["dead_time", "valve_lag", "lag(p)", "play(p)", "base_tilt"],
+    ["hysteresis", "power_law_memory(p)", "tip_z += x z"],
+    ["lag(p)", "creep", "tracker_lag"],
+    ["gravity", "lag(p)", "base_tilt"],
+)
+VALUES = {"base_tilt": {"pitch_rad": Value(0.1)}, "lag(p)": {"weight": Value(0.2)}}
+
+
+def moved(device: str, effects: list[str], columns: list[str]):
+    """Changes by small steps of all free parameters: by `changes`, and by whole simulations."""
+    rng = np.random.default_rng(3)
+    n, axes = 400, {"finger": [""], "arm": ["_1", "_2", "_3"]}[device]
+    level = np.repeat(rng.uniform(0, 20, (n // 20, len(axes))), 20, axis=0)
+    samples = {"trial": np.repeat([0, 1], n // 2), "time_s": np.arange(n) * 0.05}
+    samples |= {f"pressure_cmd{a}_kpa": level[:, i] for i, a in enumerate(axes)}
+    samples |= {f"gravity_{a}": np.full(n, g) for a, g in zip("xyz", (3.0, 0.0, -9.0), strict=True)}
+    twin = Twin(device=device, parameters={"gain_rad_per_kpa": Value(0.01)})
+    twin.effects = {e: VALUES.get(e, {}) for e in effects}
+    inputs = Inputs.from_samples(samples, device).thin(np.arange(0, n, 3))
+    model = Pipeline.of(twin, inputs)
+    theta = model.theta(twin, 20.0)
+    bounds = np.array([p.limits(20.0) for p in model.specs])
+    free = np.flatnonzero(["handedness" not in name for name in model.names])
+    step = 1e-6 * (bounds[free, 2] - bounds[free, 1])
+    values = np.where(theta[free] + step < bounds[free, 2], theta[free] + step, theta[free] - step)
+    run = model.run(inputs, theta)
+    at, expected = model.outputs(run, columns), []
+    for i, value in zip(free, values, strict=True):
+        other = theta.copy()
+        other[i] = value
+        expected.append(model.outputs(model.run(inputs, other), columns) - at)
+    got = changes(model, inputs, run, columns, free, values)
+    return [model.names[i] for i in free], got, np.stack(expected, axis=2)
+
+
+@pytest.mark.parametrize("device", ["finger", "arm"])
+@pytest.mark.parametrize("effects", EFFECTS, ids="+".join)
+def test_link_by_link_is_what_whole_simulations_give(device, effects):
+    names, got, expected = moved(device, effects, ["tip_x_mm", "tip_z_mm", "bend_angle_rad"])
+    for j, name in enumerate(names):
+        size = np.abs(expected[:, :, j]).max()
+        # loads are solved to a tolerance, which shows in steps that do nearly nothing
+        assert np.abs(got[:, :, j] - expected[:, :, j]).max() <= 3e-3 * size + 1e-6, name
+    assert sum(np.abs(expected[:, :, j]).max() > 1e-5 for j in range(len(names))) > len(names) / 2
+
+
+def test_outputs_of_joints_and_pressure():
+    for columns in (["q_1_rad", "tip_z_mm"], ["pressure_kpa"]):
+        _, got, expected = moved("finger", ["dead_time", "valve_lag", "lag(p)"], columns)
+        np.testing.assert_allclose(got, expected, atol=2e-3 * np.abs(expected).max())
+        assert np.abs(expected).max() > 1e-6
+
+
+@pytest.mark.parametrize("axes", [1, 2])
+def test_a_joint_turns_all_beyond_it(axes):
+    joints = np.array([10.0, 40.0, 70.0])
+    q = np.random.default_rng(1).normal(0, 0.4, (5, 3 * axes))
+
+    def seen(q):
+        if axes == 1:
+            tip, bend = forward_kinematics(q, joints, 100.0)
+            return np.stack([tip[:, 0], 0 * bend, tip[:, 1], bend, 0 * bend], axis=1)
+        return np.concatenate(forward_kinematics_spatial(q.reshape(5, 3, 2), joints, 100.0), axis=1)
+
+    got = tip_derivatives(q, joints, 100.0, axes)
+    for j in range(3 * axes):
+        d = np.eye(3 * axes)[j] * 1e-6
+        np.testing.assert_allclose(got[:, :, j], (seen(q + d) - seen(q - d)) / 2e-6, atol=1e-6)
