@@ -87,7 +87,6 @@ class Gantry(VariedWorld):
         self._ik = _Straight()
         self._flange, self._gel = self.model.site("flange").id, self.model.site("gel").id
         self._tip, self._placing = self.model.site("tip").id, Placing(self.model)
-        self._pad = self.data.joint("pad")
         n = self._spine.stop - self._spine.start
         self._arm, self._spine = slice(0, 3), slice(3, 3 + n)
         self.steps, self.seconds = 0, {"physics": 0.0, "touch": 0.0}

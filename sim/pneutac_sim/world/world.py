@@ -20,8 +20,9 @@ from pneutac_sim.world.conditions import Conditions, conditions_for, draw
 from pneutac_sim.world.deforming import check_stability, deforming
 from pneutac_sim.world.panda import HOME_JOINTS, CartesianIK
 from pneutac_sim.world.placing import Placing
+from pneutac_sim.world.senses import Senses
 from pneutac_sim.world.tasks import make_task
-from pneutac_sim.world.touch import Touch, imprint_m
+from pneutac_sim.world.touch import Touch
 from pneutac_sim.world.view import View
 
 DT = 1 / CONTROL_HZ
@@ -51,7 +52,7 @@ class Observation:
     tactile: np.ndarray | None
 
 
-class World:
+class World(Senses):
     """Arm, finger and task, deterministic under `reset(seed)`.
 
     Attributes:
@@ -66,7 +67,6 @@ class World:
         finger: what bends the finger by the pressure: `SurrogateFinger` or `MpmFinger`; None for a formula.
         out_of_range: number of steps since the reset in which a state of the finger or a contact lay outside
             what the networks were trained with.
-        markers: what a bench's camera would read of the finger's tip, `tip` through the twin's observation.
         touch: last touch: `depth_mm`, `image`, `pixels`, `area`.
         model, data: MuJoCo's, for planners, experts and tests.
     """
@@ -116,7 +116,6 @@ class World:
         self._rng = np.random.default_rng()
         self._flange = self.model.site("flange").id
         self._gel = self.model.site("gel").id
-        self._pad = self.data.joint("pad")
 
         n = len(self.twin.spine_joint_positions_mm)
         # The arm's joints and servos come first in the model, then the spine's.
@@ -161,7 +160,7 @@ class World:
         for _ in range(SETTLE_STEPS):
             self._advance(self._joints, self.spine_target_rad)
         self.data.time = 0.0
-        self._measure()
+        self._measure(DT)
         self.touch.sense(self.data)
         return self._observe()
 
@@ -189,7 +188,7 @@ class World:
                 "The physics has diverged: MuJoCo met values that are not finite or too large."
             )
         self.task.update(self.model, self.data, DT)
-        self._measure()
+        self._measure(DT)
         self.touch.sense(self.data)
         self.out_of_range += not (self.touch.in_range and (self.finger is None or self.finger.in_range))
         return self._observe()
@@ -253,21 +252,6 @@ class World:
 
     # ---------------------------------------------------------------- senses
 
-    def _measure(self) -> None:
-        """Takes the tip's markers of this control step."""
-        self.markers = self._pipeline.read(self.tip, DT) if self._pipeline.measures else self.tip
-
-    @property
-    def tip(self) -> np.ndarray:
-        """Where the finger's tip is (5,): x, y, z in mm, bend towards +z and towards +y in rad.
-
-        In the frame in which the base is thought to stand, x along the straight finger.
-        """
-        d = self.data
-        flange = d.site_xmat[self._flange].reshape(3, 3)
-        at = self._placing.in_base(d.site_xpos[self._tip], d.site_xpos[self._flange], flange)
-        return np.append(at, self._placing.turned + [self.spine_rad.sum(), 0.0])
-
     def _observe(self) -> Observation:
         d = self.data
         s = self.touch.pixels
@@ -287,11 +271,6 @@ class World:
         return self.data.time
 
     @property
-    def pressure_kpa(self) -> float:
-        """Pressure in the finger's chamber, kPa; behind the command where the twin has a valve lag."""
-        return float(self._pipeline.pressure_kpa[0])
-
-    @property
     def success(self) -> bool:
         """Whether the task is done."""
         return self.task.success()
@@ -300,34 +279,6 @@ class World:
     def failure(self) -> str | None:
         """What has spoilt the trial, or None."""
         return self.task.failure()
-
-    @property
-    def spine_rad(self) -> np.ndarray:
-        """Spine joint angles (N,), rad."""
-        return self.data.qpos[self._spine].copy()
-
-    @property
-    def press_mm(self) -> float:
-        """How far the gel's surface is pressed in, mm; the force on it is GEL_STIFFNESS times this."""
-        return -1e3 * float(self._pad.qpos[0])
-
-    @property
-    def imprint_m(self) -> np.ndarray | None:
-        """Where the gel is pressed, in its frame: across and along the finger (2,), metres; None where not.
-
-        Along is positive towards the tip. The tactile image shows the same.
-        """
-        return imprint_m(self.model, self.data)
-
-    @property
-    def flange_m(self) -> np.ndarray:
-        """Flange position (3,), metres."""
-        return self.data.site_xpos[self._flange].copy()
-
-    @property
-    def gel_m(self) -> np.ndarray:
-        """Middle of the gel window on the resting surface (3,), metres."""
-        return self.data.site_xpos[self._gel].copy()
 
     def render(self, width: int = 480, height: int = 360) -> np.ndarray:
         """Picture of the scene with the tactile image in a corner, uint8 (height, width, 3)."""
