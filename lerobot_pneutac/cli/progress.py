@@ -1,4 +1,4 @@
-"""How far a verb has come: a bar on a terminal, a line every ten seconds elsewhere."""
+"""How far a verb has come: a bar on a terminal, elsewhere a line at once and then every ten seconds."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -36,12 +36,12 @@ def progress_bar(console: Console) -> Iterator[Callable[[str, int, int], None]]:
 
 
 def _lines(console: Console) -> Callable[[str, int, int], None]:
-    last = time.monotonic()
+    last = -LINE_S
 
     def progress(text: str, done: int, total: int) -> None:
         nonlocal last
         if time.monotonic() - last >= LINE_S:
             last = time.monotonic()
-            console.print(f"{text}: {done} of {total}" if total else f"{text} ...", highlight=False)
+            console.print(f"{text}: {done} of {total}" if total > 1 else f"{text} ...", highlight=False)
 
     return progress

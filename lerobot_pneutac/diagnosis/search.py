@@ -141,7 +141,7 @@ class Search:
                 break
             settled = self.score(self.space.settle(taken.model))
             best = settled if settled.value < taken.value else taken
-            self.tell(f"found {' + '.join(best.model.form.effects)}: {best.value**0.5:.3g}")
+            self.tell(f"found {' + '.join(best.model.form.effects)}: error {best.value**0.5:.3g}")
             found.path.append(best)
             found.rivals.append([d for d in done if d is not taken])
             beam = [best, *(d for d in done if d is not taken)][:BEAM]
@@ -157,7 +157,7 @@ class Search:
         front = list(self.run(lambda s: self.space.settle_line(s.model), _best_of_each(quick, 2)))
         done = _best_of_each(sorted([chosen, *map(self.score, front)], key=lambda s: s.value), 1)
         for s in done:
-            self.tell(f"{' + '.join(s.model.form.effects)}: {s.value**0.5:.4g}")
+            self.tell(f"trying {' + '.join(s.model.form.effects) or 'the base'}: error {s.value**0.5:.3g}")
         near = done[0].value + 0.02 * max(done[0].value, self.floor2)
         top = sorted((s for s in done if s.value <= near), key=lambda s: s.model.cost)
         first = top[0]

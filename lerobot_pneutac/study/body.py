@@ -150,7 +150,7 @@ class BodyStudy(EffectStudy):
         began = time.perf_counter()
         with ThreadPoolExecutor(jobs) as pool:
             search = BodySearch(self, pool.map, lambda text: steps.expect(text, 0))
-            steps.expect("the twin as it is", 1)
+            steps.expect("fitting the twin as it is", 1)
             before = self.as_it_is(search)
             done = search.find()
             steps.done()
