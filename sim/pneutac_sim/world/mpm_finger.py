@@ -53,6 +53,8 @@ class MpmFinger:
         """
         warm, q_cmd = torque is not None, np.asarray(q_cmd, float)
         self.substeps = 0
+        if not warm:
+            self._raised[:] = 1.0
         for first in (False,) if warm else (True, False):  # afresh, what the body takes back is not known yet
             load = self._compliance * torque if warm else 0.0
             target = q_cmd * self._raised + load

@@ -123,7 +123,7 @@ def worlds():
 
 
 def test_two_seconds_in_the_world_agree_with_the_skeleton(worlds):
-    """In free space within 2 %: what the body takes back from a controller of 20 N m/rad."""
+    """In free space: what the body takes back of the bend is in the calibrated targets already."""
     skeleton, full = worlds
     bends = []
     for world in worlds:
@@ -133,7 +133,7 @@ def test_two_seconds_in_the_world_agree_with_the_skeleton(worlds):
             world.step([0.0, 0.0, 0.0, min(1.5 * k, 15.0)])
             bends[-1].append(world.spine_rad.sum())
     difference = np.array(bends[1]) / np.array(bends[0]) - 1
-    assert (np.abs(difference) < 0.02).all() and (difference < -0.005).all()
+    assert (np.abs(difference) < 0.001).all()
     again = full.reset(0).state
     np.testing.assert_array_equal(full.reset(0).state, again)
     assert full.finger.substeps > 0 and skeleton.finger is None
