@@ -20,7 +20,7 @@ def test_steps_count_work_that_grows():
     Steps().done()
 
 
-def test_without_a_terminal_there_is_a_line_every_ten_seconds(monkeypatch):
+def test_without_a_terminal_there_is_a_line_at_once_and_every_ten_seconds(monkeypatch):
     now = [0.0]
     monkeypatch.setattr(module.time, "monotonic", lambda: now[0])
     console = Console(file=io.StringIO(), width=80)
@@ -28,7 +28,7 @@ def test_without_a_terminal_there_is_a_line_every_ten_seconds(monkeypatch):
         for i in range(25):
             now[0] = float(i)
             progress("fitting", i, 25)
-    assert console.file.getvalue().splitlines() == ["fitting: 10 of 25", "fitting: 20 of 25"]
+    assert console.file.getvalue().splitlines() == [f"fitting: {i} of 25" for i in (0, 10, 20)]
 
 
 def test_a_terminal_gets_a_bar_that_leaves_nothing_behind():
