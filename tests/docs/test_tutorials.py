@@ -13,7 +13,7 @@ pytestmark = pytest.mark.timeout(1200)  # two busy cores; a page takes one or tw
     "page",
     [
         pytest.param("docs/tutorials/missing_effect.md", marks=SLOW),
-        pytest.param("docs/tutorials/digit_from_two_images.md", marks=SLOW),
+        pytest.param("docs/tutorials/digit_from_two_images.md", marks=NIGHTLY),
         pytest.param("docs/how_to/add_a_task.md", marks=SLOW),
         pytest.param("docs/how_to/networks.md", marks=SLOW),
         # The same loop, without augmentation and stand-in, is in the README and in test_plugin_loop.

@@ -64,11 +64,13 @@ def fabric_segment():
     return diagnose(Twin("finger", recording.length_mm), recording)
 
 
+@pytest.mark.nightly
 def test_real_segment_lag_and_creep_are_told_apart(fabric_segment):
     d = fabric_segment
     assert "creep" in families(d) and (AIR & set(families(d)) or AIR & set(d.outcome.after.effects))
     assert d.reduction[1][0] > 0  # the whole interval: the error surely falls
 
 
+@pytest.mark.nightly
 def test_real_segment_error_is_halved(fabric_segment):
     assert fabric_segment.after["heldout"] < 0.5 * fabric_segment.before["heldout"]
