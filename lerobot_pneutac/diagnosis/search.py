@@ -154,8 +154,8 @@ class Search:
         cheap = min(bare, key=lambda s: (s.model.cost, s.value))
         chosen = bare[0] if self._surely(cheap, bare[0], 0.05 * max(cheap.value - self.floor2, 0)) else cheap
         quick = self.fits(self.space.with_lines(chosen.model), 2, 4)
-        front = list(self.run(lambda s: self.space.settle_line(s.model), _best_of_each(quick, 2)))
-        done = _best_of_each(sorted([chosen, *map(self.score, front)], key=lambda s: s.value), 1)
+        front = list(self.run(lambda s: self.space.settle_line(s.model), best_of_each(quick, 2)))
+        done = best_of_each(sorted([chosen, *map(self.score, front)], key=lambda s: s.value), 1)
         for s in done:
             self.tell(f"trying {' + '.join(s.model.form.effects) or 'the base'}: error {s.value**0.5:.3g}")
         near = done[0].value + 0.02 * max(done[0].value, self.floor2)
@@ -210,7 +210,7 @@ class Search:
             best = without[weakest]
 
 
-def _best_of_each(scored: list[Scored], most: int) -> list[Scored]:
+def best_of_each(scored: list[Scored], most: int) -> list[Scored]:
     """The best few of each structure, in order."""
     count: dict[tuple, int] = {}
     out = []

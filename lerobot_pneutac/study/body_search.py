@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from lerobot_pneutac.diagnosis.black_box import share_left
 from lerobot_pneutac.diagnosis.bootstrap import Resampler
-from lerobot_pneutac.diagnosis.search import Found, Scored, Search
+from lerobot_pneutac.diagnosis.search import Found, Scored, Search, best_of_each
 from lerobot_pneutac.diagnosis.votes import chosen_in, deal_folds
 from lerobot_pneutac.study.body_model import BodyFitter, BodyModel, Form, Reading
 from lerobot_pneutac.study.body_space import LINES, BodySpace
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 MOST_ROWS = 1700  # of the learning part that fits use
 JOINTS = 8  # tried where the twin has fewer
 SMOOTH_SAMPLES = 2.0
+ADEQUATE = 1.1  # times the noise: what is nearer needs no other line
 NEAR = 1.4  # times the noise: what is nearer needs no trials that differ
 
 
@@ -103,7 +104,10 @@ class BodySearch:
         joints = len(study.twin.spine_joint_positions_mm)
         reading = Reading(target="pressure", start=study.start)
         space = BodySpace(fitter, own, [joints], candidates, _lines(own, study.excluded), reading)
-        return self._search(space, study.air_noise).find()
+        found = self._search(space, study.air_noise).find()
+        settled = self._score(space.settle_air(found.final.model))
+        found.final = min(found.final, settled, key=lambda s: s.value)
+        return found
 
     def _driven(self, air: Found) -> Recording:
         """The recording with the best guess of the true pressure: the modelled one and the smoothed rest."""
@@ -140,7 +144,34 @@ class BodySearch:
             self.tell("each trial seems to have a zero of its own; the search begins anew beside that")
             space.trials = True
             found = self._search(space, study.noise.value).find()
-        return Searched(space, found, self._simplified(space, found, own))
+        return Searched(space, found, self._settled(space, self._simplified(space, found, own)))
+
+    def _settled(self, space: BodySpace, model: Scored) -> Scored:
+        """The model with its air fitted to the moments after steps, or another line where that is surely better.
+
+        The line was chosen before any term was known.
+        """
+        best = model
+        for air in (model, *self._relined(space, model)):
+            settled = self._score(space.settle_air(air.model))
+            best = min(best, air, settled, key=lambda s: s.value)
+        drop, low, _ = self.judge.drop(model.crossed, best.crossed)
+        return best if best.model.form == model.model.form or low > 0 else model
+
+    def _relined(self, space: BodySpace, model: Scored) -> list[Scored]:
+        """The two best models with another line, where the error is not at the noise."""
+        search = self._search(space, self.study.noise.value)
+        if model.value < ADEQUATE**2 * search.floor2:
+            return []
+        of_lines = {e for line in space.lines for e in line}
+        bare = replace(
+            model.model.form, effects=tuple(e for e in model.model.form.effects if e not in of_lines)
+        )
+        quick = search.fits(space.with_lines(replace(model.model, form=bare)), 2, 4)
+        line = lambda s: {*s.model.form.effects} & of_lines  # noqa: E731
+        others = [s for s in best_of_each(quick, 1) if line(s) != line(model)][:4]
+        front = self.run(lambda s: space.settle_line(s.model), others)
+        return sorted(map(self._score, front), key=lambda s: s.value)[:2]
 
     def _trials_differ(self, space: BodySpace, found: Found) -> bool:
         """Whether offsets, gains and zeros of single trials explain a good part of what a search leaves."""

@@ -5,11 +5,12 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
+from scipy.optimize import minimize
 
 from lerobot_pneutac.study.body_model import BodyFitter, BodyModel, Form, Reading
 from pneutac_sim.effects.laws import is_law, law_names, starts
 from pneutac_sim.effects.registry import body_effects, get_effect
-from pneutac_sim.finger.instants import instants, step_rows
+from pneutac_sim.finger.instants import StepErrors, instants, step_rows
 
 LINES = (
     (),
@@ -21,6 +22,7 @@ LINES = (
     ("dead_time", "orifice_flow"),
     ("dead_time", "valve_slew"),
 )
+AWAY, TRIES = 0.03, 40  # of the air's parameters: first move, share of the range; and evaluations each
 PAUSES_S = (0.0, 2.0, 4.0, 6.0, 9.0, 15.0, 30.0, 100.0)
 
 
@@ -264,6 +266,43 @@ class BodySpace:
                 break
         return self.fitter.fit(model.form, model.values, 8)
 
+    def settle_air(self, model: BodyModel) -> BodyModel:
+        """Fits the air by the samples just after the command's steps, each step at the instant that suits it.
+
+        Instants and lags are nearly interchangeable, and a dead time moves the error in jumps: least squares
+        on thinned samples, in turns with the instants, stops early.
+        """
+        air = [
+            j for j, i in enumerate(model.free)
+            if (e := model.pipeline.names[i].rpartition(".")[0]) and get_effect(e).stage == "pneumatics"
+        ]  # fmt: skip
+        if not air or not len(self._steps):
+            return model
+        read = lambda share: self.fitter.data(replace(model.form.reading, switch=share))  # noqa: E731
+        steps, index = StepErrors(self.fitter.recording, read, model.pipeline), model.free[air]
+
+        def theta(v: np.ndarray) -> np.ndarray:
+            out = model.theta.copy()
+            out[index] = model.bounds.value(np.clip(v, 0.0, 1.0), index)
+            return out
+
+        first = model.v[air]
+        away = np.where(first < 0.5, AWAY, -AWAY) * np.eye(len(air))
+        best = minimize(
+            lambda v: steps.least(theta(v)),
+            first,
+            method="Nelder-Mead",
+            options={
+                "initial_simplex": np.vstack([first, first + away]),
+                "maxfev": TRIES * len(air),
+                "xatol": 1e-5,
+                "fatol": 1e-4 * steps.least(model.theta),
+            },
+        ).x
+        values = dict(zip(model.pipeline.names, map(float, theta(best)), strict=True))
+        moved = self.with_instants(self.fitter.fit(model.form, values, 0, hold=True), 1)
+        return self.fitter.fit(moved.form, moved.values, 8)
+
     def again_whole(self, model: BodyModel) -> BodyModel:
         """The same parameters, judged on all rows of the search."""
         return self.fitter.fit(model.form, model.values, 0, hold=True)
@@ -284,8 +323,9 @@ class BodySpace:
         return [e for e in model.form.effects if e not in self.kept]
 
     def without(self, model: BodyModel, effect: str) -> BodyModel:
-        """The model re-fitted without an effect."""
-        return self.fitter.fit(model.form.without(effect), model.values, 8)
+        """The model re-fitted without an effect; without one of the air, steps seem to come at other instants."""
+        left = self.fitter.fit(model.form.without(effect), model.values, 8)
+        return self.settle_line(left) if get_effect(effect).stage == "pneumatics" else left
 
     # ---------------------------------------------------------------- how it was recorded
 

@@ -33,8 +33,8 @@ EFFECT = BodyEffect(
     name="valve_lag",
     stage="pneumatics",
     parameters=(
-        Parameter("fill_time_s", "s", default=0.3, lower=0.02, upper=3.0, log=True),
-        Parameter("vent_time_s", "s", default=0.3, lower=0.02, upper=3.0, log=True),
+        Parameter("fill_time_s", "s", default=0.3, lower=0.005, upper=3.0, log=True),
+        Parameter("vent_time_s", "s", default=0.3, lower=0.005, upper=3.0, log=True),
     ),
     run=run,
     apart=True,
