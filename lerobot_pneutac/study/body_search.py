@@ -147,7 +147,7 @@ class BodySearch:
         return Searched(space, found, self._settled(space, self._simplified(space, found, own)))
 
     def _settled(self, space: BodySpace, model: Scored) -> Scored:
-        """The model with its air fitted to the moments after steps, or another line where that is surely better.
+        """The model with its air fitted to the moments after steps, or another line if surely better.
 
         The line was chosen before any term was known.
         """

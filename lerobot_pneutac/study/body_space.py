@@ -323,7 +323,7 @@ class BodySpace:
         return [e for e in model.form.effects if e not in self.kept]
 
     def without(self, model: BodyModel, effect: str) -> BodyModel:
-        """The model re-fitted without an effect; without one of the air, steps seem to come at other instants."""
+        """The model re-fitted without an effect; without one of the air, steps seem to come otherwise."""
         left = self.fitter.fit(model.form.without(effect), model.values, 8)
         return self.settle_line(left) if get_effect(effect).stage == "pneumatics" else left
 
