@@ -30,6 +30,7 @@ class Evidence:
         selected: effects and laws found, the most important first.
         removed: share of the avoidable error that they remove together.
         at_bound: constants of what was found that stopped at a bound.
+        cancelling: laws each of which moves the device by more than it travels, so that others take it back.
         near_miss: effects that helped, but not for sure.
         left_to_black_box: share of what is left that a black box removes.
         forward: whether it holds for the later part when fitted to the earlier one.
@@ -46,6 +47,7 @@ class Evidence:
     selected: list[str]
     removed: float
     at_bound: list[str] = field(default_factory=list)
+    cancelling: list[str] = field(default_factory=list)
     near_miss: list[str] = field(default_factory=list)
     left_to_black_box: float = 0.0
     forward: bool = True
@@ -80,6 +82,9 @@ class Evidence:
             out.append(f"only {100 * self.agreed:.0f} % of the splits chose it")
         if self.at_bound:
             out.append(f"{', '.join(self.at_bound)} stopped at a bound")
+        if self.cancelling:
+            laws = " and ".join(self.cancelling)
+            out.append(f"{laws} would alone move it by more than it travels, and cancel with the rest")
         return out
 
 

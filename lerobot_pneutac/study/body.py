@@ -27,7 +27,7 @@ from pneutac_datasets.recording.checks import check
 from pneutac_datasets.recording.mounts import on_one_mount
 from pneutac_datasets.recording.noise import noise_floor
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.effects.laws import family, starts
+from pneutac_sim.effects.laws import family, is_law, starts
 from pneutac_sim.effects.registry import body_effects, get_effect, of_body
 from pneutac_sim.finger.confidence import Z95, confidence
 from pneutac_sim.finger.data import BodyData
@@ -294,11 +294,24 @@ class BodyStudy(EffectStudy):
             selected=done.terms,
             removed=float(np.clip(removed, -1, 1)) if done.terms else 0.0,
             at_bound=[n for n in after.at_bound if n.rpartition(".")[0] in done.terms],
+            cancelling=self._cancelling(after, done.terms),
             left_to_black_box=done.black_box,
             forward=done.forward,
             agreed=min(agreed, default=1.0),
             noise_known=self.noise.known,
         )
+
+    def _cancelling(self, model: FittedModel, terms: Sequence[str]) -> list[str]:
+        """Laws each of which moves the device by more than it travels."""
+        data = read(self.recording, model.twin)
+        seen, out = predict(model.twin, data)[0], []
+        travel = np.linalg.norm(np.ptp(data.measured[:, : data.counted], axis=0))
+        for law in filter(is_law, terms):
+            others = {k: v for k, v in model.twin.effects.items() if k != law}
+            moved = seen - predict(replace(model.twin, effects=others), data)[0]
+            if np.linalg.norm(moved, axis=1).max() > travel:
+                out.append(law)
+        return out
 
     def refit(self, effects: Sequence[str], start: FittedModel | None, steps: Steps) -> FittedModel:
         """All parameters of the twin and of these effects, fitted to all but the test part.

@@ -29,6 +29,7 @@ NOTHING = {"selected": [], "removed": 0.0}
         ({"agreed": 0.49}, "insufficient_form"),
         ({"agreed": 0.5}, "missing_effect"),
         ({"at_bound": ["lag(p).time_s"]}, "insufficient_form"),
+        ({"cancelling": ["lag(p)"]}, "insufficient_form"),
         ({"removed": 0.51}, "missing_effect"),
         ({"removed": 0.49}, "unknown_effect"),
         ({"removed": 0.49, "after": 4.0}, "unknown_effect"),
@@ -67,6 +68,10 @@ def test_verdicts_follow_the_evidence(change, verdict):
         ({"forward": False}, ["fitted to the earlier part, it does not hold in the later one"]),
         ({"agreed": 2 / 7}, ["only 29 % of the splits chose it"]),
         ({"at_bound": ["a.b", "c.d"]}, ["a.b, c.d stopped at a bound"]),
+        (
+            {"cancelling": ["a", "b"]},
+            ["a and b would alone move it by more than it travels, and cancel with the rest"],
+        ),
     ],
 )
 def test_each_objection_is_one_phrase(change, said):

@@ -13,7 +13,7 @@ from lerobot_pneutac.verbs.diagnose import diagnose
 from pneutac_sim.effects.laws import family, is_law, law
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import simulate
-from pneutac_sim.twin import Twin
+from pneutac_sim.twin import Twin, Value
 
 pytestmark = pytest.mark.slow
 
@@ -30,6 +30,23 @@ def test_hidden_creep_is_found_down_to_the_noise(creep):
     assert family(creep.selected[0]) == "creep"
     assert creep.outcome.evidence.after < 1.15 < 3 < creep.outcome.evidence.before
     assert creep.outcome.evidence.left_to_black_box < 0.2 and creep.outcome.evidence.forward
+
+
+def test_laws_that_cancel_each_other_are_seen(creep):
+    """Two equal laws of opposite sign change no prediction, so no error tells of them."""
+    from dataclasses import replace
+
+    from lerobot_pneutac.diagnosis.model import FittedModel
+
+    def constants(weight):
+        return {"weight": Value(weight), "scale_kpa": Value(15.0), "time_s": Value(8.0)}
+
+    twin, study = creep.outcome.after.twin, creep.study
+    for weight, expected in ((0.05, []), (30.0, ["lag(p)", "lag(p) #2"])):
+        both = {"lag(p)": constants(weight), "lag(p) #2": constants(-weight)}
+        other = replace(twin, effects=both)
+        model = FittedModel(effects=tuple(both), residual=study.residual(other), count=2, twin=other)
+        assert study._cancelling(model, list(both)) == expected
 
 
 def test_the_result_keeps_its_contract(creep):
