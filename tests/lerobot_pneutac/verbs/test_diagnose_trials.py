@@ -1,0 +1,26 @@
+"""`pneutac diagnose` where trials differ: for a reason that is on record, or by a zero of their own."""
+
+import pytest
+
+from lerobot_pneutac.verbs.diagnose import diagnose
+from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.twin import Twin
+from pneutac_truths import generate, write
+
+pytestmark = pytest.mark.slow
+
+
+def found(truth, folder):
+    recording = Recording.load(write(generate("rod", [truth], 12), folder / "day"))
+    return diagnose(Twin("finger", recording.length_mm), recording, jobs=1)
+
+
+def test_zeros_of_trials_do_not_swallow_weight_and_payload(tmp_path):
+    """They are constant in each trial, so zeros explain them as well until a trial is left out."""
+    d = found("gravity_and_payload", tmp_path)
+    assert {"gravity", "payload"} <= set(d.selected)
+    assert d.after["heldout"] < 0.4 * d.before["heldout"]
+
+
+def test_a_marker_that_slips_is_no_law(tmp_path):
+    assert found("marker_slip", tmp_path).verdict == "unknown_effect"
