@@ -59,13 +59,18 @@ def standard_solid(w: World, relax_s: float, size: float) -> None:
 )
 def hysteresis_preisach(w: World, width: float, size: float) -> None:
     """`size`: weight of the relays; `width`: scale of the distribution of their half widths."""
+    x = share_of(w)
+    relays = _relays(np.ascontiguousarray(x), *relay_plane(width))
+    w.memory = w.memory + size * w.body.bend_rad * (relays - x)
+
+
+def relay_plane(width: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Thresholds up and down, shares of the top bend, and weights of the relays, three (780,)."""
     side = np.linspace(0.01, 0.99, 40)
     up, down = (a[np.triu_indices(40, 1)] for a in np.meshgrid(side, side))
     up, down = np.maximum(up, down), np.minimum(up, down)
     weight = np.exp(-(up - down) / (2 * width)) * np.exp(-((((up + down) / 2 - 0.45) / 0.4) ** 2))
-    x = share_of(w)
-    relays = _relays(np.ascontiguousarray(x), up, down, weight / weight.sum())
-    w.memory = w.memory + size * w.body.bend_rad * (relays - x)
+    return up, down, weight / weight.sum()
 
 
 @njit(cache=True)
