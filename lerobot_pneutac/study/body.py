@@ -23,10 +23,12 @@ from lerobot_pneutac.study.body_search import BodySearch, Searched, base_effects
 from lerobot_pneutac.study.body_space import BodySpace
 from lerobot_pneutac.study.pair import LONGER, enough_rows
 from lerobot_pneutac.study.reading import read
+from lerobot_pneutac.study.slips import find_slip
 from pneutac_datasets.recording.checks import check
 from pneutac_datasets.recording.mounts import on_one_mount
-from pneutac_datasets.recording.noise import noise_floor
+from pneutac_datasets.recording.noise import headline, noise_floor
 from pneutac_datasets.recording.recording import Recording
+from pneutac_datasets.recording.tracker import where
 from pneutac_sim.effects.laws import family, is_law, starts
 from pneutac_sim.effects.registry import body_effects, get_effect, of_body
 from pneutac_sim.finger.confidence import Z95, confidence
@@ -36,6 +38,7 @@ from pneutac_sim.twin import Twin, Value
 REPEAT = "Run the same program twice, an hour apart: what comes back is the device, what does not is the lab."
 RESTED_S = 1e4  # a pause at zero pressure after which everything has rested
 EDGE = 1e-3
+MOST_SLIPS = 3
 
 
 class BodyStudy(EffectStudy):
@@ -72,6 +75,7 @@ class BodyStudy(EffectStudy):
         enough_rows(twin, self.recording, [*self.own, *(adding or [largest])], self.parts.train)
         self.recording, moved = on_one_mount(self.recording, twin, self.parts.train)
         self.findings = self.findings + moved
+        self._checked = len(self.findings)
         self.noise = noise_floor(self.recording)
         self.unit = self.noise.unit
         self.measured = gauge.measured_columns(self.recording)
@@ -136,7 +140,33 @@ class BodyStudy(EffectStudy):
         form = Form(tuple(self.own), reading, len(self.twin.spine_joint_positions_mm), own)
         space = BodySpace(fitter, self.own, [form.joints], [], ((),), form.reading)
         models = [fitter.fit(form, v, 12) for v in ({}, fitter.rough(form))]
-        return min((search._score(space.settle_line(m)) for m in models), key=lambda s: s.value)
+        found = min((search._score(space.settle_line(m)) for m in models), key=lambda s: s.value)
+        return self._slipped(search, found) or found
+
+    def _slipped(self, search: BodySearch, found: Scored) -> Scored | None:
+        """The same with a slip of the marker taken back; None where there surely is none."""
+        was, model = (self.recording, self.findings), found.model
+        columns, _ = headline(self.recording)
+        J = model.jacobian.reshape(len(search.rows), -1, model.jacobian.shape[1])[:, : len(columns)]
+        residual, trial = self.fitted(model).residual, np.asarray(self.recording.samples["trial"])
+        slip = find_slip(residual, trial, search.rows, J.reshape(-1, J.shape[2]), self.noise.value)
+        if slip is None or len(was[1]) - self._checked >= MOST_SLIPS:
+            return None
+        row, shift = slip
+        samples = self.recording.samples.copy()
+        samples.loc[samples.index[row:], columns] -= shift
+        moved = ", ".join(f"{c} by {x:.3g}" for c, x in zip(columns, shift, strict=True))
+        self.recording = replace(self.recording, samples=samples)
+        self.findings = [
+            *was[1],
+            f"The marker slipped in {where(self.recording, row)}: from there on everything is seen "
+            f"elsewhere, {moved}; rows from {row + 1} on are moved back for this judgement.",
+        ]
+        without = self.as_it_is(search)
+        if search.judge.drop(found.crossed, without.crossed)[1] > 0:
+            return without
+        self.recording, self.findings = was
+        return None
 
     def residual(self, twin: Twin) -> np.ndarray:
         """(n, k) measured minus predicted from the commanded pressure, each step at its own instant."""

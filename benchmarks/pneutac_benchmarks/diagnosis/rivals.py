@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -44,7 +44,8 @@ def solve(case: Case) -> dict:
                 k: found[k] for k in ("after", "ratio", "removed", "seconds", "verdict", "selected")
             }
             answer["before"] = found["before"] if name == "laws" else answer["before"]
-        first, second = _features(d.study.recording, d.study), _features(days.judge, d.study)
+        told = [c for c in d.study.recording.samples if c in days.judge.samples]
+        first, second = (_features(r, told, d.study) for r in (d.study.recording, days.judge))
         left, rest = d.outcome.before.residual, days.residual(d.outcome.before.twin)
         for name, method in METHODS.items():
             began = time.perf_counter()
@@ -59,8 +60,12 @@ def solve(case: Case) -> dict:
     return answer | {"constant": constant, "methods": methods}
 
 
-def _features(recording, study) -> np.ndarray:
-    """(n, f) causal signals of the command and the conditions of any day."""
+def _features(recording, told: list[str], study) -> np.ndarray:
+    """(n, f) causal signals of the command and the conditions of any day, by columns that both days have."""
     from lerobot_pneutac.study.body_search import features
 
-    return features(SimpleNamespace(recording=recording, twin=study.twin, start=study.start))
+    return features(
+        SimpleNamespace(
+            recording=replace(recording, samples=recording.samples[told]), twin=study.twin, start=study.start
+        )
+    )
