@@ -1,7 +1,5 @@
 """Where each effect acts, asked of the places themselves: pipeline, material points, world and so on."""
 
-from functools import cache
-
 from mkdocs.structure.files import File
 
 from pneutac_sim.effects import SensorEffect, all_effects, get_effect
@@ -9,7 +7,6 @@ from pneutac_sim.effects.laws import law_names
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger.online import COMPUTED, PressurePipeline
 from pneutac_sim.mpm.devices import joint_targets
-from pneutac_sim.surrogate.fingerprint import fingerprint, gel_fingerprint
 from pneutac_sim.twin import Twin
 
 LEAD = """# Where effects act
@@ -21,8 +18,8 @@ from its stage and signal, so an effect of [your own](../how_to/add_an_effect.md
 slow sweep in free air moves the tip in the world as in the bench pipeline, within 0.3 % of the finger's
 length (`tests/sim/world/test_effects_act.py`).
 
-- *Networks* means the fidelity `surrogate`. `anew`: a twin with the effect needs networks of its own
-  (`pneutac surrogate`), and a world without them stops with that sentence.
+- *Networks* means the fidelity `surrogate`. They know how body and gel are deformed and not by what, so a
+  twin keeps them when effects are added; another shape or material needs others (`pneutac surrogate`).
 - *No pictures*: `render` and the fit to photographs stop and name the effect, since the shape of the material
   points follows the joints alone; `compare --fidelity=mpm` and the world have it.
 - What an effect needs is given as [conditions](fidelity.md#conditions); without them a world stops and names
@@ -64,12 +61,6 @@ def _needs(name: str) -> str:
     return ", ".join(f"`{c}`" for c in columns if c not in COMPUTED)
 
 
-@cache
-def _plain() -> tuple[str, str]:
-    twin = Twin.builtin()
-    return fingerprint(twin), gel_fingerprint(twin)
-
-
 def places(name: str) -> tuple[str, ...]:
     """What the effect acts on in each of `PLACES`."""
     effect, twin = get_effect(name), Twin.builtin()
@@ -77,7 +68,7 @@ def places(name: str) -> tuple[str, ...]:
     if isinstance(effect, SensorEffect):
         if effect.of_session:
             return ("photographs", *("-",) * (len(PLACES) - 1))
-        return ("image", "image", _networks("image", gel_fingerprint(twin), _plain()[1]), "image", "area")
+        return ("image", "image", "image", "image", "area")
     given = dict.fromkeys(effect.columns, 1.0)
     pipeline = PressurePipeline(twin, given)
     on = "tip" if pipeline.moves else "reading" if pipeline.measures else "joints"
@@ -86,9 +77,4 @@ def places(name: str) -> tuple[str, ...]:
         full = on
     except InputError:
         full = f"{on}; no pictures"
-    network = _networks(on, fingerprint(twin), _plain()[0])
-    return (on, full, network, on, "-" if on == "reading" else on)
-
-
-def _networks(on: str, own: str, plain: str) -> str:
-    return on if own == plain else f"{on}; anew"
+    return (on, full, on, on, "-" if on == "reading" else on)

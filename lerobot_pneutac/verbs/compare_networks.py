@@ -5,17 +5,15 @@ from pathlib import Path
 import numpy as np
 
 from pneutac_sim.finger import BodyData, Pipeline
-from pneutac_sim.surrogate.finger import SurrogateFinger
 from pneutac_sim.surrogate.fingerprint import fingerprint
 from pneutac_sim.surrogate.network import ActionNetwork
-from pneutac_sim.surrogate.programs import bending_pressure
 from pneutac_sim.twin import Twin
 
 
 def out_of_range(twin: Twin, bench: BodyData) -> tuple[float | None, str | None]:
     """Share of samples whose bending pressure or joint angles lie outside the training, and a sentence.
 
-    Each sample's joints are brought to rest under the network, as in the world; those states count.
+    Each sample's joint angles count, as in the world in free air.
 
     Args:
         twin: of a finger or an arm; both results are None where it has no action network of its own.
@@ -30,21 +28,17 @@ def out_of_range(twin: Twin, bench: BodyData) -> tuple[float | None, str | None]
     network = ActionNetwork.load(file)
     if network.fingerprint != fingerprint(twin):
         return None, (
-            "The twin's action network was trained before its parameters or effects changed, so its range "
+            "The twin's action network was trained before its body's shape or material changed, so its range "
             f"says nothing; run `pneutac surrogate --twin={Path(file).parent}`."
         )
     pipeline = Pipeline.of(twin, bench.inputs)
     joints = pipeline.run(bench.inputs, pipeline.theta(twin, bench.inputs.pressure_range_kpa)).joints
-    finger = SurrogateFinger(twin, network)
-    outside = np.empty(len(joints), bool)
-    for i, q in enumerate(joints):
-        finger.bend(q)
-        outside[i] = not finger.in_range
+    outside = np.array([not network.resistance(q, q)[2] for q in joints])
     share = float(outside.mean())
     if not outside.any():
         return share, "All samples lie within what the twin's action network was trained with."
     low, high = network.low[-1], network.high[-1]
-    asked = bending_pressure(twin, joints)
+    asked = network.pressure_kpa(joints)
     return share, (
         f"{100 * share:.2g}% of samples lie outside what the twin's action network was trained with (bending "
         f"pressures from {low:.3g} to {high:.3g} kPa; the recording's go from {asked.min():.3g} to "

@@ -11,6 +11,7 @@ from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.total_lagrangian import TotalLagrangian
 
 CHUNK = {"cpu": 25, "cuda": 50}  # substeps between two looks at the residual
+SLOWEST = 12  # times slower than the guess may the slowest motion be; a rate too low lets all swing on
 RAMP = 160  # substeps in which an indenter that begins inside the body is driven in
 
 
@@ -114,6 +115,7 @@ def _settle(
         (B,) unbalanced forces over those from outside, and the substeps taken.
     """
     rate = _round(solver.slowest_rate())
+    least = rate / SLOWEST
     solver.apply(loads, damping=2 * rate, contact_rate=2 * rate)
     taken = 0
     chunk = CHUNK[solver.device]
@@ -133,7 +135,7 @@ def _settle(
         # A motion slower than the guess shows once the fast ones have died away; where hardly anything
         # moves any more, what shows is rounding.
         moves = (m["rate"] > 0) & (residual >= tolerance)
-        slower = _round(np.where(moves, np.minimum(rate, m["rate"]), rate))
+        slower = np.maximum(_round(np.where(moves, np.minimum(rate, m["rate"]), rate)), least)
         if (slower < rate).any():
             rate = slower
             solver.pace(rate)

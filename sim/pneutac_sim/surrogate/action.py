@@ -81,13 +81,17 @@ def train_action(
     skeleton = _skeleton(twin, plan)
     x, y = pairs(skeleton, train)
     mean, scale = x.mean(0), np.maximum(x.std(0), 1e-6)
+    torque_mean = y.mean(0)
+    slope = np.linalg.lstsq((x - mean) / scale, y - torque_mean, rcond=None)[0]
+
+    def bent(x, y):
+        return y - torque_mean - (x - mean) / scale @ slope
+
     # One scale for all joints: a torque moves each of them by torque / K.
-    torque_mean, torque_scale = y.mean(0), np.full(y.shape[1], max(float(y.std(0).mean()), 1e-9))
+    torque_scale = np.full(y.shape[1], max(float(bent(x, y).std(0).mean()), 1e-9))
     n = y.shape[1]
     noise = np.repeat([NOISE_RAD, NOISE_RAD_S, NOISE_KPA], [n, n, 1]) / scale
-    sets = [
-        ((a - mean) / scale, (b - torque_mean) / torque_scale) for a, b in ((x, y), pairs(skeleton, stop))
-    ]
+    sets = [((a - mean) / scale, bent(a, b) / torque_scale) for a, b in ((x, y), pairs(skeleton, stop))]
 
     def report(epoch, loss):
         progress(f"epoch {epoch}: error {np.sqrt(loss) * torque_scale[0]:.3g} N m")
@@ -99,12 +103,14 @@ def train_action(
         )
     return ActionNetwork(
         layers=layers,
+        slope=slope,
         mean=mean,
         scale=scale,
         torque_mean=torque_mean,
         torque_scale=torque_scale,
         low=x.min(0),
         high=x.max(0),
+        drive=np.array([twin.parameter("gain_rad_per_kpa"), twin.parameter("rest_pressure_kpa")]),
         skeleton=skeleton,
         fingerprint=fingerprint(twin),
     )
@@ -212,7 +218,7 @@ def pairs(skeleton: Skeleton, motions: list[Motion]) -> tuple[np.ndarray, np.nda
 def without_torque(network: ActionNetwork) -> ActionNetwork:
     """The same skeleton with f_r = 0."""
     zero = np.zeros_like(network.torque_mean)
-    return replace(network, torque_mean=zero, torque_scale=zero)
+    return replace(network, slope=np.zeros_like(network.slope), torque_mean=zero, torque_scale=zero)
 
 
 def _errors(network: ActionNetwork, m: Motion) -> tuple[float, float, float]:

@@ -25,7 +25,7 @@ from pneutac_sim.twin import Twin
 
 FRAME_S = 0.002  # a tenth of the period of the slowest swing of the spine with its body
 HOLDS = 8  # steps in which the targets follow their straight lines within a frame; a joint settles in 0.5 ms
-FORMAT = "pneutac-action-data/1"
+FORMAT = "pneutac-action-data/2"
 SIDE_BY_SIDE = {"cpu": 4, "cuda": 64}
 
 
@@ -123,6 +123,7 @@ def collect_action(
     label = {
         "format": FORMAT,
         "fingerprint": fingerprint(twin),
+        "drive": _drive(twin),
         "plan": json.dumps(asdict(plan), sort_keys=True),
     }
     missing = []
@@ -163,7 +164,7 @@ def read_motions(out_dir: str | Path, twin: Twin) -> tuple[Plan, list[Motion]]:
         plan = Plan(**json.loads(label["plan"]))
     except (TypeError, ValueError) as e:
         raise InputError(f"{first}: 'plan' is malformed ({e}); delete the file and collect it again.") from e
-    if label["fingerprint"] != fingerprint(twin):
+    if label["fingerprint"] != fingerprint(twin) or label["drive"] != _drive(twin):
         raise InputError(
             f"The trajectories in '{out_dir}' are of another twin; collect anew with `pneutac surrogate`."
         )
@@ -207,7 +208,7 @@ def _move(twin: Twin, plan: Plan, batch: list[int], device: str) -> list[Motion]
 def draw(twin: Twin, plan: Plan, index: int, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Joint targets (T, N) in rad and bending pressures (T,) in kPa of one trajectory of the plan.
 
-    Kinds of program take turns, and of each kind every other one is with a tip load.
+    Kinds of program take turns, and of each kind every other one is with loads.
     """
     rng = np.random.default_rng([plan.seed, index])
     steps = int(np.ceil(plan.duration_s * CONTROL_HZ)) + 1
@@ -216,7 +217,7 @@ def draw(twin: Twin, plan: Plan, index: int, time_s: np.ndarray) -> tuple[np.nda
     pressure = programs.program(kinds[index % len(kinds)], steps, low, high, rng)
     target = programs.joint_targets(twin, pressure)
     if (index // len(kinds) + index) % 2:
-        target = target + programs.tip_load(twin, target, rng)
+        target = target + programs.load(twin, target, rng)
     knots = np.arange(steps + 1) / CONTROL_HZ
     along = np.stack([np.interp(time_s, knots, column) for column in target.T], 1)
     return along, np.interp(time_s, knots, pressure)
@@ -228,13 +229,18 @@ def _write(file: Path, motion: Motion, label: dict[str, str]) -> None:
         part.write_bytes(save(arrays, label))
 
 
+def _drive(twin: Twin) -> str:
+    """What the bending pressure of the trajectories is made of."""
+    return json.dumps([twin.parameter("gain_rad_per_kpa"), twin.parameter("rest_pressure_kpa")])
+
+
 def _label(file: Path) -> dict[str, str]:
     try:
         with safe_open(file, "np") as f:
             label = f.metadata() or {}
     except (SafetensorError, OSError) as e:
         raise InputError(f"{file} is corrupted ({e}); delete it and collect it again.") from e
-    if label.get("format") != FORMAT or not {"fingerprint", "plan"} <= set(label):
+    if label.get("format") != FORMAT or not {"fingerprint", "drive", "plan"} <= set(label):
         raise InputError(f"{file} is no trajectory of the format '{FORMAT}'; delete it and collect it again.")
     return label
 

@@ -1,63 +1,70 @@
-"""The action network in the world's finger: takes the place of `world.mpm_finger.MpmFinger`.
+"""The soft body round the world's spine by the action network, in place of `world.mpm_finger.MpmFinger`.
 
-Like that one it bends to where the finger rests under what acts in this control step, free as the twin's
-pipeline says, so the two agree as far as the network is right: the swing of the finger, with the mass of its
-sensor, is the world's own, by the joint springs and dampers of the twin. Motion of the
+The chamber drives the spine with a controller of finite stiffness K_c, the body resists with its own:
+
+    M q'' + D q' = K_c (q_free - q) + f_r(q, 0, p) - f_r(q_free, 0, p)
+
+where q_free is the bend that the twin's pipeline commands. It was calibrated with the body on the spine, so
+what that takes back of the free bend is in q_free already. Swing and mass are the world's own. Motion of the
 finger alone over time is `ActionNetwork.roll`.
 """
 
 import numpy as np
 
 from pneutac_sim.errors import InputError
+from pneutac_sim.surrogate import programs
 from pneutac_sim.surrogate.fingerprint import fingerprint
 from pneutac_sim.surrogate.network import ActionNetwork
-from pneutac_sim.surrogate.programs import bending_pressure
+from pneutac_sim.surrogate.stiffness import controller_stiffness
 from pneutac_sim.twin import Twin
 
 
 class SurrogateFinger:
-    """One finger, at rest under what acts in this control step.
+    """The soft body of one finger.
 
     Args:
         twin: of a finger.
-        network: trained for it.
+        network: trained for its body.
 
     Attributes:
+        controller_nm_per_rad: K_c, see `stiffness.controller_stiffness`.
         in_range: whether the last step was in the range in which the network was trained. Where it was not,
-            the skeleton's own spring acts with the torque of the nearest state that was.
+            the body has the torque of the nearest state that was.
 
     Raises:
-        InputError: the network was trained for another twin.
+        InputError: the network was trained for another body, or the body is stiffer than the whole finger.
     """
 
     def __init__(self, twin: Twin, network: ActionNetwork):
         if network.fingerprint != fingerprint(twin):
             raise InputError(
-                "The action network was trained for another twin, or for this one before its parameters or "
-                "effects changed; train it anew with `pneutac surrogate`."
+                "The action network was trained for another body, or for this one before its shape or "
+                "material changed; train it anew with `pneutac surrogate`."
             )
         self.network = network
-        self.in_range = True
-        self._twin = twin
-        self._compliance = 1 / twin.parameter("joint_stiffness_nm_per_rad")
+        rest = programs.joint_targets(twin, 0.0)
+        self.controller_nm_per_rad = controller_stiffness(twin, self.torque(rest, rest)[1])
+        self.reset()
 
-    def bend(self, q_cmd: np.ndarray, torque: np.ndarray | None = None) -> np.ndarray:
-        """Joint angles (N,) in rad at which the finger rests.
+    def reset(self) -> None:
+        """Begins afresh; a network remembers nothing."""
+        self.in_range = True
+
+    def torque(self, q_free: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What the body does to the joints at `q` beyond what it does at `q_free`.
 
         Args:
-            q_cmd: (N,) joint targets of the pressure, rad.
-            torque: (N,) N m about the joints from outside; None for no load.
+            q_free: (N,) where the unloaded finger rests, rad.
+            q: (N,) joint angles, rad.
+
+        Returns:
+            (N,) torques in N m and their symmetric derivative (N, N) by `q` in N m/rad.
 
         Raises:
-            InputError: a joint target or torque is not a finite number.
+            InputError: an angle is not a finite number.
         """
-        q_cmd = np.asarray(q_cmd, float)
-        pressure, K = bending_pressure(self._twin, q_cmd), self.network.skeleton.stiffness_nm_per_rad
-        # The pipeline was calibrated with the soft body on the spine, so what that takes back of the bend of
-        # the free finger, f_r(q_cmd) / K, is in its joint targets already.
-        free = self.network.torque(q_cmd[None], np.zeros((1, len(q_cmd))), [pressure])[0]
-        target = q_cmd - free / K + (0.0 if torque is None else self._compliance * torque)
-        if not np.isfinite(target).all():
-            raise InputError("A joint target or torque of the finger is not a finite number.")
-        q, self.in_range = self.network.rest(target, pressure)
-        return q
+        q_free, q = np.asarray(q_free, float), np.asarray(q, float)
+        if not (np.isfinite(q_free).all() and np.isfinite(q).all()):
+            raise InputError("A joint angle of the finger is not a finite number.")
+        torque, J, self.in_range = self.network.resistance(q_free, q)
+        return torque, J

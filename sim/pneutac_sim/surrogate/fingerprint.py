@@ -5,8 +5,6 @@ import json
 
 import numpy as np
 
-from pneutac_sim.effects.effect import BODY_STAGES
-from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.mpm import devices
 from pneutac_sim.mpm.user_mesh import FACES, VERTICES
@@ -21,31 +19,21 @@ BODY = (
     "spine_stiffness_nm_per_rad",
     "spine_damping_nms_per_rad",
 )
-# What the bending pressure is made of, and how loads turn into joint targets.
-DRIVE = ("gain_rad_per_kpa", "gain_alpha", "gain_beta", "rest_pressure_kpa", "joint_stiffness_nm_per_rad")
 GEL = ("gel_youngs_modulus_mpa", "gel_poissons_ratio", "gel_density_kg_m3")
 
 
 def fingerprint(twin: Twin) -> str:
-    """SHA-256 of what the action network of a finger or an arm depends on.
+    """SHA-256 of what the action network of a finger depends on: its geometry, mesh and material.
 
-    That is device, geometry, mesh, material and drive, and every effect up to the joints. Effects of the
-    tip alone, of the camera's view, of the gel's optics and the twin's history are no part of it.
+    The body knows only how it is bent. Drive, effects and history decide how far, and `in_range` tells where
+    that is farther than in training.
     """
-    drive = {n: twin.parameters[n].value for n in DRIVE if n in twin.parameters}
-    effects = {
-        name: {k: v.value for k, v in values.items()}
-        for name, values in twin.effects.items()
-        if (effect := get_effect(name)).stage in BODY_STAGES and not effect.of_markers
-    }
     what = {
         "model": MODEL,
         "device": twin.device,
         "length_mm": twin.length_mm,
         "spine_joint_positions_mm": list(twin.spine_joint_positions_mm),
         "body": {n: devices.parameter(twin, n) for n in BODY},
-        "drive": drive,
-        "effects": effects,
     }
     arrays = [np.ascontiguousarray(twin.arrays[n]) for n in (VERTICES, FACES) if n in twin.arrays]
     return _sha256(what, arrays)

@@ -17,36 +17,44 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.surrogate import network_kernels as kern
 from pneutac_sim.surrogate.skeleton import Skeleton
 
-FORMAT = "pneutac-action-network/1"
+FORMAT = "pneutac-action-network/2"
 HIDDEN = 128
 LAYERS = ("w1", "b1", "w2", "b2", "w3", "b3")
 MARGIN = 0.05  # of the width of what was seen in training, still counted as in range
 STEP_S = 0.002
+NEAR_RAD = 0.02  # over which its slope is taken
 
 
 @dataclass(frozen=True)
 class ActionNetwork:
     """A trained network with the skeleton that it drives.
 
-    Inputs are q (N), q' (N) and the bending pressure in kPa; outputs torques (N) in N m.
+    Inputs are q (N), q' (N) and the bending pressure in kPa; outputs torques (N) in N m. The body knows of no
+    pressure, only of how it is bent: one network serves a body whatever drives it, and the bending pressure
+    is that of the drive with which it was trained, p = mean(q_cmd) / G - p0.
 
     Attributes:
         layers: float32 `w1` (2 N + 1, 128), `b1`, `w2` (128, 128), `b2`, `w3` (128, N), `b3`, with softsign
             between them.
+        slope: (2 N + 1, N) N m by normalised inputs: the straight part of the torque, which is most of an
+            elastic body's, beside the layers. Layers alone smear it over joints that mostly move together.
         mean, scale: (2 N + 1,) that normalise inputs.
         torque_mean, torque_scale: (N,) that undo the normalisation of outputs, N m.
         low, high: (2 N + 1,) box of the inputs seen in training.
+        drive: (2,) G in rad/kPa and p0 in kPa.
         skeleton: of the same finger.
         fingerprint: of the twin, see `surrogate.fingerprint`.
     """
 
     layers: tuple[np.ndarray, ...]
+    slope: np.ndarray
     mean: np.ndarray
     scale: np.ndarray
     torque_mean: np.ndarray
     torque_scale: np.ndarray
     low: np.ndarray
     high: np.ndarray
+    drive: np.ndarray
     skeleton: Skeleton
     fingerprint: str
 
@@ -64,6 +72,27 @@ class ActionNetwork:
             kern.residual(self._numbers, q[t], q_vel[t], float(pressure_kpa[t]), x, f)
             out[t] = f[2]
         return out
+
+    def pressure_kpa(self, q_cmd: np.ndarray) -> np.ndarray:
+        """Bending pressure (...) in kPa that stands for joint targets (..., N) in rad."""
+        return np.asarray(q_cmd).mean(-1) / self.drive[0] - self.drive[1]
+
+    def resistance(self, q_free: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool]:
+        """f_r(q, 0, p) - f_r(q_free, 0, p) (N,) in N m at rest, its derivative, and whether `q` is in range.
+
+        Args:
+            q_free: (N,) rad, where the body is bent by pressure alone.
+            q: (N,) rad.
+
+        Returns:
+            The torque, its symmetric derivative (N, N) by `q` in N m/rad, as that of an elastic body is, and
+            whether the state lies in the range of training.
+        """
+        J = np.empty((self.joints, self.joints))
+        p, x, (h1, h2, f) = float(self.pressure_kpa(q_free)), *self._work
+        torque = np.empty(self.joints)
+        inside = kern.resistance(self._numbers, q_free, q, p, NEAR_RAD, x, (h1, h2, f), torque, J)
+        return torque, J, inside
 
     def roll(
         self,
@@ -118,7 +147,10 @@ class ActionNetwork:
         """What the kernels take."""
         wide = MARGIN * (self.high - self.low)
         box = [a.astype(np.float64) for a in (self.low - wide, self.high + wide)]
-        scales = [a.astype(np.float64) for a in (self.mean, self.scale, self.torque_mean, self.torque_scale)]
+        scales = [
+            a.astype(np.float64)
+            for a in (self.slope, self.mean, self.scale, self.torque_mean, self.torque_scale)
+        ]
         return tuple(np.ascontiguousarray(a, np.float32) for a in self.layers), tuple(scales + box)
 
     @cached_property
@@ -162,7 +194,10 @@ class ActionNetwork:
         except (SafetensorError, OSError) as e:
             raise InputError(f"{file} is corrupted ({e}); train it again with `pneutac surrogate`.") from e
         if label.get("format") != FORMAT or "fingerprint" not in label:
-            raise InputError(f"{file} is no action network of the format '{FORMAT}'.")
+            raise InputError(
+                f"{file} is no action network of the format '{FORMAT}'; train it anew with "
+                "`pneutac surrogate`."
+            )
         n = arrays["inertia"].size if "inertia" in arrays else 0
         for name, shape in _shapes(n).items():
             if name not in arrays or arrays[name].shape != shape or not np.isfinite(arrays[name]).all():
@@ -177,13 +212,13 @@ class ActionNetwork:
         )
 
 
-_VECTORS = ("mean", "scale", "torque_mean", "torque_scale", "low", "high")
+_VECTORS = ("slope", "mean", "scale", "torque_mean", "torque_scale", "low", "high", "drive")
 
 
 def _shapes(n: int) -> dict[str, tuple[int, ...]]:
     inputs = 2 * n + 1
     layers = ((inputs, HIDDEN), (HIDDEN,), (HIDDEN, HIDDEN), (HIDDEN,), (HIDDEN, n), (n,))
-    vectors = ((inputs,), (inputs,), (n,), (n,), (inputs,), (inputs,))
+    vectors = ((inputs, n), (inputs,), (inputs,), (n,), (n,), (inputs,), (inputs,), (2,))
     return (
         dict(zip(LAYERS, layers, strict=True))
         | dict(zip(_VECTORS, vectors, strict=True))

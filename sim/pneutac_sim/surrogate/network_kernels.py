@@ -15,7 +15,7 @@ STEPS, RESOLUTION_RAD = 50, 1e-8  # of the search for rest
 @njit(cache=True)
 def residual(numbers, q, qd, p, x, f):
     """f_r into f[2] (N,); returns whether the state lies in the box, to which it is clipped."""
-    (w1, b1, w2, b2, w3, b3), (mean, scale, torque_mean, torque_scale, low, high) = numbers
+    (w1, b1, w2, b2, w3, b3), (slope, mean, scale, torque_mean, torque_scale, low, high) = numbers
     n = len(q)
     h1, h2, out = f
     inside = True
@@ -31,7 +31,10 @@ def residual(numbers, q, qd, p, x, f):
     _softsign(h2)
     _layer(h2, w3, b3, out)
     for i in range(n):
-        out[i] = torque_mean[i] + torque_scale[i] * out[i]
+        straight = torque_mean[i]
+        for j in range(2 * n + 1):
+            straight += x[j] * slope[j, i]
+        out[i] = straight + torque_scale[i] * out[i]
     return inside
 
 
@@ -70,6 +73,32 @@ def roll(A, inertia, K, D, loss, numbers, x, f, q, qd, targets, pressure, subste
             advance(A, inertia, K, D, loss, q, qd, target, end, extra, h, FASTEST_RAD_S)
         inside[s] = residual(numbers, q, qd, pressure[s + 1], x, f)
         out_q[s], out_v[s] = q, qd
+
+
+@njit(cache=True)
+def resistance(numbers, q_free, q, p, near, x, f, torque, J):
+    """Into `torque` and `J`, see `ActionNetwork.resistance`; returns whether `q` lies in the box."""
+    n = len(q)
+    still, at = np.zeros(n), q.copy()
+    for i in range(n):
+        at[i] = q[i] + near
+        residual(numbers, at, still, p, x, f)
+        J[:, i] = f[2]
+        at[i] = q[i] - near
+        residual(numbers, at, still, p, x, f)
+        for j in range(n):
+            J[j, i] = (J[j, i] - f[2][j]) / (2.0 * near)
+        at[i] = q[i]
+    for i in range(n):
+        for j in range(i):
+            J[i, j] = J[j, i] = 0.5 * (J[i, j] + J[j, i])
+    residual(numbers, q_free, still, p, x, f)
+    for i in range(n):
+        torque[i] = -f[2][i]
+    inside = residual(numbers, q, still, p, x, f)
+    for i in range(n):
+        torque[i] += f[2][i]
+    return inside
 
 
 @njit(cache=True)

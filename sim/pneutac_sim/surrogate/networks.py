@@ -51,7 +51,7 @@ class Networks:
             network = _LOAD[name](own or builtin(name))
             if network.fingerprint != _PRINT[name](twin):
                 why = (
-                    f"{own} was trained for another {_OF[name]}, or before its parameters or effects changed"
+                    f"{own} was trained for another {_OF[name]}, or before its shape or material changed"
                     if own
                     else f"The twin has no {name} network, and its {_OF[name]} is not the built-in one"
                 )

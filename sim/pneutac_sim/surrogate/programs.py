@@ -15,6 +15,7 @@ from pneutac_sim.twin import Twin
 
 KINDS = ("steps", "ramps", "chirp", "random")
 LOAD_RAD = 0.3  # how far a load bends the joint at the base, at most; tasks reach 0.25
+OWN_RAD = 0.1  # how far each joint is bent by itself, at most
 CHIRP_HZ = (0.3, 3.0)
 
 
@@ -80,11 +81,12 @@ def program(kind: str, steps: int, low: float, high: float, rng: np.random.Gener
     return np.array(out[: steps + 1])
 
 
-def tip_load(twin: Twin, q_cmd: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Deflections (T, N) in rad by a force on the tip that wanders in the plane.
+def load(twin: Twin, q_cmd: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Deflections (T, N) in rad by a force on the tip that wanders in the plane, and of each joint by itself.
 
-    As in the world, a load's torque about each joint over the twin's `joint_stiffness_nm_per_rad` is added to
-    its target; the largest force bends the joint at the base by `LOAD_RAD`.
+    The largest force bends the joint at the base by `LOAD_RAD`, the others by less as its lever is shorter.
+    Without the second part joints would always move together, and data would tell nothing of how the body
+    resists where one bends alone: its derivative would be smeared over neighbours.
 
     Args:
         twin: a finger's.
@@ -95,6 +97,10 @@ def tip_load(twin: Twin, q_cmd: np.ndarray, rng: np.random.Generator) -> np.ndar
     heading = np.exp(1j * np.cumsum(q_cmd, axis=1))  # x + i z
     ways = (heading * np.diff(joints))[:, ::-1].cumsum(1)[:, ::-1]  # from each joint to the tip
     knots = np.arange(0, len(q_cmd) + 4, 4)
-    force = [np.interp(np.arange(len(q_cmd)), knots, rng.uniform(-1, 1, len(knots))) for _ in range(2)]
-    moment = ways.real * force[1][:, None] - ways.imag * force[0][:, None]
-    return LOAD_RAD * moment / (twin.length_mm - joints[0])
+
+    def wander() -> np.ndarray:
+        return np.interp(np.arange(len(q_cmd)), knots, rng.uniform(-1, 1, len(knots)))
+
+    moment = -ways.imag * wander()[:, None] + ways.real * wander()[:, None]
+    own = np.stack([wander() for _ in q_cmd.T], 1)
+    return LOAD_RAD * moment / (twin.length_mm - joints[0]) + OWN_RAD * own

@@ -17,6 +17,7 @@ from pneutac_sim.gel.sensor import TactileSensor, centre_mm
 from pneutac_sim.world import scene
 from pneutac_sim.world.panda import HOME_JOINTS, SERVO_LAG_S, forward_kinematics
 from pneutac_sim.world.placing import Placing
+from pneutac_sim.world.soft_finger import Springs
 from pneutac_sim.world.touch import Touch
 from pneutac_sim.world.varied import VariedWorld, _Staged
 from pneutac_sim.world.world import DT, WORKSPACE_HIGH, WORKSPACE_LOW, Observation
@@ -69,7 +70,7 @@ class Gantry(VariedWorld):
         seconds: seconds spent in them: `physics`, `touch`.
     """
 
-    _residual_rad: np.ndarray | float = 0.0  # bend of the world's finger beyond its formula
+    _held: tuple[np.ndarray, np.ndarray] | None = None  # the soft body's stiffness and torque
 
     def __init__(self, world: VariedWorld):
         """A gantry for `world`; its state is taken over by `mirror`.
@@ -88,6 +89,7 @@ class Gantry(VariedWorld):
         self._flange, self._gel = self.model.site("flange").id, self.model.site("gel").id
         self._tip, self._placing = self.model.site("tip").id, Placing(self.model)
         n = self._spine.stop - self._spine.start
+        self._springs = Springs(self.model, n, self.twin.parameter("joint_damping_nms_per_rad"))
         self._arm, self._spine = slice(0, 3), slice(3, 3 + n)
         self.steps, self.seconds = 0, {"physics": 0.0, "touch": 0.0}
         self._pair(world)
@@ -114,9 +116,7 @@ class Gantry(VariedWorld):
         self.variation, self._rest_rad = world.variation, world._rest_rad
         self.target_m, self._joints = world.target_m.copy(), world.target_m.copy()
         self.spine_target_rad = world.spine_target_rad.copy()
-        self._residual_rad = 0.0
-        self._load = world._load
-        self._residual_rad = world._drive - self._bend(self.spine_target_rad)
+        self._held = world._resist(world._drive)
         self._drive = world._drive.copy()
         self._pipeline = world._pipeline.copy()
         self._sent = deque(world._sent)
@@ -165,7 +165,7 @@ class Gantry(VariedWorld):
         mujoco.mj_setState(self.model, self.data, self._state, _STATE)
         self.model.dof_frictionloss[:] = self._friction
         vars(self.task.inner).update(_memory(self._memory))
-        saved = self.target_m, self._joints, self.spine_target_rad, self._drive, self._load, self._pipeline
+        saved = self.target_m, self._joints, self.spine_target_rad, self._drive, self._pipeline
         self._pipeline, target = self._pipeline.copy(), self.target_m
         self._placing.set(self.model, self._poses)
         flange, area = np.empty((len(actions), 3)), np.empty(len(actions))
@@ -185,12 +185,12 @@ class Gantry(VariedWorld):
                 self.centre_mm[t] = centre_mm(self.touch.depth_mm, self.sensor.model.window_mm)
             flange[t], area[t] = self.flange_m, max(felt + self._residual_area, 0.0) if felt else 0.0
         self.steps += len(actions)
-        self.target_m, self._joints, self.spine_target_rad, self._drive, self._load, self._pipeline = saved
+        self.target_m, self._joints, self.spine_target_rad, self._drive, self._pipeline = saved
         return flange, area
 
     @override
-    def _bend(self, q_cmd):
-        return super()._bend(q_cmd) + self._residual_rad
+    def _resist(self, drive):
+        return super()._resist(drive) if self._held is None else self._held
 
     @override
     def _observe(self):

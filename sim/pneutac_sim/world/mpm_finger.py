@@ -1,16 +1,13 @@
-"""The full material point finger in the world: bends the joints that the skeleton bends by a formula.
+"""The soft body round the world's spine, of material points: what `surrogate.finger` stands in for.
 
-Each control step the body is brought to rest, starting from the step before: 25 substeps while the pressure
-stands, about 650 (0.25 s) while it moves. Moving it through the same 1/15 s in true time takes 2,200, always;
-what that would add, the slow motion of the finger with the mass of its sensor, is the world's own already, by
-the joint springs and dampers of the twin.
+A stiff servo holds the spine of the material points where the world's is, and f is the torque of the body on
+its joints there. Each control step two bodies are brought to rest, one as the world's finger is bent and one
+as pressure alone would bend it, starting from the step before: 25 substeps while nothing moves, about 650
+(0.25 s) while it does. Moving them through the same 1/15 s in true time takes 2,200, always; what
+that would add, the slow motion of the finger with the mass of its sensor, is the world's own.
 
-The twin's pipeline was calibrated with the soft body on the spine: what the body takes back of the bend, a
-few percent, is in its joint targets already. So each is raised by what was taken back in the step before.
-
-Contact comes in as torques about the spine's joints. It bends it as far as the twin's
-`joint_stiffness_nm_per_rad` says, since the spine's controller is a stiff servo. What is missing: the soft
-body does not feel where it is touched, so its skin is not dented. The gel is `world.mpm_gel`'s.
+What is missing: the soft body does not feel where it is touched, so its skin is not dented. The gel is
+`world.mpm_gel`'s.
 """
 
 import numpy as np
@@ -18,13 +15,16 @@ import numpy as np
 from pneutac_sim.mpm import devices
 from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import solve_equilibrium
+from pneutac_sim.surrogate import programs
+from pneutac_sim.surrogate.stiffness import controller_stiffness
 from pneutac_sim.twin import Twin
 
-STRAIGHT_RAD = 0.02  # a joint bent less tells too little of what the body takes back
+NEAR_RAD = 0.1  # of the bends by which the body's stiffness is measured
+TOLERANCE = 1e-3  # of unbalanced forces; torques are then known to 1 mN m, 0.2 mm at the tip
 
 
 class MpmFinger:
-    """One finger of material points, at rest under what acts in this control step.
+    """The soft body of one finger.
 
     Args:
         twin: of a finger.
@@ -32,35 +32,57 @@ class MpmFinger:
         device: see `pneutac_sim.mpm.runtime.start`.
 
     Attributes:
-        solver: the bodies, for pictures.
+        controller_nm_per_rad: K_c, see `stiffness.controller_stiffness`.
+        solver: the bodies, for pictures; the first is the one that is loaded.
         substeps: taken in the last step.
         in_range: always; there is no range to leave.
+
+    Raises:
+        InputError: the body is stiffer than the whole finger.
     """
 
     in_range = True
 
     def __init__(self, twin: Twin, particles: int = 4000, device: str = "auto"):
-        self.solver = devices.finger(twin, particles=particles, device=device)
-        self._compliance = 1 / twin.parameter("joint_stiffness_nm_per_rad")
-        self._raised = np.ones(len(twin.spine_joint_positions_mm))
+        self.solver = devices.finger(twin, batch=2, particles=particles, device=device)
+        self._servo = float(self.solver.spine.stiffness_nm_per_rad)
+        n = len(twin.spine_joint_positions_mm)
+        self._J, self.substeps = np.zeros((n, n)), 0
+        self.reset()
+        # A neo-Hookean body's own stiffness hardly changes with its bend (10 % up to 15 kPa): once is enough.
+        columns, at = [], programs.joint_targets(twin, 0.0)
+        for i in range(n):
+            apart = NEAR_RAD * np.eye(n)[i]
+            q, f = self._hold(at + np.stack([apart, -apart]))
+            self.reset()
+            columns.append((q[0] - q[1], f[0] - f[1]))
+        dq, df = (np.stack(c) for c in zip(*columns, strict=True))
+        J = np.linalg.solve(dq, df).T
+        self._J = 0.5 * (J + J.T)
+        self.controller_nm_per_rad = controller_stiffness(twin, self._J)
 
-    def bend(self, q_cmd: np.ndarray, torque: np.ndarray | None = None) -> np.ndarray:
-        """Joint angles (N,) in rad at which the finger rests.
+    def reset(self) -> None:
+        """Begins afresh, with the straight finger."""
+        self._f, self._begun = np.zeros((2, len(self._J))), False
+
+    def torque(self, q_free: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What the body does to the joints at `q` beyond what it does at `q_free`, and its derivative by `q`.
 
         Args:
-            q_cmd: (N,) joint targets of the pressure, rad.
-            torque: (N,) N m about the joints from outside; None starts afresh, from the straight finger.
+            q_free: (N,) where the unloaded finger rests, rad.
+            q: (N,) joint angles, rad.
+
+        Returns:
+            (N,) in N m and (N, N) in N m/rad.
         """
-        warm, q_cmd = torque is not None, np.asarray(q_cmd, float)
-        self.substeps = 0
-        if not warm:
-            self._raised[:] = 1.0
-        for first in (False,) if warm else (True, False):  # afresh, what the body takes back is not known yet
-            load = self._compliance * torque if warm else 0.0
-            target = q_cmd * self._raised + load
-            rest = solve_equilibrium(self.solver, Loads(q_cmd=target[None]), warm=warm or not first)
-            q = rest.q[0].astype(float)
-            self.substeps += rest.substeps
-            bent = np.abs(q) > STRAIGHT_RAD
-            self._raised = np.where(bent, target / np.where(bent, q, 1.0), 1.0)
-        return q
+        wanted = np.stack([q, q_free]).astype(float)
+        held, f = self._hold(wanted)
+        at = f + (wanted - held) @ self._J  # the servo holds a little beside
+        return at[0] - at[1], self._J
+
+    def _hold(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Joint angles (2, N) near those wanted, and the body's torques there (2, N) in N m."""
+        target = q - self._f / self._servo
+        rest = solve_equilibrium(self.solver, Loads(q_cmd=target), TOLERANCE, warm=self._begun)
+        self._begun, self.substeps, self._f = True, rest.substeps, rest.body_torque.astype(float)
+        return rest.q.astype(float), self._f

@@ -7,7 +7,7 @@ from pneutac_sim.twin import Twin
 from pneutac_sim.world import panda, soft_finger
 from pneutac_sim.world.tasks import Task
 
-SUBSTEPS = 50  # 1.33 ms: well below the stability limit of the finger's fastest mode (see `world.World`)
+SUBSTEPS = 50  # 1.33 ms
 TIMESTEP = 1 / (CONTROL_HZ * SUBSTEPS)
 
 # Geom groups: 0 decor, 1 arm and finger as seen, 2 task objects (seen and felt), 3 finger's collision shapes.
@@ -73,4 +73,5 @@ def build(
     {task.mjcf()}
   </worldbody>
   <actuator>{servos()}{soft_finger.actuators(twin)}{task.actuators()}</actuator>
+  {soft_finger.tendons(twin)}
 </mujoco>"""

@@ -1,13 +1,14 @@
 """MJCF of the skeleton finger with a DIGIT at its tip: spine hinges, spring-loaded gel pad, gel frame.
 
-The skeleton is `M q'' + D q' + K q = tau_mpm(p)` with one hinge a spine joint; a positive angle bends
-towards the finger's +z. M follows from the finger's section and material, K and D from the twin. The world
-drives each hinge with a motor of torque `tau_mpm = K q_cmd(p)`.
+The skeleton is `M q'' + D q' + K q = tau_s` with one hinge a spine joint; a positive angle bends towards the
+finger's +z. M follows from the finger's section and material, D from the twin, K from `springs`: joints and,
+between each two of them, tendons have its entries. The world drives each hinge with a motor.
 
 No weight acts on the finger here: q_cmd holds the sag under the loads of the twin's effects, and in a twin
 without such effects that of the pose in which it was calibrated (the paper's p0 absorbs it).
 """
 
+import mujoco
 import numpy as np
 
 from pneutac_sim.twin import Twin
@@ -50,8 +51,6 @@ def body(twin: Twin) -> str:
     """
     s = np.asarray(twin.spine_joint_positions_mm) * 1e-3
     length = twin.length_mm * 1e-3
-    K = twin.parameter("joint_stiffness_nm_per_rad")
-    D = twin.parameter("joint_damping_nms_per_rad")
     ends = np.append(s, length)
 
     tip = '<site name="tip" size=".001" group="5"/>'
@@ -60,7 +59,7 @@ def body(twin: Twin) -> str:
         xml = (
             f'<body name="spine_{n + 1}" pos="{s[n] - (s[n - 1] if n else 0.0)} 0 0"'
             ' gravcomp="1">'
-            f'<joint name="spine_{n + 1}" axis="0 -1 0" stiffness="{K}" damping="{D}"/>'
+            f'<joint name="spine_{n + 1}" axis="0 -1 0"/>'
             f"{_segment(ends[n + 1] - ends[n], tip=n == len(s) - 1)}{xml}</body>"
         )
     c = float(np.sqrt(0.5))
@@ -80,6 +79,50 @@ def actuators(twin: Twin) -> str:
         f'<motor name="spine_{n + 1}" joint="spine_{n + 1}"/>'
         for n in range(len(twin.spine_joint_positions_mm))
     )
+
+
+def tendons(twin: Twin) -> str:
+    """MJCF tendons of length q_i + q_j, one for each two joints, whose stiffness couples them."""
+    ties = "".join(
+        f'<fixed name="spine_{i + 1}_{j + 1}"><joint joint="spine_{i + 1}" coef="1"/>'
+        f'<joint joint="spine_{j + 1}" coef="1"/></fixed>'
+        for i, j in _pairs(len(twin.spine_joint_positions_mm))
+    )
+    return f"<tendon>{ties}</tendon>" if ties else ""
+
+
+class Springs:
+    """The stiffness matrix K (N, N) of a finger in a model, whatever its size stable in the time step.
+
+    (q_i + q_j)^2 = q_i^2 + q_j^2 + 2 q_i q_j, so a tendon of stiffness K_ij couples two joints and each joint
+    keeps K_ii less those of its tendons. MuJoCo takes springs at the beginning of a step h and dampers at its
+    end. A further damping of h K / 2 makes that stable at any K, where springs alone are up to w h = 2:
+    (M + h D + h^2 K / 2) q'_1 = M q'_0 - h K q_0, with a growth of at most 1 for all eigenvalues of M^-1 K.
+
+    Args:
+        model: of a scene with a finger.
+        damping_nms_per_rad: D of each joint.
+    """
+
+    def __init__(self, model: mujoco.MjModel, joints: int, damping_nms_per_rad: float):
+        names = [f"spine_{n + 1}" for n in range(joints)]
+        self._model, self._damping = model, damping_nms_per_rad
+        self._joints = [model.joint(n).id for n in names]
+        self._dofs = model.jnt_dofadr[self._joints]
+        self._pairs = tuple(np.array(_pairs(joints), int).reshape(-1, 2).T)
+        self._tendons = [model.tendon(f"spine_{i + 1}_{j + 1}").id for i, j in _pairs(joints)]
+
+    def set(self, K: np.ndarray) -> None:
+        """Puts the symmetric K (N, N), N m/rad, into the model."""
+        m, half = self._model, 0.5 * self._model.opt.timestep
+        tied = K[self._pairs]
+        own = 2 * K.diagonal() - K.sum(1)
+        m.tendon_stiffness[self._tendons], m.tendon_damping[self._tendons] = tied, half * tied
+        m.jnt_stiffness[self._joints], m.dof_damping[self._dofs] = own, self._damping + half * own
+
+
+def _pairs(joints: int) -> list[tuple[int, int]]:
+    return [(i, j) for i in range(joints) for j in range(i + 1, joints)]
 
 
 def _box_inertia(length: float, digit_at: float | None = None) -> str:

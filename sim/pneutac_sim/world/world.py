@@ -17,10 +17,11 @@ from pneutac_sim.twin import Twin
 from pneutac_sim.world import scene
 from pneutac_sim.world.action import checked_action
 from pneutac_sim.world.conditions import Conditions, conditions_for, draw
-from pneutac_sim.world.deforming import check_stability, deforming
+from pneutac_sim.world.deforming import deforming
 from pneutac_sim.world.panda import HOME_JOINTS, CartesianIK
 from pneutac_sim.world.placing import Placing
 from pneutac_sim.world.senses import Senses
+from pneutac_sim.world.soft_finger import Springs
 from pneutac_sim.world.tasks import make_task
 from pneutac_sim.world.touch import Touch
 from pneutac_sim.world.view import View
@@ -64,7 +65,8 @@ class World(Senses):
         command: last action after clipping (4,).
         target_m: where the flange is sent (3,), metres.
         spine_target_rad: spine joint angles q_cmd (N,) that the pressure commands, after the twin's effects.
-        finger: what bends the finger by the pressure: `SurrogateFinger` or `MpmFinger`; None for a formula.
+        finger: the soft body round the spine, `SurrogateFinger` or `MpmFinger`; None where the spine's joints
+            have the whole stiffness by themselves.
         out_of_range: number of steps since the reset in which a state of the finger or a contact lay outside
             what the networks were trained with.
         touch: last touch: `depth_mm`, `image`, `pixels`, `area`.
@@ -88,14 +90,14 @@ class World(Senses):
                 probe grid alone) or `none`.
             fidelity: how finger and gel deform. `surrogate`: by networks in place of material points; `mpm`:
                 by the material points themselves, for checks and short episodes; `probe`: by formulas, the
-                joints as the pressure commands and the gel as a layer on springs.
+                joints with the twin's stiffness and the gel as a layer on springs.
             conditions: what effects of the twin ask for, such as `temperature_c` or `payload_g`: a number, or
                 a range [low, high] from which every episode draws. The direction of gravity in the frame of
                 the finger's base is the world's own where it is not given.
 
         Raises:
-            InputError: unknown task, touch mode or fidelity; a twin that is not a finger or too stiff to
-                integrate, or has no networks or outdated ones; an effect without its conditions.
+            InputError: unknown task, touch mode or fidelity; a twin that is not a finger, or has no
+                networks or outdated ones, or a body stiffer than all of it; an effect without its conditions.
         """
         self.task = make_task(task)
         self.twin = twin or Twin.builtin()
@@ -120,10 +122,11 @@ class World(Senses):
         n = len(self.twin.spine_joint_positions_mm)
         # The arm's joints and servos come first in the model, then the spine's.
         self._arm, self._spine = slice(0, len(JOINT_NAMES)), slice(len(JOINT_NAMES), len(JOINT_NAMES) + n)
-        self._stiffness = self.twin.parameter("joint_stiffness_nm_per_rad")
+        self._springs = Springs(self.model, n, self.twin.parameter("joint_damping_nms_per_rad"))
+        whole = self.twin.parameter("joint_stiffness_nm_per_rad")
+        self._controller = (whole if self.finger is None else self.finger.controller_nm_per_rad) * np.eye(n)
         self._tip = self.model.site("tip").id
         self._placing = Placing(self.model)
-        check_stability(self.model, self.data, self._spine, self._stiffness)
         self.reset(0)
 
     # ---------------------------------------------------------------- episode
@@ -150,7 +153,8 @@ class World(Senses):
         self._pipeline.reset(0.0, same_session=seed is None)
         self.spine_target_rad = self._pipeline.rest()
         self.data.qpos[self._arm] = self._joints
-        self._load = None  # torque on the spine's joints from outside during the last step, N m
+        if self.finger is not None:
+            self.finger.reset()
         self._drive = self._bend(self.spine_target_rad)
         self.data.qpos[self._spine] = self._drive
         if self._pipeline.moves:
@@ -203,52 +207,44 @@ class World(Senses):
     def _advance(self, joints: np.ndarray, spine: np.ndarray) -> None:
         """Physics substeps of one control step, towards joint targets of the arm (7,) and the spine (N,).
 
-        MuJoCo's joints have spring and damper of the skeleton, M q'' + D q' + K q = tau_s; the motors give
-        tau_s = tau_mpm(p) + tau_r = K towards(p, load), see `_bend`.
+        M q'' + D q' = K_c (drive - q) + f(q) - f(drive), with the controller of stiffness K_c and the torque
+        f of the soft body. f is taken straight about the present q, so that MuJoCo's own springs of
+        K = K_c - J have it at every substep, and the motors K drive + rest.
         """
-        drive = self._bend(spine)
-        ctrl = np.empty((scene.SUBSTEPS, self._spine.stop))
+        drive, before = self._bend(spine), self._drive
+        K, rest = self._resist(drive)
+        self._springs.set(K)
+        ctrl = np.tile(self.data.ctrl, (scene.SUBSTEPS, 1))
         ctrl[:, self._arm] = self._joints + RAMP * (joints - self._joints)
-        towards = self._drive + RAMP * (drive - self._drive)
-        ctrl[:, self._spine] = self._stiffness * towards  # tau_mpm = K q_cmd(p)
-        model, data = self.model, self.data
-        poses = [None] * scene.SUBSTEPS
+        ctrl[:, self._spine] = (before + RAMP * (drive - before)) @ K + rest
         if self._pipeline.moves:
-            ahead = self.spine_rad + drive - self._drive
+            ahead = self.spine_rad + drive - before
             poses = self._placing.between(self._placing.find(self._pipeline, ahead, DT), RAMP)
-        control = data.ctrl[: self._spine.stop]
-        if self.finger is None:
             for row, pose in zip(ctrl, poses, strict=True):
-                control[:] = row
-                if pose is not None:
-                    self._placing.set(model, pose)
-                mujoco.mj_step(model, data)
+                self.data.ctrl[:] = row
+                self._placing.set(self.model, pose)
+                mujoco.mj_step(self.model, self.data)
         else:
-            # Views, and sums afterwards: made in each substep they would cost half as much as the physics.
-            constraint, bias, gravcomp = (
-                f[self._spine] for f in (data.qfrc_constraint, data.qfrc_bias, data.qfrc_gravcomp)
-            )
-            forces = np.empty((3, scene.SUBSTEPS, len(bias)))
-            for row, pose, c, b, g in zip(ctrl, poses, *forces, strict=True):
-                control[:] = row
-                if pose is not None:
-                    self._placing.set(model, pose)
-                mujoco.mj_step(model, data)
-                c[:], b[:], g[:] = constraint, bias, gravcomp
-            self._load = (forces[0] - forces[1] + forces[2]).sum(0) / scene.SUBSTEPS
-        mujoco.mj_kinematics(model, data)
+            self._substeps(ctrl)
+        mujoco.mj_kinematics(self.model, self.data)
         self._joints, self.spine_target_rad, self._drive = joints, spine, drive
 
-    def _bend(self, q_cmd: np.ndarray) -> np.ndarray:
-        """Angles (N,) towards which the joint springs pull, rad.
+    def _substeps(self, ctrl: np.ndarray) -> None:
+        for row in ctrl:
+            self.data.ctrl[:] = row
+            mujoco.mj_step(self.model, self.data)
 
-        The joint springs add load / K to them; what bends the finger has that load in its equilibrium, so it
-        is taken off: what rests in the world is then what rests there.
-        """
+    def _resist(self, drive: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Stiffness K (N, N) in N m/rad and the torque (N,) beyond it, about the present joint angles."""
         if self.finger is None:
-            return q_cmd
-        q = self.finger.bend(q_cmd, self._load)
-        return q if self._load is None else q - self._load / self._stiffness
+            return self._controller, np.zeros(len(drive))
+        q = self.data.qpos[self._spine]
+        torque, J = self.finger.torque(drive, q)
+        return self._controller - J, torque - J @ (q - drive)
+
+    def _bend(self, q_cmd: np.ndarray) -> np.ndarray:
+        """Angles (N,) in rad at which the unloaded finger rests; here those that the pressure commands."""
+        return q_cmd
 
     # ---------------------------------------------------------------- senses
 

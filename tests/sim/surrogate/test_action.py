@@ -32,7 +32,8 @@ def test_value_is_that_of_torch(network):
             p.copy_(torch.tensor(layer.T))
         x = states(network, 50, np.random.default_rng(1))
         out = model(torch.tensor((x - network.mean) / network.scale, dtype=torch.float32)).numpy()
-    expected = network.torque_mean + network.torque_scale * out
+    straight = (x - network.mean) / network.scale @ network.slope
+    expected = network.torque_mean + straight + network.torque_scale * out
     found = network.torque(x[:, :4], x[:, 4:8], x[:, 8])
     np.testing.assert_allclose(found, expected, atol=2e-7)
     assert np.ptp(expected, axis=0).min() > 1e-2  # it is no constant
@@ -79,32 +80,41 @@ def test_motion_ends_where_it_rests(network):
 
 
 def test_out_of_range_is_told_and_stays_finite(network):
-    finger = SurrogateFinger(Twin.builtin(), network)
     cmd = joint_targets(Twin.builtin(), np.array(5.0))
-    finger.bend(cmd)
-    assert finger.in_range
+    assert network.resistance(cmd, cmd)[2]
     margin = 15.0 * (1 + MARGIN)
     for pressure, inside in ((margin - 0.01, True), (margin + 0.01, False)):
         q = joint_targets(Twin.builtin(), np.array(pressure))
-        finger.bend(q, -0.458 * (q - cmd))  # the pressure is out of range, its joint angles are not
-        assert finger.in_range == inside
-    far = finger.bend(cmd, np.full(4, 1e3))
-    assert not finger.in_range
-    assert np.isfinite(far).all()
+        # the pressure is out of range, the joint angles are not
+        assert network.resistance(q, cmd)[2] == inside
+    torque, J, inside = network.resistance(cmd, np.full(4, 1e3))
+    assert not inside
+    assert np.isfinite(torque).all() and not J.any(), "the torque of the nearest state"
     wild = np.random.default_rng(3).normal(size=(200, 4)) * 5
     q, v, in_range = network.roll(cmd, np.full(4, 100.0), wild, np.full(200, 1e6), 2.0)
     assert not in_range.any()
     assert np.isfinite(q).all()
     assert np.abs(q).max() < 1e3
-    with pytest.raises(InputError, match="not a finite number"):
-        finger.bend(cmd, np.full(4, np.nan))
+
+
+def test_the_resistance_is_the_difference_of_torques_and_its_slope(network):
+    free, q = np.array([0.2, 0.1, 0.15, 0.2]), np.array([0.25, 0.14, 0.12, 0.16])
+    torque, J, inside = network.resistance(free, q)
+    p = [float(network.pressure_kpa(free))]
+    at = [network.torque(x[None], np.zeros((1, 4)), p)[0] for x in (q, free)]
+    np.testing.assert_allclose(torque, at[0] - at[1], atol=1e-12)
+    assert inside and not network.resistance(q, q)[0].any()
+    near = 0.02 * np.eye(4)
+    ahead, back = (network.torque(q + h, np.zeros((4, 4)), 4 * p).T for h in (near, -near))
+    slope = (ahead - back) / 0.04
+    np.testing.assert_allclose(J, (slope + slope.T) / 2, atol=1e-9)
 
 
 def test_a_network_serves_its_twin_alone(network):
     twin = Twin.builtin()
     for change in (
         lambda t: t.parameters.update(youngs_modulus_mpa=Value(2.0)),
-        lambda t: t.effects.update(valve_lag={"tau_fill_s": Value(0.3)}),
+        lambda t: t.parameters.update(poissons_ratio=Value(0.3)),
         lambda t: t.arrays.update(mesh_faces=np.zeros((1, 3), np.int32)),
         lambda t: setattr(t, "length_mm", 111.0),
     ):
@@ -112,11 +122,12 @@ def test_a_network_serves_its_twin_alone(network):
         change(other)
         assert fingerprint(other) != fingerprint(twin)
         assert gel_fingerprint(other) == gel_fingerprint(twin)
-        with pytest.raises(InputError, match="another twin.*pneutac surrogate"):
+        with pytest.raises(InputError, match="another body.*pneutac surrogate"):
             SurrogateFinger(other, network)
     same = twin.copy()
     same.history.append({"version": 0})
-    same.effects["camera_misalignment"] = {}
+    same.effects |= {"camera_misalignment": {}, "valve_lag": {"tau_fill_s": Value(0.3)}}
+    same.parameters["gain_rad_per_kpa"] = Value(0.02)
     assert fingerprint(same) == fingerprint(twin)
     softer = twin.copy()
     softer.parameters["gel_youngs_modulus_mpa"] = Value(0.2)
@@ -204,21 +215,19 @@ def test_training_beats_no_network_on_other_motions(collection):
 
 
 @pytest.mark.slow
-def test_finger_rests_where_the_full_one_does(tmp_path):
+def test_the_network_resists_as_the_full_body_does(tmp_path):
     from pneutac_sim.world.mpm_finger import MpmFinger
 
     twin = Twin.builtin()
     collect_action(twin, tmp_path, Plan(12, 0.5, particles=1000), "cpu")
-    surrogate = SurrogateFinger(twin, train_action(twin, tmp_path))
+    network = train_action(twin, tmp_path)
     full = MpmFinger(twin, particles=1000, device="cpu")
-    bare, error = [], []
-    for pressure, torque in ((2.0, 0.0), (6.0, -0.03), (11.0, -0.06), (14.0, 0.0), (5.0, 0.02)):
-        cmd = joint_targets(twin, np.array(pressure))
-        load = torque * np.array([1.0, 0.75, 0.5, 0.25])
-        for _ in range(3):  # as in the world, each step starts from what the body took back in the one before
-            rest = full.bend(cmd, load)
-        error.append(np.degrees(surrogate.bend(cmd, load) - rest))
-        bare.append(np.degrees(cmd + load / 0.458 - rest))
-        assert surrogate.in_range
-    assert np.abs(error).mean() < 0.03
-    assert np.abs(error).mean() < 0.25 * np.abs(bare).mean()
+    error, size = [], []
+    for pressure, bend in ((2.0, 0.05), (6.0, -0.08), (11.0, -0.12), (5.0, 0.1)):
+        free = joint_targets(twin, np.array(pressure))
+        q = free + bend * np.array([1.0, 0.75, 0.5, 0.25])
+        wanted, got = full.torque(free, q)[0], network.resistance(free, q)
+        assert got[2]
+        error.append(got[0] - wanted)
+        size.append(wanted)
+    assert np.linalg.norm(error) < 0.15 * np.linalg.norm(size)

@@ -79,9 +79,9 @@ def test_bad_input_is_refused():
 
 
 def test_a_twin_or_its_folder_makes_an_environment(tmp_path):
-    """A calibrated twin has no networks yet: it deforms by formulas, and says so."""
+    """A twin of another body has no networks yet: it deforms by formulas, and says so."""
     twin = Twin.builtin()
-    twin.parameters["gain_rad_per_kpa"] = Value(0.02)
+    twin.parameters |= {"gain_rad_per_kpa": Value(0.02), "poissons_ratio": Value(0.4)}
     twin.save(tmp_path / "twin")
     reached = []
     for given in (twin, tmp_path / "twin", str(tmp_path / "twin")):

@@ -6,6 +6,9 @@ import pytest
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.probe import probe_grid
+from pneutac_sim.mpm import devices
+from pneutac_sim.mpm.loads import Loads
+from pneutac_sim.mpm.solve import solve_equilibrium
 from pneutac_sim.surrogate.networks import Networks, builtin, fits
 from pneutac_sim.surrogate.programs import joint_targets
 from pneutac_sim.twin import Twin, Value
@@ -16,35 +19,96 @@ from pneutac_sim.world.world import World
 
 pytestmark = pytest.mark.slow
 
-PUSH = np.array([0.05, 0.0, 0.0, 9.0])
+PUSH, STILL = np.array([0.05, 0.0, 0.0, 9.0]), np.array([0.0, 0.0, 0.0, 9.0])
 
 
-def flown(fidelity: str, steps: int) -> World:
+def flown(fidelity: str, steps: int, action=PUSH) -> World:
     world = World("switch", touch="none", fidelity=fidelity)
     world.reset(0)
     for _ in range(steps):
-        world.step(PUSH)
+        world.step(action)
     return world
 
 
 def test_in_free_air_the_finger_bends_alike_at_every_fidelity():
     """The pipeline was calibrated with the soft body on the spine, whose resistance is no news to it."""
-    by_network, full, formula = (flown(f, 12).spine_rad for f in ("surrogate", "mpm", "probe"))
+    by_network, full, formula = (flown(f, 20, STILL).spine_rad for f in ("surrogate", "mpm", "probe"))
     assert np.abs(by_network - formula).max() < np.radians(0.01)
-    assert np.abs(full - formula).max() < np.radians(0.01)
+    assert np.abs(full - formula).max() < np.radians(0.05)
 
 
-def test_under_a_load_the_network_gives_way_as_the_material_points_do():
-    twin, torque = Twin.builtin(), np.array([0.08, 0.05, 0.02, 0.005])
-    q = joint_targets(twin, 8.0)
-    by_points, by_network = MpmFinger(twin), Networks.of(twin).finger(twin)
-    np.testing.assert_allclose(by_network.bend(q), q, atol=1e-5)
-    np.testing.assert_allclose(by_points.bend(q), q, atol=1e-4)
-    for _ in range(2):
-        full = by_points.bend(q, torque)
-    stiff = q + torque / twin.parameter("joint_stiffness_nm_per_rad")  # with a body that does not resist
-    assert np.abs(full - stiff).max() > np.radians(0.1)
-    assert np.abs(by_network.bend(q, torque) - full).max() < 0.5 * np.abs(full - stiff).max()
+@pytest.fixture(scope="module")
+def bodies():
+    twin = Twin.builtin()
+    return twin, MpmFinger(twin), Networks.of(twin).finger(twin)
+
+
+def tip_mm(twin, q):
+    """x + i z of the tip."""
+    joints = np.append(twin.spine_joint_positions_mm, twin.length_mm)
+    return joints[0] + (np.exp(1j * np.cumsum(q)) * np.diff(joints)).sum()
+
+
+def under(body, twin, free, force_n):
+    """Joint angles under a force x + i z on the tip, by Newton: K_c (free - q) + f(q) - f(free) + tau = 0."""
+    q, K = free.copy(), body.controller_nm_per_rad
+    for _ in range(8):
+        torque, J = body.torque(free, q)
+        rest = K * (free - q) + torque + (to_tip(twin, q).conj() * force_n).imag
+        q = q + np.linalg.solve(K * np.eye(len(q)) - J, rest)
+    assert np.abs(rest).max() < 1e-5
+    return q
+
+
+def to_tip(twin, q):
+    """x + i z in m from each joint to the tip."""
+    ways = np.diff(np.append(twin.spine_joint_positions_mm, twin.length_mm)) * 1e-3
+    return (np.exp(1j * np.cumsum(q)) * ways)[::-1].cumsum()[::-1]
+
+
+@pytest.mark.parametrize("pressure_kpa", [0.0, 7.5, 15.0])
+def test_a_force_at_the_tip_moves_it_as_far_with_the_network_as_with_material_points(bodies, pressure_kpa):
+    """What material points say otherwise of the torque at a loaded pose would move the tip by 5 % at most."""
+    twin, _, network = bodies
+    free, K = joint_targets(twin, pressure_kpa), network.controller_nm_per_rad * np.eye(4)
+    loaded = [under(network, twin, free, n * way) for n in (0.1, 0.3, 0.6) for way in (1j, -1j, 1.0)]
+    solver = devices.finger(twin, batch=1 + len(loaded))
+    poses = np.stack([free, *loaded])
+    rest = solve_equilibrium(solver, Loads(q_cmd=poses * 1.01), tolerance=1e-3)
+    for q, held, torque in zip(loaded, rest.q[1:], rest.body_torque[1:], strict=True):
+        got, J = network.torque(rest.q[0].astype(float), held.astype(float))
+        assert network.in_range
+        wrong = np.linalg.solve(K - J, got - (torque - rest.body_torque[0]))
+        tip_moves = abs((wrong * 1e3 * to_tip(twin, q)).sum())
+        moved = abs(tip_mm(twin, q) - tip_mm(twin, free))
+        assert tip_moves < 0.05 * moved + 0.1, "and 0.1 mm for the equilibrium itself"
+
+
+def test_the_bodys_stiffness_is_that_of_its_material(bodies):
+    """Twice the modulus, twice the body's stiffness; the chamber has what is left of the whole."""
+    twin, full, network = bodies
+    _, J = full.torque(np.zeros(4), np.zeros(4))
+    np.testing.assert_allclose(J, J.T, atol=1e-9)
+    assert np.linalg.eigvalsh(J).max() < 0
+    stiffer = twin.copy()
+    stiffer.parameters["youngs_modulus_mpa"] = Value(1.2 * twin.parameter("youngs_modulus_mpa"))
+    other = MpmFinger(stiffer)
+    _, more = other.torque(np.zeros(4), np.zeros(4))
+    np.testing.assert_allclose(more.diagonal(), 1.2 * J.diagonal(), rtol=0.05)
+    assert other.controller_nm_per_rad < full.controller_nm_per_rad
+    assert network.controller_nm_per_rad == pytest.approx(full.controller_nm_per_rad, rel=0.1)
+    w = twin.length_mm - np.array(twin.spine_joint_positions_mm)
+    for body, twin_ in ((full, twin), (other, stiffer)):
+        K = body.controller_nm_per_rad * np.eye(4) - body.torque(np.zeros(4), np.zeros(4))[1]
+        whole = (w @ w) / (w @ np.linalg.solve(K, w))
+        assert whole == pytest.approx(twin_.parameter("joint_stiffness_nm_per_rad"), rel=1e-4)
+
+
+def test_a_body_stiffer_than_the_whole_finger_is_refused(bodies):
+    twin = bodies[0].copy()
+    twin.parameters["joint_stiffness_nm_per_rad"] = Value(0.1)
+    with pytest.raises(InputError, match="soft body alone resists.*joint_stiffness_nm_per_rad"):
+        World("switch", twin, touch="none", fidelity="surrogate")
 
 
 def test_all_fidelities_share_the_spaces():
@@ -69,10 +133,11 @@ def test_a_gel_that_is_pressed_deeper_than_in_training_is_counted():
     assert not world.touch.in_range and np.isfinite(world.touch.area) and world.touch.area > 0
 
 
-def test_a_twin_with_another_effect_needs_its_own_networks(tmp_path):
+def test_another_effect_keeps_the_networks_and_another_body_needs_its_own(tmp_path):
     twin = Twin.builtin()
-    assert fits(builtin("action"), "action", twin) and fits(builtin("perception"), "perception", twin)
     twin.effects["stiffening"] = {"linear_1_per_kpa": Value(0.02), "quadratic_1_per_kpa2": Value(0.0)}
+    assert fits(builtin("action"), "action", twin) and fits(builtin("perception"), "perception", twin)
+    twin.parameters["poissons_ratio"] = Value(0.4)
     with pytest.raises(InputError, match="has no action network.* run `pneutac surrogate"):
         World("switch", twin, touch="none", fidelity="surrogate")
     twin.save(tmp_path / "twin")
@@ -80,7 +145,7 @@ def test_a_twin_with_another_effect_needs_its_own_networks(tmp_path):
     twin.save(tmp_path / "twin")
     stored = Twin.load(tmp_path / "twin")
     assert stored.networks["action"].parent == tmp_path / "twin"
-    with pytest.raises(InputError, match="trained for another finger, or before its parameters"):
+    with pytest.raises(InputError, match="trained for another finger, or before its shape"):
         Networks.of(stored)
     assert World("switch", stored, touch="none", fidelity="probe").finger is None
 
@@ -113,9 +178,6 @@ def test_signed_distances_of_the_shapes_of_a_world(kind, size, surface):
 
 
 def test_the_full_gel_feels_a_ball_as_the_material_points_under_an_indenter_do():
-    from pneutac_sim.mpm import devices
-    from pneutac_sim.mpm.solve import solve_equilibrium
-
     twin, depth = Twin.builtin(), 0.7
     ball = ([2], np.array([[4e-3, 0, 0]]), np.array([[1e-3, 2e-3, 4e-3 - 1e-3 * depth]]), np.eye(3)[None])
     placed = (*ball, np.zeros(3), np.eye(3))

@@ -147,11 +147,38 @@ def test_twin_with_valve_lag_is_slower():
     assert lagging.spine_rad.sum() < plain.spine_rad.sum() - 0.05
 
 
-def test_too_stiff_a_finger_is_refused():
+@pytest.mark.parametrize("length_mm, joints, stiffness", [
+    (40.0, 2, 0.458), (40.0, 10, 50.0), (80.0, 6, 0.458), (110.0, 4, 50.0), (250.0, 10, 0.458),
+    (250.0, 2, 5.0),
+])  # fmt: skip
+def test_any_finger_is_stable_and_swings_less_and_less_after_a_push(length_mm, joints, stiffness):
+    """Springs of MuJoCo alone run away where w h > 2: with these from 0.17 N m/rad a joint on."""
     twin = Twin.builtin()
-    twin.parameters["joint_stiffness_nm_per_rad"] = Value(50.0)
-    with pytest.raises(InputError, match="joint_stiffness_nm_per_rad"):
-        World("switch", twin, touch="none")
+    twin.length_mm = length_mm
+    twin.spine_joint_positions_mm = np.linspace(0.1, 0.9, joints) * length_mm
+    twin.parameters["joint_stiffness_nm_per_rad"] = Value(stiffness)
+    world = World("switch", twin, touch="none")
+    world.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT  # the long ones reach the table
+    world.reset(0)
+    world.data.qvel[world._spine] = 3.0
+    swing = []
+    for _ in range(60):
+        hold(world, 5.0, steps=1)
+        swing.append(np.abs(world.spine_rad - world.spine_target_rad).max())
+    assert swing[0] < 2.0
+    assert max(swing[-10:]) < max(0.5 * max(swing[2:12]), 1e-4)
+
+
+def test_springs_have_the_whole_matrix(world):
+    """A load turns the joints by K^-1 tau, also where they are coupled."""
+    world.reset(0)
+    free = hold(world, 5.0, steps=40) or world.spine_rad
+    K = 0.4 * np.eye(4) + 0.1 * (np.eye(4, k=1) + np.eye(4, k=-1)) - 0.03 * (np.eye(4, k=2) + np.eye(4, k=-2))
+    world._resist = lambda drive: (K, np.zeros(4))
+    torque = np.array([0.02, -0.01, 0.015, 0.005])
+    world.data.qfrc_applied[world._spine] = torque
+    hold(world, 5.0, steps=60)
+    np.testing.assert_allclose(world.spine_rad - free, np.linalg.solve(K, torque), atol=2e-4)
 
 
 def test_a_gel_alone_is_refused():
