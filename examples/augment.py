@@ -10,7 +10,7 @@ from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
 from pneutac_datasets.demonstrations.record import record_episodes
 
 if __name__ == "__main__":  # workers import this file
-    robot = PneutacSim(PneutacSimConfig(id="twin", task="switch", fidelity="probe"))
+    robot = PneutacSim(PneutacSimConfig(id="twin", task="switch"))
     operator = PneutacScripted(PneutacScriptedConfig(episode_steps=300))
     demos = Path("outputs/augment/demos")
     record_episodes(robot, operator, "local/demos", demos, 2, "flip the switch", use_videos=False)
@@ -20,7 +20,6 @@ if __name__ == "__main__":  # workers import this file
         output=DatasetRef("local/more", Path("outputs/augment/more")),
         task="switch",
         episodes=1,
-        fidelity="probe",
     )
     result = augment(config, lambda text, done, total: print(f"{text}: {done} of {total}"))
     print(f"kept {result.share:.0%} of the variants")

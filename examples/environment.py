@@ -9,7 +9,7 @@ from PIL import Image
 import pneutac_sim  # noqa: F401  registers the environments
 from pneutac_sim.world.expert import ScriptedExpert
 
-env = gymnasium.make("pneutac_sim/switch", fidelity="probe")
+env = gymnasium.make("pneutac_sim/switch")
 observation, info = env.reset(seed=3)
 expert = ScriptedExpert(env.unwrapped.world, np.random.default_rng(3))
 

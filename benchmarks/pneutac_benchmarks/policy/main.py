@@ -55,8 +55,8 @@ class BenchmarkPolicyConfig:
         jobs: number of processes; where left out, one a core.
         twin: folder of the twin for augmentation and reinforcement learning; where left out, the built-in
             one.
-        fidelity: way in which finger and gel deform there: `probe`, by formulas, which every twin has,
-            `surrogate`, by networks that fit the twin, or `mpm`.
+        fidelity: way in which finger and gel deform there: `surrogate`, by networks that fit the twin, `mpm`,
+            or `probe`, by formulas.
         twin_before: folder of a twin before it was corrected: a second table compares it with `twin`, by
             augmented data alone, and fine-tuned.
         fast: tiny size, to see that it works; other options of size are not looked at.
@@ -79,7 +79,7 @@ class BenchmarkPolicyConfig:
     device: str | None = None
     jobs: int | None = None
     twin: Path | None = None
-    fidelity: str = "probe"
+    fidelity: str = "surrogate"
     twin_before: Path | None = None
     fast: bool = False
     out: Path = Path("outputs/benchmark_policy")

@@ -94,7 +94,9 @@ def test_samples_beyond_the_training_of_the_action_network_are_told(bench, tmp_p
         network = ActionNetwork.load(builtin("action"))
         high, low = network.high.copy(), network.low.copy()
         high[:4], low[:4], high[-1], low[-1] = 9.0, -9.0, at_most_kpa, -9.0
-        file = replace(network, fingerprint=mark, high=high, low=low).save(tmp_path / "action.safetensors")
+        drive = np.array([twin.parameter("gain_rad_per_kpa"), twin.parameter("rest_pressure_kpa")])
+        own = replace(network, fingerprint=mark, high=high, low=low, drive=drive)
+        file = own.save(tmp_path / "action.safetensors")
         twin.networks = {"action": file}
         twin.save(tmp_path / "twin")
         compare.main(
