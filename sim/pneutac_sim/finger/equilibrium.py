@@ -36,9 +36,12 @@ def _solve(A, b, stiffness, L):
         if d > 1e-3 * stiffness:
             L[i, i] = 1.0 / math.sqrt(d)
             i += 1
-        else:  # not positive definite: start again with a larger shift
+        elif shift <= 1e9 * stiffness:  # not positive definite: start again with a larger shift
             shift = max(2.0 * shift, stiffness)
             i = 0
+        else:  # none helps a matrix that is not finite
+            b[:] = np.nan
+            return
     for i in range(n):
         for m in range(i):
             b[i] -= L[i, m] * b[m]
@@ -59,6 +62,8 @@ def planar(q, loads, stiffness, links, state):
         stiffness: K of each joint, N m / rad.
         links: (N,) length of the link after each joint, m, then their share of the weight (N,).
         state: (N,) deflection of the sample before, updated.
+
+    Angles or loads that are not finite make all angles from there on NaN.
     """
     n, joints = q.shape
     x, z = np.empty(joints + 1), np.empty(joints + 1)  # of joint i; the last is the tip
@@ -86,6 +91,9 @@ def planar(q, loads, stiffness, links, state):
                 for k in range(joints):
                     A[i, k] = stretch[max(i, k)] + (stiffness if i == k else 0.0)
             _solve(A, b, stiffness, chol)
+            if not math.isfinite(b[0]):
+                q[t:] = np.nan
+                return
             largest = 0.0
             for i in range(joints):
                 step = min(max(b[i], -0.5), 0.5)  # keeps a near-singular step from throwing the spine about
@@ -205,6 +213,9 @@ def spatial(q, loads, stiffness, links, state):
                 # The two bends of one joint have no order: the mean of either order.
                 A[2 * i + 1, 2 * i] = 0.5 * (A[2 * i + 1, 2 * i] + A[2 * i, 2 * i + 1])
             _solve(A, b, stiffness, chol)
+            if not math.isfinite(b[0]):
+                q[t:] = np.nan
+                return
             largest = 0.0
             for j in range(size):
                 step = min(max(b[j], -0.5), 0.5)

@@ -71,3 +71,17 @@ def test_heavy_hanging_load_straightens_a_bent_finger():
     planar(q, np.array([[300.0, 0, 0, 0, 0, 0]]), K, _links(), np.zeros(N))
     tip, _ = forward_kinematics(q[0], S, L)
     assert tip[0] > 0.999 * L and abs(q).max() < 0.2 * 0.4
+
+
+@pytest.mark.parametrize("axes", [1, 2])
+@pytest.mark.parametrize("spoilt", ["q", "loads", "stiffness"])
+def test_what_is_not_finite_ends_at_once_and_is_no_number(axes, spoilt):
+    """No shift makes a matrix of NaN positive definite: the search for one once went on for ever."""
+    given = {"q": np.full((5, 4 * axes), 0.1), "loads": np.zeros((5, 6)), "stiffness": np.array([0.4])}
+    given["loads"][:, 2] = 0.1
+    given[spoilt][2 if spoilt != "stiffness" else 0] = np.nan
+    solve = planar if axes == 1 else spatial
+    links = np.concatenate([np.full(4, 0.025), np.full(4, 0.25)])
+    solve(given["q"], given["loads"], given["stiffness"][0], links, np.zeros(4 * axes))
+    first = 0 if spoilt == "stiffness" else 2
+    assert np.isfinite(given["q"][:first]).all() and np.isnan(given["q"][first:]).all()
