@@ -42,5 +42,5 @@ def out_of_range(twin: Twin, bench: BodyData) -> tuple[float | None, str | None]
     return share, (
         f"{100 * share:.2g}% of samples lie outside what the twin's action network was trained with (bending "
         f"pressures from {low:.3g} to {high:.3g} kPa; the recording's go from {asked.min():.3g} to "
-        f"{asked.max():.3g} kPa); there the network gives the torque of the nearest state it knows."
+        f"{asked.max():.3g} kPa); there its torque goes on straight."
     )

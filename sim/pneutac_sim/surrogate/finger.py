@@ -29,7 +29,7 @@ class SurrogateFinger:
     Attributes:
         controller_nm_per_rad: K_c, see `stiffness.controller_stiffness`.
         in_range: whether the last step was in the range in which the network was trained. Where it was not,
-            the body has the torque of the nearest state that was.
+            the body's torque goes on straight.
 
     Raises:
         InputError: the network was trained for another body, or the body is stiffer than the whole finger.

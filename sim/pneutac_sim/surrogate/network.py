@@ -64,7 +64,7 @@ class ActionNetwork:
         return len(self.torque_mean)
 
     def torque(self, q: np.ndarray, q_vel: np.ndarray, pressure_kpa: np.ndarray) -> np.ndarray:
-        """f_r (T, N) in N m at states (T, N), (T, N), (T,); outside the box, at its nearest point."""
+        """f_r (T, N) in N m at states (T, N), (T, N), (T,); outside the box its straight part goes on."""
         q, q_vel = np.asarray(q, float), np.asarray(q_vel, float)
         out = np.empty(q.shape)
         x, f = self._work

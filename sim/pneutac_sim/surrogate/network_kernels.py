@@ -14,13 +14,18 @@ STEPS, RESOLUTION_RAD = 50, 1e-8  # of the search for rest
 
 @njit(cache=True)
 def residual(numbers, q, qd, p, x, f):
-    """f_r into f[2] (N,); returns whether the state lies in the box, to which it is clipped."""
+    """f_r into f[2] (N,); returns whether the state lies in the box, to which the layers' inputs are clipped.
+
+    The straight part goes on beyond it, as an elastic body does.
+    """
     (w1, b1, w2, b2, w3, b3), (slope, mean, scale, torque_mean, torque_scale, low, high) = numbers
     n = len(q)
     h1, h2, out = f
-    inside = True
+    inside, straight = True, torque_mean.copy()
     for i in range(2 * n + 1):
         v = q[i] if i < n else (qd[i - n] if i < 2 * n else p)
+        for j in range(n):
+            straight[j] += (v - mean[i]) / scale[i] * slope[i, j]
         if not low[i] <= v <= high[i]:
             inside = False
             v = min(max(v, low[i]), high[i])
@@ -31,10 +36,7 @@ def residual(numbers, q, qd, p, x, f):
     _softsign(h2)
     _layer(h2, w3, b3, out)
     for i in range(n):
-        straight = torque_mean[i]
-        for j in range(2 * n + 1):
-            straight += x[j] * slope[j, i]
-        out[i] = straight + torque_scale[i] * out[i]
+        out[i] = straight[i] + torque_scale[i] * out[i]
     return inside
 
 

@@ -1,4 +1,4 @@
-"""`pneutac surrogate`: a twin's own effect reaches the world, interrupted runs go on, bad input."""
+"""`pneutac surrogate`: a twin's own body and effect reach the world, interrupted runs go on, bad input."""
 
 import json
 
@@ -22,6 +22,14 @@ def train(twin, *options) -> None:
     surrogate.main([f"--twin={twin}", *TINY, *options])
 
 
+def other_body() -> Twin:
+    """A finger that stiffens, of another material than the built-in one."""
+    twin = Twin.builtin()
+    twin.effects["stiffening"] = dict(STIFFENING)
+    twin.parameters["poissons_ratio"] = Value(0.42)
+    return twin
+
+
 def bend_rad(twin: Twin | None, fidelity: str) -> float:
     """Sum of the joint angles in free air at 15 kPa."""
     world = World("switch", twin, touch="none", fidelity=fidelity)
@@ -32,11 +40,9 @@ def bend_rad(twin: Twin | None, fidelity: str) -> float:
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
-    """A twin that stiffens, trained in two goes: the first is interrupted after four trajectories."""
+    """A body of its own, trained in two goes: the first is interrupted after four trajectories."""
     folder = tmp_path_factory.mktemp("stiffening") / "twin"
-    twin = Twin.builtin()
-    twin.effects["stiffening"] = dict(STIFFENING)
-    twin.save(folder)
+    other_body().save(folder)
     whole, moved = collect._move, []
 
     def once(twin, plan, batch, device):
@@ -55,9 +61,16 @@ def trained(tmp_path_factory):
     return folder, kept
 
 
-def test_an_effect_of_the_twin_is_seen_in_the_world_through_its_own_networks(trained):
-    folder, _ = trained
-    twin = Twin.load(folder)
+def test_a_body_of_its_own_has_a_world(trained):
+    twin = Twin.load(trained[0])
+    assert 0.2 < bend_rad(twin, "surrogate") < 3.0
+    with pytest.raises(InputError, match="has no action network"):
+        World("switch", other_body(), touch="none", fidelity="surrogate")
+
+
+def test_an_effect_that_is_added_is_seen_in_the_world_with_the_networks_of_the_body():
+    twin = Twin.builtin()
+    twin.effects["stiffening"] = dict(STIFFENING)
     change = bend_rad(twin, "surrogate") - bend_rad(None, "surrogate")
     wanted = bend_rad(twin, "probe") - bend_rad(None, "probe")
     assert abs(wanted) > 0.05
@@ -127,9 +140,7 @@ def test_twins_that_cannot_be_trained_are_refused(tmp_path):
     ],
 )
 def test_options_that_cannot_work_are_refused_before_anything_is_collected(tmp_path, option, said):
-    twin = Twin.builtin()
-    twin.effects["stiffening"] = dict(STIFFENING)
-    twin.save(tmp_path / "twin")
+    other_body().save(tmp_path / "twin")
     with pytest.raises(InputError, match=said):
         train(tmp_path / "twin", option)
     assert not list((tmp_path / "twin").glob("**/action_*"))

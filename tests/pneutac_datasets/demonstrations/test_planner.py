@@ -224,13 +224,14 @@ def test_planning_brings_touch_and_path_back_to_the_demonstrated_ones():
     gantry = Gantry(world)
     touch_alone = replace(config, position_weight=0.0, smoothness_weight=0.0)
     left, left_of_touch = [], []
-    for r in demonstrations("switch", 4):
+    for r in demonstrations("switch", 5):
         middle = r.onset + 3
         world.variation = Variation(start_m=tuple(r.flange_m[0]))
         world.reset(r.source)
         for action in r.action[:middle]:
             world.step(action)
-        assert world.touch.area > 0
+        if not world.touch.area:  # replayed blindly from the measured start, it may miss
+            continue
         gantry.mirror(world)
         ahead = slice(middle + 1, middle + 1 + config.horizon)
         goals = r.area[ahead], r.flange_m[ahead], r.action[middle - 1]
@@ -249,6 +250,7 @@ def test_planning_brings_touch_and_path_back_to_the_demonstrated_ones():
         left.append(cost / costs(warm, config, *goals))
         left_of_touch.append(costs(found, touch_alone, *goals) / costs(warm, touch_alone, *goals))
         assert plan(replace(config, samples=20, iterations=4), warm, *goals)[1] < cost
+    assert len(left) >= 4
     for ratios in (left, left_of_touch):
         assert max(ratios) < 0.9
         assert np.mean(ratios) < 0.6

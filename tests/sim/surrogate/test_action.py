@@ -89,7 +89,9 @@ def test_out_of_range_is_told_and_stays_finite(network):
         assert network.resistance(q, cmd)[2] == inside
     torque, J, inside = network.resistance(cmd, np.full(4, 1e3))
     assert not inside
-    assert np.isfinite(torque).all() and not J.any(), "the torque of the nearest state"
+    straight = network.slope[:4] / network.scale[:4, None]
+    assert np.isfinite(torque).all()
+    np.testing.assert_allclose(J, (straight + straight.T) / 2, atol=1e-4)  # of numbers of 1e3, in 32 bits
     wild = np.random.default_rng(3).normal(size=(200, 4)) * 5
     q, v, in_range = network.roll(cmd, np.full(4, 100.0), wild, np.full(200, 1e6), 2.0)
     assert not in_range.any()
