@@ -10,7 +10,8 @@ import torch
 from pneutac_sim.errors import InputError, check_choice
 from pneutac_sim.gel.indenter import INDENTERS
 from pneutac_sim.surrogate.gel_collect import Pairs, read_contacts
-from pneutac_sim.surrogate.perception import GelSurrogate, UNet
+from pneutac_sim.surrogate.perception import GelSurrogate
+from pneutac_sim.surrogate.unet import UNet
 
 HELDOUT = ("cylinder", "cone")  # a flat and a pointed indenter
 CHECK_EVERY = 6  # of the contacts of trained indenters one in so many tells when to stop
@@ -79,7 +80,7 @@ def train_gel(
         network = _fit(train, check, seed, epochs, device, progress)
     deepest = max(float(p.depth_mm.max()) for p in train)
     share = max(float((p.depth_mm > 0).mean((1, 2)).max()) for p in train)
-    return GelSurrogate(network, fingerprint, deepest, share, heldout)
+    return GelSurrogate(network.weights(), fingerprint, deepest, share, heldout)
 
 
 def _fit(train, check, seed, epochs, device, progress) -> UNet:

@@ -10,90 +10,51 @@ which costs a quarter and loses nothing.
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
-from torch import nn
-from torch.nn import functional as F
+from safetensors.numpy import save_file
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import whole
 from pneutac_sim.gel.probe import COLS, ROWS
+from pneutac_sim.surrogate import perception_kernels as kern
 
 FORMAT = "pneutac-gel-surrogate/1"
-CHANNELS = (16, 24, 32)
-BLOCK = 2
-
-
-def _twice(inputs: int, outputs: int) -> nn.Sequential:
-    return nn.Sequential(
-        nn.Conv2d(inputs, outputs, 3, padding=1),
-        nn.ReLU(),
-        nn.Conv2d(outputs, outputs, 3, padding=1),
-        nn.ReLU(),
-    )
-
-
-def _onto(coarse: torch.Tensor, skip: torch.Tensor) -> torch.Tensor:
-    """A coarse level enlarged and laid onto the finer one's channels."""
-    return torch.cat([F.interpolate(coarse, size=skip.shape[-2:]), skip], 1)
-
-
-class UNet(nn.Module):
-    """g, from grids (B, 1, 80, 59) to grids of the same shape, mm.
-
-    Args:
-        channels: of the three levels.
-    """
-
-    def __init__(self, channels: tuple[int, int, int] = CHANNELS):
-        super().__init__()
-        a, b, c = channels
-        self.down1, self.down2, self.down3 = _twice(BLOCK**2, a), _twice(a, b), _twice(b, c)
-        self.up2, self.up1 = _twice(c + b, b), _twice(b + a, a)
-        self.out = nn.Conv2d(a, BLOCK**2, 1)
-
-    def forward(self, depth: torch.Tensor) -> torch.Tensor:
-        """Maps (B, 1, rows, columns); a missing last row or column is filled with zeros and cut off again."""
-        rows, cols = depth.shape[-2:]
-        x = F.pixel_unshuffle(F.pad(depth, (0, cols % BLOCK, 0, rows % BLOCK)), BLOCK)
-        first = self.down1(x)
-        second = self.down2(F.max_pool2d(first, 2, ceil_mode=True))
-        third = self.down3(F.max_pool2d(second, 2, ceil_mode=True))
-        y = self.out(self.up1(_onto(self.up2(_onto(third, second)), first)))
-        return F.pixel_shuffle(y, BLOCK)[..., :rows, :cols]
+LAYERS = (*(f"{level}.{i}" for level in ("down1", "down2", "down3", "up2", "up1") for i in (0, 2)), "out")
 
 
 class GelSurrogate:
-    """A trained perception network.
+    """A trained perception network, evaluated on one thread.
 
     Args:
-        network: g.
+        weights: float32 of g, the entries of `unet.UNet.weights`.
         fingerprint: of the gel that it was trained for.
         deepest_mm: largest probe grid value that it was trained with.
         largest_share: largest share of the window in contact that it was trained with.
         heldout: indenters that it was not trained with.
         errors: what `evaluate_gel` found, kept with the weights.
+
+    Raises:
+        ValueError: the weights are not those of such a network, or not finite.
     """
 
     def __init__(
         self,
-        network: UNet,
+        weights: Mapping[str, np.ndarray],
         fingerprint: str,
         deepest_mm: float,
         largest_share: float,
         heldout: Sequence[str] = (),
         errors: dict | None = None,
     ):
-        self.network = network.cpu().eval().to(memory_format=torch.channels_last)
+        self.weights = {k: np.ascontiguousarray(v, np.float32) for k, v in weights.items()}
+        _check(self.weights)
         self.fingerprint, self.heldout, self.errors = fingerprint, tuple(heldout), errors or {}
         self.deepest_mm, self.largest_share = deepest_mm, largest_share
-        with torch.inference_mode():
-            self._rest = self.network(torch.zeros(1, 1, ROWS, COLS))
 
     def displacement(self, depth_mm: np.ndarray) -> np.ndarray:
         """Displacement of the gel's face under probe grids.
@@ -112,17 +73,25 @@ class GelSurrogate:
         if depth.ndim not in (2, 3) or depth.shape[-2:] != (ROWS, COLS):
             raise ValueError(f"probe grids have shape ([B,] {ROWS}, {COLS}); got {depth.shape}")
         grids = depth.reshape(-1, ROWS, COLS)
-        peak = grids.max((1, 2), initial=0.0)
-        if not np.isfinite(peak).all():
+        out = np.empty_like(grids)
+        if not kern.displacements(*self._network, grids, self._rest, np.float32(self.deepest_mm), out):
             raise ValueError("a probe grid holds a depth that is no finite number")
-        out = grids.copy()
-        touched = np.flatnonzero(peak > 0)
-        if len(touched):
-            known = np.minimum(grids[touched], np.float32(self.deepest_mm))
-            with torch.inference_mode():
-                added = self.network(torch.from_numpy(known)[:, None]) - self._rest
-            out[touched] += added[:, 0].numpy()
         return out.reshape(depth.shape)
+
+    @cached_property
+    def _network(self) -> tuple:
+        """Kernels, biases and work space, as the compiled code takes them."""
+        kernels = [self.weights[f"{layer}.weight"] for layer in LAYERS]
+        biases = tuple(self.weights[f"{layer}.bias"] for layer in LAYERS)
+        flat = tuple(np.ascontiguousarray(k.reshape(*k.shape[:2], -1)) for k in kernels)
+        return flat, biases, kern.workspace(_channels(self.weights))
+
+    @cached_property
+    def _rest(self) -> np.ndarray:
+        """g(0)."""
+        rest = np.empty((ROWS, COLS), np.float32)
+        kern.added(*self._network, np.zeros((ROWS, COLS), np.float32), rest)
+        return rest
 
     def out_of_range(self, depth_mm: np.ndarray) -> np.ndarray:
         """Whether probe grids (..., 80, 59) lie deeper, or cover more of the window, than in training."""
@@ -140,9 +109,8 @@ class GelSurrogate:
             "heldout": json.dumps(self.heldout),
             "errors": json.dumps(self.errors),
         }
-        weights = {k: v.contiguous() for k, v in self.network.state_dict().items()}
         with whole(Path(path)) as part:
-            save_file(weights, part, metadata)
+            save_file(self.weights, part, metadata)
 
     @classmethod
     def load(cls, path: str | Path) -> "GelSurrogate":
@@ -154,19 +122,33 @@ class GelSurrogate:
         if not Path(path).is_file():
             raise InputError(f"There is no perception network '{path}'; train one with `pneutac surrogate`.")
         try:
-            with safe_open(path, "pt") as f:
+            with safe_open(path, "np") as f:
                 about, weights = f.metadata() or {}, {k: f.get_tensor(k) for k in f.keys()}  # noqa: SIM118
-            if about["format"] != FORMAT or not all(torch.isfinite(w).all() for w in weights.values()):
-                raise ValueError
-            network = UNet(tuple(len(weights[f"down{level}.0.bias"]) for level in (1, 2, 3)))
-            network.load_state_dict(weights)
             limits = (float(about["deepest_mm"]), float(about["largest_share"]))
-            if not all(0 < v < np.inf for v in limits):
+            if about["format"] != FORMAT or not all(0 < v < np.inf for v in limits):
                 raise ValueError
-            return cls(
-                network, about["fingerprint"], *limits, *(json.loads(about[k]) for k in ("heldout", "errors"))
-            )
-        except (SafetensorError, OSError, KeyError, ValueError, RuntimeError) as e:
+            more = (json.loads(about[k]) for k in ("heldout", "errors"))
+            return cls(weights, about["fingerprint"], *limits, *more)
+        except (SafetensorError, OSError, KeyError, ValueError) as e:
             raise InputError(
                 f"'{path}' is no perception network, or is damaged; train one with `pneutac surrogate`."
             ) from e
+
+
+def _channels(weights: Mapping[str, np.ndarray]) -> tuple[int, int, int]:
+    """Of the three levels."""
+    return tuple(len(weights[f"down{level}.0.bias"]) for level in (1, 2, 3))
+
+
+def _check(weights: Mapping[str, np.ndarray]) -> None:
+    a, b, c = _channels(weights)
+    block = kern.BLOCK**2
+    outputs = (a, a, b, b, c, c, b, b, a, a, block)
+    inputs = (block, a, a, b, b, c, c + b, b, b + a, a, a)
+    wanted = {f"{layer}.bias": (o,) for layer, o in zip(LAYERS, outputs, strict=True)}
+    for layer, o, i in zip(LAYERS, outputs, inputs, strict=True):
+        wanted[f"{layer}.weight"] = (o, i, 1, 1) if layer == "out" else (o, i, 3, 3)
+    if {k: w.shape for k, w in weights.items()} != wanted or any(n % 2 for n in (a, b, c)):
+        raise ValueError("these are not the weights of the perception network")
+    if not all(np.isfinite(w).all() for w in weights.values()):
+        raise ValueError("the perception network has weights that are no finite numbers")

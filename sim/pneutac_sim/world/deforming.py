@@ -6,7 +6,7 @@ from pneutac_sim.twin import Twin
 def deforming(twin: Twin, fidelity: str, touch: str):
     """What bends the finger, and what indents the gel; None for the formulas."""
     deforms = touch in ("image", "area")
-    if fidelity == "surrogate":  # PyTorch and compilers take seconds to start
+    if fidelity == "surrogate":  # its modules take a second to start
         from pneutac_sim.surrogate.networks import Networks
 
         networks = Networks.of(twin)

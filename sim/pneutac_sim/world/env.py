@@ -121,7 +121,7 @@ class PneutacEnv(gymnasium.Env):
 
 
 def _best_fidelity(twin: Twin) -> str:
-    from pneutac_sim.surrogate.networks import builtin, fits  # PyTorch takes seconds to start
+    from pneutac_sim.surrogate.networks import builtin, fits  # its modules take a second to start
 
     if twin.device != "finger" or twin.networks or all(fits(builtin(name), name, twin) for name in NETWORKS):
         return "surrogate"
