@@ -7,7 +7,6 @@ import numpy as np
 
 from lerobot_pneutac.rendering import particles as draw
 from lerobot_pneutac.rendering.film import (
-    STRAIN,
     STRETCH,
     Film,
     FilmFrame,
@@ -21,6 +20,7 @@ from lerobot_pneutac.rendering.photographs import photograph_painter, read_recor
 from lerobot_pneutac.rendering.view import view_painter
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger.inputs import CHAMBERS
+from pneutac_sim.splat.stretch import MOST_STRAIN
 from pneutac_sim.twin import Twin
 
 
@@ -65,7 +65,7 @@ def _particle_painter(twin: Twin, spacing_m: float) -> Painter:
     length = 1e-3 * twin.length_mm
 
     def paint(pose: Pose) -> tuple[np.ndarray, dict]:
-        return draw.body_picture(pose, length, spacing_m, caption(pose), STRAIN, turns), {}
+        return draw.body_picture(pose, length, spacing_m, caption(pose), MOST_STRAIN, turns), {}
 
     return paint
 

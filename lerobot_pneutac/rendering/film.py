@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-STRAIN = 0.15  # of the warmest colour
 STRETCH = "Colour is the largest stretch of the material, from calm to warm."
 
 

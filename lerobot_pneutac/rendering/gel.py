@@ -11,6 +11,7 @@ from lerobot_pneutac.rendering.film import STRETCH, Film, FilmFrame
 from lerobot_pneutac.rendering.options import RenderConfig, deepest_press
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
+from pneutac_sim.splat.stretch import strain
 from pneutac_sim.twin import Twin
 
 PRESS_FRAMES = 8  # depths on the way down
@@ -52,7 +53,7 @@ def _frames(twin: Twin, config: RenderConfig, press: Press) -> Iterator[FilmFram
         picture = draw.gel_picture(
             moved,
             1e3 * rest.positions[0, cut],
-            draw.strain(rest.gradients[0, cut]),
+            strain(rest.gradients[0, cut]),
             1e3 * solver.body.spacing_m,
             window,
             config.depth_mm,

@@ -4,21 +4,10 @@ import cv2
 import numpy as np
 
 from lerobot_pneutac.rendering.film import Pose
+from pneutac_sim.splat.stretch import strain, stretch_colours
 
-STOPS = np.array([[38.0, 150, 155], [238, 200, 110], [226, 74, 51]])  # RGB: calm, half way, most
 BODY_PX, GEL_PX = (640, 480), (800, 480)  # width and height of pictures
 PAPER, INK = (246, 248, 250), (27, 36, 48)
-
-
-def colours(value: np.ndarray, top: float) -> np.ndarray:
-    """(P, 3) RGB from calm to warm for values from 0 to `top`."""
-    share = np.clip(value / top, 0, 1) * (len(STOPS) - 1)
-    return np.stack([np.interp(share, range(len(STOPS)), stop) for stop in STOPS.T], -1)
-
-
-def strain(gradients: np.ndarray) -> np.ndarray:
-    """(...,) largest principal stretch less one of deformation gradients (..., 3, 3)."""
-    return np.linalg.svd(np.asarray(gradients, float), compute_uv=False)[..., 0] - 1
 
 
 def draw_particles(
@@ -85,7 +74,7 @@ def body_picture(
     """
     width, height = BODY_PX
     image = blank(width, height)
-    rgb = colours(strain(pose.gradients), top_strain)
+    rgb = stretch_colours(strain(pose.gradients), top_strain)
     scale = 0.74 * height / length_m
     for k, degrees in enumerate(turns):
         tilt = np.radians(degrees)
@@ -136,7 +125,7 @@ def gel_picture(
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     light = np.array([-0.45, -0.55, 0.70])
     shade = np.clip(normal @ light / 0.70, 0.25, 1.35)[..., None]
-    face = np.clip(colours(moved_mm, top_mm) * shade, 0, 255).astype(np.uint8)
+    face = np.clip(stretch_colours(moved_mm, top_mm) * shade, 0, 255).astype(np.uint8)
     face = cv2.resize(face, (face_width, face_height), interpolation=cv2.INTER_CUBIC)
     image[24 : 24 + face_height, 16 : 16 + face_width] = face
     line = 24 + round((np.unravel_index(moved_mm.argmax(), moved_mm.shape)[0] + 0.5) / rows * face_height)
@@ -145,7 +134,9 @@ def gel_picture(
     scale = (width - left - 16) / (1.06 * window_mm[0])
     origin = (left + 0.53 * window_mm[0] * scale, 0.5 * height)
     view = (np.array([1.0, 0, 0]), np.array([0, 0, 1.0]))
-    draw_particles(image, particles_mm, colours(strains, top_strain), 0.55 * spacing_mm, view, scale, origin)
+    draw_particles(
+        image, particles_mm, stretch_colours(strains, top_strain), 0.55 * spacing_mm, view, scale, origin
+    )
     write(image, "cut along the white line", left, 40)
     write(image, caption, 16, height - 22, 0.55)
     return image

@@ -5,13 +5,14 @@ from dataclasses import replace
 import numpy as np
 
 from lerobot_pneutac.rendering import particles as draw
-from lerobot_pneutac.rendering.film import STRAIN, STRETCH, Painter, Pose, caption
+from lerobot_pneutac.rendering.film import STRETCH, Painter, Pose, caption
 from lerobot_pneutac.rendering.options import RenderView
 from pneutac_sim.mpm.body import Body
 from pneutac_sim.splat.body import ARRAYS, looks_from_twin
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.follow import blank_looks, carried
 from pneutac_sim.splat.rasteriser import rasterise
+from pneutac_sim.splat.stretch import strain, stretch_colours
 from pneutac_sim.twin import Twin
 
 WIDTH, HEIGHT = 640, 480
@@ -52,7 +53,7 @@ def view_painter(twin: Twin, body: Body, view: RenderView, spines: np.ndarray) -
     def paint(pose: Pose) -> tuple[np.ndarray, dict]:
         now = carried(looks, body, pose.positions, pose.gradients)
         if not own:
-            now = replace(now, colours=draw.colours(draw.strain(pose.gradients), STRAIN) / 255)
+            now = replace(now, colours=stretch_colours(strain(pose.gradients)) / 255)
         seen = rasterise(now, camera, np.array(draw.PAPER) / 255)
         image = draw.blank(WIDTH, HEIGHT + CAPTION)
         image[:HEIGHT] = (255 * seen.image.clip(0, 1)).round()

@@ -9,13 +9,20 @@ from lerobot.utils.constants import ACTION, OBS_IMAGES, OBS_STATE
 
 # Registers the Gymnasium ids. Workers of lerobot-eval get them by unpickling this module's config.
 import pneutac_sim  # noqa: F401
-from lerobot_robot_pneutac.options import check_choice, check_conditions, check_twin_folder, refuse_if
+from lerobot_robot_pneutac.options import (
+    check_choice,
+    check_conditions,
+    check_gl,
+    check_twin_folder,
+    refuse_if,
+)
 from pneutac_sim.features import (
     ACTION_NAMES,
     CONTROL_HZ,
     FIDELITIES,
     IMAGE_NAME,
     IMAGE_SHAPE,
+    RENDERS,
     STANDIN_GELS,
     STATE_NAMES,
     TASK_NAMES,
@@ -79,17 +86,23 @@ class PneutacEnvConfig(PneutacTaskConfig):
             a control step in contact, for checks); `probe`, by formulas.
         conditions: what the twin's effects ask for, such as {temperature_c: 28, payload_g: [0, 20]}; from a
             range [low, high] every episode draws.
+        render: what draws touch and finger: `mesh`, light on every pixel and MuJoCo's shapes; `splats`, the
+            Gaussians of the gel and of the twin's body, over MuJoCo's scene (needs OpenGL).
     """
 
     twin: Path | None = None
     fidelity: str = "surrogate"
     conditions: dict[str, float | list[float]] = field(default_factory=dict)
+    render: str = "mesh"
 
     def __post_init__(self):
         super().__post_init__()
         check_choice("env.fidelity", self.fidelity, FIDELITIES)
         check_twin_folder("env.twin", self.twin)
         check_conditions("env.conditions", self.twin, self.conditions)
+        check_choice("env.render", self.render, RENDERS)
+        if self.render == "splats":
+            check_gl("env.render")
 
     @property
     def package_name(self) -> str:
@@ -102,7 +115,8 @@ class PneutacEnvConfig(PneutacTaskConfig):
         from pneutac_sim.twin import Twin
 
         twin = {"twin": Twin.load(self.twin)} if self.twin else {}
-        return super().gym_kwargs | {"fidelity": self.fidelity, "conditions": self.conditions, **twin}
+        own = {"fidelity": self.fidelity, "conditions": self.conditions, "render": self.render}
+        return super().gym_kwargs | own | twin
 
 
 @EnvConfig.register_subclass("pneutac_standin")

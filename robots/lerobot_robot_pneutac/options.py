@@ -24,6 +24,16 @@ def check_twin_folder(option: str, folder: Path | None) -> None:
     refuse_if(missing, f"--{option} is '{folder}', which holds no twin.yaml; give a twin's folder.")
 
 
+def check_gl(option: str) -> None:
+    """Refuses splats over a scene where OpenGL does not start."""
+    from pneutac_sim.world.view import require_gl
+
+    try:
+        require_gl()
+    except InputError as e:
+        refuse_if(True, f"--{option}: {e}")
+
+
 def check_conditions(option: str, twin: Path | None, conditions: dict) -> None:
     """Refuses conditions that are no numbers, or a twin that has an effect without its conditions."""
     from pneutac_sim.twin import Twin

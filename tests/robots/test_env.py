@@ -91,6 +91,15 @@ def test_fidelity_reaches_the_world():
     env.close()
 
 
+def test_render_reaches_the_world(monkeypatch):
+    monkeypatch.setattr("pneutac_sim.world.view.gl_context", lambda model: 1 / 0)
+    with pytest.raises(DecodingError, match=r"--env.render: .*needs OpenGL.*or choose render=mesh"):
+        PneutacEnvConfig(render="splats")
+    with pytest.raises(DecodingError, match="'oil'; it must be one of mesh, splats"):
+        PneutacEnvConfig(render="oil")
+    assert PneutacEnvConfig().gym_kwargs["render"] == "mesh"
+
+
 def test_the_standin_is_an_environment_of_its_own():
     config = PneutacStandinConfig(task="card", episode_length=2)
     env = make_env(config, n_envs=1)["pneutac_standin"][0]

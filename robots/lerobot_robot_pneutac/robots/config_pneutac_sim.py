@@ -6,7 +6,7 @@ from pathlib import Path
 from lerobot.robots import RobotConfig
 
 from lerobot_robot_pneutac.options import check_choice, check_conditions, check_twin_folder, refuse_if
-from pneutac_sim.features import FIDELITIES, TASK_NAMES
+from pneutac_sim.features import FIDELITIES, RENDERS, TASK_NAMES
 
 
 @RobotConfig.register_subclass("pneutac_sim")
@@ -22,6 +22,7 @@ class PneutacSimConfig(RobotConfig):
             `probe`, by formulas.
         conditions: what the twin's effects ask for, such as {temperature_c: 28, payload_g: [0, 20]}; from a
             range [low, high] every episode draws.
+        render: what draws the touch: `mesh`, light on every pixel; `splats`, the Gaussians of the gel.
         standin: act on the stand-in for reality, which has a finger and a gel of its own.
     """
 
@@ -30,6 +31,7 @@ class PneutacSimConfig(RobotConfig):
     twin: Path | None = None
     fidelity: str = "surrogate"
     conditions: dict[str, float | list[float]] = field(default_factory=dict)
+    render: str = "mesh"
     standin: bool = False
 
     def __post_init__(self):
@@ -38,8 +40,10 @@ class PneutacSimConfig(RobotConfig):
         check_choice("robot.fidelity", self.fidelity, FIDELITIES)
         check_twin_folder("robot.twin", self.twin)
         check_conditions("robot.conditions", self.twin, self.conditions)
+        check_choice("robot.render", self.render, RENDERS)
         refuse_if(
-            self.standin and (self.twin is not None or self.fidelity != "surrogate" or bool(self.conditions)),
-            "--robot.standin=true has a finger and a gel of its own; leave --robot.twin, --robot.fidelity and"
-            " --robot.conditions out, or the stand-in.",
+            self.standin
+            and (self.twin, self.fidelity, self.conditions, self.render) != (None, "surrogate", {}, "mesh"),
+            "--robot.standin=true has a finger and a gel of its own; leave --robot.twin, --robot.fidelity,"
+            " --robot.conditions and --robot.render out, or the stand-in.",
         )

@@ -143,4 +143,4 @@ def _world(config: PneutacSimConfig):
     if config.standin:
         return StandinWorld(config.task)
     twin = Twin.load(config.twin) if config.twin else None
-    return World(config.task, twin, "image", config.fidelity, config.conditions)
+    return World(config.task, twin, "image", config.fidelity, config.conditions, config.render)

@@ -42,6 +42,8 @@ class TactileSensor:
         model: the gel's sizes, mechanics and light.
         rest_image: the image without contact, uint8 (H, W, 3), 320 x 240 for a DIGIT.
         surface: as given.
+        draw: takes a surface's displacement, (80, 59) mm, to an image, uint8 (H, W, 3): light on every pixel
+            (`gel.optics`), or in its place such as `splat.gel.SplatSensor.image`.
     """
 
     def __init__(
@@ -58,6 +60,7 @@ class TactileSensor:
         self._renderer = Renderer(
             m.rest_image, m.weight, m.coefficients, self._cell_mm, (ROWS, COLS), m.further
         )
+        self.draw = self._renderer.image
 
     def probe(
         self, kinds, sizes, positions, rotations, gel_position=np.zeros(3), gel_rotation=np.eye(3)
@@ -91,14 +94,14 @@ class TactileSensor:
     def image(self, depth_mm: np.ndarray) -> np.ndarray:
         """Tactile image of a probe grid (80, 59) in mm: uint8 (H, W, 3)."""
         u = self.displacement(depth_mm)
-        return self._renderer.image(u) if u.any() else self.rest_image.copy()
+        return self.draw(u) if u.any() else self.rest_image.copy()
 
     def contact(self, image: np.ndarray) -> ContactArea:
         """Contact area of a tactile image of this sensor."""
         return contact_area(image, self.rest_image, self.model.threshold_levels)
 
     def contact_from_depth(self, depth_mm: np.ndarray) -> ContactArea:
-        """Exactly `contact(image(depth_mm))` without keeping the image."""
+        """Exactly `contact(image(depth_mm))` without keeping the image, where no other `draw` is set."""
         n = self.rest_image.shape[0] * self.rest_image.shape[1]
         if not depth_mm.any():
             return ContactArea.of(0, n)

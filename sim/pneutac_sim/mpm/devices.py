@@ -88,10 +88,13 @@ def arm(twin: Twin, batch: int = 1, particles: int = 4000, mesh=None, device: st
 BODIES = {"finger": finger, "arm": arm}  # by the twin's device
 
 
-def _bending(kind, twin, batch, particles, mesh, device) -> TotalLagrangian:
-    if twin.device != kind:
-        raise InputError(f"The twin is of a {twin.device}; this model is of a {kind}.")
-    length = 1e-3 * twin.length_mm
+def bending_body(twin: Twin, particles: int = 4000, mesh=None) -> Body:
+    """The straight particles of a finger or an arm; `particles` and `mesh` as in `finger`.
+
+    Raises:
+        InputError: an impossible mesh or parameter.
+    """
+    kind, length = twin.device, 1e-3 * twin.length_mm
     material = Material(
         1e6 * parameter(twin, "youngs_modulus_mpa"),
         parameter(twin, "poissons_ratio"),
@@ -99,11 +102,17 @@ def _bending(kind, twin, batch, particles, mesh, device) -> TotalLagrangian:
     )
     own = stored_mesh(twin) if mesh is None else None
     if own is not None:
-        body = filled_body(kind, own, material, particles)
-    else:
-        if mesh is None:
-            mesh = SHAPES[kind](length, 1e-3 * parameter(twin, "width_mm"))
-        body = Body.from_mesh(kind, mesh, material, particles=particles, clamp="x-")
+        return filled_body(kind, own, material, particles)
+    if mesh is None:
+        mesh = SHAPES[kind](length, 1e-3 * parameter(twin, "width_mm"))
+    return Body.from_mesh(kind, mesh, material, particles=particles, clamp="x-")
+
+
+def _bending(kind, twin, batch, particles, mesh, device) -> TotalLagrangian:
+    if twin.device != kind:
+        raise InputError(f"The twin is of a {twin.device}; this model is of a {kind}.")
+    length = 1e-3 * twin.length_mm
+    body = bending_body(twin, particles, mesh)
     end = float(body.positions[:, 0].max())
     joints = 1e-3 * np.asarray(twin.spine_joint_positions_mm)
     if not joints[-1] < end < 1.1 * length:

@@ -31,9 +31,10 @@ ITERATIONS = 30
 class SplatSensor:
     """Renders a gel's surface displacements as splats.
 
-    Layers compress linearly from the surface to the bonded window, and take a share of the light in the same
-    proportion, scaled so that at rest the picture takes the whole of it. What splats of a cell's size cannot
-    show of the rest image, such as noise, stays where it is, so that no contact gives the rest image.
+    Layers compress linearly from the surface to the bonded window. A Gaussian takes the light of contact that
+    falls where the camera sees it, and what it lets pass falls on the next, at last on the background: light
+    that was calibrated on the image plane stays there. What splats of a cell's size cannot show of
+    the rest image, such as noise, stays where it is, so that no contact gives the rest image.
 
     Args:
         model: the gel's sizes, rest image and light.
@@ -85,11 +86,6 @@ class SplatSensor:
         self.looks = numbers("gel colours", looks[0], (n, 3)), numbers("gel opacities", looks[1], (n,))
         splats = Splats(self.camera, self._means, self._covariances, self.looks[1])
         self._residual = rest - splats.render(self.looks[0], self._background).image
-        self._spots = self.camera.project(self._means)[0].astype(np.float32)
-        shown = splats.render(np.repeat(self._fraction[:, None], 3, 1)).image
-        one = np.empty((n, 3), np.float32)
-        _sample(shown, self._spots, one)
-        self._weights = self._fraction[:, None] / np.maximum(one, 0.2)
 
     @property
     def rest_error_levels(self) -> float:
@@ -111,7 +107,7 @@ class SplatSensor:
         Args:
             displacement_mm: (80, 59), positive into the gel, less than its thickness.
             increment: what contact adds to the picture, (H, W, 3) levels; each Gaussian takes what there is
-                where it rests.
+                where it is seen.
 
         Returns:
             uint8 (H, W, 3).
@@ -121,9 +117,10 @@ class SplatSensor:
         """
         increment = numbers("increment", increment, self.model.rest_image.shape)
         splats = self.splats(displacement_mm)
-        colours = self.looks[0] + self.take(increment) / np.float32(255)
+        colours = self.looks[0] + self.take(splats, increment) / np.float32(255)
+        seen = splats.render(colours, self._background)
         out = np.empty(self.model.rest_image.shape, np.uint8)
-        _levels(splats.render(colours, self._background).image, self._residual, out)
+        _levels(seen.image, self._residual, seen.alpha, increment, out)
         return out
 
     def splats(self, displacement_mm: np.ndarray) -> Splats:
@@ -138,11 +135,11 @@ class SplatSensor:
         moved[..., 2] -= np.float32(1e-3) * self._fraction.reshape(-1, ROWS * COLS) * u.ravel()
         return Splats(self.camera, means, self._covariances, self.looks[1])
 
-    def take(self, picture: np.ndarray) -> np.ndarray:
-        """Each Gaussian's weight times a picture (H, W, 3) float32 where it rests, (n, 3)."""
-        out = np.empty((len(self._spots), 3), np.float32)
-        _sample(picture, self._spots, out)
-        out *= self._weights
+    def take(self, splats: Splats, picture: np.ndarray) -> np.ndarray:
+        """A picture (H, W, 3) float32 where each Gaussian is seen, (n, 3)."""
+        spots = self.camera.project(splats.means)[0].astype(np.float32)
+        out = np.empty((len(spots), 3), np.float32)
+        _sample(picture, spots, out)
         return out
 
     def _checked(self, displacement_mm) -> np.ndarray:
@@ -203,7 +200,11 @@ def refine(sensor: SplatSensor, displacement_mm, basis: np.ndarray, target: np.n
     target = numbers("target", target, shape)
     splats = sensor.splats(displacement_mm)
     dark = sensor.render(displacement_mm, np.zeros(shape, np.float32))
-    columns = [splats.render(sensor.take(numbers("basis", b, shape))).image.ravel() for b in basis]
+    columns = []
+    for picture in basis:
+        light = numbers("basis", picture, shape)
+        seen = splats.render(sensor.take(splats, light))
+        columns.append((seen.image + (1 - seen.alpha)[..., None] * light).ravel())
     return np.linalg.lstsq(np.stack(columns, 1), (target - dark).ravel(), rcond=None)[0]
 
 
@@ -223,9 +224,10 @@ def _sample(picture, spots, out):
 
 
 @njit(cache=True, nogil=True)
-def _levels(image, residual, out):
-    """Image plus residual, 0 to 1, rounded to 8 bits."""
-    a, b, c = image.ravel(), residual.ravel(), out.ravel()
+def _levels(image, residual, alpha, increment, out):
+    """Image plus residual, 0 to 1, and the light on what splats do not cover, rounded to 8 bits."""
+    a, b, c, light, covered = image.ravel(), residual.ravel(), out.ravel(), increment.ravel(), alpha.ravel()
     for i in range(len(a)):
         level = (a[i] + b[i]) * np.float32(255) + np.float32(0.5)
+        level += (np.float32(1) - covered[i // 3]) * light[i]
         c[i] = np.uint8(min(max(level, np.float32(0)), np.float32(255)))

@@ -49,6 +49,7 @@ class PneutacEnv(gymnasium.Env):
         fidelity: str | None = None,
         world: World | None = None,
         conditions: Conditions | None = None,
+        render: str = "mesh",
     ):
         """An environment with a task.
 
@@ -62,12 +63,13 @@ class PneutacEnv(gymnasium.Env):
             fidelity: `surrogate`, `mpm` or `probe`, see `World`; all have the same spaces. None for
                 `surrogate`, or, with a warning, `probe` where no networks were trained for the twin.
             world: another world of this task and touch, such as a `StandinWorld`, in place of the one that
-                `twin`, `fidelity` and `conditions` describe.
+                `twin`, `fidelity`, `conditions` and `render` describe.
             conditions: what the twin's effects ask for, such as `{"temperature_c": [20, 30]}`, see `World`.
+            render: `mesh` or `splats`, what draws touch and finger, see `World`.
         """
         if world is None:
             twin = Twin.load(twin) if isinstance(twin, str | Path) else twin or Twin.builtin()
-            world = World(task, twin, touch, fidelity or _best_fidelity(twin), conditions)
+            world = World(task, twin, touch, fidelity or _best_fidelity(twin), conditions, render)
         self.world, self._begun = world, False
         self.task = task
         self.task_description = self.world.task.description

@@ -3,10 +3,12 @@
 import logging
 import os
 import sys
+from collections.abc import Collection
 
 import mujoco
 import numpy as np
 
+from pneutac_sim.errors import InputError
 from pneutac_sim.world.scene import SEEN_GROUPS
 
 logger = logging.getLogger(__name__)
@@ -30,21 +32,23 @@ class View:
 
     def picture(self, data: mujoco.MjData, tactile: np.ndarray | None, width: int, height: int) -> np.ndarray:
         """Picture uint8 (height, width, 3) of the state; `data` must have its kinematics up to date."""
+        image = self._scene(data, width, height)
+        if tactile is not None:
+            _inset(image, tactile)
+        return image
+
+    def _scene(self, data: mujoco.MjData, width: int, height: int) -> np.ndarray:
         if self._gl is None and not self._failed:
             try:
-                self._gl = _Renderer(self._model)
+                self._gl = Renderer(self._model)
             except Exception as e:  # every platform and driver fails in its own way
                 logger.warning("No OpenGL (%s): pictures are drawn from the kinematics instead.", e)
                 self._failed = True
         if self._gl is not None:
-            image = self._gl.render(data, width, height)
-        else:
-            from pneutac_sim.world.drawing import draw
+            return self._gl.render(data, width, height)
+        from pneutac_sim.world.drawing import draw
 
-            image = draw(self._model, data, CAMERA, width, height)
-        if tactile is not None:
-            _inset(image, tactile)
-        return image
+        return draw(self._model, data, CAMERA, width, height)
 
     def close(self) -> None:
         """Frees the renderer; a later picture starts it again."""
@@ -69,7 +73,23 @@ def gl_context(model: mujoco.MjModel):
     return context
 
 
-class _Renderer:
+def require_gl() -> None:
+    """Raises InputError where no OpenGL starts for splats."""
+    try:
+        gl_context(mujoco.MjModel.from_xml_string("<mujoco/>")).free()
+    except Exception as e:  # every platform and driver fails in its own way
+        raise no_gl(e) from e
+
+
+def no_gl(reason: Exception) -> InputError:
+    """What to do where splats find no OpenGL."""
+    return InputError(
+        f"Splats are drawn over MuJoCo's picture, which needs OpenGL, and none starts ({reason}); install "
+        "one, on Debian and Ubuntu by `apt install libegl1 libgl1-mesa-dri`, or choose render=mesh."
+    )
+
+
+class Renderer:
     """MuJoCo's renderer on a GL context of its own."""
 
     def __init__(self, model: mujoco.MjModel):
@@ -82,20 +102,35 @@ class _Renderer:
         self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
         self._camera.fixedcamid = model.camera(CAMERA).id
         self._option = mujoco.MjvOption()
-        self._option.geomgroup[:] = [g in SEEN_GROUPS for g in range(mujoco.mjNGROUP)]
+        # A perspective of far planes: readPixels gives 1 at the near plane and 0 at the far one.
+        self._mjr.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR.value
 
     def render(self, data: mujoco.MjData, width: int, height: int) -> np.ndarray:
+        """The visible geoms, uint8 (height, width, 3)."""
+        return self.render_depth(data, width, height, SEEN_GROUPS)[0]
+
+    def render_depth(
+        self, data: mujoco.MjData, width: int, height: int, groups: Collection[int], shadows: bool = True
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The geoms of some groups: image uint8 (height, width, 3) and depth (height, width) in m."""
+        self._option.geomgroup[:] = [g in groups for g in range(mujoco.mjNGROUP)]
         self._context.make_current()
         mujoco.mjv_updateScene(
             self._model, data, self._option, None, self._camera, mujoco.mjtCatBit.mjCAT_ALL.value, self._scene
         )
-        image = np.empty((height, width, 3), np.uint8)
+        self._scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW.value] = shadows
+        image, nearness = np.empty((height, width, 3), np.uint8), np.empty((height, width), np.float32)
         rect = mujoco.MjrRect(0, 0, width, height)
         mujoco.mjr_render(rect, self._scene, self._mjr)
-        mujoco.mjr_readPixels(image, None, rect, self._mjr)
-        return np.ascontiguousarray(image[::-1])
+        mujoco.mjr_readPixels(image, nearness, rect, self._mjr)
+        near, far = (
+            self._model.stat.extent * z for z in (self._model.vis.map.znear, self._model.vis.map.zfar)
+        )
+        depth = near * far / (near + nearness[::-1].astype(float) * (far - near))
+        return np.ascontiguousarray(image[::-1]), depth
 
     def close(self) -> None:
+        """Frees the context."""
         self._context.make_current()
         self._mjr.free()
         self._context.free()

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from pneutac_sim.errors import InputError, check_choice
-from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, CONTROL_HZ, FIDELITIES, JOINT_NAMES
+from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, CONTROL_HZ, FIDELITIES, JOINT_NAMES, RENDERS
 from pneutac_sim.finger.online import PressurePipeline
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.twin import Twin
@@ -18,13 +18,13 @@ from pneutac_sim.world import scene
 from pneutac_sim.world.action import checked_action
 from pneutac_sim.world.conditions import Conditions, conditions_for, draw
 from pneutac_sim.world.deforming import deforming
+from pneutac_sim.world.drawn import drawn
 from pneutac_sim.world.panda import HOME_JOINTS, CartesianIK
 from pneutac_sim.world.placing import Placing
 from pneutac_sim.world.senses import Senses
 from pneutac_sim.world.soft_finger import Springs
 from pneutac_sim.world.tasks import make_task
 from pneutac_sim.world.touch import Touch
-from pneutac_sim.world.view import View
 
 DT = 1 / CONTROL_HZ
 RAMP = np.linspace(0, 1, scene.SUBSTEPS + 1)[1:, None]  # share of a control step at the end of each substep
@@ -80,6 +80,7 @@ class World(Senses):
         touch: str = "image",
         fidelity: str = "probe",
         conditions: Conditions | None = None,
+        render: str = "mesh",
     ):
         """A world with a task.
 
@@ -94,9 +95,11 @@ class World(Senses):
             conditions: what effects of the twin ask for, such as `temperature_c` or `payload_g`: a number, or
                 a range [low, high] from which every episode draws. The direction of gravity in the frame of
                 the finger's base is the world's own where it is not given.
+            render: what draws touch and finger: `mesh`, light on every pixel and MuJoCo's geoms, or `splats`,
+                the Gaussians of the gel and of the twin's body over MuJoCo's scene.
 
         Raises:
-            InputError: unknown task, touch mode or fidelity; a twin that is not a finger, or has no
+            InputError: unknown task, touch mode, fidelity or render; a twin that is not a finger, or has no
                 networks or outdated ones, or a body stiffer than all of it; an effect without its conditions.
         """
         self.task = make_task(task)
@@ -106,6 +109,7 @@ class World(Senses):
                 f"The world needs the twin of a finger; this twin's device is '{self.twin.device}'."
             )
         check_choice("fidelity", fidelity, FIDELITIES)
+        check_choice("render", render, RENDERS)
         self._conditions = conditions_for(self.twin, conditions)
         self._pipeline = PressurePipeline(self.twin, draw(self._conditions, np.random.default_rng(0)))
         self.finger, gel = deforming(self.twin, fidelity, touch)
@@ -114,7 +118,7 @@ class World(Senses):
         self.sensor = TactileSensor(self.twin)
         self.touch = Touch(self.model, self.sensor, touch, gel)
         self._ik = CartesianIK()
-        self._view = View(self.model)
+        self._view = drawn(render, self.model, self.twin, self.sensor if touch == "image" else None)
         self._rng = np.random.default_rng()
         self._flange = self.model.site("flange").id
         self._gel = self.model.site("gel").id

@@ -153,11 +153,11 @@ def test_the_standin_acts_late_and_has_no_twin(make_robot, tmp_path):
     assert position(robot)[1] - start[1] == pytest.approx(0.1 / CONTROL_HZ, abs=1e-3)
     Twin.builtin().save(tmp_path)
     with pytest.raises(
-        DecodingError, match="leave --robot.twin, --robot.fidelity and --robot.conditions out"
+        DecodingError, match="leave --robot.twin, --robot.fidelity, --robot.conditions and --robot.render out"
     ):
         PneutacSimConfig(standin=True, twin=tmp_path)
     with pytest.raises(
-        DecodingError, match="leave --robot.twin, --robot.fidelity and --robot.conditions out"
+        DecodingError, match="leave --robot.twin, --robot.fidelity, --robot.conditions and --robot.render out"
     ):
         PneutacSimConfig(standin=True, fidelity="mpm")
 
@@ -172,7 +172,7 @@ def test_conditions_reach_the_robots_world_and_its_session_goes_on(make_robot, t
     with pytest.raises(DecodingError, match="robot.conditions: The twin's effect 'thermal' needs"):
         PneutacSimConfig(**options)
     with pytest.raises(
-        DecodingError, match="leave --robot.twin, --robot.fidelity and --robot.conditions out"
+        DecodingError, match="leave --robot.twin, --robot.fidelity, --robot.conditions and --robot.render out"
     ):
         PneutacSimConfig(standin=True, conditions={"temperature_c": 30.0})
     robot = make_robot(**options, conditions={"temperature_c": 30.0})

@@ -64,12 +64,12 @@ def test_an_earlier_sensors_looks_give_the_same_pictures(sensor, pixelwise):
     assert np.array_equal(SplatSensor(sensor.model, looks=sensor.looks).image(u), sensor.image(u))
 
 
-@pytest.mark.parametrize(("x", "y", "depth"), [(0, 0, 0.5), (0, 0, 1.0), (2, 3, 1.0)])
+@pytest.mark.parametrize(("x", "y", "depth"), [(0, 0, 0.5), (0, 0, 1.0), (2, 3, 1.0), (-4, 6, 0.8)])
 def test_contact_agrees_with_the_image_plane_renderer(sensor, pixelwise, x, y, depth):
     u = press(pixelwise, x, y, depth)
-    by_pixel = pixelwise._renderer.image(u)
+    by_pixel = pixelwise.draw(u)
     assert rmse(by_pixel, sensor.model.rest_image) > 4
-    assert rmse(sensor.image(u), by_pixel) < 0.2 * rmse(by_pixel, sensor.model.rest_image)
+    assert rmse(sensor.image(u), by_pixel) < min(2, 0.2 * rmse(by_pixel, sensor.model.rest_image))
 
 
 def test_a_pressed_surface_comes_nearer_and_is_seen_larger():

@@ -142,7 +142,7 @@ def test_without_opengl_the_scene_is_drawn(world, monkeypatch, caplog):
     def no_gl(*args):
         raise RuntimeError("no EGL here")
 
-    monkeypatch.setattr("pneutac_sim.world.view._Renderer", no_gl)
+    monkeypatch.setattr("pneutac_sim.world.view.Renderer", no_gl)
     blind = World("switch", touch="none")
     blind.reset(0)
     first = blind.render(320, 240)
