@@ -3,11 +3,13 @@
 import copy
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger.pipeline import BENDING_PRESSURE, Pipeline
+from pneutac_sim.finger.stages import BodyLink
 from pneutac_sim.twin import Twin
 
 COMPUTED = ("session_time_s", "length_mm", BENDING_PRESSURE)  # conditions that nobody has to give
@@ -43,13 +45,21 @@ class PressurePipeline:
         self._model = Pipeline.of(twin)
         self._theta = self._model.theta(twin)
         self._arm = self._model.geometry.axes == 2
-        chain, self._tip = list(enumerate(self._model.chain)), self._model.reads_joints
+        chain, self._tip = list(enumerate(self._held())), self._model.reads_joints
         self._to_joints, self._to_read = chain[: self._tip], chain[self._model.observes :]
         self._to_tip = chain[self._tip : self._model.observes]
         self.moves, self.measures = len(self._to_tip) > 1, bool(self._to_read)
         self._given: dict[str, float] = {}
         self.set_conditions(conditions or {})
         self.reset()
+
+    def _held(self) -> list:
+        """The chain, its drive once for all at the twin's parameters."""
+        chain = self._model.chain
+        drive = chain[self._model.drive].held_at(self._theta)
+        chain = [replace(link, drive=drive) if isinstance(link, BodyLink) else link for link in chain]
+        chain[self._model.drive] = drive
+        return chain
 
     def set_conditions(self, conditions: Mapping[str, float]) -> None:
         """Conditions from now on, in place of all given before; raises InputError as the constructor."""

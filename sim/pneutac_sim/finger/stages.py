@@ -151,14 +151,19 @@ class Drive:
 
     def __call__(self, x, dt, theta, conditions: Conditions, state) -> np.ndarray:
         """Returns joints (m, N axes)."""
-        profile, directions, rest = self._constants(theta)
-        gain = theta[self.indices[0]] * profile[:, None] * directions[:, None, :]  # (chambers, N, axes)
-        return x @ gain.reshape(len(gain), -1) + self._still(theta, profile, rest)
+        gain, still = self._line(theta)
+        return x @ gain + still
 
     def rest(self, theta) -> np.ndarray:
         """Joint angles (N axes,) at zero pressure: a curl without stress."""
         profile, _, rest = self._constants(theta)
         return self._still(theta, profile, rest)
+
+    def _line(self, theta) -> tuple[np.ndarray, np.ndarray]:
+        """Joints by pressure (chambers, N axes), and joints at zero pressure (N axes,)."""
+        profile, directions, rest = self._constants(theta)
+        gain = theta[self.indices[0]] * profile[:, None] * directions[:, None, :]  # (chambers, N, axes)
+        return gain.reshape(len(gain), -1), self._still(theta, profile, rest)
 
     def _still(self, theta, profile, rest) -> np.ndarray:
         angles = theta[self.indices[0]] * profile[:, None] * rest
@@ -175,12 +180,42 @@ class Drive:
         phi = values[5] + np.sign(values[8]) * 2 * np.pi * np.arange(3) / 3 + turn
         return profile, ratios[:, None] * np.stack([np.cos(phi), np.sin(phi)], axis=1), values[3:5]
 
+    def held_at(self, theta) -> "HeldDrive":
+        """The same where the parameters stay as they are."""
+        return HeldDrive(*self._line(theta))
+
+
+@dataclass(frozen=True)
+class HeldDrive:
+    """A drive whose parameters stay as they are.
+
+    Attributes:
+        gain: (chambers, N axes) rad/kPa.
+        still: (N axes,) joints at zero pressure, rad.
+    """
+
+    gain: np.ndarray
+    still: np.ndarray
+    remembers = False
+
+    def state_size(self, channels: int) -> int:
+        """It remembers nothing."""
+        return 0
+
+    def __call__(self, x, dt, theta, conditions: Conditions, state) -> np.ndarray:
+        """Returns joints (m, N axes)."""
+        return x @ self.gain + self.still
+
+    def rest(self, theta) -> np.ndarray:
+        """Joint angles (N axes,) at zero pressure: a curl without stress."""
+        return self.still
+
 
 @dataclass(frozen=True)
 class BodyLink(EffectLink):
     """An effect on the joints: it acts on what is strained, not on the curl that the device has at rest."""
 
-    drive: Drive
+    drive: Drive | HeldDrive
 
     def __call__(self, x, dt, theta, conditions: Conditions, state) -> np.ndarray:
         """Returns the changed joints (m, N axes); `state` is updated."""

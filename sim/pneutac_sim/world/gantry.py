@@ -18,6 +18,7 @@ from pneutac_sim.world import scene
 from pneutac_sim.world.panda import HOME_JOINTS, SERVO_LAG_S, forward_kinematics
 from pneutac_sim.world.placing import Placing
 from pneutac_sim.world.soft_finger import Springs
+from pneutac_sim.world.substeps import Substeps
 from pneutac_sim.world.touch import Touch
 from pneutac_sim.world.varied import VariedWorld, _Staged
 from pneutac_sim.world.world import DT, WORKSPACE_HIGH, WORKSPACE_LOW, Observation
@@ -89,6 +90,7 @@ class Gantry(VariedWorld):
         self._flange, self._gel = self.model.site("flange").id, self.model.site("gel").id
         self._tip, self._placing = self.model.site("tip").id, Placing(self.model)
         n = self._spine.stop - self._spine.start
+        self._physics = Substeps(self.model, self.data)
         self._springs = Springs(self.model, n, self.twin.parameter("joint_damping_nms_per_rad"))
         self._arm, self._spine = slice(0, 3), slice(3, 3 + n)
         self.steps, self.seconds = 0, {"physics": 0.0, "touch": 0.0}

@@ -5,10 +5,10 @@ in the robot's interface specification. Link shapes and masses are capsules of t
 stiff joint control they matter for looks and little else.
 """
 
-import mujoco
 import numpy as np
 
 from pneutac_sim.features import JOINT_HIGH, JOINT_LOW, JOINT_NAMES
+from pneutac_sim.world import ik_kernel
 
 # Link offsets a (m), joint offsets d (m) and twists alpha (rad) of joints 1 to 7, then the flange (m).
 DH_A = (0.0, 0.0, 0.0, 0.0825, -0.0825, 0.0, 0.088)
@@ -102,24 +102,19 @@ MATERIALS = (
 class CartesianIK:
     """Joint targets that bring the flange to a position with its orientation held as at home.
 
-    Damped least squares on an arm of its own, so that the simulated arm is never touched:
-    `dq = J^T (J J^T + damping^2 I)^-1 e`, with `e` the position error and the rotation vector to the
-    held orientation. Joint limits are kept by clipping.
+    Damped least squares: `dq = J^T (J J^T + damping^2 I)^-1 e`, with `e` the position error and the rotation
+    vector to the held orientation. Joint limits are kept by clipping.
 
     Attributes:
         q: the present joint targets (7,), rad; each `solve` starts from them.
     """
 
     def __init__(self, damping: float = 0.01, iterations: int = 2):
-        xml = f"<mujoco><compiler angle='radian'/><default>{DEFAULTS}</default><asset>{MATERIALS}</asset>"
-        self._model = mujoco.MjModel.from_xml_string(f"{xml}<worldbody>{body()}</worldbody></mujoco>")
-        self._data = mujoco.MjData(self._model)
-        self._site = self._model.site("flange").id
-        self._damping2 = damping**2 * np.eye(6)
-        self._iterations = iterations
-        self._jac = np.zeros((6, 7))
-        self.quat = np.zeros(4)
-        mujoco.mju_mat2Quat(self.quat, forward_kinematics(HOME_JOINTS)[:3, :3].ravel())
+        alpha = np.array(DH_ALPHA)
+        self._arm = np.array(DH_A), np.array(DH_D), np.cos(alpha), np.sin(alpha), FLANGE_M
+        self._limits = np.array(JOINT_LOW, float), np.array(JOINT_HIGH, float)
+        self._search = damping**2, iterations
+        self._held = np.ascontiguousarray(forward_kinematics(HOME_JOINTS)[:3, :3])
         self.reset(HOME_JOINTS)
 
     def reset(self, q: np.ndarray) -> None:
@@ -128,19 +123,6 @@ class CartesianIK:
 
     def solve(self, position: np.ndarray) -> np.ndarray:
         """Joint targets (7,), rad, for the flange at `position` (3,), metres in the base frame."""
-        m, d, s = self._model, self._data, self._site
-        error, quat, inverse = np.zeros(6), np.zeros(4), np.zeros(4)
-        for _ in range(self._iterations):
-            d.qpos[:] = self.q
-            mujoco.mj_kinematics(m, d)
-            mujoco.mj_comPos(m, d)
-            mujoco.mj_jacSite(m, d, self._jac[:3], self._jac[3:], s)
-            mujoco.mju_mat2Quat(quat, d.site_xmat[s])
-            mujoco.mju_negQuat(inverse, quat)
-            mujoco.mju_mulQuat(quat, self.quat, inverse)
-            mujoco.mju_quat2Vel(error[3:], quat, 1.0)
-            error[:3] = position - d.site_xpos[s]
-            J = self._jac
-            self.q += J.T @ np.linalg.solve(J @ J.T + self._damping2, error)
-            np.clip(self.q, JOINT_LOW, JOINT_HIGH, out=self.q)
+        at = np.ascontiguousarray(position, float)
+        ik_kernel.solve(self.q, at, self._held, *self._arm, *self._limits, *self._search)
         return self.q.copy()

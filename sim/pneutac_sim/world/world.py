@@ -23,6 +23,7 @@ from pneutac_sim.world.panda import HOME_JOINTS, CartesianIK
 from pneutac_sim.world.placing import Placing
 from pneutac_sim.world.senses import Senses
 from pneutac_sim.world.soft_finger import Springs
+from pneutac_sim.world.substeps import Substeps
 from pneutac_sim.world.tasks import make_task
 from pneutac_sim.world.touch import Touch
 
@@ -36,6 +37,7 @@ DIVERGED = (  # what MuJoCo warns of, and answers with a fresh scene
     mujoco.mjtWarning.mjWARN_BADQVEL,
     mujoco.mjtWarning.mjWARN_BADQACC,
 )
+_LIMITS = ACTION_LOW.astype(float), ACTION_HIGH.astype(float)
 HOME_JITTER_M = 0.004  # half width of the random start of the flange
 SETTLE_STEPS = 8  # control steps at rest before an episode
 
@@ -126,6 +128,7 @@ class World(Senses):
         n = len(self.twin.spine_joint_positions_mm)
         # The arm's joints and servos come first in the model, then the spine's.
         self._arm, self._spine = slice(0, len(JOINT_NAMES)), slice(len(JOINT_NAMES), len(JOINT_NAMES) + n)
+        self._physics = Substeps(self.model, self.data)
         self._springs = Springs(self.model, n, self.twin.parameter("joint_damping_nms_per_rad"))
         whole = self.twin.parameter("joint_stiffness_nm_per_rad")
         self._controller = (whole if self.finger is None else self.finger.controller_nm_per_rad) * np.eye(n)
@@ -203,7 +206,7 @@ class World(Senses):
 
     def _clip(self, action) -> np.ndarray:
         action = checked_action(action)
-        clipped = np.clip(action, ACTION_LOW.astype(float), ACTION_HIGH.astype(float))
+        clipped = np.clip(action, *_LIMITS)
         # A float32 action at the limit is not beyond it.
         self.clipped += int(np.any(np.abs(clipped - action) > 1e-6))
         return clipped
@@ -229,14 +232,9 @@ class World(Senses):
                 self._placing.set(self.model, pose)
                 mujoco.mj_step(self.model, self.data)
         else:
-            self._substeps(ctrl)
+            self._physics.run(ctrl)
         mujoco.mj_kinematics(self.model, self.data)
         self._joints, self.spine_target_rad, self._drive = joints, spine, drive
-
-    def _substeps(self, ctrl: np.ndarray) -> None:
-        for row in ctrl:
-            self.data.ctrl[:] = row
-            mujoco.mj_step(self.model, self.data)
 
     def _resist(self, drive: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Stiffness K (N, N) in N m/rad and the torque (N,) beyond it, about the present joint angles."""
