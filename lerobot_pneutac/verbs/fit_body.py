@@ -1,5 +1,6 @@
 """Calibrates a finger or an arm to marker or angle data: all parameters by bounded least squares.
 
+First of all known loads tell how stiff it is (`fit_compliance`), so that weights bend it by what they are.
 Where the pressure was measured, pneumatic effects are fitted to it and the body is driven by it, so that a
 slow valve cannot pass for a creeping body; else everything is fitted to the pose at once.
 """
@@ -12,6 +13,7 @@ import numpy as np
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.study.pair import enough_rows
 from lerobot_pneutac.verbs.calibration import Calibration
+from lerobot_pneutac.verbs.fit_compliance import fit_compliance
 from pneutac_datasets.recording.checks import check
 from pneutac_datasets.recording.mounts import on_one_mount
 from pneutac_datasets.recording.recording import Recording
@@ -31,12 +33,14 @@ class BodyCalibration(Calibration):
         bench: the recording as the body fit sees it, driven by the measured pressure where there is one.
         train: (n,) mask.
         before: held-out error of the twin as it was, from the command; None where nothing was held out.
+        compliance: what loaded poses tell of modulus and stiffness, one sentence.
     """
 
     fits: list[PipelineFit]
     bench: BodyData
     train: np.ndarray
     before: float | None
+    compliance: str
 
     @property
     def title(self) -> str:
@@ -74,19 +78,20 @@ class BodyCalibration(Calibration):
         )  # fmt: skip
         return [
             f"error: train {self.error['train']:.3g} {self.unit}, {tested}; {self.evaluations} simulations "
-            f"in {self.seconds:.1f} s{self._now()}"
+            f"in {self.seconds:.1f} s{self._now()}",
+            self.compliance,
         ]
 
     def to_dict(self) -> dict:
         """The content of `result.json`."""
-        return super().to_dict() | {"before": {"heldout": self.before}}
+        return super().to_dict() | {"before": {"heldout": self.before}, "compliance": self.compliance}
 
     def page(self) -> Report:
         """Parameters, and measurements beside the twin."""
         import plotly.graph_objects as go
 
         page = Report(self.title)
-        page.lead(self.sentence)
+        page.lead(f"{self.sentence} {self.compliance}")
         page.table(
             self.rows(),
             "Intervals count neighbouring samples as the few independent ones that they are worth.",
@@ -133,7 +138,9 @@ def calibrate_body(twin: Twin, recording: Recording, seed: int = 0, progress=Non
     enough_rows(twin, recording, list(twin.effects), train)
     recording, moved = on_one_mount(recording, twin, train)
     bench, command = (BodyData.of(recording, twin, source=s) for s in ("auto", "command"))
-    fits = _fit_stages(twin, recording, bench, train, seed, progress or (lambda *_: None))
+    report = progress or (lambda *_: None)
+    told = fit_compliance(twin, recording, train, seed)
+    fits = _fit_stages(told.twin, recording, bench, train, seed, report)
     after = fits[-1].twin
 
     def error(model: Twin, mask: np.ndarray) -> float | None:
@@ -141,10 +148,10 @@ def calibrate_body(twin: Twin, recording: Recording, seed: int = 0, progress=Non
 
     return BodyCalibration(
         twin=after,
-        parameters=parameters(after, fits, bench),
+        parameters=parameters(after, fits, bench) | told.parameters,
         error={"train": error(after, train), "heldout": error(after, heldout)},
         unit=bench.unit,
-        evaluations=sum(f.evaluations for f in fits),
+        evaluations=told.evaluations + sum(f.evaluations for f in fits),
         seconds=time.perf_counter() - began,
         recording=folder,
         change="calibrated",
@@ -154,6 +161,7 @@ def calibrate_body(twin: Twin, recording: Recording, seed: int = 0, progress=Non
         bench=bench,
         train=train,
         before=error(twin, heldout),
+        compliance=told.remark,
     )
 
 

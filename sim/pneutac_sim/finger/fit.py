@@ -16,6 +16,7 @@ from pneutac_sim.finger.data import BodyData
 from pneutac_sim.finger.least_squares import minimise
 from pneutac_sim.finger.pipeline import Pipeline
 from pneutac_sim.finger.problem import Bounds, Problem
+from pneutac_sim.finger.soft_body import SoftBody
 from pneutac_sim.finger.starts import rough_drive, starting_points
 from pneutac_sim.twin import Twin
 
@@ -77,6 +78,7 @@ def fit(
     only: Sequence[str] | None = None,
     starts: int = 4,
     seed: int = 0,
+    body: SoftBody | None = None,
 ) -> PipelineFit:
     """Fits all parameters of a twin with these effects to the training samples of a recording.
 
@@ -90,6 +92,7 @@ def fit(
             recording of the tip alone, which hardly tells it, does not change that.
         starts: how many starting points the first round tries.
         seed: decides the random ones among them.
+        body: of a finger, with which its modulus and the joints' stiffness are fitted too.
 
     Raises:
         InputError: there are fewer training samples than parameters.
@@ -97,7 +100,7 @@ def fit(
     began = time.perf_counter()
     data = recording if isinstance(recording, BodyData) else BodyData.of(recording, twin)
     mask = np.ones(len(data), bool) if train is None else np.asarray(train, bool)
-    pipeline = Pipeline.of(twin, data.inputs, effects)
+    pipeline = Pipeline.of(twin, data.inputs, effects, body)
     bounds = Bounds(pipeline, data.inputs.pressure_range_kpa)
     free = _free(pipeline, data, twin, only)
     _check_enough(int(mask.sum()), len(data.columns), len(free))

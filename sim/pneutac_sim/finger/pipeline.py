@@ -34,7 +34,9 @@ from pneutac_sim.effects.effect import Parameter
 from pneutac_sim.effects.registry import get_effect, in_order, of_body
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger.inputs import Inputs
+from pneutac_sim.finger.soft_body import SoftBody
 from pneutac_sim.finger.stages import (
+    FORCES,
     BodyLink,
     Drive,
     EffectLink,
@@ -75,6 +77,8 @@ class Pipeline:
         effects: names, in any order; they act in the library's order.
         measured: True where the input will be the measured pressure.
         columns: condition columns that the input has; None for all. Effects without theirs are left out.
+        body: the soft body round a finger's spine, so that its modulus can be told from the joints' whole
+            stiffness by loaded poses; None where springs of the whole stiffness will do.
 
     Attributes:
         names: (P,) parameter names, base parameters first, then `effect.parameter`.
@@ -93,11 +97,13 @@ class Pipeline:
         effects: Sequence[str] = (),
         measured: bool = False,
         columns: set[str] | None = None,
+        body: SoftBody | None = None,
     ):
         self.geometry = geometry
         self.effects = in_order(of_body(effects))
-        self.names: list[str] = [p.name for p in base_parameters(geometry)]
-        self.specs: list[Parameter] = list(base_parameters(geometry))
+        self.specs: list[Parameter] = list(base_parameters(geometry, body is not None))
+        self.names: list[str] = [p.name for p in self.specs]
+        stiffness = self.names.index("joint_stiffness_nm_per_rad")
         self.left_out: dict[str, str] = {}
         links: dict[str, list[EffectLink]] = {
             s: [] for s in ("pneumatics", "drive", "loads", "joints", "markers", "mount", "observation")
@@ -115,9 +121,10 @@ class Pipeline:
                 links[e.signal if e.stage in ("load", "material") or e.signal == "mount" else e.stage].append(
                     EffectLink(e, tuple(range(at, len(self.names))))
                 )
-        base = len(base_parameters(geometry))
-        drive = Drive(geometry, tuple(range(base - 1)))
-        loads = [LoadLink(geometry, tuple(links["loads"]), base - 1)] if links["loads"] else []
+        drive = Drive(geometry, tuple(range(stiffness)))
+        measured_force = columns is not None and set(FORCES) <= columns
+        load = LoadLink(geometry, tuple(links["loads"]), stiffness, measured_force, body)
+        loads = [load] if links["loads"] or measured_force else []
         body = [BodyLink(e.effect, e.indices, drive) for e in links["joints"]]
         to_joints = [*links["pneumatics"], *links["drive"], drive]
         to_markers = [*to_joints, *loads, *body, Markers(geometry)]
@@ -131,13 +138,19 @@ class Pipeline:
         self.thins_at = max([self.drive, *(i + 1 for i, e in enumerate(self.chain) if e.remembers)])
 
     @classmethod
-    def of(cls, twin: Twin, inputs: Inputs | None = None, effects: Sequence[str] | None = None) -> "Pipeline":
+    def of(
+        cls,
+        twin: Twin,
+        inputs: Inputs | None = None,
+        effects: Sequence[str] | None = None,
+        body: SoftBody | None = None,
+    ) -> "Pipeline":
         """The pipeline of a twin, for given inputs, with its own effects or these instead."""
         geometry = Geometry(twin.device, twin.length_mm, tuple(twin.spine_joint_positions_mm))
         names = list(twin.effects) if effects is None else list(effects)
         if inputs is None:
-            return cls(geometry, names)
-        return cls(geometry, names, inputs.measured, set(inputs.columns))
+            return cls(geometry, names, body=body)
+        return cls(geometry, names, inputs.measured, set(inputs.columns), body)
 
     # ---------------------------------------------------------------- parameters
 

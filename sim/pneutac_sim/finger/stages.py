@@ -15,9 +15,12 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.finger import equilibrium
 from pneutac_sim.finger.inputs import CHAMBERS
 from pneutac_sim.finger.kinematics import forward_kinematics, forward_kinematics_spatial, gain_profile
+from pneutac_sim.finger.soft_body import SoftBody, controller_stiffness, loaded
 from pneutac_sim.twin import PAPER_FINGER
 
 Conditions = Callable[[tuple[str, ...]], np.ndarray]
+BODY_SHARE = "body_share"  # of the joints' whole stiffness, that is the soft body's
+FORCES = ("force_x_n", "force_y_n", "force_z_n")  # measured at the tip, in the frame of the finger's base
 
 
 @dataclass(frozen=True)
@@ -50,10 +53,14 @@ class Geometry:
         return CHAMBERS[self.device]
 
 
-def base_parameters(geometry: Geometry) -> tuple[Parameter, ...]:
+def base_parameters(geometry: Geometry, of_stiffness: bool = False) -> tuple[Parameter, ...]:
     """Parameters that every twin of this device has.
 
     Bounds: a joint bends at most 2 rad at the largest pressure, and every joint in the same direction.
+
+    Args:
+        geometry: of the device.
+        of_stiffness: the joints' stiffness is fitted, and at the end the soft body's share of it.
     """
     half = (geometry.n_joints - 1) / 2
     shape = (
@@ -67,8 +74,9 @@ def base_parameters(geometry: Geometry) -> tuple[Parameter, ...]:
         1e-4,
         100.0,
         log=True,
-        fixed=True,
+        fixed=not of_stiffness,
     )
+    share = (Parameter(BODY_SHARE, "", 0.7, 0.02, 0.98),) * of_stiffness
     own = (
         *(Parameter(f"bend_{n + 1}", "", 0.0, -1.5, 3.0, fixed=True) for n in range(geometry.n_joints)),
         Parameter("curl_rad", "rad", 0.0, -3.0, 3.0, fixed=True),
@@ -80,6 +88,7 @@ def base_parameters(geometry: Geometry) -> tuple[Parameter, ...]:
             Parameter("rest_pressure_kpa", "kPa", 0.0, -3.0, 3.0, range_power=1),
             *own,
             stiffness,
+            *share,
         )
     return (
         Parameter("gain_rad_per_kpa", "rad/kPa", 0.1, 0.0, 2.0, range_power=-1),
@@ -225,17 +234,24 @@ class BodyLink(EffectLink):
 
 @dataclass(frozen=True)
 class LoadLink:
-    """Static equilibrium with the loads that effects put on the body."""
+    """Static equilibrium with the loads on the body: those of effects, and a force measured at the tip.
+
+    Joints are springs of one stiffness; with a `body` of material points they are the chamber's controller
+    and the body's own torque beside it.
+    """
 
     geometry: Geometry
     effects: tuple[EffectLink, ...]
     stiffness: int
+    measured: bool = False
+    body: SoftBody | None = None
     remembers = False
 
     @property
     def indices(self) -> tuple[int, ...]:
         """Parameters that it depends on."""
-        return (self.stiffness, *(i for e in self.effects for i in e.indices))
+        own = (self.stiffness,) if self.body is None else (self.stiffness, self.stiffness + 1)
+        return (*own, *(i for e in self.effects for i in e.indices))
 
     def state_size(self, channels: int) -> int:
         """Deflection of the sample before, from which the next is solved; it changes nothing."""
@@ -244,10 +260,19 @@ class LoadLink:
     def __call__(self, x, dt, theta, conditions: Conditions, state) -> np.ndarray:
         """Returns loaded joint angles (m, N axes)."""
         loads = np.zeros((len(x), 6))
+        if self.measured:
+            loads[:, :3] = conditions(FORCES)
         for e in self.effects:
             loads = e(loads, dt, theta, conditions, np.zeros(e.state_size(6)))
         length = 1e-3 * self.geometry.length_mm
-        links = np.diff(np.append(1e-3 * np.array(self.geometry.joint_positions_mm), length))
+        joints = 1e-3 * np.array(self.geometry.joint_positions_mm)
+        links = np.diff(np.append(joints, length))
+        if self.body is not None:
+            whole, share = theta[self.stiffness : self.stiffness + 2]
+            levers = length - joints
+            modulus = share * whole / self.body.alone(levers)
+            controller = controller_stiffness(whole, modulus * self.body.resting, levers)
+            return loaded(x, loads, np.concatenate([links, links / length]), controller, modulus, self.body)
         out = np.array(x)
         solve = equilibrium.planar if self.geometry.axes == 1 else equilibrium.spatial
         solve(out, loads, theta[self.stiffness], np.concatenate([links, links / length]), state)

@@ -52,6 +52,7 @@ def test_calibrate_finds_the_parameters_and_writes_the_next_version(tmp_path, ca
     rest = result["parameters"]["rest_pressure_kpa"]
     assert rest["ci95"][0] <= 10.70 <= rest["ci95"][1] and rest["unit"] == "kPa"
     assert result["parameters"]["joint_stiffness_nm_per_rad"]["note"] == "held"
+    assert "No known load bends the finger" in result["compliance"] and "payload_g" in result["compliance"]
     twin = Twin.load(tmp_path / "twin")
     assert twin.parameter("rest_pressure_kpa") == pytest.approx(10.70, abs=0.1)
     entry = twin.history[-1]

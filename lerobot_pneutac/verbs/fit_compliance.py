@@ -1,0 +1,152 @@
+"""Tells a finger's modulus and its chamber's stiffness by loaded poses.
+
+What loads the tip must be known: `payload_g` with the direction of gravity, or a measured `force_x_n`,
+`force_y_n`, `force_z_n`. The finger's own weight under another direction of gravity tells weight over
+stiffness alone; it is fitted along and not taken for either.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.effects.gravity import STANDARD_GRAVITY
+from pneutac_sim.errors import InputError
+from pneutac_sim.finger import BodyData, fit
+from pneutac_sim.finger.fit import PipelineFit
+from pneutac_sim.finger.soft_body import SoftBody
+from pneutac_sim.finger.stages import BODY_SHARE, FORCES
+from pneutac_sim.mpm import devices
+from pneutac_sim.mpm.soft_body import measure
+from pneutac_sim.mpm.solve import MpmDiverged
+from pneutac_sim.surrogate.programs import bending_range
+from pneutac_sim.twin import PAPER_FINGER, Twin, Value
+
+WHOLE, MODULUS = "joint_stiffness_nm_per_rad", "youngs_modulus_mpa"
+GRAVITY = ("gravity_x", "gravity_y", "gravity_z")
+LEAST_FORCE_N = 0.02  # by which loads must differ
+TURNED = 0.1  # change of a component of gravity from which on the finger's own weight counts
+WIDEST = 1.5  # upper over lower end of the modulus' interval, beyond which it was not told
+
+
+@dataclass(frozen=True)
+class Compliance:
+    """What loaded poses tell.
+
+    Attributes:
+        twin: with what was found.
+        parameters: name to `value`, `ci95`, `unit` and `note`, of the stiffness and the modulus.
+        remark: one sentence for the report.
+        evaluations: simulations made.
+    """
+
+    twin: Twin
+    parameters: dict[str, dict]
+    remark: str
+    evaluations: int
+
+
+def fit_compliance(
+    twin: Twin, recording: Recording, train: np.ndarray, seed: int = 0, particles: int = 4000
+) -> Compliance:
+    """Fits the joints' whole stiffness and the soft body's modulus where known loads bend the finger.
+
+    Args:
+        twin: of a finger or an arm; of an arm, which bends in two planes, nothing is told.
+        recording: of the same device.
+        train: (n,) samples to fit.
+        seed: of the starting points.
+        particles: of the soft body, about.
+    """
+    if twin.device != "finger":
+        return _held(twin, "An arm's modulus and stiffness are not told by loaded poses; they are held.")
+    force = known_forces(recording)
+    if force is None or np.ptp(force[train], axis=0)[[0, 2]].max() < LEAST_FORCE_N:
+        return _held(twin, f"No known load bends the finger, so {_NEITHER}; {advice(twin)}.")
+    samples = recording.samples.assign(**dict(zip(FORCES, force.T, strict=True)))
+    known = replace(recording, samples=samples)
+    start = twin.copy()
+    start.effects.pop("payload", None)  # its weight is a force now
+    effects = list(start.effects)
+    turned = all(map(recording.has, GRAVITY)) and np.ptp(samples[list(GRAVITY)].to_numpy()[train], 0).max()
+    if turned > TURNED and "gravity" not in effects:
+        effects.append("gravity")
+    try:
+        body = measure(start, bending_range(start, float(samples["pressure_cmd_kpa"].max())), particles)
+    except (InputError, MpmDiverged) as e:
+        return _held(twin, f"No soft body can be put round this spine ({e}), so {_NEITHER}.")
+    data = BodyData.of(known, start)
+    both = fit(start, data, effects, train, seed=seed, body=body)
+    return _found(twin, both, body)
+
+
+def known_forces(recording: Recording) -> np.ndarray | None:
+    """(n, 3) N at the tip in the base frame, measured or of what hangs there; None where neither is known."""
+    force = np.zeros((len(recording.samples), 3))
+    measured = all(map(recording.has, FORCES))
+    if measured:
+        force += recording.samples[list(FORCES)].to_numpy(float)
+    hung = recording.has("payload_g") and all(map(recording.has, GRAVITY))
+    if hung:
+        down = recording.samples[list(GRAVITY)].to_numpy(float)
+        force += 1e-3 * STANDARD_GRAVITY * recording.column("payload_g")[:, None] * down
+    return force if measured or hung else None
+
+
+def advice(twin: Twin) -> str:
+    """What to hang on the finger: what moves its tip by a tenth of its length, as far as is known."""
+    levers = 1e-3 * (twin.length_mm - np.asarray(twin.spine_joint_positions_mm))
+    K = twin.parameters.get(WHOLE, Value(PAPER_FINGER[WHOLE])).value
+    grams = 1e3 * 0.1e-3 * twin.length_mm * K / (levers @ levers) / STANDARD_GRAVITY
+    return (
+        f"hang about {float(f'{grams:.1g}'):g} g on the tip in some trials, with the base level and with it "
+        "upright, and write payload_g and gravity_x, gravity_y, gravity_z, or push with a force gauge and "
+        "write force_x_n, force_y_n, force_z_n"
+    )
+
+
+_NEITHER = "neither the joints' stiffness nor the modulus is identified and both are held"
+
+
+def _held(twin: Twin, remark: str) -> Compliance:
+    return Compliance(twin, {}, remark, 0)
+
+
+def _found(twin: Twin, found: PipelineFit, body: SoftBody) -> Compliance:
+    """The twin with what the fit tells."""
+    if WHOLE not in found.ci95 or WHOLE in found.at_bound:
+        return _held(twin, f"The loads bend the finger too little, so {_NEITHER}; {advice(twin)}.")
+    new, whole = twin.copy(), found.twin.parameters[WHOLE]
+    new.parameters[WHOLE] = whole
+    rows = {WHOLE: _row(whole, "N m/rad", "")}
+    remark = "Loaded poses tell a whole stiffness of {:.3g} to {:.3g} N m/rad a joint".format(*whole.ci95)
+    # a body of the modulus E alone would be as stiff as joints of E times this
+    alone = body.alone(1e-3 * (twin.length_mm - np.asarray(twin.spine_joint_positions_mm)))
+    share = found.twin.parameters[BODY_SHARE]
+    low, high = (whole.value * s / alone for s in share.ci95 or (0.0, 1.0))
+    if BODY_SHARE not in found.at_bound and high < WIDEST * low:
+        new.parameters[MODULUS] = Value(whole.value * share.value / alone, (low, high))
+        rows[MODULUS] = _row(new.parameters[MODULUS], "MPa", "")
+        remark += f", and a modulus of {low:.3g} to {high:.3g} MPa; the rest is the chamber's."
+        return Compliance(new, rows, remark, found.evaluations)
+    value = devices.parameter(twin, MODULUS)
+    range_mpa = f"{max(low, 0.0):.2g} to {high:.2g} MPa"
+    rows[MODULUS] = _row(Value(value), "MPa", f"held: these loads leave it anywhere from {range_mpa}")
+    remark += (
+        f"; the soft body's share of it is not told from the chamber's, its modulus may be {range_mpa}: "
+        f"measure the joints too (q_1_rad ...); {advice(twin)}."
+    )
+    if value * alone >= whole.value:
+        new.parameters[MODULUS] = Value(0.5 * (low + min(high, 0.9 * whole.value / alone)))
+        remark += f" Until then it is {new.parameters[MODULUS].value:.2g} MPa, which those loads allow."
+        rows[MODULUS]["value"] = new.parameters[MODULUS].value
+    return Compliance(new, rows, remark, found.evaluations)
+
+
+def _row(value: Value, unit: str, note: str) -> dict:
+    return {
+        "value": value.value,
+        "ci95": list(value.ci95) if value.ci95 else None,
+        "unit": unit,
+        "note": note,
+    }
