@@ -26,7 +26,7 @@ WHOLE, MODULUS = "joint_stiffness_nm_per_rad", "youngs_modulus_mpa"
 GRAVITY = ("gravity_x", "gravity_y", "gravity_z")
 LEAST_FORCE_N = 0.02  # by which loads must differ
 TURNED = 0.1  # change of a component of gravity from which on the finger's own weight counts
-WIDEST = 1.5  # upper over lower end of the modulus' interval, beyond which it was not told
+WIDEST = 1.5  # upper over lower end of an interval, beyond which a number was not told
 
 
 @dataclass(frozen=True)
@@ -117,6 +117,11 @@ def _found(twin: Twin, found: PipelineFit, body: SoftBody) -> Compliance:
     if WHOLE not in found.ci95 or WHOLE in found.at_bound:
         return _held(twin, f"The loads bend the finger too little, so {_NEITHER}; {advice(twin)}.")
     new, whole = twin.copy(), found.twin.parameters[WHOLE]
+    if whole.ci95[1] > WIDEST * whole.ci95[0]:
+        shown = "{:.2g} to {:.2g} N m/rad a joint".format(*whole.ci95)
+        return _held(
+            twin, f"The loads leave the stiffness anywhere from {shown}, so {_NEITHER}; {advice(twin)}."
+        )
     new.parameters[WHOLE] = whole
     rows = {WHOLE: _row(whole, "N m/rad", "")}
     remark = "Loaded poses tell a whole stiffness of {:.3g} to {:.3g} N m/rad a joint".format(*whole.ci95)
