@@ -5,17 +5,19 @@ import sys
 from pathlib import Path
 
 from pneutac_truths import EFFECTS, PAIRS, generate, write
+from pneutac_truths.gel import GEL_EFFECTS, write_gel
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Writes one recording; returns the exit status."""
     parser = argparse.ArgumentParser(prog="python -m pneutac_truths", description=__doc__)
-    parser.add_argument("--device", default="rod", help="rod, arm or cosserat")
+    parser.add_argument("--device", default="rod", help="rod, arm, cosserat or gel")
     parser.add_argument("--effect", default="plain", help="names with commas; plain, device, or see --list")
     parser.add_argument("--seed", type=int, default=0, help="which device")
     parser.add_argument("--day", type=int, default=1, help="another day: same device, other programs")
     parser.add_argument("--gauge", choices=("yes", "no"), help="whether pressure is measured; default drawn")
     parser.add_argument("--minutes", type=float, help="of recording")
+    parser.add_argument("--presses", type=int, default=13, help="of a gel, the first to calibrate by")
     parser.add_argument("--tell-noise", choices=("yes", "no"), default="yes")
     parser.add_argument("--tell-pauses", choices=("yes", "no"), default="no")
     parser.add_argument("--out", type=Path, help="folder to write, which must not exist")
@@ -26,10 +28,15 @@ def main(arguments: list[str] | None = None) -> int:
             sys.stdout.write(f"{e.name}: {e.summary}{'' if e.physics else ' (no physics)'}\n")
         for name, pair in PAIRS.items():
             sys.stdout.write(f"{name}: {' and '.join(pair)}\n")
+        for fault in GEL_EFFECTS.values():
+            sys.stdout.write(f"{fault.name}: {fault.summary} (gel)\n")
         return 0
     if o.out is None or o.out.exists():
         parser.error("Give --out." if o.out is None else f"'{o.out}' exists; name a new folder.")
     try:
+        if o.device == "gel":
+            sys.stdout.write(f"{write_gel(o.effect.split(','), o.out, o.seed, o.day, o.presses)}\n")
+            return 0
         truth = generate(
             o.device,
             o.effect.split(","),
@@ -40,7 +47,7 @@ def main(arguments: list[str] | None = None) -> int:
             o.tell_noise == "yes",
             o.tell_pauses == "yes",
         )
-    except (ValueError, ImportError) as e:
+    except (ValueError, ImportError, ArithmeticError) as e:
         parser.error(str(e))
     sys.stdout.write(f"{write(truth, o.out)}\n")
     return 0

@@ -1,0 +1,294 @@
+"""A bonded layer of nearly incompressible rubber under a rigid indenter, by finite elements.
+
+Neo-Hookean, W = mu/2 (J^(-2/3) I1 - 3) + kappa/2 (J - 1)^2 (Bonet and Wood, Nonlinear Continuum Mechanics
+for Finite Element Analysis (2008) sec. 6.5), on hexahedra whose change of volume is integrated at one point,
+which keeps them from locking (Malkus and Hughes, CMAME 15 (1978) 63). Contact is frictionless, by penalty
+(Wriggers, Computational Contact Mechanics (2006) ch. 6). The depth grows in steps of Newton's method.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import RectBivariateSpline
+from scipy.sparse import coo_matrix, csc_matrix
+from scipy.sparse.linalg import splu
+
+from pneutac_truths.gel.punches import Punch
+
+STIFF = 100.0  # penalty over mu / element size
+NEWTON, CLOSE = 30, 1e-3  # steps, and the share of the load's nodal forces that may be left
+
+
+@dataclass(frozen=True)
+class Rubber:
+    """The layer.
+
+    Attributes:
+        thickness_mm: of the layer, bonded below.
+        mu_kpa: shear modulus.
+        poisson: ratio at small strain.
+    """
+
+    thickness_mm: float = 3.0
+    mu_kpa: float = 40.0
+    poisson: float = 0.49
+
+    @property
+    def kappa_kpa(self) -> float:
+        """Bulk modulus."""
+        return 2 * self.mu_kpa * (1 + self.poisson) / (3 * (1 - 2 * self.poisson))
+
+
+@dataclass(frozen=True)
+class Face:
+    """The pressed face in the indenter's frame.
+
+    Attributes:
+        x_mm: (n,) where its nodes rest.
+        y_mm: (m,)
+        moved_mm: (n, m, 3) displacements; z points out of the gel.
+        touching: (n, m) nodes that carry pressure.
+        force_n: on the indenter.
+    """
+
+    x_mm: np.ndarray
+    y_mm: np.ndarray
+    moved_mm: np.ndarray
+    touching: np.ndarray
+    force_n: float
+
+    def at(self, x_mm: np.ndarray, y_mm: np.ndarray) -> np.ndarray:
+        """Displacements (..., 3) of points that rest at x and y, cubic between nodes; 0 beyond the mesh."""
+        out = np.stack(
+            [
+                RectBivariateSpline(self.x_mm, self.y_mm, u).ev(x_mm, y_mm)
+                for u in np.moveaxis(self.moved_mm, 2, 0)
+            ],
+            -1,
+        )
+        beyond = (np.abs(x_mm) > self.x_mm[-1]) | (np.abs(y_mm) > self.y_mm[-1])
+        return np.where(beyond[..., None], 0.0, out)
+
+
+def press(
+    punch: Punch, depth_mm: float, rubber: Rubber, fine_mm: float = 0.25, step_mm: float = 0.25
+) -> Face:
+    """Presses an indenter in.
+
+    Args:
+        punch: what presses.
+        depth_mm: of its lowest point below the resting face.
+        rubber: what is pressed.
+        fine_mm: size of the elements under and near the contact.
+        step_mm: by how much the depth grows at once.
+
+    Raises:
+        ArithmeticError: no equilibrium was found.
+    """
+    mesh = _Mesh(punch, depth_mm, rubber, fine_mm)
+    u = np.zeros(mesh.rest.shape)
+    depths = np.linspace(0, depth_mm, int(np.ceil(depth_mm / step_mm)) + 1)[1:]
+    for k, depth in enumerate(depths):
+        u = mesh.settle(u * (depth / depths[k - 1] if k else 1.0), punch, depth)
+    return mesh.face(u, punch, depth_mm)
+
+
+def spaced(touched_mm: float, end_mm: float, fine_mm: float, wider: float) -> np.ndarray:
+    """Nodes from 0 to `end_mm`, evenly a little beyond what is touched, then each `wider` times its last."""
+    even = touched_mm + 3 * fine_mm
+    nodes = list(np.linspace(0, even, int(np.ceil(even / fine_mm)) + 1))
+    width = fine_mm
+    while nodes[-1] < end_mm:
+        width *= wider
+        nodes.append(nodes[-1] + width)
+    return np.array(nodes)
+
+
+class _Mesh:
+    """Hexahedra below one indenter: half or a quarter of the gel where that mirrors the rest."""
+
+    def __init__(self, punch: Punch, depth_mm: float, rubber: Rubber, fine_mm: float):
+        from skfem import Basis, ElementHex1, MeshHex
+
+        self.rubber, self.mirrored, t = rubber, punch.mirrored, rubber.thickness_mm
+        self.axes = []
+        for reach, mirrored in zip(punch.reach_mm(depth_mm), self.mirrored, strict=True):
+            half = spaced(reach, reach + 2 * t, fine_mm, 1.3)
+            self.axes.append(half if mirrored else np.concatenate([-half[:0:-1], half]))
+        down = spaced(0.0, t, fine_mm, 1.1)  # what lies deep decides how stiff a thin layer is
+        mesh = MeshHex.init_tensor(*self.axes, np.sort(-down * t / down[-1]))
+        self.rest = mesh.p.T.copy()
+        full, single = (Basis(mesh, ElementHex1(), intorder=k) for k in (2, 1))
+        self.nodes = full.element_dofs.T  # (elements, 8)
+        self.grad, self.weight = _gradients(full)
+        self.grad_1, self.weight_1 = _gradients(single)
+        x, y, z = self.rest.T
+        held = np.zeros(self.rest.shape, bool)
+        held[z <= z.min() + 1e-9] = True
+        for k, mirrored in enumerate(self.mirrored):
+            if mirrored:
+                held[self.rest[:, k] < 1e-9, k] = True
+        self.free = np.flatnonzero(~held.ravel())
+        self.top = np.flatnonzero(z > -1e-9)
+        self.top = self.top[np.lexsort((y[self.top], x[self.top]))]  # x slowest
+        widths = [
+            np.gradient(a) * np.where((np.arange(len(a)) % (len(a) - 1)) == 0, 0.5, 1.0) for a in self.axes
+        ]
+        self.area = np.outer(*widths).ravel()
+        self.penalty = STIFF * rubber.mu_kpa / fine_mm * self.area
+        dof = (3 * self.nodes[:, :, None] + np.arange(3)).reshape(len(self.nodes), 24)
+        self._rows, self._columns = np.repeat(dof, 24, 1).ravel(), np.tile(dof, 24).ravel()
+        self._dof = dof
+
+    def settle(self, u: np.ndarray, punch: Punch, depth_mm: float) -> np.ndarray:
+        """Displacements (nodes, 3) in equilibrium at a depth, from near ones."""
+        for _ in range(NEWTON):
+            energy, force, stiffness = self._state(u, punch, depth_mm)
+            if not np.isfinite(energy):
+                u = 0.9 * u  # an element is inside out: from nearer to rest
+                continue
+            left = force[self.free]
+            load = np.abs(self._pushed(u, punch, depth_mm)[1]).sum()
+            if np.abs(left).sum() < CLOSE * max(load, 1e-9):
+                return u
+            solver = splu(
+                stiffness[self.free][:, self.free],
+                permc_spec="MMD_AT_PLUS_A",
+                diag_pivot_thresh=0.0,
+                options={"SymmetricMode": True},
+            )
+            way = np.zeros(u.size)
+            way[self.free] = -solver.solve(left)
+            u = self._along(u, way.reshape(u.shape), energy, float(way @ force), punch, depth_mm)
+        raise ArithmeticError(
+            f"The {punch.kind} finds no equilibrium {depth_mm:.3g} mm deep; take smaller steps."
+        )
+
+    def _along(self, u, way, energy: float, slope: float, punch: Punch, depth_mm: float) -> np.ndarray:
+        """As far as the energy falls (Armijo's rule); one that must climb takes a small step."""
+        length = 1.0
+        for _ in range(6):
+            there = u + length * way
+            if self._energy(there, punch, depth_mm) <= energy + 1e-4 * length * min(slope, 0.0):
+                break
+            length *= 0.5
+        return u + length * way
+
+    def face(self, u: np.ndarray, punch: Punch, depth_mm: float) -> Face:
+        """What the camera's side sees, mirrored to the whole."""
+        n, m = (len(a) for a in self.axes)
+        pressure = self._pushed(u, punch, depth_mm)[1]
+        moved, touching = u[self.top].reshape(n, m, 3), (pressure[:, 2] != 0).reshape(n, m)
+        axes = list(self.axes)
+        force = -float(pressure[:, 2].sum()) * 1e-3  # kPa mm^2 are mN
+        for k in np.flatnonzero(self.mirrored):
+            sign = np.where(np.arange(3) == k, -1.0, 1.0)
+            tail = [slice(None)] * 2
+            tail[k] = slice(None, 0, -1)
+            moved = np.concatenate([moved[tuple(tail)] * sign, moved], k)
+            touching = np.concatenate([touching[tuple(tail)], touching], k)
+            axes[k] = np.concatenate([-axes[k][:0:-1], axes[k]])
+            force *= 2
+        return Face(axes[0], axes[1], moved, touching, force)
+
+    # ---------------------------------------------------------------- energy and its derivatives, mN mm
+
+    def _pushed(self, u, punch: Punch, depth_mm: float):
+        """Depth inside the indenter (top,) and the nodal forces (top, 3) of what touches, mN."""
+        p = self.rest[self.top] + u[self.top] + [0, 0, depth_mm]
+        inside = np.maximum(-punch.distance(p), 0.0)
+        force = np.zeros((len(p), 3))
+        at = np.flatnonzero(inside)
+        if at.size:
+            force[at] = (self.penalty[at] * inside[at])[:, None] * punch.outward(p[at])
+        return inside, force
+
+    def _stretched(self, u, grad):
+        """F (elements, points, 3, 3)."""
+        return np.eye(3) + np.einsum("eai,eqaj->eqij", u[self.nodes], grad, optimize=True)
+
+    def _energy(self, u, punch: Punch, depth_mm: float) -> float:
+        F, J1 = self._stretched(u, self.grad), np.linalg.det(self._stretched(u, self.grad_1))
+        J = np.linalg.det(F)
+        if J.min() <= 0.02 or J1.min() <= 0.02:
+            return np.inf
+        iso = 0.5 * self.rubber.mu_kpa * (J ** (-2 / 3) * np.square(F).sum((2, 3)) - 3)
+        volume = 0.5 * self.rubber.kappa_kpa * np.square(J1 - 1)
+        inside = self._pushed(u, punch, depth_mm)[0]
+        return float(
+            (iso * self.weight).sum()
+            + (volume * self.weight_1).sum()
+            + 0.5 * (self.penalty * inside**2).sum()
+        )
+
+    def _state(self, u, punch: Punch, depth_mm: float) -> tuple[float, np.ndarray, csc_matrix]:
+        """Energy, its gradient (3 nodes,) and its second derivative."""
+        energy = self._energy(u, punch, depth_mm)
+        if not np.isfinite(energy):
+            return energy, np.zeros(u.size), csc_matrix((u.size, u.size))
+        mu, kappa = self.rubber.mu_kpa, self.rubber.kappa_kpa
+        P, A = _iso(self._stretched(u, self.grad), mu)
+        f, K = _gathered(P, A, self.grad, self.weight)
+        P, A = _volume(self._stretched(u, self.grad_1), kappa)
+        f1, K1 = _gathered(P, A, self.grad_1, self.weight_1)
+        force = np.bincount(self._dof.ravel(), (f + f1).ravel(), u.size)
+        inside, push = self._pushed(u, punch, depth_mm)
+        dof = 3 * self.top[:, None] + np.arange(3)
+        np.subtract.at(force, dof.ravel(), push.ravel())
+        at = np.flatnonzero(inside)
+        normal = push[at] / (self.penalty[at] * inside[at])[:, None]
+        contact = self.penalty[at, None, None] * normal[:, :, None] * normal[:, None, :]
+        values = np.concatenate([(K + K1).ravel(), contact.ravel()])
+        rows = np.concatenate([self._rows, np.repeat(dof[at], 3, 1).ravel()])
+        columns = np.concatenate([self._columns, np.tile(dof[at], 3).ravel()])
+        return energy, force, coo_matrix((values, (rows, columns)), (u.size, u.size)).tocsc()
+
+
+def _gradients(basis) -> tuple[np.ndarray, np.ndarray]:
+    """Of the shape functions (elements, points, 8, 3), and the points' volumes (elements, points)."""
+    grad = np.stack([basis.basis[a][0].grad for a in range(8)])  # (8, 3, elements, points)
+    return np.ascontiguousarray(
+        np.broadcast_to(grad, (8, 3, *basis.dx.shape)).transpose(2, 3, 0, 1)
+    ), basis.dx
+
+
+def _iso(F, mu: float):
+    """First Piola-Kirchhoff stress (..., 3, 3) and its derivative (..., 9, 9) of what keeps the volume."""
+    J, I1 = np.linalg.det(F)[..., None, None], np.square(F).sum((-2, -1))[..., None, None]
+    G = np.linalg.inv(F).swapaxes(-1, -2)  # F^-T
+    scale = mu * J ** (-2 / 3)
+    P = scale * (F - I1 / 3 * G)
+    f, g = _flat(F), _flat(G)
+    cross = np.einsum("...a,...b->...ab", f, g) + np.einsum("...a,...b->...ab", g, f)
+    A = np.eye(9) - 2 / 3 * cross + 2 / 9 * I1 * np.einsum("...a,...b->...ab", g, g) + I1 / 3 * _turned(G)
+    return P, scale * A
+
+
+def _volume(F, kappa: float):
+    """As `_iso`, of the change of volume."""
+    J = np.linalg.det(F)[..., None, None]
+    G = np.linalg.inv(F).swapaxes(-1, -2)
+    g = _flat(G)
+    A = (2 * J - 1) * J * np.einsum("...a,...b->...ab", g, g) - (J - 1) * J * _turned(G)
+    return kappa * (J - 1) * J * G, kappa * A
+
+
+def _flat(F):
+    return F.reshape(*F.shape[:-2], 9)
+
+
+def _turned(G):
+    """(..., 9, 9) of dF -> G dF^T G: element (iJ, kL) is G_iL G_kJ."""
+    return np.einsum("...il,...kj->...ijkl", G, G).reshape(*G.shape[:-2], 9, 9)
+
+
+def _gathered(P, A, grad, weight):
+    """Nodal forces (elements, 24) and stiffness (elements, 24, 24)."""
+    e, q = weight.shape
+    B = np.zeros((e, q, 9, 8, 3))  # dF_iJ = N_a,J u_ai
+    for i in range(3):
+        B[:, :, 3 * i : 3 * i + 3, :, i] = grad.swapaxes(-1, -2)
+    B = B.reshape(e, q, 9, 24)
+    force = ((_flat(P) * weight[..., None])[:, :, None, :] @ B).sum((1, 2))
+    AB = (A * weight[..., None, None]) @ B
+    return force, B.reshape(e, 9 * q, 24).swapaxes(-1, -2) @ AB.reshape(e, 9 * q, 24)
