@@ -16,7 +16,10 @@ from pneutac_sim.world.env import PneutacEnv
 from pneutac_sim.world.expert import ScriptedExpert
 from pneutac_sim.world.touch import MODES
 
-GOALS = {"surrogate": {"image": 60, "area": 400, "none": 2000}, "probe": {"image": 150, "area": 600}}
+GOALS = {  # switch, egg, card
+    "surrogate": {"image": (600, 540, 400), "area": (700, 680, 450), "none": (1900, 1700, 1200)},
+    "probe": {"image": (150,) * 3, "area": (600,) * 3},
+}
 FULL_STEPS = 5  # of full material points, all in free air: each takes seconds
 
 
@@ -63,8 +66,9 @@ def main():
             cells = []
             for touch in MODES:
                 rate = steps_per_second(task, touch, fidelity, steps)
-                goal = GOALS.get(fidelity, {}).get(touch)
-                cells.append(f"{rate:.{0 if rate > 10 else 2}f}" + (f" (goal {goal})" if goal else ""))
+                goals = GOALS.get(fidelity, {}).get(touch)
+                goal = f" (goal {goals[TASK_NAMES.index(task)]})" if goals else ""
+                cells.append(f"{rate:.{0 if rate > 10 else 2}f}{goal}")
             table.add_row(task, fidelity, *cells)
     Console().print(table)
 

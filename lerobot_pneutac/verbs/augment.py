@@ -44,7 +44,8 @@ class AugmentConfig:
         seed: seed of every random choice.
         twin: folder of the finger's twin; where left out, the built-in one.
         fidelity: way in which finger and gel deform where the plans are carried out: `surrogate`, by
-            networks, `mpm`, by material points, or `probe`, by formulas; plans are made with the formulas.
+            networks, `mpm`, by material points, or `probe`, by formulas; plans are made with the same, those
+            for material points with formulas.
         conditions: values that the twin's effects ask for, such as {temperature_c: 28}; every demonstration
             draws from a range [low, high].
         planner: horizon, samples and weights of the planner.

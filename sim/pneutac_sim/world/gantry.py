@@ -62,8 +62,9 @@ class _Straight:
 class Gantry(VariedWorld):
     """The reduced world of a world: starts where that one is, and tries sequences of actions.
 
-    Finger and gel deform by their formulas; how far the world's own bend and area are from them is held
-    while the gantry looks ahead.
+    The finger has the stiffness of the world's own where it was mirrored, held while the gantry looks ahead.
+    The gel is the world's own too where a network is; where the world's are material points, it is the
+    formula, and how far the world's area is from it is held.
 
     Attributes:
         centre_mm: (H, 2) middles of the imprints in the last `rollout`, see `gel.sensor.centre_mm`.
@@ -85,7 +86,7 @@ class Gantry(VariedWorld):
         self.data = mujoco.MjData(self.model)
         self.task = _Staged(task, self.model)
         self.sensor = TactileSensor(self.twin)
-        self.touch = Touch(self.model, self.sensor, "area")
+        self.touch = Touch(self.model, self.sensor, "area", world.touch.network)
         self._ik = _Straight()
         self._flange, self._gel = self.model.site("flange").id, self.model.site("gel").id
         self._tip, self._placing = self.model.site("tip").id, Placing(self.model)

@@ -18,6 +18,7 @@ class Touch:
         image: last tactile image uint8 (H, W, 3), or None where the mode has none.
         pixels: last count s of pixels in contact.
         area: s / N.
+        network: the gel's, a `GelSurrogate`, or None.
         in_range: whether the last contact was one that the gel's network was trained for.
     """
 
@@ -35,10 +36,10 @@ class Touch:
             raise InputError(f"There is no touch mode '{mode}'; the modes are {', '.join(MODES)}.")
         self.sensor = sensor
         self.in_range = True
-        self._mode, self._network, self._full = mode, None, None
+        self._mode, self.network, self._full = mode, None, None
         if gel is not None:
             sensor.surface = gel.displacement
-            self._network, self._full = (gel, None) if hasattr(gel, "out_of_range") else (None, gel)
+            self.network, self._full = (gel, None) if hasattr(gel, "out_of_range") else (None, gel)
         self._gel = model.site("gel").id
         self._felt = np.flatnonzero(model.geom_group == OBJECT_GROUP)
         self._kinds = model.geom_type[self._felt]
@@ -62,9 +63,9 @@ class Touch:
             return
         if self._full is not None:
             self._full.show(*objects) if self.depth_mm.any() else self._full.release()
-        if self._network is not None:
+        if self.network is not None:
             imprint = self.sensor.model.imprint(self.depth_mm)
-            self.in_range = not bool(self._network.out_of_range(imprint))
+            self.in_range = not bool(self.network.out_of_range(imprint))
         if self._mode == "image":
             self.image = self.sensor.image(self.depth_mm)
             contact = self.sensor.contact(self.image)

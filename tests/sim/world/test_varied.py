@@ -2,7 +2,9 @@
 
 import numpy as np
 
+from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.world.expert import ScriptedExpert
+from pneutac_sim.world.gantry import Gantry
 from pneutac_sim.world.varied import Variation, VariedWorld
 
 
@@ -39,3 +41,23 @@ def test_latency_shifts_commands_and_touch_and_nothing_else():
     np.testing.assert_array_equal(felt[1:, touch], prompt[:-1, touch])
     rest = np.delete(np.arange(20), np.r_[touch])
     np.testing.assert_array_equal(felt[:, rest], prompt[:, rest])
+
+
+def test_plans_feel_with_the_gel_of_the_world():
+    """A rollout in contact goes on where the world is, with its network."""
+    world = VariedWorld("egg", touch="area", fidelity="surrogate")
+    gantry = Gantry(world)
+    world.reset(3)
+    expert = ScriptedExpert(world, np.random.default_rng(3))
+    while world.touch.area < 0.005 and world.time_s < 10:
+        action = expert.action()
+        world.step(action)
+    gantry.mirror(world)
+    by_formula = TactileSensor(world.twin).contact_from_depth(world.touch.depth_mm).area
+    apart = abs(by_formula - world.touch.area)
+    # The arm does not hold its orientation quite as the gantry does.
+    assert abs(gantry.touch.area - world.touch.area) < 0.3 * apart
+    _, area = gantry.rollout(np.tile(action, (2, 1)))
+    np.testing.assert_array_equal(gantry.rollout(np.tile(action, (2, 1)))[1], area)
+    world.step(action)
+    assert abs(area[0] - world.touch.area) < 2e-3
