@@ -11,9 +11,9 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from lerobot_robot_pneutac.standin.world import StandinWorld
 from pneutac_sim.features import CONTROL_HZ, TASK_NAMES, TRIAL_S
 from pneutac_sim.world.expert import ScriptedExpert
-from pneutac_sim.world.standin import StandinWorld
 from pneutac_sim.world.world import World
 
 STEPS = TRIAL_S * CONTROL_HZ

@@ -12,9 +12,8 @@ from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, MAX_PRESSURE_KPA
 from pneutac_sim.gel.probe import COLS, ROWS
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.conditions import Conditions
-from pneutac_sim.world.panda import HOME_JOINTS
+from pneutac_sim.world.panda import HOME_JOINTS, WORKSPACE_HIGH, WORKSPACE_LOW
 from pneutac_sim.world.varied import Variation, VariedWorld
-from pneutac_sim.world.world import WORKSPACE_HIGH, WORKSPACE_LOW
 
 GRID = (10, 8)  # cells of the actor's probe grid, rows and columns
 STEPS = 200  # control steps of an episode; fewer than of a trial, for more starts

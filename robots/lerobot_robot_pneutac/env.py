@@ -7,7 +7,8 @@ from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.envs.configs import EnvConfig
 from lerobot.utils.constants import ACTION, OBS_IMAGES, OBS_STATE
 
-# Registers the Gymnasium ids. Workers of lerobot-eval get them by unpickling this module's config.
+# Both register the Gymnasium ids. Workers of lerobot-eval get them by unpickling this module's config.
+import lerobot_robot_pneutac.standin  # noqa: F401
 import pneutac_sim  # noqa: F401
 from lerobot_robot_pneutac.options import (
     check_choice,
@@ -23,7 +24,6 @@ from pneutac_sim.features import (
     IMAGE_NAME,
     IMAGE_SHAPE,
     RENDERS,
-    STANDIN_GELS,
     STATE_NAMES,
     TASK_NAMES,
     TRIAL_S,
@@ -122,24 +122,9 @@ class PneutacEnvConfig(PneutacTaskConfig):
 @EnvConfig.register_subclass("pneutac_standin")
 @dataclass
 class PneutacStandinConfig(PneutacTaskConfig):
-    """The same tasks on the stand-in for reality, which no twin describes beforehand.
-
-    Attributes:
-        gel: `layer`, an elastic layer in contact; `mpm`, full material points (seconds a control step).
-    """
-
-    gel: str = "layer"
-
-    def __post_init__(self):
-        super().__post_init__()
-        check_choice("env.gel", self.gel, STANDIN_GELS)
+    """The same tasks on the stand-in for reality, which no twin describes beforehand."""
 
     @property
     def package_name(self) -> str:
         """Prefix of the Gymnasium ids."""
         return "pneutac_standin"
-
-    @property
-    def gym_kwargs(self) -> dict:
-        """What `gymnasium.make` is given."""
-        return super().gym_kwargs | {"gel": self.gel}

@@ -1,7 +1,7 @@
 """Physics and pictures of soft pneumatic fingers and camera-based touch; knows nothing of LeRobot.
 
-Importing registers the Gymnasium environments `pneutac_sim/switch`, `pneutac_sim/egg`, `pneutac_sim/card`,
-and the same tasks for the stand-in for reality, `pneutac_standin/switch` and so on, and does nothing else.
+Importing registers the Gymnasium environments `pneutac_sim/switch`, `pneutac_sim/egg`, `pneutac_sim/card`
+and does nothing else.
 """
 
 import gymnasium
@@ -12,12 +12,6 @@ for _task in TASK_NAMES:
     gymnasium.register(
         id=f"pneutac_sim/{_task}",
         entry_point="pneutac_sim.world.env:PneutacEnv",
-        kwargs={"task": _task},
-        max_episode_steps=TRIAL_S * CONTROL_HZ,
-    )
-    gymnasium.register(
-        id=f"pneutac_standin/{_task}",
-        entry_point="pneutac_sim.world.env:standin_env",
         kwargs={"task": _task},
         max_episode_steps=TRIAL_S * CONTROL_HZ,
     )

@@ -13,7 +13,6 @@ DEMONSTRATION_S = 14  # after which a scripted demonstration is given up; most t
 TASK_NAMES = ("switch", "egg", "card")
 FIDELITIES = ("surrogate", "mpm", "probe")  # how finger and gel of a world deform
 RENDERS = ("mesh", "splats")  # how a world is drawn
-STANDIN_GELS = ("layer", "mpm")  # how the gel of the stand-in for reality deforms
 IMAGE_SHAPE = (320, 240, 3)
 IMAGE_NAME = "tactile"
 

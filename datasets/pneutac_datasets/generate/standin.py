@@ -2,30 +2,31 @@
 
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pandas as pd
 from PIL import Image
 
+from lerobot_robot_pneutac.standin.finger import LENGTH_MM, TIP_MM, RodBody, clamped
+from lerobot_robot_pneutac.standin.gel import WINDOW_M, CameraNoise, new_gel
+from lerobot_robot_pneutac.standin.world import GAUGE_NOISE_KPA
 from pneutac_datasets.generate.hidden.programs import ProgramTrial, session
 from pneutac_datasets.generate.presses import ball_press, press_row, write_session
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import MAX_PRESSURE_KPA
-from pneutac_sim.finger.inputs import Inputs
-from pneutac_sim.finger.pipeline import Pipeline
-from pneutac_sim.gel.photograph import press_depth
-from pneutac_sim.world.standin import GAUGE_NOISE_KPA, standin_gel, standin_twin
-from pneutac_sim.world.standin_touch import CameraNoise, standin_sensor
+from pneutac_truths.light.objects import SPHERE, reach_below
 
-FINE_HZ = 100.0  # the finger is simulated between the logged samples too
 MARKER_NOISE_MM = 0.3
+SETTLE_S = 1.0
 PRESSES = 16
 
 
 def write_finger(folder: str | Path, seed: int = 0, minutes: float = 6.0, hz: float = 20.0) -> Recording:
     """Writes a session with the stand-in's finger: stairs, triangles, loops, holds, steps, and two repeats.
 
-    The pressure is logged by the gauge of the robot, so that air and body can be told apart.
+    Each trial begins rested. The pressure is logged by the gauge of the robot, so that air and body can be
+    told apart.
 
     Args:
         folder: where the recording goes.
@@ -41,53 +42,70 @@ def write_finger(folder: str | Path, seed: int = 0, minutes: float = 6.0, hz: fl
     rng = np.random.default_rng([seed, 3])
     hanging = (1.0, 0.0, 0.0)
     trials = [ProgramTrial(t.label, t.command) for t in session(MAX_PRESSURE_KPA, 60 * minutes, hz, rng)[:3]]
-    twin, every = standin_twin(), round(FINE_HZ / hz)
     table = []
     for number, trial in enumerate(trials):
         n = len(trial.command)
-        t = np.arange(n) / hz
-        fine = np.arange((n - 1) * every + 1) / (hz * every)
-        samples = {
-            "trial": np.full(len(fine), number),
-            "time_s": fine,
-            "pressure_cmd_kpa": np.interp(fine, t, trial.command),
-        }
-        model = Pipeline.of(twin)
-        run = model.run(Inputs.from_samples(samples), model.theta(twin))
-        tip = run.markers[::every, :3] + MARKER_NOISE_MM * rng.standard_normal((n, 3))
-        gauge = run.pressure_kpa[::every, 0] + GAUGE_NOISE_KPA * rng.standard_normal(n)
-        columns = {"trial": number, "program": trial.label, "time_s": np.round(t, 4)}
+        tip, pressure = _measured(trial.command, hz)
+        tip = tip + MARKER_NOISE_MM * rng.standard_normal((n, 3))
+        gauge = pressure + GAUGE_NOISE_KPA * rng.standard_normal(n)
+        columns = {"trial": number, "program": trial.label, "time_s": np.round(np.arange(n) / hz, 4)}
         columns |= {"pressure_cmd_kpa": trial.command, "pressure_kpa": gauge}
         columns |= {f"tip_{a}_mm": tip[:, i] for i, a in enumerate("xyz")}
         columns |= {f"gravity_{a}": hanging[i] for i, a in enumerate("xyz")}
         table.append(pd.DataFrame(columns))
+    length = LENGTH_MM + TIP_MM
     meta = {
         "device": "finger",
-        "length_mm": twin.length_mm,
-        "spine_joint_positions_mm": twin.spine_joint_positions_mm,
+        "length_mm": length,
+        "spine_joint_positions_mm": [length * (k + 0.5) / 4 for k in range(4)],
         "samples": "samples.csv",
+        "trials": {str(k): {"start": "rested"} for k in range(len(trials))},
         "notes": "Generated: the stand-in for reality.",
     }
     Recording(Path(folder), meta, pd.concat(table, ignore_index=True), "finger").write(folder)
     return Recording.load(folder)
 
 
+def _measured(command_kpa: np.ndarray, hz: float) -> tuple[np.ndarray, np.ndarray]:
+    """Marker (n, 3) in mm in the base's frame and pressure (n,) in kPa of the rested finger in its clamp."""
+    model = clamped()
+    model.opt.timestep = 1 / (hz * np.ceil(1 / (hz * model.opt.timestep)))
+    data = mujoco.MjData(model)
+    finger, base, tip = RodBody(model, data), data.body("finger"), data.site("tip")
+    finger.advance(0.0, round(SETTLE_S * hz) / hz)
+    places, pressure = np.empty((len(command_kpa), 3)), np.empty(len(command_kpa))
+    for i in range(len(command_kpa)):
+        mujoco.mj_kinematics(model, data)
+        places[i] = 1e3 * base.xmat.reshape(3, 3).T @ (tip.xpos - base.xpos)
+        pressure[i] = finger.rod.pressure_kpa
+        finger.advance(float(command_kpa[i]), 1 / hz)
+    return places, pressure
+
+
 def write_gel(folder: str | Path, seed: int = 0) -> Recording:
     """Writes a rest image and `PRESSES` presses by balls into the stand-in's gel, the first to calibrate by.
+
+    A depth is from the first touch on.
 
     Args:
         folder: where the recording goes.
         seed: decides places, depths, noise and drift of the light.
     """
     folder, rng = Path(folder), np.random.default_rng([seed, 4])
-    gel = standin_gel()
-    sensor, camera = standin_sensor(gel), CameraNoise(gel.rest_image.shape)
+    gel = new_gel()
+    camera = CameraNoise(gel.rest_image.shape)
     camera.begin(rng)
     (folder / "images").mkdir(parents=True, exist_ok=True)
     Image.fromarray(gel.rest_image).save(folder / "rest.png")  # the mean of many frames
     rows = []
     for i in range(PRESSES):
         press, name = ball_press(i, rng), f"images/ball_{i}.png"
-        Image.fromarray(camera.photograph(sensor.image(press_depth(press, gel)))).save(folder / name)
+        ball = [SPHERE], [[press.size_mm, 0.0, 0.0]]
+        at = np.array([press.x_mm, press.y_mm, press.size_mm])
+        first = (reach_below(*ball, at, np.eye(3), gel.xs_mm, gel.ys_mm) + gel.rest_mm).max()  # below 0
+        at[2] -= press.depth_mm - first
+        displacement, _ = gel.press(*ball, at, np.eye(3))
+        Image.fromarray(camera.photograph(gel.image(displacement))).save(folder / name)
         rows.append(press_row(i, name, press))
-    return write_session(folder, rows, gel.px_per_mm, "Generated: the stand-in for reality.")
+    px_per_mm = gel.rest_image.shape[1] / (1e3 * WINDOW_M[0])
+    return write_session(folder, rows, px_per_mm, "Generated: the stand-in for reality.")

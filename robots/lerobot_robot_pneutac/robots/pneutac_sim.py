@@ -136,11 +136,12 @@ def connected_robot() -> PneutacSim:
 
 
 def _world(config: PneutacSimConfig):
+    if config.standin:
+        from lerobot_robot_pneutac.standin.world import StandinWorld
+
+        return StandinWorld(config.task)
     from pneutac_sim.twin import Twin
-    from pneutac_sim.world.standin import StandinWorld
     from pneutac_sim.world.world import World
 
-    if config.standin:
-        return StandinWorld(config.task)
     twin = Twin.load(config.twin) if config.twin else None
     return World(config.task, twin, "image", config.fidelity, config.conditions, config.render)

@@ -15,13 +15,20 @@ import numpy as np
 
 from pneutac_sim.gel.sensor import TactileSensor, centre_mm
 from pneutac_sim.world import scene
-from pneutac_sim.world.panda import HOME_JOINTS, SERVO_LAG_S, forward_kinematics
+from pneutac_sim.world.observation import Observation
+from pneutac_sim.world.panda import (
+    HOME_JOINTS,
+    SERVO_LAG_S,
+    WORKSPACE_HIGH,
+    WORKSPACE_LOW,
+    forward_kinematics,
+)
 from pneutac_sim.world.placing import Placing
-from pneutac_sim.world.soft_finger import Springs
+from pneutac_sim.world.soft_finger import Springs, mjcf
 from pneutac_sim.world.substeps import Substeps
 from pneutac_sim.world.touch import Touch
 from pneutac_sim.world.varied import VariedWorld, _Staged
-from pneutac_sim.world.world import DT, WORKSPACE_HIGH, WORKSPACE_LOW, Observation
+from pneutac_sim.world.world import DT
 
 SLIDES = ("slide_x", "slide_y", "slide_z")
 STIFFNESS_N_M = 40000.0  # of the flange: about 12 kN m/rad at the arm's half metre
@@ -82,7 +89,7 @@ class Gantry(VariedWorld):
         """
         super().__init__(world.task.name, world.twin, "area", "probe", world.conditions)
         task = self.task.inner
-        self.model = mujoco.MjModel.from_xml_string(scene.build(task, self.twin, body, actuators))
+        self.model = mujoco.MjModel.from_xml_string(scene.build(task, mjcf(self.twin), body, actuators))
         self.data = mujoco.MjData(self.model)
         self.task = _Staged(task, self.model)
         self.sensor = TactileSensor(self.twin)

@@ -1,10 +1,12 @@
 """The MJCF of a whole world: arm, finger, task and what makes it pleasant to look at."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
+
+import mujoco
 
 from pneutac_sim.features import CONTROL_HZ
-from pneutac_sim.twin import Twin
-from pneutac_sim.world import panda, soft_finger
+from pneutac_sim.world import panda
 from pneutac_sim.world.tasks import Task
 
 SUBSTEPS = 50  # 1.33 ms
@@ -14,19 +16,41 @@ TIMESTEP = 1 / (CONTROL_HZ * SUBSTEPS)
 OBJECT_GROUP = 2
 SEEN_GROUPS = (0, 1, 2)
 
+DIVERGED = (  # what MuJoCo warns of, and answers with a fresh scene
+    mujoco.mjtWarning.mjWARN_BADQPOS,
+    mujoco.mjtWarning.mjWARN_BADQVEL,
+    mujoco.mjtWarning.mjWARN_BADQACC,
+)
+
+
+@dataclass(frozen=True)
+class Finger:
+    """MJCF of a finger with its gel.
+
+    Attributes:
+        body: for the frame `flange`, with the sites `tip` and `gel` and the geom `pad`.
+        defaults, materials: that it names.
+        actuators, tendons: it may have none.
+    """
+
+    body: str
+    defaults: str
+    materials: str
+    actuators: str = ""
+    tendons: str = ""
+
+
 _DEFAULTS = f"""
-<default>
-  {panda.DEFAULTS}{soft_finger.DEFAULTS}
+  {panda.DEFAULTS}
   <default class="object">
     <geom contype="2" conaffinity="1" group="{OBJECT_GROUP}" friction=".4" solref=".004 1"
           solimp=".95 .99 .0005"/>
   </default>
   <default class="decor"><geom contype="0" conaffinity="0" group="0" mass="0"/></default>
-</default>"""
+"""
 
 _ASSETS = f"""
-<asset>
-  {panda.MATERIALS}{soft_finger.MATERIALS}
+  {panda.MATERIALS}
   <texture name="sky" type="skybox" builtin="gradient" rgb1=".93 .95 .98" rgb2=".62 .70 .80"
            width="64" height="64"/>
   <texture name="table" type="2d" builtin="checker" rgb1=".80 .77 .72" rgb2=".84 .81 .76"
@@ -39,8 +63,7 @@ _ASSETS = f"""
   <material name="carton" rgba=".62 .66 .58 1" specular=".05"/>
   <material name="carton_dark" rgba=".50 .54 .48 1" specular=".05"/>
   <material name="egg" rgba=".93 .82 .68 1" specular=".2"/>
-  <material name="card" rgba=".97 .97 .94 1" specular=".3"/>
-</asset>"""
+  <material name="card" rgba=".97 .97 .94 1" specular=".3"/>"""
 
 _VISUAL = """
 <visual>
@@ -53,25 +76,35 @@ _VISUAL = """
 
 def build(
     task: Task,
-    twin: Twin,
+    finger: Finger,
     arm: Callable[[str], str] = panda.body,
     servos: Callable[[], str] = panda.actuators,
 ) -> str:
-    """MJCF of the world with `task` and the finger of `twin`, carried by an arm with its servos."""
+    """MJCF of the world with `task` and a finger, carried by an arm with its servos."""
     return f"""
 <mujoco model="pneutac_{task.name}">
   <compiler angle="radian"/>
   <option timestep="{TIMESTEP!r}" integrator="implicitfast" iterations="20"/>
-  {_VISUAL}{_DEFAULTS}{_ASSETS}
+  {_VISUAL}
+  <default>{_DEFAULTS}{finger.defaults}</default>
+  <asset>{_ASSETS}{finger.materials}</asset>
   <worldbody>
     <light pos="1 -.5 1.1" dir="-.5 .5 -1" cutoff="35" exponent="3" diffuse=".57 .55 .52"
            specular=".2 .2 .2"/>
     <light pos=".3 -.9 .9" dir=".2 .9 -.6" cutoff="60" diffuse=".16 .16 .18" castshadow="false"/>
     <camera name="close" pos=".37 -.50 .31" xyaxes=".968 -.252 0 .057 .219 .974"/>
     <geom name="table" type="plane" size="0 0 .1" material="table" contype="2" conaffinity="1"/>
-    {arm(soft_finger.body(twin))}
+    {arm(finger.body)}
     {task.mjcf()}
   </worldbody>
-  <actuator>{servos()}{soft_finger.actuators(twin)}{task.actuators()}</actuator>
-  {soft_finger.tendons(twin)}
+  <actuator>{servos()}{finger.actuators}{task.actuators()}</actuator>
+  {finger.tendons}
 </mujoco>"""
+
+
+def check_physics(data: mujoco.MjData) -> None:
+    """Raises FloatingPointError where the physics has diverged."""
+    if any(data.warning[kind].number for kind in DIVERGED):
+        raise FloatingPointError(
+            "The physics has diverged: MuJoCo met values that are not finite or too large."
+        )

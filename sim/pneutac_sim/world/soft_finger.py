@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 
 from pneutac_sim.twin import Twin
+from pneutac_sim.world.scene import Finger
 
 SECTION_M = 0.020  # outer width and height of the soft segments
 DENSITY = 1145.0  # kg/m3, Agilus30 (manufacturer's data sheet)
@@ -41,6 +42,11 @@ MATERIALS = (
     '<material name="digit" rgba=".95 .70 .25 1" specular=".4" shininess=".5"/>'
     '<material name="gel" rgba=".88 .86 .95 1" specular="1" shininess=".9"/>'
 )
+
+
+def mjcf(twin: Twin) -> Finger:
+    """All of the finger of a twin."""
+    return Finger(body(twin), DEFAULTS, MATERIALS, actuators(twin), tendons(twin))
 
 
 def body(twin: Twin) -> str:

@@ -4,8 +4,6 @@ One description serves environment, robot twin and planner. A control step integ
 solves the inverse kinematics once, and interpolates joint targets and pressure over the physics substeps.
 """
 
-from dataclasses import dataclass
-
 import mujoco
 import numpy as np
 
@@ -19,40 +17,20 @@ from pneutac_sim.world.action import checked_action
 from pneutac_sim.world.conditions import Conditions, conditions_for, draw
 from pneutac_sim.world.deforming import deforming
 from pneutac_sim.world.drawn import drawn
-from pneutac_sim.world.panda import HOME_JOINTS, CartesianIK
+from pneutac_sim.world.observation import Observation
+from pneutac_sim.world.panda import HOME_JOINTS, WORKSPACE_HIGH, WORKSPACE_LOW, CartesianIK
 from pneutac_sim.world.placing import Placing
 from pneutac_sim.world.senses import Senses
-from pneutac_sim.world.soft_finger import Springs
+from pneutac_sim.world.soft_finger import Springs, mjcf
 from pneutac_sim.world.substeps import Substeps
 from pneutac_sim.world.tasks import make_task
+from pneutac_sim.world.tasks.base import HOME_JITTER_M
 from pneutac_sim.world.touch import Touch
 
 DT = 1 / CONTROL_HZ
 RAMP = np.linspace(0, 1, scene.SUBSTEPS + 1)[1:, None]  # share of a control step at the end of each substep
-# Where the flange may be sent, metres in the arm's base frame: in reach with the flange down.
-WORKSPACE_LOW = np.array([0.30, -0.20, 0.18])
-WORKSPACE_HIGH = np.array([0.66, 0.20, 0.55])
-DIVERGED = (  # what MuJoCo warns of, and answers with a fresh scene
-    mujoco.mjtWarning.mjWARN_BADQPOS,
-    mujoco.mjtWarning.mjWARN_BADQVEL,
-    mujoco.mjtWarning.mjWARN_BADQACC,
-)
 _LIMITS = ACTION_LOW.astype(float), ACTION_HIGH.astype(float)
-HOME_JITTER_M = 0.004  # half width of the random start of the flange
 SETTLE_STEPS = 8  # control steps at rest before an episode
-
-
-@dataclass
-class Observation:
-    """What a robot senses once a control step.
-
-    Attributes:
-        state: (20,) float32 in the order of `features.STATE_NAMES`.
-        tactile: uint8 (320, 240, 3), or None where the world has no image.
-    """
-
-    state: np.ndarray
-    tactile: np.ndarray | None
 
 
 class World(Senses):
@@ -115,7 +93,7 @@ class World(Senses):
         self._conditions = conditions_for(self.twin, conditions)
         self._pipeline = PressurePipeline(self.twin, draw(self._conditions, np.random.default_rng(0)))
         self.finger, gel = deforming(self.twin, fidelity, touch)
-        self.model = mujoco.MjModel.from_xml_string(scene.build(self.task, self.twin))
+        self.model = mujoco.MjModel.from_xml_string(scene.build(self.task, mjcf(self.twin)))
         self.data = mujoco.MjData(self.model)
         self.sensor = TactileSensor(self.twin)
         self.touch = Touch(self.model, self.sensor, touch, gel)
@@ -194,10 +172,7 @@ class World(Senses):
         self.clipped += int(np.any(target != self.target_m + self.command[:3] * DT))
         self.target_m = target
         self._advance(self._ik.solve(target), self._pipeline.step(self.command[3], DT))
-        if any(self.data.warning[kind].number for kind in DIVERGED):
-            raise FloatingPointError(
-                "The physics has diverged: MuJoCo met values that are not finite or too large."
-            )
+        scene.check_physics(self.data)
         self.task.update(self.model, self.data, DT)
         self._measure(DT)
         self.touch.sense(self.data)

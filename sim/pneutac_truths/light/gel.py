@@ -16,6 +16,7 @@ class Gel:
 
     Attributes:
         rest_image: uint8 (H, W, 3) without contact.
+        rest_mm: (rows, columns) height of the resting face over x (columns,) and y (rows,), `xs_mm`, `ys_mm`.
     """
 
     shape = (64, 48)  # rows and columns of contact and light
@@ -43,7 +44,7 @@ class Gel:
         self.xs_mm, self.ys_mm = (
             (np.arange(n) + 0.5 - n / 2) * c for n, c in zip((columns, rows), cell, strict=True)
         )
-        self._rest = -(self.xs_mm[None, :] ** 2 + self.ys_mm[:, None] ** 2) / (2 * dome_mm)
+        self.rest_mm = -(self.xs_mm[None, :] ** 2 + self.ys_mm[:, None] ** 2) / (2 * dome_mm)
         self._body = HalfSpace(modulus_kpa, cell, self.shape)
         self._lamps = lamps or Lamps()
         self._paint = _uneven(image_shape)
@@ -52,11 +53,11 @@ class Gel:
     def press(self, kinds, sizes_mm, places_mm, turns) -> tuple[np.ndarray, float]:
         """Displacement (rows, columns) of the face in mm and the force in N, see `objects.reach_below`."""
         reach = reach_below(kinds, sizes_mm, places_mm, turns, self.xs_mm, self.ys_mm)
-        return self._body.press(reach + self._rest)
+        return self._body.press(reach + self.rest_mm)
 
     def image(self, displacement_mm: np.ndarray) -> np.ndarray:
         """Picture uint8 (H, W, 3) of a displaced face."""
-        levels = light(self._rest - displacement_mm, self.xs_mm, self.ys_mm, self._lamps)
+        levels = light(self.rest_mm - displacement_mm, self.xs_mm, self.ys_mm, self._lamps)
         large = cv2.resize(levels, self._size, interpolation=cv2.INTER_CUBIC)
         return np.clip(large * self._paint, 0, 255).round().astype(np.uint8)
 

@@ -2,36 +2,35 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from lerobot_robot_pneutac.standin.gel import new_gel
 from pneutac_datasets.generate.standin import write_finger, write_gel
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_sim.finger import BodyData
 from pneutac_sim.finger.fit import fit
 from pneutac_sim.twin import Twin
-from pneutac_sim.world.standin import CREEP, VALVE_LAG, standin_gel, standin_twin
 
 
 @pytest.fixture(scope="module")
 def finger(tmp_path_factory):
-    return write_finger(tmp_path_factory.mktemp("standin") / "finger", seed=1, minutes=2)
+    return write_finger(tmp_path_factory.mktemp("standin") / "finger", seed=1, minutes=1)
 
 
 def test_the_seed_decides_the_finger(finger, tmp_path):
-    again, other = (write_finger(tmp_path / str(s), seed=s, minutes=2) for s in (1, 2))
+    again, other = (write_finger(tmp_path / str(s), seed=s, minutes=1) for s in (1, 2))
     assert again.samples.equals(finger.samples)
     assert not other.samples["tip_x_mm"].equals(finger.samples["tip_x_mm"])
 
 
-def test_lag_and_creep_can_be_told_from_the_recording(finger):
+def test_it_is_no_mirror_of_the_twins_effects(finger):
+    """Creep by the library explains much of it, and never all: a told error stays above the noise."""
     assert set(finger.trials()) == {0, 1, 2}
     bench = BodyData.of(finger, Twin.builtin())
     plain = fit(Twin.builtin(), bench, effects=[])
     creeping = fit(Twin.builtin(), bench, effects=["creep"])
-    assert creeping.train < 0.5 * plain.train
-    weights = [creeping.twin.effects["creep"][k].value for k in CREEP]
-    assert sum(weights) == pytest.approx(sum(CREEP.values()), rel=0.25)
+    assert creeping.train < 0.97 * plain.train
+    assert creeping.train > 1.1 * np.sqrt(3) * 0.3  # mm, of the marker
     command, gauge = finger.column("pressure_cmd_kpa"), finger.column("pressure_kpa")
-    assert np.sqrt(np.mean((command - gauge) ** 2)) > 0.5  # the valve
-    assert standin_twin().effects["valve_lag"]["vent_time_s"].value == VALVE_LAG["vent_time_s"]
+    assert np.sqrt(np.mean((command - gauge) ** 2)) > 0.3  # the air
 
 
 def test_the_gel_recording_loads_and_shows_its_presses(tmp_path):
@@ -44,4 +43,4 @@ def test_the_gel_recording_loads_and_shows_its_presses(tmp_path):
         inside = s.photograph.near(data.px_per_mm, 1.0)
         assert change[inside].mean() > 3 * change[~s.photograph.near(data.px_per_mm)].mean()
     rest = np.asarray(Image.open(tmp_path / "gel" / "rest.png"))
-    assert (rest == standin_gel().rest_image).all()
+    assert (rest == new_gel().rest_image).all()

@@ -16,11 +16,11 @@ from lerobot.utils.constants import ACTION, OBS_STATE
 
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import TACTILE, PneutacBCConfig
 from lerobot_robot_pneutac.policy.rest_image import check_same_sensor, likeness
+from lerobot_robot_pneutac.standin.gel import new_gel
 from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_NAMES, IMAGE_SHAPE, STATE_NAMES
 from pneutac_sim.gel.builtin import rest_image
-from pneutac_sim.world.standin import standin_gel
 
 
 def tensor(image: np.ndarray) -> torch.Tensor:
@@ -28,7 +28,7 @@ def tensor(image: np.ndarray) -> torch.Tensor:
 
 
 GENERATED = rest_image(IMAGE_SHAPE)
-STANDIN = standin_gel().rest_image
+STANDIN = new_gel().rest_image
 
 
 def write_dataset(root, image=GENERATED, spoilt=None, episodes=1):

@@ -7,11 +7,11 @@ from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnected
 
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.pneutac_sim import HOME_RADIUS_M, PneutacSim
+from lerobot_robot_pneutac.standin.world import StandinWorld
 from pneutac_sim.effects import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_HIGH, ACTION_NAMES, CONTROL_HZ, STATE_NAMES
 from pneutac_sim.twin import Twin
-from pneutac_sim.world.standin import StandinWorld
 
 EE = ("ee_x.pos", "ee_y.pos", "ee_z.pos")
 

@@ -6,7 +6,7 @@ import pytest
 
 from pneutac_sim.features import TASK_NAMES
 from pneutac_sim.twin import Twin
-from pneutac_sim.world import scene
+from pneutac_sim.world import scene, soft_finger
 from pneutac_sim.world.tasks import TASKS
 from pneutac_sim.world.tasks.card import CardTask
 from pneutac_sim.world.world import DT, World
@@ -252,7 +252,7 @@ def test_deck_is_full_and_its_friction_in_the_stated_range(worlds):
 def test_reduced_deck_for_planning():
     for cards in (2, 3):
         task = CardTask(cards=cards)
-        model = mujoco.MjModel.from_xml_string(scene.build(task, Twin.builtin()))
+        model = mujoco.MjModel.from_xml_string(scene.build(task, soft_finger.mjcf(Twin.builtin())))
         joints = [model.joint(i).name for i in range(model.njnt)]
         assert sum(name.startswith("card_") for name in joints) == cards
 

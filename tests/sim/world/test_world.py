@@ -7,9 +7,10 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, N_PIXELS, STATE_NAMES, TASK_NAMES
 from pneutac_sim.world import drawing, scene
 from pneutac_sim.world.expert import ScriptedExpert
+from pneutac_sim.world.panda import WORKSPACE_HIGH
 from pneutac_sim.world.tasks import TASKS
 from pneutac_sim.world.view import CAMERA
-from pneutac_sim.world.world import DT, WORKSPACE_HIGH, World
+from pneutac_sim.world.world import DT, World
 
 
 @pytest.fixture(scope="module")

@@ -3,6 +3,8 @@
 import mujoco
 import numpy as np
 
+HOME_JITTER_M = 0.004  # half width of the random start of the flange about a task's home
+
 
 class Task:
     """One manipulation task. A subclass sets the class attributes and the methods that it needs.

@@ -1,0 +1,224 @@
+"""The stand-in in front of a task: arm and objects as in the twin's world, finger and touch its own.
+
+Joints, gauge and camera are noisy; commands act a control step late and tactile images come a control step
+late. Augmentation and training see its recordings alone: `docs/concepts/standin.md` lists what differs.
+"""
+
+from collections import deque
+
+import mujoco
+import numpy as np
+
+from lerobot_robot_pneutac.standin.finger import RodBody, mjcf
+from lerobot_robot_pneutac.standin.gel import GelTouch
+from pneutac_sim.features import (
+    ACTION_HIGH,
+    ACTION_LOW,
+    CONTROL_HZ,
+    JOINT_NAMES,
+    STATE_HIGH,
+    STATE_LOW,
+    STATE_NAMES,
+)
+from pneutac_sim.world import scene
+from pneutac_sim.world.action import checked_action
+from pneutac_sim.world.observation import Observation
+from pneutac_sim.world.panda import HOME_JOINTS, WORKSPACE_HIGH, WORKSPACE_LOW, CartesianIK
+from pneutac_sim.world.task_env import TaskEnv
+from pneutac_sim.world.tasks import make_task
+from pneutac_sim.world.tasks.base import HOME_JITTER_M
+from pneutac_sim.world.view import View
+
+DT = 1 / CONTROL_HZ
+LATE_COMMANDS = 1  # control steps
+SETTLE_STEPS = 8  # control steps at rest before an episode
+OBJECT_MASS = 1.15  # factor
+TOUCH_N = 0.02  # less is no contact
+
+# Standard deviations of what is read once a control step, in the order of `features.STATE_NAMES`: encoders,
+# flange (by kinematics from them), gauge. Contact comes from the noisy image.
+GAUGE_NOISE_KPA = 0.1
+NOISE = np.zeros(len(STATE_NAMES))
+_N = len(JOINT_NAMES)
+NOISE[:_N], NOISE[_N : 2 * _N], NOISE[2 * _N : 2 * _N + 3], NOISE[-1] = 2e-4, 2e-3, 1e-4, GAUGE_NOISE_KPA
+
+
+class StandinWorld:
+    """The stand-in and a task; deterministic under `reset(seed)`.
+
+    It has the methods of `pneutac_sim.world.World`, for environment, robot and experts.
+
+    Attributes:
+        task: the task; `task.description` is the instruction.
+        clipped: number of commands that were clipped to limits since the reset.
+        command: action (4,) that was sent last, after clipping; it acts `LATE_COMMANDS` control steps later.
+        target_m: where the flange is sent (3,), metres.
+        out_of_range: always 0; networks have a range, this has none.
+        touch: last touch: `image`, `pixels`, `area`, a control step late.
+        model, data: MuJoCo's, for experts and tests.
+    """
+
+    out_of_range = 0
+
+    def __init__(self, task: str = "switch", touch: str = "image"):
+        """The stand-in before a task.
+
+        Args:
+            task: `switch`, `egg` or `card`.
+            touch: `image`, `area` (contact area without an image) or `none`.
+
+        Raises:
+            InputError: unknown task or touch mode.
+        """
+        self.task = make_task(task)
+        self.model = mujoco.MjModel.from_xml_string(scene.build(self.task, mjcf()))
+        self.data = mujoco.MjData(self.model)
+        objects = np.unique(self.model.geom_bodyid[self.model.geom_group == scene.OBJECT_GROUP])
+        self.model.body_mass[objects] *= OBJECT_MASS
+        self.model.body_inertia[objects] *= OBJECT_MASS
+        mujoco.mj_setConst(self.model, self.data)
+        self.touch = GelTouch(self.model, touch)
+        self._finger = RodBody(self.model, self.data)
+        self._ik, self._view = CartesianIK(), View(self.model)
+        self._arm = slice(0, len(JOINT_NAMES))
+        self._pad = self.model.geom("pad").id
+        self._rng, self._noise = np.random.default_rng(), np.random.default_rng(0)
+        self.reset(0)
+
+    def reset(self, seed: int | None = None) -> Observation:
+        """Starts an episode, before which the finger has long rested.
+
+        Args:
+            seed: decides everything; None draws the next start of the same stream.
+        """
+        if seed is not None:
+            self._rng, self._noise = np.random.default_rng(seed), np.random.default_rng([seed, 1])
+        mujoco.mj_resetData(self.model, self.data)
+        self.task.reset(self.model, self.data, self._rng)
+        self.target_m = np.array(self.task.home_m) + self._rng.uniform(-1, 1, 3) * HOME_JITTER_M
+        self.target_m[1] += self._rng.choice(self.task.starts_m)
+        self._ik.reset(HOME_JOINTS)
+        for _ in range(20):
+            self._joints = self._ik.solve(self.target_m)
+        self.data.qpos[self._arm] = self._joints
+        self._finger.rest()
+        self.clipped, self.command = 0, np.zeros(4)
+        self._waiting = deque([np.zeros(4)] * LATE_COMMANDS)
+        for _ in range(SETTLE_STEPS):
+            self._advance(self._joints, 0.0)
+        self.data.time = 0.0
+        self._shown = self._felt()
+        self.touch.begin(self._noise)
+        self.touch.sense(self.data)
+        return self._observe()
+
+    def step(self, action: np.ndarray) -> Observation:
+        """Advances one control step of 1 / CONTROL_HZ s.
+
+        Args:
+            action: (4,) as `features.ACTION_NAMES`: flange velocity m/s in the world frame, pressure kPa.
+                What exceeds the limits is clipped and counted in `clipped`.
+
+        Raises:
+            InputError: the action has another shape or is not finite.
+            FloatingPointError: the physics has diverged.
+        """
+        given = checked_action(action)
+        self.command = np.clip(given, ACTION_LOW.astype(float), ACTION_HIGH.astype(float))
+        self.clipped += int(np.any(np.abs(self.command - given) > 1e-6))
+        self._waiting.append(self.command)
+        *velocity, pressure = self._waiting.popleft()
+        wanted = self.target_m + np.array(velocity) * DT
+        self.target_m = np.clip(wanted, WORKSPACE_LOW, WORKSPACE_HIGH)
+        self.clipped += int(np.any(self.target_m != wanted))
+        self._shown = self._felt()
+        self._advance(self._ik.solve(self.target_m), pressure)
+        scene.check_physics(self.data)
+        self.task.update(self.model, self.data, DT)
+        self.touch.sense(self.data)
+        return self._observe()
+
+    def _advance(self, joints: np.ndarray, pressure_kpa: float) -> None:
+        """Physics substeps of one control step, towards joint targets (7,) of the arm."""
+        before = self._joints
+
+        def servo(share: float) -> None:
+            self.data.ctrl[self._arm] = before + share * (joints - before)
+
+        self._finger.advance(pressure_kpa, DT, servo)
+        mujoco.mj_kinematics(self.model, self.data)
+        self._joints = joints
+
+    # ---------------------------------------------------------------- senses
+
+    def _observe(self) -> Observation:
+        d, s = self.data, self.touch.pixels
+        contact = [self.touch.area, np.log1p(s), self.pressure_kpa]
+        state = np.concatenate([d.qpos[self._arm], d.qvel[self._arm], self.flange_m, contact])
+        state += NOISE * self._noise.standard_normal(len(NOISE))
+        return Observation(np.clip(state, STATE_LOW, STATE_HIGH).astype(np.float32), self.touch.image)
+
+    def _felt(self) -> tuple[float, np.ndarray | None]:
+        """How far the gel is pressed in, mm, and where: the centre of pressure (2,) in its frame, m."""
+        total, moment, force = 0.0, np.zeros(3), np.zeros(6)
+        gel = self.data.site("gel")
+        for i, contact in enumerate(self.data.contact[: self.data.ncon]):
+            if self._pad in (contact.geom1, contact.geom2):
+                mujoco.mj_contactForce(self.model, self.data, i, force)
+                total += force[0]
+                moment += force[0] * (contact.pos - gel.xpos)
+        pressed = -1e3 * float(self.data.joint("pad").qpos[0])
+        return pressed, (gel.xmat.reshape(3, 3).T @ moment)[:2] / total if total > TOUCH_N else None
+
+    @property
+    def press_mm(self) -> float:
+        """How far the gel's face is pressed in as the camera shows it, a control step late, mm."""
+        return self._shown[0]
+
+    @property
+    def imprint_m(self) -> np.ndarray | None:
+        """Where it is pressed as the camera shows it: across and along the finger (2,), m; None where not."""
+        return self._shown[1]
+
+    @property
+    def pressure_kpa(self) -> float:
+        """Pressure in the finger's chamber, kPa."""
+        return self._finger.rod.pressure_kpa
+
+    @property
+    def flange_m(self) -> np.ndarray:
+        """Flange position (3,), metres."""
+        return self.data.site("flange").xpos.copy()
+
+    @property
+    def gel_m(self) -> np.ndarray:
+        """Top of the resting gel (3,), metres."""
+        return self.data.site("gel").xpos.copy()
+
+    @property
+    def time_s(self) -> float:
+        """Simulated seconds since the reset."""
+        return self.data.time
+
+    @property
+    def success(self) -> bool:
+        """Whether the task is done."""
+        return self.task.success()
+
+    @property
+    def failure(self) -> str | None:
+        """What has spoilt the trial, or None."""
+        return self.task.failure()
+
+    def render(self, width: int = 480, height: int = 360) -> np.ndarray:
+        """Picture of the scene with the tactile image in a corner, uint8 (height, width, 3)."""
+        return self._view.picture(self.data, self.touch.image, width, height)
+
+    def close(self) -> None:
+        """Frees the renderer."""
+        self._view.close()
+
+
+def standin_env(task: str = "switch", touch: str = "image", **options) -> TaskEnv:
+    """A task on the stand-in for reality; arguments of `StandinWorld`, `options` of `TaskEnv`."""
+    return TaskEnv(StandinWorld(task, touch), touch, **options)

@@ -1,0 +1,18 @@
+"""What a robot in a world senses."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass
+class Observation:
+    """What a robot senses once a control step.
+
+    Attributes:
+        state: (20,) float32 in the order of `features.STATE_NAMES`.
+        tactile: uint8 (320, 240, 3), or None where the world has no image.
+    """
+
+    state: np.ndarray
+    tactile: np.ndarray | None

@@ -1,0 +1,100 @@
+"""A world as a Gymnasium environment, in the layout that LeRobot expects of a simulator."""
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+
+from pneutac_sim.features import (
+    ACTION_HIGH,
+    ACTION_LOW,
+    CONTROL_HZ,
+    IMAGE_NAME,
+    IMAGE_SHAPE,
+    STATE_HIGH,
+    STATE_LOW,
+)
+from pneutac_sim.world.observation import Observation
+
+
+class TaskEnv(gymnasium.Env):
+    """The task of a world as a Gymnasium environment; reward 1 on the step that succeeds.
+
+    Observation: `agent_pos` (20,) float32 as `features.STATE_NAMES` and, where the world has an image,
+    `pixels/tactile` uint8 (320, 240, 3). Action: (4,) float32 as `features.ACTION_NAMES`. An episode
+    terminates on success and on failure; `info` has `is_success`, `failure` (text, empty where none),
+    `clipped` and `out_of_range`, see `World`.
+
+    Attributes:
+        world: the world inside, for experts and tests.
+        task: the task's name.
+        task_description: the instruction.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": CONTROL_HZ}
+
+    def __init__(
+        self,
+        world,
+        touch: str = "image",
+        render_mode: str | None = "rgb_array",
+        render_width: int = 480,
+        render_height: int = 360,
+    ):
+        """An environment of a world.
+
+        Args:
+            world: a `World`, or another with its methods.
+            touch: as the world's.
+            render_mode: `rgb_array` or None.
+            render_width: pixels of `render()`.
+            render_height: pixels of `render()`.
+        """
+        self.world, self._begun = world, False
+        self.task, self.task_description = world.task.name, world.task.description
+        self.render_mode = render_mode
+        self._render_size = (render_width, render_height)
+        self.action_space = spaces.Box(ACTION_LOW, ACTION_HIGH, dtype=np.float32)
+        observation = {"agent_pos": spaces.Box(STATE_LOW, STATE_HIGH, dtype=np.float32)}
+        if touch == "image":
+            image = spaces.Box(0, 255, IMAGE_SHAPE, np.uint8)
+            observation = {"pixels": spaces.Dict({IMAGE_NAME: image}), **observation}
+        self.observation_space = spaces.Dict(observation)
+
+    def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[dict, dict]:
+        """Starts an episode; a seed means the same as in `World.reset`.
+
+        Without one the start is random and the session goes on; the first begins one.
+        """
+        super().reset(seed=seed)
+        if seed is None and not self._begun:
+            seed = int(self.np_random.integers(2**31))
+        self._begun = True
+        return self._observation(self.world.reset(seed)), self._info()
+
+    def step(self, action: np.ndarray) -> tuple[dict, float, bool, bool, dict]:
+        """One control step. Raises InputError where the action has another shape or is not finite."""
+        observation = self._observation(self.world.step(action))
+        info = self._info()
+        terminated = bool(info["is_success"] or info["failure"])
+        return observation, float(info["is_success"]), terminated, False, info
+
+    def render(self) -> np.ndarray | None:
+        """Picture of the scene, uint8 (H, W, 3)."""
+        return self.world.render(*self._render_size) if self.render_mode == "rgb_array" else None
+
+    def close(self) -> None:
+        """Frees the renderer."""
+        self.world.close()
+
+    def _observation(self, o: Observation) -> dict:
+        if o.tactile is None:
+            return {"agent_pos": o.state}
+        return {"pixels": {IMAGE_NAME: o.tactile}, "agent_pos": o.state}
+
+    def _info(self) -> dict:
+        return {
+            "is_success": self.world.success,
+            "failure": self.world.failure or "",
+            "clipped": self.world.clipped,
+            "out_of_range": self.world.out_of_range,
+        }
