@@ -65,7 +65,7 @@ def test_a_hidden_effect_is_named_added_and_lowers_the_error(effect, tmp_path, c
 
 
 def test_nothing_is_found_where_nothing_is_hidden(tmp_path, capsys):
-    recording = once(write_hidden_gel, tmp_path / "recording", [], seed=4, images=16)
+    recording = once(write_hidden_gel, tmp_path / "recording", [], seed=4, images=NEEDED)
     twin = linear_twin(tmp_path / "twin", recording)
     found = run(diagnose, tmp_path / "d", twin, recording)
     assert found["selected"] == [] and found["verdict"] == "adequate"

@@ -254,6 +254,7 @@ def test_a_search_goes_on_only_with_the_same_photographs(drawn):
     assert search_key(drawn, twin, session.photographs, 2000) != key
 
 
+@pytest.mark.nightly  # every day: `test_a_finger_is_calibrated_and_told`, on what the renderer drew
 def test_a_hidden_finger_is_found(tmp_path):
     from pneutac_datasets.generate.photographs import write_photographs
 
