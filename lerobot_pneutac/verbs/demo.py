@@ -138,9 +138,9 @@ class Demo:
         return {"selected": found["selected"], "verdict": found["verdict"], "sentence": found["sentence"]}
 
     def _add(self) -> dict:
-        for effect in self.state["diagnose"]["selected"]:
-            if effect not in Twin.load(self.twin).effects:  # else an interrupted run added it
-                self._verb("add", self.finger, f"added_{effect}", f"--effect={effect}")
+        """All that was found, at once: found together, one alone may not be worth it."""
+        if not set(self.state["diagnose"]["selected"]) <= set(Twin.load(self.twin).effects):
+            self._verb("add", self.finger, "added", f"--from={self._path('diagnosis')}")
         return self._compare("compare_after")
 
     def _record(self) -> dict:

@@ -37,10 +37,13 @@ class DemoResult(Result):
         found, e = self.state["diagnose"]["selected"], self.state["evaluate"]
         lo, hi = self.success_ci95
         before, after = self.state["twin"]["tip_error_mm"], self.state["add"]["tip_error_mm"]
+        noise = self.state["add"]["noise_mm"]
+        left = max(after**2 - noise**2, 0.0) ** 0.5
         rate = f"{e['success_percent']:.0f} %, 95 % interval {lo:.0f} to {hi:.0f}"
         return (
-            f"The finger had {' and '.join(found)} that its twin lacked; with this the held-out tip error "
-            f"fell from {before:.2f} to {after:.2f} mm (noise {self.state['add']['noise_mm']:.2f} mm). "
+            f"The finger moves as with {' and '.join(found)}, which its twin lacked; with this the held-out "
+            f"tip error fell from {before:.2f} to {after:.2f} mm. Beside the noise of {noise:.2f} mm, "
+            f"{left:.2f} mm are not explained. "
             "Trained on demonstrations of the corrected twin, the policy flipped the switch in "
             f"{e['successes']} of {e['trials']} starts that it had not seen ({rate})."
         )
