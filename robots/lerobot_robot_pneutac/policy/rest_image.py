@@ -12,7 +12,7 @@ from pneutac_sim.errors import InputError
 MAX_EPISODES = 16
 
 # Correlation of rest images, see `likeness`. Photographs of two DIGITs, the generated DIGIT and the
-# stand-in's have 0.84 to 0.99 with each other, any of them with one mirrored, turned or with channels swapped
+# stand-in's have 0.80 to 0.99 with each other, any of them with one mirrored, turned or with channels swapped
 # at most 0.71, and with a GelSight at most 0.34.
 SAME_SENSOR = 0.78
 _CELL = 10  # px; finer structure than this differs between gels of one make
