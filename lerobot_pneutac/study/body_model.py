@@ -61,14 +61,16 @@ class Form:
         reading: of the recording.
         joints: of the spine.
         own: whether bend profile, curl and directions of chambers are the device's own, or the paper's.
-        trials: whether each trial has an offset, a gain and a zero of its own, no part of the device.
+        trials: widths of what each trial has of its own, no part of the device: offset of outputs, as a share
+            of their range, gain of the drive, its zero, as a share of the pressure's, and its clock, s; empty
+            for none.
     """
 
     effects: tuple[str, ...]
     reading: Reading
     joints: int
     own: bool = True
-    trials: bool = False
+    trials: tuple[float, ...] = ()
 
     def plus(self, *effects: str) -> "Form":
         """With further effects; a law that is there already comes in a second instance."""
@@ -101,7 +103,7 @@ class BodyModel:
         pull: (F,) weight times the distance from the prior's centre.
         counted: columns that count in the error.
         bounds: of the parameters.
-        of_trials: (trials, D + 2) offset of each output, gain and zero of the drive, in their widths.
+        of_trials: (trials, D + 3) offset of each output, gain, zero and clock of the drive, in their widths.
     """
 
     form: Form
@@ -160,8 +162,31 @@ class BodyModel:
         return out
 
 
-TRIAL_OFFSET, TRIAL_DRIVE = 0.01, 0.02  # widths: share of the output's, and of the pressure's range
 TRIAL_RANGE = 6.0  # widths that a trial may be off
+
+
+def of_each_trial(pipeline: Pipeline, data: BodyData, run, widths: tuple[float, ...]) -> np.ndarray:
+    """(n, D, D + 3): what a width of a trial's offsets, gain, zero and clock does, in the error's unit."""
+    offset, gain, zero, clock = widths
+    p = data.inputs.pressure_range_kpa
+    u, eps = run.signals[pipeline.drive], 1e-4 * p
+    moved = pipeline.run(data.inputs, run.theta, run, u + eps)
+    bent = (pipeline.outputs(moved, data.columns) - pipeline.outputs(run, data.columns)) * data.scale / eps
+    n, d = bent.shape
+    out = np.zeros((n, d, d + 3))
+    out[:, range(d), range(d)] = offset * np.ptp(data.measured * data.scale, axis=0).max()
+    share = u[data.inputs.rows].mean(axis=1, keepdims=True)
+    out[:, :, d], out[:, :, d + 1] = gain * share * bent, zero * p * bent
+    out[:, :, d + 2] = clock * rate(u, data.inputs.dt_s)[data.inputs.rows].mean(axis=1, keepdims=True) * bent
+    return out
+
+
+def rate(u: np.ndarray, dt_s: np.ndarray) -> np.ndarray:
+    """(n, chambers) 1/s: change of the drive within a trial, over the step before and the one after."""
+    inside = np.isfinite(dt_s[1:]) & (dt_s[1:] > 0)
+    step = np.where(inside, dt_s[1:], np.inf)[:, None]
+    slope = np.diff(u, axis=0) / step
+    return 0.5 * (np.pad(slope, ((1, 0), (0, 0))) + np.pad(slope, ((0, 1), (0, 0))))
 
 
 class TrialProblem:
@@ -172,12 +197,20 @@ class TrialProblem:
         trial: (N,) of each row.
     """
 
-    def __init__(self, problem: Problem, trial: np.ndarray):
-        self._problem, self._trial, self.free = problem, trial, problem.free
-        data = problem.data
-        self._width = TRIAL_OFFSET * np.ptp(data.measured * data.scale, axis=0).max()
-        self.count = (trial.max() + 1) * (len(data.columns) + 2)
+    def __init__(self, problem: Problem, trial: np.ndarray, widths: tuple[float, ...]):
+        self._problem, self._trial, self._widths, self.free = problem, trial, widths, problem.free
+        self.count = (trial.max() + 1) * (len(problem.data.columns) + 3)
         self._columns: np.ndarray | None = None
+
+    def begin(self, v: np.ndarray) -> np.ndarray:
+        """The same parameters of the device, with the zeros that suit them best under their prior."""
+        zeros = 0.5 + np.zeros(self.count)
+        for _ in range(2):
+            r = self.residual(np.r_[v, zeros])
+            C, stiff = self._columns, np.mean(r**2) * ALIKE * (2 * TRIAL_RANGE) ** 2
+            H = C.T @ C + stiff * np.eye(self.count)
+            zeros = np.clip(zeros - np.linalg.solve(H, C.T @ r + stiff * (zeros - 0.5)), 0.0, 1.0)
+        return np.r_[v, zeros]
 
     def theta(self, v: np.ndarray) -> np.ndarray:
         """All parameters of the device."""
@@ -198,19 +231,10 @@ class TrialProblem:
 
     def _own_columns(self) -> np.ndarray:
         """(N D, count): what each trial's numbers do, over their whole range."""
-        problem, data = self._problem, self._problem.data
-        run = problem.run
-        p = data.inputs.pressure_range_kpa
-        u, eps = run.signals[problem.pipeline.drive], 1e-4 * p
-        moved = problem.pipeline.run(data.inputs, run.theta, run, u + eps)
-        at = problem.pipeline.outputs(run, data.columns)
-        bent = (problem.pipeline.outputs(moved, data.columns) - at) * data.scale / eps
-        n, d = bent.shape
-        each = np.zeros((n, d, d + 2))
-        each[:, range(d), range(d)] = self._width
-        share = u[data.inputs.rows].mean(axis=1, keepdims=True)
-        each[:, :, d], each[:, :, d + 1] = TRIAL_DRIVE * share * bent, TRIAL_DRIVE * p * bent
-        out = np.zeros((n, d, self._trial.max() + 1, d + 2))
+        problem = self._problem
+        each = of_each_trial(problem.pipeline, problem.data, problem.run, self._widths)
+        n, d = each.shape[:2]
+        out = np.zeros((n, d, self._trial.max() + 1, d + 3))
         out[np.arange(n), :, self._trial] = 2 * TRIAL_RANGE * each
         return out.reshape(n * d, -1)
 
@@ -289,9 +313,9 @@ class BodyFitter:
         v = bounds.scaled(theta, free)
         centre, spread = self._prior(pipeline, free, bounds, p)
         if form.trials:
-            problem = TrialProblem(problem, self.trial[self.rows[::every]])
+            problem = TrialProblem(problem, self.trial[self.rows[::every]], form.trials)
             more = problem.count
-            v, centre = np.r_[v, np.full(more, 0.5)], np.r_[centre, np.full(more, 0.5)]
+            v, centre = problem.begin(v), np.r_[centre, np.full(more, 0.5)]
             spread = np.r_[spread, np.full(more, 0.5 / TRIAL_RANGE)]
         r = problem.residual(v)
         if not hold:
@@ -307,7 +331,7 @@ class BodyFitter:
             theta=problem.theta(v),
             free=free,
             v=v[: len(free)],
-            of_trials=(2 * v[len(free) :] - 1).reshape(-1, len(data.columns) + 2) * TRIAL_RANGE
+            of_trials=(2 * v[len(free) :] - 1).reshape(-1, len(data.columns) + 3) * TRIAL_RANGE
             if form.trials
             else np.zeros((0, 0)),
             residual=r.reshape(-1, len(data.columns)),
@@ -362,9 +386,12 @@ class BodyFitter:
             spread[j] = width / (bounds.upper[i] - bounds.lower[i])
         return centre, spread
 
-    def predict(self, model: BodyModel, rows: np.ndarray | None = None) -> np.ndarray:
-        """(n, D) predictions at these samples."""
+    def predict(self, model: BodyModel) -> np.ndarray:
+        """(n, D) predictions at all samples, with what each trial has of its own."""
         data = self.data(model.form.reading)
-        data = data if rows is None else data.thin(rows)
         run = model.pipeline.run(data.inputs, model.theta)
-        return model.pipeline.outputs(run, data.columns)
+        out = model.pipeline.outputs(run, data.columns)
+        if model.form.trials:
+            each = of_each_trial(model.pipeline, data, run, model.form.trials)
+            out = out + np.einsum("ndk,nk->nd", each, model.of_trials[self.trial]) / data.scale
+        return out

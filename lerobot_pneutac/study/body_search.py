@@ -25,6 +25,7 @@ MOST_ROWS = 1700  # of the learning part that fits use
 JOINTS = 8  # tried where the twin has fewer
 SMOOTH_SAMPLES = 2.0
 ADEQUATE = 1.1  # times the noise: what is nearer needs no other line
+TRIAL_WIDTHS = ((0.01, 0.02, 0.02, 0.01), (0.04, 0.06, 0.06, 0.02))  # tried, see `Form.trials`
 NEAR = 1.4  # times the noise: what is nearer needs no trials that differ
 
 
@@ -140,16 +141,15 @@ class BodySearch:
             lines = (*lines, told) if told and told not in lines else lines
         space = BodySpace(fitter, base, joints, candidates, lines, reading, values)
         found = self._search(space, study.noise.value).find()
-        if self._trials_differ(space, found):
+        space.trials = self._trials_differ(space, found)
+        if space.trials:
             self.tell("each trial seems to have a zero of its own; the search begins anew beside that")
-            space.trials = True
             beside = self._search(space, study.noise.value).find()
             # Zeros of trials also swallow what differs from trial to trial for a reason, such as a payload:
             # only trials that were left out tell.
             fold = fitter.trial[self.rows]
             alone, zeros = (float(f.final.model.crossed(fold).mean()) for f in (found, beside))
-            space.trials = zeros < alone
-            found = beside if space.trials else found
+            found, space.trials = (beside, space.trials) if zeros < alone else (found, ())
         return Searched(space, found, self._settled(space, self._simplified(space, found, own)))
 
     def _settled(self, space: BodySpace, model: Scored) -> Scored:
@@ -179,15 +179,19 @@ class BodySearch:
         front = self.run(lambda s: space.settle_line(s.model), others)
         return sorted(map(self._score, front), key=lambda s: s.value)[:2]
 
-    def _trials_differ(self, space: BodySpace, found: Found) -> bool:
-        """Whether offsets, gains and zeros of single trials explain a good part of what a search leaves."""
+    def _trials_differ(self, space: BodySpace, found: Found) -> tuple[float, ...]:
+        """Widths of what trials have of their own if that explains a good part of what a search leaves.
+
+        Of the widths tried, those that predict best what no fit saw.
+        """
         now, floor2 = found.final, self.study.noise.value**2
         if now.value < NEAR**2 * floor2 or self.study.recording.samples["trial"].nunique() < 4:
-            return False
-        model = space.fitter.fit(replace(now.model.form, trials=True), now.model.values, 8)
-        beside = self._score(model)
+            return ()
+        form, values = now.model.form, now.model.values
+        tried = [self._score(space.fitter.fit(replace(form, trials=w), values, 8)) for w in TRIAL_WIDTHS]
+        beside = min(tried, key=lambda s: s.value)
         drop, low, _ = self.judge.drop(now.crossed, beside.crossed)
-        return bool(low > 0 and drop > 0.3 * (now.value - floor2))
+        return beside.model.form.trials if low > 0 and drop > 0.3 * (now.value - floor2) else ()
 
     def _simplified(self, space: BodySpace, found: Found, own: tuple[str, ...]) -> Scored:
         """The final model with the paper's base, and without parts of the base, where that is as good."""

@@ -55,12 +55,13 @@ class BodySpace:
     """
 
     def __init__(self, fitter: BodyFitter, base, joints, candidates, lines, reading: Reading, told=None):
-        self.told, self.kept, self.trials = told or {}, tuple(base), False
+        self.told, self.kept, self.trials = told or {}, tuple(base), ()
         self.fitter, self.base, self.joints = fitter, tuple(base), tuple(joints)
         self.candidates, self.lines, self.reading = list(candidates), lines, reading
         data = fitter.data(reading)
         self._steps = step_rows(fitter.recording) if reading.source == "command" else []
-        begins = np.abs(data.inputs.pressure_kpa[np.isinf(data.inputs.dt_s)])
+        first = data.inputs.rows[np.isinf(data.inputs.sample_dt_s)]
+        begins = np.abs(data.inputs.pressure_kpa[first])
         self._begins_under_pressure = bool(begins.max() > 0.02 * data.inputs.pressure_range_kpa)
         self.range_kpa = data.inputs.pressure_range_kpa
 
@@ -79,7 +80,8 @@ class BodySpace:
     def with_lines(self, model: BodyModel) -> list[Trial]:
         """The model with each line; the command's steps happen between samples."""
         out = []
-        for begin in ("held", "vented") if self._begins_under_pressure else ("held",):
+        begins = (model.form.reading.start, "held", *(("vented",) if self._begins_under_pressure else ()))
+        for begin in dict.fromkeys(begins):
             for line in self.lines:
                 reading = replace(model.form.reading, start=begin)
                 if line and len(self._steps):

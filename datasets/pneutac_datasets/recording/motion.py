@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+LEAST_TURN = 0.003  # of the points' own weight: what speaks for no turn
+
 
 @dataclass(frozen=True)
 class Motion:
@@ -53,7 +55,9 @@ class Motion:
         """Least squares from points (n, k) to their goals (n, k) (Kabsch 1976)."""
         a, b, turn = points.mean(0), goal.mean(0), np.eye(points.shape[1])
         if turns:
-            u, _, vt = np.linalg.svd((points - a).T @ (goal - b))
+            both = (points - a).T @ (goal - b)
+            # points near a plane leave a turn about it open: of equal turns the least
+            u, _, vt = np.linalg.svd(both + LEAST_TURN * np.linalg.norm(both) * turn)
             mirror = np.ones(len(a))
             mirror[-1] = np.sign(np.linalg.det(vt.T @ u.T))
             turn = (vt.T * mirror) @ u.T

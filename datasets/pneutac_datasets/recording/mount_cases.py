@@ -14,6 +14,7 @@ PIECES, FINE = 8, 64  # of a trial: for the bootstrap, and to deal into two fold
 ASTRAY = 3.0  # times the error of a static map that a motion may lie from the one which that map tells
 MOST_ROWS = 2000  # to fit memory by
 DRAWS, SURE = 400, 0.01
+AGAINST = 0.25  # of the first mount's slope: the least by which one that is turned round moves the other way
 ROUNDS = 6  # of fitting map and motion in turn
 
 
@@ -30,6 +31,7 @@ class Bench:
     Attributes:
         y: headline (n, k).
         p: pressures (n, inputs), also of neighbouring devices, of the order of 1.
+        own: (inputs,) mask of the device's own chambers; a neighbour's push, but leave no memory in it.
         static: (n, m) columns of a static map.
         trials: trial number to rows.
         train: (n,) mask.
@@ -40,6 +42,7 @@ class Bench:
         own = {*recording.pressure_columns, *(c.replace("cmd_", "") for c in recording.pressure_columns)}
         others = [c for c in recording.samples if c.endswith("_kpa") and c not in own]  # another segment's
         p = np.c_[pressure(recording), recording.samples[others].to_numpy(float)]
+        self.own = np.arange(p.shape[1]) < p.shape[1] - len(others)
         self.p = p / max(float(np.abs(p).max()), 1e-9)
         self.y = recording.samples[columns].to_numpy(float)
         self.static, self.trials, self.train = static_columns(self.p), recording.trials(), train
@@ -49,7 +52,7 @@ class Bench:
     @cached_property
     def past(self) -> list[np.ndarray]:
         """(j, n, chambers) for each way in which trials may begin."""
-        return [history(self._recording, self.p, start) for start in STARTS]
+        return [history(self._recording, self.p, start) * self.own for start in STARTS]
 
 
 class Case:
@@ -82,13 +85,33 @@ class Case:
         self.error = (np.nan, np.nan)
 
     def sure(self) -> bool:
-        """Whether a motion surely takes most of the error, early and late, beside all memory too."""
+        """Whether a motion surely takes most of the error, early and late, beside all memory too.
+
+        No memory turns the way round in which pressure bends a device.
+        """
         if not self._enough:
             return False
         before, after = self._by_halves()
         self.error = tuple(float(np.sqrt(e[self._here].mean())) for e in (before, after))
-        everything = np.ones(len(self._y), bool)
-        return self._falls(before, after, self._here) and self._falls(*self._beside_memory(), everything)
+        if not self._falls(before, after, self._here):
+            return False
+        return self._reversed() or self._falls(*self._beside_memory(), np.ones(len(self._y), bool))
+
+    def _reversed(self) -> bool:
+        """Whether its own pressures move it against the first mount's way, early and late in its trials."""
+
+        def slope(rows: np.ndarray) -> np.ndarray:
+            design = np.c_[np.ones(rows.sum()), self._bench.p[self._rows_of][rows]]
+            kept = np.r_[True, np.ptp(design[:, 1:], axis=0) > 0]
+            out = np.zeros((design.shape[1], self._y.shape[1]))
+            out[kept] = np.linalg.lstsq(design[:, kept], self._y[rows], rcond=None)[0]
+            return out[1:][self._bench.own]
+
+        there = slope(~self._here)
+        return all(
+            (there * slope(self._here & half)).sum() < -AGAINST * (there**2).sum()
+            for half in (self._late, ~self._late)
+        )
 
     def motions(self) -> tuple[Motion, Motion]:
         """Motions onto the first mount: by the static map, and by one with memory where that surely holds."""
@@ -174,7 +197,7 @@ class Case:
     def _own(self, past: np.ndarray) -> np.ndarray:
         """With a zero and a gain of the session's own."""
         p = self._bench.p[self._rows_of]
-        here = self._here[:, None] + 0 * p
+        here = self._here[:, None] * self._bench.own + 0 * p
         return np.concatenate([past, [here, here * p]])
 
     def _learn(self, past: np.ndarray, told: np.ndarray, moves: bool) -> tuple[np.ndarray, Motion]:
