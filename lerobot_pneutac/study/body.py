@@ -38,8 +38,8 @@ from pneutac_sim.twin import Twin, Value
 REPEAT = "Run the same program twice, an hour apart: what comes back is the device, what does not is the lab."
 RESTED_S = 1e4  # a pause at zero pressure after which everything has rested
 OF_TRIALS = (
-    "Trials differ by small offsets, gains, zeros and clocks of their own, no part of the device: with what was "
-    "found, errors are counted beside them (each is told by the trial's learning rows), without it they are not."
+    "Trials differ by small offsets, gains, zeros and clocks of their own, no part of the device: with "
+    "what was found, errors are counted beside them (told by its learning rows), before it they are not."
 )
 EDGE = 1e-3
 MOST_SLIPS = 3
