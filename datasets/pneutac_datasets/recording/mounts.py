@@ -65,7 +65,10 @@ def align_mounts(
         case = Case(bench, alike, [t for t in session if t not in moved])
         if case.sure():
             rough, motion = case.motions()
-            joined = [t for t in others if t not in moved and Case(bench, alike, [t]).halves(rough)]
+            way = _against(sweeps[order[0]], sweeps[session[0]])
+            free = [t for t in others if t not in moved]
+            free = [t for t in free if t not in sweeps or _against(sweeps[order[0]], sweeps[t]) == way]
+            joined = [t for t in free if Case(bench, alike, [t]).halves(rough)]
             moved |= dict.fromkeys(joined, motion)
             sentences += [_sentence(case, motion, alike, joined, unit)] if joined else []
     return (_moved(recording, columns, moved), sentences) if moved else (recording, [])
@@ -116,6 +119,11 @@ def _apart(a: np.ndarray, b: np.ndarray, far: float) -> bool:
         return False
     roll = np.arctan2((ay * bz - az * by).sum(), (ay * by + az * bz).sum())
     return bool(abs(np.degrees(roll)) >= TURNED_DEG)
+
+
+def _against(a: np.ndarray, b: np.ndarray) -> bool:
+    """Whether two trials bend in opposite ways."""
+    return bool((a[1:] * b[1:]).sum() < 0)
 
 
 def _runs(sweeps: dict[int, np.ndarray], order: list[int], apart: list[int], far: float) -> list[list[int]]:
