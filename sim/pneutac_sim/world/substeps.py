@@ -4,7 +4,10 @@ import mujoco
 import numpy as np
 from mujoco.rollout import Rollout
 
-_FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
+_STATE = mujoco.mjtState
+_FULL = _STATE.mjSTATE_FULLPHYSICS
+# What is not named here a rollout sets to zero: forces that are applied from outside would be lost.
+_INPUTS = _STATE.mjSTATE_CTRL | _STATE.mjSTATE_QFRC_APPLIED | _STATE.mjSTATE_XFRC_APPLIED
 
 
 class Substeps:
@@ -21,15 +24,21 @@ class Substeps:
         self._state = np.empty((1, mujoco.mj_stateSize(model, _FULL)))
 
     def run(self, ctrl: np.ndarray) -> None:
-        """A substep for each row of controls (S, nu)."""
-        mujoco.mj_getState(self._model, self._data, self._state[0], _FULL)
+        """A substep for each row of controls (S, nu), under the forces that are applied in the data."""
+        model, data = self._model, self._data
+        mujoco.mj_getState(model, data, self._state[0], _FULL)
+        inputs = np.empty((1, len(ctrl), model.nu + model.nv + 6 * model.nbody))
+        inputs[..., : model.nu] = ctrl
+        inputs[..., model.nu : model.nu + model.nv] = data.qfrc_applied
+        inputs[..., model.nu + model.nv :] = data.xfrc_applied.ravel()
         # It steps the data itself, so its own record of the states is left aside.
         self._rollout.rollout(
-            [self._model],
-            [self._data],
+            [model],
+            [data],
             self._state,
-            ctrl[None],
-            initial_warmstart=self._data.qacc_warmstart[None].copy(),
+            inputs,
+            control_spec=_INPUTS,
+            initial_warmstart=data.qacc_warmstart[None].copy(),
             nstep=len(ctrl),
             skip_checks=True,
         )
