@@ -200,7 +200,6 @@ class TrialProblem:
     def __init__(self, problem: Problem, trial: np.ndarray, widths: tuple[float, ...]):
         self._problem, self._trial, self._widths, self.free = problem, trial, widths, problem.free
         self.count = (trial.max() + 1) * (len(problem.data.columns) + 3)
-        self._columns: np.ndarray | None = None
 
     def begin(self, v: np.ndarray) -> np.ndarray:
         """The same parameters of the device, with the zeros that suit them best under their prior."""
@@ -219,18 +218,16 @@ class TrialProblem:
     def residual(self, v: np.ndarray) -> np.ndarray:
         """Model - measured."""
         r = self._problem.residual(v[: len(self.free)])
-        if self._columns is None:
-            self._columns = self._own_columns()
         return r + self._columns @ (v[len(self.free) :] - 0.5)
 
     def jacobian(self, v: np.ndarray) -> np.ndarray:
         """Of the residual."""
         J = self._problem.jacobian(v[: len(self.free)])
-        assert self._columns is not None
         return np.concatenate([J, self._columns], axis=1)
 
-    def _own_columns(self) -> np.ndarray:
-        """(N D, count): what each trial's numbers do, over their whole range."""
+    @cached_property
+    def _columns(self) -> np.ndarray:
+        """(N D, count): what each trial's numbers do, over their range, where the problem was last run."""
         problem = self._problem
         each = of_each_trial(problem.pipeline, problem.data, problem.run, self._widths)
         n, d = each.shape[:2]

@@ -55,7 +55,8 @@ class BodySpace:
     """
 
     def __init__(self, fitter: BodyFitter, base, joints, candidates, lines, reading: Reading, told=None):
-        self.told, self.kept, self.trials = told or {}, tuple(base), ()
+        self.told, self.kept = told or {}, tuple(base)
+        self.trials: tuple[float, ...] = ()
         self.fitter, self.base, self.joints = fitter, tuple(base), tuple(joints)
         self.candidates, self.lines, self.reading = list(candidates), lines, reading
         data = fitter.data(reading)
