@@ -6,6 +6,7 @@ stiffness alone; it is fitted along and not taken for either.
 """
 
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 
 import numpy as np
 
@@ -16,9 +17,6 @@ from pneutac_sim.finger import BodyData, fit
 from pneutac_sim.finger.fit import PipelineFit
 from pneutac_sim.finger.soft_body import SoftBody
 from pneutac_sim.finger.stages import BODY_SHARE, FORCES
-from pneutac_sim.mpm import devices
-from pneutac_sim.mpm.soft_body import measure
-from pneutac_sim.mpm.solve import MpmDiverged
 from pneutac_sim.surrogate.programs import bending_range
 from pneutac_sim.twin import PAPER_FINGER, Twin, Value
 
@@ -71,6 +69,11 @@ def fit_compliance(
     turned = all(map(recording.has, GRAVITY)) and np.ptp(samples[list(GRAVITY)].to_numpy()[train], 0).max()
     if turned > TURNED and "gravity" not in effects:
         effects.append("gravity")
+    if not (find_spec("taichi") or find_spec("quadrants")):
+        return _held(twin, f"The soft body's torque needs Taichi, which is not installed, so {_NEITHER}.")
+    from pneutac_sim.mpm.soft_body import measure  # the other bench verbs run without Taichi
+    from pneutac_sim.mpm.solve import MpmDiverged
+
     try:
         body = measure(start, bending_range(start, float(samples["pressure_cmd_kpa"].max())), particles)
     except (InputError, MpmDiverged) as e:
@@ -134,7 +137,7 @@ def _found(twin: Twin, found: PipelineFit, body: SoftBody) -> Compliance:
         rows[MODULUS] = _row(new.parameters[MODULUS], "MPa", "")
         remark += f", and a modulus of {low:.3g} to {high:.3g} MPa; the rest is the chamber's."
         return Compliance(new, rows, remark, found.evaluations)
-    value = devices.parameter(twin, MODULUS)
+    value = twin.parameters.get(MODULUS, Value(PAPER_FINGER[MODULUS])).value
     range_mpa = f"{max(low, 0.0):.2g} to {high:.2g} MPa"
     rows[MODULUS] = _row(Value(value), "MPa", f"held: these loads leave it anywhere from {range_mpa}")
     remark += (

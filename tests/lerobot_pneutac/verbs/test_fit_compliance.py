@@ -33,7 +33,7 @@ def body():
 
 @pytest.fixture
 def measured_once(body, monkeypatch):
-    monkeypatch.setattr(module, "measure", lambda *_: body)
+    monkeypatch.setattr("pneutac_sim.mpm.soft_body.measure", lambda *_: body)
 
 
 def recording(joints, times=10):
