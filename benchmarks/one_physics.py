@@ -212,6 +212,7 @@ the same gel resist by shape and size. Newton at five depths:
 Images and contact areas do come from the gel's own deformation; the force that acts on object and finger
 does not. Under a ball or an edge the spring is two to three times too stiff at first and right at 1.2 to
 1.5 mm; under a cylinder or a cube it is three to four times too soft.
+[What was tried](notes/gel_force.md).
 """
 
 
