@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from pneutac_sim.finger import BodyData, Pipeline
-from pneutac_sim.surrogate.fingerprint import fingerprint
+from pneutac_sim.surrogate.finger import network_of
 from pneutac_sim.surrogate.network import ActionNetwork
 from pneutac_sim.twin import Twin
 
@@ -25,8 +25,8 @@ def out_of_range(twin: Twin, bench: BodyData) -> tuple[float | None, str | None]
     file = twin.networks.get("action")
     if file is None:
         return None, None
-    network = ActionNetwork.load(file)
-    if network.fingerprint != fingerprint(twin):
+    network = network_of(twin, ActionNetwork.load(file))
+    if network is None:
         return None, (
             "The twin's action network was trained before its body's shape or material changed, so its range "
             f"says nothing; run `pneutac surrogate --twin={Path(file).parent}`."

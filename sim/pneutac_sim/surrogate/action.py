@@ -113,6 +113,7 @@ def train_action(
         drive=np.array([twin.parameter("gain_rad_per_kpa"), twin.parameter("rest_pressure_kpa")]),
         skeleton=skeleton,
         fingerprint=fingerprint(twin),
+        modulus_mpa=devices.parameter(twin, "youngs_modulus_mpa"),
     )
 
 

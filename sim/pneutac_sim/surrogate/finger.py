@@ -9,9 +9,12 @@ what that takes back of the free bend is in q_free already. Swing and mass are t
 finger alone over time is `ActionNetwork.roll`.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from pneutac_sim.errors import InputError
+from pneutac_sim.mpm import devices
 from pneutac_sim.surrogate import programs
 from pneutac_sim.surrogate.fingerprint import fingerprint
 from pneutac_sim.surrogate.network import ActionNetwork
@@ -19,12 +22,33 @@ from pneutac_sim.surrogate.stiffness import controller_stiffness
 from pneutac_sim.twin import Twin
 
 
+def network_of(twin: Twin, network: ActionNetwork) -> ActionNetwork | None:
+    """The network for a twin's own Young's modulus; None where it was trained for another body.
+
+    At given angles an elastic body's torque is proportional to its modulus. That f_r also holds by how much
+    the body lags behind its spine, which is not, is left aside.
+
+    Args:
+        twin: of a finger.
+        network: trained for its body, of any modulus. A file of an earlier version does not tell its modulus
+            and is good for that of its training alone.
+    """
+    if network.fingerprint != fingerprint(twin, network.modulus_mpa):
+        return None
+    modulus = devices.parameter(twin, "youngs_modulus_mpa")
+    if network.modulus_mpa in (None, modulus):
+        return network
+    ratio = modulus / network.modulus_mpa
+    scaled = {name: ratio * getattr(network, name) for name in ("slope", "torque_mean", "torque_scale")}
+    return replace(network, **scaled, fingerprint=fingerprint(twin), modulus_mpa=modulus)
+
+
 class SurrogateFinger:
     """The soft body of one finger.
 
     Args:
         twin: of a finger.
-        network: trained for its body.
+        network: trained for its body, see `network_of`.
 
     Attributes:
         controller_nm_per_rad: K_c, see `stiffness.controller_stiffness`.
@@ -36,12 +60,13 @@ class SurrogateFinger:
     """
 
     def __init__(self, twin: Twin, network: ActionNetwork):
-        if network.fingerprint != fingerprint(twin):
+        own = network_of(twin, network)
+        if own is None:
             raise InputError(
                 "The action network was trained for another body, or for this one before its shape or "
                 "material changed; train it anew with `pneutac surrogate`."
             )
-        self.network = network
+        self.network = own
         rest = programs.joint_targets(twin, 0.0)
         self.controller_nm_per_rad = controller_stiffness(twin, self.torque(rest, rest)[1])
         self.reset()

@@ -22,18 +22,25 @@ BODY = (
 GEL = ("gel_youngs_modulus_mpa", "gel_poissons_ratio", "gel_density_kg_m3")
 
 
-def fingerprint(twin: Twin) -> str:
+def fingerprint(twin: Twin, modulus_mpa: float | None = None) -> str:
     """SHA-256 of what the action network of a finger depends on: its geometry, mesh and material.
 
     The body knows only how it is bent. Drive, effects and history decide how far, and `in_range` tells where
     that is farther than in training.
+
+    Args:
+        twin: of a finger.
+        modulus_mpa: Young's modulus in place of the twin's.
     """
+    body = {n: devices.parameter(twin, n) for n in BODY}
+    if modulus_mpa is not None:
+        body["youngs_modulus_mpa"] = modulus_mpa
     what = {
         "model": MODEL,
         "device": twin.device,
         "length_mm": twin.length_mm,
         "spine_joint_positions_mm": list(twin.spine_joint_positions_mm),
-        "body": {n: devices.parameter(twin, n) for n in BODY},
+        "body": body,
     }
     arrays = [np.ascontiguousarray(twin.arrays[n]) for n in (VERTICES, FACES) if n in twin.arrays]
     return _sha256(what, arrays)

@@ -44,6 +44,7 @@ class ActionNetwork:
         drive: (2,) G in rad/kPa and p0 in kPa.
         skeleton: of the same finger.
         fingerprint: of the twin, see `surrogate.fingerprint`.
+        modulus_mpa: Young's modulus of the body in training; None where an earlier version wrote the file.
     """
 
     layers: tuple[np.ndarray, ...]
@@ -57,6 +58,7 @@ class ActionNetwork:
     drive: np.ndarray
     skeleton: Skeleton
     fingerprint: str
+    modulus_mpa: float | None = None
 
     @property
     def joints(self) -> int:
@@ -173,7 +175,10 @@ class ActionNetwork:
         }
         file.parent.mkdir(parents=True, exist_ok=True)
         tmp = file.with_suffix(".tmp")
-        tmp.write_bytes(save(arrays, {"format": FORMAT, "fingerprint": self.fingerprint}))
+        label = {"format": FORMAT, "fingerprint": self.fingerprint}
+        if self.modulus_mpa is not None:
+            label["modulus_mpa"] = repr(float(self.modulus_mpa))
+        tmp.write_bytes(save(arrays, label))
         tmp.replace(file)
         return file
 
@@ -209,7 +214,21 @@ class ActionNetwork:
             **{name: arrays[name] for name in _VECTORS},
             skeleton=Skeleton(real + 1j * imaginary, arrays["inertia"], *controller),
             fingerprint=label["fingerprint"],
+            modulus_mpa=_modulus(label, file),
         )
+
+
+def _modulus(label: dict[str, str], file: Path) -> float | None:
+    """Young's modulus in MPa of the label; None where it tells none."""
+    if "modulus_mpa" not in label:
+        return None
+    try:
+        modulus = float(label["modulus_mpa"])
+    except ValueError:
+        modulus = math.nan
+    if not (math.isfinite(modulus) and modulus > 0):
+        raise InputError(f"{file}: 'modulus_mpa' is {label['modulus_mpa']!r}; it must be a positive number.")
+    return modulus
 
 
 _VECTORS = ("slope", "mean", "scale", "torque_mean", "torque_scale", "low", "high", "drive")

@@ -5,14 +5,13 @@ from importlib.resources import files
 from pathlib import Path
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.surrogate.finger import SurrogateFinger
-from pneutac_sim.surrogate.fingerprint import fingerprint, gel_fingerprint
+from pneutac_sim.surrogate.finger import SurrogateFinger, network_of
+from pneutac_sim.surrogate.fingerprint import gel_fingerprint
 from pneutac_sim.surrogate.network import ActionNetwork
 from pneutac_sim.surrogate.perception import GelSurrogate
 from pneutac_sim.twin import NETWORKS, Twin
 
 _LOAD = {"action": ActionNetwork.load, "perception": GelSurrogate.load}
-_PRINT = {"action": fingerprint, "perception": gel_fingerprint}
 _OF = {"action": "finger", "perception": "gel"}
 
 
@@ -22,8 +21,15 @@ def builtin(name: str) -> Path:
 
 
 def fits(file: Path, name: str, twin: Twin) -> bool:
-    """Whether a network was trained for this twin."""
-    return _LOAD[name](file).fingerprint == _PRINT[name](twin)
+    """Whether a network was trained for this twin, or for one of another modulus, by which it is scaled."""
+    return _of(twin, _LOAD[name](file)) is not None
+
+
+def _of(twin: Twin, network: ActionNetwork | GelSurrogate):
+    """The network as this twin has it; None where it was trained for another one."""
+    if isinstance(network, ActionNetwork):
+        return network_of(twin, network)
+    return network if network.fingerprint == gel_fingerprint(twin) else None
 
 
 @dataclass(frozen=True)
@@ -48,8 +54,8 @@ class Networks:
         found = {}
         for name in NETWORKS:
             own = twin.networks.get(name)
-            network = _LOAD[name](own or builtin(name))
-            if network.fingerprint != _PRINT[name](twin):
+            network = _of(twin, _LOAD[name](own or builtin(name)))
+            if network is None:
                 why = (
                     f"{own} was trained for another {_OF[name]}, or before its shape or material changed"
                     if own

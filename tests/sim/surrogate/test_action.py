@@ -8,7 +8,7 @@ import pytest
 from pneutac_sim.errors import InputError
 from pneutac_sim.surrogate.action import FEWEST, evaluate_action, split, train_action
 from pneutac_sim.surrogate.collect import FRAME_S, Motion, Plan, collect_action, draw, read_motions
-from pneutac_sim.surrogate.finger import SurrogateFinger
+from pneutac_sim.surrogate.finger import SurrogateFinger, network_of
 from pneutac_sim.surrogate.fingerprint import fingerprint, gel_fingerprint
 from pneutac_sim.surrogate.network import MARGIN, ActionNetwork
 from pneutac_sim.surrogate.programs import bending_pressure, bending_range, joint_targets
@@ -134,6 +134,28 @@ def test_a_network_serves_its_twin_alone(network):
     softer = twin.copy()
     softer.parameters["gel_youngs_modulus_mpa"] = Value(0.2)
     assert gel_fingerprint(softer) != gel_fingerprint(twin)
+
+
+def test_another_modulus_scales_the_torque_of_the_body(network, tmp_path):
+    """E f(q), so a network that tells of what modulus it was trained serves every other one."""
+    twin, stiffer = Twin.builtin(), Twin.builtin()
+    own = twin.parameter("youngs_modulus_mpa")
+    stiffer.parameters["youngs_modulus_mpa"] = Value(1.3 * own)
+    told = ActionNetwork.load(dataclasses.replace(network, modulus_mpa=own).save(tmp_path / "a.safetensors"))
+    free, q = np.array([0.2, 0.1, 0.15, 0.2]), np.array([0.25, 0.14, 0.12, 0.16])
+    torque, J, _ = network_of(twin, told).resistance(free, q)
+    again = ActionNetwork.load(network_of(stiffer, told).save(tmp_path / "b.safetensors"))
+    for scaled in (network_of(stiffer, told), network_of(stiffer, again)):
+        more, slope, _ = scaled.resistance(free, q)
+        np.testing.assert_allclose(more, 1.3 * torque, rtol=1e-5)
+        np.testing.assert_allclose(slope, 1.3 * J, rtol=1e-4, atol=1e-5)
+    stiffer.length_mm = 111.0
+    with pytest.raises(InputError, match="another body.*pneutac surrogate"):
+        SurrogateFinger(stiffer, told)
+    odd = tmp_path / "odd.safetensors"
+    odd.write_bytes((tmp_path / "b.safetensors").read_bytes().replace(repr(1.3 * own).encode(), b"0" * 6, 1))
+    with pytest.raises(InputError, match="'modulus_mpa' is '0"):
+        ActionNetwork.load(odd)
 
 
 def test_bending_pressure_is_what_effects_leave_of_the_command():

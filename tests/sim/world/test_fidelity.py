@@ -97,6 +97,11 @@ def test_the_bodys_stiffness_is_that_of_its_material(bodies):
     np.testing.assert_allclose(more.diagonal(), 1.2 * J.diagonal(), rtol=0.05)
     assert other.controller_nm_per_rad < full.controller_nm_per_rad
     assert network.controller_nm_per_rad == pytest.approx(full.controller_nm_per_rad, rel=0.1)
+    scaled = Networks.of(stiffer).finger(stiffer)
+    np.testing.assert_allclose(
+        scaled.torque(np.zeros(4), np.zeros(4))[1].diagonal(), more.diagonal(), rtol=0.1
+    )
+    assert scaled.controller_nm_per_rad == pytest.approx(other.controller_nm_per_rad, rel=0.1)
     w = twin.length_mm - np.array(twin.spine_joint_positions_mm)
     for body, twin_ in ((full, twin), (other, stiffer)):
         K = body.controller_nm_per_rad * np.eye(4) - body.torque(np.zeros(4), np.zeros(4))[1]
