@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.ndimage import binary_dilation
+from scipy.ndimage import binary_dilation, map_coordinates
 
 from pneutac_sim.gel import optics
 from pneutac_sim.gel.model import GelModel
@@ -13,9 +13,9 @@ FAR = (np.nan, np.nan)
 DIRECTIONS = np.radians([0, 30, 45, 80, 90, 150, 200, 270, 315, 340])
 
 
-def grid(rows=81, cols=61):
+def grid(rows=81, cols=61, cell=CELL):
     """x and y (rows, columns) in mm from the window's centre."""
-    x, y = ((np.arange(n) + 0.5 - n / 2) * h for n, h in ((cols, CELL[0]), (rows, CELL[1])))
+    x, y = ((np.arange(n) + 0.5 - n / 2) * h for n, h in ((cols, cell[0]), (rows, cell[1])))
     return np.meshgrid(x, y)
 
 
@@ -57,6 +57,62 @@ def test_far_light_is_the_slope_towards_it():
     u = (0.1 * x - 0.2 * y).astype(np.float32)
     s = optics.channel(u, CELL, coefficients((30.0, -40.0), 5.0))
     np.testing.assert_allclose(s, 30 * 0.1 + 40 * 0.2 + 5 * u, atol=1e-3)
+
+
+def test_slopes_are_central_differences_on_cells_of_any_shape():
+    x, y = grid(9, 7, (0.2, 0.3))
+    dx, dy = optics.gradient(0.5 * x - 0.1 * y, (0.2, 0.3))
+    np.testing.assert_allclose(dx, 0.5)
+    np.testing.assert_allclose(dy, -0.1)
+
+
+def test_neutral_coefficients_add_nothing_and_a_light_alone_is_linear():
+    u, c = pillar(0.8), np.array(optics.NEUTRAL)
+    assert not optics.channel(u, CELL, c).any()
+    c[0] = 30.0
+    np.testing.assert_allclose(optics.channel(u, CELL, c), 30 * optics.gradient(u, CELL)[0], atol=1e-4)
+
+
+@pytest.mark.parametrize("direct", [np.inf, 50.0])
+@pytest.mark.parametrize("place", [FAR, (1.5, -0.4)])
+def test_all_terms_together_are_the_equations_on_cells_of_any_shape(place, direct):
+    """Evaluated plainly in float64: t = -|L| e . grad u, Lambert's cosine of it, depth and the squares."""
+    cell = (0.2, 0.3)
+    x, y = grid(9, 7, cell)
+    u = np.random.default_rng(0).uniform(0, 0.3, x.shape).astype(np.float32)
+    c = coefficients((-30.0, 40.0), 5.0, place, direct)
+    c[9:] = 7.0, -11.0, 13.0
+    gy, gx = np.gradient(u.astype(float), cell[1], cell[0])
+    ex, ey = (0.6, -0.8) if place is FAR else (place[0] - x, place[1] - y)
+    r = np.hypot(ex, ey)
+    along, across = (ex * gx + ey * gy) / r, (ex * gy - ey * gx) / r
+    t = -50 * along
+    if np.isfinite(direct):
+        t = direct * (np.maximum(0, 1 + t / direct) / np.sqrt(1 + gx**2 + gy**2) - 1)
+    expected = t + 5 * u + 7 * along**2 - 11 * across**2 + 13 * u.astype(float) ** 2
+    np.testing.assert_allclose(optics.channel(u, cell, c), expected, atol=1e-3)
+
+
+def test_other_packages_effects_change_the_light_of_their_channel_in_order():
+    u, rows = bump(), np.stack([coefficients((k, 2.0), 5.0) for k in range(3)])
+
+    def add(k, s, u, cell_mm):
+        return s + k + u + cell_mm[0]
+
+    def double(k, s, u, cell_mm):
+        return 2.0 * s
+
+    plain, changed = optics.light(u, CELL, rows), optics.light(u, CELL, rows, (add, double))
+    assert changed.dtype == np.float32
+    for k in range(3):
+        np.testing.assert_allclose(changed[k], 2 * (plain[k] + k + u + CELL[0]), rtol=1e-5, atol=1e-5)
+    np.testing.assert_array_equal(optics.channel(u, CELL, rows[0], further=(add, double)), changed[0])
+
+
+@pytest.mark.parametrize("shape", [(4, optics.SIZE), (3, optics.SIZE - 1)])
+def test_coefficients_of_another_shape_are_refused(shape):
+    with pytest.raises(ValueError, match="three channels"):
+        optics.light(bump(), CELL, np.zeros(shape))
 
 
 @pytest.mark.parametrize("effects", [{}, {"shadow": 30.0, "direct": 60.0}])
@@ -142,6 +198,17 @@ def test_a_pillar_casts_a_shadow_of_its_height_over_the_lights_slope(angle):
     assert shade[beam & (along > start) & (along < end - CELL[0])].all()
     assert not shade[(along < 0) & ~beside(u)].any()
     assert np.abs(across[shade]).max() < radius + 1.2 * CELL[0]
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_walls_shadow_is_as_long_in_mm_on_cells_of_any_shape_and_as_dark_as_it_says(axis):
+    cell = (0.1, 0.2)
+    at = grid(41, 81, cell)[axis]
+    u = np.where(np.abs(at) < 0.3, 0.5, 0.0).astype(np.float32)
+    towards = -np.eye(2)[axis]
+    s = optics.channel(u, cell, coefficients(-1e-6 * towards, shadow=0.5, elevation=0.25))
+    assert s[(at > 0.5) & (at < 0.3 + 2 - 0.25)] == pytest.approx(-0.5, abs=1e-4)
+    assert s[(at < -0.5) | (at > 0.3 + 2 + 0.25)] == pytest.approx(0, abs=1e-4)
 
 
 @pytest.mark.parametrize("angle", DIRECTIONS)
@@ -231,3 +298,57 @@ def test_an_exponent_of_zero_renders_the_linear_model():
     images = [TactileSensor(g).image(depth).astype(int) for g in (linear, zero, GelModel.builtin())]
     np.testing.assert_array_equal(images[0], images[1])
     assert np.abs(images[2] - images[0]).max() > 10
+
+
+def between_cells(grid, height, width):
+    """Bilinear interpolation of (rows, columns) to pixel centres, level beyond the outer cells' centres."""
+    rows, cols = grid.shape
+    at = np.meshgrid(
+        *((np.arange(n) + 0.5) * m / n - 0.5 for n, m in ((height, rows), (width, cols))), indexing="ij"
+    )
+    return map_coordinates(grid.astype(float), at, order=1, mode="nearest")
+
+
+@pytest.mark.parametrize(("height", "width"), [(30, 44), (31, 17), (5, 3)])
+def test_pixels_lie_between_cells(height, width):
+    cells = np.random.default_rng(0).normal(size=(7, 5, 2)).astype(np.float32)
+    pixels = optics.upsample(cells, height, width)
+    assert pixels.dtype == np.float32
+    for k in range(2):
+        np.testing.assert_allclose(pixels[..., k], between_cells(cells[..., k], height, width), atol=1e-5)
+        np.testing.assert_allclose(optics.upsample(cells[..., k], height, width), pixels[..., k], atol=1e-6)
+
+
+def small_renderer(height, width):
+    """On a random rest image, so that light saturates it; weights differ by channel and place."""
+    rng = np.random.default_rng(height)
+    rest = rng.integers(0, 256, (height, width, 3), dtype=np.uint8)
+    weight = rng.uniform(0.2, 2.0, (height, width, 3)) * [0.5, 1.0, 3.0]
+    weight[:, :3] = 0.1
+    rows = np.stack([coefficients((20.0 * k - 10, 15.0), 40.0) for k in range(3)])
+    return rest, weight, rows, optics.Renderer(rest, weight, rows, (0.4, 0.3), (9, 7))
+
+
+@pytest.mark.parametrize(("height", "width"), [(30, 44), (40, 21)])
+def test_an_image_is_rest_plus_weighted_light_rounded_and_within_its_range(height, width):
+    rest, weight, rows, renderer = small_renderer(height, width)
+    u = np.random.default_rng(1).uniform(-1, 1, (9, 7)).astype(np.float32)
+    u[5:] = 0
+    s = np.stack([between_cells(c, height, width) for c in optics.light(u, (0.4, 0.3), rows)], -1)
+    image = renderer.image(u)
+    expected = np.clip(rest + weight * s, 0, 255)
+    assert np.abs(image - expected).max() < 0.501 and (image == 0).any() and (image == 255).any()
+    assert (image[-3:] == rest[-3:]).all() and (image != rest).mean() > 0.3
+    np.testing.assert_array_equal(renderer.image(np.zeros_like(u)), rest)
+
+
+@pytest.mark.parametrize(("height", "width"), [(30, 44), (40, 21)])
+@pytest.mark.parametrize("pressed", [np.s_[:, :], np.s_[:, 0], np.s_[:, -1], np.s_[3:5, 2:4], np.s_[-1, 3]])
+def test_contact_pixels_are_those_of_the_image_that_differ_by_more_than_the_limit(height, width, pressed):
+    rest, _, _, renderer = small_renderer(height, width)
+    u = np.zeros((9, 7), np.float32)
+    u[pressed] = np.random.default_rng(2).uniform(0, 1, u[pressed].shape)
+    differ = np.abs(renderer.image(u).astype(int) - rest).sum(-1)
+    assert differ.any()
+    for limit in (0, 1, 2, 5, 10, 20, 40, 80, 1000):
+        assert renderer.contact_pixels(u, limit) == (differ > limit).sum()
