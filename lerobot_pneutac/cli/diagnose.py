@@ -37,7 +37,7 @@ def main(argv: list[str]) -> None:
     twin, recording = load_pair(cfg.twin, cfg.recording, "diagnose")
     with progress_bar(console) as progress:
         result = diagnose(twin, recording, jobs=cfg.jobs, seed=cfg.seed, progress=progress)
+    if cfg.out is not None and recording.device != "gel":
+        result = result.save(cfg.out)
     show(result, console)
     write(result, cfg.out, "diagnose", argv, console)
-    if cfg.out is not None and recording.device != "gel":
-        result.save(cfg.out)

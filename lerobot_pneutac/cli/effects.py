@@ -21,8 +21,8 @@ class EffectsConfig:
     """Options of `pneutac effects`.
 
     Attributes:
-        out: of `show`, folder for `result.json` and `report.html`; of `export`, the Python file to write, by
-            default the effect's name here.
+        out: folder for `result.json` and `report.html` (of `show`), or the Python file to write (of `export`;
+            where left out, the effect's name here).
     """
 
     names_a_file: ClassVar[bool] = True

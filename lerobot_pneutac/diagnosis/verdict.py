@@ -22,9 +22,7 @@ class Evidence:
     """What the verdict rests on.
 
     Attributes:
-        samples: number of training samples.
-        units: number of held-out pieces of time, or of photographs.
-        moves: whether the pressure moves at all.
+        poor: whether the recording is too poor for any claim, see `too_few`.
         before: held-out error over the noise: the best of the twin as it is, re-fitted, and a constant.
         after: the same with what was found.
         selected: effects and laws found, the most important first.
@@ -36,16 +34,13 @@ class Evidence:
         forward: whether it holds for the later part when fitted to the earlier one.
         agreed: share of split seeds that chose the same.
         noise_known: whether the noise was declared or measured by repeats.
-        few_samples: training samples below which nothing can be claimed; a photograph is worth many rows.
     """
 
-    samples: int
-    units: int
-    moves: bool
     before: float
     after: float
     selected: list[str]
     removed: float
+    poor: bool = False
     at_bound: list[str] = field(default_factory=list)
     cancelling: list[str] = field(default_factory=list)
     near_miss: list[str] = field(default_factory=list)
@@ -53,17 +48,16 @@ class Evidence:
     forward: bool = True
     agreed: float = 1.0
     noise_known: bool = True
-    few_samples: int = FEW_SAMPLES
 
     @property
-    def poor(self) -> bool:
-        """Whether the recording is too poor for any claim."""
-        return not self.moves or self.samples < self.few_samples or self.units < FEW_UNITS
+    def is_noise(self) -> bool:
+        """Whether what is left is called noise, wherever it is spoken of."""
+        return self.after <= LITTLE
 
     @property
     def unfinished(self) -> bool:
         """Whether a black box still finds much in what is left, where that is more than noise."""
-        much = not self.noise_known or self.after > LITTLE
+        much = not self.noise_known or not self.is_noise
         return much and self.left_to_black_box > UNFINISHED
 
     @property
@@ -88,12 +82,23 @@ class Evidence:
         return out
 
 
+def too_few(samples: int, units: int, few_samples: int = FEW_SAMPLES) -> bool:
+    """Whether a recording is too short for any claim, by `diagnose` and `add` alike.
+
+    Args:
+        samples: to fit.
+        units: held-out pieces of time, or photographs.
+        few_samples: below which nothing can be claimed; a photograph is worth many rows.
+    """
+    return samples < few_samples or units < FEW_UNITS
+
+
 def decide(e: Evidence) -> str:
     """The verdict."""
     if e.poor:
         return "ambiguous"
     if not e.selected:
-        if e.after <= LITTLE or not e.noise_known and not e.unfinished:
+        if e.is_noise or not e.noise_known and not e.unfinished:
             return "adequate"
         return "ambiguous" if e.near_miss else "unknown_effect"
     if e.removed < MOST:

@@ -107,7 +107,7 @@ class MarkerTracker:
         marker_mm: side of the square of both markers.
         base_id: marker at the base, of OpenCV's 4 x 4 dictionary of 50.
         tip_id: marker at the tip.
-        base_offset_mm: from the finger's base to the base marker's centre, in the base frame.
+        base_offset_mm: vector from the finger's base to the base marker's centre, in the base frame.
 
     Attributes:
         camera: see above.

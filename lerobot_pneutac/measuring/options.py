@@ -21,25 +21,25 @@ class MeasureConfig:
 
     Attributes:
         pressure: the controller, as `--robot.pressure` of the robot.
-        camera: looks at the finger's two markers: any LeRobot camera.
-        intrinsics: its calibration; with `chessboard`, the file to write.
+        camera: camera of any LeRobot type that looks at the finger's two markers.
+        intrinsics: file of the camera's calibration; with `chessboard`, the file to write.
         digit: a tactile camera whose images are kept too.
         program: `steps`, `ramps`, `holds`, `loops`, `all`, a CSV, or a diagnosis' `result.json`.
-        recording: what was diagnosed, with a `result.json`.
+        recording: folder of the recording that was diagnosed, for a `result.json` as program.
         out: new folder of the recording.
-        length_mm: of the straight finger, base to tip marker.
-        max_kpa: no set-point is higher, and the built-in programs reach it.
+        length_mm: length of the straight finger, base to tip marker.
+        max_kpa: largest set-point; the built-in programs reach it.
         hz: samples per second.
-        repeat: how often the program is driven.
+        repeat: number of times that the program is driven.
         rest_s: pause without pressure before each trial.
         marker_mm: side of both markers.
         base_id: number of the marker at the base.
         tip_id: number of the marker at the tip.
-        base_offset_mm: from the finger's base to the base marker's centre, in the base frame.
-        notes: kept in the recording.
+        base_offset_mm: vector from the finger's base to the base marker's centre, in the base frame.
+        notes: text to keep in the recording.
         chessboard: folder of photographs of a chessboard: calibrates the camera, and nothing else.
-        corners: the board's inner corners, columns and rows.
-        square_mm: side of its squares.
+        corners: number of the chessboard's inner corners, columns and rows.
+        square_mm: side of the chessboard's squares.
     """
 
     pressure: PressureConfig = field(default_factory=PressureConfig)

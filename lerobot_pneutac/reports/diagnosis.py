@@ -55,7 +55,7 @@ def _candidates(page: Report, study: EffectStudy, o: Outcome) -> None:
     )
     rows = []
     for t in o.tested:
-        row = {"effect": t.name, f"held-out error ({study.unit})": t.heldout}
+        row = {"effect": t.name, f"test error ({study.unit})": t.heldout}
         row |= {"in the contact": t.errors["heldout_contact"]} if "heldout_contact" in t.errors else {}
         removes = "-" if t.reduction is None else percent(t.reduction, t.ci95)
         rows.append(row | {"removes": removes, "tested by": t.tested_by})
@@ -76,7 +76,7 @@ def _over_time(page: Report, study: EffectStudy, o: Outcome) -> None:
 def _rivals(page: Report, o: Outcome) -> None:
     page.heading("Rivals")
     if not o.rivals:
-        page.text("No other effect explains the held-out part as well.")
+        page.text("No other effect explains the test part as well.")
     page.table(
         [
             {
@@ -86,7 +86,7 @@ def _rivals(page: Report, o: Outcome) -> None:
             }
             for r in o.rivals
         ],
-        "Effects that explain the held-out part as well, as far as can be told.",
+        "Effects that explain the test part as well, as far as can be told.",
     )
     page.table(
         [{"effect": a, "and": b, "correlation of parameters": c} for a, b, c in o.correlated],

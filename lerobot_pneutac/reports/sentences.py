@@ -11,6 +11,11 @@ def lead(study: EffectStudy, outcome: Outcome) -> str:
     """The one sentence (or two) at the top."""
     device, unit, evidence = study.recording.device, study.unit, outcome.evidence
     noise, after = f"{study.noise.value:.3g} {unit}", f"{study.errors(outcome.after)['heldout']:.3g} {unit}"
+    if outcome.verdict == "adequate" and not evidence.is_noise:
+        return (
+            f"Nothing is missing that this recording could show: what is left of the {device}'s error, "
+            f"{after}, follows nothing that was commanded; how much of it is noise is not known."
+        )
     if outcome.verdict == "adequate":
         return (
             f"Nothing is missing that this recording could show: the {device}'s error of {after} is the "
@@ -18,7 +23,7 @@ def lead(study: EffectStudy, outcome: Outcome) -> str:
         )
     if outcome.verdict == "ambiguous":
         if evidence.poor:
-            return study.too_little(evidence)
+            return study.too_little()
         return (
             f"This recording cannot tell what is missing: {_names(evidence.near_miss)} would help, but the "
             "fall of the error may be chance."
@@ -69,8 +74,14 @@ def how_sure(study: EffectStudy, outcome: Outcome) -> str:
     if not o.selected:
         tried = f"{plural(len(o.tested), 'effect')} came closest" if o.tested else "no effect came close"
         return f"Nothing that was tried surely lowers the error; {tried}."
+    if e.is_noise:
+        explained = "Very: it explains all that is more than noise"
+    elif e.noise_known:
+        explained = f"Fairly: what is left is {e.after:.3g} times the noise"
+    else:
+        explained = "Fairly: what is left follows nothing that was commanded, but the noise is not known"
     sure = {
-        "missing_effect": "Very: it explains all that is more than noise",
+        "missing_effect": explained,
         "insufficient_form": "That something of this kind is there, yes; of its form, no",
         "unknown_effect": "Not at all: it only stands in for what is there",
     }.get(o.verdict, "Hardly: it may be chance")
@@ -87,7 +98,7 @@ def not_explained(study: EffectStudy, outcome: Outcome) -> str:
     """What stays, and what could not be looked for."""
     unit = study.unit
     after, noise = study.errors(outcome.after)["heldout"], study.noise.value
-    if after <= 1.02 * noise:
+    if outcome.evidence.is_noise:
         text = f"Nothing that this recording could show: the error of {after:.3g} {unit} is the noise."
     else:
         left = (after**2 - noise**2) ** 0.5

@@ -13,7 +13,6 @@ from lerobot_pneutac.diagnosis.model import FittedModel
 from lerobot_pneutac.diagnosis.parts import Parts
 from lerobot_pneutac.diagnosis.result import Outcome, Rival
 from lerobot_pneutac.diagnosis.steps import Steps
-from lerobot_pneutac.diagnosis.verdict import Evidence
 from pneutac_datasets.recording.noise import NoiseFloor
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect
@@ -111,8 +110,8 @@ class EffectStudy(Study, ABC):
         """Looks for what the twin lacks, in so many processes."""
 
     @abstractmethod
-    def too_little(self, evidence: Evidence) -> str:
-        """Why the recording is too poor for any claim, a sentence."""
+    def too_little(self) -> str:
+        """Why the recording is too poor for any claim, a sentence; empty where it is not."""
 
     def fall(self, before: FittedModel, after: FittedModel) -> tuple[float, float, float]:
         """Fall of the mean square error that decides: value, lower 1 % bound, upper 99 % bound."""

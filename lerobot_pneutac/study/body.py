@@ -15,7 +15,7 @@ from lerobot_pneutac.diagnosis.parts import deal
 from lerobot_pneutac.diagnosis.result import Outcome, Rival, Tested
 from lerobot_pneutac.diagnosis.search import Scored
 from lerobot_pneutac.diagnosis.steps import Steps
-from lerobot_pneutac.diagnosis.verdict import Evidence, decide
+from lerobot_pneutac.diagnosis.verdict import Evidence, decide, too_few
 from lerobot_pneutac.study import gauge
 from lerobot_pneutac.study.base import EffectStudy
 from lerobot_pneutac.study.body_model import BodyFitter, BodyModel, Form, Reading
@@ -321,12 +321,9 @@ class BodyStudy(EffectStudy):
             worst = min(worst, test.value(self.fitted(done.found.base.model).squared))
         left = test.value(after.squared) - floor**2
         removed = 1 - max(left, 0.0) / (worst - floor**2) if worst > 1.02 * floor**2 else 0.0
-        command = self.recording.samples[self.recording.pressure_columns].to_numpy(float)
         agreed = [done.chosen_in.get(t, 1.0) for t in done.terms[:1]]
         return Evidence(
-            samples=int((~test.mask).sum()),
-            units=test.units,
-            moves=bool(np.ptp(command, axis=0).max() > 1e-3),
+            poor=bool(self.too_little()),
             before=float(np.sqrt(worst)) / floor,
             after=float(np.sqrt(test.value(after.squared))) / floor,
             selected=done.terms,
@@ -448,16 +445,25 @@ class BodyStudy(EffectStudy):
         """Parameters stopped by a bound."""
         return list(model.at_bound)
 
-    def too_little(self, evidence: Evidence) -> str:
+    @property
+    def _moves(self) -> bool:
+        """Whether the commanded pressure moves at all."""
+        command = self.recording.samples[self.recording.pressure_columns].to_numpy(float)
+        return bool(np.ptp(command, axis=0).max() > 1e-3)
+
+    def too_little(self) -> str:
         """Why nothing can be told."""
-        if not evidence.moves:
+        if not self._moves:
             return (
                 "This recording cannot tell: the commanded pressure never moves, so nothing about bending "
                 "can be learnt from it."
             )
+        samples, units = int((~self.test.mask).sum()), self.test.units
+        if not too_few(samples, units):
+            return ""
         return (
-            f"This recording is too short to tell anything: {evidence.samples} samples to fit and "
-            f"{evidence.units} pieces of time to test on."
+            f"This recording is too short to tell anything: {samples} samples to fit and "
+            f"{units} pieces of time to test on."
         )
 
     def caveats(self, outcome: Outcome) -> list[str]:
@@ -476,21 +482,21 @@ class BodyStudy(EffectStudy):
                 "removes takes its place."
             )
         if not self.measured:
-            out.append(self._pressure_note(outcome))
+            out.append(self._pressure_note())
         if not self.parts.has_test:
             out.append(
                 "The recording is too short for a part of its own for the report; the errors are optimistic."
             )
         return out
 
-    def _pressure_note(self, outcome: Outcome) -> str:
+    def _pressure_note(self) -> str:
         logged = [c.replace("cmd_", "") for c in self.recording.pressure_columns]
         if not all(map(self.recording.has, logged)):
             return (
                 "The pressure was not measured, so a slow valve and a creeping body hide each other: a lag "
                 f"may be creep in part. Log {', '.join(logged)} to tell them apart."
             )
-        if outcome.evidence.moves:
+        if self._moves:
             return (
                 "The measured pressure hardly moves while the command does and was left aside; a slow valve "
                 "and a creeping body hide each other: a lag may be creep in part."

@@ -10,7 +10,7 @@ import numpy as np
 from lerobot_pneutac.diagnosis.result import Outcome, Rival, Tested
 from lerobot_pneutac.diagnosis.search import Found, Scored, Search
 from lerobot_pneutac.diagnosis.steps import Steps
-from lerobot_pneutac.diagnosis.verdict import MOST, Evidence, decide
+from lerobot_pneutac.diagnosis.verdict import MOST, Evidence, decide, too_few
 from lerobot_pneutac.diagnosis.votes import chosen_in
 from lerobot_pneutac.study import gel_maps
 from lerobot_pneutac.study.base import EffectStudy
@@ -169,9 +169,7 @@ class GelStudy(EffectStudy):
         room = self.judge.value(base.squared) - self.noise.value**2
         falls = {e: self.judge.drop(base.squared, fit.squared)[0] for e, fit in alone.items()}
         return Evidence(
-            samples=len(self.data.samples),
-            units=self.test.units,
-            moves=True,
+            poor=bool(self.too_little()),
             before=self.errors(base)["heldout"] / floor,
             after=self.errors(final)["heldout"] / floor,
             selected=selected,
@@ -179,7 +177,6 @@ class GelStudy(EffectStudy):
             at_bound=self.at_bound(final, selected),
             near_miss=[] if selected else [e for e, fall in falls.items() if fall > MOST * room > 0],
             agreed=votes[selected[0]] if selected else 1.0,
-            few_samples=NEEDED,
         )
 
     def explained(self, model: FittedGel) -> float:
@@ -226,10 +223,13 @@ class GelStudy(EffectStudy):
         """Parameters at a bound."""
         return at_bound(model.fit.gel, effects)
 
-    def too_little(self, evidence: Evidence) -> str:
+    def too_little(self) -> str:
         """How many photographs there are and how many it takes."""
+        images, judged = len(self.data.samples), self.test.units
+        if not too_few(images, judged, NEEDED):
+            return ""
         return (
-            f"This recording cannot tell: it has {len(self.data.samples)} images, of which {evidence.units} "
+            f"This recording cannot tell: it has {images} images, of which {judged} "
             f"can be judged by; it takes {NEEDED}, the calibration pair's among them."
         )
 

@@ -92,7 +92,7 @@ def photo_study(recording: Recording, levels_kpa: tuple[float, ...]) -> PhotoStu
         shown = ", ".join(f"{v:g}" for v in np.unique(levels)[:12])
         raise InputError(
             f"{recording.folder}: {train.sum()} of its pressures ({shown} kPa) are training levels "
-            f"({', '.join(f'{v:g}' for v in levels_kpa)}); choose at least two with --train_kpa."
+            f"({', '.join(f'{v:g}' for v in levels_kpa)}); choose at least two by train_kpa."
         )
     cameras = {name: read_camera(recording, name) for name in names}
     chosen = _crossing(cameras)

@@ -14,7 +14,7 @@ from lerobot_pneutac.study.by_device import study_of
 from lerobot_pneutac.study.pair import same_body
 from lerobot_pneutac.verbs.diagnosis import Diagnosis
 from lerobot_pneutac.verbs.found import read_found
-from lerobot_pneutac.verbs.result import Result
+from lerobot_pneutac.verbs.result import Result, command_on
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.twin import Twin
@@ -26,7 +26,7 @@ class Addition(Result):
 
     Attributes:
         effect: its name.
-        accepted: whether the held-out error falls for sure.
+        accepted: whether the error falls for sure where nothing was fitted.
         reason: why it was refused, a sentence; empty where it was accepted.
         twin: with the effect, re-fitted and not yet written; the one that was given where it was refused.
         unit: of the errors.
@@ -85,7 +85,7 @@ class Addition(Result):
             return self.reason
         share = percent(self.reduction, self.reduction_ci95)
         return (
-            f"{self.physics} With {self.effect} the held-out error fell from {before['heldout']:.3g} to "
+            f"{self.physics} With {self.effect} the test error fell from {before['heldout']:.3g} to "
             f"{after['heldout']:.3g} {self.unit}: {share} of what could be avoided."
         )
 
@@ -96,9 +96,18 @@ class Addition(Result):
             if e is not None:
                 interval = "{:.4g} to {:.4g}".format(*e["heldout_ci95"])
                 row = {f"error, {self.unit} (noise {self.noise_floor:.3g})": name, "train": e["train"]}
-                row |= {"held-out": e["heldout"], "95 % interval": interval}
+                row |= {"test": e["heldout"], "95 % interval": interval}
                 rows.append(row | ({"contact": e["heldout_contact"]} if "heldout_contact" in e else {}))
         return rows
+
+    def subject(self) -> tuple[Twin, str]:
+        """The twin as it is now, and what it was fitted to."""
+        return self.twin, self.recording
+
+    @property
+    def next_command(self) -> str:
+        """To see where it still fails; where the effect was refused, what is missing."""
+        return command_on("compare" if self.accepted else "diagnose", self.twin, self.recording)
 
     def remarks(self) -> list[str]:
         """Bounds, and where the twin lies."""
@@ -164,7 +173,7 @@ class Addition(Result):
             error = {"type": "data", "array": [b - e["heldout"]], "arrayminus": [e["heldout"] - a]}
             figure.add_bar(x=[name], y=[e["heldout"]], error_y=error, marker_color=colour, showlegend=False)
         figure.add_hline(y=self.noise_floor, line_dash="dash", annotation_text="noise")
-        return figure.update_yaxes(title=f"held-out error ({self.unit})", rangemode="tozero")
+        return figure.update_yaxes(title=f"test error ({self.unit})", rangemode="tozero")
 
 
 def add(
@@ -175,7 +184,7 @@ def add(
     seed: int = 0,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> Addition:
-    """Switches effects on; they are accepted where the held-out error surely falls.
+    """Switches effects on; they are accepted where the error surely falls on blocks that no fit saw.
 
     A diagnosis' finding is taken whole, with its parameters. Effects that are named are fitted, beside the
     paper's base and the body's own, and judged on blocks that their fit did not see. The errors are those of
@@ -203,7 +212,7 @@ def add(
     recording, steps = same_body(twin, recording, "add to"), Steps(progress)
     given = {"effect": ", ".join(effects), "recording": str(recording.folder), "seed": seed}
     study = study_of(twin, recording, seed, adding=effects)
-    reason = next(filter(None, map(study.refusal, effects)), "")
+    reason = next(filter(None, map(study.refusal, effects)), "") or study.too_little()
     if reason:
         return Addition(accepted=False, reason=reason, twin=twin, findings=tuple(study.findings), **given)
     steps.expect(f"fitting with and without {given['effect']}", 2)
@@ -227,8 +236,8 @@ def _whole(study, twin: Twin, selected: list[str], before: FittedModel, after: F
     """All that a diagnosis found, judged on its test blocks."""
     folder = str(study.recording.folder)
     given = {"effect": ", ".join(selected) or "nothing", "recording": folder, "seed": study.seed}
-    if not selected:
-        reason = "Nothing was written: the diagnosis found nothing to add."
+    reason = study.too_little() if selected else "Nothing was written: the diagnosis found nothing to add."
+    if reason:
         return Addition(accepted=False, reason=reason, twin=twin, findings=tuple(study.findings), **given)
     fall = study.test.drop(before.squared, after.squared)
     return _judged(study, twin, selected, before, after, fall, given)
@@ -265,7 +274,7 @@ def _judged(study, twin, effects, before, after, fall, given) -> Addition:
 def _no_sure_fall(study: EffectStudy, effect: str, before: dict, after: dict, fall: tuple) -> str:
     value, low, high = fall
     return (
-        f"Nothing was written: with {effect} the held-out error goes from {before['heldout']:.4g} to "
+        f"Nothing was written: with {effect} the test error goes from {before['heldout']:.4g} to "
         f"{after['heldout']:.4g} {study.unit}, and the change of its square, {-value:+.3g} "
         f"[{-high:+.3g} to {-low:+.3g}] {study.unit}^2, is no sure fall; `pneutac diagnose` tells what is "
         "missing."

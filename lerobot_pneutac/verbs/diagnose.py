@@ -33,7 +33,7 @@ def diagnose(
         InputError: the recording has too few rows to fit the twin at all, or is of another device.
     """
     if jobs < 0:
-        raise InputError(f"--jobs={jobs} must be 0 (all cores) or a positive number.")
+        raise InputError(f"jobs={jobs} must be 0 (all cores) or a positive number.")
     study = study_of(twin, same_body(twin, recording, "diagnose"), seed)
     return Diagnosis(study=study, outcome=study.search(jobs or cores(), Steps(progress)))
 

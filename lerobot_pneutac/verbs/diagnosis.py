@@ -1,7 +1,7 @@
 """What a diagnosis tells, whatever the device."""
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.reports.sentences import how_sure, lead, next_experiment, not_explained, percent
 from lerobot_pneutac.study.base import EffectStudy
 from lerobot_pneutac.verbs.found import BEFORE, FOUND
-from lerobot_pneutac.verbs.result import Result
+from lerobot_pneutac.verbs.result import Result, command_on
 from pneutac_sim.twin import Twin
 
 LITTLE_ALONE = 0.03  # share of the avoidable error: an effect that alone removes less looks like nothing
@@ -24,11 +24,13 @@ class Diagnosis(Result):
     Attributes:
         study: the data and how they were shared.
         outcome: everything that was found.
+        saved_to: folder with the twins before and after, once they were saved.
         made_at: date and time.
     """
 
     study: EffectStudy
     outcome: Outcome
+    saved_to: Path | None = None
     made_at: str = field(default_factory=lambda: time.strftime("%Y-%m-%d %H:%M"))
 
     @property
@@ -80,7 +82,7 @@ class Diagnosis(Result):
     @property
     def title(self) -> str:
         """Heading of the table."""
-        return f"error where nothing was fitted, {self.study.unit} (noise {self.study.noise.value:.3g})"
+        return f"error on test blocks, {self.study.unit} (noise {self.study.noise.value:.3g})"
 
     @property
     def sentence(self) -> str:
@@ -97,11 +99,23 @@ class Diagnosis(Result):
         """What stays, and what could not be looked for."""
         return not_explained(self.study, self.outcome)
 
+    def subject(self) -> tuple[Twin, Path]:
+        """The twin as it was given, and the recording."""
+        return self.study.twin, self.study.recording.folder
+
+    @property
+    def next_command(self) -> str:
+        """To add what was found; where nothing was, to see where the twin fails."""
+        if not self.selected:
+            return command_on("compare", *self.subject())
+        found = f"--from={self.saved_to}" if self.saved_to else f"--effect={','.join(self.selected)}"
+        return command_on("add", *self.subject(), found)
+
     def rows(self) -> list[dict]:
         """The effects found and some others."""
         chosen = [t for t in self.outcome.tested if t.name in self.selected]
         rest = [t for t in self.outcome.tested if t.name not in self.selected][: max(2, 6 - len(chosen))]
-        rows = [("(as it is)", self.before, "", "", "")]
+        rows = [("(re-fitted)", self.before, "", "", "")]
         for t in chosen + rest:
             shown = [(k, v["value"]) for k, v in t.parameters.items() if k != "scale_kpa"][:3]
             values = ", ".join(f"{k} {value:.3g}" for k, value in shown)
@@ -112,7 +126,7 @@ class Diagnosis(Result):
         out = []
         for name, errors, share, values, how in rows:
             contact = errors.get("heldout_contact")
-            row = {"effect": name, "error": f"{errors['heldout']:.3g}"}
+            row = {"effect": name, "test": f"{errors['heldout']:.3g}"}
             row |= {} if contact is None else {"contact": f"{contact:.3g}"}
             out.append(row | {"alone removes": share, "constants": values, "": how})
         return out
@@ -175,10 +189,11 @@ class Diagnosis(Result):
             **study.details(o),
         }
 
-    def save(self, folder: str | Path) -> None:
-        """Writes the twins before and after into folders of `folder`, for `add --from`."""
+    def save(self, folder: str | Path) -> "Diagnosis":
+        """Writes the twins before and after into folders of `folder`, for `add --from`; returns where."""
         self.study.twin_of(self.outcome.before).save(Path(folder) / BEFORE)
         self.twin.save(Path(folder) / FOUND)
+        return replace(self, saved_to=Path(folder))
 
     def page(self) -> Report:
         """The sentence, then the evidence as pictures."""

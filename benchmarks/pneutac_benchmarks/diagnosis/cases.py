@@ -22,11 +22,11 @@ class BenchmarkDiagnosisConfig:
             outputs/benchmark_diagnosis/SET.
         fast: one seed, few cases and four-minute recordings only.
         seeds: devices or recordings of each kind; splits of a real one.
-        first_seed: of the first; another one makes another, equally blind test.
+        first_seed: seed of the first device or recording; another one makes another, equally blind test.
         minutes: length of each recording; a cosserat rod is always recorded for two.
-        devices: of truths, with commas between.
-        effects: of truths, with commas between; where left out, all, pairs, `plain` and `device`.
-        jobs: processes; 0 for all cores.
+        devices: names of devices, of truths, with commas between.
+        effects: names of effects, of truths, with commas; where left out, all, pairs, `plain` and `device`.
+        jobs: number of processes; 0 for all cores.
     """
 
     set: str = "truths"

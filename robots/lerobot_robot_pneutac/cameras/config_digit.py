@@ -17,7 +17,7 @@ class DigitConfig(CameraConfig):
     """A DIGIT, found by its serial number.
 
     Attributes:
-        serial: printed on the sensor, such as `D20001`.
+        serial: number printed on the sensor, such as `D20001`.
         resolution: `QVGA`, images of 320 rows and 240 columns as the simulated sensor's, or `VGA`, 640 x 480.
         fps: 30, or 60 (QVGA alone) or 15 (VGA alone).
         led: brightness of the red, green and blue LEDs, 0 (off) to 15.

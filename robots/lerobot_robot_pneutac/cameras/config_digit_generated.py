@@ -16,9 +16,9 @@ class DigitGeneratedConfig(CameraConfig):
     Attributes:
         fps: frames per second.
         press_period_s: a ball of radius 4 mm comes and goes once in this time; 0 for no ball.
-        press_depth_mm: how deep it comes.
-        width: 240.
-        height: 320.
+        press_depth_mm: depth to which the ball comes.
+        width: columns of an image, 240 as a DIGIT's.
+        height: rows of an image, 320 as a DIGIT's.
     """
 
     fps: int = 30

@@ -2,13 +2,12 @@
 
 import pytest
 
-from lerobot_pneutac.diagnosis.verdict import Evidence, decide
+from lerobot_pneutac.diagnosis.verdict import Evidence, decide, too_few
 
 
 def evidence(**change):
     base = {
-        "samples": 5000, "units": 20, "moves": True, "before": 5.0, "after": 1.05, "selected": ["lag(p)"],
-        "removed": 0.99,
+        "before": 5.0, "after": 1.05, "selected": ["lag(p)"], "removed": 0.99,
     }  # fmt: skip
     return Evidence(**(base | change))
 
@@ -42,17 +41,20 @@ NOTHING = {"selected": [], "removed": 0.0}
         (NOTHING | {"before": 5.0, "after": 1.1}, "adequate"),
         (NOTHING | {"after": 5.0, "noise_known": False}, "adequate"),
         (NOTHING | {"after": 5.0, "noise_known": False, "left_to_black_box": 0.5}, "unknown_effect"),
-        ({"moves": False}, "ambiguous"),
-        ({"samples": 59}, "ambiguous"),
-        ({"samples": 60}, "missing_effect"),
-        ({"samples": 7, "few_samples": 6}, "missing_effect"),
-        ({"units": 5}, "ambiguous"),
-        ({"units": 6}, "missing_effect"),
-        (NOTHING | {"before": 1.0, "units": 5}, "ambiguous"),
+        ({"poor": True}, "ambiguous"),
+        (NOTHING | {"before": 1.0, "poor": True}, "ambiguous"),
     ],
 )
 def test_verdicts_follow_the_evidence(change, verdict):
     assert decide(evidence(**change)) == verdict
+
+
+@pytest.mark.parametrize(
+    ("given", "few"),
+    [((59, 20), True), ((60, 6), False), ((60, 5), True), ((9, 20, 10), True), ((10, 6, 10), False)],
+)
+def test_too_few_samples_or_pieces_of_time_are_no_base_for_a_claim(given, few):
+    assert too_few(*given) == few
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ LAW = "lag(p)"
 
 def told(selected=(LAW,), after=0.45, **evidence):
     """A study and an outcome, as far as sentences ask, from 0.8 mm to `after` where the noise is 0.43 mm."""
-    given = {"samples": 1000, "units": 20, "moves": True, "before": 0.8 / 0.43, "after": after / 0.43}
+    given = {"before": 0.8 / 0.43, "after": after / 0.43}
     e = Evidence(**given | {"selected": list(selected), "removed": 0.9 if selected else 0.0} | evidence)
     constants = {"weight": 0.1, "scale_kpa": 25.0, "time_s": 8.0}
     study = SimpleNamespace(
@@ -21,7 +21,7 @@ def told(selected=(LAW,), after=0.45, **evidence):
         errors=lambda model: {"heldout": model}, reduction=lambda a, b: (0.92, (0.88, 0.95)),
         describe=lambda model, name: law(name).describe(constants, "finger"),
         size=lambda model, name: "That moves its tip by up to 1.8 mm.",
-        experiment=lambda model, name: "Step and hold.", too_little=lambda e: "Too short.",
+        experiment=lambda model, name: "Step and hold.", too_little=lambda: "Too short.",
         more_data="Record longer.", repeat="Do it twice.", nothing_left="Nothing.",
         unknown_where="moves your {device}", untested=[SimpleNamespace(name="gravity")],
     )  # fmt: skip
@@ -44,10 +44,12 @@ def test_what_is_found_is_told_without_its_equation():
     ("case", "verdict", "says"),
     [
         ({}, "missing_effect", "Very: it explains all"),
+        ({"after": 0.6}, "missing_effect", "Fairly: what is left is 1.4 times the noise"),
+        ({"after": 0.9, "noise_known": False}, "missing_effect", "but the noise is not known"),
         ({"after": 0.9}, "insufficient_form", "of its form, no"),
         ({"removed": 0.2, "after": 0.7}, "unknown_effect", "Not at all: it only stands in"),
         ({"selected": (), "after": 0.43}, "adequate", "Nothing that was tried"),
-        ({"units": 3}, "ambiguous", "too poor for any claim"),
+        ({"poor": True}, "ambiguous", "too poor for any claim"),
     ],
 )
 def test_how_sure_follows_the_verdict(case, verdict, says):

@@ -57,7 +57,7 @@ def test_an_effect_that_does_not_help_is_refused_with_numbers(pair, tmp_path):
     twin = Twin("finger", r.length_mm, r.spine_joint_positions_mm).save(tmp_path / "twin")
     before = (twin / "twin.yaml").read_text()
     with pytest.raises(
-        InputError, match=r"Nothing was written: with leak the held-out error goes from [\d.]+ to"
+        InputError, match=r"Nothing was written: with leak the test error goes from [\d.]+ to"
     ):
         verb.main([f"--twin={twin}", f"--recording={recording}", "--effect=leak"])
     assert (twin / "twin.yaml").read_text() == before and not (twin / "history").exists()

@@ -53,7 +53,10 @@ def test_a_hidden_effect_is_named_added_and_lowers_the_error(effect, tmp_path, c
     for name, value in kept.items():
         at = neutral.get(name.split("_")[0], 0.0)
         assert value - at == pytest.approx(truth[name] - at, rel=0.35, abs=0.02), name
-    assert "image/png;base64" in (tmp_path / "d" / "report.html").read_text()
+    page = (tmp_path / "d" / "report.html").read_text()
+    assert (
+        "image/png;base64" in page and f"pneutac add --twin={twin}" in page and f"--effect={effect}" in page
+    )
 
     before = run(compare, tmp_path / "c1", twin, recording)["error"]["heldout"]
     added = run(add, tmp_path / "a", twin, recording, f"--effect={effect}")
@@ -75,14 +78,20 @@ def test_nothing_is_found_where_nothing_is_hidden(tmp_path, capsys):
     assert "Nothing is missing" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("images", [5, NEEDED - 1])
-def test_too_few_images_are_no_verdict_and_the_sentence_says_how_many_it_takes(images, tmp_path, capsys):
-    recording = once(write_hidden_gel, tmp_path / "recording", ["shadow"], images=images)
-    twin = linear_twin(tmp_path / "twin", recording)
-    found = run(diagnose, tmp_path / "d", twin, recording)
+def test_too_few_images_are_no_verdict_and_the_sentence_says_how_many_it_takes(tmp_path, capsys):
+    recording = once(write_hidden_gel, tmp_path / "recording", ["shadow"], images=5)
+    found = run(diagnose, tmp_path / "d", linear_twin(tmp_path / "twin", recording), recording)
     assert found["verdict"] == "ambiguous"
-    assert f"it has {images} images" in found["sentence"] and f"it takes {NEEDED}" in found["sentence"]
+    assert "it has 5 images" in found["sentence"] and f"it takes {NEEDED}" in found["sentence"]
     assert "can be judged by" in " ".join(capsys.readouterr().out.split())
+
+
+def test_to_what_cannot_be_diagnosed_nothing_is_added(tmp_path):
+    recording = once(write_hidden_gel, tmp_path / "recording", ["shadow"], images=NEEDED - 1)
+    twin = linear_twin(tmp_path / "twin", recording)
+    with pytest.raises(InputError, match=f"it has {NEEDED - 1} images"):
+        add([f"--twin={twin}", f"--recording={recording.folder}", "--effect=shadow"])
+    assert Twin.load(twin).effects == {}
 
 
 def test_ten_images_are_enough_and_it_is_said_that_none_were_kept_for_the_report(tmp_path):

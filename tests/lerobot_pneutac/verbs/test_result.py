@@ -95,7 +95,12 @@ def test_what_has_no_place_in_json_is_refused():
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("verb", "version", "after"),
-    [("calibrate", "version 0 (calibrated", "compare"), ("compare", "version 0 (calibrated", "diagnose")],
+    [
+        ("calibrate", "version 0 (calibrated", "compare"),
+        ("compare", "version 0 (calibrated", "diagnose"),
+        ("add", "version 1 (added creep", "compare"),
+        ("refused", "version 1 (added creep", "diagnose"),
+    ],
 )
 def test_a_report_names_twin_version_and_recording_and_what_comes_next(body, tmp_path, verb, version, after):
     result = body[verb]
