@@ -8,13 +8,24 @@ constexpr float kFollowShare = 0.07f;  // of max_pa: error above which the press
 constexpr float kBurstShare = 0.10f;   // of max_pa: fall that is no noise
 constexpr float kSmoothS = 0.05f;
 constexpr float kSettledShare = 0.07f;  // of max_pa in a second: slower is settled
-constexpr uint32_t kLateMs = 2000;  // no frame is on its way for longer
+constexpr float kIntegralMost = 0.25f;  // of the drive: what a leak asks for
+constexpr float kAirShare = 0.98f;      // of cutoff_pa: more air than that is let out, whatever is read
+constexpr float kRiseShare = 0.25f;     // of the rise by the air account: a reading that rises less is none
+constexpr float kRiseS = 0.5f;          // a slower rise may be a leak that is made up for
 constexpr float kDriven = 0.3f;
 constexpr float kFull = 0.99f;
 
 static float clamp(float x, float low, float high) { return x < low ? low : x > high ? high : x; }
 
-Controller::Controller(const Settings& settings) : settings_(settings) {}
+// A number that looks like any other (the finaliser of MurmurHash3), and is never 0.
+static uint32_t scrambled(uint32_t x) {
+  x = (x ^ (x >> 16)) * 0x85EBCA6Bu;
+  x = (x ^ (x >> 13)) * 0xC2B2AE35u;
+  return (x ^ (x >> 16)) | 1;
+}
+
+Controller::Controller(const Settings& settings, uint32_t seed)
+    : settings_(settings), nonce_(scrambled(seed)) {}
 
 void Controller::receive(uint8_t byte, uint32_t now_ms) {
   Frame frame;
@@ -38,26 +49,18 @@ void Controller::handle(const Frame& frame, uint32_t now_ms) {
   }
 }
 
+// A hello with any other nonce is a question, or of another time: it is answered and changes nothing.
 void Controller::handleHello(const Frame& frame, uint32_t now_ms) {
-  if (frame.size != 2 || frame.session == 0) return;
-  if (frame.session == last_session_ && now_ms - session_ms_ < kLateMs) {
-    ++repeated_;  // a double that was on its way for long must not end the session after its own
-    return;
-  }
+  if (frame.size == 0 || frame.session == 0) return;
   reply_due_ = true;  // also to another version, so that the host can name both
-  if (frame.payload[0] != kVersion) return;
-  if (frame.session == session_) {
-    ++repeated_;  // a double must not let old commands in again
-    return;
-  }
+  if (frame.payload[0] != kVersion || frame.size != 6 || get32(frame.payload + 2) != nonce_) return;
   startVenting();
-  last_session_ = session_;
+  nonce_ = scrambled(nonce_ + now_ms);
   session_ = frame.session;
-  session_ms_ = now_ms;
   command_ = beat_ = applied_ = repeated_ = 0;
   beat_ms_ = now_ms;
   latched_ &= frame.payload[1] ? 0 : kFaults;
-  stuck_ms_ = burst_ms_ = frozen_ms_ = 0;
+  stuck_ms_ = burst_ms_ = frozen_ms_ = owed_ms_ = 0;
 }
 
 void Controller::handleCommand(const Frame& frame) {
@@ -78,7 +81,6 @@ void Controller::handleCommand(const Frame& frame) {
   latched_ &= ~kRefused;
   if (!controlling_) {
     ramp_pa_ = clamp(measured_pa_, 0, settings_.max_pa);
-    smooth_pa_ = measured_pa_;
     integral_ = 0;
   }
   controlling_ = true;
@@ -96,13 +98,30 @@ Valves Controller::step(int32_t measured_pa, uint32_t now_ms) {
   const uint32_t dt_ms = now_ms - step_ms_;
   step_ms_ = now_ms;
   measured_pa_ = measured_pa;
+  countAir(dt_ms);
   if (session_ != 0 && now_ms - beat_ms_ >= settings_.heartbeat_ms) latched_ |= kHeartbeatLost;
   if (measured_pa > settings_.cutoff_pa) latched_ |= kOverPressure;
   if (controlling_) closeLoop(dt_ms);
   checkSensor(dt_ms);
+  checkRise(dt_ms);
   checkValves(dt_ms);
   if (latched_ & (kFaults | kHeartbeatLost)) startVenting();
   return Valves{drive_ > 0 ? drive_ : 0, drive_ < 0 ? -drive_ : 0};
+}
+
+// What the valves did since the last step. A valve lags its command, and so does the true pressure this account.
+void Controller::countAir(uint32_t dt_ms) {
+  const float dt = dt_ms * 1e-3f;
+  if (drive_ > 0) {
+    air_pa_ += (settings_.supply_pa - air_pa_) * clamp(drive_ * dt / settings_.fill_s, 0, 1);
+  } else {
+    air_pa_ -= air_pa_ * clamp(-drive_ * dt / settings_.vent_s, 0, 1);
+  }
+  air_pa_ -= air_pa_ * clamp(settings_.leak_per_s * dt, 0, 1);
+  const float share = clamp(dt / kSmoothS, 0, 1);
+  smooth_pa_ += (measured_pa_ - smooth_pa_) * share;
+  smooth_air_pa_ += (air_pa_ - smooth_air_pa_) * share;
+  if (air_pa_ > kAirShare * settings_.cutoff_pa) latched_ |= kTooMuchAir;
 }
 
 // PI control of the pressure towards a target that moves no faster than rate_pa_s.
@@ -112,19 +131,18 @@ void Controller::closeLoop(uint32_t dt_ms) {
   const float left = target_pa_ - ramp_pa_;
   ramp_pa_ += clamp(left, -stride, stride);
   const float error = ramp_pa_ - measured_pa_;
-  smooth_pa_ += (measured_pa_ - smooth_pa_) * clamp(dt / kSmoothS, 0, 1);
   const float rate = (measured_pa_ - smooth_pa_) / kSmoothS;
   const float settled = kSettledShare * settings_.max_pa;
   // The integral is for a leak. Built up while the pressure is still on its way, it would overshoot at the end.
   if (ramp_pa_ == target_pa_ && rate > -settled && rate < settled) {
-    integral_ = clamp(integral_ + settings_.gain_per_pa_s * error * dt, -1, 1);
+    integral_ = clamp(integral_ + settings_.gain_per_pa_s * error * dt, -kIntegralMost, kIntegralMost);
   }
   drive_ = clamp(settings_.gain_per_pa * error + integral_, -1, 1);
 }
 
 void Controller::checkSensor(uint32_t dt_ms) {
   const int32_t max = settings_.max_pa;
-  if (measured_pa_ < settings_.sensor_low_pa || measured_pa_ > 4 * max) latched_ |= kSensorFault;
+  if (measured_pa_ < settings_.sensor_low_pa || measured_pa_ / 4 > max) latched_ |= kSensorFault;
   // A live reading has noise; one that stays the same to the last bit while air flows is no reading.
   const bool empty = drive_ < 0 && measured_pa_ < kFollowShare * max;
   const bool driven = drive_ > kDriven || drive_ < -kDriven;
@@ -133,18 +151,33 @@ void Controller::checkSensor(uint32_t dt_ms) {
   if (frozen_ms_ >= settings_.frozen_ms) latched_ |= kSensorFault;
 }
 
+// The reading must rise with the air: one that has noise and stays is no reading either.
+void Controller::checkRise(uint32_t dt_ms) {
+  const float air = smooth_air_pa_ - rise_air_pa_;
+  const bool rises = air > kFollowShare * settings_.max_pa;
+  const bool owed = rises && smooth_pa_ - rise_pa_ < kRiseShare * air;
+  owed_ms_ = owed ? owed_ms_ + dt_ms : 0;
+  rise_s_ += dt_ms * 1e-3f;
+  if (!owed && (rises || air < 0 || rise_s_ >= kRiseS)) {
+    rise_s_ = 0;
+    rise_air_pa_ = smooth_air_pa_;
+    rise_pa_ = smooth_pa_;
+  }
+  if (owed_ms_ >= settings_.frozen_ms) latched_ |= kStuckValve;
+}
+
 void Controller::checkValves(uint32_t dt_ms) {
   const float error = (controlling_ ? ramp_pa_ : 0) - measured_pa_;
   const float tolerance = kFollowShare * settings_.max_pa;
   const bool stuck = (drive_ > kFull && error > tolerance) || (drive_ < -kFull && error < -tolerance);
-  const int32_t moved = drive_ > 0 ? measured_pa_ - stuck_pa_ : stuck_pa_ - measured_pa_;
+  const float moved = drive_ > 0 ? float(measured_pa_) - stuck_pa_ : float(stuck_pa_) - measured_pa_;
   const bool moves = moved > tolerance / 2;
   stuck_ms_ = stuck && !moves ? stuck_ms_ + dt_ms : 0;
   if (!stuck || moves) stuck_pa_ = measured_pa_;
   if (stuck_ms_ >= kStuckMs) latched_ |= kStuckValve;
 
   if (drive_ <= 0 || measured_pa_ > peak_pa_) peak_pa_ = measured_pa_;
-  const bool falling = drive_ > kDriven && peak_pa_ - measured_pa_ > kBurstShare * settings_.max_pa;
+  const bool falling = drive_ > kDriven && float(peak_pa_) - measured_pa_ > kBurstShare * settings_.max_pa;
   burst_ms_ = falling ? burst_ms_ + dt_ms : 0;
   if (burst_ms_ >= kBurstMs) latched_ |= kBurstLine;
 }
@@ -156,12 +189,13 @@ size_t Controller::transmit(uint8_t* wire, uint32_t now_ms) {
     reply_due_ = false;
     frame.type = kHelloReply;
     frame.sequence = 0;
-    frame.size = 13;
+    frame.size = 17;
     frame.payload[0] = kVersion;
     put32(frame.payload + 1, settings_.max_pa);
     put32(frame.payload + 5, settings_.rate_pa_s);
     put16(frame.payload + 9, settings_.heartbeat_ms);
     put16(frame.payload + 11, settings_.status_ms);
+    put32(frame.payload + 13, nonce_);
     return writeFrame(frame, wire);
   }
   if (now_ms - status_ms_ < settings_.status_ms) return 0;

@@ -5,7 +5,7 @@
 
 namespace pneutac {
 
-constexpr uint8_t kVersion = 1;
+constexpr uint8_t kVersion = 2;
 constexpr size_t kMaxPayload = 32;
 constexpr size_t kMaxWire = 48;  // the longest frame with its delimiters
 
@@ -27,8 +27,9 @@ enum Flag : uint16_t {
   kSensorFault = 1 << 5,
   kStuckValve = 1 << 6,
   kBurstLine = 1 << 7,
+  kTooMuchAir = 1 << 8,
 };
-constexpr uint16_t kFaults = kOverPressure | kSensorFault | kStuckValve | kBurstLine;
+constexpr uint16_t kFaults = kOverPressure | kSensorFault | kStuckValve | kBurstLine | kTooMuchAir;
 
 struct Frame {
   uint8_t type;

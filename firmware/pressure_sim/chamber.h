@@ -1,5 +1,6 @@
 // A finger's chamber on two valves, for running the firmware without a rig.
 #pragma once
+#include <math.h>
 #include <stdint.h>
 
 #include "../pressure_controller/controller.h"
@@ -11,6 +12,11 @@ struct Faults {
   bool burst = false;       // the line comes off
   bool frozen = false;      // the sensor repeats its last reading
   bool loose = false;       // the sensor's wire is off: 0 V, the lowest that the converter shows
+  double stuck_pa = NAN;    // the sensor reads this, with its noise
+  double offset_pa = 0;     // it reads so much more
+  double drift_pa_s = 0;    // the same, growing
+  double gain = 1;          // it reads so many times the pressure
+  double noise_pa = 0;      // added to its noise
 };
 
 // First-order filling from a regulated supply, first-order venting, a leak, and valves that take a moment.
@@ -33,7 +39,7 @@ class Chamber {
     if (broken && faults.burst) rate -= pressure_pa / kBurstS;
     pressure_pa += rate * dt;
     if (broken && faults.frozen) return;
-    reading_pa = static_cast<int32_t>((broken && faults.loose ? kLoosePa : pressure_pa) + noise_pa * noise());
+    reading_pa = static_cast<int32_t>(lrint(broken ? brokenReading(time_s) : pressure_pa + noise_pa * noise()));
   }
 
   double pressure_pa = 0;
@@ -42,9 +48,19 @@ class Chamber {
   int32_t reading_pa = 0;
 
  private:
+  double brokenReading(double time_s) {
+    double pa = isnan(faults.stuck_pa) ? faults.gain * pressure_pa : faults.stuck_pa;
+    pa += faults.offset_pa + faults.drift_pa_s * (time_s - faults.start_s);
+    if (faults.loose) pa = kLoosePa;
+    pa += (noise_pa + faults.noise_pa) * noise();
+    return pa < kLoosePa ? kLoosePa : pa > kMostPa ? kMostPa : pa;
+  }
+
   static constexpr double kValveS = 0.005;
   static constexpr double kBurstS = 0.010;
-  static constexpr double kLoosePa = -3113;  // of the sketch's sensor, 0.5 V at 0 kPa
+  // The sketch's sensor at 0 and 5 V.
+  static constexpr double kLoosePa = -3113;
+  static constexpr double kMostPa = 28114;
 
   double noise() {  // uniform in -1 ... 1, the same in every run
     state_ = state_ * 1664525u + 1013904223u;

@@ -15,13 +15,15 @@ from lerobot_robot_pneutac.hardware.serial_pressure import Command
 FIRMWARE = Path(__file__).parents[2] / "firmware"
 
 
-def build(folder):
-    """The program `pressure_sim`; skips where there is no compiler."""
+def build(folder, name="pressure_sim", *options):
+    """A program of the firmware's Makefile; skips where there is no compiler."""
     compiler = shutil.which("g++") or shutil.which("clang++")
     if compiler is None or shutil.which("make") is None:
         pytest.skip("building the firmware's simulator needs make and a C++ compiler")
-    subprocess.run(["make", "-s", "-C", FIRMWARE, f"BUILD={folder}", f"CXX={compiler}"], check=True)
-    return folder / "pressure_sim"
+    program = folder / name
+    make = ["make", "-s", "-C", FIRMWARE, f"BUILD={folder}", f"CXX={compiler}", *options]
+    subprocess.run([*make, str(program)], check=True)
+    return program
 
 
 class SimulatedTime:
@@ -31,6 +33,8 @@ class SimulatedTime:
         trace: per step (ms, true Pa, reading Pa, commanded inlet, commanded vent).
         frames: all that it sent.
         now_ms: its clock.
+        peak_pa: the highest true pressure so far.
+        exit_code: once closed.
     """
 
     def __init__(self, program, *options):
@@ -38,23 +42,44 @@ class SimulatedTime:
             [program, *map(str, options)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
         self._reader = wire.FrameReader()
-        self.trace, self.frames, self.now_ms = [], [], 0
+        self.trace, self.frames, self.now_ms, self.peak_pa = [], [], 0, 0.0
 
     def send(self, data):
         if data:
-            self._process.stdin.write(f"rx {data.hex()}\n")
+            self.send_line(f"rx {data.hex()}")
+
+    def send_line(self, line):
+        """A line of the program's own."""
+        self._process.stdin.write(line + "\n")
 
     def run(self, ms):
         """Runs on; returns the bytes that it sent meanwhile."""
         self._process.stdin.write(f"run {ms}\n")
+        self.now_ms += ms
+        return self._answer()
+
+    def skip(self, ms):
+        """Runs on without a trace."""
+        self._process.stdin.write(f"pass {ms}\n")
+        self.now_ms += ms
+        return self._answer()
+
+    def see(self, *readings_pa):
+        """A step of 1 ms with each of these readings in place of the chamber's."""
+        for pa in readings_pa:
+            self._process.stdin.write(f"see {pa}\n")
+            self.now_ms += 1
+            self._answer()
+
+    def _answer(self):
         self._process.stdin.flush()
         sent = b""
-        while (words := self._process.stdout.readline().split()) != ["done"]:
+        while (words := self._process.stdout.readline().split())[0] != "done":
             if words[0] == "tx":
                 sent += bytes.fromhex(words[1])
             else:
                 self.trace.append(tuple(map(float, words[1:])))
-        self.now_ms += ms
+        self.peak_pa = float(words[1])
         self.frames += self._reader.feed(sent)
         return sent
 
@@ -64,9 +89,35 @@ class SimulatedTime:
             self.send(wire.heartbeat(session, self.now_ms // 20 + 1))
             self.run(20)
 
-    def open(self, session=7):
-        self.send(wire.hello(session, True))
-        self.run(1)
+    def follow(self, targets_pa, every_ms, session=7):
+        """Set-points one after another with heartbeats between, without a trace."""
+        for number, pa in enumerate(targets_pa, 1):
+            self.send(wire.set_point(session, number, round(pa)))
+            for _ in range(0, every_ms, 50):
+                self.send(wire.heartbeat(session, self.now_ms // 20 + 1))
+                self.skip(min(every_ms, 50))
+
+    def open(self, session=7, clear_faults=True):
+        """Asks for the nonce and opens a session with it; returns the hello that did."""
+        self._ask(wire.hello(session, clear_faults, 0))
+        hello = wire.hello(session, clear_faults, self.reply.nonce)
+        self._ask(hello)
+        return hello
+
+    def _ask(self, hello):
+        before = len(self.replies)
+        self.send(hello)
+        for _ in range(10):
+            if len(self.replies) == before:
+                self.run(1)
+
+    @property
+    def replies(self):
+        return [r for r in map(wire.read_hello_reply, self.frames) if r]
+
+    @property
+    def reply(self):
+        return self.replies[-1]
 
     @property
     def status(self):
@@ -74,7 +125,7 @@ class SimulatedTime:
 
     def close(self):
         self._process.stdin.close()
-        self._process.wait(timeout=5)
+        self.exit_code = self._process.wait(timeout=5)
         self._process.stdout.close()
 
 

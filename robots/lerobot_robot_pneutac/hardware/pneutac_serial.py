@@ -16,7 +16,10 @@ FAULTS = {
     Flag.OVER_PRESSURE: "the pressure exceeded the cut-off; look for a stuck inlet or a squeezed finger",
     Flag.SENSOR_FAULT: "the pressure sensor is stuck or out of range; check its wiring",
     Flag.BURST_LINE: "the pressure falls while the inlet is open; look for a burst finger or a loose line",
-    Flag.STUCK_VALVE: "the pressure does not follow; look for a stuck valve, no supply or a loose line",
+    Flag.STUCK_VALVE: (
+        "the pressure does not follow; look for a stuck valve, no supply, a loose line or a stuck sensor"
+    ),
+    Flag.TOO_MUCH_AIR: "more air went in than the pressure shows; check the sensor and look for a leak",
     Flag.REFUSED: "it refused a set-point; connect again",
 }
 
@@ -48,6 +51,7 @@ class PneutacExchange:
         self._session = (self._session + secrets.randbelow(0xFFFE)) % 0xFFFF + 1
         self._reader = wire.FrameReader()
         self._open = False
+        self._nonce = 0  # none yet
         self._status_sequence: int | None = None
         self._sequence = 0
         self._pending = b""  # the newest command until it was received
@@ -94,7 +98,7 @@ class PneutacExchange:
         if now_s < self._next_s:
             return b""
         self._next_s = now_s + HELLO_S
-        return wire.hello(self._session, self._clear_faults)
+        return wire.hello(self._session, self._clear_faults, self._nonce)
 
     def _take_reply(self, reply: wire.HelloReply, session: int, now_s: float) -> None:
         if reply.version != wire.VERSION:
@@ -103,7 +107,11 @@ class PneutacExchange:
                 f"{wire.VERSION}; install firmware and driver of one release"
             )
             return
-        if session != self._session or self._open:
+        if self._open:
+            return
+        if session != self._session or not self._nonce:  # now the nonce is known
+            self._nonce = reply.nonce
+            self._next_s = now_s
             return
         allowed = reply.max_pa / 1000
         if self._wanted_max_kpa is not None and self._wanted_max_kpa > allowed:

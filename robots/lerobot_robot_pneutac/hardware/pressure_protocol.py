@@ -5,12 +5,12 @@ import struct
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 
-VERSION = 1
+VERSION = 2
 MAX_PAYLOAD = 32
 _HEADER = struct.Struct("<BHH")
 _CRC = struct.Struct("<H")
 _MAX_FRAME = _HEADER.size + MAX_PAYLOAD + _CRC.size
-_HELLO_REPLY = struct.Struct("<BIIHH")
+_HELLO_REPLY = struct.Struct("<BIIHHI")
 _STATUS = struct.Struct("<iiHHHHHH")
 
 
@@ -36,6 +36,7 @@ class Flag(IntFlag):
     SENSOR_FAULT = 1 << 5
     STUCK_VALVE = 1 << 6
     BURST_LINE = 1 << 7
+    TOO_MUCH_AIR = 1 << 8
 
 
 @dataclass(frozen=True)
@@ -57,13 +58,14 @@ class Frame:
 
 @dataclass(frozen=True)
 class HelloReply:
-    """What a controller is: pressures in Pa, rate in Pa/s, times in ms."""
+    """What a controller is: pressures in Pa, rate in Pa/s, times in ms; `nonce` opens its next session."""
 
     version: int
     max_pa: int
     rate_pa_s: int
     heartbeat_ms: int
     status_ms: int
+    nonce: int
 
 
 @dataclass(frozen=True)
@@ -149,9 +151,15 @@ class FrameReader:
         return frames
 
 
-def hello(session: int, clear_faults: bool) -> bytes:
-    """Opens a session; `session` is any number from 1 to 65535 other than the last one."""
-    return encode(Frame(Type.HELLO, session, 0, bytes([VERSION, clear_faults])))
+def hello(session: int, clear_faults: bool, nonce: int) -> bytes:
+    """Opens a session where `nonce` is the controller's present one, else asks for it.
+
+    Args:
+        session: any number from 1 to 65535 other than the last one.
+        clear_faults: whether the new session forgets faults.
+        nonce: 32 bits, from the controller's reply; 0 is none.
+    """
+    return encode(Frame(Type.HELLO, session, 0, struct.pack("<BBI", VERSION, clear_faults, nonce)))
 
 
 def set_point(session: int, sequence: int, target_pa: int) -> bytes:
