@@ -71,7 +71,7 @@ def parse_options(config_class: type, argv: list[str]):
 
 def name_option(sentence: str, config_class: type) -> str:
     """A library's sentence about a parameter, `jobs=-1 must be ...`, as one about the option `--jobs`."""
-    first = re.match(r"\w+(?==| is | has | and )", sentence)
+    first = re.match(r"[\w.]+(?==| is | has | and )", sentence)
     name = first[0] if first else ""
     options = [o.name for o in list_options(config_class)]
     named = [o for o in options if o == name] or [o for o in options if re.search(rf"[._]{name}$", o)]

@@ -44,7 +44,7 @@ class Intrinsics:
             rms = float(d["rms_px"])
         except (OSError, ValueError, KeyError, TypeError) as e:
             raise InputError(
-                f"--intrinsics={path} is no camera calibration ({e}); make one with pneutac measure"
+                f"intrinsics={path} is no camera calibration ({e}); make one with pneutac measure"
                 " --chessboard=FOLDER."
             ) from e
         if matrix.shape != (3, 3) or distortion.shape != (5,) or not np.isfinite(matrix).all():

@@ -71,17 +71,17 @@ class MeasureConfig:
                 raise InputError("--pressure.type is missing; give --pressure.type=pneutac_serial.")
         for name in needed:
             if getattr(self, name) is None:
-                option = f"--{name}.type" if name == "camera" else f"--{name}"
+                option = "camera.type" if name == "camera" else name
                 raise InputError(f"{option} is missing.")
         for name in ("length_mm", "max_kpa", "hz", "repeat", "marker_mm", "square_mm"):
             value = getattr(self, name)
             if value is not None and not 0 < value < np.inf:
-                raise InputError(f"--{name}={value} must be positive.")
+                raise InputError(f"{name}={value} must be positive.")
         if self.hz < MIN_HZ:
             raise InputError(
-                f"--hz={self.hz} must be {MIN_HZ:g} or more; pressure is held {COMMAND_S} s a sample."
+                f"hz={self.hz} must be {MIN_HZ:g} or more; pressure is held {COMMAND_S} s a sample."
             )
         if not 0 <= self.rest_s < np.inf:
-            raise InputError(f"--rest_s={self.rest_s} must be 0 or more.")
+            raise InputError(f"rest_s={self.rest_s} must be 0 or more.")
         if self.out is not None and self.out.exists() and (not self.out.is_dir() or any(self.out.iterdir())):
-            raise InputError(f"--out={self.out} is not empty; give a new folder.")
+            raise InputError(f"out={self.out} is not empty; give a new folder.")

@@ -46,7 +46,7 @@ def read_program(given: str, max_kpa: float, hz: float, recording: Path | None =
     if given in BUILTIN:
         trials = [t for name in BUILTIN[:-1] if given in (name, "all") for t in _builtin(name, max_kpa, hz)]
     elif not Path(given).is_file():
-        raise InputError(f"--program={given} is neither a file nor one of {', '.join(BUILTIN)}.")
+        raise InputError(f"program={given} is neither a file nor one of {', '.join(BUILTIN)}.")
     elif Path(given).suffix == ".json":
         trials = [_proposed(Path(given), recording, hz)]
     else:
@@ -55,7 +55,7 @@ def read_program(given: str, max_kpa: float, hz: float, recording: Path | None =
         low, high = float(t.pressure_kpa.min()), float(t.pressure_kpa.max())
         if low < 0 or high > max_kpa:
             raise InputError(
-                f"The program '{t.program}' goes from {low:g} to {high:g} kPa; --max_kpa allows 0 to"
+                f"The program '{t.program}' goes from {low:g} to {high:g} kPa; max_kpa allows 0 to"
                 f" {max_kpa:g}."
             )
     return trials
@@ -116,7 +116,7 @@ def _proposed(path: Path, recording: Path | None, hz: float) -> PressureTrial:
     except (ValueError, KeyError, TypeError) as e:
         raise InputError(f"{path} is no result of pneutac diagnose: 'next_experiment' is missing.") from e
     if recording is None:
-        raise InputError("--program=result.json needs --recording, the folder that was diagnosed.")
+        raise InputError("program=result.json needs recording, the folder that was diagnosed.")
     r = Recording.load(recording)
     found = {e: {k: v["value"] for k, v in c.items()} for e, c in told.get("parameters", {}).items()}
     for p in [*menu(r), *law_programs(r, found)]:

@@ -8,20 +8,19 @@ from dataclasses import replace
 import numpy as np
 
 from lerobot_pneutac.diagnosis.candidates import sort_candidates
-from lerobot_pneutac.diagnosis.experiment import Separation, predict, separations
-from lerobot_pneutac.diagnosis.law_programs import law_program
+from lerobot_pneutac.diagnosis.experiment import predict
 from lerobot_pneutac.diagnosis.model import FittedModel
 from lerobot_pneutac.diagnosis.parts import deal
-from lerobot_pneutac.diagnosis.result import Outcome, Rival, Tested
+from lerobot_pneutac.diagnosis.result import Outcome
 from lerobot_pneutac.diagnosis.search import Scored
 from lerobot_pneutac.diagnosis.steps import Steps
-from lerobot_pneutac.diagnosis.verdict import Evidence, decide, too_few
 from lerobot_pneutac.study import gauge
-from lerobot_pneutac.study.base import EffectStudy
 from lerobot_pneutac.study.body_model import BodyFitter, BodyModel, Form, Reading
-from lerobot_pneutac.study.body_search import BodySearch, Searched, base_effects, left_to_black_box
+from lerobot_pneutac.study.body_outcome import body_outcome
+from lerobot_pneutac.study.body_search import BodySearch, base_effects
 from lerobot_pneutac.study.body_space import BodySpace
-from lerobot_pneutac.study.pair import LONGER, enough_rows
+from lerobot_pneutac.study.body_words import BodyWords
+from lerobot_pneutac.study.pair import enough_rows
 from lerobot_pneutac.study.reading import read
 from lerobot_pneutac.study.slips import find_slip
 from pneutac_datasets.recording.checks import check
@@ -29,13 +28,12 @@ from pneutac_datasets.recording.mounts import on_one_mount
 from pneutac_datasets.recording.noise import headline, noise_floor
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.tracker import where
-from pneutac_sim.effects.laws import family, is_law, starts
+from pneutac_sim.effects.laws import starts
 from pneutac_sim.effects.registry import body_effects, get_effect, of_body
 from pneutac_sim.finger.confidence import Z95, confidence
 from pneutac_sim.finger.data import BodyData
 from pneutac_sim.twin import Twin, Value
 
-REPEAT = "Run the same program twice, an hour apart: what comes back is the device, what does not is the lab."
 RESTED_S = 1e4  # a pause at zero pressure after which everything has rested
 OF_TRIALS = (
     "Trials differ by small offsets, gains, zeros and clocks of their own, no part of the device: with "
@@ -45,7 +43,7 @@ EDGE = 1e-3
 MOST_SLIPS = 3
 
 
-class BodyStudy(EffectStudy):
+class BodyStudy(BodyWords):
     """Markers, angles or curvatures of a finger or an arm.
 
     Args:
@@ -62,10 +60,6 @@ class BodyStudy(EffectStudy):
     Raises:
         InputError: the recording has too few rows to fit the twin at all, or is of another device.
     """
-
-    unknown_where = "moves your {device}"
-    more_data, repeat = LONGER, REPEAT
-    nothing_left = "Nothing needs to be recorded; go to higher pressure to find where the twin ends."
 
     def __init__(self, twin: Twin, recording: Recording, seed: int = 0, adding: Sequence[str] = ()):
         self.twin, self.seed = twin, seed
@@ -98,7 +92,7 @@ class BodyStudy(EffectStudy):
 
     def fitted(self, model: BodyModel) -> FittedModel:
         """A model of the search, run on all samples from the command."""
-        twin = self._twin(model)
+        twin = self.twin_with(model)
         fitter = BodyFitter(self.recording, self.twin, np.zeros(1, int))
         data = fitter.data(model.form.reading)
         residual = (data.measured - fitter.predict(model))[:, : data.counted]
@@ -113,7 +107,7 @@ class BodyStudy(EffectStudy):
             effects=model.form.effects, residual=residual, count=len(names), twin=twin, at_bound=bound
         )
 
-    def _twin(self, model: BodyModel) -> Twin:
+    def twin_with(self, model: BodyModel) -> Twin:
         """The twin with a model's parameters, their intervals, and how its recordings begin."""
         fitter = BodyFitter(self.recording, self.twin, np.zeros(1, int))
         edge = (model.v < EDGE) | (model.v > 1 - EDGE)
@@ -190,163 +184,7 @@ class BodyStudy(EffectStudy):
             if done.model.model.form.trials:
                 self.findings = [*self.findings, OF_TRIALS]
             steps.done()
-            return self._outcome(search, before, done, began)
-
-    def _outcome(self, search: BodySearch, start: Scored, done: Searched, began: float) -> Outcome:
-        before = self.fitted(start.model)
-        after = self._after(done, before)
-        helps = search.judge.drop(start.crossed, done.model.crossed)[1] > 0
-        helps = helps and self.test.value(after.squared) < self.test.value(before.squared)
-        if not helps:
-            after, done.terms = before, []
-        else:
-            done.black_box = left_to_black_box(self, after.residual)
-        if not done.terms and helps is False:
-            done.black_box = left_to_black_box(self, before.residual)
-        evidence = self._evidence(before, after, done)
-        ladder = [("as it is", before)]
-        if helps:
-            ladder += self._ladder(done, after)
-        return Outcome(
-            before=before,
-            after=after,
-            ladder=ladder,
-            selected=done.terms,
-            tested=self._tested(search, done, before),
-            rivals=self._rivals(done),
-            correlated=[],
-            evidence=evidence,
-            verdict=decide(evidence),
-            twin=after.twin,
-            seconds=time.perf_counter() - began,
-            chosen_in=done.chosen_in,
-            base_model=self._base(done) if helps else {},
-        )
-
-    def _after(self, done: Searched, before: FittedModel) -> FittedModel:
-        if not done.driven:
-            return self.fitted(done.model.model)
-        body = self._twin(done.model.model)
-        assert done.air is not None
-        air = self._twin(done.air.final.model)
-        body.effects = body.effects | {k: v for k, v in air.effects.items() if get_effect(k).of_air}
-        return FittedModel(
-            effects=tuple(body.effects),
-            residual=self.residual(body),
-            count=len(done.model.model.free),
-            twin=body,
-        )
-
-    def _ladder(self, done: Searched, after: FittedModel) -> list[tuple[str, FittedModel]]:
-        out, had = [], set(self.own)
-        for i, s in enumerate(done.found.path):
-            new = [e for e in s.model.form.effects if e not in had and (i > 0 or e not in done.space.base)]
-            out.append(
-                (" + ".join(["how it bends", *new] if i == 0 else ["", *new]).strip(), self.fitted(s.model))
-            )
-            had |= set(s.model.form.effects)
-        return [*out[:-1], ("all that was found", after)]
-
-    def _base(self, done: Searched) -> dict:
-        """How it bends, in numbers."""
-        model = done.model.model
-        values = {k: v for k, v in model.values.items() if "." not in k}
-        parts = [e for e in model.form.effects if e in done.space.base and e not in done.terms]
-        values |= {k: v for k, v in model.values.items() if k.rpartition(".")[0] in parts}
-        switch = model.form.reading.switch
-        return {
-            "joints": model.form.joints,
-            "profile": "its own" if model.form.own else "the paper's",
-            "trials_begin": model.form.reading.start,
-            "switch_share": None if switch is None else float(np.nanmedian(np.array(switch, dtype=float))),
-            "driven_by": "measured pressure" if done.driven else "command",
-            "parameters": values,
-        }
-
-    def _tested(self, search: BodySearch, done: Searched, before: FittedModel) -> list[Tested]:
-        """What each effect does alone: those found, then the best of the others, from the first round."""
-        first: dict[str, FittedModel] = {}
-        base = set(done.found.base.model.form.effects)
-        rounds = [*done.found.path[1:2], *(done.found.rivals[0] if done.found.rivals else [])]
-        for s in rounds:
-            new = [e for e in s.model.form.effects if e not in base]
-            if len(new) == 1:
-                first.setdefault(new[0], self.fitted(s.model))
-        ground = self.fitted(done.found.base.model)
-        out = []
-        how = "pose, driven by the measured pressure" if done.driven else "pose, driven by the command"
-        for name in (*done.terms, *(e for e in first if e not in done.terms)):
-            model = first.get(name)
-            if model is None and name in done.importance and name in done.space.candidates:
-                form = done.found.base.model.form.plus(name.partition(" #")[0])
-                fits = search._search(done.space, self.noise.value).fits(
-                    [done.space.trial(form, done.found.base.model.values, name, s) for s in starts(name)], 8
-                )
-                model = self.fitted(fits[0].model) if fits else None
-            if model is None:
-                continue
-            share, interval = self.test.reduction(ground.squared, model.squared, self.noise.value)
-            errors = {"heldout": float(np.sqrt(self.test.value(model.squared)))}
-            out.append(Tested(name, errors, share, interval, self.parameters(model, model.effects[-1]), how))
-        return out
-
-    def _rivals(self, done: Searched) -> list[Rival]:
-        """Models that were as good where a term was accepted, with another in its place."""
-        out = []
-        for taken, others, before in zip(
-            done.found.path[1:], done.found.rivals, done.found.path, strict=False
-        ):
-            room = max(before.value - self.noise.value**2, 0.0)
-            new = [e for e in taken.model.form.effects if e not in before.model.form.effects]
-            for s in others:
-                instead = [e for e in s.model.form.effects if e not in taken.model.form.effects]
-                as_good = s.value - taken.value < 0.02 * room
-                if as_good and len(new) == 1 and len(instead) == 1 and new[0] in done.terms:
-                    if family(instead[0]) != family(new[0]):
-                        share = s.value / max(taken.value, 1e-30) - 1
-                        out.append(
-                            Rival(new[0], instead[0], share, self.fitted(s.model), self.fitted(taken.model))
-                        )
-        return out[:3]
-
-    def _evidence(self, before: FittedModel, after: FittedModel, done: Searched) -> Evidence:
-        """What the verdict rests on: errors of test blocks, which nothing was fitted or chosen on."""
-        test, floor = self.test, max(self.noise.value, 1e-12)
-        data = BodyData.of(self.recording, self.twin, source="command")
-        constant = data.measured[:, : data.counted] - data.measured[~self.parts.test, : data.counted].mean(
-            axis=0
-        )
-        worst = min(test.value(before.squared), test.value((constant**2).sum(axis=1)))
-        if done.model.model.form.trials:  # what zeros of trials take away, no law did
-            worst = min(worst, test.value(self.fitted(done.found.base.model).squared))
-        left = test.value(after.squared) - floor**2
-        removed = 1 - max(left, 0.0) / (worst - floor**2) if worst > 1.02 * floor**2 else 0.0
-        agreed = [done.chosen_in.get(t, 1.0) for t in done.terms[:1]]
-        return Evidence(
-            poor=bool(self.too_little()),
-            before=float(np.sqrt(worst)) / floor,
-            after=float(np.sqrt(test.value(after.squared))) / floor,
-            selected=done.terms,
-            removed=float(np.clip(removed, -1, 1)) if done.terms else 0.0,
-            at_bound=[n for n in after.at_bound if n.rpartition(".")[0] in done.terms],
-            cancelling=self._cancelling(after, done.terms),
-            left_to_black_box=done.black_box,
-            forward=done.forward,
-            agreed=min(agreed, default=1.0),
-            noise_known=self.noise.known,
-        )
-
-    def _cancelling(self, model: FittedModel, terms: Sequence[str]) -> list[str]:
-        """Laws each of which moves the device by more than it travels."""
-        data = read(self.recording, model.twin)
-        seen, out = predict(model.twin, data)[0], []
-        travel = np.linalg.norm(np.ptp(data.measured[:, : data.counted], axis=0))
-        for law in filter(is_law, terms):
-            others = {k: v for k, v in model.twin.effects.items() if k != law}
-            moved = seen - predict(replace(model.twin, effects=others), data)[0]
-            if np.linalg.norm(moved, axis=1).max() > travel:
-                out.append(law)
-        return out
+            return body_outcome(self, search, before, done, began)
 
     def refit(self, effects: Sequence[str], start: FittedModel | None, steps: Steps) -> FittedModel:
         """All parameters of the twin and of these effects, fitted to all but the test part.
@@ -412,116 +250,3 @@ class BodyStudy(EffectStudy):
             arrays=given.arrays,
             history=given.history,
         )
-
-    # ---------------------------------------------------------------- what it tells
-
-    def parameters(self, model: FittedModel, effect: str) -> dict[str, dict]:
-        """Parameters of one effect with interval and unit."""
-        units = {p.name: p.unit for p in get_effect(effect).parameters}
-        return {
-            k: {"value": v.value, "ci95": list(v.ci95) if v.ci95 else None, "unit": units.get(k, "")}
-            for k, v in model.twin.effects.get(effect, {}).items()
-        }
-
-    def size(self, model: FittedModel, effect: str) -> str:
-        """What the effect does to the prediction that another gain and offset could not."""
-        data = read(self.recording, model.twin)
-        others = {k: v for k, v in model.twin.effects.items() if k != effect}
-        seen, plain = (predict(t, data)[0] for t in (model.twin, replace(model.twin, effects=others)))
-        ground = np.concatenate([plain, np.ones((len(plain), 1))], axis=1)
-        left = seen - ground @ np.linalg.lstsq(ground, seen, rcond=None)[0]
-        what = {"mm": "tip", "rad": "bend", "1/m": "curvature"}[self.unit]
-        moved = np.linalg.norm(left, axis=1)
-        typically = f"{np.sqrt((moved**2).mean()):.2g} {self.unit}"
-        return f"That moves its {what} by {typically} typically and {moved.max():.2g} {self.unit} at most."
-
-    def experiment(self, model: FittedModel, effect: str) -> str:
-        """By the law's own program where it is one and was found."""
-        constants = {k: v.value for k, v in model.twin.effects.get(effect, {}).items()}
-        program = law_program(self.recording, effect, constants) if constants else None
-        return program.advice if program else super().experiment(model, effect)
-
-    def at_bound(self, model: FittedModel, effects: Sequence[str]) -> list[str]:
-        """Parameters stopped by a bound."""
-        return list(model.at_bound)
-
-    @property
-    def _moves(self) -> bool:
-        """Whether the commanded pressure moves at all."""
-        command = self.recording.samples[self.recording.pressure_columns].to_numpy(float)
-        return bool(np.ptp(command, axis=0).max() > 1e-3)
-
-    def too_little(self) -> str:
-        """Why nothing can be told."""
-        if not self._moves:
-            return (
-                "This recording cannot tell: the commanded pressure never moves, so nothing about bending "
-                "can be learnt from it."
-            )
-        samples, units = int((~self.test.mask).sum()), self.test.units
-        if not too_few(samples, units):
-            return ""
-        return (
-            f"This recording is too short to tell anything: {samples} samples to fit and "
-            f"{units} pieces of time to test on."
-        )
-
-    def caveats(self, outcome: Outcome) -> list[str]:
-        """What is not explained, what the pressure tells, and whether there was a test part."""
-        e, out = outcome.evidence, []
-        if outcome.selected and e.objections:
-            out.append(f"Not the whole truth: {'; '.join(e.objections)}.")
-        if e.unfinished:
-            out.append(
-                f"Unfinished: {100 * e.left_to_black_box:.0f} % of what is left still follows the inputs, as "
-                "a black box shows; a form is missing that neither library nor laws have."
-            )
-        if not e.noise_known:
-            out.append(
-                "The noise was neither declared nor measured by repeated programs; what a black box still "
-                "removes takes its place."
-            )
-        if not self.measured:
-            out.append(self._pressure_note())
-        if not self.parts.has_test:
-            out.append(
-                "The recording is too short for a part of its own for the report; the errors are optimistic."
-            )
-        return out
-
-    def _pressure_note(self) -> str:
-        logged = [c.replace("cmd_", "") for c in self.recording.pressure_columns]
-        if not all(map(self.recording.has, logged)):
-            return (
-                "The pressure was not measured, so a slow valve and a creeping body hide each other: a lag "
-                f"may be creep in part. Log {', '.join(logged)} to tell them apart."
-            )
-        if self._moves:
-            return (
-                "The measured pressure hardly moves while the command does and was left aside; a slow valve "
-                "and a creeping body hide each other: a lag may be creep in part."
-            )
-        moved = max(np.ptp(self.recording.column(c)) for c in logged)
-        if moved > max(1e-3, 10 * gauge.sensor_noise(self.recording, logged)):
-            return (
-                "The measured pressure moves although the commanded one never does, so the model had nothing "
-                "to follow: check that pressure_cmd_kpa is what was asked for."
-            )
-        return "The measured pressure does not move either."
-
-    def how_tested(self, outcome: Outcome) -> str:
-        """On what the candidates were tried."""
-        if not self.measured:
-            return "Effects of air and body are tried on the pose alike; no measured pressure is of use."
-        return (
-            "Effects of the air are tried on the measured pressure and on the pose, all others on the pose."
-        )
-
-    def separation(self, rival: Rival) -> Separation | None:
-        """The experiment that tells two models apart best."""
-        a, b, names = rival.winner.twin, rival.fit.twin, (rival.effect, rival.rival)
-        return next(iter(separations(self.recording, a, b, self.noise.value, names)), None)
-
-    def details(self, outcome: Outcome) -> dict:
-        """What only a body's `result.json` has."""
-        return {"measured_pressure": bool(self.measured), "base_model": outcome.base_model}

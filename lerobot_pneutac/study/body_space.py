@@ -1,6 +1,5 @@
 """What a search may try on a body: bases and lines to begin with, terms to add, and how trials begin."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -8,8 +7,8 @@ import numpy as np
 from scipy.optimize import minimize
 
 from lerobot_pneutac.study.body_model import BodyFitter, BodyModel, Form, Reading
-from pneutac_sim.effects.laws import is_law, law_names, starts
-from pneutac_sim.effects.registry import body_effects, get_effect
+from pneutac_sim.effects.laws import is_law, starts
+from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.finger.instants import StepErrors, instants, step_rows
 
 LINES = (
@@ -363,8 +362,3 @@ def _line_starts(line: tuple[str, ...]) -> list[dict[str, float]]:
         name = "air_resonance"
         out = [out[0] | {f"{name}.frequency_rad_per_s": w, f"{name}.damping_ratio": z} for w, z in tones]
     return out[: 1 if not line else None]
-
-
-def candidate_names(own: Iterable[str], excluded: Iterable[str] = ()) -> list[str]:
-    """All effects and laws that may be added."""
-    return [n for n in (*body_effects(), *law_names()) if n not in own and n not in set(excluded)]

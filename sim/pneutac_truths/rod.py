@@ -20,7 +20,6 @@ TWIST_COMPLIANCE = (
 # Columns of what the rod is told per solve.
 BEND_Z, BEND_Y, SET_Z, SET_Y, TWIST, STRETCH, SOFT = range(7)
 WEIGHT = slice(7, 10)  # of the rod, 1/mm^2 per mm of length
-TIP_WEIGHT = slice(10, 13)  # of tip piece and payload
 BASE_TURN = slice(13, 16)  # rotation vector of the mount, rad
 TIP_FORCE = slice(16, 19)  # other forces at the marker
 COLUMNS = 19

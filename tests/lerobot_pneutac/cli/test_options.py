@@ -107,6 +107,7 @@ def test_a_wrong_option_is_one_sentence(argv, sentence):
         ("depth is 1; it must be 2 or more.", "depth is 1; it must be 2 or more."),
         ("outside/x.csv is empty.", "outside/x.csv is empty."),
         ("out of memory.", "out of memory."),
+        ("planner.horizon is missing.", "--planner.horizon is missing."),
     ],
 )
 def test_a_librarys_sentence_about_a_parameter_is_told_of_the_option(sentence, told):

@@ -37,7 +37,7 @@ def test_a_table_is_held_from_row_to_row(tmp_path):
         ("time_s\n0\n", "'pressure_cmd_kpa' is missing"),
         ("time_s,pressure_cmd_kpa\n0,1\n1,x\n", "no finite number in row 2"),
         ("time_s,pressure_cmd_kpa\n1,1\n0,1\n", "must rise"),
-        ("time_s,pressure_cmd_kpa\n0,1\n1,60\n", "--max_kpa allows 0 to 15"),
+        ("time_s,pressure_cmd_kpa\n0,1\n1,60\n", "max_kpa allows 0 to 15"),
     ],
 )
 def test_a_bad_table_is_named(tmp_path, text, said):

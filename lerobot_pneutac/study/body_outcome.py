@@ -1,0 +1,184 @@
+"""From a body's search to the outcome of its diagnosis: models, rivals and the evidence of test blocks."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lerobot_pneutac.diagnosis.experiment import predict
+from lerobot_pneutac.diagnosis.model import FittedModel
+from lerobot_pneutac.diagnosis.result import Outcome, Rival, Tested
+from lerobot_pneutac.diagnosis.search import Scored
+from lerobot_pneutac.diagnosis.verdict import Evidence, decide
+from lerobot_pneutac.study.body_search import BodySearch, Searched, left_to_black_box
+from lerobot_pneutac.study.reading import read
+from pneutac_sim.effects.laws import family, is_law, starts
+from pneutac_sim.effects.registry import get_effect
+from pneutac_sim.finger.data import BodyData
+
+if TYPE_CHECKING:
+    from lerobot_pneutac.study.body import BodyStudy
+
+
+def body_outcome(
+    study: "BodyStudy", search: BodySearch, start: Scored, done: Searched, began: float
+) -> Outcome:
+    """What a search ended with, judged on test blocks; `began` by `time.perf_counter`."""
+    before = study.fitted(start.model)
+    after = _after(study, done, before)
+    helps = search.judge.drop(start.crossed, done.model.crossed)[1] > 0
+    helps = helps and study.test.value(after.squared) < study.test.value(before.squared)
+    if not helps:
+        after, done.terms = before, []
+    done.black_box = left_to_black_box(study, after.residual)
+    evidence = _evidence(study, before, after, done)
+    ladder = [("as it is", before)]
+    if helps:
+        ladder += _ladder(study, done, after)
+    return Outcome(
+        before=before,
+        after=after,
+        ladder=ladder,
+        selected=done.terms,
+        tested=_tested(study, search, done, before),
+        rivals=_rivals(study, done),
+        correlated=[],
+        evidence=evidence,
+        verdict=decide(evidence),
+        twin=after.twin,
+        seconds=time.perf_counter() - began,
+        chosen_in=done.chosen_in,
+        base_model=_base(done) if helps else {},
+    )
+
+
+def _after(study: "BodyStudy", done: Searched, before: FittedModel) -> FittedModel:
+    if not done.driven:
+        return study.fitted(done.model.model)
+    body = study.twin_with(done.model.model)
+    assert done.air is not None
+    air = study.twin_with(done.air.final.model)
+    body.effects = body.effects | {k: v for k, v in air.effects.items() if get_effect(k).of_air}
+    return FittedModel(
+        effects=tuple(body.effects),
+        residual=study.residual(body),
+        count=len(done.model.model.free),
+        twin=body,
+    )
+
+
+def _ladder(study: "BodyStudy", done: Searched, after: FittedModel) -> list[tuple[str, FittedModel]]:
+    out, had = [], set(study.own)
+    for i, s in enumerate(done.found.path):
+        new = [e for e in s.model.form.effects if e not in had and (i > 0 or e not in done.space.base)]
+        out.append(
+            (" + ".join(["how it bends", *new] if i == 0 else ["", *new]).strip(), study.fitted(s.model))
+        )
+        had |= set(s.model.form.effects)
+    return [*out[:-1], ("all that was found", after)]
+
+
+def _base(done: Searched) -> dict:
+    """How it bends, in numbers."""
+    model = done.model.model
+    values = {k: v for k, v in model.values.items() if "." not in k}
+    parts = [e for e in model.form.effects if e in done.space.base and e not in done.terms]
+    values |= {k: v for k, v in model.values.items() if k.rpartition(".")[0] in parts}
+    switch = model.form.reading.switch
+    return {
+        "joints": model.form.joints,
+        "profile": "its own" if model.form.own else "the paper's",
+        "trials_begin": model.form.reading.start,
+        "switch_share": None if switch is None else float(np.nanmedian(np.array(switch, dtype=float))),
+        "driven_by": "measured pressure" if done.driven else "command",
+        "parameters": values,
+    }
+
+
+def _tested(study: "BodyStudy", search: BodySearch, done: Searched, before: FittedModel) -> list[Tested]:
+    """What each effect does alone: those found, then the best of the others, from the first round."""
+    first: dict[str, FittedModel] = {}
+    base = set(done.found.base.model.form.effects)
+    rounds = [*done.found.path[1:2], *(done.found.rivals[0] if done.found.rivals else [])]
+    for s in rounds:
+        new = [e for e in s.model.form.effects if e not in base]
+        if len(new) == 1:
+            first.setdefault(new[0], study.fitted(s.model))
+    ground = study.fitted(done.found.base.model)
+    out = []
+    how = "pose, driven by the measured pressure" if done.driven else "pose, driven by the command"
+    for name in (*done.terms, *(e for e in first if e not in done.terms)):
+        model = first.get(name)
+        if model is None and name in done.importance and name in done.space.candidates:
+            form = done.found.base.model.form.plus(name.partition(" #")[0])
+            fits = search._search(done.space, study.noise.value).fits(
+                [done.space.trial(form, done.found.base.model.values, name, s) for s in starts(name)], 8
+            )
+            model = study.fitted(fits[0].model) if fits else None
+        if model is None:
+            continue
+        share, interval = study.test.reduction(ground.squared, model.squared, study.noise.value)
+        errors = {"heldout": float(np.sqrt(study.test.value(model.squared)))}
+        out.append(Tested(name, errors, share, interval, study.parameters(model, model.effects[-1]), how))
+    return out
+
+
+def _rivals(study: "BodyStudy", done: Searched) -> list[Rival]:
+    """Models that were as good where a term was accepted, with another in its place."""
+    out = []
+    for taken, others, before in zip(done.found.path[1:], done.found.rivals, done.found.path, strict=False):
+        room = max(before.value - study.noise.value**2, 0.0)
+        new = [e for e in taken.model.form.effects if e not in before.model.form.effects]
+        for s in others:
+            instead = [e for e in s.model.form.effects if e not in taken.model.form.effects]
+            as_good = s.value - taken.value < 0.02 * room
+            if as_good and len(new) == 1 and len(instead) == 1 and new[0] in done.terms:
+                if family(instead[0]) != family(new[0]):
+                    share = s.value / max(taken.value, 1e-30) - 1
+                    out.append(
+                        Rival(new[0], instead[0], share, study.fitted(s.model), study.fitted(taken.model))
+                    )
+    return out[:3]
+
+
+def _evidence(study: "BodyStudy", before: FittedModel, after: FittedModel, done: Searched) -> Evidence:
+    """What the verdict rests on: errors of test blocks, which nothing was fitted or chosen on."""
+    test, floor = study.test, max(study.noise.value, 1e-12)
+    data = BodyData.of(study.recording, study.twin, source="command")
+    constant = data.measured[:, : data.counted] - data.measured[~study.parts.test, : data.counted].mean(
+        axis=0
+    )
+    worst = min(test.value(before.squared), test.value((constant**2).sum(axis=1)))
+    if done.model.model.form.trials:  # what zeros of trials take away, no law did
+        worst = min(worst, test.value(study.fitted(done.found.base.model).squared))
+    left = test.value(after.squared) - floor**2
+    removed = 1 - max(left, 0.0) / (worst - floor**2) if worst > 1.02 * floor**2 else 0.0
+    agreed = [done.chosen_in.get(t, 1.0) for t in done.terms[:1]]
+    return Evidence(
+        poor=bool(study.too_little()),
+        before=float(np.sqrt(worst)) / floor,
+        after=float(np.sqrt(test.value(after.squared))) / floor,
+        selected=done.terms,
+        removed=float(np.clip(removed, -1, 1)) if done.terms else 0.0,
+        at_bound=[n for n in after.at_bound if n.rpartition(".")[0] in done.terms],
+        cancelling=_cancelling(study, after, done.terms),
+        left_to_black_box=done.black_box,
+        forward=done.forward,
+        agreed=min(agreed, default=1.0),
+        noise_known=study.noise.known,
+    )
+
+
+def _cancelling(study: "BodyStudy", model: FittedModel, terms: Sequence[str]) -> list[str]:
+    """Laws each of which moves the device by more than it travels."""
+    data = read(study.recording, model.twin)
+    seen, out = predict(model.twin, data)[0], []
+    travel = np.linalg.norm(np.ptp(data.measured[:, : data.counted], axis=0))
+    for law in filter(is_law, terms):
+        others = {k: v for k, v in model.twin.effects.items() if k != law}
+        moved = seen - predict(replace(model.twin, effects=others), data)[0]
+        if np.linalg.norm(moved, axis=1).max() > travel:
+            out.append(law)
+    return out
