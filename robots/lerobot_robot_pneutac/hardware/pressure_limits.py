@@ -13,6 +13,8 @@ def checked_kpa(kpa: float, max_kpa: float) -> float:
     """
     try:
         value = float(kpa)
+    except OverflowError:  # a whole number beyond all floats
+        value = math.inf
     except (TypeError, ValueError):
         raise InputError(f"The set-point {kpa!r} is no number; it must be a pressure in kPa.") from None
     if not math.isfinite(value):
@@ -26,7 +28,7 @@ def positive(name: str, value: float | str) -> float:
     """A numeric option, which from a command line may come as text; raises InputError naming it."""
     try:
         number = float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         number = math.nan
     if not 0 < number < math.inf:
         raise InputError(f"{name} is {value!r}; it must be a positive number.")

@@ -4,7 +4,10 @@ import atexit
 import logging
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
+from concurrent.futures import Future
+from typing import Any
 
 import numpy as np
 
@@ -19,9 +22,13 @@ from lerobot_robot_pneutac.hardware.parts import (
 
 VENT_S = 1.0  # without an action for so long the chamber is vented
 HOLD_S = 0.5 * COMMAND_S  # without an action for so long the watchdog holds the pressure
-REFUSALS = 10  # so many refused actions in a row are a fault
+REFUSALS = 5  # so many refused actions among the last `RECENT` are a fault
+RECENT = 20
 TICK_S = 0.02  # of the watchdog
-HALT_S = 1.0  # how long a halt waits for the arm to say that it stopped
+ARM_S = 0.2  # an arm that has not answered for so long is lost
+MOVE_S = 3.0  # the same of a command, which may clear a reflex first
+HALT_S = 0.05  # how long a halt waits for the arm to say that it stopped
+CLOSE_S = 1.0  # how long closing waits for each thread
 
 logger = logging.getLogger(__name__)
 
@@ -47,7 +54,7 @@ class Guard:
         self.fault: HardwareFault | None = None
         self.refused = 0
         self._arm, self._pressure = arm, pressure
-        self._in_a_row = 0
+        self._recent: deque[bool] = deque(maxlen=RECENT)  # whether each of the last actions was refused
         self._target_kpa = 0.0
         self._last_s = time.monotonic()
         self._moving = self._inflated = False
@@ -71,7 +78,7 @@ class Guard:
             HardwareFault: a part failed or a limit is broken, now or before.
         """
         with self.failing("reading arm and pressure"):
-            state, kpa = self._arm.state(), float(self._pressure.pressure())
+            state, kpa = within(ARM_S, "The arm", self._arm.state), float(self._pressure.pressure())
             breach = self.limits.broken_by(state.force_n, kpa)
             if breach:
                 raise HardwareFault(breach)
@@ -84,22 +91,23 @@ class Guard:
             values: (4,) flange velocity m/s and pressure kPa.
 
         Returns:
-            What was carried out (4,): the arm at rest and the pressure as it was, where it was refused.
+            What was carried out (4,): zeros, the arm at rest and the chamber vented, where it was refused.
 
         Raises:
-            HardwareFault: as `look`, or `REFUSALS` actions in a row were refused.
+            HardwareFault: as `look`, or `REFUSALS` of the last `RECENT` actions were refused.
         """
         state, _ = self.look()
         with self.failing("sending an action"):
             reason = why_refused(values)
+            self._recent.append(reason is not None)
             if reason:
                 return self._refuse(reason)
             now = time.monotonic()
             self._target_kpa = self.limits.pressure(values[3], self._target_kpa, now - self._last_s)
             velocity = self.limits.velocity(values[:3], state.flange_m)
-            self._in_a_row, self._last_s = 0, now
+            self._last_s = now
             self._moving = self._inflated = True
-            self._arm.move(velocity)
+            within(MOVE_S, "The arm", self._arm.move, velocity)
             self._pressure.set_pressure(self._target_kpa)
         if self.fault:  # arose meanwhile in another thread: it must have the last word
             self.halt()
@@ -135,7 +143,7 @@ class Guard:
         self.halt()
         for thread in self._threads:
             if thread.is_alive():
-                thread.join(HALT_S)
+                thread.join(CLOSE_S)
         atexit.unregister(self._last_line)
 
     def _last_line(self) -> None:
@@ -153,12 +161,14 @@ class Guard:
 
     def _refuse(self, reason: str) -> np.ndarray:
         self.refused += 1
-        self._in_a_row += 1
-        logger.warning("Action refused: %s. The arm stops and the pressure stays.", reason)
-        self._arm.stop()
-        if self._in_a_row >= REFUSALS:
-            raise HardwareFault(f"{REFUSALS} actions in a row were refused, the last because {reason}.")
-        return np.array([0.0, 0.0, 0.0, self._target_kpa])
+        logger.warning("Action refused: %s. The arm stops and the chamber is vented.", reason)
+        self.halt()
+        self._last_s = time.monotonic()  # the next pressure begins at zero
+        if sum(self._recent) >= REFUSALS:
+            raise HardwareFault(
+                f"{REFUSALS} of the last {len(self._recent)} actions were refused, the last because {reason}."
+            )
+        return np.zeros(4)
 
     def _watchdog(self) -> None:
         while not self._closed.wait(TICK_S):
@@ -219,6 +229,28 @@ class _Failing:
         else:  # Ctrl-C: LeRobot saves its data first and only then disconnects
             self._guard.halt()
         return False
+
+
+def within(limit_s: float, who: str, call: Callable[..., Any], *args: Any) -> Any:
+    """What a call returns or raises; one that hangs is left to its own thread.
+
+    Raises:
+        HardwareFault: it takes longer than `limit_s`.
+    """
+    outcome: Future = Future()
+
+    def run() -> None:
+        try:
+            outcome.set_result(call(*args))
+        except BaseException as e:  # for the caller, whatever it is
+            outcome.set_exception(e)
+
+    thread = threading.Thread(target=run, name=f"pneutac-{who}", daemon=True)
+    thread.start()
+    thread.join(limit_s)
+    if thread.is_alive():
+        raise HardwareFault(f"{who} has not answered for {limit_s:g} s; check its cable and its controller.")
+    return outcome.result()
 
 
 def _quietly(call: Callable[[], None]) -> None:

@@ -1,6 +1,7 @@
 """The robot `pneutac`: arm, pressure controller and tactile camera behind LeRobot's Robot interface."""
 
 import logging
+import math
 from typing import Any
 
 import numpy as np
@@ -8,7 +9,7 @@ from lerobot.cameras import make_cameras_from_configs
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
 from lerobot_robot_pneutac.cameras.tactile import Tactile, latest
-from lerobot_robot_pneutac.hardware.safety import Guard
+from lerobot_robot_pneutac.hardware.safety import Guard, within
 from lerobot_robot_pneutac.robots.base_robot import POSE_NAMES, BaseRobot, action_names
 from lerobot_robot_pneutac.robots.config_pneutac import PneutacConfig
 from pneutac_sim.errors import InputError
@@ -20,6 +21,8 @@ from pneutac_sim.features import (
     IMAGE_NAME,
     STATE_NAMES,
 )
+
+LET_GO_S = 3.0  # a part that takes longer to let go is left behind
 
 logger = logging.getLogger(__name__)
 
@@ -139,7 +142,7 @@ class Pneutac(BaseRobot):
         for part in (self._pressure, self._arm, *self.cameras.values()):
             try:
                 if getattr(part, "is_connected", True):
-                    part.disconnect()
+                    within(LET_GO_S, "It", part.disconnect)
             except Exception as e:
                 logger.error("Letting go of %s: %s", type(part).__name__, e)
 
@@ -155,6 +158,8 @@ def _numbers(action: dict[str, Any], names: tuple[str, ...]) -> np.ndarray:
     for name in names:
         try:
             values.append(float(action[name]))
+        except OverflowError:  # a whole number beyond all floats
+            values.append(math.inf)
         except (TypeError, ValueError):
             raise InputError(f"The action's '{name}' is {action[name]!r}; it must be a number.") from None
     return np.array(values)

@@ -14,7 +14,7 @@ import lerobot_robot_pneutac
 from lerobot_robot_pneutac.hardware import safety
 from lerobot_robot_pneutac.hardware.limits import Limits
 from lerobot_robot_pneutac.hardware.parts import COMMAND_S, ArmState, HardwareFault
-from lerobot_robot_pneutac.hardware.safety import REFUSALS, VENT_S, Guard
+from lerobot_robot_pneutac.hardware.safety import RECENT, REFUSALS, VENT_S, Guard
 
 CENTRE = np.array([0.5, 0.0, 0.4])
 
@@ -26,11 +26,13 @@ class Parts:
         self.diary: list[tuple[float, str, object]] = []
         self.breaks: dict[str, BaseException] = {}
         self.hangs: str | None = None
+        self.slow_s = 0.0
         self.flange_m, self.force_n, self.kpa = CENTRE, 0.0, 0.0
 
     def _do(self, name, value=None):
         if name not in ("state", "pressure"):
             self.diary.append((time.monotonic(), name, value))
+        time.sleep(self.slow_s)
         if self.hangs == name:
             time.sleep(30)
         if name in self.breaks:
@@ -103,27 +105,58 @@ def test_an_action_is_carried_out_within_the_limits(parts, guard):
     assert 0 < parts.last("set_pressure")[1] == done[3] <= 0.1
 
 
-def test_a_refused_action_stops_the_arm_holds_the_pressure_and_is_logged(parts, guard, caplog):
+def test_a_refused_action_stops_the_arm_vents_and_is_logged(parts, guard, caplog):
     time.sleep(0.05)
-    held = guard.act(MOVE)[3]
+    guard.act(MOVE)
     with caplog.at_level(logging.WARNING):
         done = guard.act(np.array([np.nan, 0, 0, 9.0]))
-    np.testing.assert_array_equal(done, [0, 0, 0, held])
-    assert parts.last("move", "stop")[0] == "stop"
-    assert parts.last("set_pressure", "vent") == ("set_pressure", held)
+    np.testing.assert_array_equal(done, [0, 0, 0, 0])
+    assert parts.halted()
     assert "dx.vel is nan" in caplog.text
+    time.sleep(3 * safety.HOLD_S)  # the watchdog would hold the pressure by now
+    assert parts.halted()
     guard.act(MOVE)  # a good one goes on
     assert parts.last("move", "stop")[0] == "move"
-    assert guard.refused == 1
+    assert guard.refused == 1 and guard.fault is None
 
 
-def test_refusals_in_a_row_are_a_fault(parts, guard):
-    guard.act(MOVE)
+def test_after_a_refused_action_the_pressure_begins_at_zero(parts, guard):
+    for _ in range(3):
+        time.sleep(0.05)
+        guard.act(MOVE)
+    time.sleep(0.15)
+    start_s = time.monotonic()
+    guard.act(np.full(4, np.inf))
+    high = MOVE + [0, 0, 0, 13]
+    assert guard.act(high)[3] <= Limits().pressure_rate_kpa_s * (time.monotonic() - start_s)
+
+
+@pytest.mark.parametrize("good_between", [0, 1, 3])
+def test_refusals_that_are_a_quarter_of_the_last_actions_are_a_fault(parts, guard, good_between):
+    for _ in range(RECENT):
+        guard.act(MOVE)
     for _ in range(REFUSALS - 1):
         guard.act(np.full(4, np.nan))
-    with pytest.raises(HardwareFault, match="in a row were refused"):
+        for _ in range(good_between):
+            guard.act(MOVE)
+    with pytest.raises(HardwareFault, match=f"{REFUSALS} of the last {RECENT} actions were refused"):
         guard.act(np.full(4, np.nan))
     assert parts.halted()
+
+
+def test_rarer_refusals_are_no_fault(parts, guard):
+    for k in range(4 * RECENT):
+        guard.act(np.full(4, np.nan) if k % REFUSALS == 0 else MOVE)
+    assert guard.fault is None and guard.refused == 4 * RECENT // REFUSALS
+
+
+def test_the_times_and_numbers_are_those_of_the_manual():
+    assert COMMAND_S + 2 * safety.TICK_S <= 0.3  # the arm is stopped
+    assert VENT_S + 2 * safety.TICK_S <= 1.1  # the chamber is vented
+    assert safety.ARM_S + safety.HALT_S < 0.3  # an arm that hangs is a fault
+    assert (safety.MOVE_S, safety.CLOSE_S) == (3.0, 1.0)
+    assert safety.HOLD_S < COMMAND_S - 3 * safety.TICK_S  # before the controller takes a command as void
+    assert (REFUSALS, RECENT) == (5, 20)
 
 
 # ---------------------------------------------------------------- watchdog
@@ -143,16 +176,32 @@ def test_without_actions_the_arm_stops_then_the_chamber_is_vented_then_an_action
     assert done[3] == parts.last("set_pressure", "vent")[1] <= MOVE[3]
 
 
-def test_refused_actions_do_not_keep_the_watchdog_quiet(parts, guard, monkeypatch):
-    monkeypatch.setattr(safety, "VENT_S", 0.1)
-    monkeypatch.setattr(safety, "REFUSALS", 10**6)
+def test_before_the_first_action_the_watchdog_does_nothing(parts, monkeypatch):
+    monkeypatch.setattr(safety, "COMMAND_S", 0.01)
+    monkeypatch.setattr(safety, "VENT_S", 0.02)
+    guard = Guard(parts, parts, Limits())
+    guard.start()
+    time.sleep(0.1)
+    assert parts.names() == []
+    assert all(thread.daemon for thread in guard._threads)  # Python's exit must not wait for them
+    guard.close()
+
+
+def test_the_pressure_is_held_before_the_controller_takes_the_command_as_void(parts, guard):
     guard.act(MOVE)
+    assert until(lambda: parts.names().count("set_pressure") >= 2)
+    first, second = [(at, kpa) for at, name, kpa in parts.diary if name == "set_pressure"][:2]
+    assert safety.HOLD_S <= second[0] - first[0] < COMMAND_S
+    assert second[1] == first[1]
 
-    def vented():
-        guard.act(np.full(4, np.nan))
-        return "vent" in parts.names()
 
-    assert until(vented)
+def test_closing_halts_and_ends_the_threads(parts, guard):
+    guard.act(MOVE)
+    parts.slow_s = 0.1  # the monitor is in the middle of a reading
+    time.sleep(2 * safety.TICK_S)
+    guard.close()
+    assert parts.halted()
+    assert not [thread for thread in guard._threads if thread.is_alive()]
 
 
 # ---------------------------------------------------------------- faults
@@ -249,8 +298,36 @@ def test_an_arm_that_hangs_in_a_command_leaves_the_watchdog_working(parts, guard
     monkeypatch.setattr(safety, "VENT_S", 0.3)
     guard.act(MOVE)
     parts.hangs = "move"
-    threading.Thread(target=guard.act, args=(MOVE,), daemon=True).start()
+    monkeypatch.setattr(safety, "MOVE_S", 0.8)
+    with pytest.raises(HardwareFault, match="The arm has not answered for 0.8 s"):
+        guard.act(MOVE)
+    vented_s = next(at for at, name, _ in parts.diary if name == "vent")
+    assert vented_s - parts.diary[0][0] < 0.6  # by the watchdog
+    assert parts.halted()
+
+
+@pytest.mark.parametrize("hangs_too", [None, "stop"])
+def test_an_arm_whose_state_hangs_is_a_fault_within_300_ms(parts, guard, hangs_too):
+    guard.act(MOVE)
+    if hangs_too:
+        parts.breaks["stop"] = OSError("gone")
+    start_s = time.monotonic()
+    parts.hangs = "state"
+    with pytest.raises(HardwareFault, match="The arm has not answered for 0.2 s"):
+        while True:
+            guard.act(MOVE)
+    assert time.monotonic() - start_s < 0.3
     assert until(parts.halted)
+    guard.close()
+
+
+def test_a_halt_does_not_wait_for_a_stop_that_hangs(parts, guard):
+    guard.act(MOVE)
+    parts.hangs = "stop"
+    start_s = time.monotonic()
+    guard.halt()
+    assert safety.HALT_S <= time.monotonic() - start_s < 0.3
+    assert parts.halted()
 
 
 def test_a_fault_during_a_command_has_the_last_word(parts, guard, monkeypatch):

@@ -11,6 +11,7 @@ from lerobot_robot_pneutac.cameras.config_digit_generated import DigitGeneratedC
 from lerobot_robot_pneutac.hardware.arms import PandaConfig, SimulatedArmConfig
 from lerobot_robot_pneutac.hardware.limits import Limits
 from lerobot_robot_pneutac.hardware.parts import COMMAND_S, HardwareFault
+from lerobot_robot_pneutac.robots import pneutac
 from lerobot_robot_pneutac.robots.config_pneutac import PneutacConfig, PressureConfig
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.pneutac import Pneutac
@@ -301,6 +302,35 @@ def test_what_is_no_action_halts_and_is_named(robot, action, said):
     with pytest.raises(InputError, match=said):
         robot.send_action(action)
     assert at_rest(robot) and vented(robot)
+
+
+@pytest.mark.parametrize("bad", [np.nan, -np.inf, 10**400])
+def test_an_action_that_is_no_number_empties_the_chamber_within_350_ms(robot, bad):
+    assert until(lambda: robot.send_action(act(pressure=15.0)) and robot._pressure.pressure() > 14.5)
+    start_s = time.monotonic()
+    assert list(robot.send_action(act(pressure=bad)).values()) == [0, 0, 0, 0]
+    assert until(lambda: robot._pressure.pressure() < 1.0, 0.35 - (time.monotonic() - start_s))
+    with pytest.raises(HardwareFault, match="5 of the last .* were refused"):
+        for _ in range(8):  # every second one
+            robot.send_action(act())
+            robot.send_action(act(dx=bad))
+
+
+def test_an_arm_that_hangs_is_a_fault_and_does_not_keep_the_robot_from_disconnecting(robot, monkeypatch):
+    inflate(robot)
+    hang = threading.Event()
+    for name in ("state", "stop", "disconnect"):
+        monkeypatch.setattr(robot._arm, name, hang.wait)
+    monkeypatch.setattr(pneutac, "LET_GO_S", 0.2)
+    start_s = time.monotonic()
+    with pytest.raises(HardwareFault, match="The arm has not answered for 0.2 s"):
+        robot.get_observation()
+    assert time.monotonic() - start_s < 0.3
+    assert vented(robot)
+    robot.disconnect()
+    assert time.monotonic() - start_s < 2.0
+    assert not robot.is_connected and not robot.cameras["tactile"].is_connected
+    hang.set()
 
 
 def test_ctrl_c_while_a_picture_is_awaited_halts_before_lerobot_saves(robot, monkeypatch):
