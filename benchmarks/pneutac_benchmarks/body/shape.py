@@ -32,7 +32,7 @@ from pneutac_benchmarks.body.shape_table import write_tables
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import write_json
 from pneutac_sim.finger import Pipeline
-from pneutac_sim.mpm.devices import parameter
+from pneutac_sim.mpm.solid import parameter
 from pneutac_sim.twin import Twin, Value
 
 

@@ -30,6 +30,7 @@ from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm import devices
 from pneutac_sim.mpm.loads import Loads
+from pneutac_sim.mpm.solid import SHAPES
 from pneutac_sim.mpm.solve import solve_equilibrium
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.carry import carry
@@ -199,7 +200,7 @@ def bent_meshes(
     solver = devices.BODIES[twin.device](twin, batch=len(q_cmd), particles=particles)
     state = solve_equilibrium(solver, Loads(q_cmd=q_cmd))
     width = 1e-3 * devices.parameter(twin, "width_mm")
-    straight = devices.SHAPES[twin.device](1e-3 * twin.length_mm, width).subdivide()
+    straight = SHAPES[twin.device](1e-3 * twin.length_mm, width).subdivide()
     moved = carry(straight.vertices, solver.body.positions, state.positions, state.gradients)
     meshes = [trimesh.Trimesh(x, straight.faces, process=False) for x in moved]
     return meshes, np.asarray(straight.vertices), state.q, devices.spine_points(solver, state.q)[:, -1]

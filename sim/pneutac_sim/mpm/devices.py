@@ -21,43 +21,16 @@ from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.probe import COLS, ROWS
 from pneutac_sim.mpm.body import Body, Material
-from pneutac_sim.mpm.lattice import filled_body
 from pneutac_sim.mpm.loads import Loads
-from pneutac_sim.mpm.shapes import WIDTH_MM, arm_mesh, finger_mesh
+from pneutac_sim.mpm.solid import bending_body, parameter
 from pneutac_sim.mpm.spine import Spine
 from pneutac_sim.mpm.total_lagrangian import TotalLagrangian
-from pneutac_sim.mpm.user_mesh import stored_mesh
-from pneutac_sim.twin import PAPER_FINGER, Twin
+from pneutac_sim.twin import Twin
 
-# What a twin's parameters are where it does not tell. Moduli of the finger: the paper's calibrated ones;
-# density: Agilus30's data sheet; gel: Ecoflex 00-31 with a coat of paint, about 0.1 MPa.
-DEFAULTS = {
-    "youngs_modulus_mpa": PAPER_FINGER["youngs_modulus_mpa"],
-    "poissons_ratio": PAPER_FINGER["poissons_ratio"],
-    "density_kg_m3": 1145.0,
-    "spine_damping_nms_per_rad": 0.01,
-    "gel_youngs_modulus_mpa": 0.1,
-    "gel_poissons_ratio": 0.46,
-    "gel_density_kg_m3": 1070.0,
-}
-# The controller is stiff against the body (0.07 to 0.29 N m/rad a joint of the finger), which takes back
-# 1.6 % of its bend; with a soft one the search for rest takes far longer.
-BY_DEVICE = {
-    "width_mm": WIDTH_MM,
-    "spine_stiffness_nm_per_rad": {"finger": 20.0, "arm": 200.0},
-}
-SHAPES = {"finger": finger_mesh, "arm": arm_mesh}
 # The rigid end that closes the chambers and carries the sensor or the marker. Without it the soft end lags
 # behind the last link by as much as its lattice happens to leave free.
 CAP_M = 5e-3
 LAYERS = 13  # of a gel
-
-
-def parameter(twin: Twin, name: str) -> float:
-    """The twin's value, or the default of `DEFAULTS` or `BY_DEVICE`."""
-    if name in twin.parameters:
-        return twin.parameters[name].value
-    return BY_DEVICE[name][twin.device] if name in BY_DEVICE else DEFAULTS[name]
 
 
 def finger(twin: Twin, batch: int = 1, particles: int = 4000, mesh=None, device: str = "auto"):
@@ -86,26 +59,6 @@ def arm(twin: Twin, batch: int = 1, particles: int = 4000, mesh=None, device: st
 
 
 BODIES = {"finger": finger, "arm": arm}  # by the twin's device
-
-
-def bending_body(twin: Twin, particles: int = 4000, mesh=None) -> Body:
-    """The straight particles of a finger or an arm; `particles` and `mesh` as in `finger`.
-
-    Raises:
-        InputError: an impossible mesh or parameter.
-    """
-    kind, length = twin.device, 1e-3 * twin.length_mm
-    material = Material(
-        1e6 * parameter(twin, "youngs_modulus_mpa"),
-        parameter(twin, "poissons_ratio"),
-        parameter(twin, "density_kg_m3"),
-    )
-    own = stored_mesh(twin) if mesh is None else None
-    if own is not None:
-        return filled_body(kind, own, material, particles)
-    if mesh is None:
-        mesh = SHAPES[kind](length, 1e-3 * parameter(twin, "width_mm"))
-    return Body.from_mesh(kind, mesh, material, particles=particles, clamp="x-")
 
 
 def _bending(kind, twin, batch, particles, mesh, device) -> TotalLagrangian:

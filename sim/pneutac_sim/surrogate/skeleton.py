@@ -21,6 +21,7 @@ from numba import njit
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm.body import Body
+from pneutac_sim.mpm.solid import Links
 from pneutac_sim.mpm.spine import Spine
 
 G = 2 - np.sqrt(2)  # of TR-BDF2: share of the step that the trapezoidal rule takes
@@ -62,20 +63,10 @@ class Skeleton:
                 f"The skeleton of '{body.name}' would need two axes a joint; it has a finger's one."
             )
         joints = np.asarray(spine.joint_positions_m)
-        link = np.searchsorted(joints, body.positions[:, 0]) - 1  # -1 stands still
-        plane = body.positions[:, 0] + 1j * (body.positions[:, 2] - spine.z_m)
-        particle = body.material.density_kg_m3 * body.spacing_m**3
-        n = len(joints)
-        A, inertia = np.zeros((n, n), complex), np.zeros(n)
-        for k in range(n):
-            own = plane[link == k] - joints[k]
-            if not len(own):
-                raise InputError(
-                    f"Body '{body.name}' has no particle beyond spine joint {k + 1}; use more particles."
-                )
-            r = np.append(np.diff(joints[: k + 1]), own.mean())
-            A[: k + 1, : k + 1] += particle * len(own) * np.outer(r.conj(), r)
-            inertia[k] = particle * ((np.abs(own - own.mean()) ** 2).sum() + len(own) * body.spacing_m**2 / 6)
+        links = Links.of(body, joints)
+        centre = links.centre_m[1:, 0] + 1j * (links.centre_m[1:, 2] - spine.z_m)
+        A = coupling(links.mass_kg[1:], centre, joints)
+        inertia = links.inertia_kg_m2[1:, 1, 1]
         return cls(
             A, inertia, float(spine.stiffness_nm_per_rad), float(spine.damping_nms_per_rad), float(loss_per_s)
         )
@@ -105,6 +96,22 @@ class Skeleton:
             + self.damping_nms_per_rad * np.asarray(q_vel)
             + self.stiffness_nm_per_rad * (np.asarray(q) - target)
         )
+
+
+def coupling(mass: np.ndarray, centre: np.ndarray, joints: np.ndarray) -> np.ndarray:
+    """A (N, N) in kg m2, see above.
+
+    Args:
+        mass: (N,) of each link, kg.
+        centre: (N,) x + i z of its centre in the straight finger, m.
+        joints: (N,) where the joints lie along it, m.
+    """
+    n = len(joints)
+    A = np.zeros((n, n), complex)
+    for k in range(n):
+        r = np.append(np.diff(joints[: k + 1]), centre[k] - joints[k])
+        A[: k + 1, : k + 1] += mass[k] * np.outer(r.conj(), r)
+    return A
 
 
 @njit(cache=True)

@@ -15,6 +15,7 @@ import numpy as np
 
 from pneutac_sim.gel.sensor import TactileSensor, centre_mm
 from pneutac_sim.world import scene
+from pneutac_sim.world.following import Follower
 from pneutac_sim.world.observation import Observation
 from pneutac_sim.world.panda import (
     HOME_JOINTS,
@@ -99,7 +100,9 @@ class Gantry(VariedWorld):
         self._tip, self._placing = self.model.site("tip").id, Placing(self.model)
         n = self._spine.stop - self._spine.start
         self._physics = Substeps(self.model, self.data)
-        self._springs = Springs(self.model, n, self.twin.parameter("joint_damping_nms_per_rad"))
+        damping, whole = "joint_damping_nms_per_rad", "joint_stiffness_nm_per_rad"
+        self._springs = Springs(self.model, n, self.twin.parameter(damping), self.twin.parameter(whole))
+        self._follower = Follower(self.model, n)
         self._arm, self._spine = slice(0, 3), slice(3, 3 + n)
         self.steps, self.seconds = 0, {"physics": 0.0, "touch": 0.0}
         self._pair(world)
@@ -127,7 +130,7 @@ class Gantry(VariedWorld):
         self.target_m, self._joints = world.target_m.copy(), world.target_m.copy()
         self.spine_target_rad = world.spine_target_rad.copy()
         self._held = world._resist(world._drive)
-        self._drive = world._drive.copy()
+        self._drive, self._rate = world._drive.copy(), world._rate.copy()
         self._pipeline = world._pipeline.copy()
         self._sent = deque(world._sent)
         self._placing.set(self.model, world._placing.poses.copy())
@@ -175,7 +178,7 @@ class Gantry(VariedWorld):
         mujoco.mj_setState(self.model, self.data, self._state, _STATE)
         self.model.dof_frictionloss[:] = self._friction
         vars(self.task.inner).update(_memory(self._memory))
-        saved = self.target_m, self._joints, self.spine_target_rad, self._drive, self._pipeline
+        saved = self.target_m, self._joints, self.spine_target_rad, self._drive, self._rate, self._pipeline
         self._pipeline, target = self._pipeline.copy(), self.target_m
         self._placing.set(self.model, self._poses)
         flange, area = np.empty((len(actions), 3)), np.empty(len(actions))
@@ -195,7 +198,7 @@ class Gantry(VariedWorld):
                 self.centre_mm[t] = centre_mm(self.touch.depth_mm, self.sensor.model.window_mm)
             flange[t], area[t] = self.flange_m, max(felt + self._residual_area, 0.0) if felt else 0.0
         self.steps += len(actions)
-        self.target_m, self._joints, self.spine_target_rad, self._drive, self._pipeline = saved
+        self.target_m, self._joints, self.spine_target_rad, self._drive, self._rate, self._pipeline = saved
         return flange, area
 
     @override

@@ -1,8 +1,9 @@
 """MJCF of the skeleton finger with a DIGIT at its tip: spine hinges, spring-loaded gel pad, gel frame.
 
 The skeleton is `M q'' + D q' + K q = tau_s` with one hinge a spine joint; a positive angle bends towards the
-finger's +z. M follows from the finger's section and material, D from the twin, K from `springs`: joints and,
-between each two of them, tendons have its entries. The world drives each hinge with a motor.
+finger's +z. M is that of the material points, each going with the link that it lies beside, and of the
+DIGIT; D is the chamber's, from the twin. K is set by `Springs`: joints and, between each two of them, tendons
+have its entries. The world drives each hinge with a motor.
 
 No weight acts on the finger here: q_cmd holds the sag under the loads of the twin's effects, and in a twin
 without such effects that of the pose in which it was calibrated (the paper's p0 absorbs it).
@@ -11,11 +12,10 @@ without such effects that of the pose in which it was calibrated (the paper's p0
 import mujoco
 import numpy as np
 
+from pneutac_sim.mpm.solid import Links, bending_body
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.scene import Finger
 
-SECTION_M = 0.020  # outer width and height of the soft segments
-DENSITY = 1145.0  # kg/m3, Agilus30 (manufacturer's data sheet)
 MOUNT_M = 0.020  # adapter between flange and finger base
 
 # DIGIT: housing 27 x 20 x 18 mm, about 20 g with its gel (Lambeta et al. 2020); metres, kg.
@@ -57,7 +57,7 @@ def body(twin: Twin) -> str:
     """
     s = np.asarray(twin.spine_joint_positions_mm) * 1e-3
     length = twin.length_mm * 1e-3
-    ends = np.append(s, length)
+    ends, links = np.append(s, length), Links.of(bending_body(twin), s)
 
     tip = '<site name="tip" size=".001" group="5"/>'
     xml = f'<body name="sensor" pos="{length - s[-1]} 0 0">{tip}{_digit()}</body>'
@@ -66,7 +66,8 @@ def body(twin: Twin) -> str:
             f'<body name="spine_{n + 1}" pos="{s[n] - (s[n - 1] if n else 0.0)} 0 0"'
             ' gravcomp="1">'
             f'<joint name="spine_{n + 1}" axis="0 -1 0"/>'
-            f"{_segment(ends[n + 1] - ends[n], tip=n == len(s) - 1)}{xml}</body>"
+            f"{_inertial(links, n + 1, s[n], length if n == len(s) - 1 else None)}"
+            f"{_segment(ends[n + 1] - ends[n])}{xml}</body>"
         )
     c = float(np.sqrt(0.5))
     mount = (
@@ -74,8 +75,8 @@ def body(twin: Twin) -> str:
     )
     base = f'<geom class="skin" type="box" pos="{s[0] / 2} 0 0" size="{s[0] / 2} .012 .012"/>'
     return (
-        f'{mount}<body name="finger" pos="0 0 {MOUNT_M}" xyaxes="0 0 1 {-c} {-c} 0">{_box_inertia(s[0])}'
-        f"{base}{xml}</body>"
+        f'{mount}<body name="finger" pos="0 0 {MOUNT_M}" xyaxes="0 0 1 {-c} {-c} 0">'
+        f"{_inertial(links, 0, 0.0)}{base}{xml}</body>"
     )
 
 
@@ -104,49 +105,60 @@ class Springs:
     keeps K_ii less those of its tendons. MuJoCo takes springs at the beginning of a step h and dampers at its
     end. A further damping of h K / 2 makes that stable at any K, where springs alone are up to w h = 2:
     (M + h D + h^2 K / 2) q'_1 = M q'_0 - h K q_0, with a growth of at most 1 for all eigenvalues of M^-1 K.
+    What this takes of the slowest swing, which has about the whole stiffness, is left out of D.
 
     Args:
         model: of a scene with a finger.
         damping_nms_per_rad: D of each joint.
+        whole_nm_per_rad: the joints' whole stiffness.
     """
 
-    def __init__(self, model: mujoco.MjModel, joints: int, damping_nms_per_rad: float):
+    def __init__(
+        self, model: mujoco.MjModel, joints: int, damping_nms_per_rad: float, whole_nm_per_rad: float
+    ):
         names = [f"spine_{n + 1}" for n in range(joints)]
-        self._model, self._damping = model, damping_nms_per_rad
+        self._model = model
+        self._damping = max(damping_nms_per_rad - 0.5 * model.opt.timestep * whole_nm_per_rad, 0.0)
         self._joints = [model.joint(n).id for n in names]
         self._dofs = model.jnt_dofadr[self._joints]
         self._pairs = tuple(np.array(_pairs(joints), int).reshape(-1, 2).T)
         self._tendons = [model.tendon(f"spine_{i + 1}_{j + 1}").id for i, j in _pairs(joints)]
 
-    def set(self, K: np.ndarray) -> None:
-        """Puts the symmetric K (N, N), N m/rad, into the model."""
+    def set(self, K: np.ndarray) -> np.ndarray:
+        """Puts the symmetric K (N, N), N m/rad, into the model; returns all that damps it, N m s/rad."""
         m, half = self._model, 0.5 * self._model.opt.timestep
         tied = K[self._pairs]
         own = 2 * K.diagonal() - K.sum(1)
         m.tendon_stiffness[self._tendons], m.tendon_damping[self._tendons] = tied, half * tied
         m.jnt_stiffness[self._joints], m.dof_damping[self._dofs] = own, self._damping + half * own
+        return half * K + self._damping * np.eye(len(K))
 
 
 def _pairs(joints: int) -> list[tuple[int, int]]:
     return [(i, j) for i in range(joints) for j in range(i + 1, joints)]
 
 
-def _box_inertia(length: float, digit_at: float | None = None) -> str:
-    """MJCF inertial of a solid segment from x = 0 to `length`, with the DIGIT from `digit_at` on, metres."""
-    parts = [(DENSITY * SECTION_M**2 * length, length / 2, (length, SECTION_M, SECTION_M))]
-    if digit_at is not None:
-        parts.append((DIGIT_MASS, digit_at + DIGIT_SIZE[0] / 2, DIGIT_SIZE))
+def _inertial(links: Links, k: int, joint_m: float, digit_m: float | None = None) -> str:
+    """MJCF inertial of link `k` in the frame of its joint; with the DIGIT, from `digit_m` on."""
+    parts = [(links.mass_kg[k], links.centre_m[k], links.inertia_kg_m2[k])]
+    if digit_m is not None:
+        squares = DIGIT_MASS / 12 * np.square(DIGIT_SIZE)
+        box = np.diag(squares.sum() - squares)
+        parts.append((DIGIT_MASS, np.array([digit_m + DIGIT_SIZE[0] / 2, 0.0, 0.0]), box))
     mass = sum(m for m, _, _ in parts)
-    centre = sum(m * x for m, x, _ in parts) / mass
-    inertia = np.zeros(3)
-    for m, x, (a, b, c) in parts:
-        inertia += m / 12 * np.array([b * b + c * c, a * a + c * c, a * a + b * b])
-        inertia[1:] += m * (x - centre) ** 2
-    return f'<inertial mass="{mass}" pos="{centre} 0 0" diaginertia="{" ".join(map(str, inertia))}"/>'
+    if mass == 0:  # a base of no length
+        return ""
+    centre, inertia = sum(m * c for m, c, _ in parts) / mass, np.zeros((3, 3))
+    for m, c, own in parts:
+        r = c - centre
+        inertia += own + m * (r @ r * np.eye(3) - np.outer(r, r))
+    x, y, z = centre - [joint_m, 0.0, 0.0]
+    full = [*inertia.diagonal(), inertia[0, 1], inertia[0, 2], inertia[1, 2]]
+    return f'<inertial pos="{x} {y} {z}" mass="{mass}" fullinertia="{" ".join(map(str, full))}"/>'
 
 
-def _segment(length: float, tip: bool) -> str:
-    """Inertia, bellows to look at and a capsule to touch, of the segment from x = 0 to `length`."""
+def _segment(length: float) -> str:
+    """Bellows to look at and a capsule to touch, of the segment from x = 0 to `length`."""
     rings = max(1, round(length / 0.0095))
     pitch = length / rings
     skin = "".join(
@@ -156,7 +168,7 @@ def _segment(length: float, tip: bool) -> str:
     )
     spine = f'<geom class="skin" type="box" pos="{length / 2} 0 -.0075" size="{length / 2} .010 .003"/>'
     touch = f'<geom class="finger" type="capsule" fromto="0 0 0 {length} 0 0" size=".0095" mass="0"/>'
-    return _box_inertia(length, digit_at=length if tip else None) + skin + spine + touch
+    return skin + spine + touch
 
 
 def _digit() -> str:

@@ -118,7 +118,7 @@ def _looks(twin: Twin) -> tuple[Gaussians, np.ndarray | None]:
     """Gaussians of the straight finger; without a photograph's colours also their outward normals (n, 3)."""
     if all(array in twin.arrays for array in ARRAYS):
         return looks_from_twin(twin), None
-    from pneutac_sim.mpm.devices import bending_body
+    from pneutac_sim.mpm.solid import bending_body
 
     body = bending_body(twin)
     looks = blank_looks(body, DETAIL)

@@ -17,6 +17,7 @@ from pneutac_sim.world.action import checked_action
 from pneutac_sim.world.conditions import Conditions, conditions_for, draw
 from pneutac_sim.world.deforming import deforming
 from pneutac_sim.world.drawn import drawn
+from pneutac_sim.world.following import Follower
 from pneutac_sim.world.observation import Observation
 from pneutac_sim.world.panda import HOME_JOINTS, WORKSPACE_HIGH, WORKSPACE_LOW, CartesianIK
 from pneutac_sim.world.placing import Placing
@@ -107,8 +108,9 @@ class World(Senses):
         # The arm's joints and servos come first in the model, then the spine's.
         self._arm, self._spine = slice(0, len(JOINT_NAMES)), slice(len(JOINT_NAMES), len(JOINT_NAMES) + n)
         self._physics = Substeps(self.model, self.data)
-        self._springs = Springs(self.model, n, self.twin.parameter("joint_damping_nms_per_rad"))
         whole = self.twin.parameter("joint_stiffness_nm_per_rad")
+        self._springs = Springs(self.model, n, self.twin.parameter("joint_damping_nms_per_rad"), whole)
+        self._follower = Follower(self.model, n)
         self._controller = (whole if self.finger is None else self.finger.controller_nm_per_rad) * np.eye(n)
         self._tip = self.model.site("tip").id
         self._placing = Placing(self.model)
@@ -140,7 +142,7 @@ class World(Senses):
         self.data.qpos[self._arm] = self._joints
         if self.finger is not None:
             self.finger.reset()
-        self._drive = self._bend(self.spine_target_rad)
+        self._drive, self._rate = self._bend(self.spine_target_rad), np.zeros(len(self.spine_target_rad))
         self.data.qpos[self._spine] = self._drive
         if self._pipeline.moves:
             self._placing.set(self.model, self._placing.find(self._pipeline, self._drive, DT))
@@ -189,16 +191,18 @@ class World(Senses):
     def _advance(self, joints: np.ndarray, spine: np.ndarray) -> None:
         """Physics substeps of one control step, towards joint targets of the arm (7,) and the spine (N,).
 
-        M q'' + D q' = K_c (drive - q) + f(q) - f(drive), with the controller of stiffness K_c and the torque
-        f of the soft body. f is taken straight about the present q, so that MuJoCo's own springs of
-        K = K_c - J have it at every substep, and the motors K drive + rest.
+        M (q - q_d)'' + D (q - q_d)' = K_c (q_d - q) + f(q) - f(q_d), with the controller of stiffness K_c,
+        the torque f of the soft body, and the path q_d on which `Follower` leads the free finger to where it
+        is commanded. f is taken straight about the present q, so that MuJoCo's own springs of K = K_c - J
+        have it at every substep.
         """
         drive, before = self._bend(spine), self._drive
-        K, rest = self._resist(drive)
-        self._springs.set(K)
+        K, rest = self._resist(before)
+        D = self._springs.set(K)
         ctrl = np.tile(self.data.ctrl, (scene.SUBSTEPS, 1))
         ctrl[:, self._arm] = self._joints + RAMP * (joints - self._joints)
-        ctrl[:, self._spine] = (before + RAMP * (drive - before)) @ K + rest
+        torques, self._rate = self._follower.torques(before, self._rate, drive, K, D, scene.SUBSTEPS)
+        ctrl[:, self._spine] = torques + rest
         if self._pipeline.moves:
             ahead = self.spine_rad + drive - before
             poses = self._placing.between(self._placing.find(self._pipeline, ahead, DT), RAMP)
@@ -212,7 +216,11 @@ class World(Senses):
         self._joints, self.spine_target_rad, self._drive = joints, spine, drive
 
     def _resist(self, drive: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Stiffness K (N, N) in N m/rad and the torque (N,) beyond it, about the present joint angles."""
+        """Stiffness K (N, N) in N m/rad and the torque (N,) beyond it, about the present joint angles.
+
+        Args:
+            drive: (N,) where the free finger is at present, rad.
+        """
         if self.finger is None:
             return self._controller, np.zeros(len(drive))
         q = self.data.qpos[self._spine]

@@ -1,8 +1,8 @@
 """Every effect acts in the world as on the bench: the finger in free air, and what is read of it.
 
-A slow sweep of the pressure through the world's finger gives the tip path of the bench's pipeline within 0.3
-percent of the finger's length; the rest is the lag of a joint behind its target. Where an effect of the body
-moves the tip, so is the gel moved; where it is measured only, the gel stays.
+Slow sweep, step and fast sine of the pressure through the world's finger give the tip path of the bench's
+pipeline within 0.3 percent of the finger's length. Where an effect of the body moves the tip, so is the gel
+moved; where it is measured only, the gel stays.
 """
 
 import sys
@@ -24,7 +24,9 @@ from pneutac_sim.world.world import DT, World
 
 RISE_KPA = 5.0 * (1 - np.cos(np.pi * np.arange(91) / 90))  # in 6 s
 SWEEP_KPA = np.concatenate([RISE_KPA, np.full(15, 10.0), RISE_KPA[::-1]])
-STEPS = len(SWEEP_KPA) - 1
+STEP_KPA = np.repeat([0.0, 10.0], [5, 15])
+SINE_KPA = 5.0 * (1 + np.cos(2 * np.pi * np.arange(31) / 15))  # of 1 Hz
+FAST_KPA = np.concatenate([STEP_KPA, SINE_KPA])
 CONDITIONS = {
     "temperature_c": 31.0,
     "payload_g": 20.0,
@@ -77,6 +79,46 @@ EFFECT = BodyEffect(
 """
 
 
+FOREIGN_GEL = """
+import numpy as np
+
+from pneutac_sim.effects import Parameter, SensorEffect
+
+
+def soften(u, cell_mm, values):
+    return u * (1 + values["share"] * np.tanh(u))
+
+
+EFFECT = SensorEffect(
+    name="worn_skin",
+    stage="gel",
+    parameters=(Parameter("share", "", 0.2, -0.5, 0.5),),
+    prior_sd=(0.2,),
+    surface=soften,
+    summary="The skin of your {device} is worn: it gives way by {share:.2g} more.",
+    experiment="Press at a place that is seldom touched.",
+)
+"""
+FOREIGN_LIGHT = """
+from pneutac_sim.effects import Parameter, SensorEffect
+
+
+def fade(s, u, cell_mm, v):
+    return s * (1 - v["share"] * u / (1 + u))
+
+
+EFFECT = SensorEffect(
+    name="deep_fade",
+    stage="light",
+    parameters=(Parameter("share", "", 0.3, 0.0, 0.9),),
+    prior_sd=(0.2,),
+    light=fade,
+    summary="Deep places of your {device} are darker by {share:.2g}.",
+    experiment="Press one ball to several depths.",
+)
+"""
+
+
 def with_effect(*names: str) -> Twin:
     twin = Twin.builtin()
     for name in names:
@@ -85,21 +127,21 @@ def with_effect(*names: str) -> Twin:
     return twin
 
 
-def sweep(world: World) -> tuple[np.ndarray, np.ndarray]:
-    """Markers (n, 5) and the middle of the gel (n, 3), m, over the sweep."""
+def sweep(world: World, program=SWEEP_KPA) -> tuple[np.ndarray, np.ndarray]:
+    """Markers (n, 5) and the middle of the gel (n, 3), m, over a program of pressures (n,) in kPa."""
     world.reset(0)
     read, gel = [world.markers], [world.gel_m - world.flange_m]
-    for p in SWEEP_KPA[1:]:
+    for p in program[1:]:
         world.step([0.0, 0.0, 0.0, p])
         read.append(world.markers)
         gel.append(world.gel_m - world.flange_m)
     return np.array(read), np.array(gel)
 
 
-def bench(twin: Twin, conditions: dict) -> np.ndarray:
+def bench(twin: Twin, conditions: dict, program=SWEEP_KPA) -> np.ndarray:
     """Markers (n, 5) of the pipeline over the same."""
-    n = STEPS + 1
-    samples = {"trial": np.zeros(n, int), "time_s": DT * np.arange(n), "pressure_cmd_kpa": SWEEP_KPA}
+    n = len(program)
+    samples = {"trial": np.zeros(n, int), "time_s": DT * np.arange(n), "pressure_cmd_kpa": program}
     samples |= {name: np.full(n, value) for name, value in conditions.items()}
     inputs = Inputs.from_samples(samples, "finger", twin.length_mm, source="command", start="held")
     model = Pipeline.of(twin, inputs)
@@ -119,7 +161,10 @@ def apart_mm(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def check(twin: Twin, name: str, conditions: dict) -> None:
-    read, gel = sweep(World("switch", twin, touch="none", conditions=conditions))
+    world = World("switch", twin, touch="none", conditions=conditions)
+    fast, _ = sweep(world, FAST_KPA)
+    assert apart_mm(fast, bench(twin, conditions, FAST_KPA)) < 0.003 * twin.length_mm
+    read, gel = sweep(world)
     measured = bench(twin, conditions)
     assert apart_mm(read, measured) < 0.003 * twin.length_mm
     np.testing.assert_allclose(read[:, 3:], measured[:, 3:], atol=5e-3)
@@ -151,29 +196,38 @@ def test_effects_act_together():
 
 
 @pytest.fixture
-def foreign(tmp_path, monkeypatch):
-    """A package beside the library, as an installer leaves it."""
-    (tmp_path / "pneutac_damp.py").write_text(FOREIGN)
-    info = tmp_path / "pneutac_damp-0.1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: pneutac-damp\nVersion: 0.1.0\n")
-    (info / "entry_points.txt").write_text("[pneutac.effects]\ndamp_side = pneutac_damp:EFFECT\n")
-    monkeypatch.syspath_prepend(tmp_path)
-    all_effects.cache_clear()
-    yield "damp_side"
-    sys.modules.pop("pneutac_damp", None)
+def installed(tmp_path, monkeypatch):
+    """Puts an effect into a package beside the library, as an installer leaves it; gives its name."""
+
+    def install(name: str, source: str) -> str:
+        (tmp_path / f"pneutac_{name}.py").write_text(source)
+        info = tmp_path / f"pneutac_{name}-0.1.0.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: pneutac-{name}\nVersion: 0.1.0\n")
+        (info / "entry_points.txt").write_text(f"[pneutac.effects]\n{name} = pneutac_{name}:EFFECT\n")
+        monkeypatch.syspath_prepend(tmp_path)
+        all_effects.cache_clear()
+        return name
+
+    yield install
+    for file in tmp_path.glob("pneutac_*.py"):
+        sys.modules.pop(file.stem, None)
     all_effects.cache_clear()
 
 
-def test_an_effect_of_another_package_acts_in_the_world_as_on_the_bench(foreign):
+def test_an_effect_of_another_package_acts_in_the_world_as_on_the_bench(installed):
+    foreign = installed("damp_side", FOREIGN)
     check(with_effect(foreign), foreign, {"humidity": 0.7})
     with pytest.raises(InputError, match="effect 'damp_side' needs the condition 'humidity'; give it, as in"):
         World("switch", with_effect(foreign), touch="none")
 
 
 def test_the_network_bends_the_free_finger_as_the_bench_says():
-    read, _ = sweep(World("switch", touch="none", fidelity="surrogate"))
+    world = World("switch", touch="none", fidelity="surrogate")
+    read, _ = sweep(world)
     assert apart_mm(read, plain()[2]) < 0.0015 * 110.0
+    fast, _ = sweep(world, FAST_KPA)
+    assert apart_mm(fast, bench(world.twin, {}, FAST_KPA)) < 0.003 * 110.0
 
 
 def test_the_planner_moves_the_finger_as_the_world_does():
@@ -259,6 +313,15 @@ def test_a_payload_bends_with_the_weight_that_the_world_knows():
 @pytest.mark.parametrize("name", list(sensor_effects()))
 def test_an_effect_of_the_gel_acts_in_the_worlds_image(name):
     """As in the gel's own model; one that tells of photographs (`of_session`) is no part of the sensor."""
+    check_image(name)
+
+
+@pytest.mark.parametrize("name, source", [("worn_skin", FOREIGN_GEL), ("deep_fade", FOREIGN_LIGHT)])
+def test_an_effect_of_the_gel_of_another_package_acts_in_the_worlds_image(installed, name, source):
+    check_image(installed(name, source))
+
+
+def check_image(name: str) -> None:
     twin = Twin.builtin()
     gel = GelModel.builtin()
     effect = get_effect(name)

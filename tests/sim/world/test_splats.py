@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.mpm.devices import bending_body
+from pneutac_sim.mpm.solid import bending_body
 from pneutac_sim.splat.body import looks_into_twin
 from pneutac_sim.splat.follow import blank_looks
 from pneutac_sim.twin import Twin

@@ -201,7 +201,7 @@ def test_lid_springs_open_once_it_is_off_its_latch(worlds, start_rad, opens):
 
 
 def test_card_comes_out_when_pressed_lightly_and_drawn(in_the_middle):
-    reach = [(6, [0.06, 0, -0.02, 3]), (8, [0.06, 0, 0, 8]), (8, [0.02, 0, 0, 8])]
+    reach = [(6, [0.06, 0, -0.02, 3]), (8, [0.06, 0, 0, 8]), (8, [0.032, 0, 0, 8])]
     world = in_the_middle("card", [*reach, (25, [-0.01, 0, 0.04, 8])])
     assert world.success and world.task.drawn_m(1) > 0.030 and world.task.drawn_m(2) < 0.010
     short = in_the_middle("card", [*reach[:2], (8, [-0.02, 0, 0, 8]), (25, [-0.01, 0, 0.04, 8])])
