@@ -82,10 +82,16 @@ class DigitGenerated(Camera):
         return time.perf_counter() - self._start_s
 
     def _image(self, frame: int) -> np.ndarray:
+        """The gel at a frame's time; its first row has noise of one level, so that no two are the same."""
+        image = self._gel(frame / self.fps)
+        image[0] ^= np.random.default_rng(abs(frame)).integers(0, 2, image[0].shape, np.uint8)
+        return image
+
+    def _gel(self, time_s: float) -> np.ndarray:
         c = self.config
         if not c.press_period_s:
             return self._sensor.rest_image.copy()
-        phase = 2 * math.pi * frame / self.fps / c.press_period_s
+        phase = 2 * math.pi * time_s / c.press_period_s
         depth_m = 0.5e-3 * c.press_depth_mm * (1 - math.cos(phase))
         centre = [0.0, 0.0, BALL_RADIUS_M - depth_m]
         grid = self._sensor.probe([self._kind], [[BALL_RADIUS_M] * 3], [centre], [np.eye(3)])

@@ -1,15 +1,15 @@
-"""Cameras of the real robot: frames that are fresh, and contact against the gel's rest image."""
+"""The camera behind the gel: its frames, and contact against the gel's rest image."""
 
 import numpy as np
 from lerobot.cameras import Camera
 
+from lerobot_robot_pneutac.cameras.live import LiveCamera
 from lerobot_robot_pneutac.cameras.rest_image import capture_rest_image
 from lerobot_robot_pneutac.hardware.parts import HardwareFault
 from pneutac_sim.features import IMAGE_NAME, IMAGE_SHAPE
 from pneutac_sim.gel.contact import ContactArea, contact_area
 
 REST_FRAMES = 15
-FRAME_S = 0.5  # an older frame is a lost camera
 
 
 class Tactile:
@@ -26,6 +26,7 @@ class Tactile:
 
     def __init__(self, camera: Camera, threshold_levels: float):
         self.camera, self.threshold_levels = camera, threshold_levels
+        self._live = LiveCamera(camera, IMAGE_NAME)
 
     def connect(self) -> None:
         """Connects and takes the rest image; nothing may touch the gel meanwhile.
@@ -38,20 +39,12 @@ class Tactile:
         self.contact(self.rest_image)  # compiles before anything moves
 
     def read(self) -> np.ndarray:
-        """The newest frame uint8 (320, 240, 3); raises HardwareFault where the camera is lost."""
-        return _checked(latest(self.camera, IMAGE_NAME))
+        """The newest frame uint8 (320, 240, 3); raises HardwareFault as `LiveCamera.latest`."""
+        return _checked(self._live.latest())
 
     def contact(self, image: np.ndarray) -> ContactArea:
         """Contact of an image against the rest image."""
         return contact_area(image, self.rest_image, self.threshold_levels)
-
-
-def latest(camera: Camera, name: str) -> np.ndarray:
-    """A camera's newest frame; raises HardwareFault where it is older than `FRAME_S` or cannot be had."""
-    try:
-        return camera.read_latest(max_age_ms=round(1000 * FRAME_S))
-    except Exception as e:
-        raise HardwareFault(f"The camera '{name}' gives no picture: {str(e).rstrip('.')}.") from e
 
 
 def _checked(image: np.ndarray) -> np.ndarray:

@@ -8,7 +8,8 @@ import numpy as np
 from lerobot.cameras import make_cameras_from_configs
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
-from lerobot_robot_pneutac.cameras.tactile import Tactile, latest
+from lerobot_robot_pneutac.cameras.live import LiveCamera
+from lerobot_robot_pneutac.cameras.tactile import Tactile
 from lerobot_robot_pneutac.hardware.safety import Guard, within
 from lerobot_robot_pneutac.robots.base_robot import POSE_NAMES, BaseRobot, action_names
 from lerobot_robot_pneutac.robots.config_pneutac import PneutacConfig
@@ -48,6 +49,7 @@ class Pneutac(BaseRobot):
         self._pressure = config.pressure.make()
         self.cameras = make_cameras_from_configs({IMAGE_NAME: config.digit} | config.cameras)
         self._tactile = Tactile(self.cameras[IMAGE_NAME], config.threshold_levels())
+        self._scene = {name: LiveCamera(self.cameras[name], name) for name in config.cameras}
 
     @property
     def observation_features(self) -> dict[str, type | tuple]:
@@ -97,7 +99,7 @@ class Pneutac(BaseRobot):
         with guard.failing("reading the cameras"):
             image = self._tactile.read()
             contact = self._tactile.contact(image)
-            extra = {name: latest(self.cameras[name], name) for name in self.config.cameras}
+            extra = {name: camera.latest() for name, camera in self._scene.items()}
         values = [
             *arm.joints_rad, *arm.joints_rad_s, *arm.flange_m, contact.area, contact.log_pixels, kpa
         ]  # fmt: skip

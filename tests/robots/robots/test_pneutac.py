@@ -7,6 +7,7 @@ import pytest
 from draccus.utils import DecodingError
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
+from lerobot_robot_pneutac.cameras import live
 from lerobot_robot_pneutac.cameras.config_digit_generated import DigitGeneratedConfig
 from lerobot_robot_pneutac.hardware.arms import PandaConfig, SimulatedArmConfig
 from lerobot_robot_pneutac.hardware.limits import Limits
@@ -278,6 +279,32 @@ def test_a_picture_that_is_half_a_second_old_is_a_lost_camera(robot, monkeypatch
     monkeypatch.setattr(camera, "read_latest", lambda max_age_ms: asked.append(max_age_ms) or camera.read())
     robot.get_observation()
     assert asked == [500]
+
+
+@pytest.mark.parametrize("name", ["tactile", "front"])
+def test_any_camera_that_gives_the_same_picture_for_a_second_halts_everything(make_robot, monkeypatch, name):
+    monkeypatch.setattr(live, "SAME_S", 0.2)
+    robot = make_robot(cameras={"front": DigitGeneratedConfig(fps=15)})
+    for _ in range(8):  # twice the time: cameras that are alive give no alarm
+        robot.get_observation()
+        time.sleep(0.05)
+    inflate(robot)
+    camera = robot.cameras[name]
+    picture, start_s = camera.read(), time.monotonic()
+    monkeypatch.setattr(camera, "read_latest", lambda max_age_ms: picture.copy())
+
+    def frozen():
+        with pytest.raises(HardwareFault, match=f"'{name}' has given the same picture for 0.[2-9] s"):
+            while True:
+                robot.get_observation()
+        return True
+
+    assert frozen() and 0.2 <= time.monotonic() - start_s < 0.6
+    assert at_rest(robot) and vented(robot)
+
+
+def test_the_time_of_a_frozen_camera_is_that_of_the_manual():
+    assert (live.SAME_S, live.FRAME_S) == (1.0, 0.5)
 
 
 def test_a_lost_arm_vents_the_chamber_although_nothing_is_asked(robot, monkeypatch):
