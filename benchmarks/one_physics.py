@@ -18,12 +18,14 @@ from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import solve_equilibrium
 from pneutac_sim.surrogate.networks import Networks
 from pneutac_sim.surrogate.programs import joint_targets
-from pneutac_sim.twin import Twin
-from pneutac_sim.world.soft_finger import GEL_STIFFNESS
+from pneutac_sim.surrogate.swing import Swing, released
+from pneutac_sim.twin import Twin, Value
+from pneutac_sim.world.soft_finger import GEL_STIFFNESS, sensor
 from pneutac_sim.world.world import DT, World
 
 HERE = Path(__file__).parent
 PRESSURES_KPA, FORCES_N = (0.0, 7.5, 15.0), (0.1, 0.3, 0.6)
+MODULI_MPA = (0.6, 0.945, 1.13)  # the second is the built-in twin's
 WAYS = {"with the bend": 1j, "against it": -1j, "along the base": 1.0}
 EFFECTS = (
     None,
@@ -96,6 +98,28 @@ def free_air(fidelity: str) -> list[tuple[str, float, float]]:
         plain = bench if plain is None else plain
         size, apart = (np.linalg.norm(bench - other, axis=1).max() for other in (plain, tip))
         rows.append((name or "no effect", float(size), float(apart)))
+    return rows
+
+
+def swings() -> list[tuple[float, Swing, Swing]]:
+    """Modulus in MPa, and the first swing, once a load is gone, of material points and the world's finger."""
+    rows = []
+    for modulus in track(MODULI_MPA, "swings"):
+        twin = Twin.builtin()
+        twin.parameters["youngs_modulus_mpa"] = Value(modulus)
+        world = World("switch", twin, "none", "surrogate")
+        world.reset(0)
+        levers = 1e-3 * (twin.length_mm - np.array(twin.spine_joint_positions_mm))
+        world.data.qfrc_applied[world._spine] = 0.1 * levers  # 0.1 N across the tip
+        bends = []
+        for k in range(60):
+            if k == 30:
+                world.data.qfrc_applied[:] = 0.0
+            world.step([0.0, 0.0, 0.0, 0.0])
+            bends.append(world.spine_rad @ levers)
+        own = Swing.of(DT * np.arange(30), np.array(bends[30:]))
+        full = released(twin, world.finger.controller_nm_per_rad, sensor=sensor(twin))
+        rows.append((modulus, full, own))
     return rows
 
 
@@ -180,6 +204,19 @@ apart, in mm, of 15 samples a second:
 
 Without that inverse the step was 13.85 mm apart and the sine of 1 Hz 1.30 mm.
 
+## When a load is gone
+
+A force of 0.1 N across the tip is let go at 0 kPa; the finger swings with its sensor. Stiffness is that of
+the network, scaled to the modulus, mass that of the material points, each with the link that it lies beside;
+nothing is fitted. The neo-Hookean body has no losses of its own: what damps it is the chamber, by the twin's
+`joint_damping_nms_per_rad`, in both.
+
+| modulus | first frequency, material points | world | damping ratio, material points | world |
+|---|---|---|---|---|
+{swing}
+
+Goal: 10 %.
+
 ## Under a load
 
 The chamber drives the spine with a finite stiffness, the soft body adds its own, K(q), from its calibrated
@@ -242,6 +279,11 @@ def main() -> None:
         length=twin.length_mm,
         free="\n".join(f"| {n} | {size:.2f} | {apart:.2f} |" for n, size, apart in free),
         fast="\n".join(f"| {n} | {p} | {d:.2f} | {rms:.2f} |" for n, p, d, rms in fast("surrogate")),
+        swing="\n".join(
+            f"| {e:g} MPa | {a.frequency_hz:.2f} Hz | {b.frequency_hz:.2f} Hz | {a.damping_ratio:.3f} | "
+            f"{b.damping_ratio:.3f} |"
+            for e, a, b in swings()
+        ),
         load="\n".join(rows),
         net_mean=net.mean(), net_worst=net.max(), spring_mean=spring.mean(), spring_worst=spring.max(),
         spring=GEL_STIFFNESS,

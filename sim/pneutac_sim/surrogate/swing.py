@@ -43,7 +43,8 @@ class Swing:
             wave = p[2] * np.cos(p[0] * time_s) + p[3] * np.sin(p[0] * time_s)
             return np.exp(-p[1] * time_s) * wave + p[4] - bend
 
-        starts = 2 * np.pi * np.geomspace(1.0, 20.0, 10)
+        fastest = min(20.0, 0.45 / (time_s[1] - time_s[0]))  # beyond, samples take it for a slow one
+        starts = 2 * np.pi * np.geomspace(1.0, fastest, 10)
         ends = bend[-1]
         found = [least_squares(misses, [w, 0.2 * w, bend[0] - ends, 0.0, ends]) for w in starts]
         rate, decay = min(found, key=lambda f: f.cost).x[:2]
@@ -63,7 +64,7 @@ def released(
         controller: stiffness K_c of the chamber, N m/rad.
         seconds: of the swing.
         particles: of the body, about.
-        sensor: carried by the last link, as `Links` of one; None for none.
+        sensor: lumps that the last link carries; None for none.
     """
     at, free = programs.joint_targets(twin, 0.0)[None], twin.copy()
     held = solve_equilibrium(devices.finger(twin, particles=particles), Loads(q_cmd=at), tolerance=1e-3)
@@ -85,13 +86,13 @@ def released(
 
 
 def _carry(solver: TotalLagrangian, more: Links) -> None:
-    """Adds a mass to what the last link carries."""
+    """Adds lumps to what the last link carries."""
     density = solver.body.material.density_kg_m3
     lumps = solver.arrays["lump"].to_numpy().reshape(-1, state.LUMP).astype(float)
     own = lumps[-1]
     parts = [
         (own[0] * density, own[1:4], own[4:].reshape(3, 3) * density),
-        (more.mass_kg[0], more.centre_m[0], more.inertia_kg_m2[0]),
+        *zip(more.mass_kg, more.centre_m, more.inertia_kg_m2, strict=True),
     ]
     mass = sum(m for m, _, _ in parts)
     centre = sum(m * c for m, c, _ in parts) / mass

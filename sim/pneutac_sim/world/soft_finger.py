@@ -66,7 +66,7 @@ def body(twin: Twin) -> str:
             f'<body name="spine_{n + 1}" pos="{s[n] - (s[n - 1] if n else 0.0)} 0 0"'
             ' gravcomp="1">'
             f'<joint name="spine_{n + 1}" axis="0 -1 0"/>'
-            f"{_inertial(links, n + 1, s[n], length if n == len(s) - 1 else None)}"
+            f"{_inertial(links, n + 1, s[n], sensor(twin) if n == len(s) - 1 else None)}"
             f"{_segment(ends[n + 1] - ends[n])}{xml}</body>"
         )
     c = float(np.sqrt(0.5))
@@ -78,6 +78,16 @@ def body(twin: Twin) -> str:
         f'{mount}<body name="finger" pos="0 0 {MOUNT_M}" xyaxes="0 0 1 {-c} {-c} 0">'
         f"{_inertial(links, 0, 0.0)}{base}{xml}</body>"
     )
+
+
+def sensor(twin: Twin) -> Links:
+    """DIGIT and gel pad as two lumps in the frame of the straight finger, which the last link carries."""
+    boxes = np.array([DIGIT_SIZE, 2 * np.array([PAD_HALF_M[1], PAD_HALF_M[0], PAD_HALF_M[2]])])
+    mass, tip = np.array([DIGIT_MASS, PAD_MASS]), 1e-3 * twin.length_mm
+    centre = np.array([[DIGIT_SIZE[0] / 2, 0.0, 0.0], [GEL_ALONG_M, 0.0, GEL_ABOVE_M - PAD_HALF_M[2]]])
+    squares = mass[:, None] / 12 * np.square(boxes)
+    inertia = [np.diag(each.sum() - each) for each in squares]
+    return Links(mass, centre + [tip, 0.0, 0.0], np.array(inertia))
 
 
 def actuators(twin: Twin) -> str:
@@ -138,13 +148,11 @@ def _pairs(joints: int) -> list[tuple[int, int]]:
     return [(i, j) for i in range(joints) for j in range(i + 1, joints)]
 
 
-def _inertial(links: Links, k: int, joint_m: float, digit_m: float | None = None) -> str:
-    """MJCF inertial of link `k` in the frame of its joint; with the DIGIT, from `digit_m` on."""
+def _inertial(links: Links, k: int, joint_m: float, carried: Links | None = None) -> str:
+    """MJCF inertial of link `k` in the frame of its joint; the first of what is carried goes with it."""
     parts = [(links.mass_kg[k], links.centre_m[k], links.inertia_kg_m2[k])]
-    if digit_m is not None:
-        squares = DIGIT_MASS / 12 * np.square(DIGIT_SIZE)
-        box = np.diag(squares.sum() - squares)
-        parts.append((DIGIT_MASS, np.array([digit_m + DIGIT_SIZE[0] / 2, 0.0, 0.0]), box))
+    if carried is not None:
+        parts.append((carried.mass_kg[0], carried.centre_m[0], carried.inertia_kg_m2[0]))
     mass = sum(m for m, _, _ in parts)
     if mass == 0:  # a base of no length
         return ""
