@@ -62,7 +62,7 @@ TARGETS = {
     ),
     "planner": Target(
         ("datasets/pneutac_datasets/demonstrations/augment/planner.py",),
-        ("tests/pneutac_datasets/demonstrations/test_planner.py",),
+        ("tests/pneutac_datasets/demonstrations/augment/test_planner.py",),
         most=60,
         may_survive=1,
     ),
@@ -73,11 +73,16 @@ TARGETS = {
 
 # Mutations that change nothing that could be seen: "file: line before -> line after", and why.
 # A key without " -> " stands for all mutations of its line.
+_SYMMETRIC = "planner: the noise is as likely with the other sign"
 _QUICKER = "optics: a short cut; what it leaves out is drawn to the same levels"
 _MEMORY = "optics: a row of memory more, which nothing reads"
 _TOO_FEW = "optics: what is left out cannot differ by more than the limit; the bound may be wider"
 NO_CHANGE: dict[str, str] = {
     "search.py: without = {t: self.score(m) for t, m in zip(terms, models, strict=True)}": "one model a term",
+    "planner.py: batch = mean + spread * self._noise(c.samples, len(warm)) -> "
+    "batch = mean - spread * self._noise(c.samples, len(warm))": _SYMMETRIC,
+    "planner.py: noise[:, t] = MEMORY * noise[:, t - 1] + np.sqrt(1 - MEMORY**2) * noise[:, t] -> "
+    "noise[:, t] = MEMORY * noise[:, t - 1] - np.sqrt(1 - MEMORY**2) * noise[:, t]": _SYMMETRIC,
     "optics.py: @njit(cache=True)": "the compiled code is the same",
     "optics.py: _NO_SHADOW = np.zeros((1, 1), np.float32)": "no value of it is read",
     "optics.py: top = np.float32(0.0)": _QUICKER,
