@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numba import njit
 
-from pneutac_sim.effects.near_light import towards
+from pneutac_sim.effects.near_light import PX, towards
 from pneutac_sim.effects.photometric_nonlinearity import lambert
 from pneutac_sim.effects.shadow import cast, darkened
 
@@ -133,6 +133,8 @@ def _light(u, hx, hy, c, shadow, out):
     """One channel of `light`; one-sided differences at the rim."""
     n, m = u.shape
     strength = math.hypot(c[0], c[1])
+    far = math.isnan(c[PX])
+    ex, ey = towards(c, 0.0, 0.0)
     for i in range(n):
         up, down = max(i - 1, 0), min(i + 1, n - 1)
         y = (i + 0.5 - n / 2) * hy
@@ -140,7 +142,8 @@ def _light(u, hx, hy, c, shadow, out):
             left, right = max(j - 1, 0), min(j + 1, m - 1)
             gx = (u[i, right] - u[i, left]) / (hx * (right - left))
             gy = (u[down, j] - u[up, j]) / (hy * (down - up))
-            ex, ey = towards(c, (j + 0.5 - m / 2) * hx, y)
+            if not far:
+                ex, ey = towards(c, (j + 0.5 - m / 2) * hx, y)
             along, across = ex * gx + ey * gy, ex * gy - ey * gx
             s = lambert(-strength * along, c[5], gx, gy)
             if c[6] > 0.0:

@@ -73,6 +73,43 @@ def probe_grid(
     return depth
 
 
+def probe_grids(
+    kinds, sizes, positions, rotations, gel_positions, gel_rotations, window_mm, thickness_mm, out: np.ndarray
+) -> np.ndarray:
+    """`probe_grid` of the same shapes in B states, into the first B grids of `out`, which are returned.
+
+    Args:
+        kinds: (n,).
+        sizes: (n, 3).
+        positions: (B, n, 3).
+        rotations: (B, n, 9).
+        gel_positions: (B, 3).
+        gel_rotations: (B, 9).
+        window_mm: as for `probe_grid`.
+        thickness_mm: as for `probe_grid`.
+        out: float32 (B or more, rows, columns).
+
+    Raises:
+        ValueError: as `probe_grid`.
+    """
+    count, n = np.shape(positions)[:2]
+    known = _probe_all(
+        np.asarray(kinds, np.int64),
+        np.asarray(sizes, np.float64),
+        np.asarray(positions, np.float64),
+        np.asarray(rotations, np.float64).reshape(count, n, 3, 3),
+        np.asarray(gel_positions, np.float64),
+        np.asarray(gel_rotations, np.float64).reshape(count, 3, 3),
+        window_mm[0] * 1e-3,
+        window_mm[1] * 1e-3,
+        thickness_mm * 1e-3,
+        out,
+    )
+    if not known:
+        raise ValueError(f"probe_grids knows shapes {KINDS} (MuJoCo geom types and CONE); got {list(kinds)}")
+    return out[:count]
+
+
 # Each span gives the interval of t where the line o + d t (shape frame, |d| = 1, s = size) is inside the
 # shape, empty where lo > hi. They have no branches, so that the loop over grid points vectorises.
 
@@ -232,4 +269,16 @@ def _probe(kinds, sizes, positions, rotations, gel_position, gel_rotation, width
             _sweep_ellipsoid(s, c, R, ex, ey, width, height, thickness, depth)
         else:
             _sweep_cone(s, c, R, ex, ey, width, height, thickness, depth)
+    return True
+
+
+@njit(cache=True)
+def _probe_all(
+    kinds, sizes, positions, rotations, gel_positions, gel_rotations, width, height, thickness, out
+):
+    for b in range(len(positions)):
+        out[b] = 0
+        gel = gel_positions[b], gel_rotations[b]
+        if not _probe(kinds, sizes, positions[b], rotations[b], *gel, width, height, thickness, out[b]):
+            return False
     return True

@@ -41,7 +41,7 @@ class TactileSensor:
     Attributes:
         model: the gel's sizes, mechanics and light.
         rest_image: the image without contact, uint8 (H, W, 3), 320 x 240 for a DIGIT.
-        surface: as given.
+        surface: as given; it takes several grids (B, 80, 59) at once where `areas` is called.
         draw: takes a surface's displacement, (80, 59) mm, to an image, uint8 (H, W, 3): light on every pixel
             (`gel.optics`), or in its place such as `splat.gel.SplatSensor.image`.
     """
@@ -84,12 +84,11 @@ class TactileSensor:
         if not depth_mm.any():
             return np.zeros((ROWS, COLS), np.float32)
         imprint = self.model.imprint(depth_mm)
-        u = (
-            surface(imprint, self._cell_mm, self.model.decay_mm)
-            if self.surface is None
-            else self.surface(imprint)
-        )
+        u = self._analytic(imprint) if self.surface is None else self.surface(imprint)
         return self.model.surface(u, self._cell_mm)
+
+    def _analytic(self, imprint: np.ndarray) -> np.ndarray:
+        return surface(imprint, self._cell_mm, self.model.decay_mm)
 
     def image(self, depth_mm: np.ndarray) -> np.ndarray:
         """Tactile image of a probe grid (80, 59) in mm: uint8 (H, W, 3)."""
@@ -105,5 +104,20 @@ class TactileSensor:
         n = self.rest_image.shape[0] * self.rest_image.shape[1]
         if not depth_mm.any():
             return ContactArea.of(0, n)
-        limit = int(3 * self.model.threshold_levels)
-        return ContactArea.of(self._renderer.contact_pixels(self.displacement(depth_mm), limit), n)
+        return ContactArea.of(self._pixels(self.displacement(depth_mm)), n)
+
+    def areas(self, depth_mm: np.ndarray) -> np.ndarray:
+        """`contact_from_depth(...).area` of probe grids (B, 80, 59), (B,); a network takes them together."""
+        pixels = np.zeros(len(depth_mm))
+        touched = np.flatnonzero(depth_mm.reshape(len(depth_mm), -1).any(1))
+        imprints = [self.model.imprint(depth_mm[b]) for b in touched]
+        if self.surface is None or not imprints:
+            moved = map(self._analytic, imprints)
+        else:
+            moved = self.surface(np.stack(imprints))
+        for b, u in zip(touched, moved, strict=True):
+            pixels[b] = self._pixels(self.model.surface(u, self._cell_mm))
+        return pixels / (self.rest_image.shape[0] * self.rest_image.shape[1])
+
+    def _pixels(self, displacement_mm: np.ndarray) -> int:
+        return self._renderer.contact_pixels(displacement_mm, int(3 * self.model.threshold_levels))

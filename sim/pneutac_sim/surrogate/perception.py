@@ -64,7 +64,7 @@ class GelSurrogate:
 
         Returns:
             Displacement in mm, float32, same shape; zero where a whole grid is. Beyond `deepest_mm` the gel
-            adds what it adds there.
+            adds what it adds there. A grid among others is rounded otherwise than alone (1e-6 mm).
 
         Raises:
             ValueError: another shape, or a depth that is no finite number.
@@ -89,9 +89,9 @@ class GelSurrogate:
     @cached_property
     def _rest(self) -> np.ndarray:
         """g(0)."""
-        rest = np.empty((ROWS, COLS), np.float32)
-        kern.added(*self._network, np.zeros((ROWS, COLS), np.float32), rest)
-        return rest
+        rest = np.zeros((1, ROWS, COLS), np.float32)
+        kern.added(*self._network, rest)
+        return rest[0]
 
     def out_of_range(self, depth_mm: np.ndarray) -> np.ndarray:
         """Whether probe grids (..., 80, 59) lie deeper, or cover more of the window, than in training."""

@@ -1,8 +1,9 @@
-"""Compiled evaluation of the perception network's UNet, grid by grid on one thread.
+"""Compiled evaluation of the perception network's UNet, on one thread.
 
 A channel of a level is a plane of rows x columns cells, flattened with one column of zeros between the rows,
 a row of zeros above and below it and `EDGE` cells before it. So the nine taps of a convolution are nine
 shifts of one long line, along which the compiler makes vector instructions, and the zeros are the padding.
+Planes of the coarser levels are short, so those of up to `BATCH` grids lie behind one another in their lines.
 """
 
 import numpy as np
@@ -12,6 +13,7 @@ from pneutac_sim.gel.probe import COLS, ROWS
 
 BLOCK = 2
 EDGE = 16
+BATCH = 4  # grids at once; more of them leave the processor's cache
 _FAST = {"contract", "nsz", "nnan"}  # products and sums in one instruction
 
 
@@ -27,14 +29,21 @@ R3, C3 = _half(R2), _half(C2)
 def workspace(channels: tuple[int, int, int]) -> tuple[np.ndarray, ...]:
     """Zeroed planes for `added`, of the layers in the order in which it names them."""
     a, b, c = channels
-    sizes = [(R1, C1, n) for n in (BLOCK**2, a, b + a, a)]
-    sizes += [(R2, C2, n) for n in (a, b, c + b, b)] + [(R3, C3, n) for n in (b, c, c)]
-    return tuple(np.zeros((n, 2 * EDGE + (rows + 2) * (cols + 1)), np.float32) for rows, cols, n in sizes)
+
+    def planes(rows: int, cols: int, n: int, grids: int) -> tuple[int, int]:
+        return n, 2 * EDGE + (grids * (rows + 1) + 1) * (cols + 1)
+
+    shapes = [planes(R1, C1, n, 1) for n in (BLOCK**2, a)]
+    shapes += [(BATCH, *planes(R1, C1, b + a, 1)), planes(R1, C1, a, 1)]
+    shapes += [planes(R2, C2, n, BATCH) for n in (a, b, c + b, b)]
+    shapes += [planes(R3, C3, n, BATCH) for n in (b, c, c)]
+    return tuple(np.zeros(shape, np.float32) for shape in shapes)
 
 
-def _level(rows: int, cols: int):
-    """Compiles a convolution and the two ways to the coarser level, for planes of one size."""
-    stride, cells = cols + 1, rows * (cols + 1)
+def _level(rows: int, cols: int, grids: int = 1):
+    """Compiles a convolution for lines of one length; with a length that is known only later it is slow."""
+    stride, lines = cols + 1, grids * (rows + 1) - 1
+    cells = lines * stride
     first = EDGE + stride  # of the plane's own cells
 
     @njit(fastmath=_FAST)
@@ -61,78 +70,113 @@ def _level(rows: int, cols: int):
             line = y[o]
             for p in range(first, first + cells):
                 line[p] = max(line[p], np.float32(0.0))
-            for i in range(rows):
+            for i in range(lines):
                 line[first + i * stride + cols] = 0.0
+            for g in range(1, grids):  # the row between two grids
+                at = first + (g * (rows + 1) - 1) * stride
+                line[at : at + cols] = 0.0
 
     return convolve
 
 
 _convolve1, _convolve2, _convolve3 = _level(R1, C1), _level(R2, C2), _level(R3, C3)
+_convolve2_all, _convolve3_all = _level(R2, C2, BATCH), _level(R3, C3, BATCH)
+
+
+@njit
+def _coarse2(x, w, bias, y, n):
+    """Convolves the planes of n grids; where they are more than one, of all that there is room for."""
+    if n == 1:
+        _convolve2(x, w, bias, y)
+    else:
+        _convolve2_all(x, w, bias, y)
+
+
+@njit
+def _coarse3(x, w, bias, y, n):
+    if n == 1:
+        _convolve3(x, w, bias, y)
+    else:
+        _convolve3_all(x, w, bias, y)
 
 
 @njit(cache=True)
-def _pool(fine, rows, cols, coarse, coarse_cols):
+def _pool(fine, grid, rows, cols, coarse, coarse_grid, coarse_cols):
     """Largest of each 2 x 2 cells; what is missing at the rim is zero, as no cell is below."""
+    half = (rows + 1) // 2
     for k in range(len(fine)):
-        for i in range((rows + 1) // 2):
+        for i in range(half):
+            source = EDGE + (grid * (rows + 1) + 2 * i + 1) * (cols + 1)
+            to = EDGE + (coarse_grid * (half + 1) + i + 1) * (coarse_cols + 1)
             for j in range(coarse_cols):
-                at = EDGE + (2 * i + 1) * (cols + 1) + 2 * j
+                at = source + 2 * j
                 below = at + cols + 1
                 upper, lower = max(fine[k, at], fine[k, at + 1]), max(fine[k, below], fine[k, below + 1])
-                coarse[k, EDGE + (i + 1) * (coarse_cols + 1) + j] = max(upper, lower)
+                coarse[k, to + j] = max(upper, lower)
 
 
 @njit(cache=True)
-def _enlarge(coarse, coarse_cols, fine, rows, cols):
+def _enlarge(coarse, coarse_grid, coarse_cols, fine, grid, rows, cols):
     """Each cell becomes 2 x 2."""
+    half = (rows + 1) // 2
     for k in range(len(coarse)):
         for i in range(rows):
-            at, source = EDGE + (i + 1) * (cols + 1), EDGE + (i // 2 + 1) * (coarse_cols + 1)
+            at = EDGE + (grid * (rows + 1) + i + 1) * (cols + 1)
+            source = EDGE + (coarse_grid * (half + 1) + i // 2 + 1) * (coarse_cols + 1)
             for j in range(cols):
                 fine[k, at + j] = coarse[k, source + j // 2]
 
 
 @njit(cache=True)
-def added(kernels, biases, work, depth, out):
-    """g(d) of `perception.UNet` for one grid.
+def added(kernels, biases, work, depth):
+    """g(d) of `perception.UNet` for some grids.
 
     Args:
         kernels: (outputs, inputs, 9) each, of the convolutions in the order down1, down2, down3, up2, up1,
             two of each, and (4, inputs, 1) of the last one.
         biases: (outputs,) each.
         work: of `workspace`.
-        depth: (ROWS, COLS) mm, float32.
-        out: (ROWS, COLS) mm, float32; overwritten.
+        depth: (n, ROWS, COLS) mm, float32, n up to `BATCH`; g(d) in mm takes its place.
     """
     blocks, h1, skip1, y1, p2, h2, skip2, y2, p3, h3, y3 = work
-    w, b = kernels, biases
-    for i in range(ROWS):
-        for j in range(COLS):
-            at = EDGE + (i // BLOCK + 1) * (C1 + 1) + j // BLOCK
-            blocks[(i % BLOCK) * BLOCK + j % BLOCK, at] = depth[i, j]
+    w, b, n = kernels, biases, len(depth)
     # The skipped level is laid behind the enlarged coarser one.
-    own1, own2 = skip1[len(skip1) - len(p2) :], skip2[len(skip2) - len(p3) :]
-    _convolve1(blocks, w[0], b[0], h1)
-    _convolve1(h1, w[1], b[1], own1)
-    _pool(own1, R1, C1, p2, C2)
-    _convolve2(p2, w[2], b[2], h2)
-    _convolve2(h2, w[3], b[3], own2)
-    _pool(own2, R2, C2, p3, C3)
-    _convolve3(p3, w[4], b[4], h3)
-    _convolve3(h3, w[5], b[5], y3)
-    _enlarge(y3, C3, skip2, R2, C2)
-    _convolve2(skip2, w[6], b[6], h2)
-    _convolve2(h2, w[7], b[7], y2)
-    _enlarge(y2, C2, skip1, R1, C1)
-    _convolve1(skip1, w[8], b[8], h1)
-    _convolve1(h1, w[9], b[9], y1)
-    last, bias = w[10], b[10]
+    own2 = skip2[len(skip2) - len(p3) :]
+    for g in range(n):
+        for i in range(ROWS):
+            for j in range(COLS):
+                at = EDGE + (i // BLOCK + 1) * (C1 + 1) + j // BLOCK
+                blocks[(i % BLOCK) * BLOCK + j % BLOCK, at] = depth[g, i, j]
+        own1 = skip1[g, skip1.shape[1] - len(p2) :]
+        _convolve1(blocks, w[0], b[0], h1)
+        _convolve1(h1, w[1], b[1], own1)
+        _pool(own1, 0, R1, C1, p2, g, C2)
+    _coarse2(p2, w[2], b[2], h2, n)
+    _coarse2(h2, w[3], b[3], own2, n)
+    for g in range(n):
+        _pool(own2, g, R2, C2, p3, g, C3)
+    _coarse3(p3, w[4], b[4], h3, n)
+    _coarse3(h3, w[5], b[5], y3, n)
+    for g in range(n):
+        _enlarge(y3, g, C3, skip2, g, R2, C2)
+    _coarse2(skip2, w[6], b[6], h2, n)
+    _coarse2(h2, w[7], b[7], y2, n)
+    for g in range(n):
+        _enlarge(y2, g, C2, skip1[g], 0, R1, C1)
+        _convolve1(skip1[g], w[8], b[8], h1)
+        _convolve1(h1, w[9], b[9], y1)
+        _last(y1, w[10], b[10], depth[g])
+
+
+@njit(cache=True)
+def _last(y, w, bias, out):
+    """The convolution (4, inputs, 1) of planes y, as a grid."""
     for i in range(ROWS):
         for j in range(COLS):
             k, at = (i % BLOCK) * BLOCK + j % BLOCK, EDGE + (i // BLOCK + 1) * (C1 + 1) + j // BLOCK
             total = bias[k]
-            for c in range(len(y1)):
-                total += last[k, c, 0] * y1[c, at]
+            for c in range(len(y)):
+                total += w[k, c, 0] * y[c, at]
             out[i, j] = total
 
 
@@ -142,20 +186,25 @@ def displacements(kernels, biases, work, grids, rest, deepest_mm, out):
 
     Returns whether all depths are finite.
     """
-    known = np.empty((ROWS, COLS), np.float32)
-    for n in range(len(grids)):
+    known, which, n = np.empty((BATCH, ROWS, COLS), np.float32), np.empty(BATCH, np.int64), 0
+    for m in range(len(grids)):
         peak = np.float32(0.0)
         for i in range(ROWS):
             for j in range(COLS):
-                d = grids[n, i, j]
+                d = grids[m, i, j]
                 if not np.isfinite(d):
                     return False
                 peak = max(peak, d)
-                known[i, j] = min(d, deepest_mm)
-        out[n] = grids[n]
+                known[n, i, j] = min(d, deepest_mm)
+        out[m] = grids[m]
         if peak > 0.0:
-            added(kernels, biases, work, known, known)
-            for i in range(ROWS):
-                for j in range(COLS):
-                    out[n, i, j] += known[i, j] - rest[i, j]
+            which[n] = m
+            n += 1
+        if n == BATCH or (n and m == len(grids) - 1):
+            added(kernels, biases, work, known[:n])
+            for k in range(n):
+                for i in range(ROWS):
+                    for j in range(COLS):
+                        out[which[k], i, j] += known[k, i, j] - rest[i, j]
+            n = 0
     return True

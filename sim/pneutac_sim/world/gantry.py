@@ -14,57 +14,18 @@ import mujoco
 import numpy as np
 
 from pneutac_sim.gel.sensor import TactileSensor, centre_mm
-from pneutac_sim.world import scene
+from pneutac_sim.world import scene, slides
 from pneutac_sim.world.following import Follower
 from pneutac_sim.world.observation import Observation
-from pneutac_sim.world.panda import (
-    HOME_JOINTS,
-    SERVO_LAG_S,
-    WORKSPACE_HIGH,
-    WORKSPACE_LOW,
-    forward_kinematics,
-)
+from pneutac_sim.world.pairs import Pairs
+from pneutac_sim.world.panda import WORKSPACE_HIGH, WORKSPACE_LOW
 from pneutac_sim.world.placing import Placing
+from pneutac_sim.world.snapshots import Snapshots
 from pneutac_sim.world.soft_finger import Springs, mjcf
 from pneutac_sim.world.substeps import Substeps
 from pneutac_sim.world.touch import Touch
 from pneutac_sim.world.varied import VariedWorld, _Staged
-from pneutac_sim.world.world import DT
-
-SLIDES = ("slide_x", "slide_y", "slide_z")
-STIFFNESS_N_M = 40000.0  # of the flange: about 12 kN m/rad at the arm's half metre
-INERTIA_KG = 1.0
-
-
-def body(payload: str = "") -> str:
-    """MJCF of three slides whose positions are the flange's in the world; `payload` as for the arm."""
-    quat = np.zeros(4)
-    mujoco.mju_mat2Quat(quat, forward_kinematics(HOME_JOINTS)[:3, :3].ravel())
-    slides = "".join(
-        f'<joint name="{name}" type="slide" axis="{axis}" armature="{INERTIA_KG}"/>'
-        for name, axis in zip(SLIDES, ("1 0 0", "0 1 0", "0 0 1"), strict=True)
-    )
-    site = '<site name="flange" size=".001" group="5"/>'
-    # The joints' axes are in the frame of their body: the turned flange is a body of its own.
-    flange = f'<body name="flange" quat="{" ".join(map(repr, quat.tolist()))}">{site}{payload}</body>'
-    return f'<body name="gantry" gravcomp="1">{slides}{flange}</body>'
-
-
-def actuators() -> str:
-    """MJCF position servos of the slides."""
-    kv = SERVO_LAG_S * STIFFNESS_N_M
-    return "".join(f'<position name="servo_{j}" joint="{j}" kp="{STIFFNESS_N_M}" kv="{kv}"/>' for j in SLIDES)
-
-
-class _Straight:
-    """Inverse kinematics of the slides."""
-
-    def reset(self, q) -> None:
-        """Nothing to start from."""
-
-    def solve(self, position: np.ndarray) -> np.ndarray:
-        """Slide positions (3,), metres: the flange's own."""
-        return np.array(position, float)
+from pneutac_sim.world.world import DT, RAMP
 
 
 class Gantry(VariedWorld):
@@ -76,7 +37,7 @@ class Gantry(VariedWorld):
 
     Attributes:
         centre_mm: (H, 2) middles of the imprints in the last `rollout`, see `gel.sensor.centre_mm`.
-        steps: control steps taken in `rollout` so far.
+        steps: control steps tried so far.
         seconds: seconds spent in them: `physics`, `touch`.
     """
 
@@ -90,22 +51,25 @@ class Gantry(VariedWorld):
         """
         super().__init__(world.task.name, world.twin, "area", "probe", world.conditions)
         task = self.task.inner
-        self.model = mujoco.MjModel.from_xml_string(scene.build(task, mjcf(self.twin), body, actuators))
+        spec = mujoco.MjSpec.from_string(scene.build(task, mjcf(self.twin), slides.body, slides.actuators))
+        spec.compiler.discardvisual = True  # nobody looks at it
+        self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
         self.task = _Staged(task, self.model)
         self.sensor = TactileSensor(self.twin)
         self.touch = Touch(self.model, self.sensor, "area", world.touch.network)
-        self._ik = _Straight()
+        self._ik = slides.Straight()
         self._flange, self._gel = self.model.site("flange").id, self.model.site("gel").id
         self._tip, self._placing = self.model.site("tip").id, Placing(self.model)
         n = self._spine.stop - self._spine.start
         self._physics = Substeps(self.model, self.data)
+        self._snapshots = Snapshots(self.touch, self._flange)
         damping, whole = "joint_damping_nms_per_rad", "joint_stiffness_nm_per_rad"
         self._springs = Springs(self.model, n, self.twin.parameter(damping), self.twin.parameter(whole))
         self._follower = Follower(self.model, n)
         self._arm, self._spine = slice(0, 3), slice(3, 3 + n)
         self.steps, self.seconds = 0, {"physics": 0.0, "touch": 0.0}
-        self._pair(world)
+        self._pairs = Pairs(world.model, self.model)
         root, hand = self.model.body_rootid, self.model.body("gantry").id
         loose = [j for j in range(self.model.njnt) if root[self.model.jnt_bodyid[j]] != hand]
         self._loose = [(self.model.joint(j), self.data.joint(j)) for j in loose]
@@ -114,13 +78,7 @@ class Gantry(VariedWorld):
     def mirror(self, world: VariedWorld) -> None:
         """Takes over the state of `world`: poses, speeds, pressures, and what the task remembers."""
         here, there = self.data, world.data
-        for theirs, ours, names in self._fields:
-            getattr(self.model, names)[ours] = getattr(world.model, names)[theirs]
-        here.qpos[self._qpos[1]], here.qvel[self._dofs[1]] = (
-            there.qpos[self._qpos[0]],
-            there.qvel[self._dofs[0]],
-        )
-        here.ctrl[self._ctrl[1]] = there.ctrl[self._ctrl[0]]
+        self._pairs.copy(world.model, there, self.model, here)
         jacobian = np.zeros((3, world.model.nv))
         mujoco.mj_comPos(world.model, there)
         mujoco.mj_jacSite(world.model, there, jacobian, None, world._flange)
@@ -169,37 +127,116 @@ class Gantry(VariedWorld):
     def rollout(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Tries actions from the mirrored state; what was sent before and acts too late goes first.
 
+        The state is then that after the last action.
+
         Args:
             actions: (H, 4) as `features.ACTION_NAMES`, within the limits.
 
         Returns:
             flange positions (H, 3), metres, and contact areas (H,) after each step.
         """
+        self._make_room(len(actions))
+        began = time.perf_counter()
+        self._follow(self._acting(actions[None])[0], 0)
+        moved = time.perf_counter()
+        flange, area, depth = self._feel(len(actions))
+        window = self.sensor.model.window_mm
+        self.centre_mm = np.array([centre_mm(d, window) for d in depth]).reshape(-1, 2)
+        self.centre_mm[~(area > 0)] = np.nan
+        self._count(len(actions), moved - began, time.perf_counter() - moved)
+        return flange, area
+
+    def rollouts(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """As `rollout`, for several sequences of actions, each from the mirrored state.
+
+        Where nothing changes the physics between control steps, neither the task (`Task.watches`) nor an
+        effect that moves the tip, all are one call of MuJoCo. What they touch is felt together.
+
+        Args:
+            actions: (S, H, 4).
+
+        Returns:
+            flange positions (S, H, 3), metres, and contact areas (S, H).
+        """
+        S, H = actions.shape[:2]
+        self._make_room(S * H)
+        began = time.perf_counter()
+        acting = self._acting(actions)
+        if self.task.watches and not self._pipeline.moves:
+            self._look(self._ahead(acting))
+        else:
+            for s, sequence in enumerate(acting):
+                self._follow(sequence, s * H)
+        moved = time.perf_counter()
+        flange, area, _ = self._feel(S * H)
+        self._count(S * H, moved - began, time.perf_counter() - moved)
+        return flange.reshape(S, H, 3), area.reshape(S, H)
+
+    def _make_room(self, count: int) -> None:
+        if count > len(self._snapshots.flange_m):
+            self._snapshots.make_room(count)
+
+    def _acting(self, actions: np.ndarray) -> np.ndarray:
+        """Actions (S, H, 4) as they act: what was sent before goes first."""
+        sent = np.array(self._sent, float).reshape(1, -1, 4)
+        return np.concatenate([np.repeat(sent, len(actions), 0), actions], 1)[:, : actions.shape[1]]
+
+    def _restart(self) -> None:
+        """Goes back to the mirrored state."""
         mujoco.mj_setState(self.model, self.data, self._state, _STATE)
         self.model.dof_frictionloss[:] = self._friction
         vars(self.task.inner).update(_memory(self._memory))
+        self._placing.set(self.model, self._poses)
+
+    def _follow(self, acting: np.ndarray, row: int) -> None:
+        """One sequence (H, 4), control step by control step, into the snapshots from `row` on."""
+        self._restart()
         saved = self.target_m, self._joints, self.spine_target_rad, self._drive, self._rate, self._pipeline
         self._pipeline, target = self._pipeline.copy(), self.target_m
-        self._placing.set(self.model, self._poses)
-        flange, area = np.empty((len(actions), 3)), np.empty(len(actions))
-        self.centre_mm = np.full((len(actions), 2), np.nan)
-        acting = np.vstack([*self._sent, actions])[: len(actions)]
         for t, action in enumerate(acting):
             target = np.clip(target + action[:3] * DT, WORKSPACE_LOW, WORKSPACE_HIGH)
-            began = time.perf_counter()
             self._advance(target, self._pipeline.step(action[3], DT))
             self.task.update(self.model, self.data, DT)
-            moved = time.perf_counter()
-            self.touch.sense(self.data)
-            self.seconds["physics"] += moved - began
-            self.seconds["touch"] += time.perf_counter() - moved
-            felt = self.touch.area
-            if felt:
-                self.centre_mm[t] = centre_mm(self.touch.depth_mm, self.sensor.model.window_mm)
-            flange[t], area[t] = self.flange_m, max(felt + self._residual_area, 0.0) if felt else 0.0
-        self.steps += len(actions)
+            self._snapshots.take(row + t, self.data)
         self.target_m, self._joints, self.spine_target_rad, self._drive, self._rate, self._pipeline = saved
-        return flange, area
+
+    def _ahead(self, acting: np.ndarray) -> np.ndarray:
+        """States (S, H, n) after every control step of sequences (S, H, 4), all in one call."""
+        self._restart()
+        S, H = acting.shape[:2]
+        K, rest = self._resist(self._drive)
+        D = self._springs.set(K)
+        target = np.repeat(self.target_m[None, None], S, 0).repeat(H + 1, 1)
+        for t in range(H):
+            target[:, t + 1] = np.clip(target[:, t] + acting[:, t, :3] * DT, WORKSPACE_LOW, WORKSPACE_HIGH)
+        ctrl = np.empty((S, H, scene.SUBSTEPS, self.model.nu))
+        ctrl[:] = self.data.ctrl
+        ctrl[..., self._arm] = target[:, :-1, None] + RAMP * np.diff(target, axis=1)[:, :, None]
+        for s in range(S):
+            pipeline, drive, rate = self._pipeline.copy(), self._drive, self._rate
+            for t in range(H):
+                before, drive = drive, self._bend(pipeline.step(acting[s, t, 3], DT))
+                torques, rate = self._follower.torques(before, rate, drive, K, D, scene.SUBSTEPS)
+                ctrl[s, t, :, self._spine] = torques + rest
+        ctrl = ctrl.reshape(S, H * scene.SUBSTEPS, -1)
+        return self._physics.ahead(ctrl)[:, scene.SUBSTEPS - 1 :: scene.SUBSTEPS]
+
+    def _look(self, states: np.ndarray) -> None:
+        """Takes snapshots of states (S, H, n)."""
+        for row, state in enumerate(states.reshape(-1, states.shape[-1])):
+            self._physics.show(state)
+            self._snapshots.take(row, self.data)
+
+    def _feel(self, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Flange positions (count, 3), contact areas (count,) and probe grids of the snapshots."""
+        felt, depth = self._snapshots.feel(count)
+        area = np.where(felt > 0, np.maximum(felt + self._residual_area, 0.0), 0.0)
+        return self._snapshots.flange_m[:count].copy(), area, depth
+
+    def _count(self, steps: int, physics_s: float, touch_s: float) -> None:
+        self.steps += steps
+        self.seconds["physics"] += physics_s
+        self.seconds["touch"] += touch_s
 
     @override
     def _resist(self, drive):
@@ -209,39 +246,8 @@ class Gantry(VariedWorld):
     def _observe(self):
         return Observation(np.append(self.flange_m, self.touch.area).astype(np.float32), None)
 
-    def _pair(self, world: VariedWorld) -> None:
-        """Indices, in the world's model and in this one, of everything that both have."""
-        a, b = world.model, self.model
-
-        def both(kind: str, count: int) -> list[str]:
-            names = [getattr(b, kind)(i).name for i in range(count)]
-            known = {getattr(a, kind)(i).name for i in range(getattr(a, f"n{_COUNTS[kind]}"))}
-            return [n for n in names if n and n in known]
-
-        def indices(names: list[str], find) -> tuple[np.ndarray, np.ndarray]:
-            return tuple(np.concatenate([find(m, n) for n in names]).astype(int) for m in (a, b))
-
-        joints, bodies = both("joint", b.njnt), both("body", b.nbody)
-        geoms, motors = both("geom", b.ngeom), both("actuator", b.nu)
-        bodies = [n for n in bodies if n not in ("world", "flange")]
-        self._qpos = indices(joints, lambda m, n: _span(m.joint(n).qposadr[0], m.joint(n).qpos0))
-        self._dofs = indices(joints, lambda m, n: _span(m.joint(n).dofadr[0], m.joint(n).armature))
-        self._ctrl = indices(motors, lambda m, n: [m.actuator(n).id])
-        body = indices(bodies, lambda m, n: [m.body(n).id])
-        geom = indices(geoms, lambda m, n: [m.geom(n).id])
-        self._fields = [
-            *((*body, name) for name in ("body_pos", "body_quat", "body_mass")),
-            (*geom, "geom_friction"),
-            (*self._dofs, "dof_frictionloss"),
-        ]
-
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
-_COUNTS = {"joint": "jnt", "body": "body", "geom": "geom", "actuator": "u"}
-
-
-def _span(first: int, like: np.ndarray) -> np.ndarray:
-    return first + np.arange(len(np.atleast_1d(like)))
 
 
 def _memory(attributes: dict) -> dict:

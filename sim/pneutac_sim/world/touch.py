@@ -19,6 +19,7 @@ class Touch:
         pixels: last count s of pixels in contact.
         area: s / N.
         network: the gel's, a `GelSurrogate`, or None.
+        felt, kinds, sizes: ids (n,), shapes (n,) and sizes (n, 3) of the geoms that the gel can feel.
         in_range: whether the last contact was one that the gel's network was trained for.
     """
 
@@ -41,23 +42,27 @@ class Touch:
             sensor.surface = gel.displacement
             self.network, self._full = (gel, None) if hasattr(gel, "out_of_range") else (None, gel)
         self._gel = model.site("gel").id
-        self._felt = np.flatnonzero(model.geom_group == OBJECT_GROUP)
-        self._kinds = model.geom_type[self._felt]
-        self._sizes = model.geom_size[self._felt]
+        self.felt = np.flatnonzero(model.geom_group == OBJECT_GROUP)
+        self.kinds = model.geom_type[self.felt]
+        self.sizes = model.geom_size[self.felt]
+
+    def objects(self, data: mujoco.MjData) -> tuple[np.ndarray, ...]:
+        """What may touch the gel, and the gel's pose, as `gel.probe.probe_grid` takes them."""
+        return (
+            self.kinds,
+            self.sizes,
+            data.geom_xpos[self.felt],
+            data.geom_xmat[self.felt],
+            data.site_xpos[self._gel],
+            data.site_xmat[self._gel],
+        )
 
     def sense(self, data: mujoco.MjData) -> None:
         """Senses the present state; `data` must have its kinematics up to date."""
         self.image, self.pixels, self.area = None, 0, 0.0
         if self._mode == "none":
             return
-        objects = (
-            self._kinds,
-            self._sizes,
-            data.geom_xpos[self._felt],
-            data.geom_xmat[self._felt],
-            data.site_xpos[self._gel],
-            data.site_xmat[self._gel],
-        )
+        objects = self.objects(data)
         self.depth_mm = self.sensor.probe(*objects)
         if self._mode == "probe":
             return

@@ -67,6 +67,9 @@ def test_cost_is_the_papers_sum():
     expected = 2.0 * (0.01 + 0.04) + 50 * (1e-4 + 4e-4) + 0.01 * (4 * 0.25 + 0.25)
     assert demonstration_cost(area, goal, x, x_goal, actions, previous, c) == pytest.approx(expected)
     assert demonstration_cost(goal, goal, x_goal, x_goal, actions * 0, previous, c) == 0.0
+    both = [np.stack(pair) for pair in ((area, goal), (x, x_goal), (actions, actions * 0))]
+    costs = demonstration_cost(both[0], goal, both[1], x_goal, both[2], previous, c)
+    np.testing.assert_allclose(costs, [expected, 0.0])
 
 
 def synthetic(source: int, onset_m, onset: int = 5) -> Reference:

@@ -3,7 +3,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pneutac_sim.gel import probe
-from pneutac_sim.gel.probe import BOX, CAPSULE, CONE, CYLINDER, ELLIPSOID, SPHERE, probe_grid
+from pneutac_sim.gel.probe import BOX, CAPSULE, CONE, CYLINDER, ELLIPSOID, SPHERE, probe_grid, probe_grids
 
 EYE = np.eye(3)
 
@@ -113,3 +113,22 @@ def test_deepest_object_wins_thickness_clips_and_what_is_behind_is_ignored():
 def test_an_unknown_shape_is_named():
     with pytest.raises(ValueError, match="knows shapes"):
         probe_grid([7], [[1, 1, 1]], [[0, 0, 0]], [EYE])
+
+
+def test_many_states_are_each_by_itself_and_leave_the_other_rows_alone():
+    kinds, sizes = [SPHERE, BOX], np.array([[0.004, 0, 0], [0.003, 0.002, 0.001]])
+    rng, buffer = np.random.default_rng(0), np.full((4, 80, 59), 7.0, np.float32)
+    at, gel = rng.normal(0, 0.003, (3, 2, 3)), rng.normal(0, 0.001, (3, 3))
+    at[1] += 1.0  # out of reach
+    turns, gel_turns = (Rotation.random(n, rng=rng).as_matrix() for n in (6, 3))
+    turns = turns.reshape(3, 2, 3, 3)
+    window = probe.WINDOW_MM, probe.THICKNESS_MM
+    grids = probe_grids(
+        kinds, sizes, at, turns.reshape(3, 2, 9), gel, gel_turns.reshape(3, 9), *window, buffer
+    )
+    alone = [probe_grid(kinds, sizes, *state) for state in zip(at, turns, gel, gel_turns, strict=True)]
+    assert grids.any((1, 2)).tolist() == [True, False, True]
+    np.testing.assert_array_equal(grids, alone)
+    assert (buffer[3] == 7).all()
+    with pytest.raises(ValueError, match="probe_grids knows shapes"):
+        probe_grids([1, 2], sizes, at, turns, gel, gel_turns, *window, buffer)

@@ -59,6 +59,23 @@ def test_fast_path_equals_the_image_exactly(effects):
         assert sensor.contact_from_depth(depth) == sensor.contact(sensor.image(depth))
 
 
+def test_areas_of_many_are_each_by_itself():
+    """With formulas grid by grid, with a network all that touch at once."""
+    sensor = TactileSensor(replace(GelModel.builtin(), depth_scale=0.8))
+    depth = np.stack([press(sensor, z_mm=z) for z in (2.5, 9.0, 2.0)])
+    areas = [sensor.contact_from_depth(d).area for d in depth]
+    assert areas[0] > 0 and areas[1] == 0 and areas[2] > areas[0]
+    np.testing.assert_array_equal(sensor.areas(depth), areas)
+    shown = []
+    sensor.surface = lambda d: (shown.append(d.shape), 0.5 * d)[1]
+    halved = [sensor.contact_from_depth(d).area for d in depth]
+    assert halved[0] != areas[0]
+    shown.clear()
+    np.testing.assert_array_equal(sensor.areas(depth), halved)
+    assert shown == [(2, 80, 59)]
+    assert not sensor.areas(depth[1:2]).any() and len(shown) == 1
+
+
 def test_skin_draws_the_imprint_back_but_never_below_rest(sensor):
     gel = replace(sensor.model, depth_scale=0.6)
     depth = press(sensor)

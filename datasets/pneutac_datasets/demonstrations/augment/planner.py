@@ -70,23 +70,27 @@ def demonstration_cost(
     actions: np.ndarray,
     previous: np.ndarray,
     config: PlannerConfig,
-) -> float:
-    """Cost L of a trajectory against the demonstrated one.
+) -> np.ndarray:
+    """Cost L of trajectories against the demonstrated one.
 
     Args:
-        area: (H,) contact areas c.
+        area: (..., H) contact areas c.
         area_goal: (H,) demonstrated ones c*.
-        position_m: (H, 3) flange positions x.
+        position_m: (..., H, 3) flange positions x.
         position_goal_m: (H, 3) demonstrated ones x*.
-        actions: (H, 4) as `features.ACTION_NAMES`.
+        actions: (..., H, 4) as `features.ACTION_NAMES`.
         previous: (4,) the action before them.
         config: the weights.
+
+    Returns:
+        (...,), one a trajectory.
     """
-    change = np.diff(np.vstack([previous, actions]), axis=0) / ACTION_HIGH
-    return float(
-        config.area_weight * np.sum((area - area_goal) ** 2)
-        + config.position_weight * np.sum((position_m - position_goal_m) ** 2)
-        + config.smoothness_weight * np.sum(change**2)
+    before = np.broadcast_to(previous, (*actions.shape[:-2], 1, 4))
+    change = np.diff(actions, axis=-2, prepend=before) / ACTION_HIGH
+    return (
+        config.area_weight * np.sum((area - area_goal) ** 2, -1)
+        + config.position_weight * np.sum((position_m - position_goal_m) ** 2, (-2, -1))
+        + config.smoothness_weight * np.sum(change**2, (-2, -1))
     )
 
 
@@ -125,22 +129,19 @@ class CemPlanner:
         mean[: len(self._rest)] = self._rest[: len(mean)]
         first = np.array([c.jitter_m_s] * 3 + [c.jitter_kpa])
         spread = np.tile(first, (len(warm), 1))
-        tried, costs = [], []
+        tried, costs = np.empty((0, len(warm), 4)), np.empty(0)
         for iteration in range(c.iterations):
             batch = mean + spread * self._noise(c.samples, len(warm))
             if iteration == 0:
                 batch[0], batch[1] = warm, mean
             batch = np.clip(batch, ACTION_LOW, ACTION_HIGH)
-            for actions in batch:
-                position, area = self._gantry.rollout(actions)
-                costs.append(
-                    demonstration_cost(area, area_goal, position, position_goal_m, actions, previous, c)
-                )
-                tried.append(actions)
-            elites = np.array(tried)[np.argsort(costs, kind="stable")[: c.elites]]
+            position, area = self._gantry.rollouts(batch)
+            cost = demonstration_cost(area, area_goal, position, position_goal_m, batch, previous, c)
+            tried, costs = np.concatenate([tried, batch]), np.concatenate([costs, cost])
+            elites = tried[np.argsort(costs, kind="stable")[: c.elites]]
             mean, spread = elites.mean(0), np.maximum(elites.std(0), SMALLEST_SPREAD * first)
         best = int(np.argmin(costs))
-        self.cost, plan = costs[best], tried[best]
+        self.cost, plan = float(costs[best]), tried[best]
         self._rest = plan[c.replan :]
         return plan
 

@@ -241,9 +241,8 @@ def _rank(scene: Scene) -> tuple[bool, float]:
 def _felt(world: Gantry, gel, shift: np.ndarray) -> float:
     """Contact area that the gel at pose `gel` feels of the objects, moved by `shift`."""
     touch, data = world.touch, world.data
-    felt = touch._felt
-    positions, rotations = data.geom_xpos[felt] + shift, data.geom_xmat[felt]
-    depth = touch.sensor.probe(touch._kinds, touch._sizes, positions, rotations, *gel)
+    positions, rotations = data.geom_xpos[touch.felt] + shift, data.geom_xmat[touch.felt]
+    depth = touch.sensor.probe(touch.kinds, touch.sizes, positions, rotations, *gel)
     return touch.sensor.contact_from_depth(depth).area if depth.any() else 0.0
 
 

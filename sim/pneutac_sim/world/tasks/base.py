@@ -16,12 +16,15 @@ class Task:
         description: the instruction in plain words, as stored with demonstrations.
         home_m: flange position (3,) at the start of an episode, metres.
         starts_m: displacements from there along y, one of which a random start has.
+        watches: whether `update` only looks, and changes nothing in the model and its data: plans are then
+            tried without it.
     """
 
     name: str
     description: str
     home_m: tuple[float, float, float]
     starts_m: tuple[float, ...] = (0.0,)
+    watches: bool = False
 
     def mjcf(self) -> str:
         """MJCF bodies of the task's objects."""

@@ -1,0 +1,84 @@
+"""Sequences of actions tried together are each as tried alone."""
+
+import numpy as np
+import pytest
+
+from pneutac_sim.effects import get_effect
+from pneutac_sim.twin import Twin, Value
+from pneutac_sim.world.expert import ScriptedExpert
+from pneutac_sim.world.gantry import Gantry
+from pneutac_sim.world.varied import Variation, VariedWorld
+
+pytestmark = pytest.mark.slow
+
+
+def in_contact(task: str, twin=None, late: int = 0, **kwargs) -> tuple[VariedWorld, np.ndarray]:
+    """A world whose gel touches the object, and the expert's last action (4,)."""
+    world = VariedWorld(task, twin, "area", **kwargs)
+    world.variation = Variation(late_commands=late)
+    for seed in range(3, 8):
+        world.reset(seed)
+        expert, action = ScriptedExpert(world, np.random.default_rng(seed)), np.zeros(4)
+        while world.touch.area < 0.01 and world.time_s < 12:
+            action = expert.action()
+            world.step(action)
+        if world.touch.area:
+            return world, action
+    raise AssertionError(f"the expert never touches the {task}")
+
+
+def tilted() -> Twin:
+    twin = Twin.builtin()
+    values = {p.name: Value(p.default) for p in get_effect("base_tilt").parameters}
+    twin.effects["base_tilt"] = values | {"pitch_rad": Value(0.02)}
+    return twin
+
+
+@pytest.mark.parametrize(
+    ("task", "fidelity", "tilts"),
+    [
+        ("switch", "surrogate", False),
+        ("switch", "probe", True),
+        ("egg", "probe", False),
+        ("card", "probe", False),
+    ],
+)
+def test_many_sequences_are_each_by_itself(task, fidelity, tilts):
+    """In one call of MuJoCo, or one by one where the task or an effect acts between control steps."""
+    world, action = in_contact(task, tilted() if tilts else None, fidelity=fidelity)
+    gantry = Gantry(world)
+    gantry.mirror(world)
+    rng = np.random.default_rng(0)
+    tried = action + rng.normal(0, [0.02, 0.02, 0.02, 1.0], (5, 6, 4))
+    tried[:, :, 3] = tried[:, :, 3].clip(0, 15)
+    alone = [gantry.rollout(actions) for actions in tried]
+    steps = gantry.steps
+    flange, area = gantry.rollouts(tried)
+    assert gantry.steps == steps + 30
+    np.testing.assert_array_equal(flange, [f for f, _ in alone])
+    # A network rounds a batch otherwise, by which a pixel at its threshold may fall on the other side.
+    np.testing.assert_allclose(area, [a for _, a in alone], atol=2 / 76800 if fidelity == "surrogate" else 0)
+    assert (area > 0).any() and len(np.unique(area.sum(1))) > 1
+    # Nothing of them is left: fewer and shorter ones go the same way.
+    np.testing.assert_array_equal(gantry.rollouts(tried[2:4, :4])[0], flange[2:4, :4])
+    np.testing.assert_array_equal(gantry.rollout(tried[4])[1], area[4])
+
+
+def test_what_was_sent_and_acts_too_late_goes_first():
+    world, action = in_contact("switch", late=1)
+    gantry = Gantry(world)
+    gantry.mirror(world)
+    other = np.stack([np.tile(action, (3, 1)), np.tile(action + [0.0, 0.03, 0.0, 0.0], (3, 1))])
+    flange, _ = gantry.rollouts(other)
+    np.testing.assert_array_equal(flange[0, 0], flange[1, 0])
+    assert flange[1, 2, 1] - flange[0, 2, 1] > 1e-3
+
+
+def test_the_reduced_world_has_nothing_to_look_at_but_the_same_physics():
+    world = VariedWorld("egg", touch="area")
+    gantry = Gantry(world)
+    names = [gantry.model.geom(i).name for i in range(gantry.model.ngeom)]
+    assert (gantry.model.geom_contype | gantry.model.geom_conaffinity).all()
+    assert {"pad", "carton_lid", "carton_tab", "carton_base"} <= set(names)
+    for body in ("lid", "sensor", "pad"):
+        assert gantry.model.body(body).mass == world.model.body(body).mass
