@@ -150,7 +150,7 @@ class Demo:
         for folder in (first, rest, merged):
             shutil.rmtree(folder, ignore_errors=True)
         self._command(
-            "lerobot-record", "--robot.type=pneutac_sim", "--robot.id=demo", "--robot.standin=true",
+            "lerobot-record", "--robot.type=pneutac_sim", "--robot.id=demo", "--robot.standin=true", f"--robot.twin={self.twin}",
             f"--robot.task={TASK}", f"--robot.seed={cfg.seed}", "--teleop.type=pneutac_scripted",
             f"--teleop.seed={cfg.seed}", f"--teleop.episode_steps={steps}",
             f"--dataset.repo_id=local/{first.name}", f"--dataset.root={first}", "--dataset.no_stamp=true",
@@ -170,7 +170,7 @@ class Demo:
         from pneutac_datasets.demonstrations.record import record_episodes
 
         seed, steps = self.cfg.seed + 1000, DEMONSTRATION_S * CONTROL_HZ
-        robot = PneutacSim(PneutacSimConfig(id="demo", task=TASK, seed=seed, standin=True))
+        robot = PneutacSim(PneutacSimConfig(id="demo", task=TASK, seed=seed, standin=True, twin=self.twin))
         teleop = PneutacScripted(PneutacScriptedConfig(id="scripted", seed=seed, episode_steps=steps))
         name = f"local/{root.name}"
         record_episodes(robot, teleop, name, root, episodes, TASK_TEXT, True, self._progress)
@@ -214,7 +214,7 @@ class Demo:
         shutil.rmtree(out, ignore_errors=True)
         self._command(
             "lerobot-eval", f"--policy.path={self._path('train')}/checkpoints/last/pretrained_model",
-            "--policy.device=cpu", "--env.type=pneutac_standin", f"--env.task={TASK}",
+            "--policy.device=cpu", "--env.type=pneutac_standin", f"--env.task={TASK}", f"--env.twin={self.twin}",
             f"--eval.n_episodes={cfg.trials}", "--eval.batch_size=2", f"--seed={cfg.seed + 5000}",
             f"--output_dir={out}",
         )  # fmt: skip

@@ -15,6 +15,7 @@ from lerobot_robot_pneutac.options import (
     check_conditions,
     check_gl,
     check_twin_folder,
+    contact_threshold,
     refuse_if,
 )
 from pneutac_sim.features import (
@@ -122,9 +123,26 @@ class PneutacEnvConfig(PneutacTaskConfig):
 @EnvConfig.register_subclass("pneutac_standin")
 @dataclass
 class PneutacStandinConfig(PneutacTaskConfig):
-    """The same tasks on the stand-in for reality, which no twin describes beforehand."""
+    """The same tasks on the stand-in for reality, which no twin describes beforehand.
+
+    Attributes:
+        twin: folder of the twin that was calibrated on it; as on the real robot, its gel's contact threshold
+            says which pixels are in contact, and nothing else comes from it.
+    """
+
+    twin: Path | None = None
+
+    def __post_init__(self):
+        super().__post_init__()
+        check_twin_folder("env.twin", self.twin)
 
     @property
     def package_name(self) -> str:
         """Prefix of the Gymnasium ids."""
         return "pneutac_standin"
+
+    @property
+    def gym_kwargs(self) -> dict:
+        """What `gymnasium.make` is given."""
+        threshold = {"contact_threshold": contact_threshold(self.twin)} if self.twin else {}
+        return super().gym_kwargs | threshold

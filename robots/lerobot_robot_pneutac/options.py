@@ -24,6 +24,18 @@ def check_twin_folder(option: str, folder: Path | None) -> None:
     refuse_if(missing, f"--{option} is '{folder}', which holds no twin.yaml; give a twin's folder.")
 
 
+def contact_threshold(twin: Path | None) -> float:
+    """Contact threshold of a twin's gel, 8-bit levels; that of the built-in twin where there is none.
+
+    Raises:
+        InputError: the twin's folder is damaged.
+    """
+    from pneutac_sim.gel.model import GelModel
+    from pneutac_sim.twin import Twin
+
+    return GelModel.from_twin(Twin.load(twin) if twin else None).threshold_levels
+
+
 def check_gl(option: str) -> None:
     """Refuses splats over a scene where OpenGL does not start."""
     from pneutac_sim.world.view import require_gl

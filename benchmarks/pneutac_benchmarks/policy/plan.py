@@ -128,7 +128,8 @@ def _of_condition(cfg, task: str, seed: int, name: str, condition: Condition) ->
     }
     needs = tuple(f"{at}/{f}_frames" for f in read)
     units.append(Unit(f"{at}/{name}_policy", "train", finetune, needs))
-    trials = {"task": task, "trials": cfg.trials, "start": TEST_START + seed * MAX_TRIALS}
+    trials = {"task": task, "twin": _text(cfg.twin), "trials": cfg.trials}
+    trials["start"] = TEST_START + seed * MAX_TRIALS
     units.append(Unit(f"{at}/{name}_trials", "evaluate", trials, (f"{at}/{name}_policy",)))
     return units
 
@@ -136,7 +137,7 @@ def _of_condition(cfg, task: str, seed: int, name: str, condition: Condition) ->
 def _of_dataset(cfg, task: str, seed: int, source: str) -> list[Unit]:
     at = f"{task}/{seed}"
     made = {"task": task, "episodes": cfg.augmented, "fidelity": cfg.fidelity}
-    real = {"task": task, "episodes": cfg.demonstrations}
+    real = {"task": task, "twin": _text(cfg.twin), "episodes": cfg.demonstrations}
 
     def seeded(options: dict, purpose: str) -> dict:
         return options | {"seed": derived_seed(seed, task, purpose)}

@@ -31,8 +31,9 @@ def record(folder: Path, options: dict, needs: list[Path], workers: int) -> dict
 
     task, seed, root = options["task"], options["seed"], folder / "dataset"
     shutil.rmtree(root, ignore_errors=True)
+    twin = _folder(options)
     robot = PneutacSim(
-        PneutacSimConfig(id="standin", task=task, seed=seed, standin=True, calibration_dir=folder)
+        PneutacSimConfig(id="standin", task=task, seed=seed, standin=True, twin=twin, calibration_dir=folder)
     )
     teleop = PneutacScripted(
         PneutacScriptedConfig(
@@ -157,7 +158,7 @@ def evaluate(folder: Path, options: dict, needs: list[Path], workers: int) -> di
     policy = PneutacBCPolicy.from_pretrained(path, config=config)
     on_cpu = {"device_processor": {"device": "cpu"}}
     before, after = make_pre_post_processors(policy.config, str(path), preprocessor_overrides=on_cpu)
-    world = PneutacStandinConfig(task=options["task"])
+    world = PneutacStandinConfig(task=options["task"], twin=_folder(options))
     env_before, env_after = make_env_pre_post_processors(env_cfg=world, policy_cfg=policy.config)
     env = make_env(world, n_envs=1)[world.type][0]
     try:
@@ -175,6 +176,10 @@ def evaluate(folder: Path, options: dict, needs: list[Path], workers: int) -> di
         env.close()
     trials = [{"start": t["seed"], "success": bool(t["success"])} for t in info["per_episode"]]
     return {"success_percent": info["aggregated"]["pc_success"], "trials": trials}
+
+
+def _folder(options: dict) -> Path | None:
+    return Path(options["twin"]) if options["twin"] else None
 
 
 def _twin(options: dict) -> Twin | None:

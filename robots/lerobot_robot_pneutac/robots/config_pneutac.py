@@ -80,12 +80,9 @@ class PneutacConfig(RobotConfig):
 
     def threshold_levels(self) -> float:
         """The contact threshold, 8-bit levels; raises InputError where the twin's folder is damaged."""
-        from pneutac_sim.gel.model import GelModel
-        from pneutac_sim.twin import Twin
-
         if self.contact_threshold is not None:
             return self.contact_threshold
-        return GelModel.from_twin(Twin.load(self.twin) if self.twin else None).threshold_levels
+        return contact_threshold(self.twin)
 
     def _check_contact(self) -> None:
         check_twin_folder("robot.twin", self.twin)

@@ -17,7 +17,8 @@ class PneutacSimConfig(RobotConfig):
     Attributes:
         task: what stands in front of the robot: `switch`, `egg` or `card`.
         seed: decides the random start of every episode.
-        twin: folder of the finger's twin; default the built-in one.
+        twin: folder of the finger's twin; default the built-in one. On the stand-in, as on the real robot, only
+            its gel's contact threshold is used.
         fidelity: how finger and gel deform: `surrogate`, by networks; `mpm`, by full material points;
             `probe`, by formulas.
         conditions: what the twin's effects ask for, such as {temperature_c: 28, payload_g: [0, 20]}; from a
@@ -42,8 +43,7 @@ class PneutacSimConfig(RobotConfig):
         check_conditions("robot.conditions", self.twin, self.conditions)
         check_choice("robot.render", self.render, RENDERS)
         refuse_if(
-            self.standin
-            and (self.twin, self.fidelity, self.conditions, self.render) != (None, "surrogate", {}, "mesh"),
-            "--robot.standin=true has a finger and a gel of its own; leave --robot.twin, --robot.fidelity,"
-            " --robot.conditions and --robot.render out, or the stand-in.",
+            self.standin and (self.fidelity, self.conditions, self.render) != ("surrogate", {}, "mesh"),
+            "--robot.standin=true has a finger and a gel of its own; leave --robot.fidelity, --robot.conditions"
+            " and --robot.render out, or the stand-in.",
         )

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
+from lerobot_robot_pneutac.options import contact_threshold
 from lerobot_robot_pneutac.robots.base_robot import POSE_NAMES, BaseRobot, action_names
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from pneutac_sim.errors import InputError
@@ -139,7 +140,8 @@ def _world(config: PneutacSimConfig):
     if config.standin:
         from lerobot_robot_pneutac.standin.world import StandinWorld
 
-        return StandinWorld(config.task)
+        threshold = {"contact_threshold": contact_threshold(config.twin)} if config.twin else {}
+        return StandinWorld(config.task, **threshold)
     from pneutac_sim.twin import Twin
     from pneutac_sim.world.world import World
 

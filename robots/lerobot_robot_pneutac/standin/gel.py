@@ -17,7 +17,6 @@ MODES = ("image", "area", "none")
 LATE_IMAGES = 1  # control steps
 NOISE_LEVELS = 1.5  # standard deviation of a pixel's channel
 DRIFT_SHARE, DRIFT_S = 0.012, 20.0  # of the brightness of a channel, and over how long it wanders
-THRESHOLD_LEVELS = 12  # mean over the channels of |image - rest| beyond which a pixel counts as touched
 WINDOW_M = (0.012, 0.016)
 # LEDs such that the rest image is like photographs of two DIGITs (correlation 0.8).
 LAMPS = Lamps(
@@ -44,10 +43,10 @@ class GelTouch:
         rest_image: without contact, noise and drift.
     """
 
-    def __init__(self, model: mujoco.MjModel, mode: str):
-        """The touch of a world; `mode` is one of `MODES`, see `World`."""
+    def __init__(self, model: mujoco.MjModel, mode: str, threshold_levels: float):
+        """The touch of a world; see `StandinWorld`."""
         check_choice("touch", mode, MODES)
-        self.gel, self._mode = new_gel(), mode
+        self.gel, self._mode, self._threshold = new_gel(), mode, threshold_levels
         self.rest_image = self.gel.rest_image
         self._camera = CameraNoise(self.rest_image.shape)
         self._site = model.site("gel").id
@@ -73,7 +72,7 @@ class GelTouch:
         clean = self.gel.image(self.displacement_mm) if touched else self.rest_image
         while len(self._waiting) <= LATE_IMAGES:
             image = self._camera.photograph(clean)
-            pixels = contact_pixels(image, self.rest_image)
+            pixels = contact_pixels(image, self.rest_image, self._threshold)
             self._waiting.append((image if self._mode == "image" else None, pixels))
         self.image, self.pixels = self._waiting.popleft()
         self.area = self.pixels / (self.rest_image.shape[0] * self.rest_image.shape[1])
@@ -88,10 +87,10 @@ class GelTouch:
         return self.gel.press(self._kinds[near], self._sizes_mm[near], 1e3 * away[near] @ R, turns)[0]
 
 
-def contact_pixels(image: np.ndarray, rest_image: np.ndarray) -> int:
-    """How many pixels of an image uint8 (H, W, 3) differ from the rest image by more than the threshold."""
+def contact_pixels(image: np.ndarray, rest_image: np.ndarray, threshold_levels: float) -> int:
+    """How many pixels of an image uint8 (H, W, 3) differ from the rest image by more, mean over R, G, B."""
     change = cv2.absdiff(image, rest_image).reshape(-1, 3)
-    return int(np.count_nonzero(change @ np.ones(3, np.uint16) > 3 * THRESHOLD_LEVELS))
+    return int(np.count_nonzero(change @ np.ones(3, np.uint16) > 3 * threshold_levels))
 
 
 class CameraNoise:

@@ -34,6 +34,7 @@ LATE_COMMANDS = 1  # control steps
 SETTLE_STEPS = 8  # control steps at rest before an episode
 OBJECT_MASS = 1.15  # factor
 TOUCH_N = 0.02  # less is no contact
+CONTACT_THRESHOLD = 12.0  # levels, where no twin gives a calibrated one
 
 # Standard deviations of what is read once a control step, in the order of `features.STATE_NAMES`: encoders,
 # flange (by kinematics from them), gauge. Contact comes from the noisy image.
@@ -60,12 +61,16 @@ class StandinWorld:
 
     out_of_range = 0
 
-    def __init__(self, task: str = "switch", touch: str = "image"):
+    def __init__(
+        self, task: str = "switch", touch: str = "image", contact_threshold: float = CONTACT_THRESHOLD
+    ):
         """The stand-in before a task.
 
         Args:
             task: `switch`, `egg` or `card`.
             touch: `image`, `area` (contact area without an image) or `none`.
+            contact_threshold: mean difference of R, G, B to the rest image, 8-bit levels, above which a pixel
+                is in contact; the calibrated one of a lab's twin, as on its real robot.
 
         Raises:
             InputError: unknown task or touch mode.
@@ -77,7 +82,7 @@ class StandinWorld:
         self.model.body_mass[objects] *= OBJECT_MASS
         self.model.body_inertia[objects] *= OBJECT_MASS
         mujoco.mj_setConst(self.model, self.data)
-        self.touch = GelTouch(self.model, touch)
+        self.touch = GelTouch(self.model, touch, contact_threshold)
         self._finger = RodBody(self.model, self.data)
         self._ik, self._view = CartesianIK(), View(self.model)
         self._arm = slice(0, len(JOINT_NAMES))
@@ -219,6 +224,8 @@ class StandinWorld:
         self._view.close()
 
 
-def standin_env(task: str = "switch", touch: str = "image", **options) -> TaskEnv:
+def standin_env(
+    task: str = "switch", touch: str = "image", contact_threshold: float = CONTACT_THRESHOLD, **options
+) -> TaskEnv:
     """A task on the stand-in for reality; arguments of `StandinWorld`, `options` of `TaskEnv`."""
-    return TaskEnv(StandinWorld(task, touch), touch, **options)
+    return TaskEnv(StandinWorld(task, touch, contact_threshold), touch, **options)

@@ -37,7 +37,8 @@ from pneutac_sim.gel.surface import DECAY_MM, surface
 DECAY_RANGE_MM = (0.3, 4.0)  # from a skin-thin layer to nearly Hertz' half-space on a 16 mm window
 DEPTH_SCALE_RANGE = (0.5, 1.0)
 DEPTH_SCALE_SD = 0.2  # of the logarithm: stated depths are mostly estimates
-MIN_THRESHOLD_LEVELS = 4.0  # below this, rounding and image compression alone would count as contact
+# One photograph shows noise and compression, but not how far the light drifts until the next.
+MIN_THRESHOLD_LEVELS = 6.0
 CONTACT_ROUNDS = 4  # of light and contacts in turn, where an effect changes the contacts
 
 # A make's light is kept even at several times the cost: what a single pair says against it is mostly the

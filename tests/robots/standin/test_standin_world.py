@@ -8,7 +8,7 @@ import pytest
 import lerobot_robot_pneutac.standin  # noqa: F401
 from lerobot_robot_pneutac.standin.finger import DOME_MM, GEL_KPA, PARTS, gel_force_n, new_rod
 from lerobot_robot_pneutac.standin.gel import NOISE_LEVELS, contact_pixels
-from lerobot_robot_pneutac.standin.world import DT, LATE_COMMANDS, StandinWorld
+from lerobot_robot_pneutac.standin.world import CONTACT_THRESHOLD, DT, LATE_COMMANDS, StandinWorld
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import STATE_NAMES
 from pneutac_sim.gel.contact import contact_area
@@ -80,9 +80,8 @@ def test_an_image_comes_a_step_late_and_scalars_with_it(world):
     felt, shown = [], []
     for _ in range(50):
         o = world.step(expert.action())
-        felt.append(
-            contact_pixels(world.touch.gel.image(world.touch.displacement_mm), world.touch.rest_image)
-        )
+        image = world.touch.gel.image(world.touch.displacement_mm)
+        felt.append(contact_pixels(image, world.touch.rest_image, CONTACT_THRESHOLD))
         shown.append(int(world.touch.pixels))
         assert np.expm1(o.state[STATE_NAMES.index("contact_pixels.pos")]) == pytest.approx(
             shown[-1], rel=1e-3
