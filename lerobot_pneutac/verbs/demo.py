@@ -150,8 +150,8 @@ class Demo:
         for folder in (first, rest, merged):
             shutil.rmtree(folder, ignore_errors=True)
         self._command(
-            "lerobot-record", "--robot.type=pneutac_sim", "--robot.id=demo", "--robot.standin=true", f"--robot.twin={self.twin}",
-            f"--robot.task={TASK}", f"--robot.seed={cfg.seed}", "--teleop.type=pneutac_scripted",
+            "lerobot-record", "--robot.type=pneutac_sim", "--robot.id=demo", "--robot.standin=true",
+            f"--robot.twin={self.twin}", f"--robot.task={TASK}", f"--robot.seed={cfg.seed}", "--teleop.type=pneutac_scripted",
             f"--teleop.seed={cfg.seed}", f"--teleop.episode_steps={steps}",
             f"--dataset.repo_id=local/{first.name}", f"--dataset.root={first}", "--dataset.no_stamp=true",
             f"--dataset.single_task={TASK_TEXT}", f"--dataset.fps={CONTROL_HZ}", "--dataset.num_episodes=1",
@@ -214,8 +214,8 @@ class Demo:
         shutil.rmtree(out, ignore_errors=True)
         self._command(
             "lerobot-eval", f"--policy.path={self._path('train')}/checkpoints/last/pretrained_model",
-            "--policy.device=cpu", "--env.type=pneutac_standin", f"--env.task={TASK}", f"--env.twin={self.twin}",
-            f"--eval.n_episodes={cfg.trials}", "--eval.batch_size=2", f"--seed={cfg.seed + 5000}",
+            "--policy.device=cpu", "--env.type=pneutac_standin", f"--env.task={TASK}",
+            f"--env.twin={self.twin}", f"--eval.n_episodes={cfg.trials}", "--eval.batch_size=2", f"--seed={cfg.seed + 5000}",
             f"--output_dir={out}",
         )  # fmt: skip
         percent = json.loads((out / "eval_info.json").read_text())["overall"]["pc_success"]

@@ -9,7 +9,7 @@ from lerobot.robots import RobotConfig
 
 from lerobot_robot_pneutac.hardware.arms import ArmConfig
 from lerobot_robot_pneutac.hardware.limits import Limits
-from lerobot_robot_pneutac.options import check_twin_folder, refuse_if
+from lerobot_robot_pneutac.options import check_twin_folder, contact_threshold, refuse_if
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import IMAGE_NAME, STATE_NAMES
 

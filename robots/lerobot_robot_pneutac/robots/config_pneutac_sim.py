@@ -17,8 +17,8 @@ class PneutacSimConfig(RobotConfig):
     Attributes:
         task: what stands in front of the robot: `switch`, `egg` or `card`.
         seed: decides the random start of every episode.
-        twin: folder of the finger's twin; default the built-in one. On the stand-in, as on the real robot, only
-            its gel's contact threshold is used.
+        twin: folder of the finger's twin; default the built-in one. On the stand-in, as on the real robot,
+            only its gel's contact threshold is used.
         fidelity: how finger and gel deform: `surrogate`, by networks; `mpm`, by full material points;
             `probe`, by formulas.
         conditions: what the twin's effects ask for, such as {temperature_c: 28, payload_g: [0, 20]}; from a
@@ -44,6 +44,6 @@ class PneutacSimConfig(RobotConfig):
         check_choice("robot.render", self.render, RENDERS)
         refuse_if(
             self.standin and (self.fidelity, self.conditions, self.render) != ("surrogate", {}, "mesh"),
-            "--robot.standin=true has a finger and a gel of its own; leave --robot.fidelity, --robot.conditions"
-            " and --robot.render out, or the stand-in.",
+            "--robot.standin=true has a finger and a gel of its own; leave --robot.fidelity,"
+            " --robot.conditions and --robot.render out, or the stand-in.",
         )

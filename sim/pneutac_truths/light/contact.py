@@ -10,6 +10,7 @@ from scipy.fft import irfft2, next_fast_len, rfft2
 
 TOLERANCE = 2e-3  # of the deepest point
 STEPS = 60
+LEAST_MM = 1e-9  # shallower is no contact: its squares would vanish in the arithmetic
 
 
 class HalfSpace:
@@ -44,7 +45,7 @@ class HalfSpace:
         Returns:
             Displacement (rows, columns) in mm and the force in N.
         """
-        inside = below_mm > 0
+        inside = below_mm > LEAST_MM
         if not inside.any():
             self._last = np.zeros(self._shape)
             return np.zeros(self._shape), 0.0
