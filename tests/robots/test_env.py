@@ -115,3 +115,13 @@ def test_the_standin_is_an_environment_of_its_own():
     env.close()
     with pytest.raises(DecodingError, match="'juggle'; it must be one of"):
         PneutacStandinConfig(task="juggle")
+
+
+def test_the_standin_reads_contact_as_the_twin_of_its_sensor_does(tmp_path):
+    twin = Twin.builtin()
+    twin.gel["threshold_levels"] = 7.0
+    twin.save(tmp_path / "twin")
+    assert PneutacStandinConfig(twin=tmp_path / "twin").gym_kwargs["contact_threshold"] == 7.0
+    assert "contact_threshold" not in PneutacStandinConfig().gym_kwargs
+    with pytest.raises(DecodingError, match="holds no twin.yaml"):
+        PneutacStandinConfig(twin=tmp_path)

@@ -144,3 +144,9 @@ def test_a_deeper_plane_changes_more_of_the_picture(gel):
     assert change[0] > 0.3
     assert change[1] > 1.3 * change[0]
     assert change[2] > 1.3 * change[1]
+
+
+def test_a_touch_beyond_arithmetic_is_none():
+    body = HalfSpace(100.0, (0.25, 0.25), (40, 40))
+    u, force = body.press(np.full((40, 40), 1e-170))
+    assert force == 0 and not u.any()

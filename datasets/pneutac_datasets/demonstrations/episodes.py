@@ -1,6 +1,8 @@
 """Demonstrations in memory: a LeRobotDataset's episodes as arrays, and back."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
@@ -99,8 +101,11 @@ def _as_uint8(image) -> np.ndarray:
     return array if array.dtype == np.uint8 else (array * 255).round().astype(np.uint8)
 
 
-def save_episode(dataset: LeRobotDataset, episode: Episode) -> None:
-    """Appends an episode to a dataset that is being written."""
-    for state, action, image in zip(episode.state, episode.action, episode.images, strict=True):
-        dataset.add_frame({OBS_STATE: state, ACTION: action, TACTILE: image, "task": episode.task})
+def save_episode(
+    dataset: LeRobotDataset, episode: Episode, more: Mapping[str, np.ndarray] = MappingProxyType({})
+) -> None:
+    """Appends an episode to a dataset that is being written; `more` holds (T, ...) of further features."""
+    columns = {OBS_STATE: episode.state, ACTION: episode.action, TACTILE: episode.images} | dict(more)
+    for row in zip(*columns.values(), strict=True):
+        dataset.add_frame(dict(zip(columns, row, strict=True)) | {"task": episode.task})
     dataset.save_episode()

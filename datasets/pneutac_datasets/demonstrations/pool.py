@@ -3,7 +3,8 @@
     python -m pneutac_datasets.demonstrations.pool --out=outputs/small outputs/demos outputs/augmented
 
 The policy sees the mean of 4 x 4 pixels. Reading and converting whole images is most of what lerobot-train
-does for so small a network; a dataset of the means, as 8-bit PNG, says the same but for their rounding.
+does for so small a network; a dataset of the means, as 8-bit PNG, says the same but for their rounding. It
+also holds the previous action, an input of the policy, for `--policy.previous_action_in_data=true`.
 """
 
 import argparse
@@ -12,10 +13,13 @@ from pathlib import Path
 
 import numpy as np
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
+from lerobot.utils.constants import ACTION
 
-from lerobot_robot_pneutac.policy.configuration_pneutac_bc import POOL, POOLED_SHAPE
+from lerobot_robot_pneutac.policy.configuration_pneutac_bc import POOL, POOLED_SHAPE, PREVIOUS_ACTION
 from pneutac_datasets.demonstrations.episodes import (
+    PRESSURE,
     TACTILE,
+    Episode,
     demonstration_features,
     load_episode,
     save_episode,
@@ -55,6 +59,7 @@ def pool_demonstrations(
                 "give datasets of equal rate."
             )
     features[TACTILE] = {**features[TACTILE], "dtype": "image", "shape": POOLED_SHAPE}
+    features[PREVIOUS_ACTION] = dict(features[ACTION])
     total, done = sum(meta.total_episodes for meta in metas), 0
     new = create_dataset(repo_id, out, metas[0].fps, features, metas[0].robot_type, False, 1)
     with quiet_encoders():
@@ -69,12 +74,18 @@ def pool_demonstrations(
                     episode.state, episode.action = (
                         x.astype(np.float32) for x in (episode.state, episode.action)
                     )
-                    save_episode(new, episode)
+                    save_episode(new, episode, {PREVIOUS_ACTION: previous_actions(episode)})
                     done += 1
                     progress("demonstrations with small images", done, total)
         finally:
             new.finalize()
     return Path(out)
+
+
+def previous_actions(episode: Episode) -> np.ndarray:
+    """What the robot had been told the frame before (T, 4), float32; at first to hold still."""
+    hold = np.array([0.0, 0.0, 0.0, episode.state[0, PRESSURE]])
+    return np.vstack([hold, episode.action[:-1]]).astype(np.float32)
 
 
 def main(argv: list[str] | None = None) -> None:

@@ -17,6 +17,7 @@ POOL = 4  # the network sees the mean of 4 x 4 pixels; a dataset may hold these 
 POOLED_SHAPE = (IMAGE_SHAPE[0] // POOL, IMAGE_SHAPE[1] // POOL, IMAGE_SHAPE[2])
 MOST_STEPS = 10**9  # LeRobot fits the fall of the learning rate into the steps that there are
 TACTILE = f"{OBS_IMAGES}.{IMAGE_NAME}"
+PREVIOUS_ACTION = "observation.previous_action"
 
 
 @PreTrainedConfig.register_subclass("pneutac_bc")
@@ -32,6 +33,9 @@ class PneutacBCConfig(PreTrainedConfig):
         control_hz: rate of the data and of the robot; turns velocities into displacements per step.
         previous_action_dropout: share of training samples in which the previous action is hidden (replaced by
             holding still), lest the policy copies its last action instead of looking.
+        previous_action_in_data: whether the dataset itself holds the previous action, as
+            `observation.previous_action` (`pneutac_datasets.demonstrations.pool` writes it). Then LeRobot reads
+            one row for a training sample and not three, which is most of its work with small images.
         pressure_noise_kpa: noise on the sensed pressure while training. The next pressure is nearly the
             present one; a policy that copies it lets small errors add up, and the pressure drifts.
         brightness_noise_levels: noise on each colour's brightness while training, in levels of 8 bit, against
@@ -46,6 +50,7 @@ class PneutacBCConfig(PreTrainedConfig):
     use_tactile: bool = True
     control_hz: int = CONTROL_HZ
     previous_action_dropout: float = 0.3
+    previous_action_in_data: bool = False
     pressure_noise_kpa: float = 0.75
     brightness_noise_levels: float = 3.0
     pixel_noise_levels: float = 1.0
@@ -81,9 +86,9 @@ class PneutacBCConfig(PreTrainedConfig):
         return None
 
     @property
-    def action_delta_indices(self) -> list[int]:
+    def action_delta_indices(self) -> list[int] | None:
         """The previous action, an input, and the present one, the label."""
-        return [-1, 0]
+        return None if self.previous_action_in_data else [-1, 0]
 
     @property
     def reward_delta_indices(self) -> None:
@@ -113,7 +118,9 @@ class PneutacBCConfig(PreTrainedConfig):
         # Other cameras, and without touch this one too, are not looked at; robots need not have them.
         used = (TACTILE,) if self.use_tactile else ()
         self.input_features = {
-            k: f for k, f in inputs.items() if f.type is not FeatureType.VISUAL or k in used
+            k: f
+            for k, f in inputs.items()
+            if k != PREVIOUS_ACTION and (f.type is not FeatureType.VISUAL or k in used)
         }
 
     def check_dataset(self, meta) -> None:
@@ -144,6 +151,11 @@ class PneutacBCConfig(PreTrainedConfig):
                     f" {_where_not_finite(meta, key)}; delete such episodes with lerobot-edit-dataset"
                     " --operation.type=delete_episodes."
                 )
+        if self.previous_action_in_data and PREVIOUS_ACTION not in meta.features:
+            raise InputError(
+                f"{where} has no '{PREVIOUS_ACTION}'; write it with pneutac_datasets.demonstrations.pool, or"
+                " leave out --policy.previous_action_in_data."
+            )
         if self.use_tactile:
             if TACTILE not in meta.features:
                 raise InputError(f"{where} has no '{TACTILE}'; record it, or use --policy.use_tactile=false.")

@@ -14,7 +14,7 @@ from lerobot.utils.constants import ACTION, OBS_STATE
 from safetensors import safe_open
 from torch import Tensor, nn
 
-from lerobot_robot_pneutac.policy.configuration_pneutac_bc import TACTILE, PneutacBCConfig
+from lerobot_robot_pneutac.policy.configuration_pneutac_bc import PREVIOUS_ACTION, TACTILE, PneutacBCConfig
 from lerobot_robot_pneutac.policy.model_card import Demonstrations, checkpoint_step, model_card
 from lerobot_robot_pneutac.policy.rest_image import check_same_sensor, rest_image_of
 from lerobot_robot_pneutac.policy.tactile_encoder import DIFFERENCE_SCALE, EMBEDDING, TactileEncoder
@@ -164,7 +164,9 @@ class PneutacBCPolicy(PreTrainedPolicy):
 
         Args:
             batch: `action` (B, 2, 4), the previous and the present one; `action_is_pad` (B, 2), true where
-                there is none; `observation.state` (B, 20); the tactile image (B, 3, 320, 240) in [0, 1].
+                there is none; with `previous_action_in_data` instead `action` (B, 4) and
+                `observation.previous_action` (B, 4); `observation.state` (B, 20); the tactile image
+                (B, 3, 320, 240) in [0, 1].
 
         Returns:
             loss, and its two terms by name.
@@ -172,8 +174,12 @@ class PneutacBCPolicy(PreTrainedPolicy):
         Raises:
             InputError: the loss is not finite.
         """
-        previous, target = batch[ACTION].unbind(1)
-        hidden = batch[f"{ACTION}_is_pad"][:, 0]
+        if self.config.previous_action_in_data:
+            previous, target = batch[PREVIOUS_ACTION], batch[ACTION]
+            hidden = torch.zeros(len(target), dtype=torch.bool, device=target.device)
+        else:
+            previous, target = batch[ACTION].unbind(1)
+            hidden = batch[f"{ACTION}_is_pad"][:, 0]
         return self.loss(batch[OBS_STATE], previous, hidden, target, self._difference(batch))
 
     def loss(

@@ -5,8 +5,11 @@ import pytest
 import torch
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
 from lerobot.utils.constants import ACTION, OBS_STATE
+from lerobot.utils.feature_utils import dataset_to_policy_features
+from torch.utils.data import default_collate
 
-from lerobot_robot_pneutac.policy.configuration_pneutac_bc import TACTILE
+from lerobot_robot_pneutac.policy.configuration_pneutac_bc import TACTILE, PneutacBCConfig
+from lerobot_robot_pneutac.policy.modeling_pneutac_bc import PneutacBCPolicy
 from lerobot_robot_pneutac.policy.rest_image import rest_image_of
 from lerobot_robot_pneutac.policy.tactile_encoder import TactileEncoder
 from pneutac_datasets.demonstrations.pool import main, pool_demonstrations
@@ -54,6 +57,28 @@ def test_states_actions_and_means_are_those_of_the_sources_in_order(pooled):
         assert torch.equal(a[OBS_STATE], b[OBS_STATE]) and torch.equal(a[ACTION], b[ACTION])
         means = torch.nn.functional.avg_pool2d(b[TACTILE], 4)
         assert (a[TACTILE] - means).abs().max() < 0.51 / 255  # rounded to 8 bit, no more
+
+
+def test_one_row_a_sample_says_what_three_do(pooled):
+    _, out = pooled
+    meta = LeRobotDatasetMetadata("local/small", out)
+    features = dataset_to_policy_features(meta.features)
+    losses = {}
+    for whole in (False, True):
+        config = PneutacBCConfig(
+            device="cpu",
+            previous_action_in_data=whole,
+            input_features={k: f for k, f in features.items() if k.startswith("observation")},
+            output_features={ACTION: features[ACTION]},
+        )
+        times = None if whole else {ACTION: [-1 / meta.fps, 0.0]}
+        assert config.action_delta_indices == (None if whole else [-1, 0])
+        torch.manual_seed(0)
+        policy = PneutacBCPolicy(config, dataset_meta=meta).eval()
+        assert "observation.previous_action" not in policy.config.input_features
+        data = LeRobotDataset("local/small", root=out, delta_timestamps=times)
+        losses[whole] = policy(default_collate([data[i] for i in range(len(data))]))[0].item()
+    assert losses[True] == pytest.approx(losses[False], rel=1e-5)
 
 
 def test_the_encoder_feels_the_same(pooled):

@@ -12,6 +12,7 @@ from pneutac_sim.effects import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_HIGH, ACTION_NAMES, CONTROL_HZ, STATE_NAMES
 from pneutac_sim.twin import Twin
+from pneutac_sim.world.expert import ScriptedExpert
 
 EE = ("ee_x.pos", "ee_y.pos", "ee_z.pos")
 
@@ -151,15 +152,29 @@ def test_the_standin_acts_late_and_has_no_twin(make_robot, tmp_path):
     for _ in range(3):
         robot.send_action(act(pressure=5.0))
     assert position(robot)[1] - start[1] == pytest.approx(0.1 / CONTROL_HZ, abs=1e-3)
-    Twin.builtin().save(tmp_path)
     with pytest.raises(
-        DecodingError, match="leave --robot.twin, --robot.fidelity, --robot.conditions and --robot.render out"
-    ):
-        PneutacSimConfig(standin=True, twin=tmp_path)
-    with pytest.raises(
-        DecodingError, match="leave --robot.twin, --robot.fidelity, --robot.conditions and --robot.render out"
+        DecodingError, match="leave --robot.fidelity, --robot.conditions and --robot.render out"
     ):
         PneutacSimConfig(standin=True, fidelity="mpm")
+
+
+def test_the_standin_takes_a_twins_contact_threshold_and_nothing_else(make_robot, tmp_path):
+    twin = Twin.builtin()
+    twin.gel["threshold_levels"] = 5.0
+    twin.save(tmp_path / "twin")
+    expert = {"standin": True, "seed": 3}
+    robots = [make_robot(**expert), make_robot(**expert, twin=tmp_path / "twin")]
+    pixels = []
+    for robot in robots:
+        teacher = ScriptedExpert(robot.world, np.random.default_rng(3))
+        touched = []
+        for _ in range(60):
+            robot.world.step(teacher.action())
+            touched.append((robot.world.touch.image, robot.world.touch.pixels))
+        pixels.append(touched)
+    assert all(np.array_equal(a[0], b[0]) for a, b in zip(*pixels, strict=True))
+    before, after = (np.array([t[1] for t in touched]) for touched in pixels)
+    assert after.max() > before.max() > 0 and (after >= before).all()
 
 
 def test_conditions_reach_the_robots_world_and_its_session_goes_on(make_robot, tmp_path):
