@@ -151,8 +151,8 @@ class Demo:
             shutil.rmtree(folder, ignore_errors=True)
         self._command(
             "lerobot-record", "--robot.type=pneutac_sim", "--robot.id=demo", "--robot.standin=true",
-            f"--robot.twin={self.twin}", f"--robot.task={TASK}", f"--robot.seed={cfg.seed}", "--teleop.type=pneutac_scripted",
-            f"--teleop.seed={cfg.seed}", f"--teleop.episode_steps={steps}",
+            f"--robot.twin={self.twin}", f"--robot.task={TASK}", f"--robot.seed={cfg.seed}",
+            "--teleop.type=pneutac_scripted", f"--teleop.seed={cfg.seed}", f"--teleop.episode_steps={steps}",
             f"--dataset.repo_id=local/{first.name}", f"--dataset.root={first}", "--dataset.no_stamp=true",
             f"--dataset.single_task={TASK_TEXT}", f"--dataset.fps={CONTROL_HZ}", "--dataset.num_episodes=1",
             f"--dataset.episode_time_s={DEMONSTRATION_S}", "--dataset.reset_time_s=0",
@@ -202,7 +202,8 @@ class Demo:
             "lerobot-train", "--policy.type=pneutac_bc", "--policy.device=cpu",
             f"--dataset.repo_id=local/{data.name}", f"--dataset.root={data}", f"--output_dir={out}",
             f"--steps={cfg.steps}", f"--batch_size={cfg.batch_size}", f"--seed={cfg.seed}",
-            "--policy.previous_action_in_data=true", "--policy.optimizer_lr=1e-3", "--num_workers=2", "--dataloader_multiprocessing_context=fork",
+            "--policy.previous_action_in_data=true", "--policy.optimizer_lr=1e-3", "--num_workers=2",
+            "--dataloader_multiprocessing_context=fork",
             f"--log_freq={every}", "--save_freq=0", "--env_eval_freq=0", "--wandb.enable=false",
             total=cfg.steps // every, pattern=r"\bloss:",
         )  # fmt: skip
@@ -215,7 +216,8 @@ class Demo:
         self._command(
             "lerobot-eval", f"--policy.path={self._path('train')}/checkpoints/last/pretrained_model",
             "--policy.device=cpu", "--env.type=pneutac_standin", f"--env.task={TASK}",
-            f"--env.twin={self.twin}", f"--eval.n_episodes={cfg.trials}", "--eval.batch_size=2", f"--seed={cfg.seed + 5000}",
+            f"--env.twin={self.twin}", f"--eval.n_episodes={cfg.trials}",
+            "--eval.batch_size=2", f"--seed={cfg.seed + 5000}",
             f"--output_dir={out}",
         )  # fmt: skip
         percent = json.loads((out / "eval_info.json").read_text())["overall"]["pc_success"]

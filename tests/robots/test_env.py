@@ -6,6 +6,7 @@ from lerobot.envs.utils import env_to_policy_features, preprocess_observation
 
 from lerobot_robot_pneutac.env import PneutacEnvConfig, PneutacStandinConfig
 from lerobot_robot_pneutac.standin.world import StandinWorld
+from pneutac_sim.twin import Twin
 
 
 def test_environment_gives_what_the_config_promises():

@@ -34,8 +34,8 @@ class PneutacBCConfig(PreTrainedConfig):
         previous_action_dropout: share of training samples in which the previous action is hidden (replaced by
             holding still), lest the policy copies its last action instead of looking.
         previous_action_in_data: whether the dataset itself holds the previous action, as
-            `observation.previous_action` (`pneutac_datasets.demonstrations.pool` writes it). Then LeRobot reads
-            one row for a training sample and not three, which is most of its work with small images.
+            `observation.previous_action` (`pneutac_datasets.demonstrations.pool` writes it). Then LeRobot
+            reads one row for a training sample and not three, most of its work with small images.
         pressure_noise_kpa: noise on the sensed pressure while training. The next pressure is nearly the
             present one; a policy that copies it lets small errors add up, and the pressure drifts.
         brightness_noise_levels: noise on each colour's brightness while training, in levels of 8 bit, against

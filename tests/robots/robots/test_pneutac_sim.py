@@ -152,9 +152,7 @@ def test_the_standin_acts_late_and_has_no_twin(make_robot, tmp_path):
     for _ in range(3):
         robot.send_action(act(pressure=5.0))
     assert position(robot)[1] - start[1] == pytest.approx(0.1 / CONTROL_HZ, abs=1e-3)
-    with pytest.raises(
-        DecodingError, match="leave --robot.fidelity, --robot.conditions and --robot.render out"
-    ):
+    with pytest.raises(DecodingError, match="leave --robot.fidelity, --robot.conditions and"):
         PneutacSimConfig(standin=True, fidelity="mpm")
 
 
