@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from draccus.utils import DecodingError
@@ -6,6 +8,7 @@ from lerobot.envs.utils import env_to_policy_features, preprocess_observation
 
 from lerobot_robot_pneutac.env import PneutacEnvConfig, PneutacStandinConfig
 from lerobot_robot_pneutac.standin.world import StandinWorld
+from pneutac_sim.gel.model import GelModel
 from pneutac_sim.twin import Twin
 
 
@@ -120,7 +123,7 @@ def test_the_standin_is_an_environment_of_its_own():
 
 def test_the_standin_reads_contact_as_the_twin_of_its_sensor_does(tmp_path):
     twin = Twin.builtin()
-    twin.gel["threshold_levels"] = 7.0
+    replace(GelModel.builtin(), threshold_levels=7.0).into_twin(twin)
     twin.save(tmp_path / "twin")
     assert PneutacStandinConfig(twin=tmp_path / "twin").gym_kwargs["contact_threshold"] == 7.0
     assert "contact_threshold" not in PneutacStandinConfig().gym_kwargs

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from draccus.utils import DecodingError
@@ -11,6 +13,7 @@ from lerobot_robot_pneutac.standin.world import StandinWorld
 from pneutac_sim.effects import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_HIGH, ACTION_NAMES, CONTROL_HZ, STATE_NAMES
+from pneutac_sim.gel.model import GelModel
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.expert import ScriptedExpert
 
@@ -158,7 +161,7 @@ def test_the_standin_acts_late_and_has_no_twin(make_robot, tmp_path):
 
 def test_the_standin_takes_a_twins_contact_threshold_and_nothing_else(make_robot, tmp_path):
     twin = Twin.builtin()
-    twin.gel["threshold_levels"] = 5.0
+    replace(GelModel.builtin(), threshold_levels=5.0).into_twin(twin)
     twin.save(tmp_path / "twin")
     expert = {"standin": True, "seed": 3}
     robots = [make_robot(**expert), make_robot(**expert, twin=tmp_path / "twin")]
