@@ -55,7 +55,10 @@ TARGETS = {
     ),
     "firmware": Target(
         ("firmware/pressure_controller/controller.cpp", "firmware/pressure_controller/protocol.cpp"),
-        ("tests/robots/hardware/test_pressure_firmware.py",),
+        (
+            "tests/robots/hardware/test_pressure_exact.py",
+            "tests/robots/hardware/test_pressure_firmware.py",
+        ),
     ),
     "selection": Target(
         ("lerobot_pneutac/diagnosis/search.py",), ("tests/lerobot_pneutac/diagnosis/test_search.py",)
