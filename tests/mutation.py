@@ -25,7 +25,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 COPIED = ("sim", "robots", "datasets", "lerobot_pneutac", "firmware", "tests", "pyproject.toml")
 # Imported once before the processes fork; nothing of ours may be among them.
-PRELOADED = "cv2 draccus mujoco numba numpy pandas pytest rich scipy.optimize torch".split()
+PRELOADED = "cv2 draccus mujoco numba numpy pandas pytest rich scipy.optimize torch serial".split()
+PRELOADED += "lerobot.cameras lerobot.envs.utils lerobot.policies.factory lerobot.teleoperators".split()
 
 
 @dataclass(frozen=True)
@@ -374,10 +375,11 @@ def main() -> int:
     sys.dont_write_bytecode = True
     os.environ["PYTHONDONTWRITEBYTECODE"] = "1"
     warnings.filterwarnings("ignore", "This process .* is multi-threaded", DeprecationWarning)
-    for name in PRELOADED:
-        __import__(name)
     bad = 0
     with tempfile.TemporaryDirectory(prefix="pneutac_mutation_") as folder:
+        os.environ["HF_HOME"] = folder  # LeRobot reads it when it is imported
+        for name in PRELOADED:
+            __import__(name)
         trees = [copy_tree(Path(folder) / str(i)) for i in range(args.jobs)]
         for name, target in targets.items():
             tried, left = 0, []

@@ -1,4 +1,4 @@
-"""The firmware to the number: every byte of its answers, every threshold, and its control law written down twice."""
+"""The firmware to the number: every byte of its answers, every threshold, and its control law once more."""
 
 import struct
 

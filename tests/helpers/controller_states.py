@@ -1,0 +1,159 @@
+"""The firmware's states and what leads from one to another, found by bringing each about in the simulator.
+
+python tests/helpers/controller_states.py writes table and picture of the controller's promise anew.
+"""
+
+import tempfile
+from pathlib import Path
+
+from pressure_rig import FIRMWARE, SimulatedTime, build
+
+from lerobot_robot_pneutac.hardware import pressure_protocol as wire
+from lerobot_robot_pneutac.hardware.pressure_protocol import Flag
+
+PAGE = FIRMWARE.parent / "docs" / "concepts" / "controllers_promise.md"
+PICTURE = FIRMWARE.parent / "docs" / "pictures" / "controller_states.svg"
+FAULTS = Flag.OVER_PRESSURE | Flag.SENSOR_FAULT | Flag.STUCK_VALVE | Flag.BURST_LINE | Flag.TOO_MUCH_AIR
+STATES = ("waiting", "ready", "following", "heartbeat lost", "fault")
+BEGIN, END = "<!-- table -->\n", "<!-- end of table -->\n"
+
+
+class Bench:
+    """A firmware in simulated time with the numbers that a host keeps."""
+
+    def __init__(self, program):
+        self.rig = SimulatedTime(program, "--seed", 1)
+        self.session, self.number = 0, 0
+        self.rig.run(20)
+
+    def steps(self, ms, beating=True):
+        for _ in range(0, ms, 10):
+            self.number += 1
+            if beating:
+                self.rig.send(wire.heartbeat(self.session, self.number))
+            self.rig.run(10)
+
+    def hello(self, clear_faults):
+        self.session += 1
+        self.rig.open(self.session, clear_faults)
+
+    def set_point(self, pa):
+        self.number += 1
+        self.rig.send(wire.set_point(self.session, self.number, pa))
+
+    def vent(self):
+        self.number += 1
+        self.rig.send(wire.vent(self.session, self.number))
+
+    def state(self) -> str:
+        frame = next(f for f in reversed(self.rig.frames) if wire.read_status(f))
+        flags = wire.read_status(frame).flags
+        assert (Flag.VENTED in flags) == (self.rig.trace[-1][3:] == (0, 1))
+        if flags & FAULTS:
+            return "fault"
+        if Flag.HEARTBEAT_LOST in flags:
+            return "heartbeat lost"
+        if Flag.VENTED not in flags:
+            return "following"
+        return "ready" if frame.session else "waiting"
+
+
+EVENTS = {
+    "hello with the nonce": lambda b: b.hello(False),
+    "the same, clearing faults": lambda b: b.hello(True),
+    "any other hello": lambda b: b.rig.send(wire.hello(b.session + 1, True, 1)),
+    "set-point within the limits": lambda b: b.set_point(5000),
+    "set-point outside": lambda b: b.set_point(15001),
+    "vent": lambda b: b.vent(),
+    "80 ms without a heartbeat": lambda b: b.steps(100, beating=False),
+    "a fault": lambda b: b.rig.see(16501),
+}
+WAYS = {
+    "waiting": (),
+    "ready": ("hello with the nonce",),
+    "following": ("hello with the nonce", "set-point within the limits"),
+    "heartbeat lost": ("hello with the nonce", "80 ms without a heartbeat"),
+    "fault": ("hello with the nonce", "a fault"),
+}
+
+
+def transitions(program) -> dict[tuple[str, str], str]:
+    """{(state, event): state after it}."""
+    found = {}
+    for state, way in WAYS.items():
+        for event, do in EVENTS.items():
+            bench = Bench(program)
+            for step in way:
+                EVENTS[step](bench)
+                bench.steps(20)
+            assert bench.state() == state, f"{bench.state()} is not {state}"
+            do(bench)
+            bench.steps(20)
+            found[state, event] = bench.state()
+            bench.rig.close()
+    return found
+
+
+def table(found) -> str:
+    lines = [f"| event | {' | '.join(STATES)} |", "|---|" + "---|" * len(STATES)]
+    for event in EVENTS:
+        after = (found[state, event] for state in STATES)
+        cells = ["-" if new == state else new for state, new in zip(STATES, after, strict=True)]
+        lines.append(f"| {event} | {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+PLACES = {
+    "waiting": (110, 60), "ready": (430, 60), "following": (430, 330), "heartbeat lost": (790, 60),
+    "fault": (790, 330),
+}  # fmt: skip
+
+
+def svg(found) -> str:
+    """States as boxes, an arrow for each pair, its events beside it."""
+    arrows: dict[tuple[str, str], list[str]] = {}
+    for (state, event), new in found.items():
+        if new != state:
+            arrows.setdefault((state, new), []).append(event)
+    lines = [
+        '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 960 410"'
+        ' font-family="sans-serif" font-size="11">',
+        '<defs><marker id="tip" viewBox="0 0 8 8" refX="8" refY="4" markerWidth="8" markerHeight="8"'
+        ' orient="auto"><path d="M0 0L8 4L0 8z" fill="#2a3f5f"/></marker></defs>',
+        '<rect width="960" height="410" fill="#ffffff"/>',
+    ]
+    for (state, new), events in arrows.items():
+        (x, y), (u, v) = PLACES[state], PLACES[new]
+        length = ((u - x) ** 2 + (v - y) ** 2) ** 0.5
+        dx, dy = (u - x) / length, (v - y) / length
+        side, short = 12, min(75 / max(abs(dx), 1e-9), 26 / max(abs(dy), 1e-9))
+        x, y, u, v = (x + dx * short - dy * side, y + dy * short + dx * side,
+                      u - dx * short - dy * side, v - dy * short + dx * side)  # fmt: skip
+        lines.append(f'<path d="M{x:.0f} {y:.0f}L{u:.0f} {v:.0f}" stroke="#2a3f5f" marker-end="url(#tip)"/>')
+        share = 0.42 if min(abs(dx), abs(dy)) < 0.1 else 0.3  # of the way; texts of diagonals keep apart
+        at_x, at_y = x + share * (u - x) - dy * 8, y + share * (v - y) + dx * 12
+        at_y -= 13 * (len(events) - 1) if dx < -0.9 else 0
+        anchor = "middle" if abs(dy) < 0.1 else "end" if dy > 0 else "start"
+        rows = [f'<tspan x="{at_x:.0f}" dy="{13 if k else 0}">{e}</tspan>' for k, e in enumerate(events)]
+        lines.append(f'<text x="{at_x:.0f}" y="{at_y:.0f}" text-anchor="{anchor}">{"".join(rows)}</text>')
+    for state, (x, y) in PLACES.items():
+        fill = "#fff7e6" if state == "following" else "#f5f7fb"
+        lines.append(
+            f'<rect x="{x - 75}" y="{y - 26}" width="150" height="52" rx="8" fill="{fill}" stroke="#2a3f5f"/>'
+        )
+        what = "pressure follows" if state == "following" else "vent open"
+        lines.append(f'<text x="{x}" y="{y - 3}" text-anchor="middle" font-size="14">{state}</text>')
+        lines.append(f'<text x="{x}" y="{y + 15}" text-anchor="middle">{what}</text>')
+    return "\n".join([*lines, "</svg>", ""])
+
+
+def main() -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        found = transitions(build(Path(folder)))
+    before, rest = PAGE.read_text().split(BEGIN)
+    PAGE.write_text(before + BEGIN + "\n" + table(found) + "\n" + END + rest.split(END)[1])
+    PICTURE.write_text(svg(found))
+
+
+if __name__ == "__main__":
+    main()
