@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -26,10 +27,11 @@ class Parts:
         self.diary: list[tuple[float, str, object]] = []
         self.breaks: dict[str, BaseException] = {}
         self.hangs: str | None = None
-        self.slow_s = 0.0
+        self.slow_s, self.reads = 0.0, 0
         self.flange_m, self.force_n, self.kpa = CENTRE, 0.0, 0.0
 
     def _do(self, name, value=None):
+        self.reads += name in ("state", "pressure")
         if name not in ("state", "pressure"):
             self.diary.append((time.monotonic(), name, value))
         time.sleep(self.slow_s)
@@ -57,6 +59,9 @@ class Parts:
 
     def vent(self):
         self._do("vent")
+
+    def disconnect(self):
+        self._do("disconnect")
 
     def names(self):
         return [name for _, name, _ in self.diary]
@@ -89,6 +94,10 @@ def until(true, seconds=2.0):
     while not true() and time.monotonic() < end:
         time.sleep(0.005)
     return true()
+
+
+def assert_exit_waits_for_no_thread():
+    assert [t for t in threading.enumerate() if not t.daemon] == [threading.main_thread()]
 
 
 MOVE = np.array([0.05, 0.0, 0.0, 2.0])
@@ -170,6 +179,9 @@ def test_without_actions_the_arm_stops_then_the_chamber_is_vented_then_an_action
     assert "vent" not in parts.names()
     assert until(lambda: "vent" in parts.names())
     assert VENT_S <= time.monotonic() - start < VENT_S + 0.5
+    time.sleep(4 * safety.TICK_S)
+    assert parts.names().count("stop") == parts.names().count("vent") == 1
+    assert parts.names()[-1] == "vent"  # and the pressure is held no more
     assert guard.fault is None
     done = guard.act(MOVE)
     assert parts.last("move", "stop")[0] == "move"
@@ -202,6 +214,24 @@ def test_closing_halts_and_ends_the_threads(parts, guard):
     guard.close()
     assert parts.halted()
     assert not [thread for thread in guard._threads if thread.is_alive()]
+
+
+def test_a_closed_guard_is_not_called_at_the_end_of_the_program(parts, monkeypatch):
+    calls = set()
+    monkeypatch.setattr(safety, "atexit", SimpleNamespace(register=calls.add, unregister=calls.discard))
+    guard = Guard(parts, parts, Limits())
+    guard.start()
+    assert calls == {guard._last_line}
+    guard.close()
+    assert not calls
+
+
+def test_after_the_end_of_the_program_nothing_is_read(parts, guard):
+    guard._last_line()
+    time.sleep(3 * safety.TICK_S)
+    reads = parts.reads
+    time.sleep(3 * safety.TICK_S)
+    assert parts.reads == reads
 
 
 # ---------------------------------------------------------------- faults
@@ -259,14 +289,15 @@ def test_a_stop_that_hangs_does_not_keep_the_chamber_full(parts, guard):
     assert [kpa for _, name, kpa in parts.diary[parts.names().index("vent") :] if kpa] == []
 
 
-def test_a_pressure_that_is_held_while_another_thread_halts_ends_vented(parts, guard, monkeypatch):
+@pytest.mark.parametrize("end", ["halt", "_last_line"])
+def test_a_pressure_that_is_held_while_another_thread_ends_it_ends_vented(parts, guard, monkeypatch, end):
     monkeypatch.setattr(safety, "VENT_S", 60.0)
     guard.act(MOVE)
     set_pressure = parts.set_pressure
 
     def halted_meanwhile(kpa):
         monkeypatch.undo()
-        guard.halt()
+        getattr(guard, end)()
         set_pressure(kpa)
 
     monkeypatch.setattr(parts, "set_pressure", halted_meanwhile)
@@ -318,6 +349,7 @@ def test_an_arm_whose_state_hangs_is_a_fault_within_300_ms(parts, guard, hangs_t
             guard.act(MOVE)
     assert time.monotonic() - start_s < 0.3
     assert until(parts.halted)
+    assert_exit_waits_for_no_thread()
     guard.close()
 
 
@@ -328,6 +360,7 @@ def test_a_halt_does_not_wait_for_a_stop_that_hangs(parts, guard):
     guard.halt()
     assert safety.HALT_S <= time.monotonic() - start_s < 0.3
     assert parts.halted()
+    assert_exit_waits_for_no_thread()
 
 
 def test_a_fault_during_a_command_has_the_last_word(parts, guard, monkeypatch):
