@@ -76,7 +76,7 @@ def released(
     }
     solver = devices.finger(free, particles=particles)
     if sensor is not None:
-        _carry(solver, sensor)
+        carry(solver, sensor)
     solver.set_q(held.q)
     pulled = Loads(q_cmd=target + 0.1 * levers / controller)  # 0.1 N
     simulate(solver, pulled, PULLED_S, PULLED_S / 30, damping=PULLED_PER_S, particles=False)
@@ -85,7 +85,7 @@ def released(
     return Swing.of(run.time_s[late], run.q[late, 0] @ levers)
 
 
-def _carry(solver: TotalLagrangian, more: Links) -> None:
+def carry(solver: TotalLagrangian, more: Links) -> None:
     """Adds lumps to what the last link carries."""
     density = solver.body.material.density_kg_m3
     lumps = solver.arrays["lump"].to_numpy().reshape(-1, state.LUMP).astype(float)

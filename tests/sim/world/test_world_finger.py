@@ -169,6 +169,27 @@ def test_any_finger_is_stable_and_swings_less_and_less_after_a_push(length_mm, j
     assert max(swing[-10:]) < max(0.5 * max(swing[2:12]), 1e-4)
 
 
+@pytest.mark.nightly
+def test_the_finger_is_stable_for_an_hour_under_any_pressure_and_load():
+    """Now and then a load leads far out of the training of the network, which is counted and passes."""
+    world = World("switch", touch="none", fidelity="surrogate")
+    world.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    world.reset(0)
+    rng, pressure, largest = np.random.default_rng(0), 0.0, 0.0
+    for k in range(int(3600 / DT)):
+        if k % 7 == 0:
+            pressure = rng.uniform(0.0, 15.0)
+            wild = 8.0 if k % 700 == 0 else 1.0
+            world.data.qfrc_applied[world._spine] = wild * rng.uniform(-0.05, 0.05, 4)
+        world.step([0.0, 0.0, 0.0, pressure])
+        largest = max(largest, np.abs(world.spine_rad - world.spine_target_rad).max())
+    assert np.isfinite(largest) and largest < 2.0
+    assert 0 < world.out_of_range < 0.1 * 3600 / DT
+    world.data.qfrc_applied[:] = 0.0
+    hold(world, 5.0, steps=60)
+    np.testing.assert_allclose(world.spine_rad, world.spine_target_rad, atol=1e-4)
+
+
 def test_springs_have_the_whole_matrix(world):
     """A load turns the joints by K^-1 tau, also where they are coupled."""
     world.reset(0)
