@@ -69,7 +69,7 @@ class Case:
     """
 
     def __init__(self, bench: Bench, alike: list[int], session: list[int]):
-        self._bench, self._alike = bench, alike
+        self._bench = bench
         there, here = (self._rows(trials) for trials in (alike, session))
         low, high = (f(bench.p[there], axis=0, initial=w) for f, w in ((np.min, np.inf), (np.max, -np.inf)))
         here = here[((bench.p[here] >= low) & (bench.p[here] <= high)).all(1)]
