@@ -39,6 +39,7 @@ def test_importing_is_light_and_registers_the_worlds():
         _ = lerobot_pneutac.fly
 
 
+@pytest.mark.slow
 def test_results_are_data_and_leave_what_was_given_as_it_was(bench, tmp_path):
     calibrated, recording = bench
     twin, samples = copy.deepcopy(calibrated.twin), recording.samples.copy()

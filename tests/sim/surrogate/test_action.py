@@ -207,6 +207,7 @@ def collection(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_an_interrupted_collection_goes_on(collection):
     twin, plan, told = Twin.builtin(), Plan(6, 0.2, particles=200), []
     assert len(collect_action(twin, collection, plan, "cpu", told.append)) == 6
@@ -229,6 +230,7 @@ def test_an_interrupted_collection_goes_on(collection):
     file.write_bytes(kept)
 
 
+@pytest.mark.slow
 def test_training_beats_no_network_on_other_motions(collection):
     twin = Twin.builtin()
     network = train_action(twin, collection, epochs=150)
