@@ -1,36 +1,106 @@
 """Files that are read with one sentence where they are bad, and written whole or not at all."""
 
+import errno
 import json
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import yaml
+from filelock import FileLock, Timeout
 
 from pneutac_sim.errors import InputError
 
+MOST_YAML_BYTES = 2**20
+LOCK_S = 60.0  # how long another process's writing is waited for
+
 
 def read_yaml(file: Path):
-    """Content of a YAML file; raises InputError, one line, where it is none."""
+    """Content of a YAML file; raises InputError, one line, where it is none or far too large."""
+    if file.stat().st_size > MOST_YAML_BYTES:
+        raise InputError(f"{file} is larger than {MOST_YAML_BYTES} bytes; it is no file of this product.")
     try:
-        return yaml.safe_load(file.read_text())
-    except (yaml.YAMLError, UnicodeDecodeError) as e:
+        return yaml.load(file.read_text(), _Loader)
+    except RecursionError as e:
+        raise InputError(f"{file} is nested too deeply; correct it in a text editor.") from e
+    except (yaml.YAMLError, ValueError) as e:
         mark = getattr(e, "problem_mark", None)
         where, what = (f", line {mark.line + 1},", e.problem) if mark else ("", e)
         raise InputError(f"{file}{where} is not valid YAML: {what}; correct it in a text editor.") from e
 
 
+class _Loader(yaml.SafeLoader):
+    """Safe YAML without aliases, with which a small file could stand for a huge one."""
+
+    def compose_node(self, parent, index):
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.constructor.ConstructorError(
+                None, None, "aliases are not read", self.peek_event().start_mark
+            )
+        return super().compose_node(parent, index)
+
+
 @contextmanager
 def whole(file: Path) -> Iterator[Path]:
-    """Gives a path to write to, which takes the place of `file` at the end: a stop leaves no half of it."""
+    """Gives a path to write to, which takes the place of `file` at the end.
+
+    A stop, at any moment, or a power cut leaves the old file or the new one, whole.
+
+    Raises:
+        InputError: no space is left; the old file is untouched.
+    """
     part = file.with_name(f"{file.name}.{os.getpid()}.part")
-    part.parent.mkdir(parents=True, exist_ok=True)
+    with _space(file):
+        part.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            yield part
+            flush(part)
+            part.replace(file)
+            flush(file.parent)
+        finally:
+            part.unlink(missing_ok=True)
+
+
+def flush(path: Path) -> None:
+    """Has the disk itself hold a file, or the names in a folder, before anything else is written."""
+    if sys.platform == "win32" and path.is_dir():
+        return  # folders cannot be opened there
+    handle = os.open(path, os.O_RDWR if sys.platform == "win32" else os.O_RDONLY)
     try:
-        yield part
-        part.replace(file)
+        os.fsync(handle)
     finally:
-        part.unlink(missing_ok=True)
+        os.close(handle)
+
+
+@contextmanager
+def _space(file: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as e:
+        if e.errno not in (errno.ENOSPC, errno.EDQUOT):
+            raise
+        raise InputError(
+            f"No space is left to write {file}; free some and repeat. Nothing was changed."
+        ) from e
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """One process at a time writes into a folder; others wait.
+
+    Raises:
+        InputError: another process has written for `LOCK_S` seconds.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        with FileLock(folder / ".lock", timeout=LOCK_S):
+            yield
+    except Timeout as e:
+        raise InputError(
+            f"Another process has been writing into '{folder}' for {LOCK_S:.0f} s; wait for it and repeat."
+        ) from e
 
 
 def write_json(file: Path, content) -> None:

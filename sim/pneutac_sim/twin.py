@@ -5,7 +5,7 @@ colours, networks); `history/NNN/` holds every earlier version with what was cha
 """
 
 import copy
-import json
+import hashlib
 import math
 import shutil
 from dataclasses import dataclass, field
@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from safetensors.numpy import load_file, save_file
+from safetensors.numpy import load_file, save
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.files import read_yaml, whole
+from pneutac_sim.files import locked, read_yaml, whole, write_json
 
 DEVICES = ("finger", "arm", "gel")
 FORMAT = "pneutac-twin/1"
@@ -100,20 +100,37 @@ class Twin:
     # ---------------------------------------------------------------- files
 
     def save(self, path: str | Path) -> Path:
-        """Writes the twin into folder `path` without touching its history; returns the folder."""
+        """Writes the twin into folder `path` without touching its history; returns the folder.
+
+        Raises:
+            InputError: no space is left, or another process writes there and does not end.
+        """
         path = Path(path)
-        path.mkdir(parents=True, exist_ok=True)
-        text = yaml.safe_dump(self._as_dict(), sort_keys=False)
+        with locked(path):
+            self._write(path)
+        return path
+
+    def _write(self, path: Path, number: int | None = None) -> None:
+        """What `twin.yaml` names, then the version's folder, then that file: a stop changes nothing."""
+        content = self._as_dict()
         if self.arrays:
-            save_file(
-                {k: np.ascontiguousarray(v) for k, v in self.arrays.items()}, path / "arrays.safetensors"
-            )
+            data = save({k: np.ascontiguousarray(v) for k, v in self.arrays.items()})
+            content["arrays"] = f"arrays-{hashlib.sha256(data).hexdigest()[:16]}.safetensors"
+            if not (path / content["arrays"]).exists():
+                with whole(path / content["arrays"]) as part:
+                    part.write_bytes(data)
         for name, file in self.networks.items():
             if file.resolve() != (path / f"{name}.safetensors").resolve():
-                shutil.copy2(file, path / f"{name}.safetensors")
-        with whole(path / "twin.yaml") as part:  # last, for it says that the folder holds a twin
+                with whole(path / f"{name}.safetensors") as part:
+                    shutil.copy2(file, part)
+        text = yaml.safe_dump(content, sort_keys=False)
+        if number is not None:
+            folder = path / "history" / f"{number:03d}"
+            with whole(folder / "twin.yaml") as part:
+                part.write_text(text)
+            write_json(folder / "change.json", self.history[-1])
+        with whole(path / "twin.yaml") as part:
             part.write_text(text)
-        return path
 
     def save_version(self, path: str | Path, change: str, recording: str, errors: dict) -> Path:
         """Appends a history entry and writes the twin as the next version of the folder `path`.
@@ -123,15 +140,26 @@ class Twin:
             change: what was done, e.g. `added creep`.
             recording: the recording that was used.
             errors: `train`, `heldout` and `unit`.
+
+        Raises:
+            InputError: as `save`, or another process has saved a version since this one was loaded.
         """
         path = Path(path)
         number = len(self.history)
-        self.history.append({"version": number, "change": change, "recording": recording, **errors})
-        folder = path / "history" / f"{number:03d}"
-        self.save(path)
-        folder.mkdir(parents=True, exist_ok=True)
-        shutil.copy2(path / "twin.yaml", folder / "twin.yaml")
-        (folder / "change.json").write_text(json.dumps(self.history[-1], indent=2))
+        entry = {"version": number, "change": change, "recording": recording, **errors}
+        with locked(path):
+            there = Twin.load(path).history if (path / "twin.yaml").is_file() else self.history
+            if there != self.history:
+                raise InputError(
+                    f"'{path}' has been changed by another process since it was read (it holds {len(there)}"
+                    f" versions, this one {number}); repeat the command, which starts from the newest."
+                )
+            self.history.append(entry)
+            try:
+                self._write(path, number)
+            except BaseException:
+                self.history.pop()
+                raise
         self.folder = path
         return path
 
@@ -153,8 +181,8 @@ class Twin:
                 spine_joint_positions_mm=[float(x) for x in d["spine_joint_positions_mm"]],
                 parameters=_values(d["parameters"], "parameters"),
                 effects={n: _values(e, f"effects.{n}") for n, e in _mapping(d["effects"], "effects").items()},
-                gel=d["gel"],
-                history=d["history"],
+                gel=_mapping(d["gel"], "gel"),
+                history=_history(d["history"]),
             )
         except InputError as e:
             raise InputError(f"{file}: {e}") from e
@@ -165,7 +193,9 @@ class Twin:
         twin.folder = Path(path)
         files = {name: Path(path) / f"{name}.safetensors" for name in NETWORKS}
         twin.networks = {name: file for name, file in files.items() if file.is_file()}
-        arrays = Path(path) / "arrays.safetensors"
+        arrays = Path(path) / d.get("arrays", "arrays.safetensors")  # a twin before 0.2 does not name it
+        if arrays.name != d.get("arrays", arrays.name):
+            raise InputError(f"{file}: field 'arrays' is '{d['arrays']}'; it must be a file's name.")
         if arrays.is_file():
             try:
                 twin.arrays = load_file(arrays)
@@ -187,6 +217,7 @@ class Twin:
             self.save(tmp)
             api = HfApi()
             api.create_repo(repo_id, exist_ok=True)
+            (Path(tmp) / ".lock").unlink(missing_ok=True)
             return str(api.upload_folder(folder_path=tmp, repo_id=repo_id, **kwargs))
 
     @classmethod
@@ -231,5 +262,15 @@ def _values(d, where: str) -> dict[str, Value]:
         if v.get("ci95"):
             low, high = v["ci95"]
             ci95 = float(low), float(high)
-        out[name] = Value(float(v["value"]), ci95)
+        value = Value(float(v["value"]), ci95)
+        if not all(math.isfinite(x) for x in (value.value, *(ci95 or ()))):
+            raise InputError(f"field '{where}.{name}' is {v}; its numbers must be finite.")
+        out[name] = value
     return out
+
+
+def _history(d) -> list[dict]:
+    """Entries as `save_version` writes them."""
+    if not isinstance(d, list) or not all(isinstance(e, dict) and "change" in e for e in d):
+        raise InputError("field 'history' is malformed; each entry must hold 'version' and 'change'.")
+    return d
