@@ -4,6 +4,7 @@
 //   pressure_sim [options]              in simulated time, by lines on stdin:
 //       rx HEX   bytes from the host          run MS   that many steps of 1 ms
 //       see PA   one step with this reading   pass MS  as run, and no word of its steps
+//       wait MS  so long without a step, as on a board that stalled
 //     and on stdout:
 //       tx HEX   bytes to the host            done PEAK_PA     after every run, see and pass: highest so far
 //       at MS TRUE_PA READING_PA INLET VENT   after every step; commanded openings
@@ -85,6 +86,8 @@ static void runScript(Rig& rig) {
         printSent(rig);
         if (line[0] == 'r') printStep(rig);
       }
+    } else if (!strcmp(line, "wait")) {
+      rig.now_ms += number;
     } else {
       fail("not a word of its language:", line);
     }

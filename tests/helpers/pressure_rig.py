@@ -71,6 +71,12 @@ class SimulatedTime:
             self.now_ms += 1
             self._answer()
 
+    def stall(self, ms):
+        """No step for so long."""
+        self.send_line(f"wait {ms}")
+        self.now_ms += ms
+        self._answer()
+
     def _answer(self):
         self._process.stdin.flush()
         sent = b""
