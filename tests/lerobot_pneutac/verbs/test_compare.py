@@ -44,6 +44,7 @@ def run(bench, recording, out):
     return json.loads((out / "result.json").read_text())
 
 
+@pytest.mark.slow
 def test_a_right_twin_has_no_more_than_the_noise_everywhere(bench, tmp_path):
     result = run(bench, "none", tmp_path)
     truth = json.loads((bench / "truth" / "none.json").read_text())
@@ -88,6 +89,7 @@ def test_the_report_stands_alone_and_is_small(bench, tmp_path):
         assert text in page
 
 
+@pytest.mark.slow
 def test_samples_beyond_the_training_of_the_action_network_are_told(bench, tmp_path):
     def with_network(at_most_kpa: float, mark: str) -> dict:
         twin = Twin.load(bench / "twin")

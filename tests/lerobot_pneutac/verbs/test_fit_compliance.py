@@ -57,6 +57,7 @@ def everything(r):
     return np.ones(len(r.samples), bool)
 
 
+@pytest.mark.slow
 def test_joint_angles_tell_the_modulus_from_the_chamber(body, measured_once):
     r = recording(joints=True)
     found = fit_compliance(Twin.builtin(), r, everything(r))

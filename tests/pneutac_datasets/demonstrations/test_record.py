@@ -34,6 +34,7 @@ def read(root, key):
     return np.array(dataset.hf_dataset.with_format("numpy")[key])
 
 
+@pytest.mark.slow
 def test_records_successful_demonstrations_frame_by_frame(devices, tmp_path):
     robot, teleop = devices()
     root = record_episodes(robot, teleop, "local/x", tmp_path / "x", 2, "flip the switch", True)
@@ -58,6 +59,7 @@ def test_records_successful_demonstrations_frame_by_frame(devices, tmp_path):
     assert (first - dataset[rest][f"{OBS_IMAGES}.tactile"] * 255).abs().mean() < 3
 
 
+@pytest.mark.slow
 def test_features_are_those_of_lerobot_record(devices, tmp_path):
     robot, teleop = devices(steps=3)
     action, _, observation = make_default_processors()

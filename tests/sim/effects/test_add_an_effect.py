@@ -138,6 +138,7 @@ def test_a_sensors_effect_is_fitted_saved_and_rendered_like_any_other(backlight,
     assert lit.contact_from_depth(depth) == lit.contact(lit.image(depth))
 
 
+@pytest.mark.slow
 def test_a_sensors_effect_is_added_like_any_other(backlight, tmp_path):
     recording = write_hidden_gel(tmp_path / "gel", ["rest_colour", "backlight"], images=12)
     twin = calibrate(Twin(device="gel", length_mm=16.0), recording, effects=["rest_colour"]).twin

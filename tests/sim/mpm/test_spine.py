@@ -103,6 +103,7 @@ def test_one_joint_swings_as_a_damped_oscillator():
     assert np.abs(out.q[:, 0, 0] - expected).max() < 0.02 * 0.2
 
 
+@pytest.mark.slow
 def test_three_joints_move_as_the_bare_skeleton():
     """Large swings, so that Coriolis' and centrifugal terms count, under gravity."""
     solver = arm(AIR, spine=Skeleton, stiffness_nm_per_rad=0.5, damping_nms_per_rad=2e-4)

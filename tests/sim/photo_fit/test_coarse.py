@@ -9,6 +9,7 @@ from pneutac_sim.photo_fit.parameters import body_parameters
 from pneutac_sim.twin import Twin
 
 
+@pytest.mark.slow
 def test_finds_the_bends_from_a_twin_that_knows_nothing(drawn):
     parameters = body_parameters(Twin("finger", 110.0), 14.0)
     start = coarse_fit(parameters, drawn.pressures, drawn.photographs, device="cpu")

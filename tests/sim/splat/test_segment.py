@@ -17,6 +17,7 @@ def iou(a, b):
 
 
 @pytest.mark.parametrize("view", ["front", "back"])
+@pytest.mark.slow
 def test_difference_to_the_empty_scene_finds_the_body(photographed, view):
     for image, mask in photographed.pictures[view]:
         assert iou(segment(image, background=photographed.background[view]), mask) > 0.95
