@@ -43,12 +43,15 @@ class Pad:
         self._dof = model.jnt_dofadr[self._joint]
         ball = [SPHERE], [(BALL_M, 0, 0)], [(0, 0, BALL_M)], [np.eye(3)]
         self._free = self._springs.of(*ball, np.zeros(3), np.eye(3))
+        self.spring: Spring | None = None
         self.feel(None)
 
     def feel(self, objects: tuple | None) -> None:
         """Puts the spring for `objects`, arguments of `probe_grid`, into the model; None is nothing near."""
-        self.spring: Spring = (objects and self._springs.of(*objects)) or self._free
-        m, h = self._model, self._model.opt.timestep
+        spring = (objects and self._springs.of(*objects)) or self._free
+        if spring is self.spring:
+            return
+        self.spring, m, h = spring, self._model, self._model.opt.timestep
         m.jnt_stiffness[self._joint] = self.spring.k1
         m.jnt_stiffnesspoly[self._joint] = 0.0, self.spring.k3
         mass = max(MASS_KG, 2 * h**2 * self.spring.slope(self.spring.depth_m + AHEAD_M))
