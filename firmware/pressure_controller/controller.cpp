@@ -59,7 +59,8 @@ void Controller::handleHello(const Frame& frame, uint32_t now_ms) {
   session_ = frame.session;
   command_ = beat_ = applied_ = repeated_ = 0;
   beat_ms_ = now_ms;
-  latched_ &= frame.payload[1] ? 0 : kFaults;
+  if (frame.payload[1]) latched_ = 0;
+  else latched_ &= kFaults;
   stuck_ms_ = burst_ms_ = frozen_ms_ = owed_ms_ = 0;
 }
 

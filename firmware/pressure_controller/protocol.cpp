@@ -87,18 +87,13 @@ bool FrameReader::decode(Frame& frame) const {
 
 bool FrameReader::push(uint8_t byte, Frame& frame) {
   if (byte != 0) {
-    if (size_ < kMaxWire) {
-      buffer_[size_++] = byte;
-    } else {
-      overflow_ = true;
-    }
+    if (size_ < kMaxWire) buffer_[size_++] = byte;  // what is cut stays too long to be a frame
     return false;
   }
   const bool empty = size_ == 0;
-  const bool sound = !empty && !overflow_ && decode(frame);
+  const bool sound = !empty && decode(frame);
   if (!empty && !sound) ++bad_;
   size_ = 0;
-  overflow_ = false;
   return sound;
 }
 

@@ -65,7 +65,6 @@ class FrameReader {
   bool decode(Frame& frame) const;
   uint8_t buffer_[kMaxWire];
   size_t size_ = 0;
-  bool overflow_ = false;
   uint16_t bad_ = 0;
 };
 
