@@ -46,6 +46,8 @@ def augment_page(new: tuple[str, Path], summary: dict, references: list[Referenc
     report.table(rows, "Yield")
     scenes = [_scene_row(r, s) for r, s in zip(references, summary["scenes"], strict=False)]
     report.table(scenes, "Where the object stood: the replay of each recorded demonstration in the twin")
+    if "checks" in summary:
+        report.table([_check_row(c) for c in summary["checks"]], "Carried out once more by material points")
     report.heading("Touch")
     states = _states(*new)
     sources = [line["source_episode"] for line in summary["provenance"]]
@@ -69,6 +71,19 @@ def augment_result(method: str, summary: dict, references: list[Reference]) -> d
         "demonstrations_per_minute": 60 * summary["kept"] / summary["wall_s"],
         "seconds": summary["seconds"],
         "scenes": summary["scenes"],
+        **{k: summary[k] for k in ("checks",) if k in summary},
+    }
+
+
+def _check_row(check: dict) -> dict:
+    return {
+        "demonstration": check["episode"],
+        "does the task": check["success"],
+        "steps with touch, planned / checked": " / ".join(map(str, check["touched"])),
+        "contact area RMSE": check["area_rmse"],
+        "largest contact area": check["area_peak"],
+        "image RMSE (levels)": check["image_rmse_levels"],
+        "minutes": check["seconds"] / 60,
     }
 
 

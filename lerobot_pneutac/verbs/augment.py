@@ -50,6 +50,8 @@ class AugmentConfig:
             draws from a range [low, high].
         planner: horizon, samples and weights of the planner.
         attempts: number of variants tried for one demonstration before giving up.
+        check_mpm: number of the new demonstrations that are carried out once more by material points; how far
+            they agree goes into the report. Each takes minutes.
         workers: number of processes; where left out, one a core.
         out: folder for `report.html` and `result.json`.
     """
@@ -65,6 +67,7 @@ class AugmentConfig:
     conditions: dict[str, float | list[float]] = field(default_factory=dict)
     planner: PlannerConfig = field(default_factory=PlannerConfig)
     attempts: int = 30
+    check_mpm: int = 0
     workers: int | None = None
     out: Path | None = None
 
@@ -74,6 +77,15 @@ class AugmentConfig:
         check_choice("fidelity", self.fidelity, FIDELITIES)
         self.workers = self.workers if self.workers is not None else len(os.sched_getaffinity(0))
         check_least(1, episodes=self.episodes, attempts=self.attempts, workers=self.workers)
+        check_least(0, check_mpm=self.check_mpm)
+        if self.check_mpm and self.method == "naive":
+            raise InputError(
+                "check_mpm carries demonstrations out once more; naive ones have no scene. Leave it out."
+            )
+        if self.check_mpm and self.fidelity == "mpm":
+            raise InputError(
+                "check_mpm compares with material points, which fidelity=mpm is already; leave it out."
+            )
         if self.twin is not None and not (Path(self.twin) / "twin.yaml").is_file():
             raise InputError(f"twin is '{self.twin}', which holds no twin.yaml; give a twin's folder.")
         conditions_for(Twin.load(self.twin) if self.twin else Twin.builtin(), self.conditions)
@@ -113,9 +125,12 @@ class Augmentation(Result):
     def remarks(self) -> list[str]:
         """How many, where and how fast."""
         kept, minutes = self.summary["kept"], self.summary["wall_s"] / 60
+        checks = self.summary.get("checks", [])
+        agree = sum(c["success"] for c in checks)
         return [
+            *[f"Material points do the task in {agree} of {len(checks)} of them too."] * bool(checks),
             f"{len(self.references)} demonstrations in, {kept} new ones in {self.config.output.root}"
-            f" ({minutes:.1f} minutes, {kept / minutes:.0f} a minute)."
+            f" ({minutes:.1f} minutes, {kept / minutes:.0f} a minute).",
         ]
 
     def subject(self) -> tuple[Twin, Path]:
@@ -177,5 +192,5 @@ def augment(config: AugmentConfig, progress: Progress = no_progress) -> Augmenta
             attempts=config.attempts,
             conditions=config.conditions,
         )
-        summary = augment_guided(meta, setup, *new, config.workers, progress)
+        summary = augment_guided(meta, setup, *new, config.workers, progress, config.check_mpm)
     return Augmentation(config, summary, references)

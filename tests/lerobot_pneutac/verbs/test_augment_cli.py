@@ -4,6 +4,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,10 +16,16 @@ from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
 from lerobot_robot_pneutac.teleoperators.config_pneutac_scripted import PneutacScriptedConfig
 from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
+from pneutac_datasets.demonstrations.augment import check
+from pneutac_datasets.demonstrations.augment.episode import Attempt, AugmentSetup
+from pneutac_datasets.demonstrations.augment.planner import PlannerConfig
+from pneutac_datasets.demonstrations.augment.work import Work
 from pneutac_datasets.demonstrations.episodes import TACTILE
 from pneutac_datasets.demonstrations.record import record_episodes
 from pneutac_datasets.demonstrations.save import create_dataset
 from pneutac_sim.errors import InputError
+from pneutac_sim.world.expert import ScriptedExpert
+from pneutac_sim.world.varied import Variation, VariedWorld
 
 pytestmark = pytest.mark.slow
 
@@ -54,8 +61,12 @@ def table(root) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.fixture(scope="module")
 def made(recorded, tmp_path_factory):
+    """Three demonstrations, two of which are checked, by formulas in place of material points."""
     folder = tmp_path_factory.mktemp("made")
-    verb.main(options(recorded, folder / "more", "--episodes=3", "--seed=5", f"--out={folder / 'report'}"))
+    checks = ["--check_mpm=2", f"--out={folder / 'report'}"]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(check, "checking_world", lambda setup, real=check.checking_world: real(setup, "probe"))
+        verb.main(options(recorded, folder / "more", "--episodes=3", "--seed=5", *checks))
     return folder
 
 
@@ -162,3 +173,60 @@ def test_bad_input_is_named(recorded, made, tmp_path):
         dataset.save_episode()
         dataset.finalize()
         refused(f"--dataset.root={tmp_path / name}", match=match)
+
+
+def test_what_is_carried_out_once_more_by_the_same_physics_agrees_wholly(made):
+    """So start, object, actions and what carried the hand aside are those of the demonstration."""
+    checks = json.loads((made / "report" / "result.json").read_text())["checks"]
+    assert [c["episode"] for c in checks] == [0, 1]
+    for c in checks:
+        assert c["success"]
+        assert c["touched"][0] == c["touched"][1] > 3
+        assert c["area_peak"] > 0.01
+        assert c["area_rmse"] == c["image_rmse_levels"] == 0.0
+    assert "Carried out once more by material points" in (made / "report" / "report.html").read_text()
+
+
+def test_what_differs_is_measured_and_what_was_checked_is_not_checked_again(tmp_path):
+    world = VariedWorld("switch", touch="image", fidelity="probe")
+    world.variation = Variation(bend_gain=0.97)
+    observation = world.reset(3)
+    expert, seen, actions = ScriptedExpert(world, np.random.default_rng(3)), [], []
+    while not world.success and len(actions) < 90:
+        seen.append(observation)
+        actions.append(expert.action())
+        observation = world.step(actions[-1])
+    states, images = np.array([o.state for o in seen]), np.array([o.tactile for o in seen])
+    start = 3, world.variation
+    attempt = Attempt(states, np.array(actions), images, None, 0.0, 0.0, start, np.array(actions))
+    steps, other = [], VariedWorld("switch", touch="image", fidelity="surrogate")
+    found = check.agreement(other, 4, attempt, lambda: steps.append(0))
+    assert len(steps) == len(actions)
+    assert found.episode == 4 and found.area_peak == pytest.approx(states[:, 17].max())
+    assert 0 < found.area_rmse < 0.3 and 0 < found.image_rmse_levels < 60
+    away = replace(attempt, start=(3, replace(world.variation, shift_m=(0.0, 0.0, -5.0))))
+    missed = check.agreement(world, 0, away)
+    assert not missed.success and missed.touched[0] > 0 and missed.touched[1] == 0
+    work, told = Work(tmp_path), []
+    work.save_episode(0, attempt, {"cost": 0.0, "area_rmse": 0.0}, {})
+    setup = AugmentSetup([], "switch", None, "probe", PlannerConfig(), 0)
+    loaded = work.load_episode(0)[0]
+    assert loaded.start == attempt.start
+    np.testing.assert_array_equal(loaded.carried, attempt.carried)
+    work.check_file(0).write_text("{}")
+    check.check(work, setup, 1, lambda *a: told.append(a))
+    assert not told and work.check_file(0).read_text() == "{}"
+
+
+@pytest.mark.parametrize(
+    ("more", "says"),
+    [
+        (["--check_mpm=1", "--method=naive"], "naive ones have no scene"),
+        (["--check_mpm=1", "--fidelity=mpm"], "which fidelity=mpm is already"),
+        (["--check_mpm=-1"], "check_mpm is -1; it must be 0 or more"),
+    ],
+)
+def test_checks_that_cannot_be_are_refused(recorded, tmp_path, capsys, more, says):
+    with pytest.raises(SystemExit):
+        verb.main(options(recorded, tmp_path / "new", *more))
+    assert says in " ".join(capsys.readouterr().err.split())

@@ -121,6 +121,8 @@ class Attempt:
         reason: why it is not kept, or None.
         cost: mean of the plans' costs.
         area_rmse: root mean square error of the contact area from its onset on.
+        start: seed and variation of the world at the start.
+        carried: (T, 4) actions as they were carried out: with what carried the hand aside on its free way.
     """
 
     state: np.ndarray
@@ -129,6 +131,13 @@ class Attempt:
     reason: str | None
     cost: float
     area_rmse: float
+    start: tuple[int, Variation]
+    carried: np.ndarray
+
+    @property
+    def area(self) -> np.ndarray:
+        """(T,) contact areas before each action."""
+        return self.state[:, STATE_NAMES.index("contact_area.pos")]
 
 
 @dataclass
@@ -209,13 +218,14 @@ class Generator:
             variant.conditions,
         )
         observation = self.world.reset(scene.seed)
+        begun = scene.seed, self.world.variation
         if self.world.blocked:
             nothing = np.zeros((0, len(STATE_NAMES))), np.zeros((0, len(ACTION_LOW))), None
-            return Attempt(*nothing, IN_THE_WAY, 0.0, 1.0)
+            return Attempt(*nothing, IN_THE_WAY, 0.0, 1.0, begun, nothing[1])
         replayed = ((action, False) for action in np.clip(r.action, ACTION_LOW, ACTION_HIGH))
         ways = self._plan(r, variant, rng) if plan else replayed
         push, keep = np.zeros(4), np.exp(-DT / PUSH_S)
-        states, actions, images, areas, self._costs = [], [], [], [], []
+        states, actions, done, images, areas, self._costs = [], [], [], [], [], []
         missed = plan
         while not (self.world.success or self.world.failure):
             action, free = next(ways, (None, False))
@@ -227,8 +237,8 @@ class Generator:
             actions.append(action.astype(np.float32))
             areas.append(self.world.touch.area)
             began = time.perf_counter()
-            carried = np.clip(actions[-1] + push, ACTION_LOW, ACTION_HIGH) if free else actions[-1]
-            observation = self.world.step(carried)
+            done.append(np.clip(actions[-1] + push, ACTION_LOW, ACTION_HIGH) if free else actions[-1])
+            observation = self.world.step(done[-1])
             missed = missed and not self.world.touch.area > 0
             self.seconds["execution"] += time.perf_counter() - began
         reason = self.world.failure
@@ -245,6 +255,8 @@ class Generator:
             reason,
             float(np.mean(self._costs)) if self._costs else 0.0,
             _area_rmse(np.array(areas), r.area),
+            begun,
+            np.array(done),
         )
 
     def _plan(self, r: Reference, variant: Variant, rng: np.random.Generator):

@@ -20,6 +20,7 @@ import numpy as np
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
 from lerobot.utils.constants import ACTION, OBS_STATE
 
+from pneutac_datasets.demonstrations.augment.check import check
 from pneutac_datasets.demonstrations.augment.episode import Attempt, AugmentSetup
 from pneutac_datasets.demonstrations.augment.reference import (
     EXTRA_STEPS,
@@ -94,6 +95,7 @@ def augment_guided(
     episodes: int,
     workers: int,
     progress: Progress = no_progress,
+    checks: int = 0,
 ) -> dict:
     """Writes a LeRobotDataset of planned demonstrations that merges with its source.
 
@@ -105,21 +107,23 @@ def augment_guided(
         episodes: number of new demonstrations.
         workers: processes.
         progress: is called with the stage, and how many of how many are done.
+        checks: demonstrations that material points carry out once more, see `check.check`.
 
     Returns:
         `attempts`, `kept`, `rejected` (reason to count), `provenance` (a dict each), `seconds` by part,
-        `scenes`, `wall_s`.
+        `scenes`, `wall_s`; with checks also `checks`, an `Agreement` each.
 
     Raises:
         InputError: there are fewer than two demonstrations, one never touches, the output exists, an
             unfinished run is another one, or a demonstration cannot be made.
     """
     onset_sigma_m(setup.references)
+    checks = min(checks, episodes)
     out_root, began = Path(out_root), time.monotonic()
     work = Work(out_root.with_name(out_root.name + ".work"))
     part = out_root.with_name(out_root.name + ".part")
     if out_root.exists() and work.folder.exists():
-        return _tidy_up(work, out_root, meta, setup, episodes, began)
+        return _tidy_up(work, out_root, meta, setup, episodes, began) | _checked(work, checks)
     if out_root.exists():
         raise InputError(f"'{out_root}' exists; give a new folder for dataset '{out_repo_id}'.")
     work.open(_run(meta, setup))
@@ -130,6 +134,8 @@ def augment_guided(
         scenes = _find_scenes(pool, work, len(setup.references), progress)
         planned = _plan(pool, work, scenes, episodes, progress)
         provenance, seconds = _write(part, out_repo_id, meta, setup.references, planned)
+        check(work, setup, checks, progress)
+        agreements = _checked(work, checks)
         finish(part, out_root, provenance)
         shutil.rmtree(work.folder)
     except BrokenProcessPool as e:
@@ -138,7 +144,13 @@ def augment_guided(
         ) from e
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
-    return _summary(provenance, seconds, scenes, began)
+    return _summary(provenance, seconds, scenes, began) | agreements
+
+
+def _checked(work: Work, checks: int) -> dict:
+    """The agreements that were found, for the summary."""
+    found = [json.loads(work.check_file(k).read_text()) for k in range(checks) if work.check_file(k).exists()]
+    return {"checks": found} if found else {}
 
 
 def _tidy_up(
@@ -269,5 +281,6 @@ def _run(meta: LeRobotDatasetMetadata, setup: AugmentSetup) -> dict:
         "planner": asdict(setup.planner),
         "seed": setup.seed,
         "attempts": setup.attempts,
+        "files": 2,  # version of the work folder's files
         "candidates": setup.candidates,
     }

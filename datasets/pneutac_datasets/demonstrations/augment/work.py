@@ -15,6 +15,7 @@ from pneutac_datasets.demonstrations.augment.scene import Scene
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import whole, write_json
 from pneutac_sim.worker import start_worker
+from pneutac_sim.world.varied import Variation
 
 
 class Work:
@@ -43,6 +44,10 @@ class Work:
         """File of the scene of one reference."""
         return self.folder / f"scene_{source:06d}.json"
 
+    def check_file(self, index: int) -> Path:
+        """File of the agreement of one demonstration with material points."""
+        return self.folder / f"check_{index:06d}.json"
+
     def episode_file(self, index: int) -> Path:
         """File of one finished demonstration."""
         return self.folder / f"episode_{index:06d}.npz"
@@ -57,9 +62,9 @@ class Work:
         with np.load(self.episode_file(index)) as d:
             images = np.add(d["change"], d["first"], dtype=np.uint8)
             provenance, seconds = json.loads(str(d["provenance"])), json.loads(str(d["seconds"]))
-            attempt = Attempt(
-                d["state"], d["action"], images, None, provenance["cost"], provenance["area_rmse"]
-            )
+            scores = provenance["cost"], provenance["area_rmse"]
+            start = start_from_json(str(d["start"]))
+            attempt = Attempt(d["state"], d["action"], images, None, *scores, start, d["carried"])
         return attempt, provenance, seconds
 
     def save_scene(self, source: int, scene: Scene) -> None:
@@ -71,6 +76,8 @@ class Work:
         arrays = {
             "state": attempt.state,
             "action": attempt.action,
+            "carried": attempt.carried,
+            "start": np.array(start_to_json(attempt.start)),
             "first": attempt.images[0],
             "change": attempt.images - attempt.images[0],
             "provenance": np.array(json.dumps(provenance)),
@@ -78,6 +85,18 @@ class Work:
         }
         with whole(self.episode_file(index)) as part, part.open("wb") as f:
             np.savez_compressed(f, **arrays)
+
+
+def start_to_json(start: tuple[int, Variation]) -> str:
+    """The seed and variation with which a demonstration begins, as text."""
+    return json.dumps({"seed": start[0], **asdict(start[1])})
+
+
+def start_from_json(text: str) -> tuple[int, Variation]:
+    """What `start_to_json` wrote."""
+    values = json.loads(text)
+    seed = values.pop("seed")
+    return seed, Variation(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})
 
 
 # ------------------------------------------------------------------ in a worker process

@@ -1,0 +1,106 @@
+"""Planned demonstrations carried out once more by the full material points, and how far the two agree.
+
+The same start, object and actions, those included that carried the hand aside; what differs is how finger and
+gel deform. The last action goes on for a second where the task takes longer.
+"""
+
+import time
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from pneutac_datasets.demonstrations.augment.episode import Attempt, AugmentSetup
+from pneutac_datasets.demonstrations.augment.reference import EXTRA_STEPS
+from pneutac_datasets.demonstrations.augment.work import Work
+from pneutac_sim.files import write_json
+from pneutac_sim.progress import Progress
+from pneutac_sim.twin import Twin
+from pneutac_sim.world.varied import VariedWorld
+
+STEP_S = 0.6  # of a control step by material points on one core, until it has been measured
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """One demonstration by two fidelities.
+
+    Attributes:
+        episode: its number.
+        success: whether the task is done there too.
+        touched: steps with touch as planned, and as checked.
+        area_rmse: root mean square difference of the contact areas, shares of the image, from the first
+            touch of either on.
+        area_peak: largest contact area as planned, to compare it with.
+        image_rmse_levels: the same of the tactile images in steps in which either touches, of 255.
+        seconds: that the check took.
+    """
+
+    episode: int
+    success: bool
+    touched: tuple[int, int]
+    area_rmse: float
+    area_peak: float
+    image_rmse_levels: float
+    seconds: float
+
+
+def check(work: Work, setup: AugmentSetup, number: int, progress: Progress) -> None:
+    """Writes the agreements of the first demonstrations into their work folder; what is there stays.
+
+    Args:
+        work: holds the demonstrations.
+        setup: by which they were made.
+        number: of demonstrations.
+        progress: is told the minutes that are left, and how many steps of how many are done.
+    """
+    missing = [k for k in range(number) if not work.check_file(k).exists()]
+    attempts = {k: work.load_episode(k)[0] for k in missing}
+    total, done, began, world = sum(len(a.action) for a in attempts.values()), 0, time.monotonic(), None
+
+    def step() -> None:
+        nonlocal done
+        each = (time.monotonic() - began) / done if done else STEP_S
+        minutes = each * (total - done) / 60
+        progress(f"checking with material points, about {minutes:.0f} minutes left", done, total)
+        done += 1
+
+    for k, attempt in attempts.items():
+        if world is None:
+            world = checking_world(setup)
+            began = time.monotonic()
+        write_json(work.check_file(k), asdict(agreement(world, k, attempt, step)))
+
+
+def checking_world(setup: AugmentSetup, fidelity: str = "mpm") -> VariedWorld:
+    """The world in which demonstrations are carried out once more."""
+    twin = Twin.load(setup.twin) if setup.twin else None
+    return VariedWorld(setup.task, twin, "image", fidelity, setup.conditions)
+
+
+def agreement(world: VariedWorld, episode: int, attempt: Attempt, step=lambda: None) -> Agreement:
+    """Carries out a demonstration in another world; calls `step` before each of its actions."""
+    began = time.monotonic()
+    seed, variation = attempt.start
+    world.variation = variation
+    world.reset(seed)
+    areas, errors, planned = [], [], attempt.area
+    for t, action in enumerate(attempt.carried):
+        step()
+        areas.append(world.touch.area)
+        if areas[t] > 0 or planned[t] > 0:
+            errors.append(np.mean((world.touch.image.astype(float) - attempt.images[t]) ** 2))
+        world.step(action)
+    for _ in range(EXTRA_STEPS):
+        if world.success or world.failure:
+            break
+        world.step(attempt.carried[-1])
+    apart, felt = np.array(areas) - planned, np.flatnonzero((np.array(areas) > 0) | (planned > 0))
+    return Agreement(
+        episode,
+        bool(world.success and not world.failure),
+        (int(np.sum(planned > 0)), int(np.sum(np.array(areas) > 0))),
+        float(np.sqrt(np.mean(apart[felt[0] :] ** 2))) if len(felt) else 0.0,
+        float(planned.max()),
+        float(np.sqrt(np.mean(errors))) if errors else 0.0,
+        time.monotonic() - began,
+    )
