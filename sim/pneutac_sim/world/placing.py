@@ -11,6 +11,7 @@ import numpy as np
 from pneutac_sim.finger.online import PressurePipeline
 
 BODIES = ("finger", "sensor")
+STILL = 1e-5  # m, and of a quaternion's parts: by 10 mN the gel's force jumps then at most
 
 
 class Placing:
@@ -44,6 +45,10 @@ class Placing:
         positions = origin + R @ base[:3] * 1e-3, self._rest[1, :3] + apart * 1e-3
         turns = R @ R_base, R_bare.T @ R_base.T @ R_tip
         return np.stack([np.append(p, _quaternion(T)) for p, T in zip(positions, turns, strict=True)])
+
+    def stays(self, poses: np.ndarray) -> bool:
+        """Whether these poses (2, 7) are the present ones but for 10 um, as of a mount that is askew."""
+        return bool(np.abs(poses - self.poses).max() < STILL)
 
     def between(self, poses: np.ndarray, shares: np.ndarray) -> np.ndarray:
         """(S, 2, 7) on the way from the present poses to these, at shares (S, 1) of it."""

@@ -207,15 +207,17 @@ class World(Senses):
         ctrl[:, self._arm] = self._joints + RAMP * (joints - self._joints)
         torques, self._rate = self._follower.torques(before, self._rate, drive, K, D, scene.SUBSTEPS)
         ctrl[:, self._spine] = torques + rest
+        goal = self._placing.poses
         if self._pipeline.moves:
-            ahead = self.spine_rad + drive - before
-            poses = self._placing.between(self._placing.find(self._pipeline, ahead, DT), RAMP)
-            for row, pose in zip(ctrl, poses, strict=True):
+            goal = self._placing.find(self._pipeline, self.spine_rad + drive - before, DT)
+        if self._placing.stays(goal):
+            self._placing.set(self.model, goal)
+            self._physics.run(ctrl)
+        else:
+            for row, pose in zip(ctrl, self._placing.between(goal, RAMP), strict=True):
                 self.data.ctrl[:] = row
                 self._placing.set(self.model, pose)
                 mujoco.mj_step(self.model, self.data)
-        else:
-            self._physics.run(ctrl)
         mujoco.mj_kinematics(self.model, self.data)
         self._joints, self.spine_target_rad, self._drive = joints, spine, drive
 
