@@ -7,7 +7,7 @@ from pathlib import Path
 from pneutac_sim.errors import InputError, check_choice, check_least
 from pneutac_sim.features import FIDELITIES, TASK_NAMES
 from pneutac_sim.twin import Twin
-from pneutac_sim.world.conditions import conditions_for
+from pneutac_sim.world.checks import check_world
 
 
 @dataclass
@@ -68,7 +68,8 @@ class PpoConfig:
         check_choice("device", self.device, ("cpu", "cuda"))
         if self.twin is not None and not (Path(self.twin) / "twin.yaml").is_file():
             raise InputError(f"twin is '{self.twin}', which holds no twin.yaml; give a twin's folder.")
-        conditions_for(Twin.load(self.twin) if self.twin else Twin.builtin(), self.conditions)
+        twin = Twin.load(self.twin) if self.twin else Twin.builtin()
+        check_world(twin, self.student.fidelity, self.conditions)
         if self.student.root is not None and Path(self.student.root).exists():
             raise InputError(f"root is '{self.student.root}', which exists; give a new folder.")
         cores = len(os.sched_getaffinity(0))

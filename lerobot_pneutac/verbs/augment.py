@@ -12,7 +12,7 @@ from pneutac_sim.errors import InputError, check_choice, check_least
 from pneutac_sim.features import FIDELITIES, TASK_NAMES
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
-from pneutac_sim.world.conditions import conditions_for
+from pneutac_sim.world.checks import check_world
 
 METHODS = ("tactile", "naive")
 
@@ -88,7 +88,9 @@ class AugmentConfig:
             )
         if self.twin is not None and not (Path(self.twin) / "twin.yaml").is_file():
             raise InputError(f"twin is '{self.twin}', which holds no twin.yaml; give a twin's folder.")
-        conditions_for(Twin.load(self.twin) if self.twin else Twin.builtin(), self.conditions)
+        if self.method == "tactile":
+            twin = Twin.load(self.twin) if self.twin else Twin.builtin()
+            check_world(twin, self.fidelity, self.conditions)
 
 
 @dataclass(frozen=True)

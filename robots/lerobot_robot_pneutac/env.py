@@ -14,6 +14,7 @@ from lerobot_robot_pneutac.options import (
     check_choice,
     check_conditions,
     check_gl,
+    check_networks,
     check_twin_folder,
     contact_threshold,
     refuse_if,
@@ -101,6 +102,7 @@ class PneutacEnvConfig(PneutacTaskConfig):
         check_choice("env.fidelity", self.fidelity, FIDELITIES)
         check_twin_folder("env.twin", self.twin)
         check_conditions("env.conditions", self.twin, self.conditions)
+        check_networks("env.twin", self.twin, self.fidelity)
         check_choice("env.render", self.render, RENDERS)
         if self.render == "splats":
             check_gl("env.render")

@@ -55,3 +55,14 @@ def check_conditions(option: str, twin: Path | None, conditions: dict) -> None:
         conditions_for(Twin.load(twin) if twin else Twin.builtin(), conditions)
     except InputError as e:
         refuse_if(True, f"--{option}: {e}")
+
+
+def check_networks(option: str, twin: Path | None, fidelity: str) -> None:
+    """Refuses a twin whose networks are missing or older than it, or whose stiffness no controller holds."""
+    from pneutac_sim.twin import Twin
+    from pneutac_sim.world import checks
+
+    try:
+        checks.check_networks(Twin.load(twin) if twin else Twin.builtin(), fidelity)
+    except InputError as e:
+        refuse_if(True, f"--{option}: {e}")

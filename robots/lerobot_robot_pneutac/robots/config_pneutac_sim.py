@@ -5,7 +5,13 @@ from pathlib import Path
 
 from lerobot.robots import RobotConfig
 
-from lerobot_robot_pneutac.options import check_choice, check_conditions, check_twin_folder, refuse_if
+from lerobot_robot_pneutac.options import (
+    check_choice,
+    check_conditions,
+    check_networks,
+    check_twin_folder,
+    refuse_if,
+)
 from pneutac_sim.features import FIDELITIES, RENDERS, TASK_NAMES
 
 
@@ -41,6 +47,8 @@ class PneutacSimConfig(RobotConfig):
         check_choice("robot.fidelity", self.fidelity, FIDELITIES)
         check_twin_folder("robot.twin", self.twin)
         check_conditions("robot.conditions", self.twin, self.conditions)
+        if not self.standin:  # which has no networks
+            check_networks("robot.twin", self.twin, self.fidelity)
         check_choice("robot.render", self.render, RENDERS)
         refuse_if(
             self.standin and (self.fidelity, self.conditions, self.render) != ("surrogate", {}, "mesh"),
