@@ -170,7 +170,7 @@ def test_a_damaged_twin_is_read_or_refused_in_a_sentence(tmp_path, number):
             GelModel.from_twin(twin)
         except InputError as e:
             refused += 1
-            assert 20 < len(str(e)) < 800 and "\n" not in str(e)
+            assert 20 < len(str(e)) < 400 and "\n" not in str(e)
     assert 0.3 * number < refused < number
 
 

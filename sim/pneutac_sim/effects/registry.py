@@ -91,13 +91,13 @@ def sensor_effects() -> dict[str, SensorEffect]:
 
 
 def get_effect(name: str) -> Effect:
-    """One effect or law; raises InputError naming the effects that exist."""
+    """One effect or law; raises InputError, with the nearest name, where there is none."""
     if is_law(name):
         return law(name)
     known = all_effects()
     if name not in known:
         close = difflib.get_close_matches(name, [*known, *law_names()], n=1)
-        meant = f"did you mean '{close[0]}'?" if close else f"there are {', '.join(known)}."
+        meant = f"did you mean '{close[0]}'?" if close else "`pneutac effects list` shows those that exist."
         raise InputError(f"There is no effect '{name}'; {meant}")
     return known[name]
 
