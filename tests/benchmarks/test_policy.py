@@ -137,7 +137,7 @@ def test_units_of_other_options_are_refused(tmp_path):
 def test_a_unit_that_fails_costs_none_but_those_that_need_it(tmp_path):
     broken = Unit("switch/0/student", "student", {}, ())
     needing = Unit("switch/0/student_frames", "frames", {}, (broken.name,))
-    sound = Unit("switch/0/real", "record", {"task": "switch", "episodes": 1, "seed": 3})
+    sound = Unit("switch/0/real", "record", {"task": "switch", "twin": None, "episodes": 1, "seed": 3})
     done, failed, faults = run_units(tmp_path, [broken, needing, sound], 1, lambda share, words: None)
     assert set(done) == {sound.name}
     assert faults == [broken.name]  # and none that needs it
