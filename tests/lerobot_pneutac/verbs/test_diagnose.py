@@ -37,6 +37,7 @@ def test_laws_that_cancel_each_other_are_seen(creep):
     from dataclasses import replace
 
     from lerobot_pneutac.diagnosis.model import FittedModel
+    from lerobot_pneutac.study.body_outcome import _cancelling
 
     def constants(weight):
         return {"weight": Value(weight), "scale_kpa": Value(15.0), "time_s": Value(8.0)}
@@ -46,7 +47,7 @@ def test_laws_that_cancel_each_other_are_seen(creep):
         both = {"lag(p)": constants(weight), "lag(p) #2": constants(-weight)}
         other = replace(twin, effects=both)
         model = FittedModel(effects=tuple(both), residual=study.residual(other), count=2, twin=other)
-        assert study._cancelling(model, list(both)) == expected
+        assert _cancelling(study, model, list(both)) == expected
 
 
 def test_the_result_keeps_its_contract(creep):

@@ -166,7 +166,7 @@ def test_bad_recordings_are_told_in_a_sentence(drawn, tmp_path):
         bad = altered(drawn, tmp_path / name)
         Image.fromarray(np.full(shape, value, np.uint8)).save(bad.folder / "2_mask_front.png")
         refused(f"mask_front of row 3 {match}", bad)
-    refused("choose at least two with --train_kpa", drawn, (0.0, 3.0))
+    refused("choose at least two by train_kpa", drawn, (0.0, 3.0))
     refused("mask_<camera>", altered(drawn, tmp_path / "none", mask_front=None, mask_back=None))
     nothing = replace(drawn, samples=drawn.samples.assign(pressure_cmd_kpa=[0, np.nan, 7, 14]))
     refused("row 2 has no pressure", nothing)
