@@ -9,7 +9,7 @@ from collections import deque
 import mujoco
 import numpy as np
 
-from lerobot_robot_pneutac.standin.finger import RodBody, gel_force_n, mjcf
+from lerobot_robot_pneutac.standin.finger import RodBody, mjcf
 from lerobot_robot_pneutac.standin.gel import GelTouch
 from pneutac_sim.features import (
     ACTION_HIGH,
@@ -179,11 +179,6 @@ class StandinWorld:
     def press_mm(self) -> float:
         """How far the gel's face is pressed in as the camera shows it, a control step late, mm."""
         return self._shown[0]
-
-    @property
-    def press_n(self) -> float:
-        """Force on the gel, N, by that imprint."""
-        return gel_force_n(self._shown[0])
 
     @property
     def imprint_m(self) -> np.ndarray | None:

@@ -17,7 +17,6 @@ from pneutac_sim.gel.sensor import TactileSensor, centre_mm
 from pneutac_sim.world import scene, slides
 from pneutac_sim.world.following import Follower
 from pneutac_sim.world.observation import Observation
-from pneutac_sim.world.pad import Pad
 from pneutac_sim.world.pairs import Pairs
 from pneutac_sim.world.panda import WORKSPACE_HIGH, WORKSPACE_LOW
 from pneutac_sim.world.placing import Placing
@@ -32,10 +31,9 @@ from pneutac_sim.world.world import DT, RAMP
 class Gantry(VariedWorld):
     """The reduced world of a world: starts where that one is, and tries sequences of actions.
 
-    The finger has the stiffness of the world's own where it was mirrored, and the gel's face the spring for
-    what lies before it there; both are held while the gantry looks ahead. The gel is the world's own too
-    where a network is; where the world's are material points, it is the formula, and how far the world's
-    area is from it is held.
+    The finger has the stiffness of the world's own where it was mirrored, held while the gantry looks ahead.
+    The gel is the world's own too where a network is; where the world's are material points, it is the
+    formula, and how far the world's area is from it is held.
 
     Attributes:
         centre_mm: (H, 2) middles of the imprints in the last `rollout`, see `gel.sensor.centre_mm`.
@@ -66,7 +64,6 @@ class Gantry(VariedWorld):
         n = self._spine.stop - self._spine.start
         self._physics = Substeps(self.model, self.data)
         self._snapshots = Snapshots(self.touch, self._flange)
-        self._pad = Pad(self.model, self.twin)
         damping, whole = "joint_damping_nms_per_rad", "joint_stiffness_nm_per_rad"
         self._springs = Springs(self.model, n, self.twin.parameter(damping), self.twin.parameter(whole))
         self._follower = Follower(self.model, n)
@@ -126,7 +123,6 @@ class Gantry(VariedWorld):
         self._state = np.empty(mujoco.mj_stateSize(self.model, _STATE))
         mujoco.mj_getState(self.model, self.data, self._state, _STATE)
         self._poses = self._placing.poses
-        self._pad.feel(self.touch.objects(self.data))
 
     def rollout(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Tries actions from the mirrored state; what was sent before and acts too late goes first.
@@ -245,10 +241,6 @@ class Gantry(VariedWorld):
     @override
     def _resist(self, drive):
         return super()._resist(drive) if self._held is None else self._held
-
-    @override
-    def _feel_objects(self):
-        """The gel keeps its spring while the gantry looks ahead."""
 
     @override
     def _observe(self):
