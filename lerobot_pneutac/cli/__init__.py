@@ -19,6 +19,7 @@ VERBS = {
     "render": "draw a twin under pressure or an indenter, as pictures and a film",
     "augment": "make more demonstrations out of a few",
     "ppo": "train an actor by reinforcement learning",
+    "repair": "make a dataset whole whose recording was killed",
     "benchmark": "measure accuracy and speed, as tables",
     "doctor": "check what is installed, and which GPU, ports and cameras answer",
 }

@@ -11,7 +11,7 @@ from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnected
 from lerobot_robot_pneutac.cameras.live import LiveCamera
 from lerobot_robot_pneutac.cameras.tactile import Tactile
 from lerobot_robot_pneutac.hardware.safety import Guard, within
-from lerobot_robot_pneutac.robots.base_robot import POSE_NAMES, BaseRobot, action_names
+from lerobot_robot_pneutac.robots.base_robot import POSE_NAMES, BaseRobot, action_names, write_info_whole
 from lerobot_robot_pneutac.robots.config_pneutac import PneutacConfig
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import (
@@ -71,6 +71,7 @@ class Pneutac(BaseRobot):
         """
         if self.is_connected:
             raise DeviceAlreadyConnectedError(f"{self} is already connected.")
+        write_info_whole()
         try:
             self._pressure.connect()
             self._pressure.vent()

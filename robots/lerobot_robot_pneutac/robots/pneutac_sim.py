@@ -6,7 +6,7 @@ import numpy as np
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
 from lerobot_robot_pneutac.options import contact_threshold
-from lerobot_robot_pneutac.robots.base_robot import POSE_NAMES, BaseRobot, action_names
+from lerobot_robot_pneutac.robots.base_robot import POSE_NAMES, BaseRobot, action_names, write_info_whole
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import (
@@ -60,6 +60,7 @@ class PneutacSim(BaseRobot):
         """Builds the world and starts the first episode."""
         if self.is_connected:
             raise DeviceAlreadyConnectedError(f"{self} is already connected.")
+        write_info_whole()
         self.world = _world(self.config)
         self._observation = self.world.reset(self.config.seed)
         self._moved = False

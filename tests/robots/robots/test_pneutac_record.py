@@ -17,6 +17,7 @@ from pressure_rig import build, terminal
 
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
+from pneutac_datasets.demonstrations.repair.dataset import repair_dataset
 from pneutac_sim.features import ACTION_NAMES, STATE_NAMES
 
 pytestmark = pytest.mark.slow
@@ -38,6 +39,7 @@ class HandConfig(TeleoperatorConfig):
     "lerobot_teleoperator_hand/hand.py": """
 from lerobot.teleoperators import Teleoperator
 from lerobot_teleoperator_hand.config_hand import HandConfig
+from pneutac_datasets.demonstrations.repair.dataset import repair_dataset
 from pneutac_sim.features import ACTION_NAMES
 class Hand(Teleoperator):
     config_class, name = HandConfig, "hand"
@@ -95,7 +97,7 @@ DIARY = ("--robot.pressure.type=diary", "--robot.pressure.options={max_kpa: 15.0
 class Record:
     """A running `lerobot-record`, 1 s an episode; the pressure controller is the diary's or at a port."""
 
-    def __init__(self, work: Path, port: Path | None = None):
+    def __init__(self, work: Path, port: Path | None = None, resume: bool = False):
         for name, text in PLUGIN.items():
             (work / "plugin" / name).parent.mkdir(parents=True, exist_ok=True)
             (work / "plugin" / name).write_text(text)
@@ -127,6 +129,7 @@ class Record:
             "--dataset.video=false",
             "--dataset.push_to_hub=false",
             "--play_sounds=false",
+            f"--resume={resume}",
         ]
         self._log = (work / "log").open("w+")
         command = [str(Path(sys.executable).parent / "lerobot-record"), *options]
@@ -145,9 +148,9 @@ class Record:
         path = self.work / "diary"
         return [line.split() for line in path.read_text().splitlines()] if path.exists() else []
 
-    def until_moving_after_an_episode(self) -> None:
+    def until_moving_after_an_episode(self, number: int = 1) -> None:
         end = time.monotonic() + 120
-        while self.episodes() < 1:
+        while self.episodes() < number:
             assert self.process.poll() is None and time.monotonic() < end, self.log()
             time.sleep(0.02)
         seen = len(self.diary())
@@ -161,8 +164,8 @@ class Record:
 
 
 @contextmanager
-def recording(*args):
-    record = Record(*args)
+def recording(*args, **options):
+    record = Record(*args, **options)
     try:
         yield record
     finally:
@@ -219,6 +222,22 @@ def test_a_controller_that_is_unplugged_ends_the_recording_and_keeps_the_episode
         assert re.search(r"Pressure controller at .*rig(: the newest measurement is| was lost)", record.log())
         check_the_arm_stopped(record, ended)
         check_dataset(record, tmp_path)
+
+
+@pytest.mark.nightly
+def test_a_killed_recording_is_repaired_and_resumed_offline(tmp_path):
+    with recording(tmp_path) as record:
+        record.until_moving_after_an_episode(2)
+        record.process.kill()
+        record.process.wait()
+    saved = record.episodes()
+    repaired = repair_dataset(record.root)
+    assert repaired.episodes >= saved >= 2
+    with recording(tmp_path, resume=True) as again:
+        again.until_moving_after_an_episode(repaired.episodes + 1)
+        press_ctrl_c(again.process)
+        assert again.episodes() > repaired.episodes
+        check_dataset(again, tmp_path)
 
 
 def check_dataset(record: Record, tmp_path: Path) -> None:

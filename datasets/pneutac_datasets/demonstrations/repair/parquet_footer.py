@@ -1,0 +1,251 @@
+"""Parquet files whose writer was killed: complete row groups are read again by a footer made anew.
+
+A Parquet file tells at its end where its columns lie. LeRobot keeps one file open for many episodes, one row
+group each, and so writes that end when the recording ends. Each column is a row of pages, however, and each
+page begins with a header that tells its length, so that a file without an end can be walked from its start.
+Numbers of fields are those of the format's `parquet.thrift`; the encoding is Thrift's compact protocol.
+"""
+
+import io
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.files import whole
+
+MAGIC = b"PAR1"
+BOOL_TRUE, BOOL_FALSE, BYTE, I16, I32, I64, DOUBLE, BINARY, LIST, SET, MAP, STRUCT = range(1, 13)
+PAGE_BYTES = 2**31  # a page states its length in 31 bits
+HEADER_BYTES = 2**16  # far more than a page's header has; statistics of long texts are cut by the writer
+
+
+@dataclass(frozen=True)
+class Page:
+    """One page: where it begins and ends in the file, whether it is a dictionary, how many values it has."""
+
+    begin: int
+    end: int
+    dictionary: bool
+    values: int
+    uncompressed: int  # bytes with its header, as the footer counts them
+
+
+def is_whole(file: Path) -> bool:
+    """Whether a Parquet file has its end and can be opened."""
+    try:
+        pq.read_metadata(file)
+    except (pa.ArrowInvalid, OSError):
+        return False
+    return True
+
+
+def mend(file: Path, schema: pa.Schema, keep: int | None = None) -> int:
+    """Gives a file a footer for its complete row groups; bytes behind them are cut off.
+
+    Args:
+        file: as `pyarrow.parquet.ParquetWriter` wrote it with dictionaries, one row group a call.
+        schema: of the tables that were written.
+        keep: most row groups that stay; all complete ones where it is None.
+
+    Returns:
+        The number of row groups; where it is 0 the file is left as it is.
+
+    Raises:
+        InputError: the schema has a column that is written without a dictionary.
+    """
+    footer = _template(schema)
+    chunks = footer[4][1][1][0][1][1][1]  # row_groups -> the only one -> columns
+    groups = _row_groups(_pages(file), len(chunks))[:keep]
+    if not groups:
+        return 0
+    footer[3] = (I64, sum(map(_rows, groups)))
+    footer[4] = (LIST, (STRUCT, [_row_group(chunks, group) for group in groups]))
+    tail = io.BytesIO()
+    _write_struct(tail, footer)
+    end = groups[-1][-1][-1].end
+    with whole(file) as part, file.open("rb") as old, part.open("wb") as new:
+        left = end
+        while left:
+            block = old.read(min(left, 2**24))
+            new.write(block)
+            left -= len(block)
+        new.write(tail.getvalue() + struct.pack("<I", tail.tell()) + MAGIC)
+    return len(groups)
+
+
+def _template(schema: pa.Schema) -> dict:
+    """The footer of a file with one row of this schema."""
+    if any(pa.types.is_boolean(f.type) for f in schema):
+        raise InputError("A dataset with features of true and false cannot be repaired.")
+    sink = io.BytesIO()
+    with pq.ParquetWriter(sink, schema, compression="snappy", use_dictionary=True) as writer:
+        writer.write_table(pa.table([pa.nulls(1, f.type) for f in schema], schema=schema))
+    data = sink.getvalue()
+    (length,) = struct.unpack("<I", data[-8:-4])
+    return _read_struct(io.BytesIO(data[-8 - length : -8]))
+
+
+def _pages(file: Path) -> list[Page]:
+    """All pages that are in the file to their last byte."""
+    size, pages = file.stat().st_size, []
+    with file.open("rb") as f:
+        if f.read(4) != MAGIC:
+            return []
+        while True:
+            begin = f.tell()
+            try:
+                head = io.BytesIO(f.read(HEADER_BYTES))
+                fields = _read_struct(head)
+                length, uncompressed = fields[3][1], fields[2][1]
+                dictionary = 7 in fields
+                values = fields[7 if dictionary else 5][1][1][1]
+            except (EOFError, KeyError, IndexError, TypeError, struct.error):
+                return pages
+            end = begin + head.tell() + length
+            if not 0 <= length < PAGE_BYTES or end > size:
+                return pages
+            pages.append(Page(begin, end, dictionary, values, head.tell() + uncompressed))
+            f.seek(end)
+
+
+def _row_groups(pages: list[Page], columns: int) -> list[list[list[Page]]]:
+    """Complete row groups as row group, column, page: each column begins with its dictionary."""
+    chunks: list[list[Page]] = []
+    for page in pages:
+        if page.dictionary:
+            chunks.append([])
+        if not chunks:
+            return []
+        chunks[-1].append(page)
+    groups = [chunks[i : i + columns] for i in range(0, len(chunks), columns)]
+    return [g for g in groups if len(g) == columns and _values(g[-1]) == _rows(g) > 0]
+
+
+def _values(chunk: list[Page]) -> int:
+    return sum(p.values for p in chunk if not p.dictionary)
+
+
+def _rows(group: list[list[Page]]) -> int:
+    """Rows of a row group: a scalar has as many values, a vector more."""
+    return min(_values(chunk) for chunk in group)
+
+
+def _row_group(template: list[dict], group: list[list[Page]]) -> dict:
+    """A footer's `RowGroup` by the template's columns and the pages that were found."""
+    columns, total = [], 0
+    for column, pages in zip(template, group, strict=True):
+        meta = {k: v for k, v in column[3][1].items() if k in (1, 2, 3, 4)}  # type, encodings, path, codec
+        uncompressed = sum(p.uncompressed for p in pages)
+        meta |= {5: (I64, _values(pages)), 6: (I64, uncompressed), 7: (I64, pages[-1].end - pages[0].begin)}
+        meta |= {9: (I64, pages[1].begin), 11: (I64, pages[0].begin)}  # first data page, dictionary
+        columns.append({2: (I64, pages[0].begin), 3: (STRUCT, meta)})
+        total += uncompressed
+    return {1: (LIST, (STRUCT, columns)), 2: (I64, total), 3: (I64, _rows(group))}
+
+
+# ---------------------------------------------------------------- Thrift's compact protocol
+# A struct is {field: (type, value)}, a list (type of its elements, values); numbers are zigzag varints.
+
+
+def _read_struct(data: io.BytesIO) -> dict:
+    fields, number = {}, 0
+    while head := _byte(data):
+        number = number + (head >> 4) if head >> 4 else _read_number(data)
+        kind = head & 15
+        fields[number] = (kind, kind == BOOL_TRUE if kind in (BOOL_TRUE, BOOL_FALSE) else _read(data, kind))
+    return fields
+
+
+def _read(data: io.BytesIO, kind: int):
+    if kind in (BOOL_TRUE, BOOL_FALSE, BYTE):  # as elements of lists; as fields the type tells true or false
+        return _byte(data)
+    if kind in (I16, I32, I64):
+        return _read_number(data)
+    if kind == DOUBLE:
+        return _exactly(data, 8)
+    if kind == BINARY:
+        return _exactly(data, _read_varint(data))
+    if kind in (LIST, SET):
+        head = _byte(data)
+        length = head >> 4 if head >> 4 < 15 else _read_varint(data)
+        return head & 15, [_read(data, head & 15) for _ in range(length)]
+    if kind == STRUCT:
+        return _read_struct(data)
+    raise EOFError(f"no page begins here: Thrift has no type {kind} in Parquet")
+
+
+def _byte(data: io.BytesIO) -> int:
+    return _exactly(data, 1)[0]
+
+
+def _exactly(data: io.BytesIO, n: int) -> bytes:
+    found = data.read(n)
+    if len(found) != n:
+        raise EOFError("the file ends here")
+    return found
+
+
+def _read_varint(data: io.BytesIO) -> int:
+    value = shift = 0
+    while True:
+        byte = _byte(data)
+        value |= (byte & 127) << shift
+        shift += 7
+        if byte < 128:
+            return value
+
+
+def _read_number(data: io.BytesIO) -> int:
+    value = _read_varint(data)
+    return (value >> 1) ^ -(value & 1)
+
+
+def _write_struct(out: io.BytesIO, fields: dict) -> None:
+    last = 0
+    for number, (kind, value) in sorted(fields.items()):
+        kind = (BOOL_TRUE if value else BOOL_FALSE) if kind in (BOOL_TRUE, BOOL_FALSE) else kind
+        if number - last < 16:
+            out.write(bytes([(number - last) << 4 | kind]))
+        else:
+            out.write(bytes([kind]))
+            _write_number(out, number)
+        last = number
+        if kind not in (BOOL_TRUE, BOOL_FALSE):
+            _write(out, kind, value)
+    out.write(b"\0")
+
+
+def _write(out: io.BytesIO, kind: int, value) -> None:
+    if kind in (BOOL_TRUE, BOOL_FALSE, BYTE):
+        out.write(bytes([value]))
+    elif kind in (I16, I32, I64):
+        _write_number(out, value)
+    elif kind == BINARY:
+        _write_varint(out, len(value))
+        out.write(value)
+    elif kind in (LIST, SET):
+        element, values = value
+        out.write(bytes([min(len(values), 15) << 4 | element]))
+        if len(values) >= 15:
+            _write_varint(out, len(values))
+        for v in values:
+            _write(out, element, v)
+    elif kind == STRUCT:
+        _write_struct(out, value)
+    else:
+        out.write(value)  # a double's bytes
+
+
+def _write_varint(out: io.BytesIO, value: int) -> None:
+    while value > 127:
+        out.write(bytes([value & 127 | 128]))
+        value >>= 7
+    out.write(bytes([value]))
+
+
+def _write_number(out: io.BytesIO, value: int) -> None:
+    _write_varint(out, value << 1 if value >= 0 else (-value << 1) - 1)

@@ -1,0 +1,37 @@
+"""`pneutac repair`: makes a dataset whole whose recording was killed, with all finished episodes."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+from rich.markup import escape
+
+from lerobot_pneutac.cli.options import parse_options
+
+
+@dataclass
+class RepairConfig:
+    """Options of `pneutac repair`.
+
+    Attributes:
+        dataset: folder of the dataset; nothing else may be writing there.
+        like: folder of a whole dataset of the same robot and frame rate, wanted only where info.json is torn.
+    """
+
+    dataset: Path
+    like: Path | None = None
+
+
+def main(argv: list[str]) -> None:
+    """Runs the verb."""
+    config, console = parse_options(RepairConfig, argv), Console()
+    from pneutac_datasets.demonstrations.repair.dataset import repair_dataset
+
+    repaired = repair_dataset(config.dataset, config.like)
+    for remark in repaired.remarks:
+        console.print(escape(remark), highlight=False)
+    console.print(
+        f"\n[bold]{escape(str(config.dataset))} is whole: {repaired.episodes} episodes,"
+        f" {repaired.recovered} of them recovered.[/]",
+        highlight=False,
+    )
