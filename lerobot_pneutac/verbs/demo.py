@@ -47,7 +47,7 @@ class DemoConfig:
     minutes: float = 3.0
     demonstrations: int = 10
     augmented: int = 12
-    steps: int = 7000
+    steps: int = 5000
     batch_size: int = 64
     trials: int = 40
     seed: int = 1

@@ -81,9 +81,7 @@ def _space(file: Path) -> Iterator[None]:
     except OSError as e:
         if e.errno not in (errno.ENOSPC, errno.EDQUOT):
             raise
-        raise InputError(
-            f"No space is left to write {file}; free some and repeat. Nothing was changed."
-        ) from e
+        raise InputError(f"No space is left to write {file}; free some and repeat.") from e
 
 
 @contextmanager

@@ -123,7 +123,7 @@ class Twin:
             if file.resolve() != (path / f"{name}.safetensors").resolve():
                 with whole(path / f"{name}.safetensors") as part:
                     shutil.copy2(file, part)
-        text = yaml.safe_dump(content, sort_keys=False)
+        text = yaml.dump(content, Dumper=_Dumper, sort_keys=False)
         if number is not None:
             folder = path / "history" / f"{number:03d}"
             with whole(folder / "twin.yaml") as part:
@@ -240,6 +240,13 @@ class Twin:
             "gel": self.gel,
             "history": self.history,
         }
+
+
+class _Dumper(yaml.SafeDumper):
+    """Writes what occurs twice twice, for `read_yaml` takes no aliases."""
+
+    def ignore_aliases(self, data):
+        return True
 
 
 def _plain(v: Value) -> dict:

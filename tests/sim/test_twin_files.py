@@ -184,3 +184,10 @@ def test_yaml_has_limits(tmp_path):
         file.write_text(text)
         with pytest.raises(InputError, match=why):
             Twin.load(tmp_path)
+
+
+def test_what_a_twin_holds_twice_is_written_twice_and_read_again(tmp_path):
+    twin, errors = Twin.builtin(), {"train": 1.0}
+    twin.save_version(tmp_path, "first", "bench", {"by": errors, "again": errors})
+    twin.save_version(tmp_path, "second", "bench", {"by": errors})
+    assert Twin.load(tmp_path).history == twin.history

@@ -154,7 +154,7 @@ class PneutacBCConfig(PreTrainedConfig):
         if self.previous_action_in_data and PREVIOUS_ACTION not in meta.features:
             raise InputError(
                 f"{where} has no '{PREVIOUS_ACTION}'; write it with pneutac_datasets.demonstrations.pool, or"
-                " leave out --policy.previous_action_in_data."
+                " give --policy.previous_action_in_data=false."
             )
         if self.use_tactile:
             if TACTILE not in meta.features:

@@ -1,6 +1,7 @@
 """Latency of a varied world: the same physics, later."""
 
 import numpy as np
+import pytest
 
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.world.expert import ScriptedExpert
@@ -44,20 +45,24 @@ def test_latency_shifts_commands_and_touch_and_nothing_else():
 
 
 def test_plans_feel_with_the_gel_of_the_world():
-    """A rollout in contact goes on where the world is, with its network."""
+    """A rollout in contact goes on where the world is, with its network, from whichever start."""
     world = VariedWorld("egg", touch="area", fidelity="surrogate")
-    gantry = Gantry(world)
-    world.reset(5)
-    expert = ScriptedExpert(world, np.random.default_rng(5))
-    while world.touch.area < 0.005 and world.time_s < 10:
-        action = expert.action()
+    gantry, formula = Gantry(world), TactileSensor(world.twin)
+    by_formula, ahead = [], []
+    for seed in range(1, 9):
+        world.reset(seed)
+        expert = ScriptedExpert(world, np.random.default_rng(seed))
+        while world.touch.area < 0.005 and world.time_s < 10:
+            action = expert.action()
+            world.step(action)
+        gantry.mirror(world)
+        felt = gantry.touch.depth_mm
+        assert gantry.touch.area == pytest.approx(world.sensor.contact_from_depth(felt).area, abs=1e-6)
+        by_formula.append(abs(formula.contact_from_depth(felt).area - gantry.touch.area))
+        _, area = gantry.rollout(np.tile(action, (2, 1)))
+        np.testing.assert_array_equal(gantry.rollout(np.tile(action, (2, 1)))[1], area)
         world.step(action)
-    gantry.mirror(world)
-    by_formula = TactileSensor(world.twin).contact_from_depth(world.touch.depth_mm).area
-    apart = abs(by_formula - world.touch.area)
+        ahead.append(abs(area[0] - world.touch.area))
+    assert np.median(by_formula) > 1e-3, "formula and network differ here"
     # The arm does not hold its orientation quite as the gantry does.
-    assert abs(gantry.touch.area - world.touch.area) < 0.3 * apart
-    _, area = gantry.rollout(np.tile(action, (2, 1)))
-    np.testing.assert_array_equal(gantry.rollout(np.tile(action, (2, 1)))[1], area)
-    world.step(action)
-    assert abs(area[0] - world.touch.area) < 2e-3
+    assert np.median(ahead) < 2e-3
