@@ -25,6 +25,7 @@ from pneutac_sim.progress import Progress
 from pneutac_sim.twin import Twin
 
 TASK, TASK_TEXT = "switch", "flip the switch"
+SPREAD = 60  # random starts over which the demonstrations are spread
 
 
 @dataclass
@@ -170,7 +171,8 @@ class Demo:
         from pneutac_datasets.demonstrations.record import record_episodes
 
         seed, steps = self.cfg.seed + 1000, DEMONSTRATION_S * CONTROL_HZ
-        robot = PneutacSim(PneutacSimConfig(id="demo", task=TASK, seed=seed, standin=True, twin=self.twin))
+        options = {"id": "demo", "task": TASK, "seed": seed, "standin": True, "twin": self.twin}
+        robot = PneutacSim(PneutacSimConfig(**options, spread=SPREAD))
         teleop = PneutacScripted(PneutacScriptedConfig(id="scripted", seed=seed, episode_steps=steps))
         name = f"local/{root.name}"
         record_episodes(robot, teleop, name, root, episodes, TASK_TEXT, True, self._progress)

@@ -5,9 +5,17 @@ Where a parameter is wrong the sentence begins with its name: the command line m
 
 from collections.abc import Iterable
 
+MOST_SHOWN = 80  # characters of a value in a sentence
+
 
 class InputError(ValueError):
     """Bad input from a user or a file. The command line prints its message alone, without a traceback."""
+
+
+def shown(value) -> str:
+    """A value as a sentence quotes it: its beginning, where it is long."""
+    text = repr(value)
+    return text if len(text) <= MOST_SHOWN else f"{text[: MOST_SHOWN - 3]}..."
 
 
 def check_choice(name: str, value: str, choices: Iterable[str]) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 import yaml
 from safetensors.numpy import load_file, save
 
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import InputError, shown
 from pneutac_sim.files import locked, read_yaml, whole, write_json
 
 DEVICES = ("finger", "arm", "gel")
@@ -255,7 +255,7 @@ def _plain(v: Value) -> dict:
 
 def _mapping(d, where: str) -> dict:
     if not isinstance(d, dict):
-        raise InputError(f"field '{where}' is {d!r}; it must hold names and what they are.")
+        raise InputError(f"field '{where}' is {shown(d)}; it must hold names and what they are.")
     return d
 
 
@@ -264,14 +264,14 @@ def _values(d, where: str) -> dict[str, Value]:
     out = {}
     for name, v in _mapping(d, where).items():
         if not isinstance(v, dict) or "value" not in v:
-            raise InputError(f"field '{where}.{name}' is {v!r}; it must hold 'value', a number.")
+            raise InputError(f"field '{where}.{name}' is {shown(v)}; it must hold 'value', a number.")
         ci95 = None
         if v.get("ci95"):
             low, high = v["ci95"]
             ci95 = float(low), float(high)
         value = Value(float(v["value"]), ci95)
         if not all(math.isfinite(x) for x in (value.value, *(ci95 or ()))):
-            raise InputError(f"field '{where}.{name}' is {v}; its numbers must be finite.")
+            raise InputError(f"field '{where}.{name}' is {shown(v)}; its numbers must be finite.")
         out[name] = value
     return out
 

@@ -31,6 +31,9 @@ class PneutacSimConfig(RobotConfig):
             range [low, high] every episode draws.
         render: what draws the touch: `mesh`, light on every pixel; `splats`, the Gaussians of the gel.
         standin: act on the stand-in for reality, which has a finger and a gel of its own.
+        spread: number of random starts that the demonstrations are to stand for: each episode begins at that
+            one of them which leaves the others nearest to a start that was done, as a person would spread a
+            few demonstrations; 0 takes random starts as they come.
     """
 
     task: str = "switch"
@@ -40,6 +43,7 @@ class PneutacSimConfig(RobotConfig):
     conditions: dict[str, float | list[float]] = field(default_factory=dict)
     render: str = "mesh"
     standin: bool = False
+    spread: int = 0
 
     def __post_init__(self):
         super().__post_init__()
@@ -50,6 +54,7 @@ class PneutacSimConfig(RobotConfig):
         if not self.standin:  # which has no networks
             check_networks("robot.twin", self.twin, self.fidelity)
         check_choice("robot.render", self.render, RENDERS)
+        refuse_if(self.spread < 0, f"--robot.spread is {self.spread}; it must not be negative.")
         refuse_if(
             self.standin and (self.fidelity, self.conditions, self.render) != ("surrogate", {}, "mesh"),
             "--robot.standin=true has a finger and a gel of its own; leave --robot.fidelity,"

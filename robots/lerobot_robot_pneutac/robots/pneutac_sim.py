@@ -8,6 +8,7 @@ from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnected
 from lerobot_robot_pneutac.options import contact_threshold
 from lerobot_robot_pneutac.robots.base_robot import POSE_NAMES, BaseRobot, action_names, write_info_whole
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
+from lerobot_robot_pneutac.robots.spread_starts import SpreadStarts
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import (
     ACTION_HIGH,
@@ -17,6 +18,7 @@ from pneutac_sim.features import (
     IMAGE_NAME,
     STATE_NAMES,
 )
+from pneutac_sim.world.scene import OBJECT_GROUP
 
 EE = slice(STATE_NAMES.index("ee_x.pos"), STATE_NAMES.index("ee_z.pos") + 1)
 # A pose command this near to one of the task's starts brings the arm home; their jitter is less.
@@ -62,8 +64,8 @@ class PneutacSim(BaseRobot):
             raise DeviceAlreadyConnectedError(f"{self} is already connected.")
         write_info_whole()
         self.world = _world(self.config)
-        self._observation = self.world.reset(self.config.seed)
-        self._moved = False
+        self._spread = self._starts()
+        self._begin(self.config.seed)
         _connected.append(self)
 
     def get_observation(self) -> dict[str, Any]:
@@ -96,8 +98,9 @@ class PneutacSim(BaseRobot):
     def reset(self) -> None:
         """Starts the scene afresh at the next random start."""
         self.successes.append(bool(self.world.success))
-        self._observation = self.world.reset()
-        self._moved = False
+        if self.successes[-1] and self._spread:
+            self._spread.done(self._seed)
+        self._begin()
 
     def disconnect(self) -> None:
         """Frees the world."""
@@ -105,6 +108,21 @@ class PneutacSim(BaseRobot):
         _connected.remove(self)
         self.world.close()
         self.world = None
+
+    def _begin(self, seed: int | None = None) -> None:
+        if self._spread:
+            self._seed = seed = self._spread.next()
+        self._observation = self.world.reset(seed)
+        self._moved = False
+
+    def _starts(self) -> SpreadStarts | None:
+        """Random starts to choose from, by the places of flange (half of the weight) and objects."""
+        places = {}
+        for seed in np.random.default_rng(self.config.seed).integers(2**31, size=self.config.spread).tolist():
+            self.world.reset(seed)
+            objects = self.world.data.geom_xpos[self.world.model.geom_group == OBJECT_GROUP]
+            places[seed] = np.concatenate([objects, np.tile(self.world.flange_m, (len(objects), 1))])
+        return SpreadStarts(places) if places else None
 
     def _step(self, action) -> None:
         self._observation = self.world.step(action)

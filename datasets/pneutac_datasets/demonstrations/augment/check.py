@@ -1,7 +1,7 @@
 """Planned demonstrations carried out once more by the full material points, and how far the two agree.
 
-The same start, object and actions, those included that carried the hand aside; what differs is how finger and
-gel deform. The last action goes on for a second where the task takes longer.
+The same start, object and actions; what differs is how finger and gel deform. The last action goes on for a
+second where the task takes longer.
 """
 
 import time
@@ -84,7 +84,7 @@ def agreement(world: VariedWorld, episode: int, attempt: Attempt, step=lambda: N
     world.variation = variation
     world.reset(seed)
     areas, errors, planned = [], [], attempt.area
-    for t, action in enumerate(attempt.carried):
+    for t, action in enumerate(attempt.action):
         step()
         areas.append(world.touch.area)
         if areas[t] > 0 or planned[t] > 0:
@@ -93,7 +93,7 @@ def agreement(world: VariedWorld, episode: int, attempt: Attempt, step=lambda: N
     for _ in range(EXTRA_STEPS):
         if world.success or world.failure:
             break
-        world.step(attempt.carried[-1])
+        world.step(attempt.action[-1])
     apart, felt = np.array(areas) - planned, np.flatnonzero((np.array(areas) > 0) | (planned > 0))
     return Agreement(
         episode,

@@ -16,7 +16,6 @@ from pneutac_sim.twin import Twin
 from pneutac_sim.world.conditions import Conditions, draw
 from pneutac_sim.world.gantry import Gantry
 from pneutac_sim.world.varied import Variation, VariedWorld
-from pneutac_sim.world.world import DT
 
 # Domain randomisation: standard deviations.
 FRICTION = 0.15  # of the factor on the gel's friction
@@ -25,10 +24,7 @@ PEAK_KPA = 0.5  # of the peak pressure
 BEND_GAIN = 0.04  # of the factor on pressure to bend
 ASIDE_M = 0.005  # of the object's place along y, at most: the way there stays, and a gel is 16 mm wide
 LATE = 1  # control steps by which touch is shown too late, at most
-# On the free way the hand is carried aside, and led back: what a policy must do that errs itself. Its height
-# stays, by which many a contact is met at all.
-START_M = 0.004  # standard deviation of the start
-PUSH_M_S, PUSH_S = 0.015, 0.5  # standard deviation and correlation time of the velocity that carries it aside
+START_M = 0.004  # standard deviation of the start; its height stays, by which many a contact is met at all
 SHORTEST = 8  # control steps; what is done sooner was done by where the object stood
 IN_THE_WAY = "the object stood where the hand starts"
 TRIES = 10  # variants of one reference before another one gets its turn
@@ -122,7 +118,6 @@ class Attempt:
         cost: mean of the plans' costs.
         area_rmse: root mean square error of the contact area from its onset on.
         start: seed and variation of the world at the start.
-        carried: (T, 4) actions as they were carried out: with what carried the hand aside on its free way.
     """
 
     state: np.ndarray
@@ -132,7 +127,6 @@ class Attempt:
     cost: float
     area_rmse: float
     start: tuple[int, Variation]
-    carried: np.ndarray
 
     @property
     def area(self) -> np.ndarray:
@@ -203,7 +197,7 @@ class Generator:
         Args:
             variant: what is different from the reference.
             scene: where the object stood in the reference.
-            rng: decides the start's jitter, what carries the hand aside, and the planner's samples.
+            rng: decides the start's jitter and the planner's samples.
             plan: False replays the reference's actions blindly, for comparison.
         """
         r = self.setup.references[variant.source]
@@ -221,24 +215,20 @@ class Generator:
         begun = scene.seed, self.world.variation
         if self.world.blocked:
             nothing = np.zeros((0, len(STATE_NAMES))), np.zeros((0, len(ACTION_LOW))), None
-            return Attempt(*nothing, IN_THE_WAY, 0.0, 1.0, begun, nothing[1])
-        replayed = ((action, False) for action in np.clip(r.action, ACTION_LOW, ACTION_HIGH))
-        ways = self._plan(r, variant, rng) if plan else replayed
-        push, keep = np.zeros(4), np.exp(-DT / PUSH_S)
-        states, actions, done, images, areas, self._costs = [], [], [], [], [], []
+            return Attempt(*nothing, IN_THE_WAY, 0.0, 1.0, begun)
+        ways = self._plan(r, variant, rng) if plan else iter(np.clip(r.action, ACTION_LOW, ACTION_HIGH))
+        states, actions, images, areas, self._costs = [], [], [], [], []
         missed = plan
         while not (self.world.success or self.world.failure):
-            action, free = next(ways, (None, False))
+            action = next(ways, None)
             if action is None:
                 break
-            push[:2] = keep * push[:2] + np.sqrt(1 - keep**2) * PUSH_M_S * rng.standard_normal(2)
             states.append(observation.state)
             images.append(observation.tactile)
             actions.append(action.astype(np.float32))
             areas.append(self.world.touch.area)
             began = time.perf_counter()
-            done.append(np.clip(actions[-1] + push, ACTION_LOW, ACTION_HIGH) if free else actions[-1])
-            observation = self.world.step(done[-1])
+            observation = self.world.step(actions[-1])
             missed = missed and not self.world.touch.area > 0
             self.seconds["execution"] += time.perf_counter() - began
         reason = self.world.failure
@@ -256,11 +246,10 @@ class Generator:
             float(np.mean(self._costs)) if self._costs else 0.0,
             _area_rmse(np.array(areas), r.area),
             begun,
-            np.array(done),
         )
 
     def _plan(self, r: Reference, variant: Variant, rng: np.random.Generator):
-        """Yields the next action (4,) for what is, and whether the hand is free, until it is over."""
+        """Yields the next action (4,) for what is, until it is over."""
         planner = CemPlanner(self.gantry, self.setup.planner, rng)
         r = r.prolonged(EXTRA_STEPS)
         demonstrated, course = self._warm(r, variant), Course(r, variant.shift_m[1])
@@ -285,7 +274,7 @@ class Generator:
                     self._costs.append(planner.cost)
                     queue = list(warm[: self.setup.planner.replan])
             action = np.clip(queue.pop(0), ACTION_LOW, ACTION_HIGH)
-            yield action, not course.in_contact
+            yield action
 
     @staticmethod
     def _warm(r: Reference, variant: Variant) -> np.ndarray:

@@ -64,7 +64,7 @@ class Work:
             provenance, seconds = json.loads(str(d["provenance"])), json.loads(str(d["seconds"]))
             scores = provenance["cost"], provenance["area_rmse"]
             start = start_from_json(str(d["start"]))
-            attempt = Attempt(d["state"], d["action"], images, None, *scores, start, d["carried"])
+            attempt = Attempt(d["state"], d["action"], images, None, *scores, start)
         return attempt, provenance, seconds
 
     def save_scene(self, source: int, scene: Scene) -> None:
@@ -76,7 +76,6 @@ class Work:
         arrays = {
             "state": attempt.state,
             "action": attempt.action,
-            "carried": attempt.carried,
             "start": np.array(start_to_json(attempt.start)),
             "first": attempt.images[0],
             "change": attempt.images - attempt.images[0],
