@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from pneutac_datasets.recording.image_file import read_image
 from pneutac_sim.errors import InputError
 
 DICTIONARY = cv2.aruco.DICT_4X4_50
@@ -81,9 +82,7 @@ def calibrate_camera(
     board[:, :2] = np.mgrid[: inner_corners[0], : inner_corners[1]].T.reshape(-1, 2) * square_mm
     seen, size = [], None
     for file in files:
-        image = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
-        if image is None:
-            raise InputError(f"{file} cannot be read as an image.")
+        image = cv2.cvtColor(read_image(file), cv2.COLOR_RGB2GRAY)
         if size not in (None, image.shape[::-1]):
             raise InputError(f"{file} is {image.shape[::-1]} px, the photographs before {size}.")
         size = image.shape[::-1]

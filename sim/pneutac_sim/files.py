@@ -32,7 +32,12 @@ def read_yaml(file: Path):
 
 
 class _Loader(yaml.SafeLoader):
-    """Safe YAML without aliases, with which a small file could stand for a huge one."""
+    """Safe YAML without aliases, with which a small file could stand for a huge one; dates are texts."""
+
+    yaml_implicit_resolvers = {
+        first: [(tag, pattern) for tag, pattern in found if not tag.endswith(":timestamp")]
+        for first, found in yaml.SafeLoader.yaml_implicit_resolvers.items()
+    }
 
     def compose_node(self, parent, index):
         if self.check_event(yaml.AliasEvent):

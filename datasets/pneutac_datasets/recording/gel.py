@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 import pandas as pd
-from PIL import Image
 
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import shown
@@ -88,7 +87,8 @@ class GelRecording:
             raise InputError(f"{file}: field 'rest_image' is missing; name the image without contact.")
         size = meta.get("gel_size_mm")
         thickness = float(size[2]) if isinstance(size, list) and len(size) == 3 else THICKNESS_MM
-        out = cls(_rgb(recording, meta["rest_image"]), float(scale), thickness, [], list(recording.warnings))
+        rest_image = recording.image(meta["rest_image"], plain=True)
+        out = cls(rest_image, float(scale), thickness, [], list(recording.warnings))
         width_mm = out.rest.shape[1] / out.px_per_mm
         if not WINDOW_MM[0] <= width_mm <= WINDOW_MM[1]:
             raise InputError(
@@ -101,7 +101,7 @@ class GelRecording:
             own = own if isinstance(own, dict) or (isinstance(own, str) and own) else meta["rest_image"]
             name = own if isinstance(own, str) else where
             if name not in rests:
-                rests[name] = _rgb(recording, own)
+                rests[name] = recording.image(own, plain=True)
                 _same_size(rests[name], out.rest, f"{where}: rest image {shown(name)}")
             out.samples.append(_sample(recording, row, where, out, rests[name], clock))
         presses = [s.name for s in out.samples if s.role == "calibration"]
@@ -163,30 +163,6 @@ def _same_size(image: np.ndarray, rest: np.ndarray, what: str) -> None:
         )
 
 
-def _rgb(recording: Recording, value) -> np.ndarray:
-    """Reads an image that must be RGB with 8 bits a channel."""
-    image = recording.image(value)
-    if isinstance(value, str):
-        with Image.open(recording.folder / value) as im:
-            deep = "16" in im.mode or any("16" in str(tile[3]) for tile in im.tile)
-            what = {"L": "grey", "1": "black and white", "P": "a palette", "I": "grey with 32 bits"}.get(
-                im.mode
-            )
-            what = (
-                "of 16 bits a channel"
-                if deep
-                else "with an alpha channel, so not opaque"
-                if "A" in im.mode
-                else what
-            )
-            if what or im.mode not in ("RGB", "YCbCr"):
-                raise InputError(
-                    f"{recording.folder / value} is {what or im.mode}; "
-                    "convert it to plain RGB with 8 bits a channel."
-                )
-    return image
-
-
 def _sample(
     recording: Recording,
     row: pd.Series,
@@ -195,7 +171,7 @@ def _sample(
     rest: np.ndarray,
     clock: float,
 ) -> GelSample:
-    image = _rgb(recording, row["image"])
+    image = recording.image(row["image"], plain=True)
     _same_size(image, rest, f"{where}: image {shown(str(row['image']))}")
     kind = str(row["indenter"])
     if kind not in INDENTERS:

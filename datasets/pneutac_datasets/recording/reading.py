@@ -15,6 +15,8 @@ from pneutac_sim.errors import InputError
 # whole would fill a laptop's memory (pandas needs roughly three times the size of the file).
 MAX_CSV_BYTES = 300 * 2**20
 MAX_ROWS = 5_000_000
+MAX_CELLS = 200_000_000  # 1.6 GB of numbers: a small Parquet file may stand for far more
+MAX_META_BYTES = 2**22
 MAX_NAME = 255  # characters of a file's name
 
 
@@ -32,7 +34,9 @@ def read_meta(folder: Path) -> dict:
             f"{file} is missing; a bench recording is a folder with recording.json and samples.csv."
         )
     try:
-        meta = json.loads(file.read_text(encoding="utf-8"))
+        if file.stat().st_size > MAX_META_BYTES:
+            raise InputError(f"{file} is larger than {MAX_META_BYTES} bytes; samples belong into a table.")
+        meta = json.loads(file.read_text(encoding="utf-8"), parse_int=_whole)
     except (ValueError, RecursionError) as e:
         raise InputError(f"{file} is not valid JSON: {cut(str(e))}; correct it in a text editor.") from e
     if not isinstance(meta, dict):
@@ -40,6 +44,11 @@ def read_meta(folder: Path) -> dict:
     if (folder / "meta" / "info.json").is_file() and "samples" not in meta:
         meta["lerobot"] = True
     return meta
+
+
+def _whole(digits: str) -> int | float:
+    """A whole number of JSON; one that no measurement has is infinite, which every field refuses."""
+    return int(digits) if len(digits) < 20 else float(digits)
 
 
 def read_table(folder: Path, meta: dict) -> tuple[pd.DataFrame, Path]:
@@ -99,12 +108,18 @@ def _read_csv(file: Path) -> pd.DataFrame:
 
 def _read_parquet(file: Path) -> pd.DataFrame:
     try:
-        rows = pq.ParquetFile(file).metadata.num_rows
+        found = pq.ParquetFile(file).metadata
+        rows = found.num_rows
         if rows > MAX_ROWS:
             raise InputError(f"{file} has {rows} rows, above the limit of {MAX_ROWS}; keep every n-th row.")
+        if rows * found.num_columns > MAX_CELLS:
+            raise InputError(f"{file} has {found.num_columns} columns of {rows} rows; keep every n-th row.")
         return pq.read_table(file).to_pandas()
-    except (pa.ArrowInvalid, OSError) as e:
-        raise InputError(f"{file} cannot be read as Parquet: {cut(str(e).splitlines()[0])}.") from e
+    except InputError:
+        raise
+    except (pa.ArrowException, OSError, ValueError, TypeError, KeyError, IndexError) as e:  # damaged footers
+        reason = cut((str(e).splitlines() or [type(e).__name__])[0])
+        raise InputError(f"{file} cannot be read as Parquet: {reason}.") from e
 
 
 def _read_lerobot(folder: Path) -> pd.DataFrame:

@@ -1,6 +1,5 @@
 """A bench recording: measurements of one device, as a folder with `recording.json` and a table of samples."""
 
-import io
 import json
 import re
 from dataclasses import dataclass, field
@@ -8,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from PIL import Image, UnidentifiedImageError
 
 from pneutac_datasets.recording import blocks, reading, rules
+from pneutac_datasets.recording.image_file import read_image
 from pneutac_datasets.recording.starts import TrialStart, meta_of_kept, starts
-from pneutac_datasets.recording.wording import cut, listed, shown
+from pneutac_datasets.recording.wording import listed, shown
 from pneutac_sim.errors import InputError
 
 
@@ -118,30 +117,29 @@ class Recording:
         """Trial number to how it began, in order."""
         return starts(self.meta, list(self.trials()))
 
-    def image(self, value) -> np.ndarray:
+    def image(self, value, plain: bool = False) -> np.ndarray:
         """Reads an image named in a column (relative path, or bytes kept in Parquet).
+
+        Args:
+            value: the column's entry.
+            plain: whether a file must be RGB with 8 bits a channel.
 
         Returns:
             RGB uint8 (H, W, 3).
         """
         if isinstance(value, dict) and value.get("bytes"):
-            source, what = io.BytesIO(value["bytes"]), "an image of the dataset"
-        else:
-            if not isinstance(value, (str, dict)):
-                raise InputError(f"{self.folder}: a row names no image (or mask) where one is needed.")
-            name = str(value.get("path") if isinstance(value, dict) else value)
-            if len(name) > reading.MAX_NAME:
-                raise InputError(f"{self.folder}: image {shown(name)} has too long a name; give its file.")
-            source = what = self.folder / name
-            if not source.resolve().is_relative_to(self.folder.resolve()):
-                raise InputError(f"{self.folder}: image '{name}' lies outside the recording's folder.")
-            if not source.is_file():
-                raise InputError(f"{source} is missing, though the recording names it as an image.")
-        try:
-            with Image.open(source) as im:
-                return np.asarray(im.convert("RGB"))
-        except (UnidentifiedImageError, OSError) as e:
-            raise InputError(f"{what} cannot be read as an image: {cut(str(e), 200)}.") from e
+            return read_image(value["bytes"], f"{self.folder}: an image of the dataset")
+        if not isinstance(value, (str, dict)):
+            raise InputError(f"{self.folder}: a row names no image (or mask) where one is needed.")
+        name = str(value.get("path") if isinstance(value, dict) else value)
+        if len(name) > reading.MAX_NAME or "\0" in name:
+            raise InputError(f"{self.folder}: image {shown(name)} is no file's name; give its file.")
+        source = self.folder / name
+        if not source.resolve().is_relative_to(self.folder.resolve()):
+            raise InputError(f"{self.folder}: image '{name}' lies outside the recording's folder.")
+        if not source.is_file():
+            raise InputError(f"{source} is missing, though the recording names it as an image.")
+        return read_image(source, plain=plain)
 
     def keep(self, rows: np.ndarray) -> "Recording":
         """The same recording with only the rows where the mask (n,) is true."""

@@ -9,6 +9,8 @@ import pandas as pd
 import pytest
 from PIL import Image
 
+from pneutac_benchmarks.robustness.recordings import damage_recordings
+from pneutac_datasets.recording import reading
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 
@@ -276,12 +278,19 @@ def test_no_message_is_long(tmp_path, monkeypatch, case):
     assert 20 < len(str(e.value)) <= 400 and str(e.value).endswith(".")
 
 
-@pytest.mark.parametrize("text", ["[" * 100_000, '{"length_mm": ' + "1" * 5000 + "}", "\udcff"])
-def test_what_json_cannot_hold_is_one_short_sentence(tmp_path, monkeypatch, text):
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("[" * 100_000, "is not valid JSON"),
+        ('{"length_mm": ' + "1" * 5000 + "}", "field 'length_mm' is inf"),
+        ("\udcff", "is not valid JSON"),
+    ],
+)
+def test_what_json_cannot_hold_is_one_short_sentence(tmp_path, monkeypatch, text, why):
     monkeypatch.chdir(tmp_path)
     write(Path("r"))
     Path("r/recording.json").write_text(text, errors="surrogateescape")
-    with pytest.raises(InputError, match="is not valid JSON") as e:
+    with pytest.raises(InputError, match=why) as e:
         Recording.load("r")
     assert len(str(e.value)) <= 400
 
@@ -452,3 +461,19 @@ def test_real_recordings_load_and_split(name):
     r = Recording.load(Path(os.environ["PNEUTAC_DATA"]) / "soft" / name)
     train, heldout = r.split()
     assert 0.15 < heldout.mean() < 0.45 and (train ^ heldout).all()
+
+
+@pytest.mark.parametrize("number", [120, pytest.param(10_000, marks=pytest.mark.nightly)])
+def test_a_damaged_recording_is_read_or_refused_in_a_sentence(tmp_path, number):
+    outcome = damage_recordings(tmp_path, number)
+    assert outcome.broken == () and 0.3 * number < outcome.refused < number
+
+
+def test_a_small_parquet_file_cannot_stand_for_a_huge_table(tmp_path, monkeypatch):
+    monkeypatch.setattr(reading, "MAX_CELLS", 60)
+    pd.DataFrame({c: np.zeros(20) for c in ("trial", "time_s", "a", "b")}).to_parquet(
+        tmp_path / "samples.parquet"
+    )
+    (tmp_path / "recording.json").write_text('{"device": "finger", "samples": "samples.parquet"}')
+    with pytest.raises(InputError, match="has 4 columns of 20 rows"):
+        Recording.load(tmp_path)
