@@ -14,7 +14,7 @@ from pathlib import Path
 from pneutac_benchmarks.policy.plan import COST_S, Unit, as_dict
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import write_json
-from pneutac_sim.worker import start_worker
+from pneutac_sim.worker import process_pool
 
 RESULT, LOG = "unit.json", "log.txt"
 # Each process computes on one thread, and none asks the Hub for datasets that lie here.
@@ -121,7 +121,7 @@ def run_unit(out: Path, unit: Unit, workers: int) -> dict:
 @contextlib.contextmanager
 def _pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
     """Processes that end with this one, and at once when this one fails or is interrupted."""
-    pool = ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), start_worker)
+    pool = process_pool(jobs)
     try:
         yield pool
     except BaseException:

@@ -6,7 +6,6 @@
 
 import hashlib
 import json
-import multiprocessing
 import os
 import shutil
 import time
@@ -45,6 +44,7 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.features import CONTROL_HZ
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.progress import Progress, no_progress
+from pneutac_sim.worker import process_pool
 
 PROVENANCE = "provenance.jsonl"  # in the dataset's folder `meta`
 
@@ -128,8 +128,7 @@ def augment_guided(
         raise InputError(f"'{out_root}' exists; give a new folder for dataset '{out_repo_id}'.")
     work.open(_run(meta, setup))
     shutil.rmtree(part, ignore_errors=True)
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(workers, context, begin, (setup, work.folder))
+    pool = process_pool(workers, begin, setup, work.folder)
     try:
         scenes = _find_scenes(pool, work, len(setup.references), progress)
         planned = _plan(pool, work, scenes, episodes, progress)

@@ -14,7 +14,6 @@ from pneutac_datasets.demonstrations.augment.episode import Attempt, AugmentSetu
 from pneutac_datasets.demonstrations.augment.scene import Scene
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import whole, write_json
-from pneutac_sim.worker import start_worker
 from pneutac_sim.world.varied import Variation
 
 
@@ -107,7 +106,6 @@ _work: Work | None = None
 def begin(setup: AugmentSetup, folder: Path) -> None:
     """Prepares a worker process."""
     global _generator, _work
-    start_worker()
     _generator, _work = Generator(setup), Work(folder)
 
 

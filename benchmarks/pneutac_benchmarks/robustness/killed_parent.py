@@ -1,0 +1,66 @@
+"""A killed parent of worker processes, as `pneutac augment` is one: how long the workers outlive it."""
+
+import ctypes
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from pneutac_benchmarks.robustness.outcome import Outcome
+from pneutac_sim.worker import process_pool
+
+MOST_S = 1.0
+WORKERS = 2
+
+
+def busy(_: int = 0) -> None:
+    """Computes for a minute without letting Python's lock go, as compiled code may."""
+    ctypes.PyDLL(None).sleep(60)
+
+
+def tell_and(begin_s: int) -> None:
+    """Tells a process' number; stays for some seconds, with Python's lock, as imports do."""
+    os.write(1, f"{os.getpid()}\n".encode())  # in one piece
+    ctypes.PyDLL(None).sleep(begin_s)
+
+
+def parent(begin_s: int) -> None:
+    """Runs a pool whose workers take so many seconds to begin, then compute."""
+    with process_pool(WORKERS, tell_and, begin_s) as pool:
+        list(pool.map(busy, range(WORKERS)))
+
+
+def kill_parents(number: int) -> Outcome:
+    """Kills a parent so many times: while its workers begin, and while they compute, in turn."""
+    broken, longest = [], 0.0
+    for i in range(number):
+        program = f"from pneutac_benchmarks.robustness.killed_parent import parent; parent({60 * (i % 2)})"
+        process = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
+        workers = [int(process.stdout.readline()) for _ in range(WORKERS)]
+        time.sleep(0.1)
+        process.kill()
+        killed = time.monotonic()
+        while any(map(_runs, workers)) and time.monotonic() < killed + 10:
+            time.sleep(0.01)
+        longest = max(longest, time.monotonic() - killed)
+        process.wait()
+        process.stdout.close()
+        if time.monotonic() - killed > MOST_S:
+            broken.append(f"{i}: workers were there for {time.monotonic() - killed:.1f} s")
+        for worker in filter(_runs, workers):
+            os.kill(worker, signal.SIGKILL)
+    return Outcome(
+        "SIGKILL of the parent of workers that keep Python's lock, as `augment`'s may",
+        number,
+        tuple(broken),
+        f"the last worker ended after {longest:.2f} s",
+    )
+
+
+def _runs(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
