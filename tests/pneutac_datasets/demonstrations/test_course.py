@@ -94,6 +94,21 @@ def test_a_demonstration_that_ends_in_contact_is_not_over_when_the_touch_flicker
     assert go(course, False, 3)[-1] is None
 
 
+def test_touch_is_asked_for_until_the_demonstration_let_go(reference):
+    """Asked for beyond that, a plan would cling to what gives way at last, and press what lies behind it."""
+    reference.area[END - 2 : END] = 0.2, 0.3
+    frames = np.arange(END - 2, END + 2)
+    course = Course(reference, 0.0)
+    go(course, False, FIRST)
+    go(course, True, 1, reference.flange_m[FIRST])
+    np.testing.assert_array_equal(course.area_goal(frames), [0.2, 0.3, np.nan, np.nan])
+    reference.area[END:] = 0.1
+    lasting = Course(reference, 0.0)
+    go(lasting, False, FIRST)
+    go(lasting, True, 1, reference.flange_m[FIRST])
+    np.testing.assert_array_equal(lasting.area_goal(np.arange(LENGTH - 1, LENGTH + 2)), [0.1] * 3)
+
+
 def test_a_short_bump_need_not_come_and_is_no_contact(reference):
     reference.area[20:22] = 0.05
     assert len(reference.contacts) == 2

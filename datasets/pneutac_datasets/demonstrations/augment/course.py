@@ -106,6 +106,15 @@ class Course:
         """The last frame that is certain: whether a contact is released is up to the touch."""
         return self._contacts[0][1] - 1 if self.in_contact else len(self._reference) - 1
 
+    def area_goal(self, frames: np.ndarray) -> np.ndarray:
+        """Contact areas (H,) that the demonstration asks for at `frames` (H,) of the present contact.
+
+        NaN where it had let go: whoever asked for its last area there would cling to what gives way at last,
+        and then press whatever lies behind it. A demonstration that ended in touch asks for its last area.
+        """
+        areas = self._reference.area[np.minimum(frames, self.last)]
+        return areas if self._lasts else np.where(frames > self.last, np.nan, areas)
+
     @property
     def onward_m(self) -> np.ndarray:
         """(3,) mean motion of a control step in the contact, by which it goes on after the last frame."""

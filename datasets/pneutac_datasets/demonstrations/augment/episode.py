@@ -270,7 +270,7 @@ class Generator:
                     ahead = np.minimum(ahead, course.last)
                     goal = r.flange_m[ahead] + course.offset_m + beyond
                     self.gantry.mirror(self.world)
-                    warm = planner.plan(warm, action, r.area[ahead], goal)
+                    warm = planner.plan(warm, action, course.area_goal(t + 1 + steps), goal)
                     self._costs.append(planner.cost)
                     queue = list(warm[: self.setup.planner.replan])
             action = np.clip(queue.pop(0), ACTION_LOW, ACTION_HIGH)

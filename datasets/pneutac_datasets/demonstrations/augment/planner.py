@@ -75,7 +75,7 @@ def demonstration_cost(
 
     Args:
         area: (..., H) contact areas c.
-        area_goal: (H,) demonstrated ones c*.
+        area_goal: (H,) demonstrated ones c*; NaN where none is demonstrated, and touch costs nothing.
         position_m: (..., H, 3) flange positions x.
         position_goal_m: (H, 3) demonstrated ones x*.
         actions: (..., H, 4) as `features.ACTION_NAMES`.
@@ -88,7 +88,7 @@ def demonstration_cost(
     before = np.broadcast_to(previous, (*actions.shape[:-2], 1, 4))
     change = np.diff(actions, axis=-2, prepend=before) / ACTION_HIGH
     return (
-        config.area_weight * np.sum((area - area_goal) ** 2, -1)
+        config.area_weight * np.nansum((area - area_goal) ** 2, -1)
         + config.position_weight * np.sum((position_m - position_goal_m) ** 2, (-2, -1))
         + config.smoothness_weight * np.sum(change**2, (-2, -1))
     )
@@ -121,7 +121,7 @@ class CemPlanner:
         Args:
             warm: (H, 4) actions to start from.
             previous: (4,) the last action that was carried out.
-            area_goal: (H,) demonstrated contact areas after each action.
+            area_goal: (H,) demonstrated contact areas after each action, see `demonstration_cost`.
             position_goal_m: (H, 3) demonstrated flange positions after each action.
         """
         c = self._config

@@ -64,6 +64,8 @@ def test_cost_is_the_papers_sum():
     assert demonstration_cost(goal, goal, x_goal, x_goal, actions * 0, STILL, c) == 0.0
     begun = demonstration_cost(goal, goal, x_goal, x_goal, actions * 0, ACTION_HIGH, c)
     assert begun == pytest.approx(0.01 * 4), "the first step counts from the last action"
+    unasked = demonstration_cost(area, np.full(3, np.nan), x, x_goal, actions, STILL, c)
+    assert unasked == pytest.approx(expected - 2.0 * (0.01 + 0.04)), "no touch is asked for"
 
 
 def test_the_defaults_are_those_that_the_results_were_measured_with():
