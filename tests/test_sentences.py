@@ -143,7 +143,6 @@ RECORDINGS = {
     "joints beyond the tip": field(spine_joint_positions_mm=[20, 300]),
     "an empty table": text("samples.csv", ""),
     "a table without rows": table(lambda s: s[:0]),
-    "semicolons": lambda folder: replaced("samples.csv", ",", ";")(folder),
     "no time": table(lambda s: s.drop(columns="time_s")),
     "no trial": table(lambda s: s.drop(columns="trial")),
     "no pressure": table(lambda s: s.drop(columns="pressure_cmd_kpa")),

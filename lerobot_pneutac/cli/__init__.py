@@ -9,6 +9,7 @@ import sys
 VERBS = {
     "demo": "do the main job, end to end, on a robot that stands in for a real one",
     "new": "make a new twin",
+    "check": "tell all that a later verb would refuse in a dataset, a recording or a twin",
     "measure": "drive a pressure program and record finger and gel",
     "calibrate": "fit a twin to a bench recording",
     "compare": "compare a twin with a recording, and show where it fails",

@@ -7,6 +7,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from lerobot_pneutac.cli.options import parse_options
+from lerobot_pneutac.verbs.measured_range import range_sentence
 from lerobot_pneutac.verbs.new import mesh_sentence, new_twin, read_body, write_geometry
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import an
@@ -68,6 +69,8 @@ def main(argv: list[str]) -> None:
         console.print(f"{config.mesh}: {mesh_sentence(body)}", highlight=False, markup=False)
         for note in body.notes:
             console.print(f"[yellow]{escape(str(config.mesh))}:[/] {note}", highlight=False)
+    if twin.device != "gel":
+        console.print(range_sentence(twin.pressure_range_kpa), highlight=False)
     joints = len(twin.spine_joint_positions_mm)
     shape = f", {twin.length_mm:g} mm long with {joints} spine joints" if joints else ""
     console.print(

@@ -8,7 +8,7 @@ from gymnasium import spaces
 
 from lerobot_pneutac.rl.reward import Moment, reward_terms, total
 from lerobot_pneutac.rl.task import TaskView
-from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, MAX_PRESSURE_KPA
+from pneutac_sim.features import ACTION_NAMES, action_limits
 from pneutac_sim.gel.probe import COLS, ROWS
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.conditions import Conditions
@@ -19,7 +19,7 @@ GRID = (10, 8)  # cells of the actor's probe grid, rows and columns
 STEPS = 200  # control steps of an episode; fewer than of a trial, for more starts
 JOINT_RANGE_RAD, JOINT_RATE_RAD_S = 0.6, 0.4  # what a joint moves about home, and how fast, in these tasks
 PROPRIOCEPTION = 18  # joints, their rates, flange, pressure
-ACTOR_SIZE = PROPRIOCEPTION + len(ACTION_LOW) + GRID[0] * GRID[1]
+ACTOR_SIZE = PROPRIOCEPTION + len(ACTION_NAMES) + GRID[0] * GRID[1]
 FRICTION, BEND_GAIN = (0.8, 1.25), (0.93, 1.07)  # ranges of randomisation, factors
 _LIMIT = 20.0  # observations are clipped there; none comes near it in a trial that goes well
 
@@ -33,28 +33,32 @@ def pool(depth_mm: np.ndarray) -> np.ndarray:
     return np.maximum.reduceat(np.maximum.reduceat(depth_mm, _ROWS, 0), _COLS, 1)
 
 
-def to_action(normal: np.ndarray) -> np.ndarray:
+def to_action(normal: np.ndarray, pressure_range_kpa: tuple[float, float]) -> np.ndarray:
     """An action (..., 4) as `features.ACTION_NAMES` from one in [-1, 1]; what exceeds these is clipped."""
-    share = (np.clip(normal, -1, 1) + 1) / 2
-    return ACTION_LOW + share * (ACTION_HIGH - ACTION_LOW)
+    share, (low, high) = (np.clip(normal, -1, 1) + 1) / 2, action_limits(pressure_range_kpa)
+    return low + share * (high - low)
 
 
-def actor_observation(state: np.ndarray, depth_mm: np.ndarray, previous: np.ndarray) -> np.ndarray:
+def actor_observation(
+    state: np.ndarray, depth_mm: np.ndarray, previous: np.ndarray, pressure_range_kpa: tuple[float, float]
+) -> np.ndarray:
     """What the actor observes: proprioception, its last action, and the probe grid.
 
     Args:
         state: (20,) as `features.STATE_NAMES`; its contact area needs an image and is left out.
         depth_mm: probe grid (80, 59), mm.
         previous: last action (4,), each entry in [-1, 1].
+        pressure_range_kpa: of the action.
 
     Returns:
         (ACTOR_SIZE,) float32, entries of about one.
     """
+    low, high = pressure_range_kpa
     parts = (
         (state[:7] - HOME_JOINTS) / JOINT_RANGE_RAD,
         state[7:14] / JOINT_RATE_RAD_S,
         (state[14:17] - _MIDDLE) / _HALF,
-        state[19:] * (2 / MAX_PRESSURE_KPA) - 1,
+        (state[19:] - low) * (2 / (high - low)) - 1,
         previous,
         pool(depth_mm).ravel(),
     )
@@ -99,7 +103,7 @@ class PpoEnv(gymnasium.Env):
         self.world = VariedWorld(task, twin, "probe", "probe", conditions)
         self.view = TaskView(self.world)
         self.randomise, self._length = randomise, length
-        self.action_space = spaces.Box(-1.0, 1.0, (len(ACTION_LOW),), np.float32)
+        self.action_space = spaces.Box(-1.0, 1.0, (len(ACTION_NAMES),), np.float32)
         size = self.view.size + 2  # with friction and bend gain
         self.observation_space = spaces.Dict(
             {
@@ -117,14 +121,14 @@ class PpoEnv(gymnasium.Env):
                 Variation(), friction=rng.uniform(*FRICTION), bend_gain=rng.uniform(*BEND_GAIN)
             )
         observed = self.world.reset(int(rng.integers(2**31)))
-        self._previous, self._done = np.zeros(len(ACTION_LOW)), 0
+        self._previous, self._done = np.zeros(len(ACTION_NAMES)), 0
         self._moment = self._look()
         return self._observe(observed.state), {"is_success": False, "failure": ""}
 
     def step(self, action: np.ndarray) -> tuple[dict, float, bool, bool, dict]:
         """One control step."""
         normal = np.clip(action, -1, 1).astype(float)
-        observed = self.world.step(to_action(normal))
+        observed = self.world.step(to_action(normal, self.world.pressure_range_kpa))
         moment = self._look()
         terms = reward_terms(self._moment, moment, self.view.goal.depth_mm, self._previous, normal)
         self._moment, self._previous = moment, normal
@@ -150,6 +154,8 @@ class PpoEnv(gymnasium.Env):
         v = self.world.variation
         hidden = np.concatenate([self.view.state(), [5 * (v.friction - 1), 10 * (v.bend_gain - 1)]])
         return {
-            "actor": actor_observation(state, self.world.touch.depth_mm, self._previous),
+            "actor": actor_observation(
+                state, self.world.touch.depth_mm, self._previous, self.world.pressure_range_kpa
+            ),
             "object": np.clip(hidden, -_LIMIT, _LIMIT).astype(np.float32),
         }

@@ -112,13 +112,13 @@ def _new_dataset(student: StudentRef) -> LeRobotDataset:
 def roll_out(actor: Actor, world: World, rng: np.random.Generator, noise: float) -> Episode:
     """One trial from a start that `rng` draws, until success, failure or the last step."""
     observed = world.reset(int(rng.integers(2**31)))
-    previous = np.zeros(len(ACTION_NAMES))
+    previous, kpa = np.zeros(len(ACTION_NAMES)), world.pressure_range_kpa
     states, actions, images = [], [], []
     while len(states) < STEPS and not (world.success or world.failure):
-        mean = actor.act(actor_observation(observed.state, world.touch.depth_mm, previous))
+        mean = actor.act(actor_observation(observed.state, world.touch.depth_mm, previous, kpa))
         states.append(observed.state)
-        actions.append(to_action(mean).astype(np.float32))
+        actions.append(to_action(mean, kpa).astype(np.float32))
         images.append(observed.tactile)
         previous = np.clip(mean + noise * rng.standard_normal(len(mean)), -1, 1)
-        observed = world.step(to_action(previous))
+        observed = world.step(to_action(previous, kpa))
     return Episode(np.array(states), np.array(actions), np.array(images), world.task.description, CONTROL_HZ)

@@ -8,6 +8,7 @@ from pathlib import Path
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.demonstrations.augment.planner import PlannerConfig
+from pneutac_datasets.demonstrations.faults import demonstration_faults
 from pneutac_sim.errors import InputError, check_choice, check_least
 from pneutac_sim.features import FIDELITIES, TASK_NAMES
 from pneutac_sim.progress import Progress, no_progress
@@ -178,6 +179,10 @@ def augment(config: AugmentConfig, progress: Progress = no_progress) -> Augmenta
 
     sensor = None
     if config.method == "tactile":
+        twin = Twin.load(config.twin) if config.twin else Twin.builtin()
+        faults = demonstration_faults(config.dataset.root, twin.pressure_range_kpa)
+        if faults:
+            raise InputError(" ".join(faults))
         sensor = TactileSensor(Twin.load(config.twin) if config.twin else None)
     meta, references = read_references(config.dataset.root, config.dataset.repo_id, sensor)
     new = (config.output.root, config.output.repo_id, config.episodes)

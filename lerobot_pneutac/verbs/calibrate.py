@@ -1,12 +1,14 @@
 """Fits a twin to a bench recording: markers, photographs or tactile images."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from lerobot_pneutac.verbs.calibrate_files import BEST, SEARCH
 from lerobot_pneutac.verbs.calibration import Calibration
+from lerobot_pneutac.verbs.measured_range import measured_range
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError, check_choice, check_least
 from pneutac_sim.progress import Progress, no_progress
@@ -72,10 +74,17 @@ def calibrate(
 
         options = PhotoOptions(training_levels(train_kpa), evaluations, particles, seed)
         files = (None, None) if keep is None else (keep / SEARCH, keep / BEST)
-        return calibrate_photographs(twin, recording, options, *files, progress)
+        return _measured(calibrate_photographs(twin, recording, options, *files, progress), recording)
     from lerobot_pneutac.verbs.fit_body import calibrate_body
 
-    return calibrate_body(twin, recording, seed, progress)
+    return _measured(calibrate_body(twin, recording, seed, progress), recording)
+
+
+def _measured(result: Calibration, recording: Recording) -> Calibration:
+    """The result, whose twin knows over which pressures it was fitted."""
+    twin = result.twin.copy()
+    twin.pressure_range_kpa = measured_range(recording) or twin.pressure_range_kpa
+    return replace(result, twin=twin)
 
 
 def _photographs_alone(recording: Recording) -> bool:

@@ -14,6 +14,8 @@ from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.study.pair import enough_rows
 from lerobot_pneutac.verbs.calibration import Calibration
 from lerobot_pneutac.verbs.fit_compliance import fit_compliance
+from lerobot_pneutac.verbs.measured_range import range_sentence
+from lerobot_pneutac.verbs.pressure_unit import pressure_unit_doubts
 from pneutac_datasets.recording.checks import check
 from pneutac_datasets.recording.mounts import on_one_mount
 from pneutac_datasets.recording.recording import Recording
@@ -80,6 +82,7 @@ class BodyCalibration(Calibration):
             f"error: train {self.error['train']:.3g} {self.unit}, {tested}; {self.evaluations} simulations "
             f"in {self.seconds:.1f} s{self._now()}",
             self.compliance,
+            range_sentence(self.twin.pressure_range_kpa),
         ]
 
     def to_dict(self) -> dict:
@@ -156,7 +159,7 @@ def calibrate_body(twin: Twin, recording: Recording, seed: int = 0, progress=Non
         recording=folder,
         change="calibrated",
         seed=seed,
-        findings=tuple(findings + moved),
+        findings=tuple(findings + moved + pressure_unit_doubts(after)),
         fits=fits,
         bench=bench,
         train=train,

@@ -10,6 +10,7 @@ from importlib.util import find_spec
 
 import numpy as np
 
+from lerobot_pneutac.verbs.measured_range import measured_range
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.gravity import STANDARD_GRAVITY
 from pneutac_sim.errors import InputError
@@ -64,6 +65,7 @@ def fit_compliance(
     samples = recording.samples.assign(**dict(zip(FORCES, force.T, strict=True)))
     known = replace(recording, samples=samples)
     start = twin.copy()
+    start.pressure_range_kpa = measured_range(recording) or twin.pressure_range_kpa
     start.effects.pop("payload", None)  # its weight is a force now
     effects = list(start.effects)
     turned = all(map(recording.has, GRAVITY)) and np.ptp(samples[list(GRAVITY)].to_numpy()[train], 0).max()
@@ -75,7 +77,7 @@ def fit_compliance(
     from pneutac_sim.mpm.solve import MpmDiverged
 
     try:
-        body = measure(start, bending_range(start, float(samples["pressure_cmd_kpa"].max())), particles)
+        body = measure(start, bending_range(start), particles)
     except (InputError, MpmDiverged) as e:
         return _held(twin, f"No soft body can be put round this spine ({e}), so {_NEITHER}.")
     data = BodyData.of(known, start)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lerobot_pneutac.verbs.measured_range import measured_range
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import Pipeline
@@ -45,6 +46,8 @@ def new_twin(
     joints = (recording.spine_joint_positions_mm if recording and not length_mm else None) or []
     start = Twin.builtin() if device == "finger" and recording is None else Twin(device=device)
     twin = Twin(device, length or USUAL_LENGTH_MM, list(joints), parameters=start.parameters)
+    if recording is not None:
+        twin.pressure_range_kpa = measured_range(recording) or twin.pressure_range_kpa
     if body is not None:
         from pneutac_sim.mpm.user_mesh import store_mesh
 

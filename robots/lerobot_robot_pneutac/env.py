@@ -15,6 +15,7 @@ from lerobot_robot_pneutac.options import (
     check_conditions,
     check_gl,
     check_networks,
+    check_range,
     check_twin_folder,
     contact_threshold,
     refuse_if,
@@ -90,15 +91,19 @@ class PneutacEnvConfig(PneutacTaskConfig):
             range [low, high] every episode draws.
         render: what draws touch and finger: `mesh`, light on every pixel and MuJoCo's shapes; `splats`, the
             Gaussians of the gel and of the twin's body, over MuJoCo's scene (needs OpenGL).
+        pressure_range_kpa: pressures of the action, such as [0, 20]; default those that the twin was measured
+            over, beyond which it is extrapolated.
     """
 
     twin: Path | None = None
     fidelity: str = "surrogate"
     conditions: dict[str, float | list[float]] = field(default_factory=dict)
     render: str = "mesh"
+    pressure_range_kpa: tuple[float, float] | None = None
 
     def __post_init__(self):
         super().__post_init__()
+        check_range("env.pressure_range_kpa", self.pressure_range_kpa)
         check_choice("env.fidelity", self.fidelity, FIDELITIES)
         check_twin_folder("env.twin", self.twin)
         check_conditions("env.conditions", self.twin, self.conditions)
@@ -119,6 +124,7 @@ class PneutacEnvConfig(PneutacTaskConfig):
 
         twin = {"twin": Twin.load(self.twin)} if self.twin else {}
         own = {"fidelity": self.fidelity, "conditions": self.conditions, "render": self.render}
+        own["pressure_range_kpa"] = self.pressure_range_kpa
         return super().gym_kwargs | own | twin
 
 

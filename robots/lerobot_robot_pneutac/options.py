@@ -5,6 +5,7 @@ from pathlib import Path
 from draccus.utils import DecodingError
 
 from pneutac_sim.errors import InputError
+from pneutac_sim.twin import checked_range
 
 
 def refuse_if(wrong: bool, sentence: str) -> None:
@@ -24,6 +25,16 @@ def check_twin_folder(option: str, folder: Path | None) -> None:
     refuse_if(missing, f"--{option} is '{folder}', which holds no twin.yaml; give a twin's folder.")
 
 
+def pressure_range(option: str, twin: Path | None) -> tuple[float, float]:
+    """Pressures that a twin was measured over, kPa; those of the built-in one where there is none."""
+    from pneutac_sim.twin import Twin
+
+    try:
+        return (Twin.load(twin) if twin else Twin.builtin()).pressure_range_kpa
+    except InputError as e:
+        raise DecodingError((), f"--{option}: {e}") from e
+
+
 def contact_threshold(twin: Path | None) -> float:
     """Contact threshold of a twin's gel, 8-bit levels; that of the built-in twin where there is none.
 
@@ -34,6 +45,15 @@ def contact_threshold(twin: Path | None) -> float:
     from pneutac_sim.twin import Twin
 
     return GelModel.from_twin(Twin.load(twin) if twin else None).threshold_levels
+
+
+def check_range(option: str, pressure_range_kpa: tuple[float, float] | None) -> None:
+    """Refuses what is no range of pressures; None is none."""
+    try:
+        if pressure_range_kpa is not None:
+            checked_range(pressure_range_kpa, f"--{option}")
+    except InputError as e:
+        refuse_if(True, str(e))
 
 
 def check_gl(option: str) -> None:

@@ -30,9 +30,18 @@ STATE_NAMES = (
 ACTION_NAMES = ("dx.vel", "dy.vel", "dz.vel", "pressure.pos")
 
 MAX_SPEED_M_S = 0.1
-MAX_PRESSURE_KPA = 15.0
-ACTION_LOW = np.array([-MAX_SPEED_M_S] * 3 + [0.0], np.float32)
-ACTION_HIGH = np.array([MAX_SPEED_M_S] * 3 + [MAX_PRESSURE_KPA], np.float32)
+MAX_PRESSURE_KPA = 15.0  # of the paper's finger; another twin has a `pressure_range_kpa` of its own
+PAPER_RANGE_KPA = (0.0, MAX_PRESSURE_KPA)
+
+
+def action_limits(pressure_range_kpa: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest action (4,) float32 as `ACTION_NAMES`, of a finger with that range of pressures."""
+    low, high = pressure_range_kpa
+    speed = [MAX_SPEED_M_S] * 3
+    return np.array([*np.negative(speed), low], np.float32), np.array([*speed, high], np.float32)
+
+
+ACTION_LOW, ACTION_HIGH = action_limits(PAPER_RANGE_KPA)
 
 # Franka Emika Panda joint limits (rad, rad/s) from the manufacturer's published specification.
 JOINT_LOW = np.array([-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973])
@@ -40,7 +49,14 @@ JOINT_HIGH = np.array([2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973])
 JOINT_SPEED = np.array([2.1750, 2.1750, 2.1750, 2.1750, 2.6100, 2.6100, 2.6100])
 
 N_PIXELS = IMAGE_SHAPE[0] * IMAGE_SHAPE[1]
-STATE_LOW = np.concatenate([JOINT_LOW, -JOINT_SPEED, [-0.9, -0.9, -0.3, 0.0, 0.0, 0.0]]).astype(np.float32)
-STATE_HIGH = np.concatenate(
-    [JOINT_HIGH, JOINT_SPEED, [0.9, 0.9, 1.2, 1.0, np.log1p(N_PIXELS), MAX_PRESSURE_KPA]]
-).astype(np.float32)
+
+
+def state_limits(pressure_range_kpa: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest state (20,) float32 as `STATE_NAMES`, of a finger with that range of pressures."""
+    low, high = pressure_range_kpa
+    lowest = np.concatenate([JOINT_LOW, -JOINT_SPEED, [-0.9, -0.9, -0.3, 0.0, 0.0, low]])
+    highest = np.concatenate([JOINT_HIGH, JOINT_SPEED, [0.9, 0.9, 1.2, 1.0, np.log1p(N_PIXELS), high]])
+    return lowest.astype(np.float32), highest.astype(np.float32)
+
+
+STATE_LOW, STATE_HIGH = state_limits(PAPER_RANGE_KPA)

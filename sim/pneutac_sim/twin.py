@@ -16,12 +16,14 @@ import yaml
 from safetensors.numpy import load_file, save
 
 from pneutac_sim.errors import InputError, shown
+from pneutac_sim.features import PAPER_RANGE_KPA
 from pneutac_sim.files import locked, read_yaml, whole, write_json
 
 DEVICES = ("finger", "arm", "gel")
 FORMAT = "pneutac-twin/1"
 NETWORKS = ("action", "perception")  # each a safetensors file in the twin's folder
 
+PAPER_LENGTH_MM = 110.0
 # The paper's calibrated finger (Sec. IV-A), with the joint spring of a segment from beam theory:
 # K = E I / (L / N) for a 20 mm square section of 110 mm length; damping is light (ratio about 0.1).
 PAPER_FINGER = {
@@ -54,6 +56,8 @@ class Twin:
         spine_joint_positions_mm: arc length of each spine joint from the base.
         parameters: name (with unit) to value, of the body.
         effects: effect name to its parameters, in the order in which they were added.
+        pressure_range_kpa: lowest and highest pressure that it was measured over, 0 among them; robots,
+            environments, planner and policies go no farther. A twin that does not say is the paper's.
         gel: parameters of the gel and its optics (numbers and lists), empty where there is no gel.
         arrays: named float32 or uint8 arrays kept as safetensors, such as `rest_image` (H, W, 3).
         history: one entry a version: `version`, `change`, `recording`, `train`, `heldout`, `unit`.
@@ -62,10 +66,11 @@ class Twin:
     """
 
     device: str = "finger"
-    length_mm: float = 110.0
+    length_mm: float = PAPER_LENGTH_MM
     spine_joint_positions_mm: list[float] = field(default_factory=list)
     parameters: dict[str, Value] = field(default_factory=dict)
     effects: dict[str, dict[str, Value]] = field(default_factory=dict)
+    pressure_range_kpa: tuple[float, float] = PAPER_RANGE_KPA
     gel: dict = field(default_factory=dict)
     arrays: dict[str, np.ndarray] = field(default_factory=dict)
     history: list[dict] = field(default_factory=list)
@@ -82,6 +87,7 @@ class Twin:
         if not self.spine_joint_positions_mm:
             n = {"finger": 4, "arm": 6, "gel": 0}[self.device]
             self.spine_joint_positions_mm = [self.length_mm * (i + 0.5) / n for i in range(n)]
+        self.pressure_range_kpa = checked_range(self.pressure_range_kpa, "Twin pressure_range_kpa")
         for name, p in self.parameters.items():
             if not math.isfinite(p.value):
                 raise InputError(f"Twin parameter '{name}' is {p.value}; it must be a finite number.")
@@ -181,6 +187,7 @@ class Twin:
                 spine_joint_positions_mm=[float(x) for x in d["spine_joint_positions_mm"]],
                 parameters=_values(d["parameters"], "parameters"),
                 effects={n: _values(e, f"effects.{n}") for n, e in _mapping(d["effects"], "effects").items()},
+                pressure_range_kpa=d.get("pressure_range_kpa", PAPER_RANGE_KPA),  # none before 0.2
                 gel=_mapping(d["gel"], "gel"),
                 history=_history(d["history"]),
             )
@@ -237,6 +244,7 @@ class Twin:
             "spine_joint_positions_mm": [float(x) for x in self.spine_joint_positions_mm],
             "parameters": {k: _plain(v) for k, v in self.parameters.items()},
             "effects": {n: {k: _plain(v) for k, v in e.items()} for n, e in self.effects.items()},
+            **({} if self.device == "gel" else {"pressure_range_kpa": list(self.pressure_range_kpa)}),
             "gel": self.gel,
             "history": self.history,
         }
@@ -247,6 +255,25 @@ class _Dumper(yaml.SafeDumper):
 
     def ignore_aliases(self, data):
         return True
+
+
+def checked_range(pressures_kpa, name: str) -> tuple[float, float]:
+    """A range of pressures as two numbers, kPa.
+
+    Raises:
+        InputError: it is not two finite numbers, the first below the second, with 0 (vented) among them.
+    """
+    try:
+        low, high = (float(x) for x in pressures_kpa)
+        right = -math.inf < low <= 0 <= high < math.inf and low < high
+    except (TypeError, ValueError):
+        right = False
+    if not right:
+        raise InputError(
+            f"{name} is {shown(pressures_kpa)}; it must be the lowest and the highest pressure in kPa, with 0"
+            " (vented) among them, such as [0, 15] or, with vacuum, [-40, 20]."
+        )
+    return low, high
 
 
 def _plain(v: Value) -> dict:

@@ -11,13 +11,30 @@ def test_round_trip_keeps_every_field(tmp_path):
     twin = Twin.builtin()
     twin.parameters["gain_rad_per_kpa"] = Value(0.0123, (0.012, 0.0126))
     twin.effects["creep"] = {"fraction_1": Value(0.1, (0.08, 0.12)), "tau_1_s": Value(2.0)}
+    twin.pressure_range_kpa = (-20.0, 60.0)
     twin.gel = {"px_per_mm": 20.0, "light": [[1.0, 2.0], [3.0, 4.0]]}
     twin.arrays["rest_image"] = np.random.default_rng(0).integers(0, 255, (4, 3, 3), dtype=np.uint8)
     back = Twin.load(twin.save(tmp_path / "twin"))
     assert back.parameters == twin.parameters and back.effects == twin.effects and back.gel == twin.gel
+    assert back.pressure_range_kpa == (-20.0, 60.0)
     assert back.spine_joint_positions_mm == twin.spine_joint_positions_mm == [13.75, 41.25, 68.75, 96.25]
     np.testing.assert_array_equal(back.arrays["rest_image"], twin.arrays["rest_image"])
     assert Twin.from_pretrained(tmp_path / "twin").parameters == twin.parameters
+
+
+def test_a_twin_that_does_not_say_was_measured_over_the_papers_pressures(tmp_path):
+    file = Twin.builtin().save(tmp_path) / "twin.yaml"
+    text = file.read_text()
+    given = "pressure_range_kpa:\n- 0.0\n- 15.0\n"
+    assert given in text
+    file.write_text(text.replace(given, ""))
+    assert Twin.load(tmp_path).pressure_range_kpa == (0.0, 15.0)
+    for wrong in ("[15, 0]", "[5, 20]", "20", "[0, .inf]", "[0, much]", "[0, 0]"):
+        file.write_text(text.replace(given, f"pressure_range_kpa: {wrong}\n"))
+        with pytest.raises(
+            InputError, match=r"twin.yaml: .*pressure_range_kpa is .* with 0 \(vented\) among"
+        ):
+            Twin.load(tmp_path)
 
 
 def test_versions_keep_the_earlier_twin(tmp_path):

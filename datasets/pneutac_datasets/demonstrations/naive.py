@@ -29,7 +29,7 @@ from pneutac_datasets.demonstrations.episodes import (
 )
 from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, N_PIXELS, STATE_HIGH, STATE_LOW
+from pneutac_sim.features import N_PIXELS, PAPER_RANGE_KPA, action_limits, state_limits
 from pneutac_sim.progress import Progress, no_progress
 
 # How far each variation goes; small against what tells one phase of a demonstration from the next.
@@ -78,19 +78,28 @@ def augment_naive(
     use_videos = features[TACTILE]["dtype"] == "video"
     out = create_dataset(out_repo_id, out_root, meta.fps, features, meta.robot_type, use_videos, longest)
     n = meta.total_episodes
+    # A dataset does not say what its finger bears: no farther than the paper's, or than was demonstrated.
+    low, high = (float(meta.stats["action"][k][3]) for k in ("min", "max"))
+    range_kpa = min(low, PAPER_RANGE_KPA[0]), max(high, PAPER_RANGE_KPA[1])
     with quiet_encoders():
         try:
             for k in range(episodes):
                 progress("varying demonstrations", k, episodes)
                 rng = np.random.default_rng([seed, k])
                 partner = load(int(rng.integers(n))) if rng.random() < MIX_SHARE else None
-                save_episode(out, vary(load(k % n), partner, slope, rng))
+                save_episode(out, vary(load(k % n), partner, slope, rng, range_kpa))
         finally:
             out.finalize()
     return Path(out_root)
 
 
-def vary(episode: Episode, partner: Episode | None, slope: np.ndarray, rng: np.random.Generator) -> Episode:
+def vary(
+    episode: Episode,
+    partner: Episode | None,
+    slope: np.ndarray,
+    rng: np.random.Generator,
+    pressure_range_kpa: tuple[float, float] = PAPER_RANGE_KPA,
+) -> Episode:
     """One varied demonstration.
 
     Args:
@@ -98,6 +107,7 @@ def vary(episode: Episode, partner: Episode | None, slope: np.ndarray, rng: np.r
         partner: another one to mix in, or None.
         slope: (3, 7) change of the joint angles with the flange position, rad/m.
         rng: decides every variation.
+        pressure_range_kpa: of the finger, which the pressures keep to.
     """
     if partner is not None:
         episode = _mix(episode, partner, rng.uniform(*MIX_WEIGHT))
@@ -107,8 +117,8 @@ def vary(episode: Episode, partner: Episode | None, slope: np.ndarray, rng: np.r
     state[:, PRESSURE] *= gain
     action[:, 3] *= gain
     varied = _warp_time(replace(episode, state=state, action=action), rng)
-    varied.state = np.clip(varied.state, STATE_LOW, STATE_HIGH).astype(np.float32)
-    varied.action = np.clip(varied.action, ACTION_LOW, ACTION_HIGH).astype(np.float32)
+    varied.state = np.clip(varied.state, *state_limits(pressure_range_kpa)).astype(np.float32)
+    varied.action = np.clip(varied.action, *action_limits(pressure_range_kpa)).astype(np.float32)
     varied.images = _change_appearance(varied.images, rng)
     return varied
 

@@ -1,6 +1,7 @@
 """Reads the table of a bench recording from CSV, Parquet or a LeRobotDataset, bounded in memory."""
 
 import json
+import re
 from collections.abc import Sized
 from pathlib import Path
 
@@ -84,26 +85,33 @@ def _read_csv(file: Path) -> pd.DataFrame:
             "keep every n-th row (20 to 50 Hz is enough) or convert it to .parquet."
         )
     try:
-        with file.open(encoding="utf-8") as f:
-            line = f.readline().strip("\n\r")
-        header = [c.strip() for c in line.split(",")]
-        for mark, name in ((";", "semicolons"), ("\t", "tabs")):
-            if len(header) == 1 and mark in line:
-                raise InputError(
-                    f"{file} is separated by {name}; save it with commas between the columns and points in "
-                    "the numbers."
-                )
+        encoding = _encoding(file)
+        with file.open(encoding=encoding) as f:
+            line, rows = f.readline().strip("\n\r"), f.readline()
+        mark = next((m for m in (",", ";", "\t") if m in line), ",")
+        # A spreadsheet that writes decimal commas puts something else between the columns.
+        decimal = "," if mark != "," and re.search(r"\d,\d", rows) else "."
+        header = [c.strip() for c in line.split(mark)]
         doubled = sorted({c for c in header if header.count(c) > 1})
         if doubled:
             raise InputError(
                 f"{file}: column {shown(doubled[0])} appears twice in the header; keep one of them."
             )
-        return pd.read_csv(file, skipinitialspace=True, low_memory=False).rename(columns=str.strip)
-    except UnicodeDecodeError as e:
-        raise InputError(f"{file} is not UTF-8 text ({e.reason}); save it as plain CSV.") from e
+        options = {"sep": mark, "decimal": decimal, "encoding": encoding, "skipinitialspace": mark != "\t"}
+        return pd.read_csv(file, low_memory=False, **options).rename(columns=str.strip)
+    except UnicodeError as e:
+        raise InputError(
+            f"{file} is not UTF-8 text ({getattr(e, 'reason', e)}); save it as plain CSV."
+        ) from e
     except (pd.errors.ParserError, pd.errors.EmptyDataError) as e:
         reason = cut(str(e).strip().splitlines()[0])
         raise InputError(f"{file} is not a comma-separated table: {reason}; save it as plain CSV.") from e
+
+
+def _encoding(file: Path) -> str:
+    """UTF-8, or UTF-16 as spreadsheets write it, by the mark at the beginning of the file."""
+    with file.open("rb") as f:
+        return "utf-16" if f.read(2) in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
 
 
 def _read_parquet(file: Path) -> pd.DataFrame:
@@ -149,7 +157,9 @@ def _read_lerobot(folder: Path) -> pd.DataFrame:
         first = raw[name].iloc[0] if len(raw) else None
         if isinstance(first, Sized) and not isinstance(first, str | dict):
             if not isinstance(names, list) or len(names) != len(first):
-                continue
+                if len(first) != 1:
+                    continue
+                names = [name]  # LeRobot keeps a number as a vector of one entry
             for i, entry in enumerate(names):
                 columns[str(entry)] = raw[name].map(lambda v, i=i: v[i])
         else:

@@ -1,5 +1,6 @@
 """What a bench recording must satisfy: each broken rule is one sentence with file, column, row and remedy."""
 
+import difflib
 import re
 from pathlib import Path
 
@@ -101,8 +102,8 @@ def check_samples(
     if len(samples) == 0:
         raise InputError(f"{file} has a header but no rows; record at least one trial.")
     _check_columns(samples, device, file)
-    samples = _numbers(samples, device, file)
-    samples["trial"] = _trials(samples["trial"], file)
+    samples = clean_numbers(samples, device, file)
+    samples["trial"] = clean_trials(samples["trial"], file)
     if device != "gel":
         _check_noise(samples, device, meta, file)
         check_numbers(meta, [int(t) for t in samples["trial"].unique()], file.parent / "recording.json")
@@ -124,27 +125,40 @@ _HOW = {
 
 
 def _check_columns(samples: pd.DataFrame, device: str, file: Path) -> None:
+    missing = missing_columns(samples, device, file)
+    if missing:
+        others = listed(repr(name) for name in list(missing)[1:])
+        raise InputError(next(iter(missing.values())) + (f" Missing too: {others}." if others else ""))
+
+
+def missing_columns(samples: pd.DataFrame, device: str, file: Path) -> dict[str, str]:
+    """Every column that a recording of this device needs and lacks, with a sentence on what to do."""
     first = "pressure_cmd_1_kpa" if device == "arm" else "pressure_cmd_kpa"
-    for name in ["trial", "time_s"] + (["image", "indenter"] if device == "gel" else [first]):
-        if name not in samples.columns:
-            raise InputError(
-                f"{file}: column '{name}' is missing{_near(name, samples)}; {_HOW[name]} (a recording of "
-                f"{an(device)} needs it)."
-            )
+    needed_names = ["trial", "time_s"] + (["image", "indenter"] if device == "gel" else [first])
+    missing = {
+        name: f"{file}: column '{name}' is missing{_near(name, samples)}; {_HOW[name]} (a recording of "
+        f"{an(device)} needs it)."
+        for name in needed_names
+        if name not in samples.columns
+    }
     if device != "gel" and not observations(samples, device):
         needed = "tip_x_mm, tip_z_mm, bend_angle_rad or q_1_rad"
         needed += ", or curvature_x_1_per_m" if device == "arm" else ""
         if not [c for c in samples if re.fullmatch(r"image(_\w+)?", c)]:
-            raise InputError(
+            missing["tip_z_mm"] = (
                 f"{file}: no column tells what the {device} did{_near('tip_x_mm', samples)}; add {needed}."
             )
+    return missing
 
 
 def _near(name: str, samples: pd.DataFrame) -> str:
-    """Names a column that is the wanted one under another unit, such as `pressure_cmd_pa`."""
+    """Names a column that is the wanted one under another unit, such as `pressure_cmd_pa`, or misspelt."""
     stem = re.sub(r"_(kpa|mm|rad|s|c|g)$", "", name)
     near = [c for c in samples if isinstance(c, str) and re.fullmatch(rf"{re.escape(stem)}(_\w+)?", c, re.I)]
-    return f" (there is {shown(near[0])}: convert it to the unit in the name)" if near else ""
+    if near:
+        return f" (there is {shown(near[0])}: convert it to the unit in the name)"
+    close = difflib.get_close_matches(name, [c for c in samples if isinstance(c, str)], n=1, cutoff=0.8)
+    return f" (there is {shown(close[0])}: rename it, if that is meant)" if close else ""
 
 
 def observations(samples: pd.DataFrame, device: str) -> list[str]:
@@ -154,7 +168,8 @@ def observations(samples: pd.DataFrame, device: str) -> list[str]:
     return quantities.observations(samples.columns, device)
 
 
-def _numbers(samples: pd.DataFrame, device: str, file: Path) -> pd.DataFrame:
+def clean_numbers(samples: pd.DataFrame, device: str, file: Path) -> pd.DataFrame:
+    """The samples with every column but labels as float64; raises InputError at the first that is none."""
     samples = samples.copy()
     for name in samples.columns:
         if re.fullmatch(LABELS, name):
@@ -181,7 +196,8 @@ def _shown(value) -> str:
     return "empty" if pd.isna(value) else shown(str(value))
 
 
-def _trials(trial: pd.Series, file: Path) -> np.ndarray:
+def clean_trials(trial: pd.Series, file: Path) -> np.ndarray:
+    """Numbers of the trials (n,); raises InputError where they are not whole, or one comes twice."""
     t = trial.to_numpy(float)
     broken = t != np.round(t)
     if broken.any():

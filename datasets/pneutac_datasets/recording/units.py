@@ -18,13 +18,18 @@ RATIO = 30.0  # between measured and commanded pressure
 
 def check_units(samples: pd.DataFrame, meta: dict, file: Path) -> None:
     """Raises InputError where a column's range can only be another unit than its name says."""
-    _check_pressures(samples, file)
-    _check_tip(samples, meta.get("length_mm"), file)
+    for rule in RULES:
+        rule(samples, meta, file)
+
+
+def _check_angles(samples: pd.DataFrame, meta: dict, file: Path) -> None:
     for name in _columns(samples, r"bend_angle_rad|q_\d+_rad"):
         value, row = _top(samples, name)
         if value > 4 * np.pi:
             raise _other_unit(samples, file, name, row, "degrees", "multiply the column by pi/180")
-    _check_gravity(samples, file)
+
+
+def _check_temperature(samples: pd.DataFrame, meta: dict, file: Path) -> None:
     if "temperature_c" in samples:
         value, row = _top(samples, "temperature_c")
         if value > 150:
@@ -33,7 +38,7 @@ def check_units(samples: pd.DataFrame, meta: dict, file: Path) -> None:
             )
 
 
-def _check_pressures(samples: pd.DataFrame, file: Path) -> None:
+def _check_pressures(samples: pd.DataFrame, meta: dict, file: Path) -> None:
     pressures = _columns(samples, r"pressure_(cmd_)?(\d+_)?kpa")
     for name in pressures:
         value, row = _top(samples, name)
@@ -49,7 +54,8 @@ def _check_pressures(samples: pd.DataFrame, file: Path) -> None:
             raise _other_unit(samples, file, name, row, other, "give both in kPa above the surroundings")
 
 
-def _check_tip(samples: pd.DataFrame, length_mm: float | None, file: Path) -> None:
+def _check_tip(samples: pd.DataFrame, meta: dict, file: Path) -> None:
+    length_mm = meta.get("length_mm")
     tips = _columns(samples, r"tip_[xyz]_mm")
     if not tips:
         return
@@ -63,7 +69,8 @@ def _check_tip(samples: pd.DataFrame, length_mm: float | None, file: Path) -> No
         raise _other_unit(samples, file, tips[0], row, other, remedy, value)
 
 
-def _check_gravity(samples: pd.DataFrame, file: Path) -> None:
+def check_gravity(samples: pd.DataFrame, meta: dict, file: Path) -> None:
+    """Raises InputError where gravity has not all three columns, or is no unit vector."""
     gravity = [f"gravity_{a}" for a in "xyz"]
     missing = [c for c in gravity if c not in samples]
     if len(missing) == 3:
@@ -80,6 +87,9 @@ def _check_gravity(samples: pd.DataFrame, file: Path) -> None:
             "divide the three columns by their length",
         )
         raise _other_unit(samples, file, "gravity_x", row, other, remedy, float(norm[row]))
+
+
+RULES = (_check_pressures, _check_tip, _check_angles, check_gravity, _check_temperature)
 
 
 def _columns(samples: pd.DataFrame, pattern: str) -> list[str]:

@@ -1,18 +1,18 @@
 """The limits that hold below any policy, and what they make of an action; no part is touched here."""
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from lerobot_robot_pneutac.hardware.parts import COMMAND_S
 from lerobot_robot_pneutac.options import refuse_if
-from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, ACTION_NAMES, MAX_PRESSURE_KPA, MAX_SPEED_M_S
+from pneutac_sim.features import ACTION_NAMES, MAX_SPEED_M_S, PAPER_RANGE_KPA, action_limits
 
 STOPPING_S = 0.15  # to come to rest from full speed
 # Beyond the range by more than this share of it, an action is a fault of its sender and not a rounding.
 EXCESS = 0.2
-_BEYOND = EXCESS * (ACTION_HIGH - ACTION_LOW)
+OVERPRESSURE = 1.15  # of the farthest set-point
 
 
 @dataclass(kw_only=True)
@@ -24,40 +24,85 @@ class Limits:
         low_m: corner (x, y, z) of the box that the flange stays in, base frame.
         high_m: the opposite corner.
         force_n: external force at the flange above which everything stops.
-        pressure_kpa: highest set-point.
+        pressure_kpa: highest set-point; where left out, what the twin was measured up to.
+        vacuum_kpa: lowest set-point, 0 or below; where left out, what the twin was measured down to.
         pressure_rate_kpa_s: fastest change of the set-point.
-        overpressure_kpa: measured pressure above which everything stops.
+        overpressure_kpa: measured pressure above which everything stops, with vacuum also where it is as far
+            below zero; where left out, 1.15 times the farthest set-point.
+        beyond_twin: whether set-points may lie beyond what the twin was measured over.
+        action_kpa: lowest and highest pressure of an action; beyond them one is refused, within them it is
+            held to the set-points above. Not an option.
     """
 
     speed_m_s: float = MAX_SPEED_M_S
     low_m: tuple[float, float, float] = (0.25, -0.35, 0.12)
     high_m: tuple[float, float, float] = (0.65, 0.35, 0.65)
     force_n: float = 20.0
-    pressure_kpa: float = MAX_PRESSURE_KPA
+    pressure_kpa: float | None = None
+    vacuum_kpa: float | None = None
     pressure_rate_kpa_s: float = 100.0
-    overpressure_kpa: float = 1.15 * MAX_PRESSURE_KPA
+    overpressure_kpa: float | None = None
+    beyond_twin: bool = False
 
     def __post_init__(self):
+        self._given = self.pressure_kpa, self.vacuum_kpa, self.overpressure_kpa
+        self._set_points(PAPER_RANGE_KPA)
+
+    def _set_points(self, twin_kpa: tuple[float, float]) -> None:
+        """Fills in what was left out, from the range of a twin, and checks all."""
+        low, high = twin_kpa
+        pressure, vacuum, over = self._given
+        self.pressure_kpa = high if pressure is None else pressure
+        self.vacuum_kpa = low if vacuum is None else vacuum
+        farthest = max(self.pressure_kpa, -self.vacuum_kpa)
+        self.overpressure_kpa = OVERPRESSURE * farthest if over is None else over
+        self.action_kpa = min(low, self.vacuum_kpa), max(high, self.pressure_kpa)
+        self._check()
+
+    def of_twin(self, twin_kpa: tuple[float, float]) -> "Limits":
+        """These limits for a twin that was measured over that range, kPa.
+
+        Raises:
+            DecodingError: a given set-point lies beyond the range, and `beyond_twin` does not allow it.
+        """
+        low, high = twin_kpa
+        pressure, vacuum, over = self._given
+        beyond = (pressure is not None and pressure > high) or (vacuum is not None and vacuum < low)
+        refuse_if(
+            beyond and not self.beyond_twin,
+            f"limits.pressure_kpa is {self.pressure_kpa:g} and limits.vacuum_kpa {self.vacuum_kpa:g}, but the"
+            f" twin was measured from {low:g} to {high:g} kPa; keep to that, or give"
+            " limits.beyond_twin=true.",
+        )
+        limits = replace(self, pressure_kpa=pressure, vacuum_kpa=vacuum, overpressure_kpa=over)
+        limits._set_points(twin_kpa)
+        return limits
+
+    def _check(self) -> None:
         for f in fields(self):
             value = np.asarray(getattr(self, f.name), float)
             refuse_if(
-                not np.isfinite(value).all() or (value.ndim == 0 and value <= 0),
+                not np.isfinite(value).all()
+                or (value.ndim == 0 and value <= 0 and f.name not in ("vacuum_kpa", "beyond_twin")),
                 f"limits.{f.name} is {getattr(self, f.name)}; it must be a positive number.",
             )
-        for name, most in (("speed_m_s", MAX_SPEED_M_S), ("pressure_kpa", MAX_PRESSURE_KPA)):
-            refuse_if(
-                getattr(self, name) > most,
-                f"limits.{name} is {getattr(self, name)}; actions reach {most} at most.",
-            )
+        refuse_if(
+            self.speed_m_s > MAX_SPEED_M_S,
+            f"limits.speed_m_s is {self.speed_m_s}; actions reach {MAX_SPEED_M_S} at most.",
+        )
+        refuse_if(
+            self.vacuum_kpa > 0,
+            f"limits.vacuum_kpa is {self.vacuum_kpa}; it must be 0, or below for vacuum.",
+        )
         refuse_if(
             len(self.low_m) != 3 or len(self.high_m) != 3 or not (np.less(self.low_m, self.high_m)).all(),
             f"limits.low_m is {self.low_m} and limits.high_m {self.high_m}; give three numbers each, the"
             " first below the second.",
         )
         refuse_if(
-            self.overpressure_kpa <= self.pressure_kpa,
+            self.overpressure_kpa <= max(self.pressure_kpa, -self.vacuum_kpa),
             f"limits.overpressure_kpa is {self.overpressure_kpa}; it must be above the highest set-point,"
-            f" {self.pressure_kpa}.",
+            f" {self.pressure_kpa}, and as far from zero as the lowest, {self.vacuum_kpa}.",
         )
 
     def velocity(self, wanted_m_s: np.ndarray, flange_m: np.ndarray) -> np.ndarray:
@@ -81,7 +126,7 @@ class Limits:
 
     def pressure(self, wanted_kpa: float, last_kpa: float, elapsed_s: float) -> float:
         """The set-point (kPa) that follows `last_kpa` after `elapsed_s` on the way to the wanted one."""
-        wanted = min(max(wanted_kpa, 0.0), self.pressure_kpa)
+        wanted = min(max(wanted_kpa, self.vacuum_kpa), self.pressure_kpa)
         step = self.pressure_rate_kpa_s * min(elapsed_s, COMMAND_S)
         return min(max(wanted, last_kpa - step), last_kpa + step)
 
@@ -99,14 +144,19 @@ class Limits:
                 f"The pressure is {pressure_kpa:.1f} kPa, above limits.overpressure_kpa ="
                 f" {self.overpressure_kpa:g}; check valve and sensor."
             )
+        if self.vacuum_kpa < 0 and pressure_kpa < -self.overpressure_kpa:
+            return (
+                f"The pressure is {pressure_kpa:.1f} kPa, farther below zero than limits.overpressure_kpa ="
+                f" {self.overpressure_kpa:g}; check valve and sensor."
+            )
         return None
 
 
-def why_refused(values: np.ndarray) -> str | None:
+def why_refused(values: np.ndarray, action_kpa: tuple[float, float] = PAPER_RANGE_KPA) -> str | None:
     """Why an action (4,) is not carried out at all, or None; a small excess is clipped and not refused."""
-    for name, value, low, high, beyond in zip(
-        ACTION_NAMES, values, ACTION_LOW, ACTION_HIGH, _BEYOND, strict=True
-    ):
+    lowest, highest = action_limits(action_kpa)
+    excess = EXCESS * (highest - lowest)
+    for name, value, low, high, beyond in zip(ACTION_NAMES, values, lowest, highest, excess, strict=True):
         if not np.isfinite(value):
             return f"{name} is {value}"
         if not low - beyond <= value <= high + beyond:

@@ -53,7 +53,8 @@ class PressureController(Protocol):
     """A valve with a pressure sensor. Every method but `vent` and `disconnect` raises `HardwareFault`.
 
     Attributes:
-        max_kpa: the highest set-point; known once connected.
+        max_kpa: the highest set-point; known once connected. One that makes vacuum also tells `min_kpa`, its
+            lowest; without it that is 0.
     """
 
     max_kpa: float

@@ -5,11 +5,11 @@ import math
 from pneutac_sim.errors import InputError
 
 
-def checked_kpa(kpa: float, max_kpa: float) -> float:
+def checked_kpa(kpa: float, max_kpa: float, min_kpa: float = 0.0) -> float:
     """The set-point in kPa (gauge) as a float.
 
     Raises:
-        InputError: it is no number, not finite, or outside 0 ... `max_kpa`.
+        InputError: it is no number, not finite, or outside `min_kpa` ... `max_kpa`.
     """
     try:
         value = float(kpa)
@@ -19,8 +19,10 @@ def checked_kpa(kpa: float, max_kpa: float) -> float:
         raise InputError(f"The set-point {kpa!r} is no number; it must be a pressure in kPa.") from None
     if not math.isfinite(value):
         raise InputError(f"The set-point is {value}; it must be a finite pressure in kPa.")
-    if not 0 <= value <= max_kpa:
-        raise InputError(f"The set-point {value:g} kPa is outside this controller's 0 ... {max_kpa:g} kPa.")
+    if not min_kpa <= value <= max_kpa:
+        raise InputError(
+            f"The set-point {value:g} kPa is outside this controller's {min_kpa:g} ... {max_kpa:g} kPa."
+        )
     return value
 
 

@@ -98,7 +98,7 @@ class Guard:
         """
         state, _ = self.look()
         with self.failing("sending an action"):
-            reason = why_refused(values)
+            reason = why_refused(values, self.limits.action_kpa)
             self._recent.append(reason is not None)
             if reason:
                 return self._refuse(reason)

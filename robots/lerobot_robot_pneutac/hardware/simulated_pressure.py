@@ -14,6 +14,7 @@ class SimulatedPressure:
 
     Args:
         max_kpa: the highest set-point.
+        min_kpa: the lowest, 0 or, with a vacuum pump, below.
         time_constant_s: after this long 63 % of a step is done.
         clock: gives seconds.
     """
@@ -23,8 +24,10 @@ class SimulatedPressure:
         max_kpa: float = 15.0,
         time_constant_s: float = 0.1,
         clock: Callable[[], float] = time.monotonic,
+        min_kpa: float = 0.0,
     ):
         self.max_kpa = positive("max_kpa", max_kpa)
+        self.min_kpa = -positive("-min_kpa", -min_kpa) if min_kpa else 0.0
         self._tau_s = positive("time_constant_s", time_constant_s)
         self._clock = clock
         self._lock = threading.Lock()
@@ -38,8 +41,8 @@ class SimulatedPressure:
         self.vent()
 
     def set_pressure(self, kpa: float) -> None:
-        """Sets the target; raises InputError outside 0 ... `max_kpa`."""
-        target = checked_kpa(kpa, self.max_kpa)
+        """Sets the target; raises InputError outside `min_kpa` ... `max_kpa`."""
+        target = checked_kpa(kpa, self.max_kpa, self.min_kpa)
         with self._lock:
             self._advance()
             self._target_kpa = target

@@ -25,8 +25,8 @@ PREVIOUS_ACTION = "observation.previous_action"
 class PneutacBCConfig(PreTrainedConfig):
     """Behaviour cloning from touch and proprioception, the paper's policy.
 
-    State and action are scaled by fixed physical ranges inside the network and LeRobot's own normalisation is
-    off, so that fine-tuning on other data never rescales what was learnt.
+    State and action are scaled inside the network by the statistics of the first training's dataset and
+    LeRobot's own normalisation is off, so that fine-tuning on other data never rescales what was learnt.
 
     Attributes:
         use_tactile: false leaves out the tactile image and both contact scalars.
@@ -141,9 +141,12 @@ class PneutacBCConfig(PreTrainedConfig):
             found = (meta.features.get(key) or {}).get("names")
             if list(found or []) != list(names):
                 raise InputError(f"{where}: '{key}' has the names {found}; pneutac_bc needs {list(names)}.")
-            extremes = [
-                np.ravel(v) for k, v in (meta.stats or {}).get(key, {}).items() if k in ("min", "max")
-            ]
+            if not {"min", "max"} <= (meta.stats or {}).get(key, {}).keys():
+                raise InputError(
+                    f"{where} has no statistics of '{key}', which scale it; write them with"
+                    " lerobot-edit-dataset --operation.type=recompute_stats."
+                )
+            extremes = [np.ravel(v) for k, v in meta.stats[key].items() if k in ("min", "max")]
             bad = [n for i, n in enumerate(names) if not all(np.isfinite(e[i]) for e in extremes)]
             if bad:
                 raise InputError(

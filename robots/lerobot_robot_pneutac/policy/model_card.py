@@ -1,5 +1,6 @@
 """The model card of a `pneutac_bc` checkpoint: its README.md, for whoever finds the weights alone."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -57,6 +58,7 @@ def model_card(
     rest_level: tuple[float, float, float] | None = None,
     steps: int | None = None,
     train: TrainPipelineConfig | None = None,
+    limits: tuple[Sequence[float], Sequence[float]] = (ACTION_LOW, ACTION_HIGH),
 ) -> ModelCard:
     """The card of one checkpoint.
 
@@ -66,6 +68,7 @@ def model_card(
         rest_level: mean of the rest image's channels R, G, B, of 255; None where there is none.
         steps: training steps, where known.
         train: options of the whole training, where known.
+        limits: lowest and highest action (4,).
 
     Returns:
         The card; `save` writes it.
@@ -89,12 +92,14 @@ def model_card(
         steps=train.steps if steps is None and train is not None else steps,
         batch_size=None if train is None else train.batch_size,
         fine_tuned_from=Path(config.pretrained_path).as_posix() if known else None,
-        features=_features(config),
+        features=_features(config, limits),
         rest_level=None if level is None else ", ".join(f"{v:.0f}" for v in level),
     )
 
 
-def _features(config: PneutacBCConfig) -> list[tuple[str, str, str]]:
+def _features(
+    config: PneutacBCConfig, limits: tuple[Sequence[float], Sequence[float]]
+) -> list[tuple[str, str, str]]:
     """Feature, name or shape, and unit of all that goes in or comes out."""
 
     def unit(name: str) -> str:
@@ -109,5 +114,5 @@ def _features(config: PneutacBCConfig) -> list[tuple[str, str, str]]:
         rows.append((TACTILE, f"{w} x {h} pixels, {c} channels, RGB", "0 to 1"))
     return rows + [
         (ACTION, f"`{n}`", f"{_ACTION_UNITS.get(n, 'm/s')}, {low:g} to {high:g}")
-        for n, low, high in zip(ACTION_NAMES, ACTION_LOW, ACTION_HIGH, strict=True)
+        for n, low, high in zip(ACTION_NAMES, *limits, strict=True)
     ]

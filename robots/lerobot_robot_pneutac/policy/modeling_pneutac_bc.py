@@ -6,37 +6,26 @@ beside a 24-D observation {q, q', x, s/N, log(1+s), p, a_(t-1)}, two hidden laye
 
 from pathlib import Path
 
-import numpy as np
 import torch
 from huggingface_hub import ModelCard
 from lerobot.policies.pretrained import PreTrainedPolicy
 from lerobot.utils.constants import ACTION, OBS_STATE
 from safetensors import safe_open
+from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import PREVIOUS_ACTION, TACTILE, PneutacBCConfig
 from lerobot_robot_pneutac.policy.model_card import Demonstrations, checkpoint_step, model_card
 from lerobot_robot_pneutac.policy.rest_image import check_same_sensor, rest_image_of
+from lerobot_robot_pneutac.policy.scaling import Scaling
 from lerobot_robot_pneutac.policy.tactile_encoder import DIFFERENCE_SCALE, EMBEDDING, TactileEncoder
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, STATE_NAMES
+from pneutac_sim.features import ACTION_NAMES, STATE_NAMES
 
-# (centre, scale) of the state's channels: physical ranges of table-top work in front of a Panda whose flange
-# points down, much narrower than the robot's limits so that millimetres of position matter to the network.
-_JOINTS = (0.0, 0.0, 0.0, -2.55, 0.0, 2.55, np.pi / 4)
-_RANGES = (
-    *((q, 0.3) for q in _JOINTS),  # rad
-    *((0.0, 0.3) for _ in _JOINTS),  # rad/s
-    (0.46, 0.01),  # ee_x, m
-    (0.0, 0.01),  # ee_y, m
-    (0.28, 0.01),  # ee_z, m
-    (0.0, 0.1),  # s / N
-    (4.0, 4.0),  # log(1 + s)
-    (7.5, 7.5),  # kPa
-)
 _CONTACT = [STATE_NAMES.index("contact_area.pos"), STATE_NAMES.index("contact_pixels.pos")]
 _PRESSURE = STATE_NAMES.index("pressure.pos")
 HIDDEN = 256
+BEFORE_0_2 = ("_action_centre", "_action_high", "_action_low", "_action_scale")  # not in older files
 
 
 class PneutacBCPolicy(PreTrainedPolicy):
@@ -54,8 +43,9 @@ class PneutacBCPolicy(PreTrainedPolicy):
 
         Args:
             config: options, with the features of the data.
-            dataset_meta: LeRobotDatasetMetadata of the training data; its rest image becomes the policy's,
-                also where weights of another training are loaded afterwards.
+            dataset_meta: LeRobotDatasetMetadata of the training data. Its rest image becomes the policy's,
+                also where weights of another training are loaded afterwards; its statistics scale state and
+                action, unless such weights bring the scale that they were trained with.
             **kwargs: what else LeRobot passes (dataset statistics) and this policy has no use for.
 
         Raises:
@@ -72,26 +62,18 @@ class PneutacBCPolicy(PreTrainedPolicy):
 
         self.encoder = TactileEncoder() if config.use_tactile else None
         channels = [i for i in range(len(STATE_NAMES)) if config.use_tactile or i not in _CONTACT]
-        low, high = torch.tensor(ACTION_LOW), torch.tensor(ACTION_HIGH)
-        centre, scale = torch.tensor(_RANGES, dtype=torch.float32).T
-        for name, value in {
-            "_channels": torch.tensor(channels),
-            "_action_low": low,
-            "_action_high": high,
-            "_action_centre": (low + high) / 2,
-            "_action_scale": (high - low) / 2,
-        }.items():
-            self.register_buffer(name, value, persistent=False)
+        self.register_buffer("_channels", torch.tensor(channels), persistent=False)
         # Saved with the weights, which mean nothing with another scale.
-        self.register_buffer("_state_centre", centre.clone())
-        self.register_buffer("_state_scale", scale.clone())
-        width = len(channels) + len(low) + (EMBEDDING if config.use_tactile else 0)
+        self._dataset_scaling = None if dataset_meta is None else Scaling.of(dataset_meta.stats)
+        for name, value in (self._dataset_scaling or Scaling.paper()).tensors().items():
+            self.register_buffer(name, value)
+        width = len(channels) + len(ACTION_NAMES) + (EMBEDDING if config.use_tactile else 0)
         self.mlp = nn.Sequential(
             nn.Linear(width, HIDDEN),
             nn.ReLU(),
             nn.Linear(HIDDEN, HIDDEN),
             nn.ReLU(),
-            nn.Linear(HIDDEN, len(low)),
+            nn.Linear(HIDDEN, len(ACTION_NAMES)),
         )
         self._take_dataset_rest()
         self.reset()
@@ -106,12 +88,19 @@ class PneutacBCPolicy(PreTrainedPolicy):
         """
         with safe_open(model_file, "pt") as file:
             other = sorted(set(file.keys()) ^ set(model.state_dict()))
-        if other:
+        if other == sorted(BEFORE_0_2):  # their actions were those of the paper's finger
+            paper = Scaling.paper().tensors()
+            weights = load_file(model_file, device=map_location) | {n: paper[n] for n in BEFORE_0_2}
+            model.load_state_dict(weights, strict=strict)
+        elif other:
             raise InputError(
                 f"'{model_file}' does not hold the weights of this policy (differs in {', '.join(other)});"
                 " its use_tactile was another, or another version trained it: train anew."
             )
-        model = super()._load_as_safetensor(model, model_file, map_location, strict)
+        else:
+            model = super()._load_as_safetensor(model, model_file, map_location, strict)
+        if model._dataset_scaling is not None:
+            model._reach(model._dataset_scaling)
         if model._dataset_rest is not None:
             check_same_sensor(model.encoder.rest_image, model._dataset_rest, model._demonstrations.name)
             model._take_dataset_rest()
@@ -127,6 +116,12 @@ class PneutacBCPolicy(PreTrainedPolicy):
             check_same_sensor(self.encoder.rest_image, rest, demonstrations.name)
         self._demonstrations, self._dataset_rest = demonstrations, rest if self.encoder is not None else None
         self._take_dataset_rest()
+
+    def _reach(self, scaling: Scaling) -> None:
+        """Widens the limits of the action to what another dataset demonstrates; the scale stays."""
+        there = scaling.tensors()
+        self._action_low.copy_(torch.minimum(self._action_low, there["_action_low"].to(self._action_low)))
+        self._action_high.copy_(torch.maximum(self._action_high, there["_action_high"].to(self._action_high)))
 
     def _take_dataset_rest(self) -> None:
         if self._dataset_rest is not None:
@@ -147,7 +142,8 @@ class PneutacBCPolicy(PreTrainedPolicy):
         rest = None
         if self.encoder is not None and not self.encoder.rest_image.isnan().any():
             rest = tuple((255 * self.encoder.rest_image.mean((1, 2))).tolist())
-        return model_card(self.config, self._demonstrations, rest, steps, train)
+        limits = self._action_low.tolist(), self._action_high.tolist()
+        return model_card(self.config, self._demonstrations, rest, steps, train, limits)
 
     def get_optim_params(self):
         """All parameters."""
@@ -247,7 +243,7 @@ class PneutacBCPolicy(PreTrainedPolicy):
 
     def _hold(self, state: Tensor) -> Tensor:
         """The action (B, 4) that holds still: no velocity, and the pressure that there is."""
-        hold = torch.zeros(len(state), len(self._action_low), device=state.device)
+        hold = torch.zeros(len(state), len(ACTION_NAMES), device=state.device)
         hold[:, 3] = state[:, _PRESSURE]
         return hold
 

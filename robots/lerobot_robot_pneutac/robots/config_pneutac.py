@@ -9,7 +9,7 @@ from lerobot.robots import RobotConfig
 
 from lerobot_robot_pneutac.hardware.arms import ArmConfig
 from lerobot_robot_pneutac.hardware.limits import Limits
-from lerobot_robot_pneutac.options import check_twin_folder, contact_threshold, refuse_if
+from lerobot_robot_pneutac.options import check_twin_folder, contact_threshold, pressure_range, refuse_if
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import IMAGE_NAME, STATE_NAMES
 
@@ -44,11 +44,11 @@ class PneutacConfig(RobotConfig):
     Attributes:
         arm: `--robot.arm.type=panda --robot.arm.ip=...`, or `simulated` for a dry run.
         pressure: `--robot.pressure.type=pneutac_serial --robot.pressure.port=/dev/ttyACM0`, for example.
-        limits: kept below any policy.
+        limits: kept below any policy; the set-points are the twin's where none are given.
         digit: the tactile camera, any camera type of LeRobot's, `--robot.digit.type=digit` for example.
         twin: folder of the sensor's calibrated twin; its gel's contact threshold makes `contact_area.pos` and
             `contact_pixels.pos` the same as on `pneutac_sim` with that twin. Without it they are those of the
-            built-in twin.
+            built-in twin. Its `pressure_range_kpa` bounds the set-points.
         contact_threshold: that threshold itself, in place of the twin: mean difference of R, G, B to the rest
             image, 8-bit levels, above which a pixel is in contact.
         cameras: more cameras, as for every LeRobot robot; a policy trained in simulation knows none.
@@ -77,6 +77,7 @@ class PneutacConfig(RobotConfig):
         taken = {IMAGE_NAME, *STATE_NAMES} & self.cameras.keys()
         refuse_if(bool(taken), f"--robot.cameras has '{', '.join(taken)}', which is taken; choose another.")
         self._check_contact()
+        self.limits = self.limits.of_twin(pressure_range("robot.twin", self.twin))
 
     def threshold_levels(self) -> float:
         """The contact threshold, 8-bit levels; raises InputError where the twin's folder is damaged."""

@@ -9,6 +9,7 @@ from lerobot_robot_pneutac.options import (
     check_choice,
     check_conditions,
     check_networks,
+    check_range,
     check_twin_folder,
     refuse_if,
 )
@@ -30,6 +31,8 @@ class PneutacSimConfig(RobotConfig):
         conditions: what the twin's effects ask for, such as {temperature_c: 28, payload_g: [0, 20]}; from a
             range [low, high] every episode draws.
         render: what draws the touch: `mesh`, light on every pixel; `splats`, the Gaussians of the gel.
+        pressure_range_kpa: pressures that can be commanded, such as [0, 20]; default those that the twin was
+            measured over, beyond which it is extrapolated.
         standin: act on the stand-in for reality, which has a finger and a gel of its own.
         spread: number of random starts that the demonstrations are to stand for: each episode begins at that
             one of them which leaves the others nearest to a start that was done, as a person would spread a
@@ -42,6 +45,7 @@ class PneutacSimConfig(RobotConfig):
     fidelity: str = "surrogate"
     conditions: dict[str, float | list[float]] = field(default_factory=dict)
     render: str = "mesh"
+    pressure_range_kpa: tuple[float, float] | None = None
     standin: bool = False
     spread: int = 0
 
@@ -55,8 +59,11 @@ class PneutacSimConfig(RobotConfig):
             check_networks("robot.twin", self.twin, self.fidelity)
         check_choice("robot.render", self.render, RENDERS)
         refuse_if(self.spread < 0, f"--robot.spread is {self.spread}; it must not be negative.")
+        check_range("robot.pressure_range_kpa", self.pressure_range_kpa)
         refuse_if(
-            self.standin and (self.fidelity, self.conditions, self.render) != ("surrogate", {}, "mesh"),
+            self.standin
+            and (self.fidelity, self.conditions, self.render, self.pressure_range_kpa)
+            != ("surrogate", {}, "mesh", None),
             "--robot.standin=true has a finger and a gel of its own; leave --robot.fidelity,"
-            " --robot.conditions and --robot.render out, or the stand-in.",
+            " --robot.conditions, --robot.render and --robot.pressure_range_kpa out, or the stand-in.",
         )

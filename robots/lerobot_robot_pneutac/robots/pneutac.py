@@ -81,6 +81,13 @@ class Pneutac(BaseRobot):
                     f" takes {self._pressure.max_kpa:g} kPa at most; give"
                     f" --robot.limits.pressure_kpa={self._pressure.max_kpa:g} or a higher max_kpa."
                 )
+            lowest = getattr(self._pressure, "min_kpa", 0.0)
+            if lowest > self.config.limits.vacuum_kpa:
+                raise InputError(
+                    f"limits.vacuum_kpa is {self.config.limits.vacuum_kpa:g}, but the pressure controller"
+                    f" goes down to {lowest:g} kPa; give --robot.limits.vacuum_kpa={lowest:g}, or a"
+                    " controller with a vacuum pump."
+                )
             self._arm.connect()
             self._tactile.connect()
             for name in self.config.cameras:

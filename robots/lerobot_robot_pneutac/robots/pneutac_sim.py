@@ -11,12 +11,11 @@ from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.spread_starts import SpreadStarts
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import (
-    ACTION_HIGH,
-    ACTION_LOW,
     ACTION_NAMES,
     CONTROL_HZ,
     IMAGE_NAME,
     STATE_NAMES,
+    action_limits,
 )
 from pneutac_sim.world.scene import OBJECT_GROUP
 
@@ -131,14 +130,14 @@ class PneutacSim(BaseRobot):
     def _go_to(self, pose: np.ndarray) -> None:
         """One step towards a pose: (4,) flange position m, pressure kPa."""
         task = self.world.task
-        away = pose[:3] - task.home_m
+        away = pose[:3] - self.world.home_m
         away[1] -= np.clip(away[1], min(task.starts_m), max(task.starts_m))
         if np.linalg.norm(away) < HOME_RADIUS_M:  # of the line on which all starts lie
             if self._moved:
                 self.reset()
             return
         velocity = (pose[:3] - self._observation.state[EE]) * CONTROL_HZ
-        self._step(np.clip(np.append(velocity, pose[3]), ACTION_LOW, ACTION_HIGH))
+        self._step(np.clip(np.append(velocity, pose[3]), *action_limits(self.world.pressure_range_kpa)))
 
     def _need_world(self) -> None:
         if not self.is_connected:
@@ -165,4 +164,12 @@ def _world(config: PneutacSimConfig):
     from pneutac_sim.world.world import World
 
     twin = Twin.load(config.twin) if config.twin else None
-    return World(config.task, twin, "image", config.fidelity, config.conditions, config.render)
+    return World(
+        config.task,
+        twin,
+        "image",
+        config.fidelity,
+        config.conditions,
+        config.render,
+        config.pressure_range_kpa,
+    )

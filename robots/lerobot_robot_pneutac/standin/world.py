@@ -16,6 +16,7 @@ from pneutac_sim.features import (
     ACTION_LOW,
     CONTROL_HZ,
     JOINT_NAMES,
+    PAPER_RANGE_KPA,
     STATE_HIGH,
     STATE_LOW,
     STATE_NAMES,
@@ -60,6 +61,7 @@ class StandinWorld:
     """
 
     out_of_range = 0
+    pressure_range_kpa = PAPER_RANGE_KPA  # that of its own finger
 
     def __init__(
         self, task: str = "switch", touch: str = "image", contact_threshold: float = CONTACT_THRESHOLD
@@ -100,7 +102,7 @@ class StandinWorld:
             self._rng, self._noise = np.random.default_rng(seed), np.random.default_rng([seed, 1])
         mujoco.mj_resetData(self.model, self.data)
         self.task.reset(self.model, self.data, self._rng)
-        self.target_m = np.array(self.task.home_m) + self._rng.uniform(-1, 1, 3) * HOME_JITTER_M
+        self.target_m = self.home_m + self._rng.uniform(-1, 1, 3) * HOME_JITTER_M
         self.target_m[1] += self._rng.choice(self.task.starts_m)
         self._ik.reset(HOME_JOINTS)
         for _ in range(20):
@@ -174,6 +176,11 @@ class StandinWorld:
                 moment += force[0] * (contact.pos - gel.xpos)
         pressed = -1e3 * float(self.data.joint("pad").qpos[0])
         return pressed, (gel.xmat.reshape(3, 3).T @ moment)[:2] / total if total > TOUCH_N else None
+
+    @property
+    def home_m(self) -> np.ndarray:
+        """Where the flange starts (3,) before the random part of it, metres."""
+        return np.array(self.task.home_m)
 
     @property
     def press_mm(self) -> float:

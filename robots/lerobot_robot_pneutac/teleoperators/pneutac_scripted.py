@@ -9,7 +9,7 @@ from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnected
 from lerobot_robot_pneutac.robots.pneutac_sim import connected_robot
 from lerobot_robot_pneutac.teleoperators.base_teleop import BaseTeleop
 from lerobot_robot_pneutac.teleoperators.config_pneutac_scripted import PneutacScriptedConfig
-from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, ACTION_NAMES, CONTROL_HZ
+from pneutac_sim.features import ACTION_NAMES, CONTROL_HZ, action_limits
 
 clock = time.perf_counter
 
@@ -62,7 +62,8 @@ class PneutacScripted(BaseTeleop):
             self._expert = ScriptedExpert(connected_robot().world, self._rng)
         # Waiting is with the pressure off and the arm at rest.
         action = self._expert.action() if self._tick < c.episode_steps else np.zeros(len(ACTION_NAMES))
-        values = np.clip(action, ACTION_LOW, ACTION_HIGH).tolist()
+        limits = action_limits(connected_robot().world.pressure_range_kpa)
+        values = np.clip(action, *limits).tolist()
         result: dict[str, Any] = dict(zip(ACTION_NAMES, values, strict=True))
         if not self._was_reset and self._tick >= c.episode_steps - 1 + (c.reset_steps + 1) // 2:
             result["reset"] = self._was_reset = True

@@ -28,19 +28,26 @@ class VelocityTeleopConfig(TeleoperatorConfig):
     Attributes:
         speed_m_s: speed of the flange at full deflection.
         pressure_rate_kpa_s: rate of the pressure set-point at full deflection.
-        max_pressure_kpa: the set-point stays between 0 and this.
+        max_pressure_kpa: highest set-point; a finger of another range than the paper's needs another.
+        min_pressure_kpa: lowest set-point, 0 or, for a finger bent by vacuum, below.
     """
 
     speed_m_s: float = 0.05
     pressure_rate_kpa_s: float = 5.0
     max_pressure_kpa: float = MAX_PRESSURE_KPA
+    min_pressure_kpa: float = 0.0
 
     def __post_init__(self):
-        for name, most in (("speed_m_s", MAX_SPEED_M_S), ("max_pressure_kpa", MAX_PRESSURE_KPA)):
-            refuse_if(
-                not 0 < getattr(self, name) <= most,
-                f"--teleop.{name} is {getattr(self, name)}; it must be above 0 and at most {most}.",
-            )
+        refuse_if(
+            not 0 < self.speed_m_s <= MAX_SPEED_M_S,
+            f"--teleop.speed_m_s is {self.speed_m_s}; it must be above 0 and at most {MAX_SPEED_M_S}.",
+        )
+        low, high = self.min_pressure_kpa, self.max_pressure_kpa
+        refuse_if(
+            not -np.inf < low <= 0 <= high < np.inf or low == high,
+            f"--teleop.max_pressure_kpa is {high} and --teleop.min_pressure_kpa {low}; the first must be 0 or"
+            " above, the second 0 or below, and not both 0.",
+        )
         refuse_if(
             not 0 < self.pressure_rate_kpa_s < np.inf,
             f"--teleop.pressure_rate_kpa_s is {self.pressure_rate_kpa_s}; it must be positive.",
@@ -110,7 +117,9 @@ class VelocityTeleop(BaseTeleop):
         # Diagonals are not faster than the axes.
         velocity = self.config.speed_m_s * direction / max(1.0, float(np.linalg.norm(direction)))
         pressure = self._pressure_kpa + change * self.config.pressure_rate_kpa_s * min(tick_s, MAX_TICK_S)
-        self._pressure_kpa = float(np.clip(pressure, 0.0, self.config.max_pressure_kpa))
+        self._pressure_kpa = float(
+            np.clip(pressure, self.config.min_pressure_kpa, self.config.max_pressure_kpa)
+        )
         return dict(zip(ACTION_NAMES, [*velocity.tolist(), self._pressure_kpa], strict=True))
 
     def disconnect(self) -> None:

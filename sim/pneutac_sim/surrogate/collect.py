@@ -14,7 +14,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import CONTROL_HZ, MAX_PRESSURE_KPA
+from pneutac_sim.features import CONTROL_HZ
 from pneutac_sim.files import whole
 from pneutac_sim.mpm import devices, runtime
 from pneutac_sim.mpm.loads import Loads
@@ -213,7 +213,7 @@ def draw(twin: Twin, plan: Plan, index: int, time_s: np.ndarray) -> tuple[np.nda
     rng = np.random.default_rng([plan.seed, index])
     steps = int(np.ceil(plan.duration_s * CONTROL_HZ)) + 1
     kinds = programs.KINDS
-    low, high = programs.bending_range(twin, MAX_PRESSURE_KPA)
+    low, high = programs.bending_range(twin)
     pressure = programs.program(kinds[index % len(kinds)], steps, low, high, rng)
     target = programs.joint_targets(twin, pressure)
     if (index // len(kinds) + index) % 2:

@@ -8,7 +8,7 @@ there; without effects it is the commanded pressure.
 import numpy as np
 
 from pneutac_sim.effects.registry import get_effect, of_body
-from pneutac_sim.features import CONTROL_HZ, MAX_PRESSURE_KPA
+from pneutac_sim.features import CONTROL_HZ
 from pneutac_sim.finger.kinematics import gain_profile
 from pneutac_sim.finger.online import COMPUTED, PressurePipeline
 from pneutac_sim.twin import Twin
@@ -36,8 +36,8 @@ def joint_targets(twin: Twin, pressure_kpa: np.ndarray) -> np.ndarray:
 _SHAPE = ("gain_alpha", "gain_beta")
 
 
-def bending_range(twin: Twin, most_kpa: float = MAX_PRESSURE_KPA) -> tuple[float, float]:
-    """Least and largest bending pressure that commands up to `most_kpa` lead to within hours.
+def bending_range(twin: Twin) -> tuple[float, float]:
+    """Least and largest bending pressure that commands within the twin's range lead to within hours.
 
     Effects that ask for conditions (temperature, loads) are left out: what they add depends on where the twin
     will stand, and `World.out_of_range` counts the steps in which it leads beyond the network's range.
@@ -48,7 +48,8 @@ def bending_range(twin: Twin, most_kpa: float = MAX_PRESSURE_KPA) -> tuple[float
             del twin.effects[effect]
     pipeline = PressurePipeline(twin)
     seen = [bending_pressure(twin, pipeline.rest())]
-    for command in (most_kpa, 0.0):
+    low, high = twin.pressure_range_kpa
+    for command in (high, low, 0.0) if low else (high, 0.0):
         for dt in np.geomspace(1 / CONTROL_HZ, 3600.0, 60):
             seen.append(bending_pressure(twin, pipeline.step(command, float(dt))))
     return float(min(seen)), float(max(seen))

@@ -20,6 +20,7 @@ class PneutacEnv(TaskEnv):
         fidelity: str | None = None,
         conditions: Conditions | None = None,
         render: str = "mesh",
+        pressure_range_kpa: tuple[float, float] | None = None,
         **options,
     ):
         """An environment with a task.
@@ -32,10 +33,13 @@ class PneutacEnv(TaskEnv):
                 `surrogate`, or, with a warning, `probe` where no networks were trained for the twin.
             conditions: what the twin's effects ask for, such as `{"temperature_c": [20, 30]}`, see `World`.
             render: `mesh` or `splats`, what draws touch and finger, see `World`.
+            pressure_range_kpa: of the action; default what the twin was measured over.
             options: `render_mode`, `render_width`, `render_height` of `TaskEnv`.
         """
         twin = Twin.load(twin) if isinstance(twin, str | Path) else twin or Twin.builtin()
-        world = World(task, twin, touch, fidelity or _best_fidelity(twin), conditions, render)
+        world = World(
+            task, twin, touch, fidelity or _best_fidelity(twin), conditions, render, pressure_range_kpa
+        )
         super().__init__(world, touch, **options)
 
 

@@ -6,7 +6,7 @@ the gel feels, all of which a policy sees too. Nothing but touch tells it where 
 
 import numpy as np
 
-from pneutac_sim.features import ACTION_HIGH, ACTION_LOW
+from pneutac_sim.features import MAX_PRESSURE_KPA, action_limits
 from pneutac_sim.world.experts import EXPERTS
 from pneutac_sim.world.experts.motion import Habits
 from pneutac_sim.world.world import DT, World
@@ -15,7 +15,11 @@ ACCELERATION = 0.8  # m/s2, how fast a hand changes the velocity
 
 
 class ScriptedExpert:
-    """Demonstrates the world's task; call `action` once a control step, before `world.step`."""
+    """Demonstrates the world's task; call `action` once a control step, before `world.step`.
+
+    Experts speak of the paper's finger, of 0 to 15 kPa. Another's pressures are as large a share of its own
+    range, of its farther end where it bends by vacuum.
+    """
 
     def __init__(self, world: World, rng: np.random.Generator):
         self._world = world
@@ -24,6 +28,8 @@ class ScriptedExpert:
         self._velocity = np.zeros(3)
         self._pressure = self._habits.low_kpa
         self._expert = EXPERTS[world.task.name]
+        self._limits = action_limits(world.pressure_range_kpa)
+        self._scale = max(world.pressure_range_kpa, key=abs) / MAX_PRESSURE_KPA
 
     def action(self) -> np.ndarray:
         """Next action (4,) float32 as `features.ACTION_NAMES`, within its limits; holds still when done."""
@@ -37,5 +43,5 @@ class ScriptedExpert:
         ramp = max(self._pressure + self._habits.ramp_kpa_s * DT, self._habits.low_kpa)
         self._pressure = min(pressure, ramp)
         noise = self._rng.normal(0, self._habits.tremor, 3) if np.any(wish) else 0.0
-        action = np.append(self._velocity + noise, self._pressure)
-        return np.clip(action, ACTION_LOW, ACTION_HIGH).astype(np.float32)
+        action = np.append(self._velocity + noise, self._scale * self._pressure)
+        return np.clip(action, *self._limits).astype(np.float32)

@@ -18,7 +18,6 @@ from pneutac_sim.world import scene, slides
 from pneutac_sim.world.following import Follower
 from pneutac_sim.world.observation import Observation
 from pneutac_sim.world.pairs import Pairs
-from pneutac_sim.world.panda import WORKSPACE_HIGH, WORKSPACE_LOW
 from pneutac_sim.world.placing import Placing
 from pneutac_sim.world.snapshots import Snapshots
 from pneutac_sim.world.soft_finger import Springs, mjcf
@@ -49,7 +48,8 @@ class Gantry(VariedWorld):
         Raises:
             InputError: as `World`.
         """
-        super().__init__(world.task.name, world.twin, "area", "probe", world.conditions)
+        limits = {"pressure_range_kpa": world.pressure_range_kpa}
+        super().__init__(world.task.name, world.twin, "area", "probe", world.conditions, **limits)
         task = self.task.inner
         spec = mujoco.MjSpec.from_string(scene.build(task, mjcf(self.twin), slides.body, slides.actuators))
         spec.compiler.discardvisual = True  # nobody looks at it
@@ -194,7 +194,7 @@ class Gantry(VariedWorld):
         saved = self.target_m, self._joints, self.spine_target_rad, self._drive, self._rate, self._pipeline
         self._pipeline, target = self._pipeline.copy(), self.target_m
         for t, action in enumerate(acting):
-            target = np.clip(target + action[:3] * DT, WORKSPACE_LOW, WORKSPACE_HIGH)
+            target = np.clip(target + action[:3] * DT, *self.workspace_m)
             self._advance(target, self._pipeline.step(action[3], DT))
             self.task.update(self.model, self.data, DT)
             self._snapshots.take(row + t, self.data)
@@ -208,7 +208,7 @@ class Gantry(VariedWorld):
         D = self._springs.set(K)
         target = np.repeat(self.target_m[None, None], S, 0).repeat(H + 1, 1)
         for t in range(H):
-            target[:, t + 1] = np.clip(target[:, t] + acting[:, t, :3] * DT, WORKSPACE_LOW, WORKSPACE_HIGH)
+            target[:, t + 1] = np.clip(target[:, t] + acting[:, t, :3] * DT, *self.workspace_m)
         ctrl = np.empty((S, H, scene.SUBSTEPS, self.model.nu))
         ctrl[:] = self.data.ctrl
         ctrl[..., self._arm] = target[:, :-1, None] + RAMP * np.diff(target, axis=1)[:, :, None]

@@ -5,13 +5,11 @@ import numpy as np
 from gymnasium import spaces
 
 from pneutac_sim.features import (
-    ACTION_HIGH,
-    ACTION_LOW,
     CONTROL_HZ,
     IMAGE_NAME,
     IMAGE_SHAPE,
-    STATE_HIGH,
-    STATE_LOW,
+    action_limits,
+    state_limits,
 )
 from pneutac_sim.world.observation import Observation
 
@@ -53,8 +51,9 @@ class TaskEnv(gymnasium.Env):
         self.task, self.task_description = world.task.name, world.task.description
         self.render_mode = render_mode
         self._render_size = (render_width, render_height)
-        self.action_space = spaces.Box(ACTION_LOW, ACTION_HIGH, dtype=np.float32)
-        observation = {"agent_pos": spaces.Box(STATE_LOW, STATE_HIGH, dtype=np.float32)}
+        self.action_space = spaces.Box(*action_limits(world.pressure_range_kpa), dtype=np.float32)
+        state = spaces.Box(*state_limits(world.pressure_range_kpa), dtype=np.float32)
+        observation = {"agent_pos": state}
         if touch == "image":
             image = spaces.Box(0, 255, IMAGE_SHAPE, np.uint8)
             observation = {"pixels": spaces.Dict({IMAGE_NAME: image}), **observation}

@@ -53,6 +53,12 @@ class VariedWorld(World):
         self._shown = deque([self._felt()] * self.variation.late_touch)
         return observation
 
+    @property
+    @override
+    def home_m(self):
+        start_m = self.variation.start_m
+        return super().home_m if start_m is None else np.array(start_m)
+
     @override
     def _draw_conditions(self):
         return super()._draw_conditions() | self.variation.conditions

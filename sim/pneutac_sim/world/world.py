@@ -4,14 +4,16 @@ One description serves environment, robot twin and planner. A control step integ
 solves the inverse kinematics once, and interpolates joint targets and pressure over the physics substeps.
 """
 
+import logging
+
 import mujoco
 import numpy as np
 
 from pneutac_sim.errors import InputError, check_choice
-from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, CONTROL_HZ, FIDELITIES, JOINT_NAMES, RENDERS
+from pneutac_sim.features import CONTROL_HZ, FIDELITIES, JOINT_NAMES, RENDERS, action_limits
 from pneutac_sim.finger.online import PressurePipeline
 from pneutac_sim.gel.sensor import TactileSensor
-from pneutac_sim.twin import Twin
+from pneutac_sim.twin import PAPER_LENGTH_MM, Twin, checked_range
 from pneutac_sim.world import scene
 from pneutac_sim.world.action import checked_action
 from pneutac_sim.world.conditions import Conditions, conditions_for, draw
@@ -30,8 +32,9 @@ from pneutac_sim.world.touch import Touch
 
 DT = 1 / CONTROL_HZ
 RAMP = np.linspace(0, 1, scene.SUBSTEPS + 1)[1:, None]  # share of a control step at the end of each substep
-_LIMITS = ACTION_LOW.astype(float), ACTION_HIGH.astype(float)
 SETTLE_STEPS = 8  # control steps at rest before an episode
+
+logger = logging.getLogger(__name__)
 
 
 class World(Senses):
@@ -42,7 +45,10 @@ class World(Senses):
         sensor: the gel's tactile sensor.
         conditions: what the twin's effects are given in this episode, such as `temperature_c`.
         time_s: simulated time since the reset.
-        clipped: number of commands that were clipped to limits since the reset.
+        pressure_range_kpa: lowest and highest pressure that can be commanded, kPa.
+        action_limits: lowest and highest action (4,).
+        workspace_m: corners (3,) of the box to which the flange is held, metres.
+        clipped: number of commands that were clipped to limits since the reset; the first is logged too.
         command: last action after clipping (4,).
         target_m: where the flange is sent (3,), metres.
         spine_target_rad: spine joint angles q_cmd (N,) that the pressure commands, after the twin's effects.
@@ -62,6 +68,7 @@ class World(Senses):
         fidelity: str = "probe",
         conditions: Conditions | None = None,
         render: str = "mesh",
+        pressure_range_kpa: tuple[float, float] | None = None,
     ):
         """A world with a task.
 
@@ -78,6 +85,8 @@ class World(Senses):
                 the finger's base is the world's own where it is not given.
             render: what draws touch and finger: `mesh`, light on every pixel and MuJoCo's geoms, or `splats`,
                 the Gaussians of the gel and of the twin's body over MuJoCo's scene.
+            pressure_range_kpa: pressures that can be commanded in place of those that the twin was measured
+                over; beyond these the twin is extrapolated.
 
         Raises:
             InputError: unknown task, touch mode, fidelity or render; a twin that is not a finger, or has no
@@ -91,6 +100,13 @@ class World(Senses):
             )
         check_choice("fidelity", fidelity, FIDELITIES)
         check_choice("render", render, RENDERS)
+        wider = self.twin.pressure_range_kpa if pressure_range_kpa is None else pressure_range_kpa
+        self.pressure_range_kpa = checked_range(wider, "pressure_range_kpa")
+        self.action_limits = tuple(limit.astype(float) for limit in action_limits(self.pressure_range_kpa))
+        self._told = False
+        # Tasks are laid out for the paper's finger: with a longer one the flange keeps as much higher.
+        self._lift_m = 1e-3 * np.array([0.0, 0.0, self.twin.length_mm - PAPER_LENGTH_MM])
+        self.workspace_m = WORKSPACE_LOW + self._lift_m, WORKSPACE_HIGH
         self._conditions = conditions_for(self.twin, conditions)
         self._pipeline = PressurePipeline(self.twin, draw(self._conditions, np.random.default_rng(0)))
         self.finger, gel = deforming(self.twin, fidelity, touch)
@@ -130,7 +146,7 @@ class World(Senses):
             self._rng = np.random.default_rng(seed)
         mujoco.mj_resetData(self.model, self.data)
         self.task.reset(self.model, self.data, self._rng)
-        self.target_m = np.array(self.task.home_m) + self._rng.uniform(-1, 1, 3) * HOME_JITTER_M
+        self.target_m = self.home_m + self._rng.uniform(-1, 1, 3) * HOME_JITTER_M
         self.target_m[1] += self._rng.choice(self.task.starts_m)
         self._ik.reset(HOME_JOINTS)
         for _ in range(20):
@@ -155,6 +171,11 @@ class World(Senses):
         self.touch.sense(self.data)
         return self._observe()
 
+    @property
+    def home_m(self) -> np.ndarray:
+        """Where the flange starts (3,) before the random part of it, metres."""
+        return self.task.home_m + self._lift_m
+
     def _draw_conditions(self) -> dict[str, float]:
         return draw(self._conditions, self._rng)
 
@@ -170,7 +191,7 @@ class World(Senses):
             FloatingPointError: the physics has diverged.
         """
         self.command = self._clip(action)
-        target = np.clip(self.target_m + self.command[:3] * DT, WORKSPACE_LOW, WORKSPACE_HIGH)
+        target = np.clip(self.target_m + self.command[:3] * DT, *self.workspace_m)
         self.clipped += int(np.any(target != self.target_m + self.command[:3] * DT))
         self.target_m = target
         self._advance(self._ik.solve(target), self._pipeline.step(self.command[3], DT))
@@ -183,9 +204,20 @@ class World(Senses):
 
     def _clip(self, action) -> np.ndarray:
         action = checked_action(action)
-        clipped = np.clip(action, *_LIMITS)
+        clipped = np.clip(action, *self.action_limits)
         # A float32 action at the limit is not beyond it.
-        self.clipped += int(np.any(np.abs(clipped - action) > 1e-6))
+        if np.any(np.abs(clipped - action) > 1e-6 * np.maximum(1.0, np.abs(action))):
+            self.clipped += 1
+            if not self._told:
+                self._told = True
+                low, high = self.pressure_range_kpa
+                logger.warning(
+                    "The action %s is beyond the limits (0.1 m/s, %g to %g kPa) and was clipped; later ones"
+                    " are counted only. `pressure_range_kpa` drives a twin beyond what it was measured over.",
+                    np.round(action, 3).tolist(),
+                    low,
+                    high,
+                )
         return clipped
 
     def _advance(self, joints: np.ndarray, spine: np.ndarray) -> None:

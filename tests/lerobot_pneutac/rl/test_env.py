@@ -171,8 +171,11 @@ def test_conditions_reach_the_world_and_are_drawn_for_each_episode():
 
 
 def test_actions_span_the_robots_limits():
-    assert np.allclose(to_action(np.ones(4)), ACTION_HIGH) and np.allclose(to_action(-np.ones(4)), ACTION_LOW)
-    assert np.allclose(to_action(9 * np.ones(4)), ACTION_HIGH)
+    paper = Twin.builtin().pressure_range_kpa
+    assert np.allclose(to_action(np.ones(4), paper), ACTION_HIGH)
+    assert np.allclose(to_action(-np.ones(4), paper), ACTION_LOW)
+    assert np.allclose(to_action(9 * np.ones(4), paper), ACTION_HIGH)
+    assert to_action(np.zeros(4), (-40.0, 20.0))[3] == -10.0
 
 
 def test_every_task_has_a_goal_and_an_unknown_one_is_refused():

@@ -162,8 +162,8 @@ def test_bad_input_is_named(recorded, made, tmp_path):
     features = LeRobotDatasetMetadata("local/demos", recorded).features
     ours = {k: features[k] for k in (OBS_STATE, ACTION, TACTILE)}
     for name, fps, chosen, match in (
-        ("fast", 30, ours, "Dataset 'local/demos' has 30 fps; the world runs at 15"),
-        ("blind", 15, {k: ours[k] for k in (OBS_STATE, ACTION)}, "demonstrations have exactly"),
+        ("fast", 30, ours, "30 fps; the world runs at 15"),
+        ("blind", 15, {k: ours[k] for k in (OBS_STATE, ACTION)}, "'observation.images.tactile' is missing"),
     ):
         dataset = create_dataset("local/demos", tmp_path / name, fps, chosen, "pneutac", False, 2)
         frame = {OBS_STATE: np.zeros(20, np.float32), ACTION: np.zeros(4, np.float32), "task": "x"}

@@ -1,12 +1,17 @@
 """`pneutac new`: geometry that is written, and a user's mesh that comes in and travels with the twin."""
 
 import json
+from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 import trimesh
 
 from lerobot_pneutac.cli import new, render
+from lerobot_pneutac.verbs.measured_range import measured_range
+from lerobot_pneutac.verbs.new import new_twin
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import Pipeline
 from pneutac_sim.mpm.shapes import body_mesh
@@ -21,6 +26,24 @@ def capsule(tmp_path):
     mesh.vertices = np.roll(mesh.vertices, -1, axis=1) + [0.3, 0.1, -0.2]
     mesh.export(tmp_path / "capsule.obj")
     return tmp_path / "capsule.obj"
+
+
+@pytest.mark.parametrize(
+    ("commanded", "found"),
+    [
+        ([0.0, 59.6, 30.0], (0.0, 60.0)),
+        ([-38.2, 12.0], (-39.0, 12.0)),
+        ([3.0, 14.8], (0.0, 15.0)),
+        ([-8.0, -0.5], (-8.0, 0.0)),
+        ([0.0, 0.0], None),
+    ],
+)
+def test_the_range_measured_is_that_of_the_commands_with_zero_rounded_outwards(commanded, found):
+    n = len(commanded)
+    samples = {"trial": [0] * n, "time_s": range(n), "pressure_cmd_kpa": commanded, "tip_x_mm": [80.0] * n}
+    recording = Recording(Path("bench"), {"length_mm": 80.0}, pd.DataFrame(samples), "finger")
+    assert measured_range(recording) == found
+    assert new_twin("finger", recording).pressure_range_kpa == (found or (0.0, 15.0))
 
 
 @pytest.mark.parametrize(("device", "files"), [("finger", 2), ("arm", 1), ("gel", 1)])

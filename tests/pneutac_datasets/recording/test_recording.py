@@ -344,11 +344,34 @@ def test_poor_data_loads_with_a_warning(tmp_path, change, message):
     assert all((np.diff(r.column("time_s")[s]) > 0).all() for s in r.trials().values())
 
 
-def test_a_table_with_semicolons_says_so(tmp_path):
+@pytest.mark.parametrize(
+    ("sep", "decimal", "encoding"),
+    [
+        (";", ",", "utf-8"),
+        (";", ".", "utf-8-sig"),
+        ("\t", ",", "utf-16"),
+        (";", ",", "utf-16"),
+        (",", ".", "utf-16"),
+    ],
+)
+def test_what_a_spreadsheet_saves_is_read(tmp_path, sep, decimal, encoding):
     folder = write(tmp_path / "r")
-    table().to_csv(folder / "samples.csv", sep=";", index=False)
-    with pytest.raises(InputError, match="separated by semicolons; save it with commas"):
-        Recording.load(folder)
+    wanted = Recording.load(folder).samples
+    table().to_csv(folder / "samples.csv", sep=sep, decimal=decimal, encoding=encoding, index=False)
+    pd.testing.assert_frame_equal(Recording.load(folder).samples, wanted)
+
+
+def test_numbers_that_lerobot_keeps_as_vectors_of_one_entry_are_read(tmp_path):
+    t = table(80)
+    names = {"trial": "episode_index", "time_s": "timestamp", "pressure_cmd_kpa": "pressure_cmd_kpa"}
+    raw = pd.DataFrame({new: t[old] for old, new in names.items()})
+    raw["tip_z_mm"] = [np.array([v]) for v in t["tip_z_mm"]]
+    (tmp_path / "meta").mkdir()
+    (tmp_path / "data").mkdir()
+    features = {c: {"dtype": "float32", "shape": [1], "names": None} for c in raw}
+    (tmp_path / "meta" / "info.json").write_text(json.dumps({"features": features}))
+    raw.to_parquet(tmp_path / "data" / "file-000.parquet")
+    np.testing.assert_allclose(Recording.load(tmp_path).column("tip_z_mm"), t["tip_z_mm"])
 
 
 def test_stated_noise_of_every_tip_column_is_accepted(tmp_path):

@@ -124,7 +124,7 @@ def test_what_a_measurement_breaks(force_n, kpa, words):
         ({"force_n": float("nan")}, "force_n is nan; it must be a positive number"),
         ({"force_n": float("inf")}, "force_n is inf; it must be a positive number"),
         ({"pressure_kpa": -1}, "pressure_kpa is -1; it must be a positive number"),
-        ({"pressure_kpa": 16.0}, "pressure_kpa is 16.0; actions reach 15.0 at most"),
+        ({"vacuum_kpa": 1.0}, "vacuum_kpa is 1.0; it must be 0, or below"),
         ({"low_m": (np.nan, 0, 0)}, "low_m is .* it must be a positive number"),
         ({"low_m": (0.8, 0, 0)}, "low_m is .* the first below the second"),
         ({"low_m": (0.25, 0.35, 0.12)}, "low_m is .* the first below the second"),
@@ -140,6 +140,26 @@ def test_what_a_measurement_breaks(force_n, kpa, words):
 def test_impossible_limits_are_named(bad, words):
     with pytest.raises(DecodingError, match=f"limits.{words}"):
         Limits(**bad)
+
+
+def test_set_points_that_are_not_given_are_the_twins():
+    limits = Limits().of_twin((-30.0, 60.0))
+    assert (limits.vacuum_kpa, limits.pressure_kpa, limits.action_kpa) == (-30.0, 60.0, (-30.0, 60.0))
+    assert limits.overpressure_kpa == pytest.approx(69.0)
+    assert limits.pressure(-90.0, -29.0, 0.1) == -30.0
+    assert why_refused(np.array([0, 0, 0, 55.0]), limits.action_kpa) is None
+    assert "far outside -30 to 60" in why_refused(np.array([0, 0, 0, 79.0]), limits.action_kpa)
+    assert limits.broken_by(0.0, -68.0) is None
+    assert "farther below zero" in limits.broken_by(0.0, -70.0)
+
+
+def test_beyond_the_twin_asks_for_a_flag():
+    for given in ({"pressure_kpa": 20.0}, {"vacuum_kpa": -1.0}):
+        with pytest.raises(DecodingError, match="measured from 0 to 15 kPa.*beyond_twin=true"):
+            Limits(**given).of_twin((0.0, 15.0))
+    assert Limits(pressure_kpa=20.0, beyond_twin=True).of_twin((0.0, 15.0)).action_kpa == (0.0, 20.0)
+    lowered = Limits(pressure_kpa=3.0).of_twin((0.0, 15.0))  # a caution: actions beyond are held, not refused
+    assert (lowered.pressure_kpa, lowered.action_kpa) == (3.0, (0.0, 15.0))
 
 
 def test_limits_just_inside_are_taken():

@@ -10,7 +10,7 @@ from lerobot.policies import make_policy, make_pre_post_processors
 from lerobot.utils.constants import ACTION, OBS_STATE
 from safetensors.torch import load_file, save_file
 
-from lerobot_robot_pneutac.policy import modeling_pneutac_bc as modeling
+from lerobot_robot_pneutac.policy import scaling
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import TACTILE, PneutacBCConfig
 from lerobot_robot_pneutac.policy.modeling_pneutac_bc import PneutacBCPolicy
 from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
@@ -360,10 +360,31 @@ def test_fine_tuning_keeps_the_weights_and_takes_the_new_rest_image(tmp_path):
 def test_a_checkpoint_keeps_its_scale(tmp_path, monkeypatch):
     trained, batch = make_ready_policy(), make_batch()
     trained.save_pretrained(tmp_path)
-    monkeypatch.setattr(modeling, "_RANGES", tuple((c, 2 * s) for c, s in modeling._RANGES))
+    monkeypatch.setattr(scaling, "_SCALE", 2 * scaling._SCALE)
     loaded = PneutacBCPolicy.from_pretrained(tmp_path)
     assert torch.equal(loaded.select_action(batch), trained.select_action(batch))
     assert not torch.equal(make_ready_policy()._state_scale, trained._state_scale)
+
+
+def test_a_checkpoint_from_before_pressures_had_a_range_of_their_own_acts_as_it_did(tmp_path):
+    trained, batch = make_ready_policy(), make_batch()
+    trained.save_pretrained(tmp_path)
+    file = tmp_path / "model.safetensors"
+    save_file({k: v for k, v in load_file(file).items() if not k.startswith("_action_")}, file)
+    assert torch.equal(
+        PneutacBCPolicy.from_pretrained(tmp_path).select_action(batch), trained.select_action(batch)
+    )
+
+
+def test_a_dataset_of_another_finger_scales_and_limits_the_pressure():
+    rows = {"min": np.full(20, 0.2), "max": np.full(20, 0.6)}
+    stats = {"observation.state": rows, "action": {"min": [-0.1, 0, 0, -30.0], "max": [0.1, 0, 0, 60.0]}}
+    s = scaling.Scaling.of(stats)
+    assert (s.action_low[3], s.action_high[3], s.action_centre[3], s.action_scale[3]) == (-30, 60, 15, 45)
+    assert (s.state_centre[19], s.state_scale[19]) == (15, 45)
+    np.testing.assert_allclose(s.state_centre[[0, 14]], 0.4)  # where its arm stood
+    np.testing.assert_array_equal(s.state_centre[7:14], 0.0)
+    np.testing.assert_allclose(s.action_low[:3], -0.1)  # velocities reach as far as the robot does
 
 
 @pytest.mark.parametrize("gone", ["_state_scale", "encoder.rest_image", "mlp.0.weight"])

@@ -58,7 +58,8 @@ def test_a_checkpoint_says_what_it_is(demonstrations, tmp_path):
     assert "Control rate: 15 Hz" in card.text
     for name, unit in (("joint_3.vel", "rad/s"), ("ee_z.pos", "m"), ("contact_pixels.pos", "log(1 + pixels")):
         assert f"| `observation.state` | `{name}` | {unit}" in card.text
-    assert "| `action` | `pressure.pos` | kPa, 0 to 15 |" in card.text
+    low, high = (demonstrations.stats["action"][k][3] for k in ("min", "max"))
+    assert f"| `action` | `pressure.pos` | kPa, {min(low, 0):g} to {max(high, 0):g} |" in card.text
     assert f"| `{TACTILE}` | 240 x 320 pixels" in card.text
 
 

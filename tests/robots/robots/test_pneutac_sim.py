@@ -156,7 +156,7 @@ def test_the_standin_acts_late_and_has_no_twin(make_robot, tmp_path):
     for _ in range(3):
         robot.send_action(act(pressure=5.0))
     assert position(robot)[1] - start[1] == pytest.approx(0.1 / CONTROL_HZ, abs=1e-3)
-    with pytest.raises(DecodingError, match="leave --robot.fidelity, --robot.conditions and"):
+    with pytest.raises(DecodingError, match="leave --robot.fidelity, --robot.conditions,"):
         PneutacSimConfig(standin=True, fidelity="mpm")
 
 
@@ -188,7 +188,7 @@ def test_conditions_reach_the_robots_world_and_its_session_goes_on(make_robot, t
     options = {"twin": tmp_path / "twin", "fidelity": "probe"}
     with pytest.raises(DecodingError, match="robot.conditions: The twin's effect 'thermal' needs"):
         PneutacSimConfig(**options)
-    with pytest.raises(DecodingError, match="leave --robot.fidelity, --robot.conditions and --robot.render"):
+    with pytest.raises(DecodingError, match="leave --robot.fidelity, --robot.conditions, --robot.render"):
         PneutacSimConfig(standin=True, conditions={"temperature_c": 30.0})
     robot = make_robot(**options, conditions={"temperature_c": 30.0})
     assert robot.world.conditions["temperature_c"] == 30.0

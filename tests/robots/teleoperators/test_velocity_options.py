@@ -7,7 +7,8 @@ from lerobot.teleoperators import TeleoperatorConfig
     ("kind", "options", "text"),
     [
         ("pneutac_keyboard", {"speed_m_s": 0.2}, "speed_m_s is 0.2; it must be above 0 and at most 0.1"),
-        ("pneutac_keyboard", {"max_pressure_kpa": 20.0}, "max_pressure_kpa is 20.0.*at most 15"),
+        ("pneutac_keyboard", {"max_pressure_kpa": -20.0}, "max_pressure_kpa is -20.0.*must be 0 or above"),
+        ("pneutac_keyboard", {"max_pressure_kpa": 0.0}, "and not both 0"),
         (
             "pneutac_spacemouse",
             {"pressure_rate_kpa_s": 0.0},

@@ -11,7 +11,7 @@ from pneutac_datasets.demonstrations.augment.planner import CemPlanner, PlannerC
 from pneutac_datasets.demonstrations.augment.reference import EXTRA_STEPS, Reference, onset_sigma_m
 from pneutac_datasets.demonstrations.augment.scene import Scene, command_latency, find_scene, follow
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, CONTROL_HZ, STATE_NAMES
+from pneutac_sim.features import ACTION_NAMES, CONTROL_HZ, MAX_PRESSURE_KPA, STATE_NAMES
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.conditions import Conditions, draw
 from pneutac_sim.world.gantry import Gantry
@@ -20,7 +20,7 @@ from pneutac_sim.world.varied import Variation, VariedWorld
 # Domain randomisation: standard deviations.
 FRICTION = 0.15  # of the factor on the gel's friction
 FEED_FORWARD_M_S = 0.01  # velocity added along the motion in contact for a friction factor higher by one
-PEAK_KPA = 0.5  # of the peak pressure
+PEAK_KPA = 0.5  # of the peak pressure of a finger of 0 to 15 kPa; of another in proportion to its range
 BEND_GAIN = 0.04  # of the factor on pressure to bend
 ASIDE_M = 0.005  # of the object's place along y, at most: the way there stays, and a gel is 16 mm wide
 LATE = 1  # control steps by which touch is shown too late, at most
@@ -214,9 +214,9 @@ class Generator:
         observation = self.world.reset(scene.seed)
         begun = scene.seed, self.world.variation
         if self.world.blocked:
-            nothing = np.zeros((0, len(STATE_NAMES))), np.zeros((0, len(ACTION_LOW))), None
+            nothing = np.zeros((0, len(STATE_NAMES))), np.zeros((0, len(ACTION_NAMES))), None
             return Attempt(*nothing, IN_THE_WAY, 0.0, 1.0, begun)
-        ways = self._plan(r, variant, rng) if plan else iter(np.clip(r.action, ACTION_LOW, ACTION_HIGH))
+        ways = self._plan(r, variant, rng) if plan else iter(np.clip(r.action, *self.world.action_limits))
         states, actions, images, areas, self._costs = [], [], [], [], []
         missed = plan
         while not (self.world.success or self.world.failure):
@@ -273,20 +273,21 @@ class Generator:
                     warm = planner.plan(warm, action, course.area_goal(t + 1 + steps), goal)
                     self._costs.append(planner.cost)
                     queue = list(warm[: self.setup.planner.replan])
-            action = np.clip(queue.pop(0), ACTION_LOW, ACTION_HIGH)
+            action = np.clip(queue.pop(0), *self.world.action_limits)
             yield action
 
-    @staticmethod
-    def _warm(r: Reference, variant: Variant) -> np.ndarray:
+    def _warm(self, r: Reference, variant: Variant) -> np.ndarray:
         """The reference's actions (T, 4) with jittered peak pressure and friction feed-forward."""
         action = r.action.copy()
-        peak = max(action[:, 3].max(), 1e-9)
-        action[:, 3] += variant.peak_kpa * action[:, 3] / peak
+        peak = np.abs(action[:, 3]).max()
+        if peak > 0:
+            width = np.ptp(self.world.pressure_range_kpa) / MAX_PRESSURE_KPA
+            action[:, 3] += width * variant.peak_kpa * action[:, 3] / peak
         touching = (r.area > 0)[:, None]
         speed = np.linalg.norm(action[:, :3], axis=1, keepdims=True)
         along = action[:, :3] / np.maximum(speed, 0.01)
         action[:, :3] += touching * along * FEED_FORWARD_M_S * (variant.friction - 1)
-        return np.clip(action, ACTION_LOW, ACTION_HIGH)
+        return np.clip(action, *self.world.action_limits)
 
 
 def _area_rmse(area: np.ndarray, demonstrated: np.ndarray) -> float:

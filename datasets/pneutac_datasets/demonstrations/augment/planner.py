@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import ACTION_HIGH, ACTION_LOW
+from pneutac_sim.features import ACTION_HIGH, MAX_PRESSURE_KPA
 from pneutac_sim.world.gantry import Gantry
 
 SMALLEST_SPREAD = 0.1  # of the first spread, so that later iterations still look around
@@ -34,7 +34,8 @@ class PlannerConfig:
         position_weight: weight of the squared error of the flange position, lambda, 1/m2.
         smoothness_weight: weight of the squared change of the action, mu.
         jitter_m_s: spread of the velocities tried, m/s.
-        jitter_kpa: spread of the pressures tried, kPa.
+        jitter_kpa: spread of the pressures tried with a finger of 0 to 15 kPa; with another it is as large a
+            share of its range.
     """
 
     horizon: int = 10
@@ -70,6 +71,7 @@ def demonstration_cost(
     actions: np.ndarray,
     previous: np.ndarray,
     config: PlannerConfig,
+    scale: np.ndarray = ACTION_HIGH,
 ) -> np.ndarray:
     """Cost L of trajectories against the demonstrated one.
 
@@ -81,12 +83,13 @@ def demonstration_cost(
         actions: (..., H, 4) as `features.ACTION_NAMES`.
         previous: (4,) the action before them.
         config: the weights.
+        scale: (4,) the largest action, by which changes are divided.
 
     Returns:
         (...,), one a trajectory.
     """
     before = np.broadcast_to(previous, (*actions.shape[:-2], 1, 4))
-    change = np.diff(actions, axis=-2, prepend=before) / ACTION_HIGH
+    change = np.diff(actions, axis=-2, prepend=before) / scale
     return (
         config.area_weight * np.nansum((area - area_goal) ** 2, -1)
         + config.position_weight * np.sum((position_m - position_goal_m) ** 2, (-2, -1))
@@ -127,16 +130,19 @@ class CemPlanner:
         c = self._config
         mean = warm.copy()
         mean[: len(self._rest)] = self._rest[: len(mean)]
-        first = np.array([c.jitter_m_s] * 3 + [c.jitter_kpa])
+        low, high = self._gantry.action_limits
+        largest = np.maximum(-low, high)
+        first = np.array([c.jitter_m_s] * 3 + [c.jitter_kpa * (high[3] - low[3]) / MAX_PRESSURE_KPA])
         spread = np.tile(first, (len(warm), 1))
         tried, costs = np.empty((0, len(warm), 4)), np.empty(0)
         for iteration in range(c.iterations):
             batch = mean + spread * self._noise(c.samples, len(warm))
             if iteration == 0:
                 batch[0], batch[1] = warm, mean
-            batch = np.clip(batch, ACTION_LOW, ACTION_HIGH)
+            batch = np.clip(batch, low, high)
             position, area = self._gantry.rollouts(batch)
-            cost = demonstration_cost(area, area_goal, position, position_goal_m, batch, previous, c)
+            goals = area_goal, position, position_goal_m
+            cost = demonstration_cost(area, *goals, batch, previous, c, largest)
             tried, costs = np.concatenate([tried, batch]), np.concatenate([costs, cost])
             elites = tried[np.argsort(costs, kind="stable")[: c.elites]]
             mean, spread = elites.mean(0), np.maximum(elites.std(0), SMALLEST_SPREAD * first)

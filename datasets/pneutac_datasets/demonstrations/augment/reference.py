@@ -84,7 +84,7 @@ class Reference:
         for part in np.split(frames, np.flatnonzero(np.diff(frames) > LOSS) + 1):
             if len(part):
                 firm = self.area[part] >= FIRM * self.area[part].max()
-                pressure = self.action[part[0] : part[np.flatnonzero(firm)[-1]] + 1, 3]
+                pressure = np.abs(self.action[part[0] : part[np.flatnonzero(firm)[-1]] + 1, 3])
                 vented = np.flatnonzero(pressure < VENTED * np.maximum.accumulate(pressure))
                 found.append((int(part[0]), int(part[0] + (vented[0] if len(vented) else len(pressure)))))
         return found

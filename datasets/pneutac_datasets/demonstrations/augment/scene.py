@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pneutac_datasets.demonstrations.augment.reference import EXTRA_STEPS, FIRM, Reference
-from pneutac_sim.features import ACTION_HIGH, ACTION_LOW
+from pneutac_sim.features import MAX_SPEED_M_S
 from pneutac_sim.gel.sensor import centre_mm
 from pneutac_sim.world.gantry import Gantry
 from pneutac_sim.world.varied import Variation, VariedWorld
@@ -71,7 +71,8 @@ def follow(action: np.ndarray, flange_m: np.ndarray, goal_m: np.ndarray) -> np.n
     out = np.array(action, float)
     fade = (1 - FEEDBACK_HZ * DT) ** np.arange(len(out))
     out[:, :3] += FEEDBACK_HZ * fade[:, None] * (goal_m - flange_m)
-    return np.clip(out, ACTION_LOW, ACTION_HIGH)
+    out[:, :3] = np.clip(out[:, :3], -MAX_SPEED_M_S, MAX_SPEED_M_S)
+    return out
 
 
 def command_latency(world: VariedWorld, gantry: Gantry, references: list[Reference]) -> int:
@@ -85,7 +86,7 @@ def command_latency(world: VariedWorld, gantry: Gantry, references: list[Referen
     errors = np.zeros(MOST_LATE + 1)
     for late in range(len(errors)):
         for r in references:
-            actions = np.clip(r.action[: min(r.onset, FREE_FRAMES)], ACTION_LOW, ACTION_HIGH)
+            actions = np.clip(r.action[: min(r.onset, FREE_FRAMES)], *world.action_limits)
             world.variation = Variation(tuple(r.flange_m[0]), AWAY_M, late_commands=late)
             world.reset(0)
             gantry.mirror(world)

@@ -19,6 +19,8 @@ NOWHERE = np.zeros(H), np.zeros((H, 3))
 class Written:
     """A flange that goes where it is told, at 15 Hz, and touches by its pressure; keeps what was tried."""
 
+    action_limits = ACTION_LOW, ACTION_HIGH
+
     def __init__(self):
         self.tried = []
 

@@ -1,0 +1,132 @@
+"""Everything in demonstrations that `augment` or a training would refuse, at once and without the images."""
+
+import difflib
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as parquet
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import ACTION_NAMES, CONTROL_HZ, IMAGE_NAME, IMAGE_SHAPE, STATE_NAMES
+
+STATE, ACTION, TACTILE = "observation.state", "action", f"observation.images.{IMAGE_NAME}"
+OWN = ("timestamp", "frame_index", "episode_index", "index", "task_index")  # LeRobot's, in every dataset
+NAMES = {STATE: STATE_NAMES, ACTION: ACTION_NAMES}
+AREA = STATE_NAMES.index("contact_area.pos")
+ROUNDING_KPA = 0.01  # share of the range by which a command may be beyond it
+
+
+def is_demonstrations(folder: str | Path) -> bool:
+    """Whether a folder is a LeRobotDataset of a robot rather than a bench recording."""
+    file = Path(folder) / "meta" / "info.json"
+    return file.is_file() and {STATE, ACTION} & set(_info(file).get("features", {})) != set()
+
+
+def demonstration_faults(folder: str | Path, pressure_range_kpa: tuple[float, float]) -> list[str]:
+    """One sentence for each fault of recorded demonstrations.
+
+    Args:
+        folder: root of the LeRobotDataset.
+        pressure_range_kpa: of the twin on which they are to be augmented.
+    """
+    folder = Path(folder)
+    file = folder / "meta" / "info.json"
+    if not file.is_file():
+        return [f"'{folder}' holds no LeRobotDataset (no meta/info.json)."]
+    info = _info(file)
+    found = _of_features(info.get("features", {}), file)
+    if info.get("fps") != CONTROL_HZ:
+        found.append(
+            f"{file}: {info.get('fps')} fps; the world runs at {CONTROL_HZ}, so record with"
+            f" --dataset.fps={CONTROL_HZ}."
+        )
+    parts = sorted((folder / "data").glob("**/*.parquet"))
+    if not parts:
+        return [*found, f"{folder / 'data'} holds no .parquet file; record at least two demonstrations."]
+    if any(name in sentence for sentence in found for name in (f"'{STATE}'", f"'{ACTION}'")):
+        return found  # which numbers are which is not known
+    tables = [parquet.read_table(p, columns=["episode_index", STATE, ACTION]) for p in parts]
+    episode = np.concatenate([t["episode_index"].to_numpy() for t in tables])
+    state, action = (np.concatenate([np.stack(t[k].to_numpy()) for t in tables]) for k in (STATE, ACTION))
+    episodes = np.unique(episode)
+    if len(episodes) < 2:
+        found.append(
+            f"{folder} has {len(episodes)} demonstration; the spread of the contacts needs two or more."
+        )
+    return found + _of_episodes(
+        {int(e): (state[episode == e], action[episode == e]) for e in episodes}, pressure_range_kpa
+    )
+
+
+def _of_features(features: dict, file: Path) -> list[str]:
+    found = []
+    wanted = [STATE, ACTION, TACTILE]
+    for key in wanted:
+        if key not in features:
+            found.append(
+                f"{file}: feature '{key}' is missing{_close(key, features)}; record it with this robot."
+            )
+    more = [k for k in features if k not in (*wanted, *OWN)]
+    if more:
+        found.append(
+            f"{file}: feature {', '.join(more)} is none of a demonstration's; take it out with"
+            " lerobot-edit-dataset --operation.type=remove_feature."
+        )
+    for key, names in NAMES.items():
+        there = (features.get(key) or {}).get("names") or []
+        there = list(there.values())[0] if isinstance(there, dict) else list(there)
+        if key in features and there != list(names):
+            missing = [f"'{n}'{_close(n, there)}" for n in names if n not in there]
+            what = f"lacks {', '.join(missing)}" if missing else f"has the names {there} in another order"
+            found.append(f"{file}: '{key}' {what}; it must have {list(names)}.")
+    shape = tuple((features.get(TACTILE) or {}).get("shape", IMAGE_SHAPE))
+    if shape != IMAGE_SHAPE:
+        found.append(f"{file}: the images '{TACTILE}' are {shape}; they must be {IMAGE_SHAPE}.")
+    return found
+
+
+def _of_episodes(
+    episodes: dict[int, tuple[np.ndarray, np.ndarray]], range_kpa: tuple[float, float]
+) -> list[str]:
+    """Faults of single episodes, those with the same fault in one sentence."""
+    low, high = range_kpa
+    slack = ROUNDING_KPA * (high - low)
+    kinds: dict[str, list[int]] = {
+        "holds numbers that are not finite": [],
+        "has one frame only": [],
+        "never touches anything (contact_area.pos is 0 throughout)": [],
+        f"commands pressures beyond the {low:g} to {high:g} kPa that the twin was measured over": [],
+    }
+    broken, short, untouched, beyond = kinds.values()
+    for number, (state, action) in episodes.items():
+        if not (np.isfinite(state).all() and np.isfinite(action).all()):
+            broken.append(number)
+        elif len(action) < 2:
+            short.append(number)
+        elif not (state[:, AREA] > 0).any():
+            untouched.append(number)
+        elif action[:, 3].min() < low - slack or action[:, 3].max() > high + slack:
+            beyond.append(number)
+    return [
+        f"{'Episode' if len(which) == 1 else 'Episodes'} {', '.join(map(str, which))}: each {fault};"
+        " leave out with lerobot-edit-dataset --operation.type=delete_episodes"
+        f' --operation.episode_indices="{which}".'
+        for fault, which in kinds.items()
+        if which
+    ]
+
+
+def _close(name: str, names) -> str:
+    close = difflib.get_close_matches(name, [str(n) for n in names], n=1, cutoff=0.75)
+    return f" (there is '{close[0]}')" if close else ""
+
+
+def _info(file: Path) -> dict:
+    try:
+        info = json.loads(file.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as e:
+        raise InputError(f"{file} is not valid JSON ({e}); the dataset is damaged.") from e
+    if not isinstance(info, dict):
+        raise InputError(f"{file} must hold a JSON object; the dataset is damaged.")
+    return info

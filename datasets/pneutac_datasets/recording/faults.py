@@ -1,0 +1,98 @@
+"""Everything that is wrong with a recording at once, where loading it stops at the first fault."""
+
+import difflib
+from collections.abc import Callable
+from pathlib import Path
+
+import pandas as pd
+
+from pneutac_datasets.recording import reading, rules, units
+from pneutac_datasets.recording.checks import check
+from pneutac_datasets.recording.clock import check_sent, check_time
+from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.errors import InputError
+
+FIELDS = (
+    "device",
+    "length_mm",
+    "spine_joint_positions_mm",
+    "samples",
+    "cameras",
+    "noise",
+    "trials",
+    "obstacle",
+    "notes",
+    "rest_image",
+    "px_per_mm",
+    "gel_size_mm",
+)
+
+
+class _Collected(list):
+    """Sentences of the faults so far."""
+
+    def __call__(self, call: Callable, *args):
+        """What a call returns; None, and its sentence kept, where it refuses."""
+        try:
+            return call(*args)
+        except InputError as e:
+            if str(e) not in self:
+                self.append(str(e))
+            return None
+
+
+def recording_faults(folder: str | Path) -> tuple[list[str], list[str]]:
+    """All that keeps a bench recording from being read, and what is poor but usable.
+
+    Args:
+        folder: of the recording, or the root of a LeRobotDataset with its columns.
+
+    Returns:
+        One sentence for each fault; one for each note, where there is no fault.
+    """
+    folder, found = Path(folder), _Collected()
+    meta = found(reading.read_meta, folder)
+    if meta is None:
+        return list(found), []
+    found(rules.check_meta, meta, folder / "recording.json")
+    found += _misspelt(meta, folder / "recording.json")
+    read = found(reading.read_table, folder, meta)
+    device = found(rules.device_of, meta, pd.DataFrame() if read is None else read[0], folder)
+    if read is not None and device is not None:
+        _look_at(read[0], device, meta, read[1], found)
+    if found:
+        return list(found), []
+    recording = found(Recording.load, folder)
+    return list(found), check(recording)[1] if recording is not None else []
+
+
+def _look_at(samples: pd.DataFrame, device: str, meta: dict, file: Path, found: _Collected) -> None:
+    """Every rule of the table by itself: one that is broken does not hide the next."""
+    found += rules.missing_columns(samples, device, file).values()
+    good = {}
+    for name in samples.columns if len(samples) else ():
+        column = found(rules.clean_numbers, samples[[name]], device, file)
+        if column is not None:
+            good[name] = column[name]
+    table = pd.DataFrame(good)
+    if "trial" in table:
+        table["trial"] = found(rules.clean_trials, table["trial"], file)
+    if device == "gel":
+        return
+    if {"trial", "time_s"} <= set(table) and table["trial"].notna().all():
+        found(check_time, table, file, [])
+        found(check_sent, table, file)
+    for rule in units.RULES:
+        if rule is not units.check_gravity or all(f"gravity_{a}" in table for a in "xyz"):
+            found(rule, table, meta, file)
+
+
+def _misspelt(meta: dict, file: Path) -> list[str]:
+    """Fields that nothing reads and that are nearly one that something does."""
+    unknown = [name for name in meta if name not in FIELDS]
+    close = {name: difflib.get_close_matches(name, FIELDS, n=1, cutoff=0.8) for name in unknown}
+    return [
+        f"{file}: field '{name}' is read by nothing; is '{near[0]}' meant?"
+        for name, near in close.items()
+        if near and near[0] not in meta
+    ]

@@ -1,0 +1,41 @@
+"""`pneutac check PATH ...`: everything that a later verb would refuse in a dataset, a recording or a twin."""
+
+import sys
+from pathlib import Path
+
+from rich.console import Console
+from rich.markup import escape
+
+from lerobot_pneutac.verbs.check import check_path
+from pneutac_sim.errors import InputError
+from pneutac_sim.twin import Twin
+
+USAGE = """usage: pneutac check PATH [PATH ...] [--twin=PATH]
+
+Tells in seconds what a later verb would refuse, all faults at once, and exits with 1 where there is one.
+
+  PATH         folder of a twin, a bench recording, or a LeRobotDataset of demonstrations
+  --twin=PATH  twin on which demonstrations are to be augmented (default the built-in one)"""
+
+
+def main(argv: list[str]) -> None:
+    """Runs the verb."""
+    if not argv or {"-h", "--help"} & set(argv):
+        print(USAGE)
+        return
+    options = [a for a in argv if a.startswith("-")]
+    wrong = [a for a in options if not a.startswith("--twin=")]
+    if wrong:
+        raise InputError(f"There is no option {wrong[0]}; the option is --twin=PATH.")
+    twin = Twin.load(Path(options[-1].removeprefix("--twin="))) if options else None
+    console, faulty = Console(), False
+    for path in (a for a in argv if not a.startswith("-")):
+        found = check_path(path, twin)
+        faulty = faulty or bool(found.faults)
+        said = f"[red]{len(found.faults)} to mend[/]" if found.faults else "[green]good[/]"
+        console.print(f"{escape(path)} ({found.kind}): {said}", highlight=False, soft_wrap=True)
+        for mark, sentences in (("[red]fault:[/]", found.faults), ("[yellow]note:[/]", found.notes)):
+            for sentence in sentences:
+                console.print(f"  {mark} {escape(sentence)}", highlight=False, soft_wrap=True)
+    if faulty:
+        sys.exit(1)

@@ -1,0 +1,97 @@
+"""What a later verb would refuse in a dataset, a recording or a twin, said in seconds and all at once."""
+
+import difflib
+from dataclasses import dataclass
+from pathlib import Path
+
+from pneutac_datasets.demonstrations.faults import demonstration_faults, is_demonstrations
+from pneutac_datasets.recording.faults import recording_faults
+from pneutac_sim.effects.registry import get_effect, of_body
+from pneutac_sim.errors import InputError
+from pneutac_sim.finger import Pipeline
+from pneutac_sim.finger.online import COMPUTED
+from pneutac_sim.twin import Twin
+from pneutac_sim.world.checks import check_networks
+
+
+@dataclass(frozen=True)
+class Checked:
+    """What was found.
+
+    Attributes:
+        path: what was looked at.
+        kind: `twin`, `bench recording` or `demonstrations`.
+        faults: one sentence for each thing that a later verb refuses.
+        notes: one for each thing that is poor but usable.
+    """
+
+    path: Path
+    kind: str
+    faults: list[str]
+    notes: list[str]
+
+
+def check_path(path: str | Path, twin: Twin | None = None) -> Checked:
+    """Looks at a folder, whatever it holds.
+
+    Args:
+        path: of a twin, a bench recording or a LeRobotDataset.
+        twin: on which demonstrations are to be augmented; default the built-in one.
+
+    Raises:
+        InputError: there is no such folder.
+    """
+    path = Path(path)
+    if not path.is_dir():
+        near = difflib.get_close_matches(path.name, [p.name for p in path.absolute().parent.glob("*")], n=1)
+        raise InputError(f"There is no folder '{path}'" + (f"; is '{near[0]}' meant?" if near else "."))
+    if (path / "twin.yaml").is_file():
+        return Checked(path, "twin", *_twin(path))
+    if not (path / "recording.json").is_file() and is_demonstrations(path):
+        faults = demonstration_faults(path, (twin or Twin.builtin()).pressure_range_kpa)
+        return Checked(path, "demonstrations", faults, [])
+    return Checked(path, "bench recording", *recording_faults(path))
+
+
+def _twin(path: Path) -> tuple[list[str], list[str]]:
+    try:
+        twin = Twin.load(path)
+    except InputError as e:
+        return [str(e)], []
+    faults, notes = [], []
+    for name in twin.effects:
+        try:
+            effect = get_effect(name)
+        except InputError as e:
+            faults.append(f"{path / 'twin.yaml'}: {e}")
+            continue
+        asked = [c for c in effect.columns if c not in COMPUTED] if name in of_body([name]) else []
+        if asked:
+            notes.append(
+                f"The effect {name} asks robots and environments for {', '.join(asked)}: give them as"
+                f" --env.conditions='{{{asked[0]}: ...}}'."
+            )
+    if twin.device == "gel" or faults:
+        return faults, notes
+    try:
+        Pipeline.of(twin)
+    except InputError as e:
+        faults.append(f"{path / 'twin.yaml'}: {e}")
+    if twin.device == "finger" and not faults:
+        missing = [n for n in WORLD if n not in twin.parameters]
+        if missing:
+            notes.append(f"The world needs {', '.join(missing)}, which `pneutac new` and `calibrate` write.")
+        else:
+            notes += _networks(twin)
+    return faults, notes
+
+
+WORLD = ("joint_stiffness_nm_per_rad", "joint_damping_nms_per_rad", "gain_rad_per_kpa")
+
+
+def _networks(twin: Twin) -> list[str]:
+    try:
+        check_networks(twin, "surrogate")
+    except InputError as e:
+        return [f"{e} Until then --env.fidelity=probe works without."]
+    return []
