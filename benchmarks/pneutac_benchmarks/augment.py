@@ -10,7 +10,7 @@ from lerobot_pneutac.reports.page import write_result
 from lerobot_pneutac.verbs.augment import AugmentConfig, DatasetRef, augment
 from pneutac_benchmarks.tables import markdown, terminal
 from pneutac_sim.errors import check_choice, check_least
-from pneutac_sim.features import CONTROL_HZ, DEMONSTRATION_S, TASK_NAMES
+from pneutac_sim.features import CONTROL_HZ, DEMONSTRATION_S, TASK_NAMES, task_names
 
 
 @dataclass
@@ -36,7 +36,7 @@ class BenchmarkAugmentConfig:
     def __post_init__(self):
         self.out = Path(self.out)
         for task in self.tasks or ("",):
-            check_choice("tasks", task, TASK_NAMES)
+            check_choice("tasks", task, task_names())
         check_least(2, demonstrations=self.demonstrations)
         check_least(1, episodes=self.episodes, workers=1 if self.workers is None else self.workers)
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from pneutac_sim.errors import InputError, check_choice, check_least
-from pneutac_sim.features import FIDELITIES, TASK_NAMES
+from pneutac_sim.features import FIDELITIES, task_names
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.checks import check_world
 
@@ -38,7 +38,7 @@ class PpoConfig:
 
     Attributes:
         out: folder of the actor, its curve and the checkpoint.
-        task: object in front of the robot: `switch`, `egg` or `card`.
+        task: object in front of the robot: `switch`, `egg` or `card`, or of another package.
         twin: folder of the finger's twin; where left out, the built-in one.
         conditions: values that the twin's effects ask for, such as {temperature_c: 28}; every episode draws
             from a range [low, high].
@@ -63,7 +63,7 @@ class PpoConfig:
     student: StudentRef = field(default_factory=StudentRef)
 
     def __post_init__(self):
-        check_choice("task", self.task, TASK_NAMES)
+        check_choice("task", self.task, task_names())
         check_choice("fidelity", self.student.fidelity, FIDELITIES)
         check_choice("device", self.device, ("cpu", "cuda"))
         if self.twin is not None and not (Path(self.twin) / "twin.yaml").is_file():

@@ -3,32 +3,13 @@
 Only reward and critic see this; the actor does not.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
-
 import numpy as np
 
-from pneutac_sim.world.tasks import Task
+from pneutac_sim.errors import InputError
+from pneutac_sim.world.tasks.base import Goal, Task
 from pneutac_sim.world.world import World
 
 LENGTH_M = 0.05  # scales lengths of the object's state to about one
-
-
-@dataclass(frozen=True)
-class Goal:
-    """A task as its reward sees it.
-
-    Attributes:
-        progress: how much is done, 0 at the start and 1 at success; less than 0 where it goes wrong.
-        geom: the part of the object that the gel is to touch.
-        side: of that part, in its own frame: corner of the unit cube (3,), times the geom's half sizes.
-        depth_mm: imprint that does the task well.
-    """
-
-    progress: Callable[[Task], float]
-    geom: str
-    side: tuple[float, float, float]
-    depth_mm: float
 
 
 GOALS: dict[str, Goal] = {
@@ -47,6 +28,16 @@ GOALS: dict[str, Goal] = {
 }
 
 
+def goal_of(task: Task) -> Goal:
+    """The goal of a task; raises InputError where it has none."""
+    goal = GOALS.get(task.name) or task.goal
+    if goal is None:
+        raise InputError(
+            f"The task '{task.name}' has no goal for reinforcement learning; give its class one."
+        )
+    return goal
+
+
 class TaskView:
     """Goal and privileged state of the object in one world.
 
@@ -57,10 +48,14 @@ class TaskView:
 
     def __init__(self, world: World):
         model, name = world.model, world.task.name
-        self.goal = GOALS[name]
         self._world = world
-        self._body = model.body(name).id
-        self._geom = model.geom(self.goal.geom).id
+        self.goal = goal_of(self._inner())
+        try:
+            self._body, self._geom = model.body(name).id, model.geom(self.goal.geom).id
+        except KeyError as e:
+            raise InputError(
+                f"The task '{name}' needs a body '{name}' and the geom '{self.goal.geom}' of its goal: {e}"
+            ) from e
         self._joints = np.flatnonzero(model.body_rootid[model.jnt_bodyid] == self._body)
         self._corner = np.multiply(self.goal.side, model.geom_size[self._geom])
         self.size = 13 + 2 * len(self._joints)

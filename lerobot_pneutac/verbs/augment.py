@@ -10,7 +10,7 @@ from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.demonstrations.augment.planner import PlannerConfig
 from pneutac_datasets.demonstrations.faults import demonstration_faults
 from pneutac_sim.errors import InputError, check_choice, check_least
-from pneutac_sim.features import FIDELITIES, TASK_NAMES
+from pneutac_sim.features import FIDELITIES, task_names
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.checks import check_world
@@ -38,7 +38,7 @@ class AugmentConfig:
     Attributes:
         dataset: recorded demonstrations.
         output: new demonstrations, whose folder must not exist.
-        task: object in front of the robot: `switch`, `egg` or `card`.
+        task: object in front of the robot: `switch`, `egg` or `card`, or of another package.
         method: `tactile` (planned in the simulator), or `naive` (varied without one, which looks at dataset,
             output, episodes and seed alone).
         episodes: number of new demonstrations.
@@ -73,7 +73,7 @@ class AugmentConfig:
     out: Path | None = None
 
     def __post_init__(self):
-        check_choice("task", self.task, TASK_NAMES)
+        check_choice("task", self.task, task_names())
         check_choice("method", self.method, METHODS)
         check_choice("fidelity", self.fidelity, FIDELITIES)
         self.workers = self.workers if self.workers is not None else len(os.sched_getaffinity(0))

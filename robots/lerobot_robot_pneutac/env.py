@@ -28,8 +28,8 @@ from pneutac_sim.features import (
     IMAGE_SHAPE,
     RENDERS,
     STATE_NAMES,
-    TASK_NAMES,
     TRIAL_S,
+    task_names,
 )
 
 
@@ -38,7 +38,7 @@ class PneutacTaskConfig(EnvConfig):
     """What every environment of this robot has.
 
     Attributes:
-        task: `switch`, `egg` or `card`.
+        task: `switch`, `egg` or `card`, or of another package.
         fps: control rate, Hz; the world has one only.
         episode_length: control steps after which a trial counts as failed.
     """
@@ -62,7 +62,7 @@ class PneutacTaskConfig(EnvConfig):
     )
 
     def __post_init__(self):
-        check_choice("env.task", self.task, TASK_NAMES)
+        check_choice("env.task", self.task, task_names())
         refuse_if(
             self.fps != CONTROL_HZ,
             f"--env.fps is {self.fps}; the simulated robot is controlled at {CONTROL_HZ} Hz.",

@@ -1,17 +1,24 @@
 """Physics and pictures of soft pneumatic fingers and camera-based touch; knows nothing of LeRobot.
 
 Importing registers the Gymnasium environments `pneutac_sim/switch`, `pneutac_sim/egg`, `pneutac_sim/card`
-and does nothing else.
+and those of the tasks that other packages bring, and does nothing else.
 """
 
 import gymnasium
 
-from pneutac_sim.features import CONTROL_HZ, TASK_NAMES, TRIAL_S
+from pneutac_sim.features import CONTROL_HZ, TRIAL_S, task_names
 
-for _task in TASK_NAMES:
-    gymnasium.register(
-        id=f"pneutac_sim/{_task}",
-        entry_point="pneutac_sim.world.env:PneutacEnv",
-        kwargs={"task": _task},
-        max_episode_steps=TRIAL_S * CONTROL_HZ,
-    )
+
+def register_tasks() -> None:
+    """Registers the environments of all tasks that are installed."""
+    known = {f"pneutac_sim/{task}": task for task in task_names()}
+    for name in known.keys() - gymnasium.registry.keys():
+        gymnasium.register(
+            id=name,
+            entry_point="pneutac_sim.world.env:PneutacEnv",
+            kwargs={"task": known[name]},
+            max_episode_steps=TRIAL_S * CONTROL_HZ,
+        )
+
+
+register_tasks()

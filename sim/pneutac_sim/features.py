@@ -5,12 +5,16 @@ contact pixels log(1 + s), pressure kPa. Actions: end-effector velocity in m/s w
 pressure set-point in kPa. The paper's displacement per step is `velocity / CONTROL_HZ`.
 """
 
+from functools import cache
+from importlib.metadata import entry_points
+
 import numpy as np
 
 CONTROL_HZ = 15
 TRIAL_S = 20  # after which a trial has failed
 DEMONSTRATION_S = 14  # after which a scripted demonstration is given up; most take 2 to 10
 TASK_NAMES = ("switch", "egg", "card")
+TASK_GROUP = "pneutac.tasks"  # entry points by which other packages bring tasks of their own
 FIDELITIES = ("surrogate", "mpm", "probe")  # how finger and gel of a world deform
 RENDERS = ("mesh", "splats")  # how a world is drawn
 IMAGE_SHAPE = (320, 240, 3)
@@ -32,6 +36,13 @@ ACTION_NAMES = ("dx.vel", "dy.vel", "dz.vel", "pressure.pos")
 MAX_SPEED_M_S = 0.1
 MAX_PRESSURE_KPA = 15.0  # of the paper's finger; another twin has a `pressure_range_kpa` of its own
 PAPER_RANGE_KPA = (0.0, MAX_PRESSURE_KPA)
+
+
+@cache
+def task_names() -> tuple[str, ...]:
+    """Names of the library's tasks, then of those that installed packages bring; none is loaded."""
+    others = {p.name for p in entry_points(group=TASK_GROUP)}
+    return (*TASK_NAMES, *sorted(others - set(TASK_NAMES)))
 
 
 def action_limits(pressure_range_kpa: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:

@@ -14,7 +14,6 @@ pytestmark = pytest.mark.timeout(1200)  # two busy cores; a page takes one or tw
     [
         pytest.param("docs/tutorials/missing_effect.md", marks=SLOW),
         pytest.param("docs/tutorials/digit_from_two_images.md", marks=NIGHTLY),
-        pytest.param("docs/how_to/add_a_task.md", marks=SLOW),
         pytest.param("docs/how_to/networks.md", marks=SLOW),
         # The same loop, without augmentation and stand-in, is in the README and in test_plugin_loop.
         pytest.param("docs/tutorials/train_on_the_switch.md", marks=[NIGHTLY, pytest.mark.timeout(2400)]),

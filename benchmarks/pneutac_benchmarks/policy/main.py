@@ -16,7 +16,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 
 from pneutac_benchmarks.policy.plan import CONDITIONS, MAX_SEED, MAX_TRIALS, plan
 from pneutac_sim.errors import InputError, check_choice, check_least
-from pneutac_sim.features import FIDELITIES, TASK_NAMES
+from pneutac_sim.features import FIDELITIES, TASK_NAMES, task_names
 
 _FAST = {
     "tasks": ("switch",),
@@ -103,7 +103,7 @@ class BenchmarkPolicyConfig:
         self._check_device()
 
     def _check_lists(self) -> None:
-        for option, known in (("tasks", TASK_NAMES), ("conditions", tuple(CONDITIONS))):
+        for option, known in (("tasks", task_names()), ("conditions", tuple(CONDITIONS))):
             values = getattr(self, option)
             unknown = [v for v in values if v not in known]
             if unknown or len(set(values)) != len(values):

@@ -13,7 +13,7 @@ from lerobot_robot_pneutac.options import (
     check_twin_folder,
     refuse_if,
 )
-from pneutac_sim.features import FIDELITIES, RENDERS, TASK_NAMES
+from pneutac_sim.features import FIDELITIES, RENDERS, task_names
 
 
 @RobotConfig.register_subclass("pneutac_sim")
@@ -22,7 +22,7 @@ class PneutacSimConfig(RobotConfig):
     """A Panda with the pneumatic finger and its gel, simulated.
 
     Attributes:
-        task: what stands in front of the robot: `switch`, `egg` or `card`.
+        task: what stands in front of the robot: `switch`, `egg` or `card`, or of another package.
         seed: decides the random start of every episode.
         twin: folder of the finger's twin; default the built-in one. On the stand-in, as on the real robot,
             only its gel's contact threshold is used.
@@ -51,7 +51,7 @@ class PneutacSimConfig(RobotConfig):
 
     def __post_init__(self):
         super().__post_init__()
-        check_choice("robot.task", self.task, TASK_NAMES)
+        check_choice("robot.task", self.task, task_names())
         check_choice("robot.fidelity", self.fidelity, FIDELITIES)
         check_twin_folder("robot.twin", self.twin)
         check_conditions("robot.conditions", self.twin, self.conditions)

@@ -2,14 +2,14 @@
 
 Its finger, air, gel and light are those of `pneutac_truths`; arm and tasks are `pneutac_sim.world`'s, and
 nothing else of it. Importing registers the Gymnasium environments `pneutac_standin/switch`,
-`pneutac_standin/egg` and `pneutac_standin/card`, and does nothing else.
+`pneutac_standin/egg`, `pneutac_standin/card` and those of other packages' tasks, and does nothing else.
 """
 
 import gymnasium
 
-from pneutac_sim.features import CONTROL_HZ, TASK_NAMES, TRIAL_S
+from pneutac_sim.features import CONTROL_HZ, TRIAL_S, task_names
 
-for _task in TASK_NAMES:
+for _task in task_names():
     gymnasium.register(
         id=f"pneutac_standin/{_task}",
         entry_point="lerobot_robot_pneutac.standin.world:standin_env",

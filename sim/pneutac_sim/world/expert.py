@@ -4,11 +4,15 @@ An expert is reactive: what it does depends on where the gel is, on the pressure
 the gel feels, all of which a policy sees too. Nothing but touch tells it where the object is.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 
+from pneutac_sim.errors import InputError
 from pneutac_sim.features import MAX_PRESSURE_KPA, action_limits
 from pneutac_sim.world.experts import EXPERTS
-from pneutac_sim.world.experts.motion import Habits
+from pneutac_sim.world.experts.motion import Habits, Wish
+from pneutac_sim.world.tasks.base import Task
 from pneutac_sim.world.world import DT, World
 
 ACCELERATION = 0.8  # m/s2, how fast a hand changes the velocity
@@ -27,7 +31,7 @@ class ScriptedExpert:
         self._habits = Habits.draw(rng)
         self._velocity = np.zeros(3)
         self._pressure = self._habits.low_kpa
-        self._expert = EXPERTS[world.task.name]
+        self._expert = _expert_of(world)
         self._limits = action_limits(world.pressure_range_kpa)
         self._scale = max(world.pressure_range_kpa, key=abs) / MAX_PRESSURE_KPA
 
@@ -45,3 +49,16 @@ class ScriptedExpert:
         noise = self._rng.normal(0, self._habits.tremor, 3) if np.any(wish) else 0.0
         action = np.append(self._velocity + noise, self._scale * self._pressure)
         return np.clip(action, *self._limits).astype(np.float32)
+
+
+def _expert_of(world: World) -> Callable[..., Wish]:
+    """The library's expert of a task, or the task's own."""
+    task = getattr(world.task, "inner", world.task)  # a `VariedWorld` wraps it
+    if task.name in EXPERTS:
+        return EXPERTS[task.name]
+    if type(task).expert is Task.expert:
+        raise InputError(
+            f"The task '{task.name}' has no scripted expert; give its class a method `expert`, or record"
+            " by hand with --teleop.type=pneutac_keyboard or pneutac_gamepad."
+        )
+    return task.expert

@@ -87,7 +87,7 @@ def build(
   <option timestep="{TIMESTEP!r}" integrator="implicitfast" iterations="20"/>
   {_VISUAL}
   <default>{_DEFAULTS}{finger.defaults}</default>
-  <asset>{_ASSETS}{finger.materials}</asset>
+  <asset>{_ASSETS}{finger.materials}{task.assets()}</asset>
   <worldbody>
     <light pos="1 -.5 1.1" dir="-.5 .5 -1" cutoff="35" exponent="3" diffuse=".57 .55 .52"
            specular=".2 .2 .2"/>

@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 
 from pneutac_sim.errors import InputError
+from pneutac_sim.gel.probe import KINDS
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.world.scene import OBJECT_GROUP
 
@@ -45,6 +46,13 @@ class Touch:
         self.felt = np.flatnonzero(model.geom_group == OBJECT_GROUP)
         self.kinds = model.geom_type[self.felt]
         self.sizes = model.geom_size[self.felt]
+        unknown = [model.geom(g).name or "without a name" for g in self.felt[~np.isin(self.kinds, KINDS)]]
+        if unknown:
+            raise InputError(
+                f"The gel cannot feel the shape of geom {', '.join(unknown)}; meshes are only seen: give it"
+                ' class="decor", and class="object" to boxes, cylinders, capsules, spheres or ellipsoids'
+                " where it is touched."
+            )
 
     def objects(self, data: mujoco.MjData) -> tuple[np.ndarray, ...]:
         """What may touch the gel, and the gel's pose, as `gel.probe.probe_grid` takes them."""

@@ -1,9 +1,36 @@
 """What a task brings to the world: MJCF, a random start, and when it is done or spoilt."""
 
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
 import mujoco
 import numpy as np
 
+if TYPE_CHECKING:
+    from pneutac_sim.world.experts.motion import Habits, Wish
+    from pneutac_sim.world.world import World
+
 HOME_JITTER_M = 0.004  # half width of the random start of the flange about a task's home
+
+
+@dataclass(frozen=True)
+class Goal:
+    """A task as the reward of reinforcement learning sees it.
+
+    Attributes:
+        progress: how much is done, 0 at the start and 1 at success; less than 0 where it goes wrong.
+        geom: the part of the object that the gel is to touch.
+        side: of that part, in its own frame: corner of the unit cube (3,), times the geom's half sizes.
+        depth_mm: imprint that does the task well.
+    """
+
+    progress: Callable[[Task], float]
+    geom: str
+    side: tuple[float, float, float]
+    depth_mm: float
 
 
 class Task:
@@ -18,6 +45,8 @@ class Task:
         starts_m: displacements from there along y, one of which a random start has.
         watches: whether `update` only looks, and changes nothing in the model and its data: plans are then
             tried without it.
+        goal: what `pneutac ppo` is told of it, with an object whose outermost body has the task's name; None
+            where it cannot be learnt so.
     """
 
     name: str
@@ -25,6 +54,24 @@ class Task:
     home_m: tuple[float, float, float]
     starts_m: tuple[float, ...] = (0.0,)
     watches: bool = False
+    goal: Goal | None = None
+
+    def assets(self) -> str:
+        """MJCF assets that the objects name, such as meshes; a file's path there is absolute."""
+        return ""
+
+    def expert(self, world: World, habits: Habits, pressure_kpa: float) -> Wish:
+        """What a scripted demonstrator does now; optional.
+
+        Args:
+            world: as it is; a person would feel `press_mm` and `imprint_m`, and see `gel_m` and `flange_m`.
+            habits: how this one person moves.
+            pressure_kpa: commanded last; of the paper's finger, 0 to 15, whatever the range of the twin's.
+
+        Returns:
+            Velocity (3,) in m/s and pressure in kPa as above.
+        """
+        raise NotImplementedError
 
     def mjcf(self) -> str:
         """MJCF bodies of the task's objects."""

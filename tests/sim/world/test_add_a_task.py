@@ -1,0 +1,166 @@
+"""The doorbell of docs/how_to/add_a_task.md, exactly as printed, installed beside the library."""
+
+import re
+import sys
+import tomllib
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+from draccus.utils import DecodingError
+from lerobot.envs.factory import make_env
+
+import pneutac_sim
+from lerobot_pneutac.rl.env import PpoEnv
+from lerobot_pneutac.rl.options import PpoConfig
+from lerobot_pneutac.verbs.augment import AugmentConfig, DatasetRef
+from lerobot_robot_pneutac.env import PneutacEnvConfig
+from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
+from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
+from lerobot_robot_pneutac.teleoperators.config_pneutac_scripted import PneutacScriptedConfig
+from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
+from pneutac_benchmarks.policy.main import BenchmarkPolicyConfig
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import task_names
+from pneutac_sim.world.expert import ScriptedExpert
+from pneutac_sim.world.tasks import make_task
+from pneutac_sim.world.world import World
+
+DOC = Path(__file__).parents[3] / "docs" / "how_to" / "add_a_task.md"
+
+
+def block(kind):
+    return re.search(rf"```{kind}\n(.*?)```", DOC.read_text(), re.S)[1]
+
+
+@pytest.fixture
+def install(tmp_path, monkeypatch):
+    """Puts a package with a task onto a folder, as an installer does."""
+    names = []
+
+    def make(code, points, module="pneutac_doorbell"):
+        (tmp_path / f"{module}.py").write_text(code)
+        info = tmp_path / f"{module}-0.1.0.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {module}\nVersion: 0.1.0\n")
+        lines = ["[pneutac.tasks]", *(f"{k} = {v}" for k, v in points.items())]
+        (info / "entry_points.txt").write_text("\n".join(lines) + "\n")
+        names.extend([module, *points])
+        monkeypatch.syspath_prepend(tmp_path)
+        task_names.cache_clear()
+
+    yield make
+    for name in names:
+        sys.modules.pop(name, None)
+        gymnasium.registry.pop(f"pneutac_sim/{name}", None)
+    task_names.cache_clear()
+
+
+@pytest.fixture
+def doorbell(install):
+    install(block("python"), tomllib.loads(block("toml"))["project"]["entry-points"]["pneutac.tasks"])
+    pneutac_sim.register_tasks()
+
+
+def test_it_is_short():
+    assert len(block("python").splitlines()) < 60
+
+
+def test_its_expert_rings_it_and_idleness_does_not(doorbell):
+    world = World("doorbell", touch="area")
+    for seed in range(3):
+        world.reset(seed)
+        expert = ScriptedExpert(world, np.random.default_rng(seed))
+        touched = False
+        while not (world.success or world.failure) and world.time_s < 10:
+            world.step(expert.action())
+            touched = touched or world.touch.area > 0
+        assert world.success and touched, world.failure
+    world.reset(0)
+    for _ in range(30):
+        world.step(np.zeros(4))
+    assert not world.success
+
+
+def test_lerobots_environment_robot_and_teleoperator_take_it_by_its_name(doorbell, tmp_path):
+    envs = make_env(PneutacEnvConfig(task="doorbell", fidelity="probe"), n_envs=1)
+    env = next(iter(envs["pneutac"].values()))
+    observation, _ = env.reset(seed=[3])
+    assert observation["pixels"]["tactile"].shape == (1, 320, 240, 3)
+    env.close()
+    robot = PneutacSim(PneutacSimConfig(task="doorbell", fidelity="probe", calibration_dir=tmp_path))
+    teleop = PneutacScripted(PneutacScriptedConfig(calibration_dir=tmp_path))
+    robot.connect()
+    teleop.connect()
+    for _ in range(3):
+        robot.send_action(teleop.get_action())
+    assert robot.world.task.description == "Ring the doorbell."
+    robot.disconnect()
+
+
+def test_the_verbs_take_it_and_reinforcement_learning_sees_how_far_it_has_come(doorbell, tmp_path):
+    data = DatasetRef("local/a", tmp_path / "a")
+    assert AugmentConfig(data, data, task="doorbell", fidelity="probe").task == "doorbell"
+    assert PpoConfig(tmp_path, task="doorbell").task == "doorbell"
+    assert BenchmarkPolicyConfig(out=tmp_path, tasks=("doorbell",)).tasks == ("doorbell",)
+    env = PpoEnv("doorbell")
+    env.reset(seed=0)
+    away = env.view.distance_m()
+    for _ in range(8):
+        env.step(np.array([1.0, 0.0, 0.0, -1.0]))
+    assert env.view.distance_m() < away - 0.03 and env.view.progress() == pytest.approx(0.0, abs=0.05)
+    env.world.data.joint("button").qpos = 0.003
+    assert env.view.progress() == pytest.approx(0.75)
+
+
+@pytest.mark.parametrize(
+    ("code", "says"),
+    [
+        ("import nothing_of_this_name", "does not load: No module named 'nothing_of_this_name'"),
+        ("Bell = 3", "must be a class that extends"),
+        (
+            "from pneutac_sim.world.tasks.base import Task\nclass Bell(Task): name = 'gong'",
+            "lacks description, home_m",
+        ),
+    ],
+)
+def test_what_is_no_task_is_one_sentence(install, code, says):
+    install(code, {"bell": "bell_task:Bell"}, "bell_task")
+    assert "bell" in task_names()
+    with pytest.raises(InputError, match=rf"Entry point 'bell' of pneutac.tasks \(bell_task:Bell\) {says}"):
+        make_task("bell")
+    with pytest.raises(DecodingError, match="must be one of switch, egg, card, bell"):
+        PneutacEnvConfig(task="gong")
+
+
+def test_without_an_expert_or_with_a_mesh_to_feel_it_says_what_to_do(install, tmp_path):
+    bare = (
+        block("python")
+        .replace("    def expert(", "    def own_expert(")
+        .replace("goal = Goal(", "gaol = Goal(")
+    )
+    install(bare, {"doorbell": "pneutac_doorbell:DoorbellTask"})
+    with pytest.raises(
+        InputError, match="'doorbell' has no scripted expert; give its class a method `expert`"
+    ):
+        ScriptedExpert(World("doorbell", touch="none"), np.random.default_rng(0))
+    with pytest.raises(InputError, match="'doorbell' has no goal"):
+        PpoEnv("doorbell")
+
+
+def test_a_mesh_is_seen_but_not_felt(install, tmp_path):
+    mesh = tmp_path / "cube.obj"
+    corners = [f"v {x} {y} {z}" for x in (0, 0.1) for y in (0, 0.1) for z in (0, 0.1)]
+    faces = ["f 1 2 4 3", "f 5 7 8 6", "f 1 5 6 2", "f 3 4 8 7", "f 1 3 7 5", "f 2 6 8 4"]
+    mesh.write_text("\n".join(corners + faces) + "\n")
+    geom = '<geom name="post" class="decor" type="mesh" mesh="post"/>'
+    code = block("python").replace('<body name="doorbell">', f'<body name="doorbell">{geom}')
+    code += f'    def assets(self):\n        return \'<mesh name="post" file="{mesh}"/>\'\n'
+    install(code, {"doorbell": "pneutac_doorbell:DoorbellTask"})
+    assert World("doorbell", touch="none").model.nmesh == 1
+    module = tmp_path / "pneutac_doorbell.py"
+    module.write_text(code.replace('class="decor" type="mesh"', 'class="object" type="mesh"'))
+    sys.modules.pop("pneutac_doorbell")
+    with pytest.raises(InputError, match="cannot feel the shape of geom post; meshes are only seen"):
+        World("doorbell")
