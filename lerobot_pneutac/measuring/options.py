@@ -29,6 +29,7 @@ class MeasureConfig:
         out: new folder of the recording.
         length_mm: length of the straight finger, base to tip marker.
         max_kpa: largest set-point; the built-in programs reach it.
+        min_kpa: smallest set-point of a program of your own, 0 or, for a finger that vacuum bends, below.
         hz: samples per second.
         repeat: number of times that the program is driven.
         rest_s: pause without pressure before each trial.
@@ -51,6 +52,7 @@ class MeasureConfig:
     out: Path | None = None
     length_mm: float | None = None
     max_kpa: float = 15.0
+    min_kpa: float = 0.0
     hz: float = 15.0
     repeat: int = 1
     rest_s: float = 3.0
@@ -77,6 +79,8 @@ class MeasureConfig:
             value = getattr(self, name)
             if value is not None and not 0 < value < np.inf:
                 raise InputError(f"{name}={value} must be positive.")
+        if not -np.inf < self.min_kpa <= 0:
+            raise InputError(f"min_kpa={self.min_kpa} must be 0, or below it for vacuum.")
         if self.hz < MIN_HZ:
             raise InputError(
                 f"hz={self.hz} must be {MIN_HZ:g} or more; pressure is held {COMMAND_S} s a sample."

@@ -30,7 +30,9 @@ class PressureTrial:
     pressure_kpa: np.ndarray
 
 
-def read_program(given: str, max_kpa: float, hz: float, recording: Path | None = None) -> list[PressureTrial]:
+def read_program(
+    given: str, max_kpa: float, hz: float, recording: Path | None = None, min_kpa: float = 0.0
+) -> list[PressureTrial]:
     """The trials of a program.
 
     Args:
@@ -39,9 +41,10 @@ def read_program(given: str, max_kpa: float, hz: float, recording: Path | None =
         max_kpa: top of the built-in programs, which no program may exceed.
         hz: samples per second.
         recording: what was diagnosed, for a `result.json`.
+        min_kpa: below which no program may go.
 
     Raises:
-        InputError: it cannot be read, or a pressure lies outside 0 to `max_kpa`.
+        InputError: it cannot be read, or a pressure lies outside `min_kpa` to `max_kpa`.
     """
     if given in BUILTIN:
         trials = [t for name in BUILTIN[:-1] if given in (name, "all") for t in _builtin(name, max_kpa, hz)]
@@ -53,10 +56,10 @@ def read_program(given: str, max_kpa: float, hz: float, recording: Path | None =
         trials = _table(Path(given), hz)
     for t in trials:
         low, high = float(t.pressure_kpa.min()), float(t.pressure_kpa.max())
-        if low < 0 or high > max_kpa:
+        if low < min_kpa or high > max_kpa:
             raise InputError(
-                f"The program '{t.program}' goes from {low:g} to {high:g} kPa; max_kpa allows 0 to"
-                f" {max_kpa:g}."
+                f"The program '{t.program}' goes from {low:g} to {high:g} kPa; min_kpa and max_kpa"
+                f" allow {min_kpa:g} to {max_kpa:g}."
             )
     return trials
 

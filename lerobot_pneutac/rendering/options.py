@@ -20,8 +20,8 @@ COMPUTED = ("session_time_s", "length_mm", "bending_pressure_kpa")  # columns of
 
 # What a device takes, and what it is where it is not given.
 SEEN = {"recording": None, "camera": None, "view": None}
-FINGER = {"pressure_kpa": [0.0, 5.0, 10.0, 15.0], "seconds": 1.0, "particles": 4000} | SEEN
-ARM = FINGER | {"pressure_kpa": [0.0, 0.0, 0.0, 10.0, 0.0, 0.0, 0.0, 10.0, 0.0, 0.0, 0.0, 10.0]}
+FINGER = {"pressure_kpa": None, "seconds": 1.0, "particles": 4000} | SEEN
+ARM = FINGER
 GEL = {"indenter": "sphere", "size_mm": 4.0, "depth_mm": 1.4, "x_mm": 0.0, "y_mm": 0.0}
 
 
@@ -59,8 +59,8 @@ class RenderConfig:
     Attributes:
         twin: folder of the twin.
         pressure_kpa: pressures of a finger, one after the other; of an arm three numbers for each pose. Where
-            left out, those of the recording; without one 0, 5, 10, 15, for an arm at rest, then 10 in one
-            chamber after the other.
+            left out, those of the recording; without one four from rest to the end of the range that the twin
+            was measured over, for an arm at rest, then two thirds of it in one chamber after the other.
         seconds: time of each pressure in the film, half to get there, half to stay; where left out, 1.
         conditions: values that the twin's effects ask for, such as {temperature_c: 30}.
         recording: folder of photographs to put beside a finger or an arm calibrated by images.
@@ -122,9 +122,19 @@ def filled(config: RenderConfig, twin: Twin) -> RenderConfig:
     if config.view is not None and config.recording is not None:
         raise InputError("view and recording exclude each other; omit one.")
     _check_conditions(config, twin)
+    if own is not GEL:
+        own = own | {"pressure_kpa": _pressures(twin)}
     if config.recording is not None:
         own = {name: value for name, value in own.items() if name != "pressure_kpa"}
     return replace(config, **{name: value for name, value in own.items() if getattr(config, name) is None})
+
+
+def _pressures(twin: Twin) -> list[float]:
+    """Poses that show how a finger or an arm moves, within the range that the twin was measured over, kPa."""
+    far = max(twin.pressure_range_kpa, key=abs)
+    if twin.device == "finger":
+        return [far * share / 3 for share in range(4)]
+    return [0.0, 0.0, 0.0, *(2 / 3 * far * np.eye(3)).ravel().tolist()]
 
 
 def deepest_press(config: RenderConfig, gel: GelModel) -> Press:

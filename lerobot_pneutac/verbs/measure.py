@@ -59,7 +59,10 @@ def measure(
         HardwareFault: a part failed; the chamber is vented.
         KeyboardInterrupt: as it came; the chamber is vented.
     """
-    trials = read_program(config.program, config.max_kpa, config.hz, config.recording) * config.repeat
+    trials = (
+        read_program(config.program, config.max_kpa, config.hz, config.recording, config.min_kpa)
+        * config.repeat
+    )
     camera = Intrinsics.load(config.intrinsics)
     tracker = MarkerTracker(camera, config.marker_mm, config.base_id, config.tip_id, config.base_offset_mm)
     given = {"camera": config.camera} | ({"tactile": config.digit} if config.digit is not None else {})
@@ -134,7 +137,8 @@ class BenchDriver:
             self._pressure.set_pressure(command)
             images = {name: _image(c, name) for name, c in self._cameras.items()}
             now_s, kpa = time.monotonic() - start_s, float(self._pressure.pressure())
-            if not kpa <= OVERPRESSURE * self._config.max_kpa:
+            most = max(self._config.max_kpa, -self._config.min_kpa)
+            if not kpa <= OVERPRESSURE * most or (self._config.min_kpa < 0 and kpa < -OVERPRESSURE * most):
                 raise HardwareFault(f"The pressure reads {kpa:.1f} kPa; check valve and sensor.")
             tip = self._tracker.tip_mm(images["camera"])
             due = int(np.searchsorted(trial.time_s, time.monotonic() - start_s, side="right"))

@@ -37,7 +37,7 @@ def test_a_table_is_held_from_row_to_row(tmp_path):
         ("time_s\n0\n", "'pressure_cmd_kpa' is missing"),
         ("time_s,pressure_cmd_kpa\n0,1\n1,x\n", "no finite number in row 2"),
         ("time_s,pressure_cmd_kpa\n1,1\n0,1\n", "must rise"),
-        ("time_s,pressure_cmd_kpa\n0,1\n1,60\n", "max_kpa allows 0 to 15"),
+        ("time_s,pressure_cmd_kpa\n0,1\n1,60\n", "max_kpa allow 0 to 15"),
     ],
 )
 def test_a_bad_table_is_named(tmp_path, text, said):
@@ -60,3 +60,12 @@ def test_the_experiment_that_a_diagnosis_proposes_can_be_driven(tmp_path):
     result.write_text(json.dumps({"next_experiment": "Hang weights on it."}))
     with pytest.raises(InputError, match="Hang weights"):
         read_program(str(result), 15.0, 15.0, folder)
+
+
+def test_vacuum_is_driven_where_it_is_allowed(tmp_path):
+    file = tmp_path / "suck.csv"
+    file.write_text("time_s,pressure_cmd_kpa\n0,0\n1,-30\n2,0\n")
+    with pytest.raises(InputError, match="goes from -30 to 0 kPa; min_kpa and max_kpa allow 0 to 15"):
+        read_program(str(file), 15.0, 10.0)
+    (trial,) = read_program(str(file), 15.0, 10.0, min_kpa=-30.0)
+    assert trial.pressure_kpa.min() == -30.0

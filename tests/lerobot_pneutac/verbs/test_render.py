@@ -226,3 +226,12 @@ def test_too_deep_a_press_is_refused(tmp_path):
     folder = Twin("gel", 16.0).save(tmp_path / "gel")
     with pytest.raises(InputError, match="2.5 mm thick"):
         render.main([f"--twin={folder}", "--depth_mm=2.4"])
+
+
+def test_poses_that_are_not_given_reach_as_far_as_the_twin_was_measured(tmp_path):
+    twin = Twin.builtin()
+    assert filled(RenderConfig(tmp_path), twin).pressure_kpa == [0.0, 5.0, 10.0, 15.0]
+    twin.pressure_range_kpa = (-60.0, 15.0)
+    assert filled(RenderConfig(tmp_path), twin).pressure_kpa == [0.0, -20.0, -40.0, -60.0]
+    arm = filled(RenderConfig(tmp_path), Twin("arm", pressure_range_kpa=(0.0, 30.0))).pressure_kpa
+    assert arm == [0, 0, 0, 20, 0, 0, 0, 20, 0, 0, 0, 20]
