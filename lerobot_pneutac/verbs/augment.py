@@ -14,6 +14,7 @@ from pneutac_sim.features import FIDELITIES, task_names
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.checks import check_world
+from pneutac_sim.world.station import Station
 
 METHODS = ("tactile", "naive")
 
@@ -49,6 +50,8 @@ class AugmentConfig:
             for material points with formulas.
         conditions: values that the twin's effects ask for, such as {temperature_c: 28}; every demonstration
             draws from a range [low, high].
+        station: file `station.yaml` of workspace and mount in which they were recorded; where left out, the
+            paper's.
         planner: horizon, samples and weights of the planner.
         attempts: number of variants tried for one demonstration before giving up.
         check_mpm: number of the new demonstrations that are carried out once more by material points; how far
@@ -66,6 +69,7 @@ class AugmentConfig:
     twin: Path | None = None
     fidelity: str = "surrogate"
     conditions: dict[str, float | list[float]] = field(default_factory=dict)
+    station: Path | None = None
     planner: PlannerConfig = field(default_factory=PlannerConfig)
     attempts: int = 30
     check_mpm: int = 0
@@ -92,6 +96,8 @@ class AugmentConfig:
         if self.method == "tactile":
             twin = Twin.load(self.twin) if self.twin else Twin.builtin()
             check_world(twin, self.fidelity, self.conditions)
+        if self.station is not None:
+            Station.load(self.station)
 
 
 @dataclass(frozen=True)
@@ -198,6 +204,7 @@ def augment(config: AugmentConfig, progress: Progress = no_progress) -> Augmenta
             config.seed,
             attempts=config.attempts,
             conditions=config.conditions,
+            station=config.station,
         )
         summary = augment_guided(meta, setup, *new, config.workers, progress, config.check_mpm)
     return Augmentation(config, summary, references)

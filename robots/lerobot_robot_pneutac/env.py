@@ -16,6 +16,7 @@ from lerobot_robot_pneutac.options import (
     check_gl,
     check_networks,
     check_range,
+    check_station,
     check_twin_folder,
     contact_threshold,
     refuse_if,
@@ -93,6 +94,7 @@ class PneutacEnvConfig(PneutacTaskConfig):
             Gaussians of the gel and of the twin's body, over MuJoCo's scene (needs OpenGL).
         pressure_range_kpa: pressures of the action, such as [0, 20]; default those that the twin was measured
             over, beyond which it is extrapolated.
+        station: file `station.yaml` of workspace and mount; default the paper's.
     """
 
     twin: Path | None = None
@@ -100,10 +102,12 @@ class PneutacEnvConfig(PneutacTaskConfig):
     conditions: dict[str, float | list[float]] = field(default_factory=dict)
     render: str = "mesh"
     pressure_range_kpa: tuple[float, float] | None = None
+    station: Path | None = None
 
     def __post_init__(self):
         super().__post_init__()
         check_range("env.pressure_range_kpa", self.pressure_range_kpa)
+        check_station("env.station", self.station)
         check_choice("env.fidelity", self.fidelity, FIDELITIES)
         check_twin_folder("env.twin", self.twin)
         check_conditions("env.conditions", self.twin, self.conditions)
@@ -124,7 +128,11 @@ class PneutacEnvConfig(PneutacTaskConfig):
 
         twin = {"twin": Twin.load(self.twin)} if self.twin else {}
         own = {"fidelity": self.fidelity, "conditions": self.conditions, "render": self.render}
-        own["pressure_range_kpa"] = self.pressure_range_kpa
+        own |= {"pressure_range_kpa": self.pressure_range_kpa}
+        if self.station:
+            from pneutac_sim.world.station import Station
+
+            own["station"] = Station.load(self.station)
         return super().gym_kwargs | own | twin
 
 

@@ -56,6 +56,17 @@ def check_range(option: str, pressure_range_kpa: tuple[float, float] | None) -> 
         refuse_if(True, str(e))
 
 
+def check_station(option: str, file: Path | None) -> None:
+    """Refuses what is no station.yaml; None is none."""
+    from pneutac_sim.world.station import Station
+
+    try:
+        if file is not None:
+            Station.load(file)
+    except InputError as e:
+        refuse_if(True, f"--{option}: {e}")
+
+
 def check_gl(option: str) -> None:
     """Refuses splats over a scene where OpenGL does not start."""
     from pneutac_sim.world.view import require_gl

@@ -10,6 +10,7 @@ from lerobot_robot_pneutac.options import (
     check_conditions,
     check_networks,
     check_range,
+    check_station,
     check_twin_folder,
     refuse_if,
 )
@@ -33,6 +34,7 @@ class PneutacSimConfig(RobotConfig):
         render: what draws the touch: `mesh`, light on every pixel; `splats`, the Gaussians of the gel.
         pressure_range_kpa: pressures that can be commanded, such as [0, 20]; default those that the twin was
             measured over, beyond which it is extrapolated.
+        station: file `station.yaml` of workspace and mount; default the paper's.
         standin: act on the stand-in for reality, which has a finger and a gel of its own.
         spread: number of random starts that the demonstrations are to stand for: each episode begins at that
             one of them which leaves the others nearest to a start that was done, as a person would spread a
@@ -46,6 +48,7 @@ class PneutacSimConfig(RobotConfig):
     conditions: dict[str, float | list[float]] = field(default_factory=dict)
     render: str = "mesh"
     pressure_range_kpa: tuple[float, float] | None = None
+    station: Path | None = None
     standin: bool = False
     spread: int = 0
 
@@ -60,10 +63,12 @@ class PneutacSimConfig(RobotConfig):
         check_choice("robot.render", self.render, RENDERS)
         refuse_if(self.spread < 0, f"--robot.spread is {self.spread}; it must not be negative.")
         check_range("robot.pressure_range_kpa", self.pressure_range_kpa)
+        check_station("robot.station", self.station)
         refuse_if(
             self.standin
-            and (self.fidelity, self.conditions, self.render, self.pressure_range_kpa)
-            != ("surrogate", {}, "mesh", None),
+            and (self.fidelity, self.conditions, self.render, self.pressure_range_kpa, self.station)
+            != ("surrogate", {}, "mesh", None, None),
             "--robot.standin=true has a finger and a gel of its own; leave --robot.fidelity,"
-            " --robot.conditions, --robot.render and --robot.pressure_range_kpa out, or the stand-in.",
+            " --robot.conditions, --robot.render, --robot.pressure_range_kpa and --robot.station out, or the"
+            " stand-in.",
         )

@@ -161,15 +161,10 @@ def _world(config: PneutacSimConfig):
         threshold = {"contact_threshold": contact_threshold(config.twin)} if config.twin else {}
         return StandinWorld(config.task, **threshold)
     from pneutac_sim.twin import Twin
+    from pneutac_sim.world.station import Station
     from pneutac_sim.world.world import World
 
     twin = Twin.load(config.twin) if config.twin else None
-    return World(
-        config.task,
-        twin,
-        "image",
-        config.fidelity,
-        config.conditions,
-        config.render,
-        config.pressure_range_kpa,
-    )
+    station = Station.load(config.station) if config.station else None
+    more = {"pressure_range_kpa": config.pressure_range_kpa, "station": station}
+    return World(config.task, twin, "image", config.fidelity, config.conditions, config.render, **more)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from pneutac_sim.twin import NETWORKS, Twin
 from pneutac_sim.world.conditions import Conditions
+from pneutac_sim.world.station import Station
 from pneutac_sim.world.task_env import TaskEnv
 from pneutac_sim.world.world import World
 
@@ -21,6 +22,7 @@ class PneutacEnv(TaskEnv):
         conditions: Conditions | None = None,
         render: str = "mesh",
         pressure_range_kpa: tuple[float, float] | None = None,
+        station: Station | None = None,
         **options,
     ):
         """An environment with a task.
@@ -34,12 +36,12 @@ class PneutacEnv(TaskEnv):
             conditions: what the twin's effects ask for, such as `{"temperature_c": [20, 30]}`, see `World`.
             render: `mesh` or `splats`, what draws touch and finger, see `World`.
             pressure_range_kpa: of the action; default what the twin was measured over.
+            station: workspace and mount; default the paper's.
             options: `render_mode`, `render_width`, `render_height` of `TaskEnv`.
         """
         twin = Twin.load(twin) if isinstance(twin, str | Path) else twin or Twin.builtin()
-        world = World(
-            task, twin, touch, fidelity or _best_fidelity(twin), conditions, render, pressure_range_kpa
-        )
+        more = {"pressure_range_kpa": pressure_range_kpa, "station": station}
+        world = World(task, twin, touch, fidelity or _best_fidelity(twin), conditions, render, **more)
         super().__init__(world, touch, **options)
 
 

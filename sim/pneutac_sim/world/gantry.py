@@ -48,10 +48,12 @@ class Gantry(VariedWorld):
         Raises:
             InputError: as `World`.
         """
-        limits = {"pressure_range_kpa": world.pressure_range_kpa}
+        limits = {"pressure_range_kpa": world.pressure_range_kpa, "station": world.station}
         super().__init__(world.task.name, world.twin, "area", "probe", world.conditions, **limits)
         task = self.task.inner
-        spec = mujoco.MjSpec.from_string(scene.build(task, mjcf(self.twin), slides.body, slides.actuators))
+        spec = mujoco.MjSpec.from_string(
+            scene.build(task, mjcf(self.twin, self.station.mount_mm), slides.body, slides.actuators)
+        )
         spec.compiler.discardvisual = True  # nobody looks at it
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)

@@ -19,7 +19,7 @@ FLANGE_M = 0.107
 # Flange straight down, elbow up; the start of every inverse kinematics.
 HOME_JOINTS = np.array([0.0, -np.pi / 4, 0.0, -3 * np.pi / 4, 0.0, np.pi / 2, np.pi / 4])
 
-# Where the flange may be sent, metres in the arm's base frame: in reach with the flange down.
+# Where the flange may be sent at the paper's station, metres in the arm's base frame: in reach, flange down.
 WORKSPACE_LOW = np.array([0.30, -0.20, 0.18])
 WORKSPACE_HIGH = np.array([0.66, 0.20, 0.55])
 

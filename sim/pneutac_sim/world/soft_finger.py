@@ -16,8 +16,6 @@ from pneutac_sim.mpm.solid import Links, bending_body
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.scene import Finger
 
-MOUNT_M = 0.020  # adapter between flange and finger base
-
 # DIGIT: housing 27 x 20 x 18 mm, about 20 g with its gel (Lambeta et al. 2020); metres, kg.
 DIGIT_SIZE = (0.027, 0.020, 0.018)
 DIGIT_MASS = 0.014  # without the gel
@@ -44,12 +42,12 @@ MATERIALS = (
 )
 
 
-def mjcf(twin: Twin) -> Finger:
-    """All of the finger of a twin."""
-    return Finger(body(twin), DEFAULTS, MATERIALS, actuators(twin), tendons(twin))
+def mjcf(twin: Twin, mount_mm: float = 20.0) -> Finger:
+    """All of the finger of a twin, on an adapter of that length between the flange and its base."""
+    return Finger(body(twin, 1e-3 * mount_mm), DEFAULTS, MATERIALS, actuators(twin), tendons(twin))
 
 
-def body(twin: Twin) -> str:
+def body(twin: Twin, mount_m: float) -> str:
     """MJCF of mount, finger and DIGIT for the flange: finger x along flange z, hanging down at home.
 
     The finger is turned by 45 degrees about the flange's axis, as Franka's own hand is, so that at home it
@@ -71,11 +69,11 @@ def body(twin: Twin) -> str:
         )
     c = float(np.sqrt(0.5))
     mount = (
-        f'<geom class="skin" type="cylinder" fromto="0 0 0 0 0 {MOUNT_M}" size=".026" material="arm_dark"/>'
+        f'<geom class="skin" type="cylinder" fromto="0 0 0 0 0 {mount_m}" size=".026" material="arm_dark"/>'
     )
     base = f'<geom class="skin" type="box" pos="{s[0] / 2} 0 0" size="{s[0] / 2} .012 .012"/>'
     return (
-        f'{mount}<body name="finger" pos="0 0 {MOUNT_M}" xyaxes="0 0 1 {-c} {-c} 0">'
+        f'{mount}<body name="finger" pos="0 0 {mount_m}" xyaxes="0 0 1 {-c} {-c} 0">'
         f"{_inertial(links, 0, 0.0)}{base}{xml}</body>"
     )
 

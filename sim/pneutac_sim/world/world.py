@@ -21,10 +21,11 @@ from pneutac_sim.world.deforming import deforming
 from pneutac_sim.world.drawn import drawn
 from pneutac_sim.world.following import Follower
 from pneutac_sim.world.observation import Observation
-from pneutac_sim.world.panda import HOME_JOINTS, WORKSPACE_HIGH, WORKSPACE_LOW, CartesianIK
+from pneutac_sim.world.panda import HOME_JOINTS, CartesianIK
 from pneutac_sim.world.placing import Placing
 from pneutac_sim.world.senses import Senses
 from pneutac_sim.world.soft_finger import Springs, mjcf
+from pneutac_sim.world.station import Station
 from pneutac_sim.world.substeps import Substeps
 from pneutac_sim.world.tasks import make_task
 from pneutac_sim.world.tasks.base import HOME_JITTER_M
@@ -47,6 +48,7 @@ class World(Senses):
         time_s: simulated time since the reset.
         pressure_range_kpa: lowest and highest pressure that can be commanded, kPa.
         action_limits: lowest and highest action (4,).
+        station: where the finger works.
         workspace_m: corners (3,) of the box to which the flange is held, metres.
         clipped: number of commands that were clipped to limits since the reset; the first is logged too.
         command: last action after clipping (4,).
@@ -69,6 +71,7 @@ class World(Senses):
         conditions: Conditions | None = None,
         render: str = "mesh",
         pressure_range_kpa: tuple[float, float] | None = None,
+        station: Station | None = None,
     ):
         """A world with a task.
 
@@ -87,6 +90,7 @@ class World(Senses):
                 the Gaussians of the gel and of the twin's body over MuJoCo's scene.
             pressure_range_kpa: pressures that can be commanded in place of those that the twin was measured
                 over; beyond these the twin is extrapolated.
+            station: workspace and mount; default the paper's.
 
         Raises:
             InputError: unknown task, touch mode, fidelity or render; a twin that is not a finger, or has no
@@ -105,12 +109,17 @@ class World(Senses):
         self.action_limits = tuple(limit.astype(float) for limit in action_limits(self.pressure_range_kpa))
         self._told = False
         # Tasks are laid out for the paper's finger: with a longer one the flange keeps as much higher.
-        self._lift_m = 1e-3 * np.array([0.0, 0.0, self.twin.length_mm - PAPER_LENGTH_MM])
-        self.workspace_m = WORKSPACE_LOW + self._lift_m, WORKSPACE_HIGH
+        self.station = station or Station()
+        longer_mm = self.twin.length_mm - PAPER_LENGTH_MM + self.station.mount_mm - Station.mount_mm
+        self._lift_m = np.array([0.0, 0.0, 1e-3 * longer_mm])
+        low, high = self.station.workspace_low_m, self.station.workspace_high_m
+        self.workspace_m = low + self._lift_m, np.array(high)
         self._conditions = conditions_for(self.twin, conditions)
         self._pipeline = PressurePipeline(self.twin, draw(self._conditions, np.random.default_rng(0)))
         self.finger, gel = deforming(self.twin, fidelity, touch)
-        self.model = mujoco.MjModel.from_xml_string(scene.build(self.task, mjcf(self.twin)))
+        self.model = mujoco.MjModel.from_xml_string(
+            scene.build(self.task, mjcf(self.twin, self.station.mount_mm))
+        )
         self.data = mujoco.MjData(self.model)
         self.sensor = TactileSensor(self.twin)
         self.touch = Touch(self.model, self.sensor, touch, gel)

@@ -15,6 +15,7 @@ from pneutac_sim.features import ACTION_NAMES, CONTROL_HZ, MAX_PRESSURE_KPA, STA
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.conditions import Conditions, draw
 from pneutac_sim.world.gantry import Gantry
+from pneutac_sim.world.station import Station
 from pneutac_sim.world.varied import Variation, VariedWorld
 
 # Domain randomisation: standard deviations.
@@ -44,6 +45,7 @@ class AugmentSetup:
         attempts: variants tried for one demonstration.
         candidates: scenes drawn to find where the object stood.
         conditions: of the world, see `World`; every demonstration draws from a range.
+        station: file of the station, or None for the paper's.
     """
 
     references: list[Reference]
@@ -55,6 +57,12 @@ class AugmentSetup:
     attempts: int = 30
     candidates: int = 48
     conditions: Conditions = field(default_factory=dict)
+    station: Path | None = None
+
+    @property
+    def where(self) -> Station:
+        """The station."""
+        return Station.load(self.station) if self.station else Station()
 
 
 @dataclass(frozen=True)
@@ -145,7 +153,7 @@ class Generator:
     def __post_init__(self):
         s = self.setup
         twin = Twin.load(s.twin) if s.twin else None
-        self.world = VariedWorld(s.task, twin, self.touch, s.fidelity, s.conditions)
+        self.world = VariedWorld(s.task, twin, self.touch, s.fidelity, s.conditions, station=s.where)
         self.gantry = Gantry(self.world)
         self.sigma_m = onset_sigma_m(s.references)
         self.late_commands = command_latency(self.world, self.gantry, s.references)

@@ -276,6 +276,7 @@ def _run(meta: LeRobotDatasetMetadata, setup: AugmentSetup) -> dict:
         "task": setup.task,
         "twin": None if setup.twin is None else str(setup.twin),
         "fidelity": setup.fidelity,
+        "station": asdict(setup.where),
         "conditions": setup.conditions,
         "planner": asdict(setup.planner),
         "seed": setup.seed,
