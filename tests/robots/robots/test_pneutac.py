@@ -402,3 +402,35 @@ def test_disconnect_ends_all_threads_also_where_a_part_fails(robot, monkeypatch)
     robot.disconnect()
     assert not [t for t in threading.enumerate() if t.name.startswith("pneutac-")]
     assert not robot.cameras["tactile"].is_connected
+
+
+def test_set_points_are_those_of_the_twin_with_vacuum_too(make_robot, tmp_path):
+    twin = Twin.builtin()
+    twin.pressure_range_kpa = (-20.0, 30.0)
+    folder = twin.save(tmp_path / "twin")
+    pump = PressureConfig(type="simulated", options={"max_kpa": 40, "min_kpa": -25})
+    robot = make_robot(twin=folder, pressure=pump)
+
+    def reached(kpa):
+        sent = robot.send_action(act(pressure=kpa))["pressure.pos"]
+        return sent == kpa and robot.get_observation()["pressure.pos"] == pytest.approx(kpa, abs=1.0)
+
+    assert until(lambda: reached(28.0)) and until(lambda: reached(-18.0))
+    assert until(
+        lambda: robot.send_action(act(pressure=-22.0))["pressure.pos"] == -20.0
+    )  # held a little beyond
+    assert robot.send_action(act(pressure=-40.0))["pressure.pos"] == 0.0  # far beyond is refused
+    assert vented(robot)
+
+
+@pytest.mark.parametrize(
+    ("range_kpa", "says"),
+    [((0.0, 60.0), "takes 15 kPa at most"), ((-20.0, 10.0), "goes down to 0 kPa.*with a vacuum pump")],
+)
+def test_a_twin_beyond_the_controllers_own_limit_is_refused(tmp_path, range_kpa, says):
+    twin = Twin.builtin()
+    twin.pressure_range_kpa = range_kpa
+    robot = Pneutac(config(tmp_path, twin=twin.save(tmp_path / "twin")))
+    with pytest.raises(InputError, match=says):
+        robot.connect()
+    assert not robot.is_connected
