@@ -67,7 +67,7 @@ def test_a_finger_of_60_kpa_and_a_doorbell_go_from_the_bench_to_a_policy(tmp_pat
         f"lerobot-record --robot.type=pneutac_sim --robot.id=lab --robot.{finger.format('--robot')}"
         " --teleop.type=pneutac_scripted --dataset.repo_id=local/bell --dataset.root=demos"
         " --dataset.no_stamp=true --dataset.fps=15 --dataset.single_task=ring --dataset.num_episodes=2"
-        " --dataset.episode_time_s=6 --teleop.episode_steps=90 --teleop.reset_steps=15"
+        " --dataset.episode_time_s=14 --teleop.reset_steps=15"
         " --dataset.reset_time_s=1 --dataset.video=false --dataset.push_to_hub=false --play_sounds=false"
     )
     stats = json.loads((tmp_path / "demos" / "meta" / "stats.json").read_text())

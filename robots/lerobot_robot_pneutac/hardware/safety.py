@@ -28,6 +28,7 @@ TICK_S = 0.02  # of the watchdog
 ARM_S = 0.2  # an arm that has not answered for so long is lost
 MOVE_S = 3.0  # the same of a command, which may clear a reflex first
 HALT_S = 0.05  # how long a halt waits for the arm to say that it stopped
+ROUNDING_KPA = 1e-3  # by which an action in single precision may be beyond a limit
 CLOSE_S = 1.0  # how long closing waits for each thread
 
 logger = logging.getLogger(__name__)
@@ -57,7 +58,7 @@ class Guard:
         self._recent: deque[bool] = deque(maxlen=RECENT)  # whether each of the last actions was refused
         self._target_kpa = 0.0
         self._last_s = time.monotonic()
-        self._moving = self._inflated = False
+        self._moving = self._inflated = self._told = False
         self._closed = threading.Event()
         self._threads = [
             threading.Thread(target=f, name=f"pneutac-{f.__name__.strip('_')}", daemon=True)
@@ -102,6 +103,7 @@ class Guard:
             self._recent.append(reason is not None)
             if reason:
                 return self._refuse(reason)
+            self._tell_held(float(values[3]))
             now = time.monotonic()
             self._target_kpa = self.limits.pressure(values[3], self._target_kpa, now - self._last_s)
             velocity = self.limits.velocity(values[:3], state.flange_m)
@@ -158,6 +160,18 @@ class Guard:
         """Before a vent, or the watchdog, which holds the pressure, would fill the chamber again."""
         self._target_kpa = 0.0
         self._moving = self._inflated = False
+
+    def _tell_held(self, wanted_kpa: float) -> None:
+        """Logs the first set-point that the limits hold back; later ones are told by what `act` returns."""
+        low, high = self.limits.vacuum_kpa, self.limits.pressure_kpa
+        if not self._told and not low - ROUNDING_KPA <= wanted_kpa <= high + ROUNDING_KPA:
+            self._told = True
+            logger.warning(
+                "A set-point of %.4g kPa is held to the limits, %g to %g kPa; later ones are not logged.",
+                wanted_kpa,
+                low,
+                high,
+            )
 
     def _refuse(self, reason: str) -> np.ndarray:
         self.refused += 1

@@ -140,6 +140,21 @@ def test_after_a_refused_action_the_pressure_begins_at_zero(parts, guard):
     assert guard.act(high)[3] <= Limits().pressure_rate_kpa_s * (time.monotonic() - start_s)
 
 
+def test_a_set_point_that_the_limits_hold_back_is_logged_once(parts, caplog):
+    guard = Guard(parts, parts, Limits(vacuum_kpa=-5.0, pressure_kpa=10.0))
+    for kpa in (10.0, -5.0, 10.0009, -5.0009):
+        guard.act(np.array([0.0, 0.0, 0.0, kpa]))
+    assert not caplog.records
+    for kpa in (12.0, -6.0, 13.0):
+        guard.act(np.array([0.0, 0.0, 0.0, kpa]))
+    assert [r.getMessage() for r in caplog.records] == [
+        "A set-point of 12 kPa is held to the limits, -5 to 10 kPa; later ones are not logged."
+    ]
+    below = Guard(parts, parts, Limits(vacuum_kpa=-5.0))
+    below.act(np.array([0.0, 0.0, 0.0, -6.0]))
+    assert caplog.records[-1].getMessage().startswith("A set-point of -6 kPa is held")
+
+
 @pytest.mark.parametrize("good_between", [0, 1, 3])
 def test_refusals_that_are_a_quarter_of_the_last_actions_are_a_fault(parts, guard, good_between):
     for _ in range(RECENT):
