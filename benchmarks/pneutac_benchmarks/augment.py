@@ -10,7 +10,7 @@ from lerobot_pneutac.reports.page import write_result
 from lerobot_pneutac.verbs.augment import AugmentConfig, DatasetRef, augment
 from pneutac_benchmarks.tables import markdown, terminal
 from pneutac_sim.errors import check_choice, check_least
-from pneutac_sim.features import CONTROL_HZ, DEMONSTRATION_S, TASK_NAMES, task_names
+from pneutac_sim.features import CONTROL_HZ, TASK_NAMES, TRIAL_S, task_names
 
 
 @dataclass
@@ -66,7 +66,7 @@ def _measure(cfg: BenchmarkAugmentConfig, task: str, console: Console) -> dict:
     cfg.out.mkdir(parents=True, exist_ok=True)
     robot = PneutacSim(PneutacSimConfig(id="twin", task=task, seed=cfg.seed))
     teleop = PneutacScripted(
-        PneutacScriptedConfig(id="scripted", seed=cfg.seed, episode_steps=DEMONSTRATION_S * CONTROL_HZ)
+        PneutacScriptedConfig(id="scripted", seed=cfg.seed, episode_steps=TRIAL_S * CONTROL_HZ)
     )
     record_episodes(robot, teleop, f"local/{recorded.name}", recorded, cfg.demonstrations, task, True)
     config = AugmentConfig(

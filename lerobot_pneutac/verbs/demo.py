@@ -19,7 +19,7 @@ from pathlib import Path
 
 from lerobot_pneutac.verbs.demo_result import DemoResult
 from pneutac_sim.errors import InputError, check_least
-from pneutac_sim.features import CONTROL_HZ, DEMONSTRATION_S
+from pneutac_sim.features import CONTROL_HZ, TRIAL_S
 from pneutac_sim.files import write_json
 from pneutac_sim.progress import Progress
 from pneutac_sim.twin import Twin
@@ -147,7 +147,7 @@ class Demo:
     def _record(self) -> dict:
         """One demonstration by lerobot-record in real time, the others unpaced by the same robot code."""
         cfg, first, rest = self.cfg, self._path("recorded_1"), self._path("recorded_2")
-        merged, steps = self._path("demonstrations"), DEMONSTRATION_S * CONTROL_HZ
+        merged, steps = self._path("demonstrations"), TRIAL_S * CONTROL_HZ
         for folder in (first, rest, merged):
             shutil.rmtree(folder, ignore_errors=True)
         self._command(
@@ -156,7 +156,7 @@ class Demo:
             "--teleop.type=pneutac_scripted", f"--teleop.seed={cfg.seed}", f"--teleop.episode_steps={steps}",
             f"--dataset.repo_id=local/{first.name}", f"--dataset.root={first}", "--dataset.no_stamp=true",
             f"--dataset.single_task={TASK_TEXT}", f"--dataset.fps={CONTROL_HZ}", "--dataset.num_episodes=1",
-            f"--dataset.episode_time_s={DEMONSTRATION_S}", "--dataset.reset_time_s=0",
+            f"--dataset.episode_time_s={TRIAL_S}", "--dataset.reset_time_s=0",
             "--dataset.streaming_encoding=true", "--dataset.push_to_hub=false", "--play_sounds=false",
         )  # fmt: skip
         self._unpaced(rest, cfg.demonstrations - 1)
@@ -170,7 +170,7 @@ class Demo:
         from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
         from pneutac_datasets.demonstrations.record import record_episodes
 
-        seed, steps = self.cfg.seed + 1000, DEMONSTRATION_S * CONTROL_HZ
+        seed, steps = self.cfg.seed + 1000, TRIAL_S * CONTROL_HZ
         options = {"id": "demo", "task": TASK, "seed": seed, "standin": True, "twin": self.twin}
         robot = PneutacSim(PneutacSimConfig(**options, spread=SPREAD))
         teleop = PneutacScripted(PneutacScriptedConfig(id="scripted", seed=seed, episode_steps=steps))

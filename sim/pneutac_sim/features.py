@@ -12,7 +12,7 @@ import numpy as np
 
 CONTROL_HZ = 15
 TRIAL_S = 20  # after which a trial has failed
-DEMONSTRATION_S = 14  # after which a scripted demonstration is given up; most take 2 to 10
+DEMONSTRATION_S = 14  # of an episode of lerobot-record, where it is not told; a search of all lanes takes 15
 TASK_NAMES = ("switch", "egg", "card")
 TASK_GROUP = "pneutac.tasks"  # entry points by which other packages bring tasks of their own
 FIDELITIES = ("surrogate", "mpm", "probe")  # how finger and gel of a world deform

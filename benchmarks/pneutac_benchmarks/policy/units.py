@@ -7,7 +7,7 @@ from pathlib import Path
 
 import torch
 
-from pneutac_sim.features import CONTROL_HZ, DEMONSTRATION_S
+from pneutac_sim.features import CONTROL_HZ, TRIAL_S
 from pneutac_sim.twin import Twin
 
 HELD_OUT = 0.1  # share of the final data set's episodes, where the weights are chosen by them
@@ -37,7 +37,7 @@ def record(folder: Path, options: dict, needs: list[Path], workers: int) -> dict
     )
     teleop = PneutacScripted(
         PneutacScriptedConfig(
-            id="scripted", seed=seed, episode_steps=DEMONSTRATION_S * CONTROL_HZ, calibration_dir=folder
+            id="scripted", seed=seed, episode_steps=TRIAL_S * CONTROL_HZ, calibration_dir=folder
         )
     )
     robot.connect()
