@@ -1,9 +1,6 @@
 """LeRobot's whole loop as its users run it: real commands, no display, no network."""
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +8,10 @@ import pytest
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
 from lerobot.utils.constants import OBS_STATE
 from safetensors.torch import load_file
+from warm_commands import WarmCommands
 
 from pneutac_sim.features import STATE_NAMES
 
-BIN = Path(sys.executable).parent
 STEPS = 75  # 5 s at 15 Hz
 
 
@@ -22,15 +19,15 @@ STEPS = 75  # 5 s at 15 Hz
 def run(tmp_path_factory):
     """Runs a LeRobot command in a working folder of its own and returns its output."""
     work = tmp_path_factory.mktemp("loop")
-    env = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
     # Two processes at a time on two cores: more threads would only stand in each other's way.
-    env |= {"HF_HOME": str(work / "hf"), "HF_HUB_OFFLINE": "1", "OMP_NUM_THREADS": "1"}
+    commands = WarmCommands(
+        work, {"HF_HOME": str(work / "hf"), "HF_HUB_OFFLINE": "1", "OMP_NUM_THREADS": "1"}
+    )
 
     def call(command: str, *options: str) -> str:
-        arguments = [str(BIN / command), *options]
-        done = subprocess.run(arguments, cwd=work, env=env, text=True, capture_output=True, timeout=300)
-        assert done.returncode == 0, f"{' '.join(arguments)}\n{done.stdout[-3000:]}\n{done.stderr[-5000:]}"
-        return done.stdout + done.stderr
+        code, output = commands.run(command, *options)
+        assert code == 0, f"{command} {' '.join(options)}\n{output[-8000:]}"
+        return output
 
     call.work = work
     return call
