@@ -4,27 +4,38 @@ import shlex
 from pathlib import Path
 
 from rich.console import Console
+from rich.errors import MarkupError
 from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 from lerobot_pneutac.reports.page import cell
+from pneutac_sim.errors import printable
 
 
 def show(result, console: Console, sentence: bool = True) -> None:
     """Prints findings, sentence, table and remarks of a `Result`."""
     for finding in result.findings:
-        console.print(f"[yellow]note:[/] {finding}", highlight=False)
+        console.print(f"[yellow]note:[/] {escape(printable(finding))}", highlight=False)
     if sentence and result.sentence:
-        console.print(f"\n[bold]{escape(result.sentence)}[/]\n", highlight=False)
+        console.print(f"\n[bold]{escape(printable(result.sentence))}[/]\n", highlight=False)
     rows = result.rows()
     if rows:
         table = Table(*map(str, rows[0]), title=result.title)
         for row in rows:
             style = "yellow" if row.get("note", "held") not in ("", "held") else None
-            table.add_row(*(cell(row[k], "") for k in rows[0]), style=style)
+            table.add_row(*(Text(printable(cell(row[k], ""))) for k in rows[0]), style=style)
         console.print(table)
     for remark in result.remarks():
-        console.print(remark, highlight=False)
+        console.print(_remark(printable(remark)), highlight=False)
+
+
+def _remark(text: str) -> Text:
+    """A remark may be marked up; a name in it that looks like markup is none."""
+    try:
+        return Text.from_markup(text)
+    except MarkupError:
+        return Text(text)
 
 
 def write(result, out: Path | None, verb: str, argv: list[str], console: Console) -> None:

@@ -3,13 +3,27 @@
 Where a parameter is wrong the sentence begins with its name: the command line makes `--name` of it.
 """
 
+import re
 from collections.abc import Iterable
 
+# All but tab and newline: what a terminal obeys, and marks that turn the direction of text.
+CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
 MOST_SHOWN = 80  # characters of a value in a sentence
 
 
 class InputError(ValueError):
-    """Bad input from a user or a file. The command line prints its message alone, without a traceback."""
+    """Bad input from a user or a file. The command line prints its message alone, without a traceback.
+
+    Control characters of the message, which may quote a file, are written out: a terminal would obey them.
+    """
+
+    def __init__(self, message: str):
+        super().__init__(printable(message))
+
+
+def printable(text: str) -> str:
+    r"""The text with its control characters written out, as `\x1b`."""
+    return CONTROL.sub(lambda found: repr(found[0])[1:-1], text)
 
 
 def shown(value) -> str:

@@ -11,7 +11,7 @@ from pathlib import Path
 import yaml
 from filelock import FileLock, Timeout
 
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import CONTROL, InputError
 
 MOST_YAML_BYTES = 2**20
 LOCK_S = 60.0  # how long another process's writing is waited for
@@ -45,6 +45,14 @@ class _Loader(yaml.SafeLoader):
                 None, None, "aliases are not read", self.peek_event().start_mark
             )
         return super().compose_node(parent, index)
+
+    def construct_scalar(self, node):
+        value = super().construct_scalar(node)
+        if CONTROL.search(value):
+            raise yaml.constructor.ConstructorError(
+                None, None, "control characters are not read", node.start_mark
+            )
+        return value
 
 
 @contextmanager

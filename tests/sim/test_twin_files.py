@@ -93,6 +93,7 @@ def test_yaml_has_limits(tmp_path):
         ("a: " + "[" * 5000, "nested too deeply|not valid YAML"),
         ("a: &x [1]\nb: *x", "aliases are not read"),
         ("a: " + "1" * 2**20, "larger than"),
+        ('a: "\\e[2J"', "control characters are not read"),
     ):
         file.write_text(text)
         with pytest.raises(InputError, match=why):

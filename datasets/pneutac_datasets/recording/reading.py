@@ -2,7 +2,7 @@
 
 import json
 import re
-from collections.abc import Sized
+from collections.abc import Iterator, Sized
 from pathlib import Path
 
 import pandas as pd
@@ -10,13 +10,14 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from pneutac_datasets.recording.wording import cut, shown
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import CONTROL, InputError
 
 # A bench run of one hour at 100 Hz with 20 columns is about 60 MB of text; far above that, reading a table
 # whole would fill a laptop's memory (pandas needs roughly three times the size of the file).
 MAX_CSV_BYTES = 300 * 2**20
 MAX_ROWS = 5_000_000
 MAX_CELLS = 200_000_000  # 1.6 GB of numbers: a small Parquet file may stand for far more
+MAX_COLUMNS = 1000
 MAX_META_BYTES = 2**22
 MAX_NAME = 255  # characters of a file's name
 
@@ -38,6 +39,10 @@ def read_meta(folder: Path) -> dict:
         if file.stat().st_size > MAX_META_BYTES:
             raise InputError(f"{file} is larger than {MAX_META_BYTES} bytes; samples belong into a table.")
         meta = json.loads(file.read_text(encoding="utf-8"), parse_int=_whole)
+        if any(CONTROL.search(text) for text in _texts(meta)):
+            raise InputError(f"{file} holds control characters; correct it in a text editor.")
+    except InputError:
+        raise
     except (ValueError, RecursionError) as e:
         raise InputError(f"{file} is not valid JSON: {cut(str(e))}; correct it in a text editor.") from e
     if not isinstance(meta, dict):
@@ -50,6 +55,18 @@ def read_meta(folder: Path) -> dict:
 def _whole(digits: str) -> int | float:
     """A whole number of JSON; one that no measurement has is infinite, which every field refuses."""
     return int(digits) if len(digits) < 20 else float(digits)
+
+
+def _texts(content) -> Iterator[str]:
+    """All names and texts of what JSON holds."""
+    if isinstance(content, str):
+        yield content
+    elif isinstance(content, list):
+        for value in content:
+            yield from _texts(value)
+    elif isinstance(content, dict):
+        yield from content
+        yield from _texts(list(content.values()))
 
 
 def read_table(folder: Path, meta: dict) -> tuple[pd.DataFrame, Path]:
@@ -97,8 +114,13 @@ def _read_csv(file: Path) -> pd.DataFrame:
             raise InputError(
                 f"{file}: column {shown(doubled[0])} appears twice in the header; keep one of them."
             )
+        if len(header) > MAX_COLUMNS:
+            raise InputError(f"{file} has {len(header)} columns, above the limit of {MAX_COLUMNS}.")
         options = {"sep": mark, "decimal": decimal, "encoding": encoding, "skipinitialspace": mark != "\t"}
-        return pd.read_csv(file, low_memory=False, **options).rename(columns=str.strip)
+        table = pd.read_csv(file, low_memory=False, nrows=MAX_ROWS + 1, **options)
+        if len(table) > MAX_ROWS:
+            raise InputError(f"{file} has over {MAX_ROWS} rows; keep every n-th row.")
+        return table.rename(columns=str.strip)
     except UnicodeError as e:
         raise InputError(
             f"{file} is not UTF-8 text ({getattr(e, 'reason', e)}); save it as plain CSV."
@@ -120,7 +142,7 @@ def _read_parquet(file: Path) -> pd.DataFrame:
         rows = found.num_rows
         if rows > MAX_ROWS:
             raise InputError(f"{file} has {rows} rows, above the limit of {MAX_ROWS}; keep every n-th row.")
-        if rows * found.num_columns > MAX_CELLS:
+        if found.num_columns > MAX_COLUMNS or rows * found.num_columns > MAX_CELLS:
             raise InputError(f"{file} has {found.num_columns} columns of {rows} rows; keep every n-th row.")
         return pq.read_table(file).to_pandas()
     except InputError:

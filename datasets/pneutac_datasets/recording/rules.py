@@ -11,7 +11,7 @@ from pneutac_datasets.recording.clock import check_sent, check_time
 from pneutac_datasets.recording.starts import check_numbers, check_starts
 from pneutac_datasets.recording.units import check_units
 from pneutac_datasets.recording.wording import an, listed, plural, row_name, shown
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import CONTROL, InputError
 from pneutac_sim.finger import quantities
 from pneutac_sim.twin import DEVICES
 
@@ -102,6 +102,7 @@ def check_samples(
     if len(samples) == 0:
         raise InputError(f"{file} has a header but no rows; record at least one trial.")
     _check_columns(samples, device, file)
+    _check_texts(samples, file)
     samples = clean_numbers(samples, device, file)
     samples["trial"] = clean_trials(samples["trial"], file)
     if device != "gel":
@@ -122,6 +123,26 @@ _HOW = {
     "pressure_cmd_kpa": "add the commanded pressure above the surroundings, in kPa",
     "pressure_cmd_1_kpa": "add the commanded pressures, pressure_cmd_1_kpa and so on, one column a chamber",
 }
+
+
+# What a spreadsheet would compute or a terminal would obey, were a text shown there.
+_NOT_A_TEXT = re.compile(rf"^\s*[=+@]|^\s*-[^\d.]|[\t\r\n]|{CONTROL.pattern}")
+
+
+def _check_texts(samples: pd.DataFrame, file: Path) -> None:
+    """Raises InputError where a text or a column's name is a formula or holds control characters."""
+    for name in samples.columns:
+        if _NOT_A_TEXT.search(str(name)):
+            raise InputError(f"{file}: column {shown(str(name))} begins or reads as a formula; rename it.")
+        if pd.api.types.is_numeric_dtype(samples[name]):
+            continue
+        for text in {t for t in samples[name] if isinstance(t, str)}:
+            if _NOT_A_TEXT.search(text):
+                row = int((samples[name] == text).to_numpy().argmax())
+                raise InputError(
+                    f"{file}: {shown(name)} of {row_name(row, file)} is {shown(text)}, which a spreadsheet or"
+                    " terminal would run; write plain text."
+                )
 
 
 def _check_columns(samples: pd.DataFrame, device: str, file: Path) -> None:

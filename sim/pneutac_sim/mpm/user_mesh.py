@@ -19,6 +19,7 @@ UNITS = {"mm": 1.0, "m": 1000.0}  # in mm
 AXES = ("x", "y", "z")
 SHORTEST_MM, LONGEST_MM = 5.0, 2000.0  # of a soft finger or arm
 UNUSUAL_MM = 400.0  # the length from which on the unit is doubted
+MOST_BYTES = 200 * 2**20
 MOST_FACES = 200_000  # finer than particles can tell, and a twin has to travel
 MAIN_SHARE = 0.95  # of all volume, from which on the rest is scraps
 USUAL_PARTICLES = 4000
@@ -105,8 +106,10 @@ def _load(file: Path) -> trimesh.Trimesh:
         raise InputError(f"There is no mesh '{file}'; give an STL, OBJ or PLY file.")
     if file.suffix.lower() not in FORMATS:
         raise InputError(f"{file} is no mesh that can be read here; export it as STL, OBJ or PLY.")
+    if file.stat().st_size > MOST_BYTES:
+        raise InputError(f"{file} is larger than {MOST_BYTES // 2**20} MB; simplify it.")
     try:
-        mesh = trimesh.load_mesh(file, process=False)
+        mesh = trimesh.load_mesh(file, process=False, skip_materials=True)  # no other file is opened
     except Exception as e:
         raise InputError(f"{file} cannot be read as a mesh ({e}); export it anew as STL, OBJ or PLY.") from e
     if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):

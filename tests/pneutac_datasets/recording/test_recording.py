@@ -12,7 +12,7 @@ from PIL import Image
 from pneutac_benchmarks.robustness.recordings import damage_recordings
 from pneutac_datasets.recording import reading
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import CONTROL, InputError
 
 META = {"device": "finger", "length_mm": 110.0, "samples": "samples.csv"}
 
@@ -500,3 +500,26 @@ def test_a_small_parquet_file_cannot_stand_for_a_huge_table(tmp_path, monkeypatc
     (tmp_path / "recording.json").write_text('{"device": "finger", "samples": "samples.parquet"}')
     with pytest.raises(InputError, match="has 4 columns of 20 rows"):
         Recording.load(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "text", ["=HYPERLINK(1)", "+1+cmd", "@SUM(A1)", "-cmd", " =1", "\x1b[2Jx", "\x9bm", "a\u202eb", "a\tb"]
+)
+def test_no_text_is_a_formula_or_moves_a_terminals_cursor(tmp_path, text):
+    write(tmp_path / "whole", table())
+    for case in ("cell", "column", "json"):
+        folder = tmp_path / case
+        rows = table()
+        if case == "cell":
+            rows.loc[7, "program"] = text
+        if case == "column":
+            rows = rows.assign(**{text: 0.0})
+        write(folder, rows)
+        if case == "json":
+            meta = json.loads((folder / "recording.json").read_text()) | {"notes": {text: 1}}
+            (folder / "recording.json").write_text(json.dumps(meta))
+            if not CONTROL.search(text):
+                continue  # nothing puts notes into a table
+        with pytest.raises(InputError, match="formula|would run|control characters") as e:
+            Recording.load(folder)
+        assert not CONTROL.search(str(e.value))
