@@ -7,7 +7,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # A file of tests stays in one process; each process computes on one thread, so that they share the cores.
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses=auto --maxprocesses=4 --dist=loadfile --no-loadscope-reorder --durations=25
 
-.PHONY: demo check lint test nightly bench docs
+.PHONY: demo check lint test nightly bench docs sbom
 
 demo: .venv/ready
 	$(BIN)/pneutac demo
@@ -34,6 +34,11 @@ lint: .venv/ready
 
 docs: .venv/ready
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
+# What is installed, with versions and licences, as CycloneDX.
+sbom: .venv/ready
+	$(UV) tool run --from cyclonedx-bom==7.5.0 cyclonedx-py environment --pyproject pyproject.toml \
+		--mc-type application --output-reproducible -o sbom.json $(BIN)/python
 
 bench: .venv/ready
 	for f in benchmarks/*_speed.py; do $(BIN)/python $$f || exit 1; done
