@@ -137,6 +137,7 @@ def test_without_markers_photographs_are_fitted(drawn, tmp_path, monkeypatch):
     without = altered(drawn, tmp_path / "without", **{f"tip_{a}_mm": None for a in "xyz"})
     monkeypatch.setattr("lerobot_pneutac.verbs.fit_photographs.calibrate_photographs", lambda *a: "images")
     monkeypatch.setattr("lerobot_pneutac.verbs.fit_body.calibrate_body", lambda *a: "markers")
+    monkeypatch.setattr(verb, "_measured", lambda result, _: result)
     for recording, by, used in (
         (without, None, "images"),
         (drawn, None, "markers"),
