@@ -12,6 +12,7 @@ from lerobot_pneutac.cli.show import show, write
 from lerobot_pneutac.verbs.effect_file import effect_source, file_name
 from lerobot_pneutac.verbs.effects import list_effects, show_effect
 from pneutac_sim.errors import InputError
+from pneutac_sim.files import write_text
 
 ACTIONS = "list, show NAME, export NAME --out=FILE"
 
@@ -61,6 +62,5 @@ def _export(name: str, out: Path, console: Console) -> None:
     text = effect_source(name)
     if out.suffix != ".py" or out.exists():
         raise InputError(f"--out={out} must name a new file that ends in .py.")
-    out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(text, encoding="utf-8")
+    write_text(out, text)
     console.print(f"effect: {out}; its first lines say how a package offers it", highlight=False)

@@ -9,6 +9,7 @@ import numpy as np
 
 from pneutac_datasets.recording.image_file import read_image
 from pneutac_sim.errors import InputError
+from pneutac_sim.files import write_json
 
 DICTIONARY = cv2.aruco.DICT_4X4_50
 CELLS = 6  # of a marker's side, its dark rim included
@@ -61,7 +62,7 @@ class Intrinsics:
             "height": self.size_px[1],
             "rms_px": self.rms_px,
         }
-        Path(path).write_text(json.dumps(d, indent=1) + "\n")
+        write_json(Path(path), d)
 
 
 def calibrate_camera(

@@ -2,7 +2,6 @@
 
 import base64
 import io
-import json
 import re
 from functools import cache
 from pathlib import Path
@@ -11,6 +10,8 @@ import jinja2
 import numpy as np
 from markupsafe import Markup, escape
 from PIL import Image
+
+from pneutac_sim.files import write_json, write_text
 
 
 class Report:
@@ -82,15 +83,13 @@ class Report:
         path = Path(path)
         if path.suffix != ".html":
             path = path / "report.html"
-        path.parent.mkdir(parents=True, exist_ok=True)
         script = ""
         if any(s["kind"] == "figure" for s in self._sections):
             from plotly.offline import get_plotlyjs
 
             script = get_plotlyjs()
         content = {"title": self.title, "about": self.about, "sections": self._sections}
-        page = _template().render(**content, plotly=script)
-        path.write_text(page, encoding="utf-8")
+        write_text(path, _template().render(**content, plotly=script))
         return path
 
 
@@ -104,9 +103,7 @@ def _template() -> jinja2.Template:
 def write_result(out: str | Path, result: dict) -> Path:
     """Writes `result.json` into folder `out`; raises ValueError where a number is NaN or infinite."""
     path = Path(out) / "result.json"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(plain(result), indent=2, allow_nan=False)
-    path.write_text(text)
+    write_json(path, plain(result))
     return path
 
 

@@ -12,6 +12,7 @@ from torch import nn
 from lerobot_pneutac.rl.env import ACTOR_SIZE, GRID
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_NAMES
+from pneutac_sim.files import whole, write_json
 
 WEIGHTS_FILE, CARD_FILE = "actor.safetensors", "actor.json"
 
@@ -48,11 +49,11 @@ class Actor(nn.Module):
     def save(self, folder: str | Path) -> None:
         """Writes `actor.safetensors` and `actor.json`."""
         folder = Path(folder)
-        folder.mkdir(parents=True, exist_ok=True)
         tensors = {k: v.detach().cpu().contiguous() for k, v in self.state_dict().items()}
-        save_file(tensors, folder / WEIGHTS_FILE)
+        with whole(folder / WEIGHTS_FILE) as part:
+            save_file(tensors, part)
         card = {"hidden": list(self.hidden), "grid": list(GRID), **self.card}
-        (folder / CARD_FILE).write_text(json.dumps(card, indent=2) + "\n")
+        write_json(folder / CARD_FILE, card)
 
     @classmethod
     def load(cls, folder: str | Path) -> "Actor":

@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 from lerobot_pneutac.rendering.silhouettes import strip
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.study.photographs import PhotoStudy, photo_study
 from lerobot_pneutac.verbs.calibration import Calibration
 from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.files import write_image
 from pneutac_sim.finger.fit import BY_IMAGES
 from pneutac_sim.photo_fit.coarse import Coarse, coarse_fit
 from pneutac_sim.photo_fit.confidence import Posterior, confidence
@@ -193,7 +193,7 @@ def calibrate_photographs(
     def report(done: int, _: np.ndarray, value: float) -> None:
         progress(f"best objective {value:.4f}", done, options.evaluations)
         if best is not None and objective.best is not None:
-            Image.fromarray(strip(objective, objective.best, photographs)).save(best)
+            write_image(best, strip(objective, objective.best, photographs))
 
     key = search_key(recording, twin, photographs, options.particles)
     count, seed = options.evaluations, options.seed

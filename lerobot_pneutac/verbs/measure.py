@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from lerobot.cameras import Camera, make_cameras_from_configs
-from PIL import Image
 
 from lerobot_pneutac.measuring.camera import Intrinsics, MarkerTracker
 from lerobot_pneutac.measuring.options import MeasureConfig
 from lerobot_pneutac.measuring.programs import PressureTrial, read_program
 from lerobot_robot_pneutac.hardware.parts import COMMAND_S, HardwareFault, PressureController
 from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.files import write_image
 
 BASE_IMAGES = 15
 FRAME_MS = 1000 * COMMAND_S  # a camera that is slower than this is lost; the chamber vents by itself then
@@ -150,7 +150,7 @@ class BenchDriver:
             row |= dict(zip(("tip_x_mm", "tip_y_mm", "tip_z_mm"), tip.tolist(), strict=True))
             for name, image in images.items():
                 file = folder / f"{name}_{sample:05d}.jpg"
-                Image.fromarray(image).save(file, quality=95)
+                write_image(file, image, quality=95)
                 row[f"image_{name}"] = str(file.relative_to(self._config.out))
             rows.append(row)
             sent_s = None

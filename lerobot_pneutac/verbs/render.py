@@ -11,6 +11,7 @@ from lerobot_pneutac.rendering.film import Film
 from lerobot_pneutac.rendering.options import FPS, RenderConfig, filled
 from lerobot_pneutac.reports.page import Report, write_result
 from lerobot_pneutac.verbs.result import Result, about
+from pneutac_sim.files import write_image
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
 
@@ -79,7 +80,7 @@ def draw_film(film: Film, out: Path, progress: Progress = no_progress) -> Render
             pictures.append(frame.picture)
             if frame.row is not None:
                 name = f"{film.device}_{len(stills) + 1}.png"
-                Image.fromarray(frame.picture).save(out / name)
+                write_image(out / name, frame.picture)
                 stills.append(frame.row | {"picture": name})
             progress("bringing it to rest", len(pictures), film.count)
     finally:

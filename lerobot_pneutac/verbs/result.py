@@ -6,9 +6,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 from lerobot_pneutac.reports.page import Report, plain, write_result
+from pneutac_sim.files import write_image
 from pneutac_sim.twin import Twin
 
 
@@ -76,7 +76,7 @@ class Result:
         """
         write_result(out, self.to_dict())
         for name, picture in self.pictures().items():
-            Image.fromarray(picture).save(Path(out) / name)
+            write_image(Path(out) / name, picture)
         page = self.page()
         page.about = about(*self.subject())
         if self.next_command:

@@ -15,6 +15,7 @@ from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.recording.wording import an
 from pneutac_sim.errors import InputError, check_choice
+from pneutac_sim.files import write_text
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.surrogate.fingerprint import fingerprint, gel_fingerprint
 from pneutac_sim.surrogate.networks import builtin, fits
@@ -241,7 +242,7 @@ def _write_card(trained: TrainedNetworks, folder: Path) -> None:
         "|---|---|---|",
         *(f"| {' | '.join(row)} |" for row in trained.errors),
     ]
-    (folder / CARD).write_text("\n".join(card) + "\n")
+    write_text(folder / CARD, "\n".join(card) + "\n")
 
 
 def _sem(x: float | None, digits: int) -> str:

@@ -1,6 +1,7 @@
 """Files that are read with one sentence where they are bad, and written whole or not at all."""
 
 import errno
+import io
 import json
 import os
 import sys
@@ -8,8 +9,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 import yaml
 from filelock import FileLock, Timeout
+from PIL import Image
 
 from pneutac_sim.errors import CONTROL, InputError
 
@@ -53,6 +56,16 @@ class _Loader(yaml.SafeLoader):
                 None, None, "control characters are not read", node.start_mark
             )
         return value
+
+
+def inside(folder: Path, file: Path) -> bool:
+    """Whether a file's content lies in `folder`, symbolic links followed.
+
+    A snapshot in the Hub's cache holds links to the `blobs` beside it, which count as inside.
+    """
+    real, target = folder.resolve(), file.resolve()
+    caches = [p.parent / "blobs" for p in real.parents if p.name == "snapshots"]
+    return any(target.is_relative_to(p) for p in (real, *caches[:1]))
 
 
 @contextmanager
@@ -114,7 +127,20 @@ def locked(folder: Path) -> Iterator[None]:
         ) from e
 
 
+def write_text(file: Path, text: str) -> None:
+    """Writes UTF-8, whole or not at all."""
+    with whole(file) as part:
+        part.write_text(text, encoding="utf-8")
+
+
 def write_json(file: Path, content) -> None:
     """Writes JSON, whole or not at all; raises ValueError where a number is NaN or infinite."""
+    write_text(file, json.dumps(content, indent=1, allow_nan=False) + "\n")
+
+
+def write_image(file: Path, pixels: np.ndarray, **options) -> None:
+    """Writes a picture, uint8 (H, W) or (H, W, 3), of the kind its name says; `options` are Pillow's."""
+    data = io.BytesIO()
+    Image.fromarray(pixels).save(data, Image.registered_extensions()[file.suffix.lower()], **options)
     with whole(file) as part:
-        part.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
+        part.write_bytes(data.getvalue())

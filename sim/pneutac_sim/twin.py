@@ -17,7 +17,7 @@ from safetensors.numpy import load_file, save
 
 from pneutac_sim.errors import InputError, shown
 from pneutac_sim.features import PAPER_RANGE_KPA
-from pneutac_sim.files import locked, read_yaml, whole, write_json
+from pneutac_sim.files import inside, locked, read_yaml, whole, write_json
 
 DEVICES = ("finger", "arm", "gel")
 FORMAT = "pneutac-twin/1"
@@ -197,12 +197,17 @@ class Twin:
             raise InputError(f"{file}: field {e} is missing.") from e
         except (TypeError, ValueError) as e:
             raise InputError(f"{file}: a field is malformed ({e}).") from e
-        twin.folder = Path(path)
+        twin.folder = folder = Path(path)
         files = {name: Path(path) / f"{name}.safetensors" for name in NETWORKS}
         twin.networks = {name: file for name, file in files.items() if file.is_file()}
         arrays = Path(path) / d.get("arrays", "arrays.safetensors")  # a twin before 0.2 does not name it
         if arrays.name != d.get("arrays", arrays.name):
             raise InputError(f"{file}: field 'arrays' is '{d['arrays']}'; it must be a file's name.")
+        for linked in (file, arrays, folder / "history", *twin.networks.values()):
+            if not inside(folder, linked):
+                raise InputError(
+                    f"{linked} is a link that leads out of the twin's folder; put there what it leads to."
+                )
         if arrays.is_file():
             try:
                 twin.arrays = load_file(arrays)

@@ -105,3 +105,20 @@ def test_what_a_twin_holds_twice_is_written_twice_and_read_again(tmp_path):
     twin.save_version(tmp_path, "first", "bench", {"by": errors, "again": errors})
     twin.save_version(tmp_path, "second", "bench", {"by": errors})
     assert Twin.load(tmp_path).history == twin.history
+
+
+@pytest.mark.parametrize("name", ["action.safetensors", "history", "twin.yaml"])
+def test_a_link_out_of_the_folder_is_refused_but_not_in_the_hubs_cache(tmp_path, name):
+    twin = Twin.builtin()
+    twin.networks["action"] = tmp_path / "trained"
+    twin.networks["action"].write_bytes(b"weights")
+    here, hub = tmp_path / "twin", tmp_path / "cache" / "snapshots" / "0f" / "twin"
+    for folder, aside in ((here, tmp_path / "private"), (hub, tmp_path / "cache" / "blobs")):
+        twin.save_version(folder, "first", "bench", {})
+        twin.history.clear()
+        aside.mkdir()
+        (folder / name).rename(aside / name)
+        (folder / name).symlink_to(aside / name)
+    with pytest.raises(InputError, match=f"{name} is a link that leads out of the twin's folder"):
+        Twin.load(here)
+    assert Twin.load(hub).networks["action"].read_bytes() == b"weights"

@@ -11,6 +11,7 @@ import pyarrow.parquet as pq
 
 from pneutac_datasets.recording.wording import cut, shown
 from pneutac_sim.errors import CONTROL, InputError
+from pneutac_sim.files import inside
 
 # A bench run of one hour at 100 Hz with 20 columns is about 60 MB of text; far above that, reading a table
 # whole would fill a laptop's memory (pandas needs roughly three times the size of the file).
@@ -87,7 +88,7 @@ def read_table(folder: Path, meta: dict) -> tuple[pd.DataFrame, Path]:
             f"{folder / 'recording.json'}: field 'samples' is {shown(name)}; name a .csv or .parquet file."
         )
     file = folder / name
-    if not file.resolve().is_relative_to(folder.resolve()):
+    if not inside(folder, file):
         raise InputError(f"{folder / 'recording.json'}: field 'samples' must name a file inside the folder.")
     if not file.is_file():
         raise InputError(f"{file} is missing; field 'samples' of recording.json names the table of samples.")

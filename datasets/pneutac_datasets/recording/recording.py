@@ -1,6 +1,5 @@
 """A bench recording: measurements of one device, as a folder with `recording.json` and a table of samples."""
 
-import json
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,6 +12,7 @@ from pneutac_datasets.recording.image_file import read_image
 from pneutac_datasets.recording.starts import TrialStart, meta_of_kept, starts
 from pneutac_datasets.recording.wording import listed, shown
 from pneutac_sim.errors import InputError
+from pneutac_sim.files import inside, whole, write_json
 
 
 @dataclass
@@ -57,11 +57,12 @@ class Recording:
         meta = {k: v for k, v in self.meta.items() if k != "lerobot"} | {"device": self.device}
         meta.setdefault("samples", "samples.csv")
         file = path / meta["samples"]
-        if file.suffix == ".parquet":
-            self.samples.to_parquet(file, index=False)
-        else:
-            self.samples.to_csv(file, index=False, float_format="%.7g")
-        (path / "recording.json").write_text(json.dumps(meta, indent=1) + "\n")
+        with whole(file) as part:
+            if file.suffix == ".parquet":
+                self.samples.to_parquet(part, index=False)
+            else:
+                self.samples.to_csv(part, index=False, float_format="%.7g")
+        write_json(path / "recording.json", meta)
         return path
 
     # ---------------------------------------------------------------- what it holds
@@ -135,7 +136,7 @@ class Recording:
         if len(name) > reading.MAX_NAME or "\0" in name:
             raise InputError(f"{self.folder}: image {shown(name)} is no file's name; give its file.")
         source = self.folder / name
-        if not source.resolve().is_relative_to(self.folder.resolve()):
+        if not inside(self.folder, source):
             raise InputError(f"{self.folder}: image '{name}' lies outside the recording's folder.")
         if not source.is_file():
             raise InputError(f"{source} is missing, though the recording names it as an image.")

@@ -14,6 +14,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from pneutac_sim.errors import InputError
+from pneutac_sim.files import whole
 from pneutac_sim.surrogate import network_kernels as kern
 from pneutac_sim.surrogate.skeleton import Skeleton
 
@@ -173,13 +174,11 @@ class ActionNetwork:
             "inertia": s.inertia,
             "controller": np.array([s.stiffness_nm_per_rad, s.damping_nms_per_rad, s.loss_per_s]),
         }
-        file.parent.mkdir(parents=True, exist_ok=True)
-        tmp = file.with_suffix(".tmp")
         label = {"format": FORMAT, "fingerprint": self.fingerprint}
         if self.modulus_mpa is not None:
             label["modulus_mpa"] = repr(float(self.modulus_mpa))
-        tmp.write_bytes(save(arrays, label))
-        tmp.replace(file)
+        with whole(file) as part:
+            part.write_bytes(save(arrays, label))
         return file
 
     @classmethod

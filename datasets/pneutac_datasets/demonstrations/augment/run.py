@@ -42,6 +42,7 @@ from pneutac_datasets.demonstrations.naive import augment_naive
 from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import CONTROL_HZ
+from pneutac_sim.files import write_text
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.worker import process_pool
@@ -258,8 +259,7 @@ def _summary(provenance: list[dict], seconds: dict, scenes: list[Scene], began: 
 
 def finish(part: Path, out_root: Path, provenance: list[dict]) -> None:
     """Adds the provenance to a whole dataset and gives it its name, in one step."""
-    with (part / "meta" / PROVENANCE).open("w") as f:
-        f.writelines(json.dumps(line) + "\n" for line in provenance)
+    write_text(part / "meta" / PROVENANCE, "".join(json.dumps(line) + "\n" for line in provenance))
     os.replace(part, out_root)
 
 
