@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from lerobot_pneutac.verbs.calibration import Calibration
     from lerobot_pneutac.verbs.compare import compare
     from lerobot_pneutac.verbs.comparison import Comparison
+    from lerobot_pneutac.verbs.control import Control, control
     from lerobot_pneutac.verbs.diagnose import diagnose
     from lerobot_pneutac.verbs.diagnosis import Diagnosis
     from pneutac_datasets.recording.recording import Recording
@@ -38,6 +39,8 @@ _MODULES = {
     "Calibration": "lerobot_pneutac.verbs.calibration",
     "compare": "lerobot_pneutac.verbs.compare",
     "Comparison": "lerobot_pneutac.verbs.comparison",
+    "control": "lerobot_pneutac.verbs.control",
+    "Control": "lerobot_pneutac.verbs.control",
     "diagnose": "lerobot_pneutac.verbs.diagnose",
     "Diagnosis": "lerobot_pneutac.verbs.diagnosis",
     "add": "lerobot_pneutac.verbs.add",
@@ -45,8 +48,8 @@ _MODULES = {
 }
 
 __all__ = [
-    "Addition", "Calibration", "Comparison", "Diagnosis", "InputError", "Recording", "Twin",
-    "add", "calibrate", "compare", "diagnose",
+    "Addition", "Calibration", "Comparison", "Control", "Diagnosis", "InputError", "Recording", "Twin",
+    "add", "calibrate", "compare", "control", "diagnose",
 ]  # fmt: skip
 
 

@@ -16,6 +16,7 @@ VERBS = {
     "diagnose": "find which physical effect is missing",
     "effects": "list, show and export the effects and laws that a twin may have",
     "add": "switch an effect on, re-fit, show the error before and after",
+    "control": "make a pressure program that bends the finger as asked, and show how it followed",
     "surrogate": "train the fast networks from full simulations",
     "render": "draw a twin under pressure or an indenter, as pictures and a film",
     "augment": "make more demonstrations out of a few",

@@ -150,3 +150,24 @@ def test_a_touch_beyond_arithmetic_is_none():
     body = HalfSpace(100.0, (0.25, 0.25), (40, 40))
     u, force = body.press(np.full((40, 40), 1e-170))
     assert force == 0 and not u.any()
+
+
+def test_a_faint_touch_beside_the_print_of_a_deep_one_is_what_it_is_alone():
+    y, x = np.mgrid[:40, :30]
+
+    def ball(depth, column, row):
+        return depth - 0.16 * ((x - column) ** 2 + (y - row) ** 2) / (2 * 10.472258371125372)
+
+    deep, faint = ball(0.9807093729591414, 17.857074836776007, 16.816173930295186), ball(3e-3, 13.5, 16.2)
+    alone = HalfSpace(140.0, (0.4, 0.4), (40, 30)).press(faint)[1]
+    body = HalfSpace(140.0, (0.4, 0.4), (40, 30))
+    body.press(deep)
+    assert alone > 0 and body.press(faint)[1] == pytest.approx(alone, rel=0.02)
+    # From these all was let go at once, and what bore nothing was divided by.
+    body = HalfSpace(140.0, (0.4, 0.4), (40, 30))
+    body.press(ball(3.515510505676701e-4, 13.935414646149562, 12.159997642905426))
+    body.press(deep)
+    again = ball(0.0030477203056081814, 13.524744721437726, 16.19918297008772)
+    assert body.press(again)[1] == pytest.approx(
+        HalfSpace(140.0, (0.4, 0.4), (40, 30)).press(again)[1], rel=0.02
+    )

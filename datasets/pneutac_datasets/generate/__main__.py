@@ -18,7 +18,7 @@ OPTIONS = {
     "finger": ("effect", "strength", "minutes", "hz", "no_measured_pressure"),
     "gel": ("effect", "images"),
     "photographs": ("body", "particles"),
-    "standin": ("minutes",),
+    "standin": ("minutes", "program"),
 }
 
 
@@ -59,7 +59,12 @@ def _parser() -> argparse.ArgumentParser:
         " photographs: a finger or arm with hidden parameters, seen from several sides; standin: finger and"
         " gel of the robot that stands in for a real one",
     )
-    add("--out", required=True, type=Path, help="folder of the recording (standin: of its two recordings)")
+    add(
+        "--out",
+        required=True,
+        type=Path,
+        help="folder of the recording (standin: of its two recordings, with --program of one)",
+    )
     add("--seed", type=int, help="decides everything random; default 0")
     add(
         "--effect",
@@ -68,6 +73,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     add("--strength", type=float, help="finger: 1 (default) is a clear effect, 0.2 a faint one")
     add("--minutes", type=float, help="finger, standin: length of the session; default 10, of the stand-in 6")
+    add("--program", help="standin: CSV of commands, as `pneutac control` writes it; the finger follows it")
     add("--hz", type=float, help="finger: samples a second; default 20")
     add(
         "--no-measured-pressure",
@@ -104,9 +110,14 @@ def _photographs(out: Path, body: str = "finger", seed: int = 0, **options) -> d
     return {"recording": out, "truth": truth_file(out)}
 
 
-def _standin(out: Path, seed: int = 0, **options) -> dict[str, Path]:
-    from pneutac_datasets.generate.standin import write_finger, write_gel
+def _standin(out: Path, seed: int = 0, program: str | None = None, **options) -> dict[str, Path]:
+    from pneutac_datasets.generate.standin import write_finger, write_gel, write_program
 
+    if program is not None:
+        if options:
+            raise InputError("--program is as long as it is; leave --minutes out.")
+        write_program(out, program, seed)
+        return {"finger": out}
     write_finger(out / "finger", seed, **options)
     write_gel(out / "gel", seed)
     return {"finger": out / "finger", "gel": out / "gel"}

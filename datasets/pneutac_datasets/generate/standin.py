@@ -40,8 +40,12 @@ def write_finger(folder: str | Path, seed: int = 0, minutes: float = 6.0, hz: fl
     if not 1 <= minutes <= 60 or not 5 <= hz <= 50:
         raise InputError(f"minutes={minutes}, hz={hz}: minutes must be 1 to 60 and hz 5 to 50.")
     rng = np.random.default_rng([seed, 3])
-    hanging = (1.0, 0.0, 0.0)
     trials = [ProgramTrial(t.label, t.command) for t in session(MAX_PRESSURE_KPA, 60 * minutes, hz, rng)[:3]]
+    return _write(folder, trials, hz, rng)
+
+
+def _write(folder: str | Path, trials: list[ProgramTrial], hz: float, rng: np.random.Generator) -> Recording:
+    hanging = (1.0, 0.0, 0.0)
     table = []
     for number, trial in enumerate(trials):
         n = len(trial.command)
@@ -64,6 +68,31 @@ def write_finger(folder: str | Path, seed: int = 0, minutes: float = 6.0, hz: fl
     }
     Recording(Path(folder), meta, pd.concat(table, ignore_index=True), "finger").write(folder)
     return Recording.load(folder)
+
+
+def write_program(folder: str | Path, program: str | Path, seed: int = 0) -> Recording:
+    """Writes what the stand-in's finger, long without pressure, did under a program of commands.
+
+    Args:
+        folder: where the recording goes.
+        program: CSV with `time_s`, evenly spaced, and `pressure_cmd_kpa`, as `pneutac control` writes it.
+        seed: decides the noise.
+
+    Raises:
+        InputError: the program cannot be read, or goes beyond the finger's pressures.
+    """
+    try:
+        table = pd.read_csv(program)
+        time_s, command = (table[c].to_numpy(float) for c in ("time_s", "pressure_cmd_kpa"))
+    except (KeyError, ValueError, OSError) as e:
+        raise InputError(f"{program} must be a table with time_s and pressure_cmd_kpa: {e}.") from e
+    if not np.isfinite([time_s, command]).all() or command.min() < 0 or command.max() > MAX_PRESSURE_KPA:
+        raise InputError(f"{program}: pressure_cmd_kpa must be finite and in 0 to {MAX_PRESSURE_KPA:g}.")
+    dt = np.diff(time_s)
+    if len(dt) == 0 or not 0 < dt[0] <= 0.2 or np.abs(dt - dt[0]).max() > 0.01 * dt[0]:
+        raise InputError(f"{program}: time_s must rise evenly, by at most 0.2 s.")
+    rng = np.random.default_rng([seed, 5])
+    return _write(folder, [ProgramTrial("program", command)], float(1 / dt.mean()), rng)
 
 
 def _measured(command_kpa: np.ndarray, hz: float) -> tuple[np.ndarray, np.ndarray]:

@@ -118,6 +118,24 @@ class PressurePipeline:
         joints = self._run(self._to_joints, np.asarray(pressure_cmd_kpa, dtype=float), dt_s)
         return joints.reshape(-1, 2) if self._arm else joints
 
+    def predict(self, pressure_cmd_kpa: np.ndarray, dt_s: float) -> np.ndarray:
+        """Where the free tip will be after each of further control steps, none of which is done.
+
+        Args:
+            pressure_cmd_kpa: commands, (n,) or (n, chambers).
+            dt_s: length of each step.
+
+        Returns:
+            (n, 5) as `place`.
+        """
+        ahead = self.copy()
+        if 0 not in ahead._began:
+            ahead.rest()
+        commands = np.asarray(pressure_cmd_kpa, dtype=float).reshape(len(pressure_cmd_kpa), -1)
+        ahead._given["session_time_s"] += dt_s * np.arange(1, len(commands) + 1)
+        joints = ahead._run_rows(ahead._to_joints, commands, dt_s)
+        return ahead._run_rows(ahead._to_tip, joints, dt_s)
+
     def place(self, joints: np.ndarray, dt_s: float) -> np.ndarray:
         """Where the tip is.
 
@@ -143,21 +161,30 @@ class PressurePipeline:
         return self._run(self._to_read, np.asarray(markers, dtype=float), dt_s)
 
     def _run(self, links, x: np.ndarray, dt_s: float, of_base: bool = False) -> np.ndarray:
-        def conditions(names):
-            return np.array([[self._given[c] for c in names]], dtype=float).reshape(1, -1)
-
         chambers = self._model.geometry.chambers
         x = np.broadcast_to(x, (1, chambers if links is self._to_joints else x.size))
+        return self._run_rows(links, x, dt_s, of_base)[0]
+
+    def _run_rows(self, links, x: np.ndarray, dt_s: float, of_base: bool = False) -> np.ndarray:
+        n = len(x)
+
+        def conditions(names):
+            rows = np.empty((n, len(names)))
+            for k, c in enumerate(names):
+                rows[:, k] = self._given[c]
+            return rows
+
         for i, link in links:
             if i == self._model.reads_pressure:
-                self.pressure_kpa = x[0].copy()
+                self.pressure_kpa = x[-1].copy()
             if i == self._model.drive:
-                self._given[BENDING_PRESSURE] = float(x.mean())
+                self._given[BENDING_PRESSURE] = x.mean(axis=1)
             key = -i if of_base else i
             if key not in self._states:
                 self._states[key] = np.zeros(link.state_size(x.shape[1]))
             begins = key not in self._began  # it has rested here for ever
             self._began.add(key)
-            dt = np.array([math.inf if begins else dt_s])
+            dt = np.full(n, dt_s)
+            dt[0] = math.inf if begins else dt_s
             x = link(x, dt, self._theta, conditions, self._states[key])
-        return x[0]
+        return x

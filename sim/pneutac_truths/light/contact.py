@@ -57,7 +57,12 @@ class HalfSpace:
             size = float(np.square(miss[held]).sum())
             way = np.where(held, miss + carry * size / before * way, 0.0)
             answer = self.displaced(way)
-            length = float(miss[held] @ way[held]) / float(answer[held] @ way[held])
+            bears = float(answer[held] @ way[held])
+            if not bears > 0:  # a step too far let go everywhere: begin anew, without the last contact
+                p, carry = np.where(inside, 1e-3, 0.0), 0.0
+                u = self.displaced(p)
+                continue
+            length = float(miss[held] @ way[held]) / bears
             p = np.maximum(p + length * way, 0.0)
             fresh = (p == 0) & (miss > small)
             p[fresh] = length * miss[fresh]

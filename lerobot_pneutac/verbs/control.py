@@ -1,0 +1,209 @@
+"""Commands of pressure with which a finger bends as it is told, and how well it followed them."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from lerobot_pneutac.reports.control import control_page
+from lerobot_pneutac.reports.page import Report
+from lerobot_pneutac.verbs.result import Result
+from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.errors import InputError
+from pneutac_sim.files import whole
+from pneutac_sim.finger.control import BendController, bend_angle, bend_is_by, pressure_for
+from pneutac_sim.finger.quantities import root_mean
+from pneutac_sim.twin import Twin
+
+SHAPES = ("steps", "sine", "loops")
+PERIOD_S = 24.0
+INSIDE = 0.15  # share of the quick reach that the shapes leave free at each end
+QUICK_S, RAMP_S = 3.0, 1.0
+TARGET, COMMAND = "bend_angle_rad", "pressure_cmd_kpa"
+
+
+@dataclass(frozen=True, repr=False)
+class Control(Result):
+    """A bend that was asked for, the program that brings it, and what became of it.
+
+    Attributes:
+        twin: that was turned round.
+        time_s: (n,) of the commands.
+        target_rad: (n,) bend asked for.
+        pressure_kpa: (n,) command sent at each of them.
+        predicted_rad: (n,) bend that the twin expects.
+        reach_rad: smallest and largest bend of the finger.
+        recording: in which the program was driven; None where there is none yet.
+        measured_s: (m,) times of its samples, from the start of each trial.
+        measured_rad: (m,) bend measured then.
+    """
+
+    twin: Twin
+    time_s: np.ndarray
+    target_rad: np.ndarray
+    pressure_kpa: np.ndarray
+    predicted_rad: np.ndarray
+    reach_rad: tuple[float, float]
+    recording: Recording | None = None
+    measured_s: np.ndarray | None = None
+    measured_rad: np.ndarray | None = None
+
+    title = "Bend as commanded"
+
+    def subject(self) -> tuple[Twin | None, str | Path]:
+        """The twin, and the recording where there is one."""
+        return self.twin, self.recording.folder if self.recording else ""
+
+    @property
+    def expected_error_rad(self) -> float:
+        """Root mean square of target and twin."""
+        return root_mean((self.predicted_rad - self.target_rad) ** 2)
+
+    @property
+    def error_rad(self) -> float | None:
+        """Root mean square of target and measured bend; None without a recording."""
+        if self.measured_s is None or self.measured_rad is None:
+            return None
+        wanted = np.interp(self.measured_s, self.time_s, self.target_rad)
+        return root_mean((self.measured_rad - wanted) ** 2)
+
+    @property
+    def sentence(self) -> str:
+        """How near the finger comes to what was asked."""
+        span = np.ptp(self.target_rad)
+        if self.error_rad is None:
+            share = 100 * self.expected_error_rad / span
+            return (
+                f"By its twin the finger follows the bend within {1e3 * self.expected_error_rad:.1f} mrad, "
+                f"{share:.1f} % of what is asked for. Drive program.csv and compare."
+            )
+        return (
+            f"The finger followed the bend within {1e3 * self.error_rad:.1f} mrad, "
+            f"{100 * self.error_rad / span:.1f} % of what was asked for; the twin expected "
+            f"{1e3 * self.expected_error_rad:.1f}."
+        )
+
+    def rows(self) -> list[dict]:
+        """Errors of twin and finger."""
+        kinds = (("by the twin", self.expected_error_rad), ("measured", self.error_rad))
+        return [
+            {"bend": name, "error, mrad": f"{1e3 * error:.1f}"} for name, error in kinds if error is not None
+        ]
+
+    @property
+    def next_command(self) -> str:
+        """To drive the program."""
+        return "" if self.recording else "pneutac measure --program=OUT/program.csv ..."
+
+    def page(self) -> Report:
+        """Target, twin, finger and pressure over time."""
+        return control_page(self)
+
+    def report(self, out: str | Path, command: str = "") -> Path:
+        """Writes `program.csv`, for `pneutac measure --program=`, too."""
+        table = pd.DataFrame({"time_s": self.time_s, COMMAND: self.pressure_kpa, TARGET: self.target_rad})
+        with whole(Path(out) / "program.csv") as part:
+            table.to_csv(part, index=False, float_format="%.6g")
+        return super().report(out, command)
+
+    def to_dict(self) -> dict:
+        """The content of `result.json`."""
+        return {
+            "samples": len(self.time_s),
+            "duration_s": self.time_s[-1],
+            "reach_rad": list(self.reach_rad),
+            "bend_by": bend_is_by(self.twin),
+            "expected_error_rad": self.expected_error_rad,
+            "error_rad": self.error_rad,
+            "largest_pressure_kpa": float(self.pressure_kpa.max()),
+        }
+
+
+def control(
+    twin: Twin,
+    bend: str | Path | np.ndarray = "sine",
+    hz: float = 20.0,
+    conditions: dict[str, float] | None = None,
+    recording: Recording | None = None,
+) -> Control:
+    """Turns the twin round: which pressures bend the finger as told, all its effects compensated.
+
+    Args:
+        twin: a finger of one chamber, calibrated.
+        bend: a shape of `SHAPES` inside the finger's reach, a CSV with `time_s` and `bend_angle_rad`, or the
+            bend itself (n,) in rad, at each control step. A twin that was calibrated by tips means the
+            circular arc from the base to the tip, 2 atan2(z, x).
+        hz: control steps a second.
+        conditions: what the twin's effects ask for, such as {"temperature_c": 22}.
+        recording: in which `program.csv` was driven, each trial once through; tells how well it followed.
+
+    Raises:
+        InputError: the bend is out of reach or cannot be read, or the recording does not show a bend.
+    """
+    if not 1 <= hz <= 1000:
+        raise InputError(f"hz={hz:g} must be 1 to 1000 control steps a second.")
+    rested = BendController(twin, 1 / hz, conditions)
+    start, reach = rested.predicted_rad, rested.reach_rad
+    if isinstance(bend, np.ndarray):
+        wanted = bend
+    elif str(bend) in SHAPES:
+        for _ in range(round(QUICK_S * hz)):
+            rested.follow(twin.pressure_range_kpa[1])
+        wanted = _shape(str(bend), hz, start, rested.predicted_rad)
+    else:
+        wanted = _table(Path(bend), hz)
+    # A command brings the bend at the end of its step, so the first target is that of the second row.
+    pressure, after = pressure_for(twin, np.append(wanted[1:], wanted[-1]), 1 / hz, conditions)
+    time_s = np.arange(len(wanted)) / hz
+    result = (twin, time_s, wanted, pressure, np.append(start, after[:-1]), reach)
+    if recording is None:
+        return Control(*result)
+    return Control(*result, recording, *_measured(recording, twin, time_s[-1]))
+
+
+def _shape(name: str, hz: float, rest: float, most: float) -> np.ndarray:
+    """A shape from the bend at rest to that after `QUICK_S` at the highest pressure; begins at rest."""
+    low, high = rest + INSIDE * (most - rest), most - INSIDE * (most - rest)
+    t = np.arange(round((PERIOD_S + RAMP_S) * hz) + 1) / hz - RAMP_S
+    if name == "steps":
+        levels = np.array([0.0, 0.6, 0.3, 1.0, 0.1, 0.5, 0.9, 0.3])
+        share = levels[np.clip(t // 3, 0, 7).astype(int)]
+    elif name == "sine":
+        share = 0.5 * (1 - np.cos(2 * np.pi * np.maximum(t, 0) / 12))
+    else:
+        knots, levels = [0, 3, 5, 8, 10, 13, 15, 18, 20, 24], [0, 0.9, 0.4, 1, 0.2, 0.7, 0.05, 0.6, 0.35, 1]
+        share = np.interp(t, knots, levels)
+    return np.where(t < 0, rest + (low - rest) * (1 + t / RAMP_S), low + (high - low) * share)
+
+
+def _table(path: Path, hz: float) -> np.ndarray:
+    given = path
+    if path.suffix != ".csv" or not path.is_file():
+        raise InputError(f"bend={given} is neither a CSV file nor one of {', '.join(SHAPES)}.")
+    try:
+        table = pd.read_csv(path)
+        time_s, bend = (table[c].to_numpy(float) for c in ("time_s", TARGET))
+    except (KeyError, ValueError, OSError) as e:
+        raise InputError(f"{path} must be a table of numbers with columns time_s and {TARGET}: {e}.") from e
+    if len(bend) < 2 or not np.isfinite([time_s, bend]).all() or (np.diff(time_s) <= 0).any():
+        raise InputError(f"{path}: time_s must rise over two rows at least, all of finite numbers.")
+    return np.interp(np.arange(round((time_s[-1] - time_s[0]) * hz) + 1) / hz + time_s[0], time_s, bend)
+
+
+def _measured(recording: Recording, twin: Twin, end_s: float) -> tuple[np.ndarray, np.ndarray]:
+    """Times (m,) since the start of each trial, and the bend (m,) then, as the twin means it."""
+    by = bend_is_by(twin)
+    columns = [TARGET] if by == "angle" else ["tip_x_mm", "tip_z_mm"]
+    missing = [c for c in columns if c not in recording.observations]
+    if missing:
+        raise InputError(
+            f"{recording.folder} has no column {', '.join(missing)}, by which the twin was calibrated."
+        )
+    values = [recording.column(c) for c in columns]
+    bend = values[0] if by == "angle" else bend_angle(np.stack([values[0], 0 * values[0], values[1]], -1))
+    time_s = recording.column("time_s").copy()
+    for rows in recording.trials().values():
+        time_s[rows] -= time_s[rows][0]
+    driven = time_s <= end_s
+    return time_s[driven], bend[driven]
