@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from lerobot_robot_pneutac.standin.world import StandinWorld
-from pneutac_sim.features import CONTROL_HZ, TASK_NAMES, TRIAL_S
+from pneutac_sim.features import CONTROL_HZ, TRIAL_S, task_names
 from pneutac_sim.world.expert import ScriptedExpert
 from pneutac_sim.world.world import World
 
@@ -79,7 +79,7 @@ def main():
         "length, median and longest [s]",
         title=f"Success in {n} random starts",
     )
-    for task in TASK_NAMES:
+    for task in task_names():
         expert, blind, seconds = measure(task, n, options.standin)
         table.add_row(
             task,

@@ -1,0 +1,87 @@
+"""Fruit and cable: they need touch, and what spoils them is told."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lerobot_robot_pneutac.standin.world import StandinWorld
+from pneutac_sim.features import task_names
+from pneutac_sim.world.expert import ScriptedExpert
+from pneutac_sim.world.world import World
+
+TASKS = ("fruit", "cable")
+
+
+@pytest.fixture(scope="module", params=TASKS)
+def world(request):
+    return World(request.param, touch="none")
+
+
+def play(world, seed, actions=None):
+    """The trial's end, of the expert or of actions that are given."""
+    world.reset(seed)
+    expert = ScriptedExpert(world, np.random.default_rng(seed))
+    for k in range(150):
+        world.step(expert.action() if actions is None else actions(k))
+        if world.success or world.failure:
+            break
+    return world.success and not world.failure
+
+
+def test_they_are_offered_like_every_task():
+    assert set(TASKS) <= set(task_names())
+
+
+def test_the_expert_does_it_and_holding_still_does_not(world):
+    assert all(play(world, seed) for seed in range(4))
+    assert not play(world, 0, lambda k: [0, 0, 0, 3.0]) and world.failure is None
+
+
+def test_the_start_is_decided_by_the_seed(world):
+    def places():
+        return world.data.geom_xpos.copy()
+
+    world.reset(5)
+    first = places()
+    world.reset(6)
+    assert np.abs(places() - first).max() > 0.004
+    world.reset(5)
+    np.testing.assert_array_equal(places(), first)
+
+
+def test_a_fruit_that_is_pressed_on_bursts_and_one_that_is_let_go_falls():
+    world = World("fruit", touch="none")
+    assert not play(world, 1, lambda k: [0.05, 0, 0, 3.0])
+    assert "squeezed the fruit with more than 1.6 N" in world.failure
+    world.reset(1)
+    expert = ScriptedExpert(world, np.random.default_rng(1))
+    while world.task.lifted_m < 0.01:
+        world.step(expert.action())
+    for _ in range(30):
+        world.step([-0.08, 0, 0, 0])
+    assert world.task.lifted_m < 1e-3 and not world.success
+
+
+def test_a_cable_that_is_left_leads_nowhere():
+    world = World("cable", touch="none")
+    ended = [play(world, seed, lambda k: [0.05 * (k < 40), 0.03 * (k >= 40), 0, 3.0]) for seed in range(4)]
+    assert sum(ended) < 4
+
+
+@pytest.mark.parametrize("standin", [False, True])
+@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.nightly
+def test_with_touch_nine_of_ten_and_blind_at_most_four(task, standin, monkeypatch):
+    monkeypatch.syspath_prepend(Path(__file__).parents[3] / "benchmarks")
+    sys.modules.pop("task_difficulty", None)
+    from task_difficulty import measure
+
+    done, blind, _ = measure(task, 40, standin)
+    assert done >= 36 and blind <= 16
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_the_stand_in_offers_them_too(task):
+    assert play(StandinWorld(task, touch="none"), 0)
