@@ -12,7 +12,7 @@ PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses=auto --maxpro
 demo: .venv/ready
 	$(BIN)/pneutac demo
 
-# Before every commit: meant to take two minutes on two cores, see CONTRIBUTING.
+# Before every commit: two minutes on two cores.
 check: lint
 	$(PYTEST) -m "not slow and not nightly"
 

@@ -64,6 +64,7 @@ def test_results_are_data_and_leave_what_was_given_as_it_was(bench, tmp_path):
     assert added.twin.history == [], "saving changes the saved result alone"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("effect", "own", "reason"),
     [("creep", ["creep"], "has the effect 'creep' already"), ("leak", [], "is no sure fall")],
@@ -80,6 +81,7 @@ def test_a_refusal_is_a_result(effect, own, reason, bench):
         add(twin, recording, "crep")
 
 
+@pytest.mark.slow
 def test_blocks_that_report_did_not_choose(bench):
     """Whether an effect is kept is decided on other blocks than those whose error is told."""
     from lerobot_pneutac.study.by_device import study_of
@@ -95,6 +97,7 @@ def test_blocks_that_report_did_not_choose(bench):
     assert (train_mask(added, recording) == ~parts.test).all(), "compare holds these out"
 
 
+@pytest.mark.slow
 def test_a_corrected_twin_goes_into_the_world(bench):
     calibrated, _ = bench
     env = gymnasium.make("pneutac_sim/switch", twin=calibrated.twin, touch="none", fidelity="probe")

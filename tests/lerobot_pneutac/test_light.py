@@ -45,6 +45,7 @@ def _pneutac(*argv) -> str:
     return done.stdout
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("verb", ["calibrate", "compare", "diagnose", "add"])
 def test_a_bench_verb_needs_neither_taichi_nor_torch_nor_lerobot(bench, verb):
     more = {"diagnose": ["--jobs=1"], "add": ["--effect=stiffening"]}.get(verb, [])

@@ -86,6 +86,7 @@ def test_an_effect_without_its_condition_is_refused_before_any_environment_is_ma
         PneutacEnvConfig(twin=tmp_path, conditions={"temperature_c": [3, 2]})
 
 
+@pytest.mark.slow
 def test_fidelity_reaches_the_world():
     assert PneutacEnvConfig(fidelity="mpm").gym_kwargs["fidelity"] == "mpm"
     with pytest.raises(DecodingError, match="surrogate, mpm, probe"):

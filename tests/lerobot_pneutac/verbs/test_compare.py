@@ -57,6 +57,7 @@ def test_a_right_twin_has_no_more_than_the_noise_everywhere(bench, tmp_path):
     assert result["pressure"]["error"]["heldout"] < 0.1
 
 
+@pytest.mark.slow
 def test_a_wrong_twin_shows_where_it_fails(bench, tmp_path, capsys):
     result = run(bench, "creep", tmp_path)
     assert set(CONTRACT) <= set(result["by"])
@@ -78,6 +79,7 @@ def test_a_wrong_twin_shows_where_it_fails(bench, tmp_path, capsys):
     assert "The twin misses" in " ".join(capsys.readouterr().out.split())
 
 
+@pytest.mark.slow
 def test_the_report_stands_alone_and_is_small(bench, tmp_path):
     run(bench, "creep", tmp_path)
     page = (tmp_path / "report.html").read_text()
@@ -124,6 +126,7 @@ def test_samples_beyond_the_training_of_the_action_network_are_told(bench, tmp_p
     assert f"run `pneutac surrogate --twin={tmp_path / 'twin'}`" in " ".join(result["checks"])
 
 
+@pytest.mark.slow
 def test_the_split_of_the_fit_is_used_again(bench):
     r = Recording.load(bench / "none")
     twin = Twin.load(bench / "twin")
@@ -134,6 +137,7 @@ def test_the_split_of_the_fit_is_used_again(bench):
     assert (train_mask(twin, Recording.load(bench / "creep")) != expected).any()
 
 
+@pytest.mark.slow
 def test_direction_rate_and_hold_time_follow_the_command(bench):
     r = Recording.load(bench / "none")
     rate, held = motion(r)
@@ -152,6 +156,7 @@ def test_direction_rate_and_hold_time_follow_the_command(bench):
     assert np.asarray(by["direction"].labels)[by["direction"].bin[hold[60]]] == "hold"
 
 
+@pytest.mark.slow
 def test_new_takes_the_geometry_and_never_overwrites(bench, tmp_path):
     twin, meta = Twin.load(bench / "twin"), Recording.load(bench / "none").meta
     assert twin.length_mm == meta["length_mm"]
@@ -170,6 +175,7 @@ def test_new_takes_the_geometry_and_never_overwrites(bench, tmp_path):
         new.main([f"--twin={tmp_path / 'x'}", "--device=arm", f"--recording={bench / 'none'}"])
 
 
+@pytest.mark.slow
 def test_bad_input_is_refused_before_work_starts(bench, tmp_path):
     new.main([f"--twin={tmp_path / 'arm'}", "--device=arm"])
     with pytest.raises(InputError, match="is of a finger and .* of an arm; compare .* own device"):
@@ -182,6 +188,7 @@ def test_bad_input_is_refused_before_work_starts(bench, tmp_path):
         compare.main([f"--twin={bench / 'twin'}"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rows", [1, 3, 40])
 def test_the_poorest_recording_still_compares(bench, tmp_path, rows):
     r = Recording.load(bench / "none")
@@ -192,6 +199,7 @@ def test_the_poorest_recording_still_compares(bench, tmp_path, rows):
     assert "worst at" not in result["sentence"] and "worst where" not in result["sentence"]
 
 
+@pytest.mark.slow
 def test_a_constant_command_and_too_few_rows_lead_the_headline(bench, tmp_path):
     r = Recording.load(bench / "creep")
     moving = np.flatnonzero(np.diff(r.column("pressure_cmd_kpa")))[0]
@@ -206,6 +214,7 @@ def test_a_constant_command_and_too_few_rows_lead_the_headline(bench, tmp_path):
         assert result["sentence"].startswith(start) and result["sentence"].endswith(end)
 
 
+@pytest.mark.slow
 def test_the_heat_map_begins_at_zero(bench):
     c = compare_body(Twin.load(bench / "twin"), Recording.load(bench / "creep"))
     heat = heat_map(c).data[0]

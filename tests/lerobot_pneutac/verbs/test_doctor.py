@@ -21,6 +21,7 @@ def wide(monkeypatch):
     monkeypatch.setenv("COLUMNS", "300")
 
 
+@pytest.mark.slow
 def test_a_package_that_cannot_be_imported_is_a_row_and_not_an_end():
     program = (
         "import sys; sys.modules['mujoco'] = None; from lerobot_pneutac.cli.doctor import main; main([])"

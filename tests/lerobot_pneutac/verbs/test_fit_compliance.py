@@ -67,6 +67,7 @@ def test_joint_angles_tell_the_modulus_from_the_chamber(body, measured_once):
     assert low < TRUE_MPA < high < 1.5 * low
 
 
+@pytest.mark.slow
 def test_the_tip_alone_tells_the_whole_and_says_so(body, measured_once):
     r = recording(joints=False)
     found = fit_compliance(Twin.builtin(), r, everything(r))
@@ -75,6 +76,7 @@ def test_the_tip_alone_tells_the_whole_and_says_so(body, measured_once):
     assert found.parameters[MODULUS]["note"].startswith("held") and "q_1_rad" in found.remark
 
 
+@pytest.mark.slow
 def test_a_weight_is_a_force_along_gravity(measured_once):
     r = recording(joints=True)
     force = r.samples.loc[:, ["force_x_n", "force_z_n"]].to_numpy()

@@ -235,6 +235,7 @@ def chessboard(path, poses):
         cv2.imwrite(str(path / f"{k:02d}.png"), cv2.GaussianBlur(image, (0, 0), 0.7))
 
 
+@pytest.mark.slow
 def test_a_chessboard_gives_the_camera_back(tmp_path, capsys):
     rng = np.random.default_rng(2)
     poses = [
@@ -259,6 +260,7 @@ def test_a_chessboard_gives_the_camera_back(tmp_path, capsys):
 # ---------------------------------------------------------------- a run
 
 
+@pytest.mark.slow
 def test_a_run_is_a_recording_with_true_tips_that_compare_accepts(bench, tmp_path):
     measure.main(bench + ["--digit.type=digit_generated"])
     r = Recording.load(tmp_path / "run")
@@ -288,6 +290,7 @@ def test_a_run_is_a_recording_with_true_tips_that_compare_accepts(bench, tmp_pat
     assert json.loads((tmp_path / "c/result.json").read_text())["unit"] == "mm"
 
 
+@pytest.mark.slow
 def test_a_command_whose_picture_was_lost_keeps_the_time_at_which_it_was_sent(bench, tmp_path, monkeypatch):
     seen, unseen = library.MarkerTracker.tip_mm, []
 
@@ -305,6 +308,7 @@ def test_a_command_whose_picture_was_lost_keeps_the_time_at_which_it_was_sent(be
     assert unseen and t[after] - sent[after] > 0.9 / 15 and sent[after] >= t[after - 1]
 
 
+@pytest.mark.slow
 def test_a_trial_after_one_that_was_never_seen_starts_unknown(bench, tmp_path, monkeypatch):
     run, seen, driven = library.BenchDriver.drive, library.MarkerTracker.tip_mm, []
 
@@ -321,6 +325,7 @@ def test_a_trial_after_one_that_was_never_seen_starts_unknown(bench, tmp_path, m
     assert {k: s.start for k, s in r.starts.items()} == {0: "unknown", 2: "unknown"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("end", [KeyboardInterrupt(), OSError("unplugged")])
 def test_an_end_within_a_trial_keeps_those_before_it_and_vents(bench, tmp_path, monkeypatch, end):
     run, taken = library.BenchDriver.drive, []
@@ -357,6 +362,7 @@ def test_ctrl_c_just_after_a_trial_came_into_the_table_keeps_its_pictures(bench,
     assert r.image(r.column("image_camera")[-1]).shape == (480, 640, 3)
 
 
+@pytest.mark.slow
 def test_a_slow_camera_costs_samples_and_not_the_programs_pace(bench, tmp_path, monkeypatch, capsys):
     read = BenchRendered.async_read
 

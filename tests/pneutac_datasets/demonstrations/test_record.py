@@ -81,6 +81,7 @@ def test_features_are_those_of_lerobot_record(devices, tmp_path):
     assert {k: f for k, f in found.items() if k not in DEFAULT_FEATURES} == expected
 
 
+@pytest.mark.slow
 def test_same_seeds_same_dataset(devices, tmp_path):
     for name in ("a", "b"):
         record_episodes(*devices(), "local/x", tmp_path / name, 1, "flip", True)

@@ -222,6 +222,7 @@ def _mean(seed):
     return float(rasterise(scene(seed, 50), view()).image.mean())
 
 
+@pytest.mark.slow
 def test_works_in_a_forked_process_and_on_one_thread():
     expected = _mean(0)
     with multiprocessing.get_context("fork").Pool(1) as pool:

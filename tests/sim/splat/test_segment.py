@@ -23,6 +23,7 @@ def test_difference_to_the_empty_scene_finds_the_body(photographed, view):
         assert iou(segment(image, background=photographed.background[view]), mask) > 0.95
 
 
+@pytest.mark.slow
 def test_brighter_backdrop_is_no_body(photographed):
     """A cloud that passes between the two photographs."""
     image, mask = photographed.pictures["front"][0]
@@ -52,6 +53,7 @@ def test_specks_and_holes_are_not_in_the_mask():
     assert iou(mask, wanted) > 0.97
 
 
+@pytest.mark.slow
 def test_bad_input_is_named(photographed):
     image, _ = photographed.pictures["front"][0]
     empty = photographed.background["front"]
