@@ -9,7 +9,7 @@ from pneutac_datasets.recording.gel import GelRecording
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.features import IMAGE_SHAPE
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.gel.photograph import Predictor, PressPhotograph
+from pneutac_sim.gel.photograph import Predictor
 from pneutac_sim.twin import Twin
 
 
@@ -22,9 +22,8 @@ def for_twin(gel: GelModel, twin: Twin) -> GelModel:
 
 
 def predict(gel: GelModel, data: GelRecording) -> list[np.ndarray]:
-    """Predicted image of every sample; the calibration pair tells how the light drifts."""
-    pair: PressPhotograph | None = next((s.photograph for s in data.samples if s.role == "calibration"), None)
-    predictor = Predictor(gel, pair)
+    """Predicted image of every sample; the calibration pairs tell how the light drifts."""
+    predictor = Predictor(gel, [s.photograph for s in data.samples if s.role == "calibration"])
     return [predictor.image(s.press, s.rest, s.clock) for s in data.samples]
 
 

@@ -166,7 +166,7 @@ class GelSpace:
     def differences(self, gels: Sequence[GelModel]) -> list[np.ndarray]:
         """Predicted - photographed of every photograph, each by its own gel, int16 (H, W, 3)."""
         pair = self.data.calibration.photograph
-        predictors = {id(g): Predictor(g, pair) for g in gels}
+        predictors = {id(g): Predictor(g, [pair]) for g in gels}
         return [
             predictors[id(g)].image(p.press, p.rest, p.clock).astype(np.int16) - p.image
             for g, p in zip(gels, self.photographs, strict=True)

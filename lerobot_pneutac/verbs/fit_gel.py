@@ -1,4 +1,4 @@
-"""Calibrates the gel of a twin to one pair of images of a recording and scores it on all others."""
+"""Calibrates the gel of a twin to one press or several of a recording and scores it on all others."""
 
 import time
 from collections.abc import Sequence
@@ -15,10 +15,10 @@ from pneutac_datasets.recording.gel import GelRecording, GelSample
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect, of_sensor, sensor_effects
 from pneutac_sim.errors import InputError
-from pneutac_sim.gel.fit import GelFit, fit_gel, standard_effects
+from pneutac_sim.gel.fit import GelFit, fit_presses
 from pneutac_sim.gel.metrics import ImageScores, score
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.gel.pair import Pair
+from pneutac_sim.gel.pair import Pair, check_pair
 from pneutac_sim.twin import Twin
 
 OURS, PASTED, REST = "this model", "difference pasted", "rest image"
@@ -27,7 +27,7 @@ PICTURES = 6  # held-out images in the picture grid
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class GelCalibration(Calibration):
-    """A gel calibrated to one pair of images.
+    """A gel calibrated to one pair of images or several.
 
     Attributes:
         gel: as the twin keeps it.
@@ -45,7 +45,11 @@ class GelCalibration(Calibration):
     scores: dict[str, list[ImageScores]]
     notes: str = ""
 
-    title = "A tactile sensor from two images"
+    @property
+    def title(self) -> str:
+        """Heading of table and report."""
+        n = len(self.data.presses)
+        return "A tactile sensor from two images" if n == 1 else f"A tactile sensor from {n} presses"
 
     @property
     def heldout(self) -> list[int]:
@@ -83,7 +87,9 @@ class GelCalibration(Calibration):
     def remarks(self) -> list[str]:
         """Make, time and what to look at."""
         out = [f"The light is that of a {self.fit.make}, {self.fit.orientation}."] if self.fit.make else []
-        out.append(f"Fitted to one rest and one indentation image in {self.seconds:.1f} s{self._now()}.")
+        n = len(self.data.presses)
+        what = "one rest and one indentation image" if n == 1 else f"{n} indentation images"
+        out.append(f"Fitted to {what} in {self.seconds:.1f} s{self._now()}.")
         if self.heldout and self.mean(OURS).rmse > self.mean(REST).rmse:
             out.append(
                 "[yellow]note:[/] on held-out images the model is worse than the rest image alone: check "
@@ -140,35 +146,38 @@ class GelCalibration(Calibration):
 
 
 def calibrate_gel(twin: Twin, recording: Recording, effects: Sequence[str] | None = None) -> GelCalibration:
-    """Fits light and optics to the pair of images of role `calibration`.
+    """Fits light and optics to all images of role `calibration`.
 
     Args:
         twin: of a gel, or of a finger that gets this gel.
-        recording: of a gel, with one row of role `calibration`.
+        recording: of a gel, with a row of role `calibration` or more.
         effects: see `wanted`.
 
     Raises:
         InputError: an effect cannot be fitted to one pair, or the images do not serve.
     """
     data = GelRecording.load(recording)
-    sample, names, start = data.calibration, wanted(effects, twin), time.monotonic()
-    try:
-        fit = fit_gel(sample.rest, sample.image, sample.press, data.px_per_mm, names, data.thickness_mm)
-        gel = for_twin(fit.gel, twin)
-    except InputError as e:
-        where = f"rest image '{recording.meta['rest_image']}', indentation '{sample.name}'"
-        raise InputError(f"{recording.folder} ({where}): {e}") from e
+    names, start = wanted(effects, twin), time.monotonic()
+    for s in data.presses:
+        try:
+            check_pair(s.rest, s.image, s.press, data.px_per_mm)
+        except InputError as e:
+            where = f"rest image '{recording.meta['rest_image']}', indentation '{s.name}'"
+            raise InputError(f"{recording.folder} ({where}): {e}") from e
+    fit = fit_presses([s.photograph for s in data.presses], data.px_per_mm, names, data.thickness_mm)
+    gel = for_twin(fit.gel, twin)
     seconds = time.monotonic() - start
     images = render(fit.gel, data)
     scores = {name: scores_of(data, predicted) for name, predicted in images.items()}
     unseen = [x.rmse for x, s in zip(scores[OURS], data.samples, strict=True) if s.role != "calibration"]
+    seen = [x.rmse for x, s in zip(scores[OURS], data.samples, strict=True) if s.role == "calibration"]
     new = twin.copy()
     gel.into_twin(new)
     return GelCalibration(
         twin=new,
         parameters=_parameters(gel),
         error={
-            "train": scores[OURS][data.samples.index(sample)].rmse,
+            "train": float(np.sqrt(np.mean(np.square(seen)))),
             "heldout": float(np.sqrt(np.mean(np.square(unseen)))) if unseen else None,
         },
         unit="levels",
@@ -187,8 +196,8 @@ def calibrate_gel(twin: Twin, recording: Recording, effects: Sequence[str] | Non
     )
 
 
-def wanted(effects: Sequence[str] | None, twin: Twin) -> list[str]:
-    """Optics effects to fit: those asked for, else those of a calibrated twin, else those of a sensor.
+def wanted(effects: Sequence[str] | None, twin: Twin) -> list[str] | None:
+    """Optics effects to fit: those asked for, else those of a calibrated twin, else None: those of a sensor.
 
     What `pneutac new` writes are defaults, no findings: its history has no calibration in levels.
 
@@ -197,7 +206,7 @@ def wanted(effects: Sequence[str] | None, twin: Twin) -> list[str]:
     """
     if effects is None:
         calibrated = any(version.get("unit") == "levels" for version in twin.history)
-        return of_sensor(twin.effects) if twin.gel and calibrated else standard_effects()
+        return of_sensor(twin.effects) if twin.gel and calibrated else None
     of_one_pair = [name for name, effect in sensor_effects().items() if not effect.of_session]
     for name in effects:
         if name not in of_one_pair:

@@ -126,7 +126,7 @@ def measure_across(source: TactileSet, target: TactileSet) -> tuple[dict, None]:
     moved = seen_by(own_gel(source.data, makes=makes_for(source.name, target.name)), data)
     own = own_gel(data, makes=makes_for(source.name, target.name))
     row = {"from": source.name, "to": target.name, "rest": _scores(target, [s.rest for s in target.heldout])}
-    for name, gel, drift in (("moved", moved, None), ("drift", moved, pair), ("own", own, pair)):
+    for name, gel, drift in (("moved", moved, []), ("drift", moved, [pair]), ("own", own, [pair])):
         predictor = Predictor(gel, drift)
         row[name] = _scores(target, [predictor.image(s.press, s.rest, s.clock) for s in target.heldout])
     return row, None

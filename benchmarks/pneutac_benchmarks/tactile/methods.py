@@ -10,12 +10,11 @@ from pneutac_benchmarks.baselines.dot_sim import DotSim
 from pneutac_benchmarks.baselines.tacchi import Tacchi
 from pneutac_benchmarks.baselines.taxim import Taxim
 from pneutac_datasets.recording.gel import GelRecording, GelSample
-from pneutac_sim.gel import optics
 from pneutac_sim.gel.fit import fit_gel
 from pneutac_sim.gel.layout import DIGIT, Layout
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.pair import Pair
-from pneutac_sim.gel.photograph import KEPT, Predictor, press_depth, registered, session_light
+from pneutac_sim.gel.photograph import Predictor, expected_drift, press_depth, registered
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.splat.gel import SplatSensor
 
@@ -65,7 +64,7 @@ def _model(
     effects: tuple[str, ...] | None = None, makes: Callable[[str], tuple[Layout, ...]] = lambda name: (DIGIT,)
 ):
     def fit(name: str, data: GelRecording) -> Predict:
-        predictor = Predictor(own_gel(data, effects, makes(name)), data.calibration.photograph)
+        predictor = Predictor(own_gel(data, effects, makes(name)), [data.calibration.photograph])
         return lambda s: predictor.image(s.press, s.rest, s.clock)
 
     return fit
@@ -98,8 +97,8 @@ def _splats(name: str, data: GelRecording) -> Predict:
     """The same fit, mechanics and drift of light, drawn by Gaussians that move with the gel."""
     gel, c = own_gel(data), data.calibration
     surface = TactileSensor(gel)
-    height, width = c.rest.shape[:2]
-    drift = KEPT * optics.upsample(session_light(c.photograph, gel.px_per_mm), height, width)
+    pair = c.photograph
+    drift = expected_drift([pair], pair.rest, gel.px_per_mm)
     sensors = {id(c.rest): SplatSensor(gel)}
 
     def predict(s: GelSample) -> np.ndarray:

@@ -104,22 +104,24 @@ class GelRecording:
                 rests[name] = recording.image(own, plain=True)
                 _same_size(rests[name], out.rest, f"{where}: rest image {shown(name)}")
             out.samples.append(_sample(recording, row, where, out, rests[name], clock))
-        presses = [s.name for s in out.samples if s.role == "calibration"]
-        if len(presses) > 1:
-            out.warnings.append(f"{len(presses)} rows have the role calibration; the first is used.")
         out.warnings += _misplaced(out)
         return out
 
     @property
+    def presses(self) -> list[GelSample]:
+        """The samples to fit to, all with role `calibration`; InputError where there is none."""
+        found = [s for s in self.samples if s.role == "calibration"]
+        if not found:
+            raise InputError(
+                "The recording has no row with role 'calibration'; "
+                "add a column 'role' and mark one indentation with it."
+            )
+        return found
+
+    @property
     def calibration(self) -> GelSample:
-        """The sample to fit to: the first with role `calibration`."""
-        for sample in self.samples:
-            if sample.role == "calibration":
-                return sample
-        raise InputError(
-            "The recording has no row with role 'calibration'; "
-            "add a column 'role' and mark one indentation with it."
-        )
+        """The first sample to fit to."""
+        return self.presses[0]
 
 
 def _clock(samples: pd.DataFrame) -> np.ndarray:

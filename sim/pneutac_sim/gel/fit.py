@@ -17,7 +17,7 @@ from pneutac_sim.effects.sensor_effect import SensorEffect
 from pneutac_sim.gel.channel import Channel, effects_of, priors
 from pneutac_sim.gel.contact import quiet_threshold
 from pneutac_sim.gel.indenter import Press
-from pneutac_sim.gel.layout import DIGIT, Layout, Orientation, recognise
+from pneutac_sim.gel.layout import DIGIT, Layout, Orientation, recognise, recognise_rest
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.optics import gradient
 from pneutac_sim.gel.pair import check_pair
@@ -39,11 +39,13 @@ DEPTH_SCALE_RANGE = (0.5, 1.0)
 DEPTH_SCALE_SD = 0.2  # of the logarithm: stated depths are mostly estimates
 # One photograph shows noise and compression, but not how far the light drifts until the next.
 MIN_THRESHOLD_LEVELS = 6.0
+SHADOW = "shadow"
 CONTACT_ROUNDS = 4  # of light and contacts in turn, where an effect changes the contacts
 
 # A make's light is kept even at several times the cost: what a single pair says against it is mostly the
 # model's own error, and on two real DIGITs keeping it predicts other images better.
 TRUST_IN_MAKE = 3.0
+TRUST_IN_REST = 10.0  # the same where the rest image tells the make
 
 
 @dataclass
@@ -88,10 +90,37 @@ def fit_gel(
     Raises:
         InputError: the pair is no rest and indentation image, see `check_pair`.
     """
-    check_pair(rest, indentation, press, px_per_mm)
-    gel = GelModel(rest, np.zeros((3, 2)), np.zeros(3), px_per_mm, thickness_mm)
-    names = standard_effects() if effects is None else effects
-    return fit_photographs(gel, [PressPhotograph(press, indentation, rest)], names, makes)
+    pair = PressPhotograph(press, indentation, rest)
+    return fit_presses([pair], px_per_mm, effects, thickness_mm, makes)
+
+
+def fit_presses(
+    presses: Sequence[PressPhotograph],
+    px_per_mm: float,
+    effects: Sequence[str] | None = None,
+    thickness_mm: float = THICKNESS_MM,
+    makes: Sequence[Layout] = (DIGIT,),
+) -> GelFit:
+    """Fits a gel to one press or several, whose lights are the same and whose drifts are each one's own.
+
+    Args:
+        presses: of one gel; the first one's rest image becomes the gel's.
+        px_per_mm: scale of the images.
+        effects: to fit; None for those of every sensor. Of a make that nobody knows one press shows no shadow
+            apart from the light, and a shadow that nobody saw spoils other images: it needs a second press.
+        thickness_mm: gel thickness.
+        makes: sensors whose lights are known.
+
+    Raises:
+        InputError: a pair is no rest and indentation image, see `check_pair`.
+    """
+    for p in presses:
+        check_pair(p.rest, p.image, p.press, px_per_mm)
+    gel = GelModel(presses[0].rest, np.zeros((3, 2)), np.zeros(3), px_per_mm, thickness_mm)
+    fit = fit_photographs(gel, presses, standard_effects() if effects is None else effects, makes)
+    if effects is None and not fit.make and len(presses) == 1:
+        fit = fit_photographs(gel, presses, [e for e in standard_effects() if e != SHADOW], makes)
+    return fit
 
 
 def standard_effects() -> list[str]:
@@ -174,14 +203,19 @@ class _Problem:
         return np.linalg.lstsq(np.concatenate(rows), seen, rcond=None)[0].T[:, :2]
 
     def best(self, makes: Sequence[Layout], near: GelModel | None, quick: bool) -> GelFit:
-        light, first = self.linear(), self.photographs[0].press
+        light, first = self.linear(), self.photographs[0]
         best = self.search(light, None, near, quick)
         lenders = {e.name for e in sensor_effects().values() if e.lend}
         for make in makes if lenders <= {e.name for e in self.effects} else ():
-            orientation = recognise(light, first.x_mm, first.y_mm, self.gel.rest_image.shape[1::-1], make)
+            orientation, _ = recognise_rest(self.gel.rest_image, make)
+            sure = orientation is not None
+            if not sure:
+                size = self.gel.rest_image.shape[1::-1]
+                alone = light if len(self.photographs) == 1 else slope_light(self.gel, first)
+                orientation = recognise(alone, first.press.x_mm, first.press.y_mm, size, make)
             if orientation is not None:
                 made = self.search(light, orientation.of(make), near or best.gel, quick)
-                if made.cost < TRUST_IN_MAKE * best.cost:
+                if made.cost < (TRUST_IN_REST if sure else TRUST_IN_MAKE) * best.cost:
                     made.make, made.orientation, best = make.name, orientation, made
         best.evaluations = self.evaluations
         return best

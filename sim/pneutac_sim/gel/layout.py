@@ -1,17 +1,25 @@
 """Where the lights of known sensors stand, and which way round a sensor's images are.
 
 One indentation tells from where the light comes at that place, not how far away it stands nor how it spreads.
-Sensors of one make share both, so a sensor that is recognised by the directions of its light lends the rest
-from its make.
+Sensors of one make share both, so a sensor that is recognised lends the rest from its make. Its rest image
+tells the make, whatever was pressed; where it does not, the directions of the light do.
 """
 
 import itertools
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 
+import cv2
 import numpy as np
+
+from pneutac_sim.gel import builtin
 
 # Largest angle between the measured and the make's direction of any light.
 MATCH_DEG = 25.0
+# Least correlation of blurred rest images. Two DIGITs have .87 with each other and .86 and .84 with the
+# generated one, .67 at most in any other orientation, and a GelSight .5 with any of them.
+LIKE, MARGIN = 0.76, 0.1
+THUMB, BLUR = (24, 32), 2.0  # columns and rows to which they are shrunk, and the blur there
 
 
 @dataclass(frozen=True)
@@ -23,18 +31,21 @@ class Layout:
         positions_mm: (3, 2), x and y of each light from the window's centre.
         exponents: of the rest colour, see the effect `rest_colour`.
         proportions: width of the images over their height.
+        rest_image: takes a shape (H, W, 3) to what such a sensor shows without contact; None where unknown.
     """
 
     name: str
     positions_mm: tuple[tuple[float, float], ...]
     exponents: tuple[float, float, float]
     proportions: float
+    rest_image: Callable[[tuple[int, int, int]], np.ndarray] | None = field(default=None, compare=False)
 
 
 # Found on 34 photographs of two DIGITs of unlike brightness; alone they give red (7.0, -6.8) and (8.5, -7.7),
 # green (-13.8, -6.3) and (-11.6, -5.0), blue (36, 139) and (10, 77) mm, exponents (1.3, 2.3, 0.4) and
 # (1.3, 3.4, 0.3).
-DIGIT = Layout("DIGIT", ((7.75, -7.2), (-12.7, -5.6), (22.0, 107.0)), (1.3, 2.4, 0.4), 0.75)
+_LIGHTS = ((7.75, -7.2), (-12.7, -5.6), (22.0, 107.0))
+DIGIT = Layout("DIGIT", _LIGHTS, (1.3, 2.4, 0.4), 0.75, builtin.rest_image)
 
 
 @dataclass(frozen=True)
@@ -67,6 +78,49 @@ class Orientation:
         exponents = tuple(layout.exponents[c] for c in self.channels)
         return Layout(layout.name, positions, exponents, layout.proportions)
 
+    def shown(self, image: np.ndarray) -> np.ndarray:
+        """An image (H, W, 3) of the make as a sensor of this orientation shows it."""
+        image = image[..., list(self.channels)]
+        image = image[:, ::-1] if self.mirror_x else image
+        return image[::-1] if self.mirror_y else image
+
+
+def orientations() -> list[Orientation]:
+    """All there are, the make's own first."""
+    flips = itertools.product((False, True), repeat=2)
+    return [Orientation(c, *f) for f in flips for c in itertools.permutations(range(3))]
+
+
+def recognise_rest(rest: np.ndarray, layout: Layout = DIGIT) -> tuple[Orientation | None, float]:
+    """Which way round a sensor's images are, if its rest image is of this make.
+
+    Args:
+        rest: image without contact, uint8 (H, W, 3).
+        layout: the make.
+
+    Returns:
+        The orientation, None where it is not of this make or could be two ways round, and the correlation of
+        the blurred images in the best one.
+    """
+    if layout.rest_image is None or not _proportioned(rest.shape[1::-1], layout):
+        return None, 0.0
+    seen, own = _blurred(rest), layout.rest_image((4 * THUMB[1], 4 * THUMB[0], 3))
+    alike = [float((seen * _blurred(o.shown(own))).sum()) for o in orientations()]
+    best, second = np.sort(alike)[:-3:-1]
+    found = orientations()[int(np.argmax(alike))]
+    return (found if best > LIKE and best > second + MARGIN else None), float(best)
+
+
+def _blurred(image: np.ndarray) -> np.ndarray:
+    small = cv2.resize(image.astype(np.float32), THUMB, interpolation=cv2.INTER_AREA)
+    small = cv2.GaussianBlur(small, (0, 0), BLUR)
+    small -= small.mean()
+    return small / max(float(np.linalg.norm(small)), 1e-9)
+
+
+def _proportioned(image_size: tuple[int, ...], layout: Layout) -> bool:
+    return abs(image_size[0] / image_size[1] / layout.proportions - 1) <= 0.05
+
 
 def recognise(
     light: np.ndarray, x_mm: float, y_mm: float, image_size: tuple[int, int], layout: Layout = DIGIT
@@ -85,7 +139,7 @@ def recognise(
         about as well; else the one that fits best; None where the directions or the proportions of the images
         are not the make's.
     """
-    if abs(image_size[0] / image_size[1] / layout.proportions - 1) > 0.05:
+    if not _proportioned(image_size, layout):
         return None
 
     def mismatch(orientation: Orientation) -> float:
@@ -93,7 +147,6 @@ def recognise(
         angles = np.arctan2(towards[:, 1], towards[:, 0]) - np.arctan2(-light[:, 1], -light[:, 0])
         return float(np.degrees(np.abs((angles + np.pi) % (2 * np.pi) - np.pi)).max())
 
-    flips = itertools.product((False, True), repeat=2)
-    every = [Orientation(c, *f) for f in flips for c in itertools.permutations(range(3))]
+    every = orientations()
     best = every[0] if mismatch(every[0]) < MATCH_DEG else min(every, key=mismatch)
     return best if mismatch(best) < MATCH_DEG else None

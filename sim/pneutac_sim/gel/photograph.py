@@ -2,9 +2,10 @@
 
 Light and exposure drift between a rest image and the photographs of a session. One pair of images shows how
 far, away from its contact, but not whether that is the session's or its own: half of it is expected of the
-session's other photographs, which is right where both are alike.
+session's other photographs, which is right where both are alike, and n / (n + 1) of the mean of n pairs.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -18,7 +19,6 @@ from pneutac_sim.gel.probe import COLS, ROWS, probe_grid
 from pneutac_sim.gel.sensor import TactileSensor
 
 NEAR_RADII = 3.0  # pixels within so many contact radii tell about the gel, those beyond about the session
-KEPT = 0.5  # share of a pair's drift that the session's other photographs are expected to have
 
 
 @dataclass
@@ -82,6 +82,18 @@ def session_light(pair: PressPhotograph, px_per_mm: float) -> np.ndarray:
     return out
 
 
+def expected_drift(pairs: Sequence[PressPhotograph], rest: np.ndarray, px_per_mm: float) -> np.ndarray:
+    """Change of the light (H, W, 3) in levels that a session's other photographs are expected to have.
+
+    Args:
+        pairs: photographs, those of the session with this rest image itself.
+        rest: of the session, uint8 (H, W, 3).
+        px_per_mm: scale of the images.
+    """
+    seen = [session_light(p, px_per_mm) for p in pairs if p.rest is rest]
+    return len(seen) / (len(seen) + 1) * optics.upsample(np.mean(seen, axis=0), *rest.shape[:2])
+
+
 def gains(gel: GelModel, clock: float) -> np.ndarray:
     """Brightness over the rest image (3,) at a time of the session, by the gel's effects."""
     out = np.ones(3)
@@ -101,16 +113,16 @@ class Predictor:
 
     Args:
         gel: the sensor.
-        pair: a photograph of the session whose drift of light is known, None for no drift.
+        pairs: photographs whose drift of light is known, each of the session of its rest image.
     """
 
-    def __init__(self, gel: GelModel, pair: PressPhotograph | None = None):
-        self._gel, self._pair = gel, pair
+    def __init__(self, gel: GelModel, pairs: Sequence[PressPhotograph] = ()):
+        self._gel, self._pairs = gel, pairs
         self._sensors: dict[int, tuple] = {}
-        self._drift = None
-        if pair is not None and not drift_known(gel):
-            height, width = pair.rest.shape[:2]
-            self._drift = KEPT * optics.upsample(session_light(pair, gel.px_per_mm), height, width)
+        self._drifts: dict[int, np.ndarray] = {}
+        if not drift_known(gel):
+            rests = {id(p.rest): p.rest for p in pairs}
+            self._drifts = {i: expected_drift(pairs, rest, gel.px_per_mm) for i, rest in rests.items()}
 
     def image(self, press: Press, rest: np.ndarray, clock: float = 0.0) -> np.ndarray:
         """Predicted photograph, uint8 (H, W, 3), of a press as stated and its session's rest image."""
@@ -119,6 +131,6 @@ class Predictor:
         image = self._sensors[id(rest)][1].image(press_depth(registered(press, self._gel), self._gel))
         if drift_known(self._gel):
             image = image * gains(self._gel, clock)
-        elif self._drift is not None and rest is self._pair.rest:
-            image = image + self._drift
+        elif id(rest) in self._drifts:
+            image = image + self._drifts[id(rest)]
         return np.clip(np.round(image), 0, 255).astype(np.uint8)

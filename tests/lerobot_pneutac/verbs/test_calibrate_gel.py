@@ -16,14 +16,16 @@ from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
-from pneutac_sim.gel.fit import fit_gel, standard_effects
+from pneutac_sim.gel.fit import SHADOW, fit_gel, fit_presses, standard_effects
 from pneutac_sim.gel.layout import Orientation
-from pneutac_sim.gel.metrics import ImageScores
+from pneutac_sim.gel.metrics import ImageScores, score
 from pneutac_sim.gel.model import GelModel
+from pneutac_sim.gel.photograph import Predictor
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.twin import Twin
 
 pytestmark = pytest.mark.slow
+ONE_PRESS = set(standard_effects()) - {SHADOW}
 
 
 @pytest.fixture(scope="module")
@@ -114,15 +116,15 @@ def test_the_optics_that_new_writes_are_no_findings(generated, twin, tmp_path):
     new_verb([f"--twin={tmp_path / 'twin'}", f"--recording={generated}"])
     run(tmp_path / "twin", generated)
     begun, alone = Twin.load(tmp_path / "twin"), Twin.load(twin)
-    assert set(begun.effects) == set(alone.effects) == set(standard_effects())
+    assert set(begun.effects) == set(alone.effects) == ONE_PRESS
     for name, values in alone.effects.items():
         for key, value in values.items():
             assert begun.effects[name][key].value == pytest.approx(value.value, rel=1e-6, abs=1e-9)
 
 
-def test_a_new_twin_gets_every_effect_of_a_sensor(twin):
-    assert set(Twin.load(twin).effects) == set(standard_effects())
-    assert wanted(None, Twin.builtin()) == standard_effects(), "a finger without a gel has no light yet"
+def test_a_new_twin_gets_every_effect_that_one_press_of_an_unknown_sensor_tells(twin):
+    assert set(Twin.load(twin).effects) == ONE_PRESS
+    assert wanted(None, Twin.builtin()) is None, "a finger without a gel has no light yet"
 
 
 def test_without_a_recording_the_output_says_that_the_images_are_generated(tmp_path, capsys, monkeypatch):
@@ -231,6 +233,39 @@ def test_bad_options_get_one_sentence(generated, tmp_path):
         with pytest.raises(InputError, match=says) as e:
             main(argv)
         assert "\n" not in str(e.value)
+
+
+def test_all_rows_of_role_calibration_count(generated, twin, tmp_path, capsys):
+    recording = Recording.load(generated)
+    recording.samples.loc[:2, "role"] = "calibration"
+    for f in generated.rglob("*.png"):
+        (tmp_path / "r" / f.relative_to(generated)).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(f, tmp_path / "r" / f.relative_to(generated))
+    recording.write(tmp_path / "r")
+    run(tmp_path / "twin", tmp_path / "r", f"--out={tmp_path / 'out'}")
+    said = " ".join(capsys.readouterr().out.split())
+    assert "A tactile sensor from 3 presses" in said and "Fitted to 3 indentation images" in said
+    assert set(Twin.load(tmp_path / "twin").effects) == set(standard_effects()), (
+        "shadows can be told from light"
+    )
+
+
+def test_five_presses_of_a_real_sensor_predict_better_than_one():
+    if "PNEUTAC_DATA" not in os.environ:
+        pytest.skip("PNEUTAC_DATA is unset: there are no real photographs to calibrate to")
+    data = GelRecording.load(Recording.load(Path(os.environ["PNEUTAC_DATA"]) / "tactile" / "digit_fots"))
+    pairs = [s.photograph for s in data.samples[::4]][:5]
+    others = [s for i, s in enumerate(data.samples) if i % 4]
+    contact = []
+    for n in (1, 5):
+        predictor = Predictor(fit_presses(pairs[:n], data.px_per_mm, None, data.thickness_mm).gel, pairs[:n])
+        images = [predictor.image(s.press, s.rest, s.clock) for s in others]
+        scores = [
+            score(image, s.image, s.rest, s.x_px, s.y_px, s.radius_px)
+            for image, s in zip(images, others, strict=True)
+        ]
+        contact.append(ImageScores.mean(scores).contact_rmse)
+    assert contact[1] < 0.97 * contact[0]
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from pneutac_sim.effects import get_effect
-from pneutac_sim.gel.fit import fit_gel, fit_photographs, slope_light, standard_effects
+from pneutac_sim.errors import InputError
+from pneutac_sim.gel.fit import fit_gel, fit_photographs, fit_presses, slope_light, standard_effects
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.layout import DIGIT, Orientation
 from pneutac_sim.gel.metrics import rmse
@@ -61,13 +62,28 @@ def test_one_pair_predicts_other_places_and_depths_of_a_sensor_with_every_effect
     assert set(fit.gel.effects) == set(standard_effects())
     for press in ELSEWHERE:
         real = photograph(bent, press)
-        ours, plain = (
-            rmse(Predictor(g, None).image(press, bent.rest_image), real) for g in (fit.gel, linear)
-        )
+        ours, plain = (rmse(Predictor(g).image(press, bent.rest_image), real) for g in (fit.gel, linear))
         assert ours < 0.2 * rmse(bent.rest_image, real) and ours < 0.55 * plain
     for name, values in fit.gel.effects.items():
         for p in get_effect(name).parameters:
             assert p.lower <= values[p.name] <= p.upper
+
+
+def test_of_an_unknown_sensor_one_press_tells_no_shadow_and_two_do(bent, session):
+    bent.rest_image = np.ascontiguousarray(
+        bent.rest_image.mean(2, keepdims=True).repeat(3, 2).astype(np.uint8)
+    )
+    presses = session(bent, 2)
+    one, two = (fit_presses(p, bent.px_per_mm, makes=()) for p in (presses[:1], presses))
+    assert set(standard_effects()) - set(one.gel.effects) == {"shadow"}
+    assert set(two.gel.effects) == set(standard_effects())
+
+
+def test_each_press_is_checked(linear, session):
+    presses = session(linear, 2)
+    presses[1] = replace(presses[1], image=presses[1].rest.copy())
+    with pytest.raises(InputError, match="same picture"):
+        fit_presses(presses, linear.px_per_mm)
 
 
 def test_images_that_are_mirrored_and_bgr_are_recognised_and_lit_by_the_makes_lights(linear, photograph):

@@ -1,11 +1,25 @@
 """Which way round a sensor's images are, told by the directions of its light."""
 
 import itertools
+import json
+import os
+from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
-from pneutac_sim.gel.layout import DIGIT, MATCH_DEG, Layout, Orientation, recognise
+from pneutac_sim.gel import builtin
+from pneutac_sim.gel.layout import (
+    DIGIT,
+    LIKE,
+    MATCH_DEG,
+    Layout,
+    Orientation,
+    orientations,
+    recognise,
+    recognise_rest,
+)
 
 EVERY = [
     Orientation(c, x, y)
@@ -89,3 +103,40 @@ def test_an_orientation_says_what_it_is_and_undoes_itself():
     assert str(both) == "channels BGR instead of RGB and turned upside down"
     assert both.of(both.of(DIGIT)) == DIGIT
     assert both.of(DIGIT).positions_mm[0] == (-22.0, -107.0) and both.of(DIGIT).exponents[0] == 0.4
+
+
+def noisy(image, rng):
+    """As another unit of the make shows it: brighter, with a tilt of its own and noise."""
+    h, w, _ = image.shape
+    y, x = np.mgrid[:h, :w] / np.array([h, w])[:, None, None] - 0.5
+    image = 1.15 * image + 12 + (18 * x + 14 * y)[..., None] + rng.normal(0, 4, image.shape)
+    return np.clip(image, 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("orientation", orientations(), ids=str)
+def test_a_rest_image_tells_the_make_and_which_way_round_it_is(orientation):
+    image = noisy(builtin.rest_image((320, 240, 3)), np.random.default_rng(0))
+    found, alike = recognise_rest(np.ascontiguousarray(orientation.shown(image)))
+    assert found == orientation and alike > LIKE
+
+
+def test_other_rest_images_are_of_no_digit():
+    rng = np.random.default_rng(1)
+    y, x = np.mgrid[:320, :240] / 320 - 0.5
+    grey = np.full((320, 240, 3), 120, np.uint8)
+    around = np.stack([np.hypot(x, y)] * 3, -1) * [250, 240, 230]
+    for image in (grey, noisy(around, rng), rng.integers(0, 255, (320, 240, 3)).astype(np.uint8)):
+        assert recognise_rest(image)[0] is None
+    assert recognise_rest(builtin.rest_image((320, 320, 3)))[0] is None, "of other proportions"
+
+
+def test_real_rest_images_are_told():
+    folder = Path(os.environ.get("PNEUTAC_DATA", "")) / "tactile"
+    if not os.environ.get("PNEUTAC_DATA") or not folder.is_dir():
+        pytest.skip("PNEUTAC_DATA does not name a folder with real recordings")
+    found = {}
+    for name in ("digit_nagoya", "digit_fots", "gelsight_thu"):
+        meta = json.loads((folder / name / "recording.json").read_text())
+        rest = np.asarray(Image.open(folder / name / meta["rest_image"]).convert("RGB"))
+        found[name] = recognise_rest(rest)[0]
+    assert found == {"digit_nagoya": Orientation(), "digit_fots": Orientation(), "gelsight_thu": None}

@@ -11,6 +11,7 @@ from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.photograph import (
     Predictor,
     PressPhotograph,
+    expected_drift,
     gains,
     press_depth,
     registered,
@@ -102,17 +103,25 @@ def test_gains_go_with_the_clock(linear):
 
 
 def test_half_of_a_pairs_drift_is_expected_of_the_session_and_none_of_another(linear, drifted):
-    steady, predictor = Predictor(linear), Predictor(linear, drifted)
+    steady, predictor = Predictor(linear), Predictor(linear, [drifted])
     session = predictor.image(OTHER, drifted.rest).astype(float) - steady.image(OTHER, drifted.rest)
     np.testing.assert_allclose(session.mean((0, 1)), [5, -3, 2], atol=0.3)
     other = drifted.rest.copy()
     np.testing.assert_array_equal(predictor.image(OTHER, other), steady.image(OTHER, other))
 
 
+def test_the_more_pairs_the_more_of_their_mean_drift_is_expected(linear, drifted):
+    seen = session_light(drifted, linear.px_per_mm)
+    for n in (1, 2, 5):
+        drift = expected_drift([drifted] * n, drifted.rest, linear.px_per_mm)
+        share = drift.sum() / (seen.sum() * drift[..., 0].size / seen[..., 0].size)
+        assert share == pytest.approx(n / (n + 1), rel=0.01)
+
+
 def test_a_gel_that_knows_the_drift_needs_no_pair(linear, drifted):
     v = {f"{kind}_{c}": float(kind == "gain") for kind in ("gain", "drift") for c in ("red", "green", "blue")}
     linear.effects = {"illumination_drift": v | {"gain_red": 1.1, "drift_red": -0.2}}
-    predictor = Predictor(linear, drifted)
+    predictor = Predictor(linear, [drifted])
     for clock, gain in ((0.0, 1.1), (0.5, 1.0), (1.0, 0.9)):
         image = predictor.image(OTHER, drifted.rest, clock).astype(float)
         bright = drifted.rest[..., 0] < 200
