@@ -11,6 +11,7 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_NAMES, IMAGE_NAME, IMAGE_SHAPE, STATE_NAMES
 from pneutac_sim.files import whole
 
+BEND_NAMES = (*ACTION_NAMES[:3], "bend.pos")  # rad, in place of the pressure
 POSE_NAMES = ("ee_x.pos", "ee_y.pos", "ee_z.pos", "pressure.pos")
 
 
@@ -45,8 +46,8 @@ class BaseRobot(Robot):
 
     @property
     def action_features(self) -> dict[str, type]:
-        """Velocities (m/s) and pressure (kPa)."""
-        return dict.fromkeys(ACTION_NAMES, float)
+        """Velocities (m/s) and pressure (kPa), with `--robot.bend=true` bend (rad)."""
+        return dict.fromkeys(BEND_NAMES if self.config.bend else ACTION_NAMES, float)
 
     @property
     def is_calibrated(self) -> bool:
@@ -60,10 +61,16 @@ class BaseRobot(Robot):
         """Nothing to do."""
 
 
-def action_names(keys: Iterable[str]) -> tuple[str, ...]:
-    """Which names an action goes by: `features.ACTION_NAMES`, or the pose `POSE_NAMES`; InputError else."""
-    for names in (ACTION_NAMES, POSE_NAMES):
+def action_names(keys: Iterable[str], bend: bool = False) -> tuple[str, ...]:
+    """Which names an action goes by: `features.ACTION_NAMES`, those with the bend, or the pose's.
+
+    Raises:
+        InputError: none of them, or a bend where `--robot.bend` is false.
+    """
+    for names in (ACTION_NAMES, BEND_NAMES, POSE_NAMES):
         if set(names) <= set(keys):
+            if names == BEND_NAMES and not bend:
+                raise InputError("The action has 'bend.pos'; give --robot.bend=true and the finger's twin.")
             return names
     raise InputError(
         f"The action has the keys {', '.join(keys)}; the robot takes {', '.join(ACTION_NAMES)}, or the pose"

@@ -52,6 +52,9 @@ class PneutacConfig(RobotConfig):
         contact_threshold: that threshold itself, in place of the twin: mean difference of R, G, B to the rest
             image, 8-bit levels, above which a pixel is in contact.
         cameras: more cameras, as for every LeRobot robot; a policy trained in simulation knows none.
+        bend: actions command the finger's bend, `bend.pos` in rad, in place of the pressure; the twin finds
+            the pressure for it.
+        conditions: what the twin's effects ask for, such as {temperature_c: 22}, for `bend`.
     """
 
     arm: ArmConfig | None = None
@@ -61,6 +64,8 @@ class PneutacConfig(RobotConfig):
     twin: Path | None = None
     contact_threshold: float | None = None
     cameras: dict[str, CameraConfig] = field(default_factory=dict)
+    bend: bool = False
+    conditions: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self):
         super().__post_init__()
@@ -74,6 +79,10 @@ class PneutacConfig(RobotConfig):
             self.pressure.make()  # opens nothing
         except InputError as e:
             raise DecodingError((), f"--robot.pressure: {e}") from e
+        refuse_if(
+            self.bend and self.twin is None,
+            "--robot.bend=true needs --robot.twin, the folder of the finger's calibrated twin.",
+        )
         taken = {IMAGE_NAME, *STATE_NAMES} & self.cameras.keys()
         refuse_if(bool(taken), f"--robot.cameras has '{', '.join(taken)}', which is taken; choose another.")
         self._check_contact()

@@ -39,6 +39,8 @@ class PneutacSimConfig(RobotConfig):
         spread: number of random starts that the demonstrations are to stand for: each episode begins at that
             one of them which leaves the others nearest to a start that was done, as a person would spread a
             few demonstrations; 0 takes random starts as they come.
+        bend: actions command the finger's bend, `bend.pos` in rad, in place of the pressure; the twin finds
+            the pressure for it. On the stand-in it takes the twin that was calibrated to it.
     """
 
     task: str = "switch"
@@ -51,6 +53,7 @@ class PneutacSimConfig(RobotConfig):
     station: Path | None = None
     standin: bool = False
     spread: int = 0
+    bend: bool = False
 
     def __post_init__(self):
         super().__post_init__()
@@ -62,6 +65,10 @@ class PneutacSimConfig(RobotConfig):
             check_networks("robot.twin", self.twin, self.fidelity)
         check_choice("robot.render", self.render, RENDERS)
         refuse_if(self.spread < 0, f"--robot.spread is {self.spread}; it must not be negative.")
+        refuse_if(
+            self.bend and self.standin and self.twin is None,
+            "--robot.bend=true on the stand-in needs --robot.twin, the twin that was calibrated to it.",
+        )
         check_range("robot.pressure_range_kpa", self.pressure_range_kpa)
         check_station("robot.station", self.station)
         refuse_if(

@@ -11,7 +11,14 @@ from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnected
 from lerobot_robot_pneutac.cameras.live import LiveCamera
 from lerobot_robot_pneutac.cameras.tactile import Tactile
 from lerobot_robot_pneutac.hardware.safety import Guard, within
-from lerobot_robot_pneutac.robots.base_robot import POSE_NAMES, BaseRobot, action_names, write_info_whole
+from lerobot_robot_pneutac.robots.base_robot import (
+    BEND_NAMES,
+    POSE_NAMES,
+    BaseRobot,
+    action_names,
+    write_info_whole,
+)
+from lerobot_robot_pneutac.robots.bend import BendCommands
 from lerobot_robot_pneutac.robots.config_pneutac import PneutacConfig
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import (
@@ -22,6 +29,7 @@ from pneutac_sim.features import (
     IMAGE_NAME,
     STATE_NAMES,
 )
+from pneutac_sim.twin import Twin
 
 LET_GO_S = 3.0  # a part that takes longer to let go is left behind
 
@@ -31,7 +39,8 @@ logger = logging.getLogger(__name__)
 class Pneutac(BaseRobot):
     """The real robot; its features are those of `pneutac_sim`, and so are its datasets and policies.
 
-    An action is a dict of `features.ACTION_NAMES`; a pose, as lerobot-rollout sends it between episodes,
+    An action is a dict of `features.ACTION_NAMES`, with `--robot.bend=true` with `bend.pos` in place of the
+    pressure; a pose, as lerobot-rollout sends it between episodes,
     moves the arm towards that pose. Every action passes the `Guard`, which see for limits and faults.
 
     Attributes:
@@ -72,6 +81,8 @@ class Pneutac(BaseRobot):
         if self.is_connected:
             raise DeviceAlreadyConnectedError(f"{self} is already connected.")
         write_info_whole()
+        if self.config.bend:
+            self._bend = BendCommands(Twin.load(self.config.twin), self.config.conditions)
         try:
             self._pressure.connect()
             self._pressure.vent()
@@ -126,17 +137,24 @@ class Pneutac(BaseRobot):
         """
         guard = self._need_guard()
         try:
-            names = action_names(action)
+            names = action_names(action, self.config.bend)
             values = _numbers(action, names)
         except InputError:
             guard.halt()
             raise
+        if names == BEND_NAMES:
+            values[3] = self._bend.pressure_kpa(values[3])
         if names == POSE_NAMES:
             velocity = (values[:3] - guard.look()[0].flange_m) * CONTROL_HZ
             # Far away is no fault of a pose, infinitely far is.
             near = np.clip(velocity, ACTION_LOW[:3], ACTION_HIGH[:3])
             values[:3] = np.where(np.isfinite(velocity), near, velocity)
-        return dict(zip(ACTION_NAMES, guard.act(values).tolist(), strict=True))
+        sent = dict(zip(ACTION_NAMES, guard.act(values).tolist(), strict=True))
+        if self.config.bend:
+            self._bend.sent(sent["pressure.pos"])
+        if names == BEND_NAMES:
+            sent = {name: sent.get(name, float(action[name])) for name in BEND_NAMES}
+        return sent
 
     def disconnect(self) -> None:
         """Stops the arm, vents the chamber and lets every part go; never fails on a part."""

@@ -6,7 +6,14 @@ import numpy as np
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
 from lerobot_robot_pneutac.options import contact_threshold
-from lerobot_robot_pneutac.robots.base_robot import POSE_NAMES, BaseRobot, action_names, write_info_whole
+from lerobot_robot_pneutac.robots.base_robot import (
+    BEND_NAMES,
+    POSE_NAMES,
+    BaseRobot,
+    action_names,
+    write_info_whole,
+)
+from lerobot_robot_pneutac.robots.bend import BendCommands
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.spread_starts import SpreadStarts
 from pneutac_sim.errors import InputError
@@ -17,6 +24,7 @@ from pneutac_sim.features import (
     STATE_NAMES,
     action_limits,
 )
+from pneutac_sim.twin import Twin
 from pneutac_sim.world.scene import OBJECT_GROUP
 
 EE = slice(STATE_NAMES.index("ee_x.pos"), STATE_NAMES.index("ee_z.pos") + 1)
@@ -29,7 +37,8 @@ _connected: list["PneutacSim"] = []
 class PneutacSim(BaseRobot):
     """A simulated robot that moves on by one control step (1/15 s) with every action that it is sent.
 
-    An action is a dict of `features.ACTION_NAMES`, clipped to its limits. Two more dicts are taken:
+    An action is a dict of `features.ACTION_NAMES`, with `--robot.bend=true` with `bend.pos` in place of the
+    pressure, clipped to its limits. Two more dicts are taken:
 
     - with the additional key `reset` (true) the scene starts afresh after the step, as a person would put the
       object back between demonstrations;
@@ -83,13 +92,17 @@ class PneutacSim(BaseRobot):
             InputError: keys are missing, or a value is not a finite number.
         """
         self._need_world()
-        names = action_names(action)
+        names = action_names(action, self.config.bend)
         values = [action[name] for name in names]
+        if names == BEND_NAMES:
+            values[3] = self._bend.pressure_kpa(float(values[3]))
         if names == POSE_NAMES:
             self._go_to(np.array(values, float))
         else:
             self._step(values)
         sent = dict(zip(ACTION_NAMES, np.asarray(self.world.command, float).tolist(), strict=True))
+        if names == BEND_NAMES:
+            sent = {name: sent.get(name, float(action[name])) for name in BEND_NAMES}
         if action.get("reset"):
             self.reset()
         return sent
@@ -113,6 +126,9 @@ class PneutacSim(BaseRobot):
             self._seed = seed = self._spread.next()
         self._observation = self.world.reset(seed)
         self._moved = False
+        if self.config.bend:
+            twin = Twin.load(self.config.twin) if self.config.twin else Twin.builtin()
+            self._bend = BendCommands(twin, getattr(self.world, "conditions", {}))
 
     def _starts(self) -> SpreadStarts | None:
         """Random starts to choose from, by the places of flange (half of the weight) and objects."""
@@ -126,6 +142,8 @@ class PneutacSim(BaseRobot):
     def _step(self, action) -> None:
         self._observation = self.world.step(action)
         self._moved = True
+        if self.config.bend:
+            self._bend.sent(float(self.world.command[3]))
 
     def _go_to(self, pose: np.ndarray) -> None:
         """One step towards a pose: (4,) flange position m, pressure kPa."""
@@ -160,7 +178,6 @@ def _world(config: PneutacSimConfig):
 
         threshold = {"contact_threshold": contact_threshold(config.twin)} if config.twin else {}
         return StandinWorld(config.task, **threshold)
-    from pneutac_sim.twin import Twin
     from pneutac_sim.world.station import Station
     from pneutac_sim.world.world import World
 

@@ -11,11 +11,13 @@ from lerobot.teleoperators import TeleoperatorConfig
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
 from lerobot_robot_pneutac.options import refuse_if
+from lerobot_robot_pneutac.robots.base_robot import BEND_NAMES
 from lerobot_robot_pneutac.teleoperators.base_teleop import BaseTeleop
 from pneutac_sim.features import ACTION_NAMES, MAX_PRESSURE_KPA, MAX_SPEED_M_S
 
 logger = logging.getLogger(__name__)
 
+BEND_S = 3.0  # from the smallest bend to the largest at full deflection
 MAX_TICK_S = 0.2  # a slow tick changes the pressure by no more than this
 # After `safety.VENT_S` without actions the robot is vented: no sudden return to the old pressure.
 PAUSE_S = 0.9
@@ -30,12 +32,15 @@ class VelocityTeleopConfig(TeleoperatorConfig):
         pressure_rate_kpa_s: rate of the pressure set-point at full deflection.
         max_pressure_kpa: highest set-point; a finger of another range than the paper's needs another.
         min_pressure_kpa: lowest set-point, 0 or, for a finger bent by vacuum, below.
+        bend_range_rad: smallest and largest bend, such as [0.5, 1.2]; the person's hand then changes the bend
+            and not the pressure, from the smallest on, for a robot with `--robot.bend=true`.
     """
 
     speed_m_s: float = 0.05
     pressure_rate_kpa_s: float = 5.0
     max_pressure_kpa: float = MAX_PRESSURE_KPA
     min_pressure_kpa: float = 0.0
+    bend_range_rad: tuple[float, float] | None = None
 
     def __post_init__(self):
         refuse_if(
@@ -47,6 +52,11 @@ class VelocityTeleopConfig(TeleoperatorConfig):
             not -np.inf < low <= 0 <= high < np.inf or low == high,
             f"--teleop.max_pressure_kpa is {high} and --teleop.min_pressure_kpa {low}; the first must be 0 or"
             " above, the second 0 or below, and not both 0.",
+        )
+        given = self.bend_range_rad
+        refuse_if(
+            given is not None and not -np.inf < given[0] < given[1] < np.inf,
+            f"--teleop.bend_range_rad is {given}; give the smaller bend first, as in [0.5,1.2].",
         )
         refuse_if(
             not 0 < self.pressure_rate_kpa_s < np.inf,
@@ -67,6 +77,17 @@ class VelocityTeleop(BaseTeleop):
         super().__init__(config)
         self.config = config
         self._tick_s: float | None = None
+        if config.bend_range_rad is None:
+            self._low, self._high = config.min_pressure_kpa, config.max_pressure_kpa
+            self._rest, self._rate = 0.0, config.pressure_rate_kpa_s
+        else:
+            self._low, self._high = config.bend_range_rad
+            self._rest, self._rate = self._low, (self._high - self._low) / BEND_S
+
+    @property
+    def action_features(self) -> dict[str, type]:
+        """Velocities (m/s) and pressure (kPa), with `bend_range_rad` bend (rad)."""
+        return dict.fromkeys(ACTION_NAMES if self.config.bend_range_rad is None else BEND_NAMES, float)
 
     @abstractmethod
     def _open(self) -> None:
@@ -102,7 +123,7 @@ class VelocityTeleop(BaseTeleop):
         if self.is_connected:
             raise DeviceAlreadyConnectedError(f"{self} is already connected.")
         self._open()
-        self._pressure_kpa, self._lost, self._let_go = 0.0, False, None
+        self._held, self._lost, self._let_go = self._rest, False, None
         self._tick_s = time.monotonic()
 
     def get_action(self) -> dict[str, Any]:
@@ -112,15 +133,13 @@ class VelocityTeleop(BaseTeleop):
         now_s = time.monotonic()
         tick_s, self._tick_s = now_s - self._tick_s, now_s
         if tick_s > PAUSE_S:
-            self._pressure_kpa = 0.0
+            self._held = self._rest
         direction, change = self._deflections()
         # Diagonals are not faster than the axes.
         velocity = self.config.speed_m_s * direction / max(1.0, float(np.linalg.norm(direction)))
-        pressure = self._pressure_kpa + change * self.config.pressure_rate_kpa_s * min(tick_s, MAX_TICK_S)
-        self._pressure_kpa = float(
-            np.clip(pressure, self.config.min_pressure_kpa, self.config.max_pressure_kpa)
-        )
-        return dict(zip(ACTION_NAMES, [*velocity.tolist(), self._pressure_kpa], strict=True))
+        held = self._held + change * self._rate * min(tick_s, MAX_TICK_S)
+        self._held = float(np.clip(held, self._low, self._high))
+        return dict(zip(self.action_features, [*velocity.tolist(), self._held], strict=True))
 
     def disconnect(self) -> None:
         """Lets go of the device."""

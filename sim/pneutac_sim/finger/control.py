@@ -113,23 +113,27 @@ class BendController:
         Raises:
             InputError: the target is not finite.
         """
+        kpa = self.plan(target_rad)
+        self.follow(kpa)
+        return kpa
+
+    def plan(self, target_rad: float | np.ndarray) -> float:
+        """As `command`, but the model waits for `follow`, which says what was sent in the end."""
         target = np.broadcast_to(np.asarray(target_rad, float), (STEPS,)) - self.offset_rad
         if not np.isfinite(target).all():
             raise InputError("The target bend is not a finite number of radians.")
         plan = self._plan
         for _ in range(ROUNDS):
             plan = self._nearer(plan, target)
-        self._sent_kpa, self._plan = float(plan[0]), plan
-        self._advance(self._sent_kpa)
-        return self._sent_kpa
+        self._plan = plan
+        return float(plan[0])
 
     def follow(self, pressure_kpa: float) -> None:
-        """One control step in which somebody else commanded the pressure."""
-        self._sent_kpa, self._plan = pressure_kpa, np.full(STEPS, pressure_kpa)
-        self._advance(pressure_kpa)
-
-    def _advance(self, kpa: float) -> None:
-        markers = self._model.place(self._model.step(kpa, self._dt_s), self._dt_s)
+        """One control step under this command, planned or not."""
+        if pressure_kpa != self._plan[0]:
+            self._plan = np.full(STEPS, pressure_kpa)
+        self._sent_kpa = pressure_kpa
+        markers = self._model.place(self._model.step(pressure_kpa, self._dt_s), self._dt_s)
         before, self._bend_rad = self._bend_rad, float(bend_angle(markers, self.by))
         self._rate_rad_s = (self._bend_rad - before) / self._dt_s
         keep = 1.0 - self._dt_s / self._plan_s  # the plan is of longer steps than the control

@@ -8,6 +8,7 @@ from lerobot.teleoperators import TeleoperatorConfig, make_teleoperator_from_con
 from lerobot.teleoperators.keyboard import teleop_keyboard
 
 import lerobot_robot_pneutac  # noqa: F401  registers the types
+from lerobot_robot_pneutac.robots.base_robot import BEND_NAMES
 from lerobot_robot_pneutac.teleoperators import velocity_teleop
 from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, ACTION_NAMES
 
@@ -44,7 +45,8 @@ def act(clock):
         for _ in range(ticks):
             clock.now_s += TICK_S
             action = device.get_action()
-        assert tuple(action) == ACTION_NAMES == tuple(device.action_features)
+        assert tuple(action) == tuple(device.action_features)
+        assert tuple(action) in (ACTION_NAMES, BEND_NAMES)
         values = np.array(list(action.values()))
         assert ((values >= ACTION_LOW) & (values <= ACTION_HIGH)).all()
         return values

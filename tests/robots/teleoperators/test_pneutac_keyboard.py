@@ -65,6 +65,15 @@ def test_pressure_rises_at_its_rate_is_held_and_stays_in_its_limits(teleop, act)
     assert act(keyboard, 45)[3] == 0.0
 
 
+def test_a_bend_is_led_from_its_smallest_to_its_largest_in_three_seconds(teleop, act):
+    keyboard = teleop("pneutac_keyboard", bend_range_rad=(0.5, 1.1))
+    assert "bend.pos" in keyboard.action_features and "pressure.pos" not in keyboard.action_features
+    assert act(keyboard)[3] == 0.5
+    keyboard.listener.press(Key("l"))
+    assert act(keyboard, 15)[3] == pytest.approx(0.7)
+    assert act(keyboard, 45)[3] == pytest.approx(1.1)
+
+
 def test_after_a_slow_tick_the_pressure_does_not_jump(teleop, act, clock):
     keyboard = teleop("pneutac_keyboard", pressure_rate_kpa_s=5.0)
     keyboard.listener.press(Key("l"))

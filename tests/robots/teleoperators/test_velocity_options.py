@@ -9,6 +9,7 @@ from lerobot.teleoperators import TeleoperatorConfig
         ("pneutac_keyboard", {"speed_m_s": 0.2}, "speed_m_s is 0.2; it must be above 0 and at most 0.1"),
         ("pneutac_keyboard", {"max_pressure_kpa": -20.0}, "max_pressure_kpa is -20.0.*must be 0 or above"),
         ("pneutac_keyboard", {"max_pressure_kpa": 0.0}, "and not both 0"),
+        ("pneutac_keyboard", {"bend_range_rad": (1.2, 0.5)}, "give the smaller bend first"),
         (
             "pneutac_spacemouse",
             {"pressure_rate_kpa_s": 0.0},

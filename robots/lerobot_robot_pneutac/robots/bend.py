@@ -1,0 +1,50 @@
+"""A robot that is told how far its finger bends, and finds the pressure for it."""
+
+import logging
+from collections.abc import Mapping
+
+import numpy as np
+
+from pneutac_sim.features import CONTROL_HZ
+from pneutac_sim.finger.control import BendController
+from pneutac_sim.twin import Twin
+
+logger = logging.getLogger(__name__)
+
+
+class BendCommands:
+    """Turns commanded bends into pressures by the twin, and goes along with what was sent.
+
+    Args:
+        twin: of the finger, calibrated.
+        conditions: what its effects ask for.
+
+    Raises:
+        InputError: as `BendController`.
+    """
+
+    def __init__(self, twin: Twin, conditions: Mapping[str, float]):
+        self._control = BendController(twin, 1 / CONTROL_HZ, conditions)
+        self._told = False
+
+    def pressure_kpa(self, bend_rad: float) -> float:
+        """What to command now; NaN for a bend that is no number, which the robot refuses like every NaN.
+
+        A bend out of the finger's reach is brought as near as it goes, and told once.
+        """
+        if not np.isfinite(bend_rad):
+            return float("nan")
+        low, high = self._control.reach_rad
+        if not low <= bend_rad <= high and not self._told:
+            self._told = True
+            logger.warning(
+                "A bend of %.3g rad is out of reach, %.3g to %.3g; it goes as far as it can.",
+                bend_rad,
+                low,
+                high,
+            )
+        return self._control.plan(bend_rad)
+
+    def sent(self, pressure_kpa: float) -> None:
+        """One control step has begun, with this pressure commanded."""
+        self._control.follow(pressure_kpa)
