@@ -9,6 +9,7 @@ from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnected
 from lerobot_robot_pneutac.robots.pneutac_sim import connected_robot
 from lerobot_robot_pneutac.teleoperators.base_teleop import BaseTeleop
 from lerobot_robot_pneutac.teleoperators.config_pneutac_scripted import PneutacScriptedConfig
+from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_NAMES, CONTROL_HZ, action_limits
 
 clock = time.perf_counter
@@ -50,7 +51,7 @@ class PneutacScripted(BaseTeleop):
         """The expert's action for the world's present state, within the limits.
 
         Raises:
-            InputError: no `pneutac_sim` robot is connected in this process.
+            InputError: no `pneutac_sim` robot is connected in this process, or it is told bends.
         """
         if not self.is_connected:
             raise DeviceNotConnectedError(f"{self} is not connected; call connect() first.")
@@ -59,7 +60,10 @@ class PneutacScripted(BaseTeleop):
         if self._tick == 0:
             from pneutac_sim.world.expert import ScriptedExpert
 
-            self._expert = ScriptedExpert(connected_robot().world, self._rng)
+            robot = connected_robot()
+            if robot.config.bend:
+                raise InputError("pneutac_scripted gives pressures; leave --robot.bend out.")
+            self._expert = ScriptedExpert(robot.world, self._rng)
         # Waiting is with the pressure off and the arm at rest.
         action = self._expert.action() if self._tick < c.episode_steps else np.zeros(len(ACTION_NAMES))
         limits = action_limits(connected_robot().world.pressure_range_kpa)

@@ -109,3 +109,13 @@ def test_needs_a_simulated_robot_in_the_process(pair):
 def test_bad_options_are_named():
     with pytest.raises(DecodingError, match="episode_steps is 0"):
         PneutacScriptedConfig(episode_steps=0)
+
+
+def test_it_gives_no_bends(tmp_path):
+    robot = PneutacSim(PneutacSimConfig(id="sim", calibration_dir=tmp_path, fidelity="probe", bend=True))
+    teleop = PneutacScripted(PneutacScriptedConfig(id="script", calibration_dir=tmp_path))
+    teleop.connect()
+    robot.connect()
+    with pytest.raises(InputError, match="leave --robot.bend out"):
+        teleop.get_action()
+    robot.disconnect()
