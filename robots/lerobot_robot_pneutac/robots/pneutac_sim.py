@@ -1,5 +1,6 @@
 """The robot `pneutac_sim`: the simulated world behind LeRobot's Robot interface."""
 
+import logging
 from typing import Any
 
 import numpy as np
@@ -27,9 +28,12 @@ from pneutac_sim.features import (
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.scene import OBJECT_GROUP
 
+AREA = STATE_NAMES.index("contact_area.pos")
 EE = slice(STATE_NAMES.index("ee_x.pos"), STATE_NAMES.index("ee_z.pos") + 1)
 # A pose command this near to one of the task's starts brings the arm home; their jitter is less.
 HOME_RADIUS_M = 0.010
+
+logger = logging.getLogger(__name__)
 
 _connected: list["PneutacSim"] = []
 
@@ -108,8 +112,13 @@ class PneutacSim(BaseRobot):
         return sent
 
     def reset(self) -> None:
-        """Starts the scene afresh at the next random start."""
+        """Starts the scene afresh at the next random start, and tells how the episode went."""
         self.successes.append(bool(self.world.success))
+        logger.info(
+            "Episode %d: touch in %d of %d frames, the task %s.",
+            *(len(self.successes), self._touched, self._frames),
+            self.world.failure or ("done" if self.successes[-1] else "not done"),
+        )
         if self.successes[-1] and self._spread:
             self._spread.done(self._seed)
         self._begin()
@@ -125,7 +134,7 @@ class PneutacSim(BaseRobot):
         if self._spread:
             self._seed = seed = self._spread.next()
         self._observation = self.world.reset(seed)
-        self._moved = False
+        self._moved, self._touched, self._frames = False, 0, 0
         if self.config.bend:
             twin = Twin.load(self.config.twin) if self.config.twin else Twin.builtin()
             self._bend = BendCommands(twin, getattr(self.world, "conditions", {}))
@@ -142,6 +151,8 @@ class PneutacSim(BaseRobot):
     def _step(self, action) -> None:
         self._observation = self.world.step(action)
         self._moved = True
+        self._frames += 1
+        self._touched += bool(self._observation.state[AREA] > 0)
         if self.config.bend:
             self._bend.sent(float(self.world.command[3]))
 

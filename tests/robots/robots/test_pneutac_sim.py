@@ -1,3 +1,5 @@
+import logging
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -199,3 +201,20 @@ def test_conditions_reach_the_robots_world_and_its_session_goes_on(make_robot, t
         bends.append(robot.world.spine_target_rad.sum())
         robot.reset()
     assert bends[1] < bends[0] - 1e-3, "it has warmed up further by the second episode"
+
+
+def test_each_episode_says_how_it_went(make_robot, caplog):
+    robot = make_robot(task="fruit", fidelity="probe")
+    with caplog.at_level(logging.INFO, "lerobot_robot_pneutac"):
+        for _ in range(5):
+            robot.send_action(act())
+        robot.reset()
+        expert = ScriptedExpert(robot.world, np.random.default_rng(0))
+        frames = 0
+        while not robot.world.success and frames < 200:
+            robot.send_action(dict(zip(ACTION_NAMES, expert.action().tolist(), strict=True)))
+            frames += 1
+        robot.reset()
+    first, second = (r.getMessage() for r in caplog.records if "Episode" in r.getMessage())
+    assert first == "Episode 1: touch in 0 of 5 frames, the task not done."
+    assert re.fullmatch(rf"Episode 2: touch in [1-9]\d* of {frames} frames, the task done\.", second)
