@@ -21,6 +21,7 @@ from pneutac_sim.twin import Twin
 SAVED = Path(__file__).parents[1] / "golden" / "twins" / "finger"
 
 
+@pytest.mark.slow
 def test_a_save_that_is_killed_at_any_operation_leaves_the_old_twin_or_the_new(tmp_path):
     assert kill_saves(tmp_path).broken == ()
 

@@ -43,6 +43,7 @@ def hertz(radius, depth, rubber):
     return 4 / 3 * 1e-3 * E / (1 - rubber.poisson**2) * np.sqrt(radius) * depth**1.5
 
 
+@pytest.mark.slow
 def test_a_ball_on_a_bonded_layer_follows_hertz_with_the_layers_correction():
     """Dimitriadis et al., Biophys. J. 82 (2002) 2798, eq. 12, for a bonded incompressible layer."""
     rubber, radius, depth = Rubber(4.0, 40.0, 0.49), 3.0, 0.24

@@ -51,6 +51,7 @@ def test_a_plain_device_follows_the_command_at_once_and_without_memory(device):
 
 
 @pytest.mark.parametrize("device, curved", [("rod", False), ("arm", False), ("arm", True)])
+@pytest.mark.slow
 def test_recordings_load_without_a_warning(tmp_path, device, curved):
     seed = 0 if curved else 2
     many = ["gravity", "payload", "temperature_drift", "gauge_late", "marker_slip"]

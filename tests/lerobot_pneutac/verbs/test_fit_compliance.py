@@ -101,6 +101,7 @@ def test_without_loads_it_says_what_to_hang():
     assert "hang about 7 g" in fit_compliance(softer, r, everything(r)).remark
 
 
+@pytest.mark.slow
 def test_without_a_body_springs_bend_as_springs(body):
     links = np.array([27.5, 27.5, 27.5, 13.75]) * 1e-3
     links = np.concatenate([links, links / 0.11])

@@ -1,6 +1,7 @@
 """Every verb counts the error of a recording alike."""
 
 import numpy as np
+import pytest
 import pandas as pd
 
 from lerobot_pneutac.verbs.compare import compare
@@ -32,6 +33,7 @@ def arm_recording(folder, n=240, hz=10):
     return Recording.load(made.write(folder)), twin
 
 
+@pytest.mark.slow
 def test_every_verb_counts_the_error_of_an_arm_with_curvature_and_angles_alike(tmp_path):
     """It used to be counted in rad by one half of the code and in 1/m by the other."""
     recording, twin = arm_recording(tmp_path / "arm")

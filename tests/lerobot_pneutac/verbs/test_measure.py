@@ -346,6 +346,7 @@ def test_an_end_within_a_trial_keeps_those_before_it_and_vents(bench, tmp_path, 
     assert not BenchRendered.chamber._connected
 
 
+@pytest.mark.slow
 def test_ctrl_c_just_after_a_trial_came_into_the_table_keeps_its_pictures(bench, tmp_path, monkeypatch):
     replace = Path.replace
 

@@ -55,6 +55,7 @@ def test_results_of_a_body_are_plain(body, verb):
 
 
 @pytest.mark.parametrize("verb", ["calibrate", "compare"])
+@pytest.mark.slow
 def test_results_of_a_gel_are_plain(gel, verb):
     found = gel[verb].to_dict()
     assert found and all_plain(found) and json.loads(json.dumps(found, allow_nan=False)) == found

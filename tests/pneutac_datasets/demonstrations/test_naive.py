@@ -79,6 +79,7 @@ def read(root, name, key):
     return np.array(dataset.hf_dataset.with_format("numpy")[key])
 
 
+@pytest.mark.slow
 def test_features_stay_and_datasets_merge(source, tmp_path):
     out = augment_naive(source, "local/source", tmp_path / "more", "local/more", 3, seed=1)
     old = LeRobotDatasetMetadata("local/source", source)
@@ -95,6 +96,7 @@ def test_features_stay_and_datasets_merge(source, tmp_path):
     assert merged[merged.num_frames - 1]["task"] == "push"
 
 
+@pytest.mark.slow
 def test_same_seed_same_dataset_other_seed_another(source, tmp_path):
     states = []
     for name, seed in (("a", 1), ("b", 1), ("c", 2)):

@@ -114,6 +114,7 @@ def test_the_session_has_every_program_and_condition(tmp_path):
         assert set(part[train]) == set(part[heldout]), column
 
 
+@pytest.mark.slow
 def test_no_effect_of_the_library_takes_part(tmp_path):
     """Watched while every hidden effect is generated: nothing of the library's effects is even entered.
 

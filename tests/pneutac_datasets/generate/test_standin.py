@@ -15,6 +15,7 @@ def finger(tmp_path_factory):
     return write_finger(tmp_path_factory.mktemp("standin") / "finger", seed=1, minutes=1)
 
 
+@pytest.mark.slow
 def test_the_seed_decides_the_finger(finger, tmp_path):
     again, other = (write_finger(tmp_path / str(s), seed=s, minutes=1) for s in (1, 2))
     assert again.samples.equals(finger.samples)

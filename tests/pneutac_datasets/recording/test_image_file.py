@@ -16,6 +16,7 @@ def test_a_damaged_image_is_read_or_refused_in_a_sentence(number):
     assert outcome.broken == () and 0.3 * number < outcome.refused < number
 
 
+@pytest.mark.slow
 def test_small_files_that_stand_for_huge_pictures_cost_little():
     assert read_bombs().broken == ()
 

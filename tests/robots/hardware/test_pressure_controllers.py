@@ -90,6 +90,7 @@ def test_what_other_packages_offer_is_checked(tmp_path, monkeypatch):
         make_pressure_controller("simulated")
 
 
+@pytest.mark.slow
 def test_the_check_tells_what_a_controller_fails(monkeypatch):
     monkeypatch.setattr("lerobot_robot_pneutac.hardware.pressure_check.REACH_S", 0.6)
 

@@ -68,6 +68,7 @@ def test_a_text_rig_is_vented_on_leaving_and_its_silence_noticed(text_rig):
     assert text_rig.kpa == 0
 
 
+@pytest.mark.slow
 def test_a_rig_that_answers_slowly_is_vented_on_leaving_whenever_that_is(text_rig):
     text_rig.takes_s = 0.08
     for k in range(4):

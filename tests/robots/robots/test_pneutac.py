@@ -247,6 +247,7 @@ def inflate(robot):
     assert robot._pressure.pressure() > 1
 
 
+@pytest.mark.slow
 def test_without_actions_the_arm_rests_and_the_chamber_keeps_its_pressure_for_a_while(robot):
     inflate(robot)
     time.sleep(COMMAND_S + 0.1)
@@ -282,6 +283,7 @@ def test_a_picture_that_is_half_a_second_old_is_a_lost_camera(robot, monkeypatch
 
 
 @pytest.mark.parametrize("name", ["tactile", "front"])
+@pytest.mark.slow
 def test_any_camera_that_gives_the_same_picture_for_a_second_halts_everything(make_robot, monkeypatch, name):
     monkeypatch.setattr(live, "SAME_S", 0.2)
     robot = make_robot(cameras={"front": DigitGeneratedConfig(fps=15)})
@@ -404,6 +406,7 @@ def test_disconnect_ends_all_threads_also_where_a_part_fails(robot, monkeypatch)
     assert not robot.cameras["tactile"].is_connected
 
 
+@pytest.mark.slow
 def test_set_points_are_those_of_the_twin_with_vacuum_too(make_robot, tmp_path):
     twin = Twin.builtin()
     twin.pressure_range_kpa = (-20.0, 30.0)

@@ -114,6 +114,7 @@ def test_what_is_no_effect_is_refused_by_its_entry_point(package, code, says):
         all_effects()
 
 
+@pytest.mark.slow
 def test_a_sensors_effect_is_fitted_saved_and_rendered_like_any_other(backlight, tmp_path):
     recording = write_hidden_gel(tmp_path / "gel", ["rest_colour", "backlight"], images=8)
     twin = Twin(device="gel", length_mm=16.0)

@@ -69,6 +69,7 @@ def test_one_pair_predicts_other_places_and_depths_of_a_sensor_with_every_effect
             assert p.lower <= values[p.name] <= p.upper
 
 
+@pytest.mark.slow
 def test_of_an_unknown_sensor_one_press_tells_no_shadow_and_two_do(bent, session):
     bent.rest_image = np.ascontiguousarray(
         bent.rest_image.mean(2, keepdims=True).repeat(3, 2).astype(np.uint8)

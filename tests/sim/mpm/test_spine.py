@@ -85,6 +85,7 @@ def skeleton(solver, q_cmd, gravity, times, coriolis=1.0):
 AIR = Material(1.0, 0.0, 1000.0)  # as heavy as rubber, a hundred thousand times softer
 
 
+@pytest.mark.slow
 def test_one_joint_swings_as_a_damped_oscillator():
     """Period and decay of I q'' + K_d q' + K_p (q - q_cmd) = 0 with the lump's inertia."""
     solver = arm(AIR, joints=(0.3,), spine=Skeleton, damping_nms_per_rad=4e-4)

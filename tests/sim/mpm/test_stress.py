@@ -73,6 +73,7 @@ def test_force_is_the_slope_of_the_energy(reference):
             assert abs(f[n, axis] + slope) < 1e-5 * size
 
 
+@pytest.mark.slow
 def test_a_pressed_column_carries_the_uniaxial_load():
     """Far from its ends a slender column under a frictionless plate is in uniaxial stress."""
     spacing, counts = 1e-3, (6, 6, 24)

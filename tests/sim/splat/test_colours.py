@@ -72,6 +72,7 @@ def test_only_masked_pixels_count():
     assert rmse(dirty[left], target[left]) < 0.03
 
 
+@pytest.mark.slow
 def test_coverage_is_fitted_to_a_silhouette():
     camera, means, covariances = sheet()
     wanted = np.zeros((36, 48))
