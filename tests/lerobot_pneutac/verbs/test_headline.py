@@ -1,8 +1,8 @@
 """Every verb counts the error of a recording alike."""
 
 import numpy as np
-import pytest
 import pandas as pd
+import pytest
 
 from lerobot_pneutac.verbs.compare import compare
 from lerobot_pneutac.verbs.diagnose import diagnose
