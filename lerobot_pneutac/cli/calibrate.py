@@ -24,8 +24,8 @@ class CalibrateConfig:
             $PNEUTAC_DATA, or from generated images where that is unset.
         out: folder for `result.json`, `report.html` and pictures.
         effects: optics effects of a gel to fit, with commas between, or `none` for the paper's linear model;
-            where left out, those that the twin has, if it has been calibrated, else all that one pair of
-            images can tell.
+            where left out, those once chosen for the twin (this way, or by `add`), else all that the presses
+            can tell.
         by: what a finger or an arm is fitted to: `images` (photographs with masks) or `markers` (markers and
             angles); where left out, markers if the recording has them, else images.
         train_kpa: pressures to fit by images, with commas between; all others are held out.

@@ -58,8 +58,8 @@ class GelStudy(EffectStudy):
 
     def __init__(self, twin: Twin, recording: Recording, seed: int = 0):
         data = GelRecording.load(recording)
-        pair = data.calibration
-        check_pair(pair.rest, pair.image, pair.press, data.px_per_mm)
+        for pair in data.presses:
+            check_pair(pair.rest, pair.image, pair.press, data.px_per_mm)
         self.twin, self.recording, self.seed, self.data = twin, recording, seed, data
         self.findings = data.warnings
         self.own = tuple(of_sensor(twin.effects))

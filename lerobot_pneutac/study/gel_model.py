@@ -9,7 +9,7 @@ from pneutac_datasets.recording.gel import GelRecording
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.features import IMAGE_SHAPE
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.gel.photograph import Predictor
+from pneutac_sim.gel.photograph import Predictor, PressPhotograph
 from pneutac_sim.twin import Twin
 
 
@@ -21,9 +21,14 @@ def for_twin(gel: GelModel, twin: Twin) -> GelModel:
     return gel.resized(*IMAGE_SHAPE[:2])
 
 
+def calibration_pairs(data: GelRecording) -> list[PressPhotograph]:
+    """Photographs of role `calibration`, whose drift of light every prediction may know; none is allowed."""
+    return [s.photograph for s in data.samples if s.role == "calibration"]
+
+
 def predict(gel: GelModel, data: GelRecording) -> list[np.ndarray]:
     """Predicted image of every sample; the calibration pairs tell how the light drifts."""
-    predictor = Predictor(gel, [s.photograph for s in data.samples if s.role == "calibration"])
+    predictor = Predictor(gel, calibration_pairs(data))
     return [predictor.image(s.press, s.rest, s.clock) for s in data.samples]
 
 

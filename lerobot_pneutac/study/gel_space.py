@@ -7,7 +7,7 @@ import numpy as np
 
 from lerobot_pneutac.diagnosis.model import FittedModel
 from lerobot_pneutac.diagnosis.steps import Steps
-from lerobot_pneutac.study.gel_model import at_bound
+from lerobot_pneutac.study.gel_model import at_bound, calibration_pairs
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.gel.fit import GelFit, fit_photographs
@@ -165,8 +165,8 @@ class GelSpace:
 
     def differences(self, gels: Sequence[GelModel]) -> list[np.ndarray]:
         """Predicted - photographed of every photograph, each by its own gel, int16 (H, W, 3)."""
-        pair = self.data.calibration.photograph
-        predictors = {id(g): Predictor(g, [pair]) for g in gels}
+        pairs = calibration_pairs(self.data)
+        predictors = {id(g): Predictor(g, pairs) for g in gels}
         return [
             predictors[id(g)].image(p.press, p.rest, p.clock).astype(np.int16) - p.image
             for g, p in zip(gels, self.photographs, strict=True)

@@ -37,8 +37,8 @@ def calibrate(
         recording: of a finger, an arm or a gel.
         by: of a body: `images` (photographs with masks) or `markers` (markers and angles); by markers where
             the recording has them, else by images.
-        effects: of a gel: optics effects to fit, none for the paper's linear model; those that the twin has,
-            if it has been calibrated, else all that one pair of images can tell. Names, or a text with commas
+        effects: of a gel: optics effects to fit, none for the paper's linear model; those once chosen for
+            the twin (this way, or by `add`), else all that the presses can tell. Names, or a text with commas
             between, `none` for none.
         train_kpa: by images: pressures to fit; all others are held out.
         evaluations: by images: of the search.

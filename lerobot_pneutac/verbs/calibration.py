@@ -42,8 +42,13 @@ class Calibration(Result):
         """Writes the twin as the next version of `folder`; returns the result that knows where it lies."""
         twin = self.twin.copy()
         errors = {**self.error, "unit": self.unit} | ({} if self.seed is None else {"seed": self.seed})
+        errors |= self._noted()
         twin.save_version(folder, self.change, self.recording, errors)
         return replace(self, twin=twin, saved_to=Path(folder))
+
+    def _noted(self) -> dict:
+        """What the history keeps of this version beside its errors."""
+        return {}
 
     @property
     def version(self) -> int | None:

@@ -22,6 +22,7 @@ from pneutac_sim.gel.pair import Pair, check_pair
 from pneutac_sim.twin import Twin
 
 OURS, PASTED, REST = "this model", "difference pasted", "rest image"
+EFFECTS, STANDARD = "effects", "standard"  # in the history of a twin whose effects nobody chose
 PICTURES = 6  # held-out images in the picture grid
 
 
@@ -36,6 +37,7 @@ class GelCalibration(Calibration):
         predicted: of every image, uint8 (H, W, 3), by the model.
         scores: method to the score of every image.
         notes: of `recording.json`.
+        standard: whether nobody chose the effects.
     """
 
     gel: GelModel
@@ -44,6 +46,11 @@ class GelCalibration(Calibration):
     predicted: list[np.ndarray]
     scores: dict[str, list[ImageScores]]
     notes: str = ""
+    standard: bool = False
+
+    def _noted(self) -> dict:
+        """That the effects were no one's choice, so that the next calibration need not keep them."""
+        return {EFFECTS: STANDARD} if self.standard else {}
 
     @property
     def title(self) -> str:
@@ -193,20 +200,23 @@ def calibrate_gel(twin: Twin, recording: Recording, effects: Sequence[str] | Non
         predicted=images[OURS],
         scores=scores,
         notes=recording.meta.get("notes", ""),
+        standard=names is None,
     )
 
 
 def wanted(effects: Sequence[str] | None, twin: Twin) -> list[str] | None:
-    """Optics effects to fit: those asked for, else those of a calibrated twin, else None: those of a sensor.
+    """Optics effects to fit: those asked for, else those once chosen for the twin, else None (standard ones).
 
-    What `pneutac new` writes are defaults, no findings: its history has no calibration in levels.
+    An effect is chosen by `calibrate --effects` or `add`. What `pneutac new` writes are defaults, and what a
+    calibration without `--effects` fits depends on its presses: neither binds the next one.
 
     Raises:
         InputError: a name is no optics effect, or acts on a session and not on one pair.
     """
     if effects is None:
-        calibrated = any(version.get("unit") == "levels" for version in twin.history)
-        return of_sensor(twin.effects) if twin.gel and calibrated else None
+        fits = [version for version in twin.history if version.get("unit") == "levels"]
+        chosen = any(version.get(EFFECTS) != STANDARD for version in fits)
+        return of_sensor(twin.effects) if twin.gel and chosen else None
     of_one_pair = [name for name, effect in sensor_effects().items() if not effect.of_session]
     for name in effects:
         if name not in of_one_pair:

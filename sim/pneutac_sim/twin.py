@@ -60,7 +60,8 @@ class Twin:
             environments, planner and policies go no farther. A twin that does not say is the paper's.
         gel: parameters of the gel and its optics (numbers and lists), empty where there is no gel.
         arrays: named float32 or uint8 arrays kept as safetensors, such as `rest_image` (H, W, 3).
-        history: one entry a version: `version`, `change`, `recording`, `train`, `heldout`, `unit`.
+        history: one entry a version: `version`, `change`, `recording`, `train`, `heldout`, `unit`; of a
+            gel whose effects nobody chose also `effects`: `standard`.
         networks: files of those of `NETWORKS` that were trained for it (`pneutac surrogate`).
         folder: where it was read from or written to last; None where nowhere.
     """

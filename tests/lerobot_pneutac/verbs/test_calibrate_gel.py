@@ -245,9 +245,12 @@ def test_all_rows_of_role_calibration_count(generated, twin, tmp_path, capsys):
     run(tmp_path / "twin", tmp_path / "r", f"--out={tmp_path / 'out'}")
     said = " ".join(capsys.readouterr().out.split())
     assert "A tactile sensor from 3 presses" in said and "Fitted to 3 indentation images" in said
-    assert set(Twin.load(tmp_path / "twin").effects) == set(standard_effects()), (
-        "shadows can be told from light"
-    )
+    alone = Twin.load(tmp_path / "twin")
+    assert set(alone.effects) == set(standard_effects()), "shadows can be told from light"
+    shutil.copytree(twin, tmp_path / "one_press")
+    run(tmp_path / "one_press", tmp_path / "r")
+    then = Twin.load(tmp_path / "one_press")
+    assert then.effects == alone.effects and then.gel == alone.gel, "an earlier single press binds nothing"
 
 
 def test_five_presses_of_a_real_sensor_predict_better_than_one():

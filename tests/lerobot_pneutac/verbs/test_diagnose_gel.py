@@ -12,10 +12,14 @@ from lerobot_pneutac.cli.diagnose import main as diagnose
 from lerobot_pneutac.diagnosis.steps import Steps
 from lerobot_pneutac.study import gel_space
 from lerobot_pneutac.study.gel import GelStudy
+from lerobot_pneutac.study.gel_model import predict
 from lerobot_pneutac.study.gel_parts import APART, FOLDS, NEEDED, deal_photographs, photograph_folds
+from pneutac_datasets.generate.gel import write_gel_recording
 from pneutac_datasets.generate.hidden_gel import SIZES, write_hidden_gel
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.fit import GelFit
+from pneutac_sim.gel.model import GelModel
 from pneutac_sim.twin import Twin
 
 pytestmark = pytest.mark.slow
@@ -65,6 +69,18 @@ def test_a_hidden_effect_is_named_added_and_lowers_the_error(effect, tmp_path, c
     assert after < 0.85 * before, "the stored twin predicts better"
     assert list(Twin.load(twin).effects) == [effect]
     capsys.readouterr()
+
+
+def test_a_diagnosis_and_a_comparison_predict_the_same_images(tmp_path):
+    """Both know the drift of light of every calibration press."""
+    recording = write_gel_recording(tmp_path / "recording", seed=1, heldout=2)
+    recording.samples.loc[:1, "role"] = "calibration"
+    recording.write(tmp_path / "recording")
+    study = GelStudy(Twin(device="gel"), Recording.load(tmp_path / "recording"))
+    gel = replace(study.space.gel, light=GelModel.builtin().light)
+    differences = study.space.differences([gel] * len(study.data.samples))
+    predicted = [s.image + d for s, d in zip(study.data.samples, differences, strict=True)]
+    np.testing.assert_array_equal(predicted, predict(gel, study.data))
 
 
 def test_nothing_is_found_where_nothing_is_hidden(tmp_path, capsys):
