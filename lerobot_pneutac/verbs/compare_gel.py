@@ -5,10 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
+from lerobot_pneutac.reports.gel_picture import picture_grid
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.study.gel_model import predict, seen_by
 from lerobot_pneutac.verbs.comparison import Comparison
-from lerobot_pneutac.verbs.fit_gel import picture_grid, scores_of
+from lerobot_pneutac.verbs.fit_gel import scores_of
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError

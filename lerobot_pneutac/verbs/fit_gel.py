@@ -2,16 +2,17 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
-from PIL import Image
 
+from lerobot_pneutac.reports.gel_picture import picture_grid
+from lerobot_pneutac.reports.gel_told import make_sentence, told_sentences
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.study.gel_model import at_bound, for_twin, predict
 from lerobot_pneutac.study.pasted import Pasted
 from lerobot_pneutac.verbs.calibration import Calibration
-from pneutac_datasets.recording.gel import GelRecording, GelSample
+from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect, of_sensor, sensor_effects
 from pneutac_sim.errors import InputError
@@ -19,11 +20,11 @@ from pneutac_sim.gel.fit import GelFit, fit_presses
 from pneutac_sim.gel.metrics import ImageScores, score
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.pair import Pair, check_pair
+from pneutac_sim.gel.told import Told, told
 from pneutac_sim.twin import Twin
 
 OURS, PASTED, REST = "this model", "difference pasted", "rest image"
 EFFECTS, STANDARD = "effects", "standard"  # in the history of a twin whose effects nobody chose
-PICTURES = 6  # held-out images in the picture grid
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -32,7 +33,8 @@ class GelCalibration(Calibration):
 
     Attributes:
         gel: as the twin keeps it.
-        fit: to the calibration pair.
+        fit: to the presses.
+        told: what they told.
         data: all images.
         predicted: of every image, uint8 (H, W, 3), by the model.
         scores: method to the score of every image.
@@ -42,6 +44,7 @@ class GelCalibration(Calibration):
 
     gel: GelModel
     fit: GelFit
+    told: Told
     data: GelRecording
     predicted: list[np.ndarray]
     scores: dict[str, list[ImageScores]]
@@ -91,9 +94,12 @@ class GelCalibration(Calibration):
                 rows.append(row | {"contact": m.contact_rmse, "dNCC": m.contact_dncc})
         return rows
 
+    def _told_of(self) -> list[str]:
+        return [*filter(None, [make_sentence(self.fit)]), *told_sentences(self.told, self.fit.make)]
+
     def remarks(self) -> list[str]:
         """Make, time and what to look at."""
-        out = [f"The light is that of a {self.fit.make}, {self.fit.orientation}."] if self.fit.make else []
+        out = self._told_of()
         n = len(self.data.presses)
         what = "one rest and one indentation image" if n == 1 else f"{n} indentation images"
         out.append(f"Fitted to {what} in {self.seconds:.1f} s{self._now()}.")
@@ -119,6 +125,11 @@ class GelCalibration(Calibration):
         return super().to_dict() | {
             "make": self.fit.make,
             "orientation": str(self.fit.orientation) if self.fit.make else "",
+            "make_likeness": self.fit.likeness,
+            "make_by": ("rest image" if self.fit.by_rest else "light") if self.fit.make else "",
+            "untold": list(self.told.untold),
+            "next_press": asdict(self.told.add) | {"where": self.told.where, "deeper": self.told.deeper},
+            "open_levels": {"now": self.told.open_levels, "with_next_press": self.told.then_levels},
             "image": image,
             "methods": methods,
             "notes": self.notes,
@@ -145,6 +156,9 @@ class GelCalibration(Calibration):
             "(image - rest) there.",
         )
         page.heading("What was fitted")
+        page.text(
+            " ".join(filter(None, [make_sentence(self.fit), *told_sentences(self.told, self.fit.make)]))
+        )
         page.table(
             [{"parameter": k, **v} for k, v in self.parameters.items()],
             "Light per unit slope along x (columns) and y (rows) and per millimetre of depth",
@@ -196,6 +210,7 @@ def calibrate_gel(twin: Twin, recording: Recording, effects: Sequence[str] | Non
         findings=tuple(data.warnings),
         gel=gel,
         fit=fit,
+        told=told(fit.gel, fit.channels, [s.photograph for s in data.presses]),
         data=data,
         predicted=images[OURS],
         scores=scores,
@@ -266,26 +281,3 @@ def _parameters(gel: GelModel) -> dict[str, dict]:
         out |= {f"{effect}.{k}": {"value": round(v, 6), "unit": units[k]} for k, v in values.items()}
     out["threshold_levels"] = {"value": gel.threshold_levels, "unit": "levels"}
     return out
-
-
-def picture_grid(data: GelRecording, ours: list[np.ndarray], first: GelSample) -> np.ndarray:
-    """Rows recorded, ours, error (grey is none, four times exaggerated); columns rest, first, held-out."""
-    heldout = [i for i, s in enumerate(data.samples) if s.role != "calibration"]
-    spaced = np.linspace(0, len(heldout) - 1, PICTURES).astype(int)
-    picks = [heldout[i] for i in np.unique(spaced)] if heldout else []
-    columns = [_column(data.rest, data.rest)]
-    columns += [_column(data.samples[i].image, ours[i]) for i in [data.samples.index(first), *picks]]
-    return np.concatenate(columns, axis=1)
-
-
-def _column(recorded: np.ndarray, ours: np.ndarray) -> np.ndarray:
-    error = np.clip(128 + 4.0 * (ours.astype(float) - recorded), 0, 255).astype(np.uint8)
-    size = (round(160 * recorded.shape[1] / recorded.shape[0] * 4 / 3), round(160 * 4 / 3))
-    small = [
-        np.asarray(Image.fromarray(a).resize(size, Image.Resampling.BOX)) for a in (recorded, ours, error)
-    ]
-    return np.pad(
-        np.concatenate([np.pad(a, ((0, 4), (0, 0), (0, 0)), constant_values=255) for a in small]),
-        ((0, 0), (0, 4), (0, 0)),
-        constant_values=255,
-    )

@@ -11,6 +11,7 @@ from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import shown
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.indenter import INDENTERS, Press
+from pneutac_sim.gel.pair import saturated, shows_contact
 from pneutac_sim.gel.photograph import PressPhotograph
 from pneutac_sim.gel.probe import THICKNESS_MM
 
@@ -104,7 +105,7 @@ class GelRecording:
                 rests[name] = recording.image(own, plain=True)
                 _same_size(rests[name], out.rest, f"{where}: rest image {shown(name)}")
             out.samples.append(_sample(recording, row, where, out, rests[name], clock))
-        out.warnings += _misplaced(out)
+        out.warnings += _misplaced(out) or _doubtful(out)
         return out
 
     @property
@@ -154,6 +155,27 @@ def _misplaced(data: "GelRecording") -> list[str]:
         norm = np.sqrt(np.square(shown[:, axis]).sum() * np.square(stated[:, axis]).sum())
         if norm > 0 and (shown[:, axis] * stated[:, axis]).sum() < -0.8 * norm:
             out.append(f"the images show contacts opposite to {name}_mm: it, or they, are mirrored.")
+    return out
+
+
+def _doubtful(data: "GelRecording") -> list[str]:
+    """A note on the photographs to score by that show no contact where it should be, or a saturated one.
+
+    Those to calibrate by are refused for it, see `pair.check_pair`.
+    """
+    empty, bright = [], []
+    for i, s in enumerate(data.samples, 1):
+        if s.role == "calibration":
+            continue
+        if not shows_contact(s.rest, s.image, s.press, data.px_per_mm):
+            empty.append(str(i))
+        if saturated(s.image, s.photograph.near(data.px_per_mm, 1.2)):
+            bright.append(str(i))
+    out = []
+    if empty:
+        out.append(f"no contact shows where rows {', '.join(empty)} put it; check their x_mm and y_mm.")
+    if bright:
+        out.append(f"most of the contact is saturated in rows {', '.join(bright)}; lower the exposure.")
     return out
 
 
@@ -208,6 +230,12 @@ def _place(row: pd.Series, where: str, px_per_mm: float, axis: str, size_px: int
             )
         px = size_px / 2 + mm * px_per_mm
     centred_mm = (px - size_px / 2) / px_per_mm
+    if not 0 <= px < size_px:
+        raise InputError(
+            f"{where}: the contact's centre, {centred_mm:.3g} mm along {axis}, lies outside the image, which "
+            f"goes to {size_px / px_per_mm / 2:.3g} mm; correct {axis}_mm or contact_{axis}_px, or leave the "
+            "row out."
+        )
     if mm is not None and abs(centred_mm - mm) > AGREE_MM:
         raise InputError(
             f"{where}: {axis}_mm is {mm:g} but contact_{axis}_px, {px:g}, lies at "

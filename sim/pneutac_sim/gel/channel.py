@@ -104,7 +104,7 @@ class Channel:
                     scale,
                 )
             )
-        self._x = self._default
+        self._x, self._jacobian = self._default, np.diag(1 / self._sd)
 
     @property
     def values(self) -> dict[Unknown, float]:
@@ -166,8 +166,44 @@ class Channel:
             xtol=1e-4,
             ftol=1e-4,
         )
-        self._x = done.x
+        self._x, self._jacobian = done.x, done.jac
         return float(done.cost)
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Of the unknowns (F, F) about the solution, (J^T J)^-1 with the priors among the residuals."""
+        return np.linalg.pinv(self._jacobian.T @ self._jacobian)
+
+    def learnt(self) -> dict[Unknown, float]:
+        """Unknown to the share of its prior's variance that the photographs removed, where it has a prior."""
+        share = 1 - np.diag(self.covariance) / self._sd**2
+        return {k: float(s) for k, s, has in zip(self._prior, share, self._with_prior, strict=True) if has}
+
+    def gram(self, displacement_mm: np.ndarray, rest: np.ndarray, mask: np.ndarray) -> np.ndarray:
+        """Mean of g g^T (F, F) over a mask, g the derivatives of the predicted light by the unknowns.
+
+        With the covariance S, trace(g g^T S) is the light's variance in levels^2.
+
+        Args:
+            displacement_mm: surface (rows, columns).
+            rest: rest image there, levels.
+            mask: where, bool.
+        """
+        u = np.ascontiguousarray(displacement_mm, np.float32)
+        bright = np.maximum(rest, 1.0)
+        log_rest = np.log(bright / bright.mean())
+
+        def predicted(x: np.ndarray) -> np.ndarray:
+            c, further = self.light(x)
+            return self._weight(x, log_rest) * optics.channel(u, self._cell, c, self._k, further)
+
+        step = 0.05 * np.sqrt(np.diag(self.covariance)) + 1e-9
+        slopes = [
+            (predicted(self._x + d) - predicted(self._x - d)) / (2 * h)
+            for h, d in zip(step, np.diag(step), strict=True)
+        ]
+        slope = np.stack(slopes, -1)[mask]
+        return slope.T @ slope / max(len(slope), 1)
 
 
 def _box(mask: np.ndarray, cell_mm) -> tuple[tuple[slice, slice], np.ndarray]:

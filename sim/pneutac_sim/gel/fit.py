@@ -58,6 +58,9 @@ class GelFit:
         evaluations: how many surfaces were tried.
         make: the sensor's make, where its light was recognised.
         orientation: which way round its images are against the make's.
+        likeness: correlation of the rest image with the make's, or with the likest make's where none is it.
+        by_rest: whether the rest image told the make; else the directions of the light did, less surely.
+        channels: as solved, red, green and blue.
     """
 
     gel: GelModel
@@ -65,6 +68,9 @@ class GelFit:
     evaluations: int
     make: str = ""
     orientation: Orientation = field(default_factory=Orientation)
+    likeness: float = 0.0
+    by_rest: bool = False
+    channels: list[Channel] = field(default_factory=list, repr=False)
 
 
 def fit_gel(
@@ -205,10 +211,12 @@ class _Problem:
     def best(self, makes: Sequence[Layout], near: GelModel | None, quick: bool) -> GelFit:
         light, first = self.linear(), self.photographs[0]
         best = self.search(light, None, near, quick)
+        likeness = 0.0
         lenders = {e.name for e in sensor_effects().values() if e.lend}
         for make in makes if lenders <= {e.name for e in self.effects} else ():
-            orientation, _ = recognise_rest(self.gel.rest_image, make)
+            orientation, like = recognise_rest(self.gel.rest_image, make)
             sure = orientation is not None
+            likeness = max(likeness, like)
             if not sure:
                 size = self.gel.rest_image.shape[1::-1]
                 alone = light if len(self.photographs) == 1 else slope_light(self.gel, first)
@@ -216,8 +224,8 @@ class _Problem:
             if orientation is not None:
                 made = self.search(light, orientation.of(make), near or best.gel, quick)
                 if made.cost < (TRUST_IN_REST if sure else TRUST_IN_MAKE) * best.cost:
-                    made.make, made.orientation, best = make.name, orientation, made
-        best.evaluations = self.evaluations
+                    made.make, made.orientation, made.by_rest, best = make.name, orientation, sure, made
+        best.evaluations, best.likeness = self.evaluations, likeness
         return best
 
     def search(self, light: np.ndarray, layout: Layout | None, near: GelModel | None, quick: bool) -> GelFit:
@@ -259,4 +267,4 @@ class _Problem:
             float(scale),
             effects=g.effects | effects_of([c.values for c in channels], self.effects),
         )
-        return GelFit(gel, float(cost), self.evaluations)
+        return GelFit(gel, float(cost), self.evaluations, channels=channels)

@@ -2,8 +2,9 @@
 
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
-from scipy.ndimage import gaussian_filter, gaussian_laplace
+from scipy.ndimage import gaussian_laplace
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel import metrics
@@ -16,6 +17,8 @@ from pneutac_sim.gel.probe import THICKNESS_MM
 # room for weaker contacts and noisier cameras.
 MIN_CONTRAST = 1.5
 MIN_LIKENESS = 0.85
+# At most a sixth of a contact's pixels in those photographs, and none of a rest image's, are at their limit.
+SATURATED_LEVEL, MAX_SATURATED = 254, 0.5
 
 MIRRORED = (("mirrored left to right", -1, 1), ("mirrored top to bottom", 1, -1), ("turned by half", -1, -1))
 
@@ -65,10 +68,15 @@ def check_pair(rest: np.ndarray, indentation: np.ndarray, press: Press, px_per_m
             f"the contact is only {2 * press.contact_radius_mm * px_per_mm:.1f} pixels wide; "
             "correct depth_mm or px_per_mm."
         )
-    blur = 0.15 * px_per_mm  # averages noise within a grid cell
-    difference = gaussian_filter(indentation.astype(np.float32) - rest, (blur, blur, 0))
+    for image, mask, what in ((rest, np.ones_like(near), "rest image"), (indentation, near, "contact")):
+        if saturated(image, mask):
+            raise InputError(
+                f"most of the {what} is saturated in a channel ({SATURATED_LEVEL} levels and more); "
+                "lower the camera's exposure or gain and take the photographs anew."
+            )
+    difference = _blurred(indentation, rest, px_per_mm)
     there, elsewhere = _contrast(difference, press, px_per_mm)
-    found = there >= max(MIN_CONTRAST * elsewhere, 1.0)
+    found = _stands_out(there, elsewhere)
     if not found:
         _check_mirrored(difference, press, px_per_mm)
     if far.mean() > 0.1:
@@ -90,6 +98,28 @@ def check_pair(rest: np.ndarray, indentation: np.ndarray, press: Press, px_per_m
             f"the rest image has more relief at ({x:.0f}, {y:.0f}) px than the indentation image; "
             "they seem to be swapped."
         )
+
+
+def shows_contact(rest: np.ndarray, indentation: np.ndarray, press: Press, px_per_mm: float) -> bool:
+    """Whether the image differs from the rest image at the press more than elsewhere."""
+    return _stands_out(*_contrast(_blurred(indentation, rest, px_per_mm), press, px_per_mm))
+
+
+def saturated(image: np.ndarray, mask: np.ndarray) -> bool:
+    """Whether most pixels of a mask (H, W) are at their limit in some channel."""
+    return bool(mask.any()) and bool(((image[mask] >= SATURATED_LEVEL).mean(0) > MAX_SATURATED).any())
+
+
+def _blurred(indentation: np.ndarray, rest: np.ndarray, px_per_mm: float) -> np.ndarray:
+    """Difference to rest, its noise averaged within a grid cell."""
+    blur = 0.15 * px_per_mm
+    size = 2 * int(4 * blur + 0.5) + 1
+    difference = indentation.astype(np.float32) - rest
+    return cv2.GaussianBlur(difference, (size, size), blur, borderType=cv2.BORDER_REFLECT)
+
+
+def _stands_out(there: float, elsewhere: float) -> bool:
+    return there >= max(MIN_CONTRAST * elsewhere, 1.0)
 
 
 def _check_shapes(rest: np.ndarray, indentation: np.ndarray, press: Press, px_per_mm: float) -> None:

@@ -67,6 +67,8 @@ def test_generated_pair_beats_rest_and_pasted_difference_on_held_out_images(out)
     assert 1 <= result["error"]["heldout"] / result["image"]["rmse"] < 1.1, "root mean square over images"
     assert set(result) >= {"parameters", "error", "evaluations", "seconds", "image"}
     page = (out / "report.html").read_text()
+    assert result["make_by"] == "" and result["open_levels"]["with_next_press"] < result["open_levels"]["now"]
+    assert "To know more, add a" in page and f"at the {result['next_press']['where']}" in page
     assert "data:image/png;base64" in page and "http://" not in page.replace("http://www.w3.org", "")
     assert (out / "tactile.png").is_file()
 

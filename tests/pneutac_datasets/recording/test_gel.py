@@ -185,6 +185,11 @@ def test_labels_that_run_against_the_images_are_noted(tmp_path):
     [
         ("contact_x_px", 10.0, "row 1: x_mm is 0.4 but contact_x_px, 10, lies at -5.5 mm"),
         ("depth_mm", 800.0, "row 1: depth_mm is 800 but the gel is 2.5 mm thick"),
+        (
+            "x_mm",
+            7.0,
+            "row 1: the contact's centre, 7 mm along x, lies outside the image, which goes to 6 mm",
+        ),
     ],
 )
 def test_impossible_labels_get_one_sentence(column, value, said, tmp_path):
@@ -192,6 +197,22 @@ def test_impossible_labels_get_one_sentence(column, value, said, tmp_path):
     recording.samples.loc[0, column] = value
     with pytest.raises(InputError, match=said):
         GelRecording.load(recording)
+
+
+def test_photographs_to_score_by_that_show_nothing_are_noted(tmp_path):
+    recording = once(write_hidden_gel, tmp_path / "presses", [], images=4)
+    rest, press = (
+        recording.folder / n for n in (recording.meta["rest_image"], recording.samples["image"][2])
+    )
+    pixels = np.array(Image.open(rest), float) + np.random.default_rng(0).normal(0, 2, (320, 240, 3))
+    Image.fromarray(np.clip(pixels, 0, 255).astype(np.uint8)).save(tmp_path / "presses" / "nothing.png")
+    bright = np.maximum(Image.open(press), 255 * (np.arange(240) > 0)[None, :, None]).astype(np.uint8)
+    Image.fromarray(bright).save(tmp_path / "presses" / "bright.png")
+    recording.samples.loc[1, "image"], recording.samples.loc[2, "image"] = "nothing.png", "bright.png"
+    assert GelRecording.load(recording).warnings[-2:] == [
+        "no contact shows where rows 2, 3 put it; check their x_mm and y_mm.",
+        "most of the contact is saturated in rows 3; lower the exposure.",
+    ]
 
 
 def test_a_scale_that_makes_no_gel_gets_one_sentence(tmp_path):

@@ -34,6 +34,8 @@ def wrong(says, rest, image):
         "another sensor": (np.ascontiguousarray(rest[::-1, ::-1]), image, BALL),
         "one size": (rest[:200], image, BALL),
         "pixels wide": (rest, image, Press("sphere", 3.0, 0, 0, 1e-8)),
+        "the contact is saturated": (rest, np.where(image == rest, image, 255).astype(np.uint8), BALL),
+        "the rest image is saturated": (np.full_like(rest, 255), image, BALL),
     }[says]
 
 
@@ -46,6 +48,8 @@ def wrong(says, rest, image):
         "another sensor",
         "one size",
         "pixels wide",
+        "the contact is saturated",
+        "the rest image is saturated",
     ],
 )
 def test_bad_pairs_get_one_sentence(says, photograph):

@@ -1,0 +1,57 @@
+"""In words: how sure the make of a sensor is, what its presses told, and which press to add."""
+
+from pneutac_sim.gel.channel import ERROR_LEVELS
+from pneutac_sim.gel.fit import GelFit
+from pneutac_sim.gel.layout import LIKE
+from pneutac_sim.gel.told import Told
+
+ENOUGH_LEVELS = ERROR_LEVELS / 4  # what is open beside the model's own error, which no press removes
+
+
+def make_sentence(fit: GelFit) -> str:
+    """Which make, told by what, and how sure; empty where no make was looked for."""
+    if fit.make and fit.by_rest:
+        return (
+            f"The light is that of a {fit.make}, {fit.orientation}: its rest image correlates with that of "
+            f"the make by {fit.likeness:.2f} (other sensors stay below {LIKE:g})."
+        )
+    if fit.make:
+        return (
+            f"The light may be that of a {fit.make}, {fit.orientation}: its directions in the first "
+            "press say so, its rest image does not."
+        )
+    if not fit.likeness:
+        return ""
+    return (
+        f"The sensor is of no known make: its rest image correlates with the likest by {fit.likeness:.2f}, "
+        f"and it takes {LIKE:g}."
+    )
+
+
+def told_sentences(told: Told, make: str) -> list[str]:
+    """What the presses could not tell, and the press to add."""
+    out = []
+    if told.untold:
+        source = f"what other sensors of the make {make} have" if make else "its default"
+        out.append(f"The presses do not tell {_grouped(told.untold)}: each stays near {source}.")
+    if told.open_levels < ENOUGH_LEVELS:
+        out.append("Another press of this indenter would tell little more.")
+        return out
+    p = told.add
+    out.append(
+        f"To know more, add a {'deeper press' if told.deeper else 'press'} at the {told.where} "
+        f"({p.depth_mm:.2g} mm deep, x {p.x_mm:.1f}, y {p.y_mm:.1f} mm): over the whole gel the fit leaves "
+        f"{told.open_levels:.1f} levels open, with it {told.then_levels:.1f}, beside the model's own error."
+    )
+    if told.deeper:
+        out.append("Contacts deeper than the presses are extrapolated.")
+    return out
+
+
+def _grouped(untold: tuple[str, ...]) -> str:
+    """`near_light.distance_mm (red, blue), ...` from one entry a colour."""
+    colours: dict[str, list[str]] = {}
+    for entry in untold:
+        name, colour = entry.split(" ", 1)
+        colours.setdefault(name, []).append(colour.strip("()"))
+    return ", ".join(f"{name} ({', '.join(c)})" for name, c in colours.items())

@@ -1,0 +1,104 @@
+"""What a gel's presses told of its light: parameters that no press shows, and the press to add.
+
+A fit minimises |r(x)|^2 with the priors of x among the residuals r, so that about its solution x has the
+covariance S = (J^T J)^-1, J = dr/dx, and a predicted light with derivatives g the variance g^T S g. Another
+press adds its own information to S^-1 before anyone takes it: the one to add leaves the least variance in the
+mean over places and depths. All that knows of noise and priors alone; a wrong model is off by more.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pneutac_sim.gel.channel import ERROR_LEVELS, INDEPENDENT, Channel
+from pneutac_sim.gel.indenter import Press
+from pneutac_sim.gel.model import GelModel
+from pneutac_sim.gel.photograph import PressPhotograph, press_depth, to_grid
+from pneutac_sim.gel.probe import COLS, ROWS
+from pneutac_sim.gel.surface import surface
+
+UNTOLD = 0.2  # of a prior's variance: a parameter of which presses removed no more stays where its prior is
+DEEPER, DEEPEST = 1.5, 0.6  # a deeper press, over the deepest so far; of the thickness at most
+PLACES = (-0.28, 0.0, 0.28)  # of the window's width and height, from its centre
+ACROSS, DOWN = ("left", "middle", "right"), ("upper", "middle", "lower")
+
+
+@dataclass(frozen=True)
+class Told:
+    """What presses told.
+
+    Attributes:
+        untold: parameters, `effect.name (colour)`, that stay where their priors are.
+        add: the press to add, of the same indenter.
+        where: of that press, such as `lower left`.
+        deeper: whether it is deeper than all so far.
+        open_levels: standard deviation that the fit leaves to predicted contacts, a mean over the gel.
+        then_levels: the same with the press added.
+    """
+
+    untold: tuple[str, ...]
+    add: Press
+    where: str
+    deeper: bool
+    open_levels: float
+    then_levels: float
+
+
+def told(gel: GelModel, channels: Sequence[Channel], photographs: Sequence[PressPhotograph]) -> Told:
+    """What the presses told of a gel's light.
+
+    Args:
+        gel: as fitted.
+        channels: of red, green and blue, as solved.
+        photographs: that it was fitted to.
+    """
+    deepest = max((p.press for p in photographs), key=lambda p: p.depth_mm)
+    depth = max(min(DEEPER * deepest.depth_mm, DEEPEST * gel.thickness_mm), deepest.depth_mm)
+    width, height = gel.window_mm
+    names = {
+        f"{row} {column}": (x * width, y * height)
+        for row, y in zip(DOWN, PLACES, strict=True)
+        for column, x in zip(ACROSS, PLACES, strict=True)
+    }
+    presses = [
+        (where.replace("middle middle", "middle"), replace(deepest, x_mm=x, y_mm=y, depth_mm=d))
+        for where, (x, y) in names.items()
+        for d in dict.fromkeys((deepest.depth_mm, depth))
+    ]
+    grams = np.array([_grams(gel, channels, press) for _, press in presses])  # (presses, channels, F, F)
+    before = [c.covariance for c in channels]
+    left = []
+    for gram in grams:
+        after = [
+            np.linalg.pinv(np.linalg.pinv(S) + INDEPENDENT / ERROR_LEVELS**2 * g)
+            for S, g in zip(before, gram, strict=True)
+        ]
+        left.append(_levels(grams, after))
+    where, add = presses[int(np.argmin(left))]
+    deeper = add.depth_mm > deepest.depth_mm
+    return Told(_untold(channels), add, where, deeper, _levels(grams, before), min(left))
+
+
+def _grams(gel: GelModel, channels: Sequence[Channel], press: Press) -> list[np.ndarray]:
+    """`Channel.gram` of each channel in the contact of a press."""
+    cell, rest = (gel.window_mm[0] / COLS, gel.window_mm[1] / ROWS), to_grid(gel.rest_image)
+    u = gel.surface(surface(gel.imprint(press_depth(press, gel)), cell, gel.decay_mm), cell)
+    near = to_grid(PressPhotograph(press, gel.rest_image, gel.rest_image).near(gel.px_per_mm)) > 0.5
+    return [c.gram(u, rest[..., k], near) for k, c in enumerate(channels)]
+
+
+def _levels(grams: np.ndarray, covariances: Sequence[np.ndarray]) -> float:
+    """Root mean square over presses and channels of the light's standard deviation."""
+    return float(np.sqrt(np.einsum("pkfg,kgf->pk", grams, np.array(covariances)).mean()))
+
+
+def _untold(channels: Sequence[Channel]) -> tuple[str, ...]:
+    """Parameters of effects of which no channel learnt much."""
+    learnt: dict[str, float] = {}
+    for channel, colour in zip(channels, ("red", "green", "blue"), strict=True):
+        for (effect, name), share in channel.learnt().items():
+            if effect:
+                key = f"{effect}.{name} ({colour})"
+                learnt[key] = max(learnt.get(key, 0.0), share)
+    return tuple(name for name, share in learnt.items() if share < UNTOLD)
