@@ -16,7 +16,7 @@ from pneutac_sim.twin import Twin
 
 PRESS_FRAMES = 8  # depths on the way down
 GEL_STRAIN = 0.8  # of the warmest colour
-SIZE = {"cube": "side", "edge": "side"}  # what size_mm is; of the round indenters the radius
+SIZE = {"cube": "side", "edge": "side", "outline": "reach", "mesh": "reach"}  # size_mm; of others the radius
 
 
 def gel_film(twin: Twin, config: RenderConfig) -> Film:
@@ -32,14 +32,16 @@ def gel_film(twin: Twin, config: RenderConfig) -> Film:
 
 def _frames(twin: Twin, config: RenderConfig, press: Press) -> Iterator[FilmFrame]:
     from pneutac_sim.mpm import devices
+    from pneutac_sim.mpm.figure import distances_m
     from pneutac_sim.mpm.solve import solve_equilibrium
     from pneutac_sim.splat.gel import SplatSensor
 
-    solver = devices.gel(twin, device=config.device)
+    table = None if press.figure is None else distances_m(press.figure)
+    solver = devices.gel(twin, device=config.device, table=table)
     model = GelModel.from_twin(twin)
     window, sensor = model.window_mm, SplatSensor(model)
     cells = solver.body.cells
-    named = f"{press.indenter}, {SIZE.get(press.indenter, 'radius')} {press.size_mm:g} mm"
+    named = f"{press.indenter}, {SIZE.get(press.indenter, 'radius')} {press.size_mm:.3g} mm"
     spent = 0.0
     for k in range(PRESS_FRAMES):
         depth = config.depth_mm * (k + 1) / PRESS_FRAMES

@@ -11,6 +11,7 @@ import numpy as np
 from pneutac_datasets.recording.wording import an
 from pneutac_sim.effects.registry import get_effect, of_body
 from pneutac_sim.errors import InputError, check_least
+from pneutac_sim.gel.figure import AnyFigure, Figure, Outline
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.twin import Twin
@@ -22,7 +23,8 @@ COMPUTED = ("session_time_s", "length_mm", "bending_pressure_kpa")  # columns of
 SEEN = {"recording": None, "camera": None, "view": None}
 FINGER = {"pressure_kpa": None, "seconds": 1.0, "particles": 4000} | SEEN
 ARM = FINGER
-GEL = {"indenter": "sphere", "size_mm": 4.0, "depth_mm": 1.4, "x_mm": 0.0, "y_mm": 0.0}
+GEL = {"indenter": "sphere", "size_mm": 4.0, "depth_mm": 1.4, "x_mm": 0.0, "y_mm": 0.0, "yaw_rad": 0.0}
+GEL |= {"indenter_file": None, "outline_mm": None}
 
 
 @dataclass
@@ -66,11 +68,15 @@ class RenderConfig:
         recording: folder of photographs to put beside a finger or an arm calibrated by images.
         camera: name of one of the recording's cameras; where left out, the first.
         view: direction of view without a recording, in the twin's looks where it has them.
-        indenter: indenter of a gel: `sphere`, `cylinder`, `cube`, `edge` or `cone`; where left out, a sphere.
+        indenter: indenter of a gel: `sphere`, `cylinder`, `cube`, `edge`, `cone`, `outline` or `mesh`; where
+            left out, a sphere.
         size_mm: radius of the indenter, or side of cube and edge; where left out, 4.
+        indenter_file: STL of a `mesh` in mm, its tip down, the contact's centre at x = y = 0.
+        outline_mm: corners of an `outline` in mm from the contact's centre, as in "0 2; 2 -1; -2 -1".
         depth_mm: depth of the press into the gel; where left out, 1.4.
         x_mm: place along image columns, from the middle; where left out, 0.
         y_mm: place along image rows, from the middle; where left out, 0.
+        yaw_rad: turn of the indenter, from columns towards rows; where left out, 0.
         particles: number of material points of a finger or an arm, about; where left out, 4000.
         device: `auto`, `cpu` or `cuda`.
         out: folder for pictures, film.mp4, `report.html` and `result.json`.
@@ -88,6 +94,9 @@ class RenderConfig:
     depth_mm: float | None = None
     x_mm: float | None = None
     y_mm: float | None = None
+    yaw_rad: float | None = None
+    indenter_file: Path | None = None
+    outline_mm: str | None = None
     particles: int | None = None
     device: str = "auto"
     out: Path = Path("outputs/render")
@@ -141,9 +150,10 @@ def deepest_press(config: RenderConfig, gel: GelModel) -> Press:
     """The indenter where it is deepest.
 
     Raises:
-        InputError: it goes too deep, or nothing of it touches the gel's window.
+        InputError: it is no indenter, goes too deep, or nothing of it touches the gel's window.
     """
-    press = Press(config.indenter, config.size_mm, config.x_mm, config.y_mm, config.depth_mm)
+    place = config.x_mm, config.y_mm, config.depth_mm, config.yaw_rad or 0.0
+    press = Press(config.indenter, config.size_mm, *place, _figure(config))
     deepest = 0.8 * gel.thickness_mm
     if config.depth_mm >= deepest:
         raise InputError(
@@ -158,6 +168,16 @@ def deepest_press(config: RenderConfig, gel: GelModel) -> Press:
                 f"between {-most:.3g} and {most:.3g}."
             )
     return press
+
+
+def _figure(config: RenderConfig) -> AnyFigure | None:
+    """The figure of `outline` and `mesh`."""
+    for kind, name in (("outline", "outline_mm"), ("mesh", "indenter_file")):
+        if (config.indenter == kind) != (getattr(config, name) is not None):
+            raise InputError(f"indenter={kind} and {name} come together; give both or neither.")
+    if config.indenter_file is not None:
+        return Figure.read(config.indenter_file)
+    return Outline.of_text(config.outline_mm) if config.outline_mm else None
 
 
 def _check_conditions(config: RenderConfig, twin: Twin) -> None:
@@ -175,6 +195,8 @@ def _check_conditions(config: RenderConfig, twin: Twin) -> None:
 def _footprint_mm(press: Press) -> tuple[float, float]:
     """Half the extent, along x and y, of what lies below the resting surface."""
     s, d = press.size_mm, press.depth_mm
+    if press.figure is not None:
+        return s, s
     if press.indenter == "edge":
         return s / 2, min(d, s / np.sqrt(2))
     reach = {

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect, of_sensor, sensor_effects
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.fit import GelFit, fit_presses
+from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.metrics import ImageScores, score
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.pair import Pair, check_pair
@@ -128,7 +129,7 @@ class GelCalibration(Calibration):
             "make_likeness": self.fit.likeness,
             "make_by": ("rest image" if self.fit.by_rest else "light") if self.fit.make else "",
             "untold": list(self.told.untold),
-            "next_press": asdict(self.told.add) | {"where": self.told.where, "deeper": self.told.deeper},
+            "next_press": _described(self.told.add) | {"where": self.told.where, "deeper": self.told.deeper},
             "open_levels": {"now": self.told.open_levels, "with_next_press": self.told.then_levels},
             "image": image,
             "methods": methods,
@@ -265,6 +266,10 @@ def scores_of(data: GelRecording, predicted: list[np.ndarray]) -> list[ImageScor
 def _finite(scores: ImageScores) -> dict:
     """Scores as plain numbers; the PSNR of equal images, which is infinite, as None."""
     return {k: v if np.isfinite(v) else None for k, v in vars(scores).items()}
+
+
+def _described(press: Press) -> dict:
+    return {k: v for k, v in vars(press).items() if k != "figure"}
 
 
 def _parameters(gel: GelModel) -> dict[str, dict]:

@@ -11,7 +11,7 @@ from scipy.optimize import minimize_scalar
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.optics import gradient, upsample
 from pneutac_sim.gel.pair import Pair
-from pneutac_sim.gel.probe import COLS, ROWS, probe_grid
+from pneutac_sim.gel.probe import COLS, ROWS
 from pneutac_sim.gel.surface import surface
 
 DECAY_RANGE_MM = (0.3, 4.0)
@@ -51,7 +51,7 @@ class Displacement:
 
     def fields(self, press: Press) -> np.ndarray:
         """Slopes du/dx and du/dy, and u in mm (into the gel), float32 (3, H, W)."""
-        depth = probe_grid(*press.shapes(), window_mm=self._window_mm, thickness_mm=self._thickness_mm)
+        depth = press.depths(self._window_mm, self._thickness_mm)
         cell = self._window_mm[0] / COLS, self._window_mm[1] / ROWS
         u = surface(depth, cell, self.decay_mm)
         return np.stack([upsample(f, *self._shape) for f in (*gradient(u, cell), u)])

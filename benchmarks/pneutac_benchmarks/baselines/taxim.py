@@ -23,7 +23,6 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.pair import Pair
-from pneutac_sim.gel.probe import probe_grid
 
 BINS = 125  # of slope, 0 to 90 degrees, and of direction, all round
 PYRAMID_PX = (201, 101, 51, 21, 11, 5)  # blur kernels, at the scale of the released sensor
@@ -74,12 +73,7 @@ class Taxim:
     def _surface(self, press: Press) -> tuple[np.ndarray, np.ndarray]:
         """Depth of the approximated surface [mm] and where it keeps the indenter's shape, both (H, W)."""
         h, w = self._rest.shape[:2]
-        depth = probe_grid(
-            *press.shapes(),
-            window_mm=(w / self._px_per_mm, h / self._px_per_mm),
-            thickness_mm=self._thickness_mm,
-            shape=(h, w),
-        )
+        depth = press.depths((w / self._px_per_mm, h / self._px_per_mm), self._thickness_mm, (h, w))
         contact = depth > CONTACT_SHARE * depth.max()
         height = depth.copy()
         for kernel in PYRAMID_PX:

@@ -7,10 +7,12 @@ import cv2
 import numpy as np
 import pandas as pd
 
+from pneutac_datasets.recording.figures import figure_of
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import shown
 from pneutac_sim.errors import InputError
-from pneutac_sim.gel.indenter import INDENTERS, Press
+from pneutac_sim.gel.figure import AnyFigure
+from pneutac_sim.gel.indenter import FIGURES, INDENTERS, Press
 from pneutac_sim.gel.pair import saturated, shows_contact
 from pneutac_sim.gel.photograph import PressPhotograph
 from pneutac_sim.gel.probe import THICKNESS_MM
@@ -198,14 +200,19 @@ def _sample(
     image = recording.image(row["image"], plain=True)
     _same_size(image, rest, f"{where}: image {shown(str(row['image']))}")
     kind = str(row["indenter"])
-    if kind not in INDENTERS:
-        raise InputError(f"{where}: indenter is {shown(kind)}; it must be one of {', '.join(INDENTERS)}.")
+    if kind not in INDENTERS + FIGURES:
+        every = ", ".join(INDENTERS + FIGURES)
+        raise InputError(f"{where}: indenter is {shown(kind)}; it must be one of {every}.")
     h, w = image.shape[:2]
     x_px, x_mm = _place(row, where, gel.px_per_mm, "x", w)
     y_px, y_mm = _place(row, where, gel.px_per_mm, "y", h)
-    size_mm, depth_mm = _size_and_depth(row, where, gel, kind)
     try:
-        press = Press(kind, size_mm, x_mm, y_mm, depth_mm, _number(row, "yaw_rad") or 0.0)
+        figure = figure_of(recording.folder, row, kind)
+    except InputError as e:
+        raise InputError(f"{where}: {e}") from e
+    size_mm, depth_mm = _size_and_depth(row, where, gel, kind, figure)
+    try:
+        press = Press(kind, size_mm, x_mm, y_mm, depth_mm, _number(row, "yaw_rad") or 0.0, figure)
     except InputError as e:
         raise InputError(f"{where}: {e}") from e
     radius_px = _number(row, "contact_radius_px")
@@ -244,10 +251,12 @@ def _place(row: pd.Series, where: str, px_per_mm: float, axis: str, size_px: int
     return px, centred_mm
 
 
-def _size_and_depth(row: pd.Series, where: str, gel: GelRecording, kind: str) -> tuple[float, float]:
+def _size_and_depth(
+    row: pd.Series, where: str, gel: GelRecording, kind: str, figure: AnyFigure | None
+) -> tuple[float, float]:
     """Indenter size and depth, mm; of a ball the depth may follow from the contact radius (Hertz)."""
     names = ("indenter_radius_mm", "indenter_size_mm")
-    size = _number(row, *(names[::-1] if kind in ("cube", "edge") else names))
+    size = figure.reach_mm if figure else _number(row, *(names[::-1] if kind in ("cube", "edge") else names))
     radius_px = _number(row, "contact_radius_px") if kind == "sphere" else None
     if size is None and radius_px is not None:
         size = ASSUMED_RADIUS_MM

@@ -15,7 +15,7 @@ from pneutac_sim.errors import CONTROL, InputError
 from pneutac_sim.finger import quantities
 from pneutac_sim.twin import DEVICES
 
-LABELS = r"program|image(_\w+)?|mask(_\w+)?|role|indenter|depth_source"
+LABELS = r"program|image(_\w+)?|mask(_\w+)?|role|indenter|indenter_file|outline_mm|depth_source"
 
 
 def device_of(meta: dict, samples: pd.DataFrame, folder: Path) -> str:

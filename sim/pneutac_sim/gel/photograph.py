@@ -15,7 +15,7 @@ from pneutac_sim.gel import metrics, optics
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.pair import press_px
-from pneutac_sim.gel.probe import COLS, ROWS, probe_grid
+from pneutac_sim.gel.probe import COLS, ROWS
 from pneutac_sim.gel.sensor import TactileSensor
 
 NEAR_RADII = 3.0  # pixels within so many contact radii tell about the gel, those beyond about the session
@@ -54,7 +54,7 @@ def to_grid(image: np.ndarray) -> np.ndarray:
 
 def press_depth(press: Press, gel: GelModel) -> np.ndarray:
     """Probe grid (80, 59) in mm of a bench indenter on this gel."""
-    return probe_grid(*press.shapes(), window_mm=gel.window_mm, thickness_mm=gel.thickness_mm)
+    return press.depths(gel.window_mm, gel.thickness_mm)
 
 
 def registered(press: Press, gel: GelModel) -> Press:

@@ -21,6 +21,7 @@ from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.probe import COLS, ROWS
 from pneutac_sim.mpm.body import Body, Material
+from pneutac_sim.mpm.figure import centre_m, half_edge_m
 from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solid import bending_body, parameter
 from pneutac_sim.mpm.spine import Spine
@@ -215,12 +216,20 @@ def _refuse(twin: Twin) -> None:
 
 
 def press_loads(press: Press) -> Loads:
-    """Loads of an indenter on a gel, the same as `Press.shapes` puts onto the probe grid.
+    """Loads of an indenter on a gel, the same as `Press.depths` puts onto the probe grid.
 
     Args:
-        press: where and how deep, gel frame.
+        press: where and how deep, gel frame. A figure needs a solver with the table of `mpm.figure`.
     """
     s = 1e-3 * press.size_mm
+    tip = 1e-3 * np.array([press.x_mm, press.y_mm, -press.depth_mm])
+    if press.figure is not None:
+        return Loads(
+            indenter="mesh",
+            size_m=np.full(3, half_edge_m(press.figure)),
+            position_m=tip + centre_m(press.figure),
+            rotation=Rotation.from_euler("z", press.yaw_rad).as_matrix(),
+        )
     shape, size, turn = {
         "sphere": ("sphere", (s, s, s), 0.0),
         "cylinder": ("cylinder", (s, 0.01, s), 0.0),
@@ -231,7 +240,7 @@ def press_loads(press: Press) -> Loads:
     return Loads(
         indenter=shape,
         size_m=np.array(size),
-        position_m=1e-3 * np.array([press.x_mm, press.y_mm, -press.depth_mm]),
+        position_m=tip,
         rotation=Rotation.from_euler("z", press.yaw_rad + turn).as_matrix(),
     )
 

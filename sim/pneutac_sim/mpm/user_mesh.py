@@ -11,16 +11,14 @@ import numpy as np
 import trimesh
 
 from pneutac_sim.errors import InputError, check_choice
+from pneutac_sim.mesh_file import load_mesh
 from pneutac_sim.mpm.sections import is_inside, lattice_inside, neutral_axis
 from pneutac_sim.twin import Twin
 
-FORMATS = (".stl", ".obj", ".ply")
 UNITS = {"mm": 1.0, "m": 1000.0}  # in mm
 AXES = ("x", "y", "z")
 SHORTEST_MM, LONGEST_MM = 5.0, 2000.0  # of a soft finger or arm
 UNUSUAL_MM = 400.0  # the length from which on the unit is doubted
-MOST_BYTES = 200 * 2**20
-MOST_FACES = 200_000  # finer than particles can tell, and a twin has to travel
 MAIN_SHARE = 0.95  # of all volume, from which on the rest is scraps
 USUAL_PARTICLES = 4000
 CROOKED = 0.1  # of the height, how far the neutral axis may leave a straight line unmentioned
@@ -61,7 +59,7 @@ def read_mesh(file: str | Path, unit: str = "mm", axis: str | None = None) -> Us
     """
     check_choice("unit", unit, UNITS)
     check_choice("axis", axis or AXES[0], AXES)
-    mesh = _load(Path(file))
+    mesh = load_mesh(Path(file))
     mesh.apply_scale(UNITS[unit])
     _check_size(mesh, file, unit)
     notes = _close(mesh, file)
@@ -99,26 +97,6 @@ def stored_mesh(twin: Twin) -> trimesh.Trimesh | None:
 
 
 # ---------------------------------------------------------------- reading
-
-
-def _load(file: Path) -> trimesh.Trimesh:
-    if not file.is_file():
-        raise InputError(f"There is no mesh '{file}'; give an STL, OBJ or PLY file.")
-    if file.suffix.lower() not in FORMATS:
-        raise InputError(f"{file} is no mesh that can be read here; export it as STL, OBJ or PLY.")
-    if file.stat().st_size > MOST_BYTES:
-        raise InputError(f"{file} is larger than {MOST_BYTES // 2**20} MB; simplify it.")
-    try:
-        mesh = trimesh.load_mesh(file, process=False, skip_materials=True)  # no other file is opened
-    except Exception as e:
-        raise InputError(f"{file} cannot be read as a mesh ({e}); export it anew as STL, OBJ or PLY.") from e
-    if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
-        raise InputError(f"{file} is empty: it holds no triangles.")
-    if not np.isfinite(mesh.vertices).all():
-        raise InputError(f"{file} has vertices that are not finite numbers; export it anew.")
-    if len(mesh.faces) > MOST_FACES:
-        raise InputError(f"{file} has {len(mesh.faces)} triangles; simplify it to at most {MOST_FACES}.")
-    return trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
 
 
 def _check_size(mesh: trimesh.Trimesh, file, unit: str) -> None:

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
+import trimesh
 from generated import once
 from PIL import Image
 
@@ -153,6 +154,38 @@ def test_the_calibration_is_the_row_that_says_so(write):
 def test_bad_rows_and_fields_get_one_sentence(columns, fields, drop, says, write):
     with pytest.raises(InputError, match=says) as e:
         write(columns, fields, drop)
+    assert "\n" not in str(e.value)
+
+
+def test_any_indenter_is_read_from_a_file_or_an_outline(write, tmp_path):
+    trimesh.creation.box((4, 2, 30)).export(tmp_path / "bar.stl")
+    outline = "-2 -1; 2 -1; 2 1; -2 1"
+    columns = {"indenter": ["mesh", "outline", "sphere"], "indenter_file": ["bar.stl", "", ""]}
+    columns |= {
+        "outline_mm": ["", outline, ""],
+        "x_mm": 0.0,
+        "y_mm": 0.0,
+        "indenter_radius_mm": [np.nan] * 2 + [2],
+    }
+    bar, punch, ball = (s.press for s in write(columns).samples)
+    np.testing.assert_allclose(bar.depths(), punch.depths(), atol=1e-6)
+    assert bar.contact_radius_mm == pytest.approx(punch.contact_radius_mm, rel=0.03)
+    assert punch.size_mm == pytest.approx(np.sqrt(5)) and ball.figure is None and punch.depths().any()
+
+
+@pytest.mark.parametrize(
+    ("columns", "says"),
+    [
+        ({"indenter": "outline"}, "row 1: outline_mm is empty"),
+        ({"indenter": "outline", "outline_mm": "-2 -2; 2 2; 2 -2; -2 2"}, "row 1: outline_mm crosses itself"),
+        ({"indenter": "mesh"}, "row 1: indenter_file is empty"),
+        ({"indenter": "mesh", "indenter_file": "tip.stl"}, "There is no mesh"),
+        ({"indenter": "mesh", "indenter_file": "../tip.stl"}, "outside the recording's folder"),
+    ],
+)
+def test_impossible_indenters_get_one_sentence(columns, says, write):
+    with pytest.raises(InputError, match=says) as e:
+        write(columns)
     assert "\n" not in str(e.value)
 
 
