@@ -9,8 +9,8 @@ from rich.console import Console
 from lerobot_pneutac.cli.options import parse_options
 from lerobot_pneutac.cli.progress import progress_bar
 from lerobot_pneutac.cli.show import show, write
+from lerobot_pneutac.verbs import calibrate_files as files
 from lerobot_pneutac.verbs.calibrate import calibrate
-from lerobot_pneutac.verbs.calibrate_files import forget_search, recording_for, stopped, twin_for
 from lerobot_pneutac.verbs.calibration import Calibration
 
 
@@ -20,16 +20,16 @@ class CalibrateConfig:
 
     Attributes:
         twin: folder of the twin; a twin of a gel is begun where there is none.
-        recording: folder of the bench recording. Without it a gel is calibrated from the DIGIT photographs in
-            $PNEUTAC_DATA, or from generated images where that is unset.
+        recording: folder of the bench recording; without it, a gel's DIGIT photographs in $PNEUTAC_DATA, or
+            generated images.
         out: folder for `result.json`, `report.html` and pictures.
         effects: optics effects of a gel to fit, with commas between, or `none` for the paper's linear model;
-            where left out, those once chosen for the twin (this way, or by `add`), else all that the presses
-            can tell.
+            where left out, those once chosen for the twin, else all that the presses can tell.
+        save_prior: name under which a gel's lights are kept for other sensors of its make.
         by: what a finger or an arm is fitted to: `images` (photographs with masks) or `markers` (markers and
             angles); where left out, markers if the recording has them, else images.
         train_kpa: pressures to fit by images, with commas between; all others are held out.
-        evaluations: number of bodies that the search by images tries.
+        evaluations: bodies that the search by images tries.
         particles: number of material points of a body by images, about.
         seed: seed of every random choice.
     """
@@ -38,6 +38,7 @@ class CalibrateConfig:
     recording: Path | None = None
     out: Path | None = None
     effects: str | None = None
+    save_prior: str | None = None
     by: str | None = None
     train_kpa: str = "0,3,6,9,12,15"
     evaluations: int = 84
@@ -56,10 +57,10 @@ def main(argv: list[str]) -> None:
 
 def run(cfg: CalibrateConfig, scratch: Path, console: Console) -> Calibration:
     """Fits and saves the twin's next version; `scratch` is a folder for generated data."""
-    recording, note = recording_for(cfg.recording, scratch, cfg.seed)
-    if note:
-        console.print(note, highlight=False)
-    twin, keep = twin_for(cfg.twin, recording), cfg.out or cfg.twin
+    recording, note = files.recording_for(cfg.recording, scratch, cfg.seed)
+    console.print(note, end="\n" if note else "", highlight=False)
+    files.check_prior(cfg.save_prior, recording)
+    twin, keep = files.twin_for(cfg.twin, recording), cfg.out or cfg.twin
     if not (cfg.twin / "twin.yaml").exists():
         console.print(f"There is no twin at {cfg.twin} yet: beginning one of a gel.", highlight=False)
     try:
@@ -69,10 +70,11 @@ def run(cfg: CalibrateConfig, scratch: Path, console: Console) -> Calibration:
                 evaluations=cfg.evaluations, particles=cfg.particles, keep=keep, progress=progress,
             )  # fmt: skip
     except KeyboardInterrupt:
-        console.print(stopped(keep), highlight=False, soft_wrap=True)
+        console.print(files.stopped(keep), highlight=False, soft_wrap=True)
         raise
     if cfg.out is None:
-        forget_search(keep)
+        files.forget_search(keep)
     if note and recording.meta.get("generated"):  # their folder is gone after this run
         result = replace(result, recording=f"generated images (seed {cfg.seed})")
+    console.print(files.keep_prior(result, cfg.save_prior), end="", highlight=False)
     return result.save(cfg.twin)

@@ -13,15 +13,17 @@ def make_sentence(fit: GelFit) -> str:
     if fit.make and fit.by_rest:
         return (
             f"The light is that of a {fit.make}, {fit.orientation}: its rest image correlates with that of "
-            f"the make by {fit.likeness:.2f} (other sensors stay below {LIKE:g})."
+            f"the make by {fit.likeness:.2f} (it takes {LIKE:g})."
         )
     if fit.make:
         return (
             f"The light may be that of a {fit.make}, {fit.orientation}: its directions in the first "
             "press say so, its rest image does not."
         )
-    if not fit.likeness:
+    if fit.likeness is None:
         return ""
+    if not fit.likeness:
+        return "The sensor is of no known make: the images of all have other proportions."
     return (
         f"The sensor is of no known make: its rest image correlates with the likest by {fit.likeness:.2f}, "
         f"and it takes {LIKE:g}."

@@ -11,6 +11,7 @@ from lerobot_pneutac.study.gel_model import at_bound, calibration_pairs
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.gel.fit import GelFit, fit_photographs
+from pneutac_sim.gel.makes import library
 from pneutac_sim.gel.metrics import CONTACT_DISC
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.photograph import Predictor
@@ -89,7 +90,7 @@ class GelSpace:
         self.data, self.gel, self.twin, self.train, self.fold = data, gel, twin, train, fold
         self.own, self.candidates = tuple(own), list(candidates)
         self.photographs = [s.photograph for s in data.samples]
-        self.steps = Steps()
+        self.steps, self._makes = Steps(), library()
         self._regions = [p.near(data.px_per_mm, CONTACT_DISC) for p in self.photographs]
         self._wholes: dict[Trial, tuple[GelFit, np.ndarray]] = {}
         self._known: dict[Trial, FittedGel] = {}
@@ -181,7 +182,7 @@ class GelSpace:
 
     def _fit(self, trial: Trial, mask: np.ndarray, near: GelModel | None, quick: bool) -> GelFit:
         chosen = [p for p, m in zip(self.photographs, mask, strict=True) if m]
-        return fit_photographs(self.gel, chosen, trial.effects, near=near, quick=quick)
+        return fit_photographs(self.gel, chosen, trial.effects, self._makes, near, quick)
 
 
 def mean_squares(images: Iterable[np.ndarray]) -> np.ndarray:

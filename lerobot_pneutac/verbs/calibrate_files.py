@@ -4,6 +4,7 @@ import json
 import os
 from pathlib import Path
 
+from lerobot_pneutac.verbs.calibration import Calibration
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin
@@ -54,6 +55,29 @@ def twin_for(folder: Path, recording: Recording) -> Twin:
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"'{folder}' holds no twin but something else; give an empty or new folder.")
     return Twin(device="gel", length_mm=16.0)
+
+
+def check_prior(name: str | None, recording: Recording) -> None:
+    """Raises InputError, before any work, where a prior cannot be kept under this name."""
+    if name is None:
+        return
+    if recording.device != "gel":
+        raise InputError(
+            f"save_prior keeps a gel's lights, but {recording.folder} is of a '{recording.device}'; omit it."
+        )
+    from pneutac_sim.gel.makes import check_name
+
+    check_name(name)
+
+
+def keep_prior(result: Calibration, name: str | None) -> str:
+    """Keeps a gel's lights under this name; returns a line that tells where, empty where there is no name."""
+    if name is None:
+        return ""
+    from lerobot_pneutac.verbs.fit_gel import GelCalibration
+
+    assert isinstance(result, GelCalibration)
+    return f"Kept the sensor's lights as {result.save_prior(name)}.\n"
 
 
 def stopped(keep: Path) -> str:

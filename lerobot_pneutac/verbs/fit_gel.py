@@ -3,6 +3,7 @@
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -12,12 +13,14 @@ from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.study.gel_model import at_bound, for_twin, predict
 from lerobot_pneutac.study.pasted import Pasted
 from lerobot_pneutac.verbs.calibration import Calibration
+from lerobot_pneutac.verbs.gel_effects import EFFECTS, STANDARD, wanted
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.effects.registry import get_effect, of_sensor, sensor_effects
+from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.fit import GelFit, fit_presses
 from pneutac_sim.gel.indenter import Press
+from pneutac_sim.gel.makes import library, save
 from pneutac_sim.gel.metrics import ImageScores, score
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.pair import Pair, check_pair
@@ -25,7 +28,6 @@ from pneutac_sim.gel.told import Told, told
 from pneutac_sim.twin import Twin
 
 OURS, PASTED, REST = "this model", "difference pasted", "rest image"
-EFFECTS, STANDARD = "effects", "standard"  # in the history of a twin whose effects nobody chose
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -97,6 +99,15 @@ class GelCalibration(Calibration):
 
     def _told_of(self) -> list[str]:
         return [*filter(None, [make_sentence(self.fit)]), *told_sentences(self.told, self.fit.make)]
+
+    def save_prior(self, name: str) -> Path:
+        """Keeps the sensor's lights as those of a make, for later calibrations; returns the file.
+
+        Raises:
+            InputError: see `gel.makes.save`.
+        """
+        source = f"{self.recording}, {len(self.data.presses)} of its presses"
+        return save(name, self.fit.gel, self.fit.channels, source)
 
     def remarks(self) -> list[str]:
         """Make, time and what to look at."""
@@ -173,7 +184,7 @@ def calibrate_gel(twin: Twin, recording: Recording, effects: Sequence[str] | Non
     Args:
         twin: of a gel, or of a finger that gets this gel.
         recording: of a gel, with a row of role `calibration` or more.
-        effects: see `wanted`.
+        effects: see `gel_effects.wanted`.
 
     Raises:
         InputError: an effect cannot be fitted to one pair, or the images do not serve.
@@ -186,7 +197,8 @@ def calibrate_gel(twin: Twin, recording: Recording, effects: Sequence[str] | Non
         except InputError as e:
             where = f"rest image '{recording.meta['rest_image']}', indentation '{s.name}'"
             raise InputError(f"{recording.folder} ({where}): {e}") from e
-    fit = fit_presses([s.photograph for s in data.presses], data.px_per_mm, names, data.thickness_mm)
+    presses = [s.photograph for s in data.presses]
+    fit = fit_presses(presses, data.px_per_mm, names, data.thickness_mm, library())
     gel = for_twin(fit.gel, twin)
     seconds = time.monotonic() - start
     images = render(fit.gel, data)
@@ -211,37 +223,13 @@ def calibrate_gel(twin: Twin, recording: Recording, effects: Sequence[str] | Non
         findings=tuple(data.warnings),
         gel=gel,
         fit=fit,
-        told=told(fit.gel, fit.channels, [s.photograph for s in data.presses]),
+        told=told(fit.gel, fit.channels, presses),
         data=data,
         predicted=images[OURS],
         scores=scores,
         notes=recording.meta.get("notes", ""),
         standard=names is None,
     )
-
-
-def wanted(effects: Sequence[str] | None, twin: Twin) -> list[str] | None:
-    """Optics effects to fit: those asked for, else those once chosen for the twin, else None (standard ones).
-
-    An effect is chosen by `calibrate --effects` or `add`. What `pneutac new` writes are defaults, and what a
-    calibration without `--effects` fits depends on its presses: neither binds the next one.
-
-    Raises:
-        InputError: a name is no optics effect, or acts on a session and not on one pair.
-    """
-    if effects is None:
-        fits = [version for version in twin.history if version.get("unit") == "levels"]
-        chosen = any(version.get(EFFECTS) != STANDARD for version in fits)
-        return of_sensor(twin.effects) if twin.gel and chosen else None
-    of_one_pair = [name for name, effect in sensor_effects().items() if not effect.of_session]
-    for name in effects:
-        if name not in of_one_pair:
-            why = "needs more than one pair of images" if of_sensor([name]) else "is no optics effect"
-            raise InputError(
-                f"effects={','.join(effects)}: '{name}' {why}; give some of {','.join(of_one_pair)}, or "
-                "none for the paper's linear model."
-            )
-    return list(dict.fromkeys(effects))
 
 
 def render(gel: GelModel, data: GelRecording) -> dict[str, list[np.ndarray]]:

@@ -37,7 +37,7 @@ EFFECT = SensorEffect(
     parameters=each_channel("distance_{}_mm", "mm", 200.0, 8.0, 1000.0),
     prior_sd=(100.0,) * 3,
     standard=True,
-    lend=lambda make, k: {"distance_mm": (np.hypot(*make.positions_mm[k]), MAKE_SD_MM)},
+    lend=lambda make, k: {"distance_mm": (np.hypot(*make.positions_mm[k]), make.distances_sd_mm[k])},
     coefficients=place,
     equation=r"t = -|L|\,e \cdot \nabla u, \quad e = \frac{p - x}{|p - x|}",
     summary="The lights of your {device} are near: {distance_red_mm:.3g} mm (red), "

@@ -21,7 +21,7 @@ EFFECT = SensorEffect(
     parameters=each_channel("exponent_{}", "", 0.7, -1.0, 4.0),
     prior_sd=(0.1,) * 3,
     standard=True,
-    lend=lambda make, k: {"exponent": (make.exponents[k], MAKE_SD)},
+    lend=lambda make, k: {"exponent": (make.exponents[k], make.exponents_sd[k])},
     weight=weight,
     equation=r"w = (I_{rest} / \bar I_{rest})^\gamma",
     summary="The light of your {device} is stronger where its rest image is brighter: it goes with the rest "

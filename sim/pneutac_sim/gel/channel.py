@@ -17,7 +17,6 @@ INDEPENDENT, ERROR_LEVELS = 100, 5.0
 # Unknowns of a channel beside those of effects: default, prior's deviation, bounds. The light is so many
 # levels per unit slope and comes from a direction.
 STRENGTH, DEPTH_LIGHT = (120.0, 120.0, 0.0, 2000.0), (0.0, 6.0, -60.0, 60.0)
-MAKE_DIRECTION_SD = 0.05  # rad; how alike sensors of one make are
 
 Unknown = tuple[str, str]  # effect (empty for the light itself) and name without the channel
 
@@ -36,7 +35,7 @@ def priors(
     angle, sd = np.arctan2(-light[1], -light[0]), np.inf
     if layout is not None:
         x, y = layout.positions_mm[k]
-        angle, sd = np.arctan2(y, x), MAKE_DIRECTION_SD
+        angle, sd = np.arctan2(y, x), layout.directions_sd_rad[k]
     out = {
         ("", "strength"): STRENGTH,
         ("", "direction"): (angle, sd, angle - 3.2, angle + 3.2),
@@ -173,6 +172,10 @@ class Channel:
     def covariance(self) -> np.ndarray:
         """Of the unknowns (F, F) about the solution, (J^T J)^-1 with the priors among the residuals."""
         return np.linalg.pinv(self._jacobian.T @ self._jacobian)
+
+    def deviations(self) -> dict[Unknown, float]:
+        """Unknown to the standard deviation that the photographs and the priors leave it."""
+        return dict(zip(self._prior, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
     def learnt(self) -> dict[Unknown, float]:
         """Unknown to the share of its prior's variance that the photographs removed, where it has a prior."""

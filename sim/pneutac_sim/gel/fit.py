@@ -58,7 +58,7 @@ class GelFit:
         evaluations: how many surfaces were tried.
         make: the sensor's make, where its light was recognised.
         orientation: which way round its images are against the make's.
-        likeness: correlation of the rest image with the make's, or with the likest make's where none is it.
+        likeness: correlation of the rest image with the likest make's; None where no make was looked for.
         by_rest: whether the rest image told the make; else the directions of the light did, less surely.
         channels: as solved, red, green and blue.
     """
@@ -68,7 +68,7 @@ class GelFit:
     evaluations: int
     make: str = ""
     orientation: Orientation = field(default_factory=Orientation)
-    likeness: float = 0.0
+    likeness: float | None = None
     by_rest: bool = False
     channels: list[Channel] = field(default_factory=list, repr=False)
 
@@ -210,21 +210,26 @@ class _Problem:
 
     def best(self, makes: Sequence[Layout], near: GelModel | None, quick: bool) -> GelFit:
         light, first = self.linear(), self.photographs[0]
-        best = self.search(light, None, near, quick)
-        likeness = 0.0
+        free = best = self.search(light, None, near, quick)
+        by_rest, by_light, likeness = [], [], None
         lenders = {e.name for e in sensor_effects().values() if e.lend}
         for make in makes if lenders <= {e.name for e in self.effects} else ():
-            orientation, like = recognise_rest(self.gel.rest_image, make)
-            sure = orientation is not None
-            likeness = max(likeness, like)
-            if not sure:
-                size = self.gel.rest_image.shape[1::-1]
-                alone = light if len(self.photographs) == 1 else slope_light(self.gel, first)
-                orientation = recognise(alone, first.press.x_mm, first.press.y_mm, size, make)
+            orientation, alike = recognise_rest(self.gel.rest_image, make)
+            likeness = max(likeness or 0.0, alike)
             if orientation is not None:
-                made = self.search(light, orientation.of(make), near or best.gel, quick)
-                if made.cost < (TRUST_IN_REST if sure else TRUST_IN_MAKE) * best.cost:
-                    made.make, made.orientation, made.by_rest, best = make.name, orientation, sure, made
+                by_rest.append((alike, make, orientation))
+                continue
+            size = self.gel.rest_image.shape[1::-1]
+            alone = light if len(self.photographs) == 1 else slope_light(self.gel, first)
+            orientation = recognise(alone, first.press.x_mm, first.press.y_mm, size, make)
+            if orientation is not None:
+                by_light.append((alike, make, orientation))
+        likest = [max(by_rest, key=lambda m: m[0])] if by_rest else by_light
+        for _, make, orientation in likest:
+            made = self.search(light, orientation.of(make), near or free.gel, quick)
+            trusted = made.cost < (TRUST_IN_REST if by_rest else TRUST_IN_MAKE) * free.cost
+            if trusted and (best is free or made.cost < best.cost):
+                made.make, made.orientation, made.by_rest, best = make.name, orientation, bool(by_rest), made
         best.evaluations, best.likeness = self.evaluations, likeness
         return best
 

@@ -6,46 +6,122 @@ tells the make, whatever was pressed; where it does not, the directions of the l
 """
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Iterable
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import cv2
 import numpy as np
+import yaml
 
-from pneutac_sim.gel import builtin
+from pneutac_sim.effects.near_light import MAKE_SD_MM
+from pneutac_sim.effects.rest_colour import MAKE_SD
+from pneutac_sim.effects.sensor_effect import CHANNELS
+from pneutac_sim.errors import InputError
+from pneutac_sim.files import read_yaml, write_text
+
+FORMAT = "pneutac-prior-1"
+KEPT = (12, 16)  # columns and rows of a rest image in a prior's file
+MAKE_SD_RAD = 0.05  # how alike the directions of lights are on sensors of one make
 
 # Largest angle between the measured and the make's direction of any light.
 MATCH_DEG = 25.0
 # Least correlation of blurred rest images. Two DIGITs have .87 with each other and .86 and .84 with the
 # generated one, .67 at most in any other orientation, and a GelSight .5 with any of them.
 LIKE, MARGIN = 0.76, 0.1
+SAME = 0.95  # that of one unit with itself, upright, whatever else it looks like mirrored
 THUMB, BLUR = (24, 32), 2.0  # columns and rows to which they are shrunk, and the blur there
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Lights of one make of sensor, red, green and blue, seen in an upright, unmirrored RGB image.
+    """What sensors of one make share, red, green and blue, seen in an upright, unmirrored RGB image.
 
     Attributes:
         name: of the make.
         positions_mm: (3, 2), x and y of each light from the window's centre.
         exponents: of the rest colour, see the effect `rest_colour`.
         proportions: width of the images over their height.
-        rest_image: takes a shape (H, W, 3) to what such a sensor shows without contact; None where unknown.
+        rest: what such a sensor shows without contact, (16, 12, 3) levels; None where unknown.
+        distances_sd_mm: how alike the lights' distances are.
+        directions_sd_rad: how alike their directions are.
+        exponents_sd: how alike the exponents are.
     """
 
     name: str
     positions_mm: tuple[tuple[float, float], ...]
     exponents: tuple[float, float, float]
     proportions: float
-    rest_image: Callable[[tuple[int, int, int]], np.ndarray] | None = field(default=None, compare=False)
+    rest: np.ndarray | None = field(default=None, compare=False)
+    distances_sd_mm: tuple[float, float, float] = (MAKE_SD_MM,) * 3
+    directions_sd_rad: tuple[float, float, float] = (MAKE_SD_RAD,) * 3
+    exponents_sd: tuple[float, float, float] = (MAKE_SD,) * 3
+
+    @classmethod
+    def read(cls, file: Path) -> "Layout":
+        """From a file of `write`.
+
+        Raises:
+            InputError: one sentence with file, and what is missing or wrong.
+        """
+        content = read_yaml(file)
+        try:
+            if content["format"] != FORMAT:
+                raise ValueError(f"field 'format' is not {FORMAT}")
+            channels = [{k: float(v) for k, v in content[c].items()} for c in CHANNELS]
+            rest = np.array(content["rest"], np.float32).reshape(KEPT[1], KEPT[0], 3)
+            out = cls(
+                str(content["name"]),
+                tuple((c["x_mm"], c["y_mm"]) for c in channels),
+                _three(c["exponent"] for c in channels),
+                float(content["proportions"]),
+                rest,
+                _three(c["distance_sd_mm"] for c in channels),
+                _three(c["direction_sd_rad"] for c in channels),
+                _three(c["exponent_sd"] for c in channels),
+            )
+        except (KeyError, TypeError, ValueError, AttributeError) as e:
+            raise InputError(
+                f"{file} is no prior of a sensor ({type(e).__name__}: {e}); delete it, or save it anew with "
+                "`pneutac calibrate --save_prior=NAME`."
+            ) from e
+        spread = (*out.distances_sd_mm, *out.directions_sd_rad, *out.exponents_sd, out.proportions)
+        numbers = [*np.ravel(out.positions_mm), *out.exponents, *spread]
+        if not np.isfinite(numbers).all() or min(spread) <= 0 or not np.isfinite(rest).all():
+            raise InputError(f"{file} holds numbers that no prior has; delete it, or save it anew.")
+        return out
+
+    def write(self, file: Path, source: str) -> None:
+        """As YAML, whole or not at all; `source` tells where it is from. It must know its rest image."""
+        assert self.rest is not None
+        content = {"format": FORMAT, "name": self.name, "source": source, "proportions": self.proportions}
+        for k, channel in enumerate(CHANNELS):
+            content[channel] = {
+                "x_mm": self.positions_mm[k][0],
+                "y_mm": self.positions_mm[k][1],
+                "distance_sd_mm": self.distances_sd_mm[k],
+                "direction_sd_rad": self.directions_sd_rad[k],
+                "exponent": self.exponents[k],
+                "exponent_sd": self.exponents_sd[k],
+            }
+        content["rest"] = self.rest.round().astype(int).reshape(KEPT[1], -1).tolist()
+        write_text(file, yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=200))
+
+
+def kept(rest: np.ndarray) -> np.ndarray:
+    """A rest image (H, W, 3) as a prior keeps it, (16, 12, 3)."""
+    return cv2.resize(rest.astype(np.float32), KEPT, interpolation=cv2.INTER_AREA)
+
+
+def _three(values: Iterable[float]) -> tuple[float, float, float]:
+    a, b, c = values
+    return a, b, c
 
 
 # Found on 34 photographs of two DIGITs of unlike brightness; alone they give red (7.0, -6.8) and (8.5, -7.7),
 # green (-13.8, -6.3) and (-11.6, -5.0), blue (36, 139) and (10, 77) mm, exponents (1.3, 2.3, 0.4) and
 # (1.3, 3.4, 0.3).
-_LIGHTS = ((7.75, -7.2), (-12.7, -5.6), (22.0, 107.0))
-DIGIT = Layout("DIGIT", _LIGHTS, (1.3, 2.4, 0.4), 0.75, builtin.rest_image)
+DIGIT = Layout.read(Path(__file__).parent / "makes" / "digit.yaml")
 
 
 @dataclass(frozen=True)
@@ -76,7 +152,9 @@ class Orientation:
         flip = np.array([-1.0 if self.mirror_x else 1.0, -1.0 if self.mirror_y else 1.0])
         positions = tuple(tuple(flip * layout.positions_mm[c]) for c in self.channels)
         exponents = tuple(layout.exponents[c] for c in self.channels)
-        return Layout(layout.name, positions, exponents, layout.proportions)
+        spreads = (layout.distances_sd_mm, layout.directions_sd_rad, layout.exponents_sd)
+        turned = [_three(spread[c] for c in self.channels) for spread in spreads]
+        return Layout(layout.name, positions, exponents, layout.proportions, None, *turned)
 
     def shown(self, image: np.ndarray) -> np.ndarray:
         """An image (H, W, 3) of the make as a sensor of this orientation shows it."""
@@ -102,17 +180,20 @@ def recognise_rest(rest: np.ndarray, layout: Layout = DIGIT) -> tuple[Orientatio
         The orientation, None where it is not of this make or could be two ways round, and the correlation of
         the blurred images in the best one.
     """
-    if layout.rest_image is None or not _proportioned(rest.shape[1::-1], layout):
+    if layout.rest is None or not _proportioned(rest.shape[1::-1], layout):
         return None, 0.0
-    seen, own = _blurred(rest), layout.rest_image((4 * THUMB[1], 4 * THUMB[0], 3))
+    seen, own = _blurred(rest), cv2.resize(layout.rest, THUMB, interpolation=cv2.INTER_LINEAR)
     alike = [float((seen * _blurred(o.shown(own))).sum()) for o in orientations()]
+    if alike[0] > SAME:  # orientations() has the make's own first
+        return Orientation(), alike[0]
     best, second = np.sort(alike)[:-3:-1]
     found = orientations()[int(np.argmax(alike))]
     return (found if best > LIKE and best > second + MARGIN else None), float(best)
 
 
 def _blurred(image: np.ndarray) -> np.ndarray:
-    small = cv2.resize(image.astype(np.float32), THUMB, interpolation=cv2.INTER_AREA)
+    image = np.ascontiguousarray(image, np.float32)
+    small = image if image.shape[1::-1] == THUMB else cv2.resize(image, THUMB, interpolation=cv2.INTER_AREA)
     small = cv2.GaussianBlur(small, (0, 0), BLUR)
     small -= small.mean()
     return small / max(float(np.linalg.norm(small)), 1e-9)

@@ -19,7 +19,7 @@ from pneutac_sim.gel.probe import COLS, ROWS
 from pneutac_sim.gel.surface import surface
 
 UNTOLD = 0.2  # of a prior's variance: a parameter of which presses removed no more stays where its prior is
-DEEPER, DEEPEST = 1.5, 0.6  # a deeper press, over the deepest so far; of the thickness at most
+DEEPER, DEEPEST = 1.5, 0.4  # a deeper press, over the deepest so far; of the thickness at most
 PLACES = (-0.28, 0.0, 0.28)  # of the window's width and height, from its centre
 ACROSS, DOWN = ("left", "middle", "right"), ("upper", "middle", "lower")
 

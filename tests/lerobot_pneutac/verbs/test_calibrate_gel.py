@@ -10,7 +10,8 @@ from PIL import Image
 from lerobot_pneutac.cli.calibrate import main
 from lerobot_pneutac.cli.new import main as new_verb
 from lerobot_pneutac.study.pasted import shift
-from lerobot_pneutac.verbs.fit_gel import render, scores_of, wanted
+from lerobot_pneutac.verbs.fit_gel import render, scores_of
+from lerobot_pneutac.verbs.gel_effects import wanted
 from pneutac_datasets.generate.gel import HEIGHT, WIDTH, write_gel_recording
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.recording import Recording
@@ -127,6 +128,22 @@ def test_the_optics_that_new_writes_are_no_findings(generated, twin, tmp_path):
 def test_a_new_twin_gets_every_effect_that_one_press_of_an_unknown_sensor_tells(twin):
     assert set(Twin.load(twin).effects) == ONE_PRESS
     assert wanted(None, Twin.builtin()) is None, "a finger without a gel has no light yet"
+
+
+def test_lights_are_kept_and_recognised_by_the_next_calibration(generated, tmp_path, monkeypatch):
+    monkeypatch.setenv("PNEUTAC_PRIORS", str(tmp_path / "priors"))
+    few = "--effects=near_light,rest_colour"
+    run(tmp_path / "one", generated, few, "--save_prior=lab sensor")
+    run(tmp_path / "two", generated, few, f"--out={tmp_path / 'out'}")
+    result = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert result["make"] == "lab sensor" and result["make_by"] == "rest image"
+    assert result["make_likeness"] > 0.99
+    (tmp_path / "priors" / "lab sensor.yaml").write_text("format: pneutac-prior-1\nname: 3\n")
+    with pytest.raises(InputError, match="lab sensor.yaml is no prior of a sensor"):
+        run(tmp_path / "three", generated)
+    for name in ("../x", "DIGIT"):
+        with pytest.raises(InputError, match="save_prior is"):
+            run(tmp_path / "three", generated, f"--save_prior={name}")
 
 
 def test_without_a_recording_the_output_says_that_the_images_are_generated(tmp_path, capsys, monkeypatch):
