@@ -182,7 +182,7 @@ class GelSpace:
 
     def _fit(self, trial: Trial, mask: np.ndarray, near: GelModel | None, quick: bool) -> GelFit:
         chosen = [p for p, m in zip(self.photographs, mask, strict=True) if m]
-        return fit_photographs(self.gel, chosen, trial.effects, self._makes, near, quick)
+        return fit_photographs(self.gel, chosen, trial.effects, self._makes, near=near, quick=quick)
 
 
 def mean_squares(images: Iterable[np.ndarray]) -> np.ndarray:

@@ -144,7 +144,7 @@ def test_no_photograph_is_judged_by_a_fit_that_saw_it(tmp_path, monkeypatch):
     twin = Twin.load(linear_twin(tmp_path / "twin", recording))
     trained = {}
 
-    def fit(gel, photographs, effects, near=None, quick=False):
+    def fit(gel, photographs, effects, makes, near=None, quick=False):
         out = replace(gel)
         trained[id(out)] = out, {id(p) for p in photographs}
         return GelFit(out, 0.0, 1)
