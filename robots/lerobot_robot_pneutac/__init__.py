@@ -5,6 +5,7 @@ Only configurations are imported here; what they configure is imported when it i
 
 from lerobot_robot_pneutac.cameras.config_digit import DigitConfig
 from lerobot_robot_pneutac.cameras.config_digit_generated import DigitGeneratedConfig
+from lerobot_robot_pneutac.cameras.config_pneutac_scene import PneutacSceneConfig
 from lerobot_robot_pneutac.env import PneutacEnvConfig, PneutacStandinConfig
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import PneutacBCConfig
 from lerobot_robot_pneutac.robots.config_pneutac import PneutacConfig
@@ -22,6 +23,7 @@ __all__ = [
     "PneutacEnvConfig",
     "PneutacGamepadConfig",
     "PneutacKeyboardConfig",
+    "PneutacSceneConfig",
     "PneutacScriptedConfig",
     "PneutacSimConfig",
     "PneutacSpacemouseConfig",

@@ -11,6 +11,7 @@ from lerobot.utils.constants import ACTION, OBS_IMAGES, OBS_STATE
 import lerobot_robot_pneutac.standin  # noqa: F401
 import pneutac_sim  # noqa: F401
 from lerobot_robot_pneutac.options import (
+    check_cameras,
     check_choice,
     check_conditions,
     check_gl,
@@ -23,6 +24,7 @@ from lerobot_robot_pneutac.options import (
 )
 from pneutac_sim.features import (
     ACTION_NAMES,
+    CAMERA_SHAPE,
     CONTROL_HZ,
     FIDELITIES,
     IMAGE_NAME,
@@ -42,11 +44,19 @@ class PneutacTaskConfig(EnvConfig):
         task: `switch`, `egg` or `card`, or of another package.
         fps: control rate, Hz; the world has one only.
         episode_length: control steps after which a trial counts as failed.
+        cameras: scene cameras beside the tactile image, such as [front,wrist].
+        observation_height: rows of their pictures, px.
+        observation_width: columns of their pictures, px.
+        randomise_look: light, colours and texture of the scene are drawn anew in every episode.
     """
 
     task: str | None = "switch"
     fps: int = CONTROL_HZ
     episode_length: int = TRIAL_S * CONTROL_HZ
+    cameras: list[str] = field(default_factory=list)
+    observation_height: int = CAMERA_SHAPE[0]
+    observation_width: int = CAMERA_SHAPE[1]
+    randomise_look: bool = False
     features: dict[str, PolicyFeature] = field(
         default_factory=lambda: {
             ACTION: PolicyFeature(FeatureType.ACTION, (len(ACTION_NAMES),)),
@@ -72,11 +82,22 @@ class PneutacTaskConfig(EnvConfig):
             self.episode_length < 1,
             f"--env.episode_length is {self.episode_length}; it must be at least 1 step.",
         )
+        check_cameras("env.cameras", self._sizes)
+        for name, size in self._sizes.items():
+            key = f"pixels/{name}"
+            self.features[key] = PolicyFeature(FeatureType.VISUAL, (*size, 3))
+            self.features_map[key] = f"{OBS_IMAGES}.{name}"
 
     @property
     def gym_kwargs(self) -> dict:
         """What `gymnasium.make` is given."""
-        return {"max_episode_steps": self.episode_length}
+        look = {"cameras": self._sizes} if self.cameras else {}
+        look |= {"randomise_look": True} if self.randomise_look else {}
+        return {"max_episode_steps": self.episode_length} | look
+
+    @property
+    def _sizes(self) -> dict[str, tuple[int, int]]:
+        return dict.fromkeys(self.cameras, (self.observation_height, self.observation_width))
 
 
 @EnvConfig.register_subclass("pneutac")

@@ -68,13 +68,26 @@ def check_station(option: str, file: Path | None) -> None:
 
 
 def check_gl(option: str) -> None:
-    """Refuses splats over a scene where OpenGL does not start."""
+    """Refuses pictures of a scene where OpenGL does not start."""
     from pneutac_sim.world.view import require_gl
 
     try:
         require_gl()
     except InputError as e:
         refuse_if(True, f"--{option}: {e}")
+
+
+def check_cameras(option: str, sizes: dict[str, tuple[int, int]]) -> None:
+    """Refuses cameras that the scene does not have, and where OpenGL does not start; none are none."""
+    from pneutac_sim.world.cameras import check_camera
+
+    try:
+        for name, size in sizes.items():
+            check_camera(name, size)
+    except InputError as e:
+        refuse_if(True, f"--{option}: {e}")
+    if sizes:
+        check_gl(option)
 
 
 def check_conditions(option: str, twin: Path | None, conditions: dict) -> None:

@@ -19,6 +19,7 @@ FIDELITIES = ("surrogate", "mpm", "probe")  # how finger and gel of a world defo
 RENDERS = ("mesh", "splats")  # how a world is drawn
 IMAGE_SHAPE = (320, 240, 3)
 IMAGE_NAME = "tactile"
+CAMERA_SHAPE = (240, 320)  # height and width of a scene camera's picture, where they are not told, px
 
 JOINT_NAMES = tuple(f"joint_{i}" for i in range(1, 8))
 STATE_NAMES = (

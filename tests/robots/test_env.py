@@ -26,9 +26,22 @@ def test_environment_gives_what_the_config_promises():
     env.close()
 
 
+@pytest.mark.parametrize("config", [PneutacEnvConfig, PneutacStandinConfig])
+def test_scene_cameras_come_under_lerobots_names(config):
+    size = {"observation_height": 48, "observation_width": 64}
+    config = config(cameras=["front", "wrist"], randomise_look=True, episode_length=3, **size)
+    features = {k: f.shape for k, f in env_to_policy_features(config).items()}
+    assert features["observation.images.front"] == features["observation.images.wrist"] == (3, 48, 64)
+    env = make_env(config, n_envs=1)[config.type][0]
+    found = {k: tuple(v.shape[1:]) for k, v in preprocess_observation(env.reset(seed=[1])[0]).items()}
+    assert found == {k: shape for k, shape in features.items() if k != "action"}
+    env.close()
+
+
 @pytest.mark.parametrize(
     ("options", "said"),
     [
+        ({"cameras": ["back"]}, "--env.cameras: There is no camera 'back' in the scene; choose of front"),
         ({"task": "juggle"}, "'juggle'; it must be one of switch, egg, card"),
         ({"fps": 30}, "controlled at 15 Hz"),
         ({"episode_length": 0}, "at least 1 step"),

@@ -51,7 +51,7 @@ class PneutacConfig(RobotConfig):
             built-in twin. Its `pressure_range_kpa` bounds the set-points.
         contact_threshold: that threshold itself, in place of the twin: mean difference of R, G, B to the rest
             image, 8-bit levels, above which a pixel is in contact.
-        cameras: more cameras, as for every LeRobot robot; a policy trained in simulation knows none.
+        cameras: more cameras, as for every LeRobot robot; those of the simulated robot have the same names.
         bend: actions command the finger's bend, `bend.pos` in rad, in place of the pressure; the twin finds
             the pressure for it.
         conditions: what the twin's effects ask for, such as {temperature_c: 22}, for `bend`.

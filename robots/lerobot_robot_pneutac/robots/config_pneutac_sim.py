@@ -3,9 +3,11 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from lerobot.cameras import CameraConfig
 from lerobot.robots import RobotConfig
 
 from lerobot_robot_pneutac.options import (
+    check_cameras,
     check_choice,
     check_conditions,
     check_networks,
@@ -14,7 +16,7 @@ from lerobot_robot_pneutac.options import (
     check_twin_folder,
     refuse_if,
 )
-from pneutac_sim.features import FIDELITIES, RENDERS, task_names
+from pneutac_sim.features import CONTROL_HZ, FIDELITIES, RENDERS, task_names
 
 
 @RobotConfig.register_subclass("pneutac_sim")
@@ -41,6 +43,8 @@ class PneutacSimConfig(RobotConfig):
             few demonstrations; 0 takes random starts as they come.
         bend: actions command the finger's bend, `bend.pos` in rad, in place of the pressure; the twin finds
             the pressure for it. On the stand-in it takes the twin that was calibrated to it.
+        cameras: scene cameras, such as {front: {type: pneutac_scene, width: 320, height: 240, fps: 15}}.
+        randomise_look: light, colours and texture of the scene are drawn anew in every episode.
     """
 
     task: str = "switch"
@@ -54,6 +58,8 @@ class PneutacSimConfig(RobotConfig):
     standin: bool = False
     spread: int = 0
     bend: bool = False
+    cameras: dict[str, CameraConfig] = field(default_factory=dict)
+    randomise_look: bool = False
 
     def __post_init__(self):
         super().__post_init__()
@@ -69,6 +75,13 @@ class PneutacSimConfig(RobotConfig):
             self.bend and self.standin and self.twin is None,
             "--robot.bend=true on the stand-in needs --robot.twin, the twin that was calibrated to it.",
         )
+        for name, camera in self.cameras.items():
+            refuse_if(
+                (camera.type, camera.fps) != ("pneutac_scene", CONTROL_HZ),
+                f"--robot.cameras: '{name}' is of type {camera.type} at {camera.fps} fps; the simulated robot"
+                f" has cameras of type pneutac_scene at {CONTROL_HZ} fps.",
+            )
+        check_cameras("robot.cameras", self.sizes)
         check_range("robot.pressure_range_kpa", self.pressure_range_kpa)
         check_station("robot.station", self.station)
         refuse_if(
@@ -79,3 +92,8 @@ class PneutacSimConfig(RobotConfig):
             " --robot.conditions, --robot.render, --robot.pressure_range_kpa and --robot.station out, or the"
             " stand-in.",
         )
+
+    @property
+    def sizes(self) -> dict[str, tuple[int, int]]:
+        """Height and width of each camera's picture, px."""
+        return {name: (int(c.height or 0), int(c.width or 0)) for name, c in self.cameras.items()}

@@ -26,6 +26,7 @@ from pneutac_sim.features import (
     action_limits,
 )
 from pneutac_sim.twin import Twin
+from pneutac_sim.world.look import SceneCameras
 from pneutac_sim.world.scene import OBJECT_GROUP
 
 AREA = STATE_NAMES.index("contact_area.pos")
@@ -53,7 +54,7 @@ class PneutacSim(BaseRobot):
     Attributes:
         world: the world, while connected.
         successes: for each finished episode whether the task was done when the scene started afresh.
-        cameras: empty; the tactile image comes with the observation.
+        cameras: the scene cameras' options; their pictures, as the tactile image, come with the observation.
     """
 
     config_class = PneutacSimConfig
@@ -61,9 +62,14 @@ class PneutacSim(BaseRobot):
     def __init__(self, config: PneutacSimConfig):
         super().__init__(config)
         self.config = config
-        self.cameras: dict = {}
+        self.cameras = config.cameras
         self.world = None
         self.successes: list[bool] = []
+
+    @property
+    def observation_features(self) -> dict[str, type | tuple]:
+        """Those of every robot of the plugin, then the scene cameras."""
+        return super().observation_features | {n: (*size, 3) for n, size in self.config.sizes.items()}
 
     @property
     def is_connected(self) -> bool:
@@ -76,15 +82,16 @@ class PneutacSim(BaseRobot):
             raise DeviceAlreadyConnectedError(f"{self} is already connected.")
         write_info_whole()
         self.world = _world(self.config)
+        self._scene = SceneCameras(self.world, self.config.sizes, self.config.randomise_look)
         self._spread = self._starts()
         self._begin(self.config.seed)
         _connected.append(self)
 
     def get_observation(self) -> dict[str, Any]:
-        """The present state (floats) and tactile image, uint8 (320, 240, 3)."""
+        """The present state (floats), tactile image uint8 (320, 240, 3), and scene cameras' pictures."""
         self._need_world()
         state = zip(STATE_NAMES, self._observation.state.tolist(), strict=True)
-        return dict(state) | {IMAGE_NAME: self._observation.tactile}
+        return dict(state) | {IMAGE_NAME: self._observation.tactile} | self._scene.pictures()
 
     def send_action(self, action: dict[str, Any]) -> dict[str, float]:
         """Moves the world on by one control step.
@@ -134,6 +141,7 @@ class PneutacSim(BaseRobot):
         if self._spread:
             self._seed = seed = self._spread.next()
         self._observation = self.world.reset(seed)
+        self._scene.begin(seed)
         self._moved, self._touched, self._frames = False, 0, 0
         if self.config.bend:
             twin = Twin.load(self.config.twin) if self.config.twin else Twin.builtin()

@@ -57,6 +57,7 @@ class StandinWorld:
         target_m: where the flange is sent (3,), metres.
         out_of_range: always 0; networks have a range, this has none.
         touch: last touch: `image`, `pixels`, `area`, a control step late.
+        view: draws the scene, for `render` and scene cameras.
         model, data: MuJoCo's, for experts and tests.
     """
 
@@ -86,7 +87,7 @@ class StandinWorld:
         mujoco.mj_setConst(self.model, self.data)
         self.touch = GelTouch(self.model, touch, contact_threshold)
         self._finger = RodBody(self.model, self.data)
-        self._ik, self._view = CartesianIK(), View(self.model)
+        self._ik, self.view = CartesianIK(), View(self.model)
         self._arm = slice(0, len(JOINT_NAMES))
         self._pad = self.model.geom("pad").id
         self._rng, self._noise = np.random.default_rng(), np.random.default_rng(0)
@@ -224,11 +225,11 @@ class StandinWorld:
 
     def render(self, width: int = 480, height: int = 360) -> np.ndarray:
         """Picture of the scene with the tactile image in a corner, uint8 (height, width, 3)."""
-        return self._view.picture(self.data, self.touch.image, width, height)
+        return self.view.picture(self.data, self.touch.image, width, height)
 
     def close(self) -> None:
         """Frees the renderer."""
-        self._view.close()
+        self.view.close()
 
 
 def standin_env(

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import mujoco
 
 from pneutac_sim.features import CONTROL_HZ
-from pneutac_sim.world import panda
+from pneutac_sim.world import cameras, panda
 from pneutac_sim.world.tasks import Task
 
 SUBSTEPS = 50  # 1.33 ms
@@ -93,8 +93,9 @@ def build(
            specular=".2 .2 .2"/>
     <light pos=".3 -.9 .9" dir=".2 .9 -.6" cutoff="60" diffuse=".16 .16 .18" castshadow="false"/>
     <camera name="close" pos=".37 -.50 .31" xyaxes=".968 -.252 0 .057 .219 .974"/>
+    {cameras.fixed()}
     <geom name="table" type="plane" size="0 0 .1" material="table" contype="2" conaffinity="1"/>
-    {arm(finger.body)}
+    {arm(finger.body + cameras.on_flange())}
     {task.mjcf()}
   </worldbody>
   <actuator>{servos()}{finger.actuators}{task.actuators()}</actuator>

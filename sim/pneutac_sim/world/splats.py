@@ -1,6 +1,7 @@
 """The finger of a world by its twin's own splats, over MuJoCo's picture of everything else."""
 
 from dataclasses import replace
+from typing import override
 
 import mujoco
 import numpy as np
@@ -39,17 +40,24 @@ class SplatView(View):
         skin = np.isin(model.geom_bodyid, self._finger.links[:-1]) & np.isin(model.geom_group, SEEN_GROUPS)
         model.geom_group[skin] = SKIN_GROUP
 
-    def _scene(self, data: mujoco.MjData, width: int, height: int) -> np.ndarray:
+    @override
+    def _start(self) -> None:
         if self._gl is None:
             try:
                 self._gl = Renderer(self._model)
             except Exception as e:  # every platform and driver fails in its own way
                 raise no_gl(e) from e
-        bare, behind = self._gl.render_depth(data, width, height, SEEN_GROUPS, shadows=False)
-        whole, nearest = self._gl.render_depth(data, width, height, (*SEEN_GROUPS, SKIN_GROUP))
+
+    @override
+    def scene(self, data: mujoco.MjData, camera: str, width: int, height: int) -> np.ndarray:
+        self._start()
+        assert self._gl is not None
+        size = (data, width, height)
+        bare, behind = self._gl.render_depth(*size, SEEN_GROUPS, shadows=False, camera=camera)
+        whole, nearest = self._gl.render_depth(*size, (*SEEN_GROUPS, SKIN_GROUP), camera=camera)
         scene = np.where((nearest < behind - APART_M)[..., None], bare, whole)
-        camera = camera_of(self._model, data, width, height)
-        image, alpha, depth = self._finger.picture(data, camera)
+        at = camera_of(self._model, *size, camera)
+        image, alpha, depth = self._finger.picture(data, at)
         share = alpha * ((behind - depth) / EDGE_M + 0.5).clip(0, 1)
         front = image / np.maximum(alpha, 1e-6)[..., None]
         mixed = share[..., None] * 255 * front + (1 - share)[..., None] * scene
@@ -128,9 +136,11 @@ def _looks(twin: Twin) -> tuple[Gaussians, np.ndarray | None]:
     return looks, away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 0.3 * body.spacing_m)
 
 
-def camera_of(model: mujoco.MjModel, data: mujoco.MjData, width: int, height: int) -> Camera:
+def camera_of(
+    model: mujoco.MjModel, data: mujoco.MjData, width: int, height: int, name: str = CAMERA
+) -> Camera:
     """MuJoCo's camera as the rasteriser takes it; MuJoCo's looks along -z with y upwards."""
-    cam = model.camera(CAMERA)
+    cam = model.camera(name)
     axes = data.cam_xmat[cam.id].reshape(3, 3) * [1, -1, -1]  # right, down, forwards
     view = np.eye(4)
     view[:3, :3], view[:3, 3] = axes.T, -axes.T @ data.cam_xpos[cam.id]

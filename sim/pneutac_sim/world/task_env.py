@@ -1,5 +1,8 @@
 """A world as a Gymnasium environment, in the layout that LeRobot expects of a simulator."""
 
+from collections.abc import Mapping
+from types import MappingProxyType
+
 import gymnasium
 import numpy as np
 from gymnasium import spaces
@@ -11,6 +14,7 @@ from pneutac_sim.features import (
     action_limits,
     state_limits,
 )
+from pneutac_sim.world.look import SceneCameras
 from pneutac_sim.world.observation import Observation
 
 
@@ -18,9 +22,9 @@ class TaskEnv(gymnasium.Env):
     """The task of a world as a Gymnasium environment; reward 1 on the step that succeeds.
 
     Observation: `agent_pos` (20,) float32 as `features.STATE_NAMES` and, where the world has an image,
-    `pixels/tactile` uint8 (320, 240, 3). Action: (4,) float32 as `features.ACTION_NAMES`. An episode
-    terminates on success and on failure; `info` has `is_success`, `failure` (text, empty where none),
-    `clipped` and `out_of_range`, see `World`.
+    `pixels/tactile` uint8 (320, 240, 3); of each scene camera `pixels/NAME`. Action: (4,) float32 as
+    `features.ACTION_NAMES`. An episode terminates on success and on failure; `info` has `is_success`,
+    `failure` (text, empty where none), `clipped` and `out_of_range`, see `World`.
 
     Attributes:
         world: the world inside, for experts and tests.
@@ -37,6 +41,8 @@ class TaskEnv(gymnasium.Env):
         render_mode: str | None = "rgb_array",
         render_width: int = 480,
         render_height: int = 360,
+        cameras: Mapping[str, tuple[int, int]] = MappingProxyType({}),
+        randomise_look: bool = False,
     ):
         """An environment of a world.
 
@@ -46,6 +52,11 @@ class TaskEnv(gymnasium.Env):
             render_mode: `rgb_array` or None.
             render_width: pixels of `render()`.
             render_height: pixels of `render()`.
+            cameras: scene cameras to height and width of their pictures, such as {"front": (240, 320)}.
+            randomise_look: draws light, colours and texture of the scene anew in every episode.
+
+        Raises:
+            InputError: as `SceneCameras`.
         """
         self.world, self._begun = world, False
         self.task, self.task_description = world.task.name, world.task.description
@@ -53,10 +64,12 @@ class TaskEnv(gymnasium.Env):
         self._render_size = (render_width, render_height)
         self.action_space = spaces.Box(*action_limits(world.pressure_range_kpa), dtype=np.float32)
         state = spaces.Box(*state_limits(world.pressure_range_kpa), dtype=np.float32)
-        observation = {"agent_pos": state}
-        if touch == "image":
-            image = spaces.Box(0, 255, IMAGE_SHAPE, np.uint8)
-            observation = {"pixels": spaces.Dict({IMAGE_NAME: image}), **observation}
+        self._cameras = SceneCameras(world, cameras, randomise_look)
+        shapes = {IMAGE_NAME: IMAGE_SHAPE} if touch == "image" else {}
+        shapes |= {name: (*size, 3) for name, size in cameras.items()}
+        pixels = {name: spaces.Box(0, 255, shape, np.uint8) for name, shape in shapes.items()}
+        observation = {"pixels": spaces.Dict(pixels)} if pixels else {}
+        observation |= {"agent_pos": state}
         self.observation_space = spaces.Dict(observation)
 
     def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[dict, dict]:
@@ -68,6 +81,7 @@ class TaskEnv(gymnasium.Env):
         if seed is None and not self._begun:
             seed = int(self.np_random.integers(2**31))
         self._begun = True
+        self._cameras.begin(seed)
         return self._observation(self.world.reset(seed)), self._info()
 
     def step(self, action: np.ndarray) -> tuple[dict, float, bool, bool, dict]:
@@ -86,9 +100,9 @@ class TaskEnv(gymnasium.Env):
         self.world.close()
 
     def _observation(self, o: Observation) -> dict:
-        if o.tactile is None:
-            return {"agent_pos": o.state}
-        return {"pixels": {IMAGE_NAME: o.tactile}, "agent_pos": o.state}
+        touch = {} if o.tactile is None else {IMAGE_NAME: o.tactile}
+        pixels = touch | self._cameras.pictures()
+        return ({"pixels": pixels} if pixels else {}) | {"agent_pos": o.state}
 
     def _info(self) -> dict:
         return {

@@ -32,23 +32,33 @@ class View:
 
     def picture(self, data: mujoco.MjData, tactile: np.ndarray | None, width: int, height: int) -> np.ndarray:
         """Picture uint8 (height, width, 3) of the state; `data` must have its kinematics up to date."""
-        image = self._scene(data, width, height)
+        image = self.scene(data, CAMERA, width, height)
         if tactile is not None:
             _inset(image, tactile)
         return image
 
-    def _scene(self, data: mujoco.MjData, width: int, height: int) -> np.ndarray:
+    def scene(self, data: mujoco.MjData, camera: str, width: int, height: int) -> np.ndarray:
+        """Picture uint8 (height, width, 3) from a camera of the model, without the inset."""
+        self._start()
+        if self._gl is not None:
+            return self._gl.render_depth(data, width, height, SEEN_GROUPS, camera=camera)[0]
+        from pneutac_sim.world.drawing import draw
+
+        return draw(self._model, data, camera, width, height)
+
+    def _start(self) -> None:
         if self._gl is None and not self._failed:
             try:
                 self._gl = Renderer(self._model)
             except Exception as e:  # every platform and driver fails in its own way
                 logger.warning("No OpenGL (%s): pictures are drawn from the kinematics instead.", e)
                 self._failed = True
-        if self._gl is not None:
-            return self._gl.render(data, width, height)
-        from pneutac_sim.world.drawing import draw
 
-        return draw(self._model, data, CAMERA, width, height)
+    def upload_texture(self, name: str) -> None:
+        """Takes a texture of the model that was changed."""
+        self._start()
+        if self._gl is not None:
+            self._gl.upload_texture(name)
 
     def close(self) -> None:
         """Frees the renderer; a later picture starts it again."""
@@ -74,7 +84,7 @@ def gl_context(model: mujoco.MjModel):
 
 
 def require_gl() -> None:
-    """Raises InputError where no OpenGL starts for splats."""
+    """Raises InputError where no OpenGL starts for splats and scene cameras."""
     try:
         gl_context(mujoco.MjModel.from_xml_string("<mujoco/>")).free()
     except Exception as e:  # every platform and driver fails in its own way
@@ -82,10 +92,11 @@ def require_gl() -> None:
 
 
 def no_gl(reason: Exception) -> InputError:
-    """What to do where splats find no OpenGL."""
+    """What to do where splats or scene cameras find no OpenGL."""
     return InputError(
-        f"Splats are drawn over MuJoCo's picture, which needs OpenGL, and none starts ({reason}); install "
-        "one, on Debian and Ubuntu by `apt install libegl1 libgl1-mesa-dri`, or choose render=mesh."
+        f"Splats and scene cameras are drawn with MuJoCo's picture, which needs OpenGL, and none starts"
+        f" ({reason}); install one, on Debian and Ubuntu by `apt install libegl1 libgl1-mesa-dri`, or choose"
+        " render=mesh and no scene cameras."
     )
 
 
@@ -100,21 +111,30 @@ class Renderer:
         self._scene = mujoco.MjvScene(model, maxgeom=500)
         self._camera = mujoco.MjvCamera()
         self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
-        self._camera.fixedcamid = model.camera(CAMERA).id
         self._option = mujoco.MjvOption()
         # A perspective of far planes: readPixels gives 1 at the near plane and 0 at the far one.
         self._mjr.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR.value
 
-    def render(self, data: mujoco.MjData, width: int, height: int) -> np.ndarray:
-        """The visible geoms, uint8 (height, width, 3)."""
-        return self.render_depth(data, width, height, SEEN_GROUPS)[0]
+    def upload_texture(self, name: str) -> None:
+        """Takes a texture of the model anew."""
+        self._context.make_current()
+        mujoco.mjr_uploadTexture(self._model, self._mjr, self._model.texture(name).id)
 
     def render_depth(
-        self, data: mujoco.MjData, width: int, height: int, groups: Collection[int], shadows: bool = True
+        self,
+        data: mujoco.MjData,
+        width: int,
+        height: int,
+        groups: Collection[int],
+        shadows: bool = True,
+        camera: str = CAMERA,
     ) -> tuple[np.ndarray, np.ndarray]:
         """The geoms of some groups: image uint8 (height, width, 3) and depth (height, width) in m."""
+        self._camera.fixedcamid = self._model.camera(camera).id
         self._option.geomgroup[:] = [g in groups for g in range(mujoco.mjNGROUP)]
         self._context.make_current()
+        # The headlight is where the camera is before the update, which would be that of the last picture.
+        mujoco.mjv_updateCamera(self._model, data, self._camera, self._scene)
         mujoco.mjv_updateScene(
             self._model, data, self._option, None, self._camera, mujoco.mjtCatBit.mjCAT_ALL.value, self._scene
         )

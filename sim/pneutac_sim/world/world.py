@@ -59,6 +59,7 @@ class World(Senses):
         out_of_range: number of steps since the reset in which a state of the finger or a contact lay outside
             what the networks were trained with.
         touch: last touch: `depth_mm`, `image`, `pixels`, `area`.
+        view: draws the scene, for `render` and scene cameras.
         model, data: MuJoCo's, for planners, experts and tests.
     """
 
@@ -124,7 +125,7 @@ class World(Senses):
         self.sensor = TactileSensor(self.twin)
         self.touch = Touch(self.model, self.sensor, touch, gel)
         self._ik = CartesianIK()
-        self._view = drawn(render, self.model, self.twin, self.sensor if touch == "image" else None)
+        self.view = drawn(render, self.model, self.twin, self.sensor if touch == "image" else None)
         self._rng = np.random.default_rng()
         self._flange = self.model.site("flange").id
         self._gel = self.model.site("gel").id
@@ -306,13 +307,13 @@ class World(Senses):
 
     def render(self, width: int = 480, height: int = 360) -> np.ndarray:
         """Picture of the scene with the tactile image in a corner, uint8 (height, width, 3)."""
-        return self._view.picture(self.data, self.touch.image, width, height)
+        return self.view.picture(self.data, self.touch.image, width, height)
 
     @property
     def renders_with_gl(self) -> bool:
         """Whether the last picture came from OpenGL; False before the first one and where it is drawn."""
-        return self._view.uses_gl
+        return self.view.uses_gl
 
     def close(self) -> None:
         """Frees the renderer."""
-        self._view.close()
+        self.view.close()

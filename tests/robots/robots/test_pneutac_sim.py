@@ -5,10 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from draccus.utils import DecodingError
+from lerobot.cameras.opencv import OpenCVCameraConfig
 from lerobot.rollout.context import HardwareContext
 from lerobot.rollout.strategies import core
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
+from lerobot_robot_pneutac.cameras.config_pneutac_scene import PneutacSceneConfig
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.pneutac_sim import HOME_RADIUS_M, PneutacSim
 from lerobot_robot_pneutac.standin.world import StandinWorld
@@ -66,6 +68,22 @@ def test_observation_is_what_the_features_say(make_robot):
     assert all(isinstance(observation[name], float) for name in STATE_NAMES)
     assert observation["tactile"].shape == (320, 240, 3)
     assert observation["tactile"].dtype == np.uint8
+
+
+def test_scene_cameras_are_features_of_the_size_that_is_asked(make_robot):
+    robot = make_robot(cameras={"front": PneutacSceneConfig(width=64, height=48)}, fidelity="probe")
+    assert robot.observation_features["front"] == (48, 64, 3) and len(robot.cameras) == 1
+    before = robot.get_observation()["front"]
+    assert before.shape == (48, 64, 3) and before.dtype == np.uint8
+    for _ in range(5):
+        robot.send_action(act(dy=0.1, pressure=9.0))
+    assert (np.abs(robot.get_observation()["front"].astype(int) - before).max(-1) > 40).any()
+
+
+def test_a_real_camera_cannot_see_the_scene():
+    real = OpenCVCameraConfig(index_or_path=0, width=640, height=480, fps=30)
+    with pytest.raises(DecodingError, match="'front' is of type opencv at 30 fps; the simulated robot has"):
+        PneutacSimConfig(cameras={"front": real})
 
 
 def test_an_action_moves_the_flange_by_its_velocity_for_a_control_step(make_robot):

@@ -1,0 +1,85 @@
+"""Scene cameras and looks of the scene drawn at random."""
+
+import gymnasium
+import numpy as np
+import pytest
+
+import pneutac_sim  # noqa: F401  registers the environments
+from pneutac_sim.errors import InputError
+from pneutac_sim.world.cameras import SCENE_CAMERAS
+from pneutac_sim.world.look import SceneCameras
+from pneutac_sim.world.world import World
+
+SMALL = dict.fromkeys(SCENE_CAMERAS, (48, 64))
+
+
+@pytest.fixture(scope="module")
+def world():
+    world = World("switch", touch="none")
+    yield world
+    world.close()
+
+
+def make(**options):
+    return gymnasium.make("pneutac_sim/switch", fidelity="probe", **options)
+
+
+def test_pictures_are_in_the_observation_and_the_episode_is_the_same():
+    plain, seen = make(), make(cameras=SMALL, randomise_look=True)
+    before, after = plain.reset(seed=3)[0], seen.reset(seed=3)[0]
+    assert set(before["pixels"]) == {"tactile"} and set(after["pixels"]) == {"tactile", *SCENE_CAMERAS}
+    for _ in range(5):
+        action = np.array([0.05, 0, -0.03, 9.0], np.float32)
+        before, after = plain.step(action)[0], seen.step(action)[0]
+        assert seen.observation_space.contains(after)
+        assert np.array_equal(before["agent_pos"], after["agent_pos"])
+        assert np.array_equal(before["pixels"]["tactile"], after["pixels"]["tactile"])
+    plain.close(), seen.close()
+
+
+def test_wrist_goes_with_the_flange_and_the_others_stay(world):
+    world.reset(1)
+    cameras, model, data = SceneCameras(world, SMALL), world.model, world.data
+    cameras.pictures()
+    before = {n: data.cam_xpos[model.camera(n).id].copy() for n in SMALL}
+    flange = world.flange_m
+    for _ in range(10):
+        world.step([0.0, 0.1, 0.05, 0.0])
+    cameras.pictures()
+    moved = {n: data.cam_xpos[model.camera(n).id] - before[n] for n in SMALL}
+    np.testing.assert_allclose(moved.pop("wrist"), world.flange_m - flange, atol=1e-3)
+    assert not np.any(list(moved.values()))
+
+
+def test_every_camera_sees_the_finger_bend(world):
+    world.reset(1)
+    cameras = SceneCameras(world, SMALL)
+    straight = cameras.pictures()
+    for _ in range(10):
+        world.step([0.0, 0.0, 0.0, 12.0])
+    bent = cameras.pictures()
+    changed = {n: (np.abs(bent[n].astype(int) - straight[n]).max(-1) > 40).mean() for n in SMALL}
+    assert all(0.002 < share < 0.3 for share in changed.values()), changed
+    alone = SceneCameras(world, {"front": (48, 64)}).pictures()  # lit from here, not from where wrist is
+    assert np.array_equal(alone["front"], bent["front"])
+
+
+def test_the_seed_decides_the_look_and_every_episode_has_another(world):
+    cameras = SceneCameras(world, {"front": (48, 64)}, randomise_look=True)
+
+    def look(seed):
+        world.reset(5)
+        cameras.begin(seed)
+        return cameras.pictures()["front"].astype(float)
+
+    first, second, again, other = look(5), look(None), look(5), look(6)
+    assert np.array_equal(first, again)
+    for different in (second, other):
+        assert np.abs(different - first).mean() > 5
+
+
+def test_what_the_scene_does_not_have_is_named(world):
+    with pytest.raises(InputError, match="no camera 'back' in the scene; choose of front, side, wrist"):
+        SceneCameras(world, {"back": (48, 64)})
+    with pytest.raises(InputError, match="1281 px wide"):
+        SceneCameras(world, {"front": (48, 1281)})
