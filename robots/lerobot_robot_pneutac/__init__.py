@@ -5,6 +5,7 @@ Only configurations are imported here; what they configure is imported when it i
 
 from lerobot_robot_pneutac.cameras.config_digit import DigitConfig
 from lerobot_robot_pneutac.cameras.config_digit_generated import DigitGeneratedConfig
+from lerobot_robot_pneutac.cameras.config_elastomer import ElastomerConfig
 from lerobot_robot_pneutac.cameras.config_pneutac_scene import PneutacSceneConfig
 from lerobot_robot_pneutac.env import PneutacEnvConfig, PneutacStandinConfig
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import PneutacBCConfig
@@ -18,6 +19,7 @@ from lerobot_robot_pneutac.teleoperators.config_pneutac_spacemouse import Pneuta
 __all__ = [
     "DigitConfig",
     "DigitGeneratedConfig",
+    "ElastomerConfig",
     "PneutacBCConfig",
     "PneutacConfig",
     "PneutacEnvConfig",

@@ -26,6 +26,7 @@ from pneutac_datasets.demonstrations.episodes import (
 )
 from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError
+from pneutac_sim.features import IMAGE_SHAPE
 from pneutac_sim.progress import Progress, no_progress
 
 
@@ -58,6 +59,11 @@ def pool_demonstrations(
                 f"'{meta.root}' has {meta.fps} frames per second and '{metas[0].root}' has {metas[0].fps}; "
                 "give datasets of equal rate."
             )
+    if tuple(features[TACTILE]["shape"]) != IMAGE_SHAPE:
+        raise InputError(
+            f"'{metas[0].root}': the images '{TACTILE}' are {tuple(features[TACTILE]['shape'])}; only"
+            f" {IMAGE_SHAPE} are made smaller."
+        )
     features[TACTILE] = {**features[TACTILE], "dtype": "image", "shape": POOLED_SHAPE}
     features[PREVIOUS_ACTION] = dict(features[ACTION])
     total, done = sum(meta.total_episodes for meta in metas), 0

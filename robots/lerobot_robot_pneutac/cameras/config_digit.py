@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from lerobot.cameras import CameraConfig
 
+from lerobot_robot_pneutac.cameras.framing import framed
 from lerobot_robot_pneutac.options import refuse_if
 
 # What the sensor streams: width and height of its own, lying image in px, and frame rates in Hz.
@@ -23,8 +24,11 @@ class DigitConfig(CameraConfig):
         led: brightness of the red, green and blue LEDs, 0 (off) to 15.
         frozen_s: seconds without a new image after which reading says that the sensor hangs. A working one
             never sends the same image twice: the pixels are noisy.
-        width: follows from the resolution.
-        height: follows from the resolution.
+        rotation: clockwise, 0, 90, 180 or 270 degrees, of a sensor that is mounted otherwise.
+        crop: shares cut off at top, bottom, left and right of the turned image.
+        mirror: whether left and right are exchanged.
+        width: columns of the image, to which it is scaled; follows from the resolution where it is left out.
+        height: rows of the image; likewise.
     """
 
     serial: str
@@ -32,6 +36,9 @@ class DigitConfig(CameraConfig):
     fps: int = 30
     led: tuple[int, int, int] = (MAX_LED, MAX_LED, MAX_LED)
     frozen_s: float = 0.5
+    rotation: int = 0
+    crop: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    mirror: bool = False
 
     def __post_init__(self):
         refuse_if(
@@ -51,10 +58,5 @@ class DigitConfig(CameraConfig):
             not self.frozen_s > 2 / self.fps,
             f"frozen_s of the DIGIT is {self.frozen_s}; it must exceed two frames, {2 / self.fps:.3f} s.",
         )
-        size = (rows, columns)  # handed out upright
-        refuse_if(
-            (self.width or size[0], self.height or size[1]) != size,
-            f"The DIGIT's image is {size[0]} px wide and {size[1]} px high in {self.resolution};"
-            f" leave out width {self.width} and height {self.height}.",
-        )
-        self.width, self.height = size
+        # Its lying image is handed out upright, `columns` high.
+        self.framing = framed("the DIGIT", self, columns, rows)

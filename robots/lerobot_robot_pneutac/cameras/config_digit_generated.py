@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from lerobot.cameras import CameraConfig
 
+from lerobot_robot_pneutac.cameras.framing import SMALLEST_PX
 from lerobot_robot_pneutac.options import refuse_if
 from pneutac_sim.features import IMAGE_SHAPE
 
@@ -17,8 +18,8 @@ class DigitGeneratedConfig(CameraConfig):
         fps: frames per second.
         press_period_s: a ball of radius 4 mm comes and goes once in this time; 0 for no ball.
         press_depth_mm: depth to which the ball comes.
-        width: columns of an image, 240 as a DIGIT's.
-        height: rows of an image, 320 as a DIGIT's.
+        width: columns of an image; a DIGIT's has 240, and others are scaled from it.
+        height: rows of an image; a DIGIT's has 320.
     """
 
     fps: int = 30
@@ -29,8 +30,9 @@ class DigitGeneratedConfig(CameraConfig):
 
     def __post_init__(self):
         refuse_if(
-            (self.height, self.width) != IMAGE_SHAPE[:2],
-            f"digit_generated is {self.width} wide and {self.height} high; it must be 240 and 320 px.",
+            min(self.height, self.width) < SMALLEST_PX,
+            f"digit_generated is {self.width} wide and {self.height} high; it must have {SMALLEST_PX} px each"
+            " way at least.",
         )
         refuse_if(
             not (self.fps > 0 and self.press_period_s >= 0 and self.press_depth_mm >= 0),

@@ -16,7 +16,7 @@ from lerobot.cameras.opencv import OpenCVCamera, OpenCVCameraConfig
 from lerobot.utils.decorators import check_if_already_connected
 from lerobot.utils.errors import DeviceNotConnectedError
 
-from lerobot_robot_pneutac.cameras.config_digit import DigitConfig
+from lerobot_robot_pneutac.cameras.config_digit import STREAMS, DigitConfig
 from lerobot_robot_pneutac.cameras.digit_devices import DigitDevice, find_digits
 from lerobot_robot_pneutac.hardware.parts import HardwareFault
 from pneutac_sim.errors import InputError
@@ -28,7 +28,7 @@ START_S = 1.0  # a USB camera's first image may take longer than those after it
 
 
 class Digit(OpenCVCamera):
-    """Images are RGB uint8, 320 rows and 240 columns in QVGA, upright as the simulated sensor's.
+    """Images are RGB uint8, 320 rows and 240 columns in QVGA, upright as the simulated sensor's, or as asked.
 
     Every reading method raises `HardwareFault` once the sensor is unplugged, or has sent no new image for
     `frozen_s`.
@@ -39,12 +39,13 @@ class Digit(OpenCVCamera):
 
     def __init__(self, config: DigitConfig):
         # The device path is known only when the serial number has been looked up.
+        columns, rows, _ = STREAMS[config.resolution]
         super().__init__(
             OpenCVCameraConfig(
                 index_or_path=Path(),
                 fps=config.fps,
-                width=config.width,
-                height=config.height,
+                width=rows,
+                height=columns,
                 rotation=Cv2Rotation.ROTATE_270,
                 backend=Cv2Backends.V4L2,
             )
@@ -152,7 +153,7 @@ class Digit(OpenCVCamera):
         if not any(self.options.led) or self._raw is None or not np.array_equal(image, self._raw):
             self._new_image_s = time.perf_counter()
         self._raw = image
-        return result
+        return self.options.framing.apply(result)
 
     @property
     def _patience_s(self) -> float:

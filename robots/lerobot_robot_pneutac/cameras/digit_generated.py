@@ -9,6 +9,7 @@ from lerobot.cameras import Camera
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
 from lerobot_robot_pneutac.cameras.config_digit_generated import DigitGeneratedConfig
+from lerobot_robot_pneutac.cameras.framing import Framing
 
 BALL_RADIUS_M = 0.004
 
@@ -50,11 +51,11 @@ class DigitGenerated(Camera):
         self._start_s = time.perf_counter()
 
     def read(self) -> np.ndarray:
-        """Waits for the next frame; uint8 (320, 240, 3)."""
+        """Waits for the next frame; uint8 (height, width, 3)."""
         return self.async_read(timeout_ms=2000 / self.fps)
 
     def async_read(self, timeout_ms: float = 200) -> np.ndarray:
-        """The newest frame not yet handed out, uint8 (320, 240, 3).
+        """The newest frame not yet handed out, uint8 (height, width, 3).
 
         Raises:
             TimeoutError: it comes later than `timeout_ms`.
@@ -68,7 +69,7 @@ class DigitGenerated(Camera):
         return self._image(self._last)
 
     def read_latest(self, max_age_ms: int = 500) -> np.ndarray:
-        """The newest frame at once, uint8 (320, 240, 3)."""
+        """The newest frame at once, uint8 (height, width, 3)."""
         return self._image(math.floor(self._time_s() * self.fps))
 
     def disconnect(self) -> None:
@@ -83,7 +84,7 @@ class DigitGenerated(Camera):
 
     def _image(self, frame: int) -> np.ndarray:
         """The gel at a frame's time; its first row has noise of one level, so that no two are the same."""
-        image = self._gel(frame / self.fps)
+        image = Framing(size=(self.config.height, self.config.width)).apply(self._gel(frame / self.fps))
         image[0] ^= np.random.default_rng(abs(frame)).integers(0, 2, image[0].shape, np.uint8)
         return image
 

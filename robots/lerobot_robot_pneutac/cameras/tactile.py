@@ -16,16 +16,17 @@ class Tactile:
     """The camera behind the gel.
 
     Args:
-        camera: gives RGB frames uint8 of `features.IMAGE_SHAPE`.
+        camera: gives RGB frames uint8 of one size.
+        shape: (H, W, 3) of them.
         threshold_levels: of contact, see `pneutac_sim.gel.contact.contact_area`.
 
     Attributes:
-        camera, threshold_levels: see above.
+        camera, threshold_levels, shape: see above.
         rest_image: mean of the first frames, once connected.
     """
 
-    def __init__(self, camera: Camera, threshold_levels: float):
-        self.camera, self.threshold_levels = camera, threshold_levels
+    def __init__(self, camera: Camera, threshold_levels: float, shape: tuple[int, int, int] = IMAGE_SHAPE):
+        self.camera, self.threshold_levels, self.shape = camera, threshold_levels, shape
         self._live = LiveCamera(camera, IMAGE_NAME)
 
     def connect(self) -> None:
@@ -35,22 +36,21 @@ class Tactile:
             HardwareFault: frames have another shape, or differ from each other as by a touch.
         """
         self.camera.connect()
-        self.rest_image = _checked(capture_rest_image(self.camera, REST_FRAMES))
+        self.rest_image = self._checked(capture_rest_image(self.camera, REST_FRAMES))
         self.contact(self.rest_image)  # compiles before anything moves
 
     def read(self) -> np.ndarray:
-        """The newest frame uint8 (320, 240, 3); raises HardwareFault as `LiveCamera.latest`."""
-        return _checked(self._live.latest())
+        """The newest frame uint8 (H, W, 3); raises HardwareFault as `LiveCamera.latest`."""
+        return self._checked(self._live.latest())
 
     def contact(self, image: np.ndarray) -> ContactArea:
         """Contact of an image against the rest image."""
         return contact_area(image, self.rest_image, self.threshold_levels)
 
-
-def _checked(image: np.ndarray) -> np.ndarray:
-    if image.shape != IMAGE_SHAPE or image.dtype != np.uint8:
-        raise HardwareFault(
-            f"The tactile camera gives {image.dtype} frames of shape {image.shape}; the robot needs uint8"
-            f" {IMAGE_SHAPE}, upright as a DIGIT's in QVGA."
-        )
-    return image
+    def _checked(self, image: np.ndarray) -> np.ndarray:
+        if image.shape != self.shape or image.dtype != np.uint8:
+            raise HardwareFault(
+                f"The tactile camera gives {image.dtype} frames of shape {image.shape}; the robot was told"
+                f" uint8 {self.shape} by --robot.digit.height and --robot.digit.width."
+            )
+        return image

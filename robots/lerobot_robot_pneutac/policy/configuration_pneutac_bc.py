@@ -111,10 +111,10 @@ class PneutacBCConfig(PreTrainedConfig):
         _need_shape(inputs, OBS_STATE, (len(STATE_NAMES),))
         _need_shape(outputs, ACTION, (len(ACTION_NAMES),))
         if self.use_tactile:
-            full, pooled = ((s[2], *s[:2]) for s in (IMAGE_SHAPE, POOLED_SHAPE))
-            if TACTILE in inputs and tuple(inputs[TACTILE].shape) == pooled:  # of a dataset; robots give all
-                inputs[TACTILE] = replace(inputs[TACTILE], shape=full)
-            _need_shape(inputs, TACTILE, full)
+            if TACTILE in inputs:  # a dataset may hold means; robots give all pixels
+                inputs[TACTILE] = replace(inputs[TACTILE], shape=_whole(tuple(inputs[TACTILE].shape)))
+            if len(self.image_shape) != 3 or self.image_shape[0] != IMAGE_SHAPE[2]:
+                _need_shape(inputs, TACTILE, (IMAGE_SHAPE[2], *IMAGE_SHAPE[:2]))
         # Other cameras, and without touch this one too, are not looked at; robots need not have them.
         used = (TACTILE,) if self.use_tactile else ()
         self.input_features = {
@@ -122,6 +122,21 @@ class PneutacBCConfig(PreTrainedConfig):
             for k, f in inputs.items()
             if k != PREVIOUS_ACTION and (f.type is not FeatureType.VISUAL or k in used)
         }
+
+    @property
+    def image_shape(self) -> tuple[int, ...]:
+        """Channels, height and width of the tactile image; () where there is none."""
+        found = (self.input_features or {}).get(TACTILE)
+        return () if found is None else tuple(found.shape)
+
+    def check_size(self, shape: tuple[int, ...], where: str) -> None:
+        """Raises InputError where tactile images (3, H, W) of a file or dataset are of another size."""
+        if self.image_shape and _whole(shape) != _whole(self.image_shape):
+            raise InputError(
+                f"{where}: the tactile images are {shape[2]} x {shape[1]} px and this policy takes"
+                f" {self.image_shape[2]} x {self.image_shape[1]}; give the camera that width and height, or"
+                " train anew with --policy.type=pneutac_bc."
+            )
 
     def check_dataset(self, meta) -> None:
         """Raises InputError where a dataset cannot train this policy.
@@ -163,10 +178,17 @@ class PneutacBCConfig(PreTrainedConfig):
             if TACTILE not in meta.features:
                 raise InputError(f"{where} has no '{TACTILE}'; record it, or use --policy.use_tactile=false.")
             found = tuple(meta.features[TACTILE]["shape"])
-            if found not in (IMAGE_SHAPE, POOLED_SHAPE):
+            if len(found) != 3 or found[2] != IMAGE_SHAPE[2]:
                 raise InputError(
-                    f"{where}: '{TACTILE}' has the shape {found}; pneutac_bc needs {IMAGE_SHAPE}."
+                    f"{where}: '{TACTILE}' has the shape {found}; pneutac_bc needs RGB such as {IMAGE_SHAPE}."
                 )
+            self.check_size((found[2], *found[:2]), where)
+
+
+def _whole(shape: tuple[int, ...]) -> tuple[int, ...]:
+    """Shape (3, H, W) of the images of which a dataset holds means, or its own."""
+    full, pooled = ((s[2], *s[:2]) for s in (IMAGE_SHAPE, POOLED_SHAPE))
+    return full if shape == pooled else shape
 
 
 def _where_not_finite(meta, key: str) -> str:

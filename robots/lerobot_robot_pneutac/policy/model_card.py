@@ -9,7 +9,7 @@ from lerobot.configs.train import TrainPipelineConfig
 from lerobot.utils.constants import ACTION, OBS_STATE
 
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import TACTILE, PneutacBCConfig
-from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, ACTION_NAMES, IMAGE_SHAPE, STATE_NAMES
+from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, ACTION_NAMES, STATE_NAMES
 
 _STATE_UNITS = {
     "contact_area.pos": "share of the image's pixels that are in contact",
@@ -110,7 +110,7 @@ def _features(
     unused = () if config.use_tactile else ("contact_area.pos", "contact_pixels.pos")
     rows = [(OBS_STATE, f"`{n}`", unit(n) + (" (not looked at)" if n in unused else "")) for n in STATE_NAMES]
     if config.use_tactile:
-        h, w, c = IMAGE_SHAPE
+        c, h, w = config.image_shape
         rows.append((TACTILE, f"{w} x {h} pixels, {c} channels, RGB", "0 to 1"))
     return rows + [
         (ACTION, f"`{n}`", f"{_ACTION_UNITS.get(n, 'm/s')}, {low:g} to {high:g}")

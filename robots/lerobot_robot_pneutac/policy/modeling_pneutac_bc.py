@@ -25,6 +25,7 @@ from pneutac_sim.features import ACTION_NAMES, STATE_NAMES
 _CONTACT = [STATE_NAMES.index("contact_area.pos"), STATE_NAMES.index("contact_pixels.pos")]
 _PRESSURE = STATE_NAMES.index("pressure.pos")
 HIDDEN = 256
+REST = "encoder.rest_image"
 BEFORE_0_2 = ("_action_centre", "_action_high", "_action_low", "_action_scale")  # not in older files
 
 
@@ -60,7 +61,7 @@ class PneutacBCPolicy(PreTrainedPolicy):
             self._demonstrations = Demonstrations.of(dataset_meta)
             self._dataset_rest = rest_image_of(dataset_meta) if config.use_tactile else None
 
-        self.encoder = TactileEncoder() if config.use_tactile else None
+        self.encoder = TactileEncoder(config.image_shape) if config.use_tactile else None
         channels = [i for i in range(len(STATE_NAMES)) if config.use_tactile or i not in _CONTACT]
         self.register_buffer("_channels", torch.tensor(channels), persistent=False)
         # Saved with the weights, which mean nothing with another scale.
@@ -87,6 +88,8 @@ class PneutacBCPolicy(PreTrainedPolicy):
                 kind of sensor.
         """
         with safe_open(model_file, "pt") as file:
+            if model.encoder is not None and REST in file.keys():
+                model.config.check_size(tuple(file.get_slice(REST).get_shape()), str(model_file))
             other = sorted(set(file.keys()) ^ set(model.state_dict()))
         if other == sorted(BEFORE_0_2):  # their actions were those of the paper's finger
             paper = Scaling.paper().tensors()
@@ -107,7 +110,7 @@ class PneutacBCPolicy(PreTrainedPolicy):
         return model
 
     def learn_from(self, demonstrations: Demonstrations, rest: Tensor | None) -> None:
-        """Takes another dataset's rest image (3, 320, 240), None without touch, and its name for the card.
+        """Takes another dataset's rest image (3, H, W), None without touch, and its name for the card.
 
         Raises:
             InputError: the rest image cannot be of the kind of sensor that the policy knows.
@@ -162,7 +165,7 @@ class PneutacBCPolicy(PreTrainedPolicy):
             batch: `action` (B, 2, 4), the previous and the present one; `action_is_pad` (B, 2), true where
                 there is none; with `previous_action_in_data` instead `action` (B, 4) and
                 `observation.previous_action` (B, 4); `observation.state` (B, 20); the tactile image
-                (B, 3, 320, 240) in [0, 1].
+                (B, 3, H, W) in [0, 1].
 
         Returns:
             loss, and its two terms by name.

@@ -28,7 +28,7 @@ def rest_image_of(*metas) -> torch.Tensor:
         *metas: LeRobotDatasetMetadata of the dataset with tactile images, or of several as if merged.
 
     Returns:
-        (3, 320, 240) float32 in [0, 1].
+        (3, H, W) float32 in [0, 1].
 
     Raises:
         InputError: an image cannot be read.

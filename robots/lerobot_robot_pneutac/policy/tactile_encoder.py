@@ -4,7 +4,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from lerobot_robot_pneutac.policy.configuration_pneutac_bc import POOL, POOLED_SHAPE
+from lerobot_robot_pneutac.policy.configuration_pneutac_bc import POOLED_SHAPE
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import IMAGE_SHAPE
 
@@ -15,19 +15,22 @@ DRIFT = 0.5, 2.0  # of brightness; beyond these a camera is covered, which must 
 
 
 class TactileEncoder(nn.Module):
-    """|image - rest| at 80 x 60, through three strided convolutions to a 64-D embedding.
+    """|image - rest| at 80 x 60, through three strided convolutions to a 64-D embedding; lying at 60 x 80.
 
     Pixels are averaged before the sign is dropped: a camera's noise then averages out, where the mean of its
     absolute value would look like a light touch everywhere. Each channel of the rest image is brought to the
     image's brightness first, since light and exposure drift by more than a light touch changes.
 
     Attributes:
-        rest_image: (3, 320, 240) in [0, 1]; NaN until it is known.
+        rest_image: (3, H, W) in [0, 1]; NaN until it is known.
     """
 
-    def __init__(self):
+    def __init__(self, shape: tuple[int, int, int] = (IMAGE_SHAPE[2], *IMAGE_SHAPE[:2])):
+        """An encoder of images of a shape (3, H, W)."""
         super().__init__()
-        h, w, c = IMAGE_SHAPE
+        c, h, w = shape
+        small = POOLED_SHAPE[:2]
+        self._small = small if h >= w else small[::-1]
         self.register_buffer("rest_image", torch.full((c, h, w), torch.nan))
         self.layers = nn.Sequential(
             nn.Conv2d(c, 16, 5, stride=2, padding=2),
@@ -45,17 +48,17 @@ class TactileEncoder(nn.Module):
         return self.layers(difference.abs())
 
     def difference(self, image: Tensor) -> Tensor:
-        """Image less rest (B, 3, 80, 60), of size 1 in a firm touch.
+        """Image less rest (B, 3, 80, 60), lying ones (B, 3, 60, 80), of size 1 in a firm touch.
 
         Args:
-            image: (B, 3, 320, 240) in [0, 1], or (B, 3, 80, 60) where its pixels are means already.
+            image: (B, 3, H, W) in [0, 1], or (B, 3, 80, 60) where its pixels are means already.
 
         The brightness is the median ratio to the rest image: a touch covers less than half of the image.
 
         Raises:
             InputError: the images have another shape, or there is no rest image.
         """
-        pooled = tuple(image.shape[1:]) == (POOLED_SHAPE[2], *POOLED_SHAPE[:2])
+        pooled = tuple(image.shape[1:]) == (POOLED_SHAPE[2], *self._small)
         if not pooled and image.shape[1:] != self.rest_image.shape:
             raise InputError(
                 f"The tactile image has the shape {tuple(image.shape[1:])}; pneutac_bc needs"
@@ -65,7 +68,14 @@ class TactileEncoder(nn.Module):
             raise InputError(
                 "The policy has no rest image: train it on a dataset with tactile images or load its weights."
             )
-        seen = image if pooled else F.avg_pool2d(image, POOL)
-        rest = F.avg_pool2d(self.rest_image[None], POOL)
+        seen = image if pooled else self._pool(image)
+        rest = self._pool(self.rest_image[None])
         gain = (seen / rest.clamp_min(DARK)).flatten(2).median(2).values.clamp(*DRIFT)[..., None, None]
         return (seen - gain * rest) / DIFFERENCE_SCALE
+
+    def _pool(self, image: Tensor) -> Tensor:
+        """Means of (B, 3, H, W) over cells, 4 x 4 pixels of a DIGIT's."""
+        (h, w), (rows, columns) = image.shape[2:], self._small
+        if h % rows == 0 and w % columns == 0:
+            return F.avg_pool2d(image, (h // rows, w // columns))
+        return F.adaptive_avg_pool2d(image, self._small)

@@ -40,9 +40,14 @@ class BaseRobot(Robot):
     name = "pneutac"
 
     @property
+    def image_shape(self) -> tuple[int, int, int]:
+        """Height, width and channels of the tactile image."""
+        return IMAGE_SHAPE
+
+    @property
     def observation_features(self) -> dict[str, type | tuple]:
         """Every scalar of the state in order, then the tactile image."""
-        return dict.fromkeys(STATE_NAMES, float) | {IMAGE_NAME: IMAGE_SHAPE}
+        return dict.fromkeys(STATE_NAMES, float) | {IMAGE_NAME: self.image_shape}
 
     @property
     def action_features(self) -> dict[str, type]:

@@ -45,7 +45,8 @@ class PneutacConfig(RobotConfig):
         arm: `--robot.arm.type=panda --robot.arm.ip=...`, or `simulated` for a dry run.
         pressure: `--robot.pressure.type=pneutac_serial --robot.pressure.port=/dev/ttyACM0`, for example.
         limits: kept below any policy; the set-points are the twin's where none are given.
-        digit: the tactile camera, any camera type of LeRobot's, `--robot.digit.type=digit` for example.
+        digit: the tactile camera: `--robot.digit.type=digit`, `elastomer` for any other under a gel, or any
+            camera type of LeRobot's; its image keeps its size.
         twin: folder of the sensor's calibrated twin; its gel's contact threshold makes `contact_area.pos` and
             `contact_pixels.pos` the same as on `pneutac_sim` with that twin. Without it they are those of the
             built-in twin. Its `pressure_range_kpa` bounds the set-points.
@@ -75,6 +76,10 @@ class PneutacConfig(RobotConfig):
             ("digit", self.digit, "digit"),
         ):
             refuse_if(not given, f"--robot.{name}.type is missing; give --robot.{name}.type={example}.")
+        refuse_if(
+            not (self.digit.width and self.digit.height),
+            f"--robot.digit.width and height are missing; give the size in which '{self.digit.type}' sends.",
+        )
         try:
             self.pressure.make()  # opens nothing
         except InputError as e:

@@ -57,8 +57,13 @@ class Pneutac(BaseRobot):
         self._arm = config.arm.make()
         self._pressure = config.pressure.make()
         self.cameras = make_cameras_from_configs({IMAGE_NAME: config.digit} | config.cameras)
-        self._tactile = Tactile(self.cameras[IMAGE_NAME], config.threshold_levels())
+        self._tactile = Tactile(self.cameras[IMAGE_NAME], config.threshold_levels(), self.image_shape)
         self._scene = {name: LiveCamera(self.cameras[name], name) for name in config.cameras}
+
+    @property
+    def image_shape(self) -> tuple[int, int, int]:
+        """Height, width and channels of the tactile image, as the camera's options say."""
+        return self.config.digit.height, self.config.digit.width, 3
 
     @property
     def observation_features(self) -> dict[str, type | tuple]:

@@ -59,7 +59,8 @@ def test_refused_settings_and_old_firmware_are_said(sensor, connected):
         ({"fps": 60, "resolution": "VGA"}, "VGA has 15 and 30"),
         ({"led": (0, 16, 0)}, "from 0 to 15"),
         ({"frozen_s": 0.05}, "exceed two frames"),
-        ({"width": 320, "height": 240}, "240 px wide and 320 px high"),
+        ({"width": 320}, "the DIGIT has width 320 and height None; give both, or neither for 240 x 320 px"),
+        ({"rotation": 30}, "rotation of the DIGIT is 30"),
     ],
 )
 def test_bad_options_are_one_sentence(options, text):
@@ -79,6 +80,13 @@ def test_image_is_upright_rgb_as_the_simulated_one(sensor, connected):
     image = connected(warmup=True).read()
     assert image.shape == IMAGE_SHAPE and image.dtype == np.uint8
     assert any(np.array_equal(image, noisy.astype(np.uint8)) for noisy in sensor.noisy)
+
+
+def test_a_large_image_is_scaled_to_the_simulated_sensors(sensor, connected):
+    image = connected(warmup=True, width=120, height=160, mirror=True).read()
+    assert image.shape == (160, 120, 3)
+    half = cv2.resize(sensor.upright[:, ::-1].astype(np.uint8), (120, 160), interpolation=cv2.INTER_AREA)
+    assert np.abs(image.astype(int) - half).mean() < 2  # noise
 
 
 def test_background_reading_keeps_the_sensors_pace_and_hands_out_the_newest(sensor, connected):

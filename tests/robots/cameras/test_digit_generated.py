@@ -76,7 +76,7 @@ def test_frames_come_at_the_cameras_pace(clock):
 
 
 def test_bad_options_are_one_sentence():
-    with pytest.raises(DecodingError, match="must be 240 and 320"):
-        DigitGeneratedConfig(width=320, height=240)
+    with pytest.raises(DecodingError, match="must have 32 px"):
+        DigitGeneratedConfig(width=320, height=20)
     with pytest.raises(DecodingError, match="press_period_s -1"):
         DigitGeneratedConfig(press_period_s=-1)

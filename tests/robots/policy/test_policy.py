@@ -108,8 +108,8 @@ def test_bad_options_are_named(options, said):
 
 
 def test_features_that_do_not_fit_are_named():
-    with pytest.raises(InputError, match=r"tactile' has the shape \(3, 240, 320\)"):
-        PneutacBCPolicy(make_config(image=(3, 240, 320)))
+    with pytest.raises(InputError, match=r"tactile' has the shape \(1, 320, 240\)"):
+        PneutacBCPolicy(make_config(image=(1, 320, 240)))
     with pytest.raises(InputError, match="use_tactile=false"):
         PneutacBCPolicy(make_config(image=None))
     config = make_config()
@@ -124,8 +124,29 @@ def test_datasets_that_do_not_fit_are_named(tmp_path):
     swapped = [STATE_NAMES[1], STATE_NAMES[0], *STATE_NAMES[2:]]
     with pytest.raises(InputError, match=r"'observation.state' has the names \['joint_2.pos', 'joint_1.pos'"):
         make_policy(PneutacBCConfig(device="cpu"), write_dataset(tmp_path / "a", [100], state_names=swapped))
-    with pytest.raises(InputError, match=r"shape \(3, 240, 320\)|shape \(240, 320, 3\)"):
-        make_policy(PneutacBCConfig(device="cpu"), write_dataset(tmp_path / "b", [100], shape=(240, 320, 3)))
+
+
+def test_images_keep_their_size_and_weights_of_another_size_are_named(tmp_path):
+    mini = write_dataset(tmp_path / "mini", [100, 120], shape=(240, 320, 3))
+    policy = make_policy(PneutacBCConfig(device="cpu"), mini)
+    assert policy.encoder.rest_image.shape == (3, 240, 320)
+    batch = make_batch(2) | {TACTILE: torch.rand(2, 3, 240, 320)}
+    loss, _ = policy.forward(batch)
+    loss.backward()
+    assert policy.encoder.layers[0].weight.grad.abs().max() > 0
+    policy.save_pretrained(tmp_path / "policy")
+    assert "320 x 240 pixels" in (tmp_path / "policy" / "README.md").read_text()
+    path = tmp_path / "policy"
+    tuned = make_policy(PneutacBCConfig(device="cpu", pretrained_path=path), mini)
+    assert tuned.encoder.rest_image.shape == (3, 240, 320)
+    digit = write_dataset(tmp_path / "digit", [100])
+    said = "safetensors: the tactile images are 320 x 240 px and this policy takes 240 x 320; give the camera"
+    with pytest.raises(InputError, match=said):
+        make_policy(PneutacBCConfig(device="cpu", pretrained_path=path), digit)
+    with pytest.raises(
+        InputError, match="'local/digit': the tactile images are 240 x 320 px and this policy"
+    ):
+        make_policy(PreTrainedConfig.from_pretrained(path), digit)
 
 
 def test_processors_leave_numbers_alone_whatever_the_statistics():
