@@ -25,8 +25,10 @@ if TYPE_CHECKING:
     from lerobot_pneutac.verbs.compare import compare
     from lerobot_pneutac.verbs.comparison import Comparison
     from lerobot_pneutac.verbs.control import Control, control
+    from lerobot_pneutac.verbs.design import Design, design
     from lerobot_pneutac.verbs.diagnose import diagnose
     from lerobot_pneutac.verbs.diagnosis import Diagnosis
+    from lerobot_pneutac.verbs.learn import Learning, learn
     from pneutac_datasets.recording.recording import Recording
     from pneutac_sim.errors import InputError
     from pneutac_sim.twin import Twin
@@ -41,15 +43,19 @@ _MODULES = {
     "Comparison": "lerobot_pneutac.verbs.comparison",
     "control": "lerobot_pneutac.verbs.control",
     "Control": "lerobot_pneutac.verbs.control",
+    "design": "lerobot_pneutac.verbs.design",
+    "Design": "lerobot_pneutac.verbs.design",
     "diagnose": "lerobot_pneutac.verbs.diagnose",
     "Diagnosis": "lerobot_pneutac.verbs.diagnosis",
+    "learn": "lerobot_pneutac.verbs.learn",
+    "Learning": "lerobot_pneutac.verbs.learn",
     "add": "lerobot_pneutac.verbs.add",
     "Addition": "lerobot_pneutac.verbs.add",
 }
 
 __all__ = [
-    "Addition", "Calibration", "Comparison", "Control", "Diagnosis", "InputError", "Recording", "Twin",
-    "add", "calibrate", "compare", "control", "diagnose",
+    "Addition", "Calibration", "Comparison", "Control", "Design", "Diagnosis", "InputError", "Learning",
+    "Recording", "Twin", "add", "calibrate", "compare", "control", "design", "diagnose", "learn",
 ]  # fmt: skip
 
 

@@ -15,6 +15,7 @@ TABLES = {
     "augment": "pneutac_benchmarks.augment",
     "policy": "pneutac_benchmarks.policy.main",
     "speed": "pneutac_benchmarks.speed.main",
+    "experiments": "pneutac_benchmarks.experiments",
     "robustness": "pneutac_benchmarks.robustness.main",
 }
 

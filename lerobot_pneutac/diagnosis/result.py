@@ -53,6 +53,22 @@ class Rival:
 
 
 @dataclass
+class Contender:
+    """A model that a search fitted well, and how likely it is beside the others.
+
+    Attributes:
+        twin: as fitted.
+        terms: effects beside how the device bends; empty where that is all.
+        probability: share of the draws of blocks in which it has the least error on what its fit did not see,
+            by Laplace's rule.
+    """
+
+    twin: Twin
+    terms: tuple[str, ...]
+    probability: float
+
+
+@dataclass
 class Outcome:
     """Everything that a search found.
 
@@ -70,6 +86,7 @@ class Outcome:
         seconds: wall time.
         chosen_in: effect to the share of split seeds that chose it.
         base_model: how the device bends before any effect, in numbers.
+        contenders: the final model, its nearest others, and the twin as it is, re-fitted; empty for gels.
     """
 
     before: FittedModel
@@ -85,3 +102,4 @@ class Outcome:
     seconds: float
     chosen_in: dict[str, float] = field(default_factory=dict)
     base_model: dict = field(default_factory=dict)
+    contenders: list[Contender] = field(default_factory=list)

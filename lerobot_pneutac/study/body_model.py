@@ -252,14 +252,16 @@ class BodyFitter:
 
     def data(self, reading: Reading) -> BodyData:
         """The whole recording, read so."""
-        if reading not in self._data:
+        data = self._data.get(reading)
+        if data is None:
             if len(self._data) > 60:
-                self._data.clear()
+                self._data.clear()  # other threads may be in here as well
             switch = np.array(reading.switch) if isinstance(reading.switch, tuple) else reading.switch
-            self._data[reading] = BodyData.of(
+            data = BodyData.of(
                 self.recording, self.twin, reading.source, reading.target, reading.start, switch
             )
-        return self._data[reading]
+            self._data[reading] = data
+        return data
 
     def twin_with(self, joints: int) -> Twin:
         """The twin with so many joints, in the middle of equal segments where that is not its own number."""

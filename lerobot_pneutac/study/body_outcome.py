@@ -9,9 +9,10 @@ import numpy as np
 
 from lerobot_pneutac.diagnosis.experiment import predict
 from lerobot_pneutac.diagnosis.model import FittedModel
-from lerobot_pneutac.diagnosis.result import Outcome, Rival, Tested
+from lerobot_pneutac.diagnosis.result import Contender, Outcome, Rival, Tested
 from lerobot_pneutac.diagnosis.search import Scored
 from lerobot_pneutac.diagnosis.verdict import Evidence, decide
+from lerobot_pneutac.study.body_model import BodyModel
 from lerobot_pneutac.study.body_search import BodySearch, Searched, left_to_black_box
 from lerobot_pneutac.study.reading import read
 from pneutac_sim.effects.laws import family, is_law, starts
@@ -21,13 +22,15 @@ from pneutac_sim.finger.data import BodyData
 if TYPE_CHECKING:
     from lerobot_pneutac.study.body import BodyStudy
 
+MOST_OTHERS = 4  # contenders beside the final model and the bare device
+
 
 def body_outcome(
     study: "BodyStudy", search: BodySearch, start: Scored, done: Searched, began: float
 ) -> Outcome:
     """What a search ended with, judged on test blocks; `began` by `time.perf_counter`."""
     before = study.fitted(start.model)
-    after = _after(study, done, before)
+    after = _after(study, done, done.model.model)
     helps = search.judge.drop(start.crossed, done.model.crossed)[1] > 0
     helps = helps and study.test.value(after.squared) < study.test.value(before.squared)
     if not helps:
@@ -51,20 +54,22 @@ def body_outcome(
         seconds=time.perf_counter() - began,
         chosen_in=done.chosen_in,
         base_model=_base(done) if helps else {},
+        contenders=_contenders(study, search, start, done if helps else None),
     )
 
 
-def _after(study: "BodyStudy", done: Searched, before: FittedModel) -> FittedModel:
+def _after(study: "BodyStudy", done: Searched, model: BodyModel) -> FittedModel:
+    """A model of the body, with the air that was found where the measured pressure drove it."""
     if not done.driven:
-        return study.fitted(done.model.model)
-    body = study.twin_with(done.model.model)
+        return study.fitted(model)
+    body = study.twin_with(model)
     assert done.air is not None
     air = study.twin_with(done.air.final.model)
     body.effects = body.effects | {k: v for k, v in air.effects.items() if get_effect(k).of_air}
     return FittedModel(
         effects=tuple(body.effects),
         residual=study.residual(body),
-        count=len(done.model.model.free),
+        count=len(model.free),
         twin=body,
     )
 
@@ -78,6 +83,36 @@ def _ladder(study: "BodyStudy", done: Searched, after: FittedModel) -> list[tupl
         )
         had |= set(s.model.form.effects)
     return [*out[:-1], ("all that was found", after)]
+
+
+def _contenders(
+    study: "BodyStudy", search: BodySearch, start: Scored, done: Searched | None
+) -> list[Contender]:
+    """The final model, up to `MOST_OTHERS` others of other physics, and the twin as it is, re-fitted.
+
+    Others are those that the search weighed where it accepted its last terms.
+    """
+    if done is None:
+        return [Contender(study.fitted(start.model).twin, (), 1.0)]
+    known = {*done.space.base, *study.own}
+    others = [s for rivals in reversed(done.found.rivals) for s in sorted(rivals, key=lambda s: s.value)]
+    kinds = {_kinds(done.model, known), frozenset()}
+    scored = [done.model]
+    for s in [*reversed(done.found.path), *others]:
+        if _kinds(s, known) not in kinds and len(scored) <= MOST_OTHERS:
+            kinds.add(_kinds(s, known))
+            scored.append(s)
+    errors = np.stack([search.judge.mse(s.crossed) for s in [*scored, start]])
+    best = np.bincount(errors.argmin(axis=0), minlength=len(errors)) / errors.shape[1]
+    # A share of few blocks is no certainty (Laplace's rule).
+    share = (best * search.judge.units + 1) / (search.judge.units + len(errors))
+    twins = [_after(study, done, s.model).twin for s in scored] + [study.fitted(start.model).twin]
+    terms = [tuple(e for e in s.model.form.effects if e not in known) for s in scored] + [()]
+    return [Contender(t, e, float(p)) for t, e, p in zip(twins, terms, share, strict=True)]
+
+
+def _kinds(scored: Scored, known: set[str]) -> frozenset[str]:
+    return frozenset(family(e) for e in scored.model.form.effects if e not in known)
 
 
 def _base(done: Searched) -> dict:

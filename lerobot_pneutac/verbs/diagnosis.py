@@ -10,6 +10,7 @@ from lerobot_pneutac.diagnosis.result import Outcome, Tested
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.reports.sentences import how_sure, lead, next_experiment, not_explained, percent
 from lerobot_pneutac.study.base import EffectStudy
+from lerobot_pneutac.verbs.contenders import save_contenders
 from lerobot_pneutac.verbs.found import BEFORE, FOUND
 from lerobot_pneutac.verbs.result import Result, command_on
 from pneutac_sim.twin import Twin
@@ -190,9 +191,13 @@ class Diagnosis(Result):
         }
 
     def save(self, folder: str | Path) -> "Diagnosis":
-        """Writes the twins before and after into folders of `folder`, for `add --from`; returns where."""
+        """Writes twins into folders of `folder`; returns the result that knows where.
+
+        Those before and after are for `add --from`, those of all contenders for `design`.
+        """
         self.study.twin_of(self.outcome.before).save(Path(folder) / BEFORE)
         self.twin.save(Path(folder) / FOUND)
+        save_contenders(folder, self.outcome.contenders)
         return replace(self, saved_to=Path(folder))
 
     def page(self) -> Report:

@@ -70,6 +70,23 @@ def plan(rng: np.random.Generator, chambers: int, minutes: float, quiet: bool = 
     return _joined([made[i] for i in order], [kinds[i] for i in order], pauses)
 
 
+def given(programs: list[tuple[str, np.ndarray, np.ndarray]], pause_s: float) -> Plan:
+    """What somebody else commands one chamber.
+
+    Args:
+        programs: name, times (n,) from 0 in s, and shares of the top pressure (n,), held from their times on.
+        pause_s: rest before each program but the first.
+    """
+    trials = []
+    for _, time_s, share in programs:
+        t = np.arange(round(time_s[-1] / DT_S) + 1) * DT_S
+        latest = np.searchsorted(time_s, t + 1e-9, side="right") - 1
+        new = np.r_[True, np.diff(share) != 0]
+        sent = np.asarray(time_s)[np.maximum.accumulate(np.where(new, np.arange(len(share)), 0))]
+        trials.append((np.asarray(share, float)[latest][:, None], sent[latest]))
+    return _joined(trials, [name for name, *_ in programs], [0.0, *[pause_s] * (len(programs) - 1)])
+
+
 def _joined(trials, programs, pauses) -> Plan:
     command, sent, starts, ends, at = [], [], [], [], 0
     for (c, s), pause in zip(trials, pauses, strict=True):

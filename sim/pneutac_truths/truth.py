@@ -11,6 +11,7 @@ import pandas as pd
 from pneutac_truths import make
 from pneutac_truths.effects import EFFECTS
 from pneutac_truths.effects.heat import room_temperature
+from pneutac_truths.programs import Plan
 from pneutac_truths.seen import in_columns, logged
 from pneutac_truths.world import CHAMBERS, World, stream
 
@@ -102,6 +103,7 @@ def generate(
     minutes: float | None = None,
     tell_noise: bool = True,
     tell_pauses: bool = False,
+    plan: Plan | None = None,
 ) -> Truth:
     """Makes one recording of a device.
 
@@ -114,6 +116,7 @@ def generate(
         minutes: of recording; None takes the usual time of the device.
         tell_noise: whether recording.json states the noise.
         tell_pauses: whether recording.json tells how long the device rested before each trial.
+        plan: what is commanded, see `programs.given`; None draws it.
 
     Raises:
         ValueError: an unknown name, or a gauge's fault without a gauge.
@@ -125,7 +128,7 @@ def generate(
     rng = stream(seed, device, day, "log")
     gauged = bool(faulty) or (stream(seed, "gauge").random() < 0.5 if gauge is None else gauge)
     drawn = make.draw(device, names, seed)
-    w = World.start(device, seed, day, make.MINUTES[device] if minutes is None else minutes)
+    w = World.start(device, seed, day, make.MINUTES[device] if minutes is None else minutes, plan)
     truly, seen = make.run(w, drawn)
     samples = _commands(w, rng)
     noise = {}

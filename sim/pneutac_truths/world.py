@@ -145,10 +145,10 @@ class World:
         self.base_turn = np.zeros((n, 3))
 
     @classmethod
-    def start(cls, device: str, seed: int, day: int, minutes: float) -> "World":
-        """A device before its first trial of the day."""
+    def start(cls, device: str, seed: int, day: int, minutes: float, plan: Plan | None = None) -> "World":
+        """A device before its first trial of the day; None draws what is commanded."""
         body = Body.draw(device, seed)
-        w = cls(body, _planned(device, seed, day, minutes), seed, day)
+        w = cls(body, plan or _planned(device, seed, day, minutes), seed, day)
         if device == "cosserat":
             w.dynamics = {"period_s": body.period_s, "damping": body.damping}
         return w

@@ -19,6 +19,7 @@ pytestmark = pytest.mark.timeout(1200)  # two busy cores; a page takes one or tw
         pytest.param("docs/tutorials/train_on_the_switch.md", marks=[NIGHTLY, pytest.mark.timeout(2400)]),
         pytest.param("docs/how_to/pictures.md", marks=NIGHTLY),
         pytest.param("docs/how_to/photographs.md", marks=NIGHTLY),
+        pytest.param("docs/how_to/ask_the_bench.md", marks=NIGHTLY),
         pytest.param("docs/how_to/command_a_bend.md", marks=NIGHTLY),
         pytest.param("docs/how_to/scene_cameras.md", marks=NIGHTLY),
     ],

@@ -3,9 +3,12 @@
 from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 
-from lerobot_pneutac.study.body_model import BodyModel
+from lerobot_pneutac.study.body_model import BodyFitter, BodyModel, Reading
+from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.twin import Twin
 
 N, F, D = 300, 4, 2
 
@@ -56,3 +59,17 @@ def test_rows_of_no_fold_stay_out_and_count_nothing():
 def test_without_a_free_parameter_nothing_moves():
     model, *_ = linear(0.0, held=range(F))
     np.testing.assert_array_equal(model.crossed(np.arange(N) % 5), model.residual[:, 0] ** 2)
+
+
+def test_a_recording_is_read_though_another_thread_empties_what_was_read(tmp_path):
+    class Emptied(dict):
+        def __setitem__(self, key, value):
+            super().__setitem__(key, value)
+            self.clear()
+
+    t = np.arange(50) / 10
+    table = pd.DataFrame({"trial": 0, "time_s": t, "pressure_cmd_kpa": t, "tip_x_mm": 100.0, "tip_z_mm": t})
+    recording = Recording(tmp_path, {"length_mm": 110.0}, table, "finger")
+    fitter = BodyFitter(recording, Twin.builtin(), np.arange(50))
+    fitter._data = Emptied()
+    np.testing.assert_array_equal(fitter.data(Reading()).measured[:, 1], t)

@@ -1,0 +1,199 @@
+"""`pneutac benchmark experiments`: minutes of recording until it is known what a foreign device does.
+
+Ours, programs at random, and a full standard session, on devices that share nothing with the twin. A device
+is known at the first moment from which on the headline names its physics and another day's error is within
+1.5 times the noise (`diagnosis.rules`). A law that was confirmed and is none of the device's is a wrong one.
+"""
+
+import json
+import os
+import tempfile
+from concurrent.futures import as_completed
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from lerobot_pneutac.diagnosis.design import Choice, Limits, common_programs
+from lerobot_pneutac.verbs.diagnose import diagnose
+from lerobot_pneutac.verbs.learn import Rounds, error_of
+from pneutac_benchmarks.diagnosis.rules import BASE, COUNTS, COUNTS_AS_NEAR, counts, names_right
+from pneutac_benchmarks.tables import markdown, terminal
+from pneutac_datasets.recording.checks import check
+from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.errors import InputError, check_least
+from pneutac_sim.files import write_json, write_text
+from pneutac_sim.twin import Twin
+from pneutac_sim.worker import process_pool
+from pneutac_truths import EFFECTS, generate, write
+from pneutac_truths.programs import given
+from pneutac_truths.world import Body
+
+# Ten of which the grammar has a form, then ten of which it has none.
+LAWS = (
+    "creep_fractional", "hysteresis_preisach", "fill_orifice", "dead_time", "unfolding", "valve_deadband",
+    "mullins", "seam_snap", "self_heating", "balloon_softening",
+)  # fmt: skip
+NO_FORM = (
+    "hunting", "coarse_steps", "stalls", "humidity_swelling", "regulator_zero", "clock_jitter", "marker_slip",
+    "mount_knock", "tracker_freezes", "tracker_outliers",
+)  # fmt: skip
+STRATEGIES = ("ours", "random", "standard")
+PAUSE_S = 120.0
+DRAWN = ("temperature_c", "time_sent_s")  # logged by the draw of a recording, not by every one
+OF_BASE = ("base_tilt", "elongation", "gravity", "payload")
+
+
+@dataclass
+class BenchmarkExperimentsConfig:
+    """Options of `pneutac benchmark experiments`.
+
+    Attributes:
+        out: folder of the table; finished devices in it are not repeated.
+        effects: names of truths, with commas; where left out, ten with a form in the grammar and ten without.
+        seed: of the devices.
+        budget_min: minutes of programs, together.
+        jobs: number of processes; 0 for all cores.
+    """
+
+    out: Path = Path("outputs/benchmark_experiments")
+    effects: tuple[str, ...] = ()
+    seed: int = 41
+    budget_min: float = 10.0
+    jobs: int = 0
+
+    def __post_init__(self):
+        check_least(0, jobs=self.jobs)
+        check_least(2, budget_min=self.budget_min)
+        for name in self.effects:
+            if name not in EFFECTS or "rod" not in EFFECTS[name].devices:
+                raise InputError(
+                    f"effects: there is no truth '{name}' of a rod; give some of {LAWS + NO_FORM}."
+                )
+
+
+class TruthBench:
+    """A rod of `pneutac_truths`, which remembers all that it was driven to before.
+
+    Args:
+        effects: of the device.
+        seed: of the device.
+    """
+
+    hz = 20.0
+
+    def __init__(self, effects: tuple[str, ...], seed: int):
+        self._effects, self._seed, self._programs = effects, seed, []
+        self.pause_s: float | None = None
+        self.range_kpa = (0.0, Body.draw("rod", seed).top_kpa)
+
+    def follow(self, program: Path, out: Path, number: int) -> Recording:
+        """See `lerobot_pneutac.verbs.benches.Bench`."""
+        table = np.genfromtxt(program, delimiter=",", names=True, dtype=None, encoding="utf-8")
+        share = np.round(table["pressure_cmd_kpa"] / self.range_kpa[1], 5)
+        name, self.pause_s = str(table["program"][0]), PAUSE_S if number else None
+        self._programs = [*self._programs[:number], (name, table["time_s"], share)]
+        truth = generate("rod", self._effects, self._seed, plan=given(self._programs, PAUSE_S))
+        write(truth, out)
+        r = Recording.load(out)
+        r = r.keep(r.column("trial") == number)
+        r.samples = r.samples.drop(columns=[c for c in DRAWN if r.has(c)])
+        r.write(out)
+        return Recording.load(out)
+
+
+def benchmark_experiments(cfg: BenchmarkExperimentsConfig) -> None:
+    """Runs what is not there yet, then prints and writes the table."""
+    names = cfg.effects or LAWS + NO_FORM
+    cases = [(name, s) for name in names for s in STRATEGIES]
+    folder = cfg.out / "cases"
+    folder.mkdir(parents=True, exist_ok=True)
+    todo = [(n, s) for n, s in cases if not (folder / f"{n}_{s}.json").is_file()]
+    console = Console()
+    console.print(f"{len(cases)} cases, {len(todo)} to do; Ctrl-C stops, the same command goes on")
+    with process_pool(cfg.jobs or len(os.sched_getaffinity(0))) as pool:
+        futures = [pool.submit(_solve, n, s, cfg.seed, cfg.budget_min, folder) for n, s in todo]
+        for done, future in enumerate(as_completed(futures), 1):
+            console.print(f"{done} of {len(todo)}: {future.result()}", highlight=False)
+    _write_table([json.loads((folder / f"{n}_{s}.json").read_text()) for n, s in cases], cfg.out, console)
+
+
+def _solve(name: str, strategy: str, seed: int, budget_min: float, folder: Path) -> str:
+    with tempfile.TemporaryDirectory() as tmp:
+        other_day = generate("rod", [name], seed, day=2, minutes=4.0, tell_pauses=True)
+        judge, floor = check(Recording.load(write(other_day, Path(tmp) / "2")))[0], other_day.noise_floor
+        twin = Twin("finger", judge.length_mm or 110.0)
+        run = _standard if strategy == "standard" else _rounds
+        steps = run(name, strategy, seed, budget_min, Path(tmp), twin, judge, floor)
+    known = _known_at(name, steps)
+    answer = {"effect": name, "strategy": strategy, "known_min": known, "steps": steps}
+    write_json(folder / f"{name}_{strategy}.json", answer)
+    return f"{name}, {strategy}: {'not known' if known is None else f'known after {known:.1f} min'}"
+
+
+def _standard(name, strategy, seed, budget_min, tmp, twin, judge, floor) -> list[dict]:
+    """The truth's own session of ten minutes, once."""
+    learn = Recording.load(write(generate("rod", [name], seed, day=1, tell_pauses=True), tmp / "1"))
+    d = diagnose(twin, learn, jobs=1, seed=seed)
+    ratio = error_of(d.twin, judge) / floor
+    return [{"min": 10.0, "verdict": d.verdict, "selected": d.selected, "ratio": ratio, "confirmed": []}]
+
+
+def _rounds(name, strategy, seed, budget_min, tmp, twin, judge, floor) -> list[dict]:
+    bench, rng = TruthBench((name,), seed), np.random.default_rng([seed, len(name)])
+    rounds = Rounds(tmp / "rounds", twin, bench, seed, 1, None)
+    steps, spent_s = [], 0.0
+    while True:
+        limits = Limits(*bench.range_kpa, bench.hz, 60 * budget_min - spent_s)
+        choice, ended = rounds.next(limits)
+        if strategy == "random" and rounds.done and not ended:
+            label, kind, t, p = list(common_programs(limits))[
+                rng.integers(len(list(common_programs(limits))))
+            ]
+            choice = Choice(label, kind, t, p, 0.0, 0.0, 0.0, ())
+        if ended or choice is None:
+            return steps
+        r = rounds.drive(choice)
+        spent_s += r.seconds
+        ratio = error_of(Twin.load(tmp / "rounds" / "twin"), judge) / floor
+        steps.append(
+            {
+                "min": spent_s / 60, "verdict": r.verdict, "selected": r.selected, "ratio": ratio,
+                "confirmed": list(r.confirmed_by), "probability": max(r.probabilities.values()),
+                "program": r.program, "foreseen": r.predicted_error and r.predicted_error / r.noise,
+            }
+        )  # fmt: skip
+
+
+def _known_at(name: str, steps: list[dict]) -> float | None:
+    """Minutes from which on it was known, to the end; None where it was not."""
+    physics = [name] if EFFECTS[name].physics else []
+    known = [
+        names_right(physics, s["verdict"], s["selected"], s["ratio"]) and s["ratio"] <= COUNTS_AS_NEAR
+        for s in steps
+    ]
+    if not known or not known[-1]:
+        return None
+    first = len(known) - next((i for i, k in enumerate(reversed(known)) if not k), len(known))
+    return steps[first]["min"]
+
+
+def wrong_ones(answer: dict) -> list[str]:
+    """Effects that were confirmed in the end and are none of the device's."""
+    allowed = [n for n in COUNTS[answer["effect"]] if n != BASE]
+    last = answer["steps"][-1]["confirmed"] if answer["steps"] else []
+    return [e for e in last if e not in OF_BASE and not counts(e, allowed)]
+
+
+def _write_table(answers: list[dict], out: Path, console: Console) -> None:
+    heads = ["device", *(f"{s}, min" for s in STRATEGIES), "confirmed (ours)", "wrong ones"]
+    rows = []
+    for name in dict.fromkeys(a["effect"] for a in answers):
+        of = {a["strategy"]: a for a in answers if a["effect"] == name}
+        minutes = ["-" if of[s]["known_min"] is None else f"{of[s]['known_min']:.1f}" for s in STRATEGIES]
+        last = of["ours"]["steps"][-1]
+        wrong = ", ".join(wrong_ones(of["ours"]))
+        rows.append([name, *minutes, ", ".join(last["confirmed"]) or "-", wrong or "-"])
+    write_text(out / "experiments.md", "\n".join(markdown(heads, rows)) + "\n")
+    console.print(terminal("Minutes until it is known", heads, rows))

@@ -1,0 +1,54 @@
+"""`pneutac design`: chooses the program that tells most about what is missing."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+
+from lerobot_pneutac.cli.options import parse_options
+from lerobot_pneutac.cli.show import show, write
+from lerobot_pneutac.study.pair import load_pair
+from lerobot_pneutac.verbs.design import design
+from pneutac_sim.errors import InputError
+
+
+@dataclass
+class DesignConfig:
+    """Options of `pneutac design`.
+
+    Attributes:
+        twin: folder of the twin that was diagnosed.
+        recording: folder of the recording that was diagnosed.
+        diagnosis: folder that `pneutac diagnose --out=` wrote.
+        out: folder for `program.csv`, `result.json` and `report.html`; nothing is written without it.
+        max_kpa: highest set-point; that of the recording where none is given.
+        min_kpa: lowest set-point; that of the recording, 0 at most, where none is given.
+        budget_s: longest program.
+        program_s: length of a program of the common kinds.
+        hz: samples a second.
+    """
+
+    twin: Path
+    recording: Path
+    diagnosis: Path
+    out: Path | None = None
+    max_kpa: float | None = None
+    min_kpa: float | None = None
+    budget_s: float = 600.0
+    program_s: float = 60.0
+    hz: float = 20.0
+
+    def __post_init__(self):
+        for name in ("budget_s", "program_s", "hz"):
+            if not 0 < getattr(self, name) < float("inf"):
+                raise InputError(f"{name}={getattr(self, name)} must be positive.")
+
+
+def main(argv: list[str]) -> None:
+    """Runs the verb."""
+    cfg, console = parse_options(DesignConfig, argv), Console()
+    twin, recording = load_pair(cfg.twin, cfg.recording, "design")
+    limits = (cfg.max_kpa, cfg.min_kpa, cfg.budget_s, cfg.program_s, cfg.hz)
+    result = design(twin, recording, cfg.diagnosis, *limits)
+    show(result, console)
+    write(result, cfg.out, "design", argv, console)

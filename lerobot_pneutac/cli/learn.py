@@ -1,0 +1,85 @@
+"""`pneutac learn`: asks the bench, program by program, until it is known what a twin lacks."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+
+from lerobot_pneutac.cli.options import parse_options
+from lerobot_pneutac.cli.progress import progress_bar
+from lerobot_pneutac.cli.show import show, write
+from lerobot_pneutac.verbs.benches import Bench, MeasuredBench, StandinBench
+from lerobot_pneutac.verbs.learn import Round, learn
+from lerobot_robot_pneutac.hardware.parts import HardwareFault
+from pneutac_sim.errors import InputError, check_least
+from pneutac_sim.twin import Twin
+
+BENCHES = ("standin", "measure")
+
+
+@dataclass
+class LearnConfig:
+    """Options of `pneutac learn`.
+
+    Attributes:
+        twin: folder of the finger's twin, which is not changed.
+        out: folder of programs, recordings and the learnt twin; a call with a folder that holds rounds goes
+            on after them.
+        bench: `standin`, the finger that stands in for a real one, or `measure`, your bench.
+        measure: YAML file with the options of `pneutac measure` for your bench, without `program` and `out`.
+        budget_min: minutes of programs, together.
+        program_s: length of a program of the common kinds.
+        seed: seed of the choice of what is held out, and of the stand-in's noise.
+        jobs: number of threads of the search; 0 for all cores.
+    """
+
+    twin: Path
+    out: Path
+    bench: str = "standin"
+    measure: Path | None = None
+    budget_min: float = 15.0
+    program_s: float = 60.0
+    seed: int = 0
+    jobs: int = 0
+
+    def __post_init__(self):
+        if self.bench not in BENCHES:
+            raise InputError(f"bench={self.bench} must be one of {', '.join(BENCHES)}.")
+        if (self.bench == "measure") != (self.measure is not None):
+            raise InputError("bench=measure and measure=FILE.yaml, the options of your bench, go together.")
+        check_least(5, program_s=self.program_s)
+
+
+def main(argv: list[str]) -> None:
+    """Runs the verb."""
+    cfg, console = parse_options(LearnConfig, argv), Console()
+    twin = Twin.load(cfg.twin)
+    bench = _bench(cfg)
+
+    def tell(r: Round) -> None:
+        foreseen = "" if r.predicted_error is None else f", foreseen to {r.predicted_error:.3g}"
+        console.print(
+            f"round {r.number}, {r.program} ({r.seconds:.0f} s){foreseen}: {r.error:.3g} {r.unit} (noise "
+            f"{r.noise:.3g}) with {', '.join(r.selected) or 'nothing'}, {r.verdict}",
+            highlight=False,
+        )
+
+    try:
+        with progress_bar(console) as progress:
+            result = learn(
+                twin, bench, cfg.out, budget_s=60 * cfg.budget_min, program_s=cfg.program_s, seed=cfg.seed,
+                jobs=cfg.jobs, progress=progress, on_round=tell,
+            )  # fmt: skip
+    except HardwareFault as e:
+        raise InputError(f"{e} Finished rounds are kept; the same command goes on after them.") from e
+    show(result, console)
+    write(result, cfg.out, "learn", argv, console)
+
+
+def _bench(cfg: LearnConfig) -> Bench:
+    if cfg.measure is None:
+        return StandinBench(cfg.seed)
+    from lerobot_pneutac.measuring.options import MeasureConfig
+
+    options = [f"--config_path={cfg.measure}", f"--out={cfg.out / 'round'}"]
+    return MeasuredBench(parse_options(MeasureConfig, options))

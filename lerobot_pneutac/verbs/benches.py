@@ -1,0 +1,94 @@
+"""What `learn` measures on: the stand-in for a real finger, or the bench itself."""
+
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+import pandas as pd
+
+from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.features import MAX_PRESSURE_KPA
+from pneutac_sim.files import whole
+
+if TYPE_CHECKING:
+    from lerobot_pneutac.measuring.options import MeasureConfig
+
+
+class Bench(Protocol):
+    """A device that follows programs.
+
+    Attributes:
+        range_kpa: lowest and highest set-point.
+        hz: samples a second.
+        pause_s: seconds without pressure before the program that it followed last, since the one before; None
+            where it was rested, or nothing is known.
+    """
+
+    range_kpa: tuple[float, float]
+    hz: float
+    pause_s: float | None
+
+    def follow(self, program: Path, out: Path, number: int) -> Recording:
+        """Drives a program, from rest.
+
+        Args:
+            program: CSV with `time_s`, `pressure_cmd_kpa` and `program`.
+            out: new folder of the recording.
+            number: of programs driven before.
+
+        Raises:
+            HardwareFault: a part failed; the chamber is vented.
+        """
+        ...
+
+
+class StandinBench:
+    """The stand-in's finger, which shares no physics with a twin.
+
+    Args:
+        seed: of the measurement's noise.
+    """
+
+    range_kpa, hz, pause_s = (0.0, MAX_PRESSURE_KPA), 20.0, None
+
+    def __init__(self, seed: int = 0):
+        self._seed = seed
+
+    def follow(self, program: Path, out: Path, number: int) -> Recording:
+        """See `Bench`."""
+        from pneutac_datasets.generate.standin import write_program
+
+        return write_program(out, program, 1000 * self._seed + number)
+
+
+class MeasuredBench:
+    """A finger in front of a camera, on a pressure controller: `pneutac measure`.
+
+    Args:
+        config: its options; `program` and `out` are set for each program.
+    """
+
+    def __init__(self, config: "MeasureConfig"):
+        self._config = config
+        self.range_kpa, self.hz = (config.min_kpa, config.max_kpa), config.hz
+        self.pause_s: float | None = None
+        self._vented_s: float | None = None  # on the clock
+
+    def follow(self, program: Path, out: Path, number: int) -> Recording:
+        """See `Bench`."""
+        from lerobot_pneutac.verbs.measure import measure
+
+        began_s, before_s = time.monotonic() + self._config.rest_s, self._vented_s
+        self.pause_s = None if before_s is None else began_s - before_s
+        recording = measure(replace(self._config, program=str(program), out=out, repeat=1))
+        self._vented_s = time.monotonic()
+        return recording
+
+
+def write_program(file: Path, time_s: np.ndarray, pressure_kpa: np.ndarray, kind: str) -> None:
+    """Writes a program as `pneutac measure --program=` reads it."""
+    table = pd.DataFrame({"time_s": time_s, "pressure_cmd_kpa": pressure_kpa, "program": kind})
+    with whole(file) as part:
+        table.to_csv(part, index=False, float_format="%.6g")

@@ -1,0 +1,150 @@
+"""The next program for the bench: what it separates, what it narrows, where it goes for the first time."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from lerobot_pneutac.diagnosis.design import Choice, Limits, choices
+from lerobot_pneutac.diagnosis.result import Contender
+from lerobot_pneutac.reports.design import design_page
+from lerobot_pneutac.reports.page import Report
+from lerobot_pneutac.reports.sentences import called
+from lerobot_pneutac.verbs.benches import write_program
+from lerobot_pneutac.verbs.contenders import load_contenders
+from lerobot_pneutac.verbs.result import Result
+from pneutac_datasets.recording.noise import noise_floor
+from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.twin import Twin
+
+SHOWN = 8
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Design(Result):
+    """Programs for the bench, the one that tells most for its time first.
+
+    Attributes:
+        twin: that was diagnosed.
+        recording: that was diagnosed.
+        contenders: models in the running.
+        choices: see `lerobot_pneutac.diagnosis.design`.
+        noise: floor of the error.
+        unit: of it.
+    """
+
+    twin: Twin
+    recording: Recording
+    contenders: tuple[Contender, ...]
+    choices: tuple[Choice, ...]
+    noise: float
+    unit: str
+
+    title = "The next experiment"
+
+    def subject(self) -> tuple[Twin, Path]:
+        """The twin and the recording."""
+        return self.twin, self.recording.folder
+
+    @property
+    def best(self) -> Choice:
+        """The program to drive."""
+        return self.choices[0]
+
+    @property
+    def sentence(self) -> str:
+        """What to drive and what it will tell."""
+        c = self.best
+        if c.tells_little:
+            return (
+                "No program within these limits would tell anything more; allow higher pressures or longer "
+                "programs."
+            )
+        likely = self.contenders[0]
+        names = " + ".join(map(called, likely.terms)) or "no effect"
+        return (
+            f"Drive {c.name} ({c.seconds:.0f} s): {c.rivals:.2f} nats between {len(self.contenders)} models, "
+            f"of which {names} is the likeliest ({100 * likely.probability:.0f} %), {c.constants:.1f} nats "
+            f"about its constants, and {100 * c.new:.0f} % of its time where no recording has been."
+        )
+
+    def rows(self) -> list[dict]:
+        """The best programs."""
+        return [
+            {
+                "program": c.name,
+                "s": f"{c.seconds:.0f}",
+                "nats between models": f"{c.rivals:.2f}",
+                "about constants": f"{c.constants:.1f}",
+                "new, %": f"{100 * c.new:.0f}",
+            }
+            for c in self.choices[:SHOWN]
+        ]
+
+    @property
+    def next_command(self) -> str:
+        """To drive it."""
+        return "pneutac measure --program=OUT/program.csv ..."
+
+    def to_dict(self) -> dict:
+        """The content of `result.json`."""
+        return {
+            "program": self.best.name,
+            "kind": self.best.kind,
+            "seconds": self.best.seconds,
+            "nats_between_models": self.best.rivals,
+            "nats_about_constants": self.best.constants,
+            "share_where_nothing_was": self.best.new,
+            "tells_little": self.best.tells_little,
+            "contenders": [{"terms": list(c.terms), "probability": c.probability} for c in self.contenders],
+            "sentence": self.sentence,
+        }
+
+    def report(self, out: str | Path, command: str = "") -> Path:
+        """Writes `program.csv` too."""
+        c = self.best
+        write_program(Path(out) / "program.csv", c.time_s, c.pressure_kpa, c.kind)
+        return super().report(out, command)
+
+    def page(self) -> Report:
+        """The program, and what each model predicts."""
+        return design_page(self)
+
+
+def design(
+    twin: Twin,
+    recording: Recording,
+    diagnosis: str | Path,
+    max_kpa: float | None = None,
+    min_kpa: float | None = None,
+    budget_s: float = 600.0,
+    program_s: float = 60.0,
+    hz: float = 20.0,
+) -> Design:
+    """Chooses the next program for a recording that was diagnosed.
+
+    Args:
+        twin: that was diagnosed.
+        recording: likewise; everything that was measured so far.
+        diagnosis: folder that `pneutac diagnose --out=` wrote.
+        max_kpa: highest set-point; that of the recording where None.
+        min_kpa: lowest one; that of the recording, at most 0, where None.
+        budget_s: longest program.
+        program_s: length of a program of the common kinds.
+        hz: samples a second.
+
+    Raises:
+        InputError: the folder holds no diagnosis of a body, or no program fits the limits.
+    """
+    contenders = load_contenders(diagnosis)
+    command = recording.samples[recording.pressure_columns].to_numpy(float)
+    low = float(min(command.min(), 0.0)) if min_kpa is None else min_kpa
+    limits = Limits(low, float(command.max()) if max_kpa is None else max_kpa, hz, budget_s, program_s)
+    noise = noise_floor(recording)
+    ranked = choices(recording, contenders, noise.value, limits)
+    return Design(
+        twin=twin,
+        recording=recording,
+        contenders=tuple(contenders),
+        choices=tuple(ranked),
+        noise=noise.value,
+        unit=noise.unit,
+    )

@@ -1,0 +1,411 @@
+"""Asks the bench what a twin lacks: measure, search anew on everything, choose the next program, go on."""
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from lerobot_pneutac.diagnosis.design import Choice, Limits, choices, first_program
+from lerobot_pneutac.diagnosis.experiment import predict
+from lerobot_pneutac.diagnosis.joined import joined
+from lerobot_pneutac.diagnosis.result import Contender
+from lerobot_pneutac.diagnosis.verdict import LITTLE
+from lerobot_pneutac.reports.learn import learn_page
+from lerobot_pneutac.reports.page import Report
+from lerobot_pneutac.reports.sentences import called
+from lerobot_pneutac.study.pair import same_body
+from lerobot_pneutac.study.reading import read
+from lerobot_pneutac.verbs.benches import Bench, write_program
+from lerobot_pneutac.verbs.contenders import load_contenders
+from lerobot_pneutac.verbs.diagnose import diagnose
+from lerobot_pneutac.verbs.diagnosis import Diagnosis
+from lerobot_pneutac.verbs.result import Result
+from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.effects.laws import family
+from pneutac_sim.errors import InputError
+from pneutac_sim.files import write_json
+from pneutac_sim.finger.quantities import root_mean
+from pneutac_sim.twin import Twin
+
+CONFIRMS = 1.5  # error over noise, before it was used, up to which a recording confirms what predicted it
+NEEDED = 1.2  # by so much worse it must have been foreseen without a law to confirm that law
+DOUBT = 0.1  # probability that an unconfirmed law is not there, when the next program is chosen
+GIVE_UP = 3  # rounds in a row that explain nothing and lower nothing, after which it ends
+FALLS = 0.9  # of the error over noise: what stays above has not fallen
+KNOWN = ("adequate", "missing_effect")
+
+
+@dataclass(frozen=True)
+class Round:
+    """One program and what it taught.
+
+    Attributes:
+        number: from 0.
+        program: its name.
+        kind: see `Choice`.
+        seconds: of the program.
+        pause_s: see `Bench`.
+        unit: of the errors.
+        noise: floor of the error.
+        predicted_error: of this recording before it was used, by the best model then; None in the first.
+        bare_error: the same by the twin as it was given, re-fitted.
+        without: effect to the same error by the best model without it, gain and offset fitted to favour it.
+        error: on test blocks of everything measured so far, by the best model now.
+        verdict: now.
+        selected: effects found now, the most important first.
+        sentence: what was found.
+        probabilities: each contender's, its terms joined by ` + `.
+        confirmed_by: effect to the number of the round whose recording was predicted with it.
+    """
+
+    number: int
+    program: str
+    kind: str
+    seconds: float
+    pause_s: float | None
+    unit: str
+    noise: float
+    predicted_error: float | None
+    bare_error: float | None
+    without: dict[str, float]
+    error: float
+    verdict: str
+    selected: list[str]
+    sentence: str
+    probabilities: dict[str, float]
+    confirmed_by: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def foreseen(self) -> bool:
+        """Whether this recording was predicted to the noise before it was used."""
+        return self.predicted_error is not None and self.predicted_error <= LITTLE * self.noise
+
+    @property
+    def unconfirmed(self) -> list[str]:
+        """Effects found that no recording confirms."""
+        return [e for e in self.selected if e not in self.confirmed_by]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Learning(Result):
+    """What the bench taught, round by round.
+
+    Attributes:
+        twin: with all that was found; its folder has a version for each round.
+        rounds: in order.
+        ended: why there was no further round, a clause.
+        folder: where everything lies.
+        choice: the last program that was chosen and not driven; None where none was.
+    """
+
+    twin: Twin
+    rounds: tuple[Round, ...]
+    ended: str
+    folder: Path
+    choice: Choice | None = None
+
+    title = "Learnt from the bench"
+
+    @property
+    def last(self) -> Round:
+        """The newest round."""
+        return self.rounds[-1]
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether a recording of another kind, predicted before it was used, needed each effect found."""
+        if not self.last.selected:
+            return self.last.verdict == "adequate" and self.last.foreseen
+        return self.last.verdict in KNOWN and not self.last.unconfirmed
+
+    @property
+    def bench_s(self) -> float:
+        """Time on the bench."""
+        return sum(r.seconds for r in self.rounds)
+
+    @cached_property
+    def sentence(self) -> str:
+        """What is known now."""
+        r = self.last
+        minutes = f"{self.bench_s / 60:.1f} minutes on the bench in {len(self.rounds)} programs"
+        if not r.selected:
+            what = "nothing is missing" if self.confirmed else "nothing was found for sure"
+        else:
+            names = [called(e) for e in r.selected]
+            what = "the finger shows " + (
+                names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+            )
+        foreseen = (
+            f" The last program was foreseen to {r.predicted_error:.3g} {r.unit} before it was used "
+            f"({r.predicted_error / r.noise:.2g} times the noise)."
+            if r.predicted_error is not None
+            else ""
+        )
+        sure = [called(e) for e in r.selected if e in r.confirmed_by]
+        loose = [called(e) for e in r.unconfirmed]
+        told = f" Confirmed, by a program of another kind that needed it: {', '.join(sure)}." if sure else ""
+        told += f" Not confirmed: {', '.join(loose)}." if loose else ""
+        return f"After {minutes}: {what}.{foreseen}{told} It ended because {self.ended}."
+
+    def rows(self) -> list[dict]:
+        """One a round."""
+        return [
+            {
+                "round": r.number,
+                "program": r.program,
+                "s": f"{r.seconds:.0f}",
+                "foreseen": "" if r.predicted_error is None else f"{r.predicted_error:.3g}",
+                "as given": "" if r.bare_error is None else f"{r.bare_error:.3g}",
+                f"after, {r.unit}": f"{r.error:.3g}",
+                "noise": f"{r.noise:.3g}",
+                "found": ", ".join(f"{e}{'*' if e in r.confirmed_by else ''}" for e in r.selected) or "-",
+                "verdict": r.verdict,
+            }
+            for r in self.rounds
+        ]
+
+    def remarks(self) -> list[str]:
+        """Where things lie."""
+        return [
+            "* confirmed: a recording of another kind was predicted with it before it was used",
+            f"twin: {self.folder / 'twin'}, a version for each round",
+        ]
+
+    def to_dict(self) -> dict:
+        """The content of `result.json`."""
+        last = self.last
+        return {
+            "confirmed": self.confirmed,
+            "confirmed_by": last.confirmed_by,
+            "selected": last.selected,
+            "verdict": last.verdict,
+            "ended": self.ended,
+            "bench_s": self.bench_s,
+            "sentence": self.sentence,
+            "rounds": [asdict(r) for r in self.rounds],
+        }
+
+    def subject(self) -> tuple[Twin, str]:
+        """The twin as it is now."""
+        return self.twin, ""
+
+    @property
+    def next_command(self) -> str:
+        """To see where the twin still fails, on the newest recording."""
+        newest = self.folder / f"round_{self.last.number}" / "recording"
+        return f"pneutac compare --twin={self.folder / 'twin'} --recording={newest}"
+
+    def page(self) -> Report:
+        """The error on each next recording before it was used, first."""
+        return learn_page(self)
+
+
+def learn(
+    twin: Twin,
+    bench: Bench,
+    out: str | Path,
+    *,
+    budget_s: float = 900.0,
+    program_s: float = 60.0,
+    seed: int = 0,
+    jobs: int = 0,
+    progress: Callable[[str, int, int], None] | None = None,
+    on_round: Callable[[Round], None] = lambda r: None,
+) -> Learning:
+    """Measures, searches anew on everything, and chooses the next program, until it is known or time is up.
+
+    Rounds that are finished in `out` are kept: a call with the same folder goes on after them.
+
+    Args:
+        twin: of the device; not changed.
+        bench: that follows programs.
+        out: folder of programs, recordings and the learnt twin.
+        budget_s: of the programs together.
+        program_s: length of a program of the common kinds.
+        seed: decides what is held out.
+        jobs: threads; 0 for all cores.
+        progress: called with a text, the steps done and all of them.
+        on_round: called after each round.
+
+    Raises:
+        InputError: the budget is too small for the first program, the folder holds rounds of another twin, or
+            the bench's recording cannot be used.
+        HardwareFault: as the bench raises it; finished rounds are kept.
+    """
+    out = Path(out)
+    limits = Limits(*bench.range_kpa, bench.hz, budget_s, program_s)
+    rounds = Rounds(out, twin, bench, seed, jobs, progress)
+    while True:
+        left_s = budget_s - sum(r.seconds for r in rounds.done)
+        choice, ended = rounds.next(replace(limits, seconds=left_s))
+        if ended:
+            twin = Twin.load(out / "twin")
+            return Learning(twin=twin, rounds=tuple(rounds.done), ended=ended, folder=out, choice=choice)
+        on_round(rounds.drive(choice))
+
+
+class Rounds:
+    """The rounds in a folder: `round_K` with `program.csv`, `recording`, `diagnosis`, last `round.json`."""
+
+    def __init__(self, out: Path, twin: Twin, bench: Bench, seed: int, jobs: int, progress):
+        self._out, self._bench = out, bench
+        self._how = {"seed": seed, "jobs": jobs, "progress": progress}
+        self._base = twin
+        self._start(twin)
+        self.done: list[Round] = []
+        while (file := self._folder(len(self.done)) / "round.json").is_file():
+            self.done.append(Round(**json.loads(file.read_text())))
+        self._recordings = [Recording.load(self._folder(r.number) / "recording") for r in self.done]
+
+    def _start(self, twin: Twin) -> None:
+        given = self._out / "given"
+        if not (given / "twin.yaml").is_file():
+            twin.copy().save(given)
+            replace(twin.copy(), folder=None).save(self._out / "twin")
+        elif _body(Twin.load(given)) != _body(twin):
+            raise InputError(f"{self._out} holds rounds of another twin; give another --out.")
+
+    def _folder(self, number: int) -> Path:
+        return self._out / f"round_{number}"
+
+    @property
+    def _contenders(self) -> list[Contender]:
+        return load_contenders(self._folder(self.done[-1].number) / "diagnosis")
+
+    def next(self, limits: Limits) -> tuple[Choice | None, str]:
+        """The next program, and why there is none; an empty reason where there is one."""
+        if not self.done:
+            t, p = first_program(limits)
+            if t[-1] > limits.seconds:
+                raise InputError(
+                    f"The first program takes {t[-1]:.0f} s; give a budget of {2 * t[-1]:.0f} s or more."
+                )
+            return Choice("first", "first", t, p, 0.0, 0.0, 1.0, ()), ""
+        if reason := self._known():
+            return None, reason
+        if limits.seconds < limits.length_s / 2:
+            return None, "the budget is used up"
+        try:
+            ranked = choices(self._joined(), self._rivals(), self.done[-1].noise, limits)
+        except InputError as e:
+            return None, f"no program is left: {e}"
+        kinds = {r.kind for r in self.done}
+        if self.done[-1].unconfirmed or not self.done[-1].selected:  # a law is confirmed by another kind
+            ranked = [c for c in ranked if c.kind not in kinds] or ranked
+        if ranked[0].tells_little:
+            return ranked[0], "no program within the limits would tell anything more"
+        return ranked[0], ""
+
+    def _joined(self, *newest: tuple[Recording, float | None]) -> Recording:
+        """All that was measured."""
+        pairs = [*zip(self._recordings, (r.pause_s for r in self.done), strict=True), *newest]
+        return joined(*zip(*pairs, strict=True))
+
+    def _rivals(self) -> list[Contender]:
+        """The contenders, and the best one without each law that is not confirmed."""
+        contenders = self._contenders
+        best = contenders[0]
+        doubted = [e for e in self.done[-1].unconfirmed if e in best.terms]
+        return contenders + [
+            Contender(_without(best.twin, e), tuple(t for t in best.terms if t != e), DOUBT) for e in doubted
+        ]
+
+    def _known(self) -> str:
+        last, two = self.done[-1], self.done[-2:]
+        if last.verdict in KNOWN and last.foreseen:
+            if not last.unconfirmed:
+                return "all that was found predicted a program that it had not seen"
+            if all(r.foreseen for r in two) and len({r.kind for r in two}) == 2:
+                return "two programs of other kinds in a row were foreseen"
+        recent = self.done[-GIVE_UP:]
+        if len(recent) == GIVE_UP and all(r.verdict not in KNOWN for r in recent):
+            if last.error / last.noise > FALLS * recent[0].error / recent[0].noise:
+                return f"of {GIVE_UP} programs in a row none lowered the error, which no form explains"
+        return ""
+
+    def drive(self, choice: Choice) -> Round:
+        """Measures, judges what was foreseen, searches anew on everything, and saves."""
+        folder = self._folder(len(self.done))
+        shutil.rmtree(folder, ignore_errors=True)
+        write_program(folder / "program.csv", choice.time_s, choice.pressure_kpa, choice.kind)
+        recording = self._bench.follow(folder / "program.csv", folder / "recording", len(self.done))
+        recording = same_body(self._base, recording, "learn")
+        everything = self._joined((recording, self._bench.pause_s))
+        foreseen = self._foreseen(everything, slice(len(everything) - len(recording), None))
+        found = diagnose(self._base, everything, **self._how)
+        found.save(folder / "diagnosis")
+        self._recordings.append(recording)
+        r = self._judged(choice, found, foreseen)
+        names = ", ".join(r.selected) or "nothing"
+        twin = replace(found.twin, history=Twin.load(self._out / "twin").history)
+        errors = {k: found.after[k] for k in ("train", "heldout")} | {"unit": r.unit}
+        twin.save_version(self._out / "twin", f"learnt {names}", str(folder / "recording"), errors)
+        write_json(folder / "round.json", asdict(r))
+        self.done.append(r)
+        return r
+
+    def _foreseen(self, everything: Recording, rows: slice) -> dict:
+        """Errors in these newest rows, which no model has seen: fields of `Round`."""
+        if not self.done:
+            return {"predicted_error": None, "bare_error": None, "without": {}}
+        contenders = self._contenders
+        best, terms = contenders[0].twin, contenders[0].terms
+        return {
+            "predicted_error": error_of(best, everything, rows),
+            "bare_error": error_of(contenders[-1].twin, everything, rows),
+            "without": {e: error_of(_without(best, e), everything, rows, favour=True) for e in terms},
+        }
+
+    def _judged(self, choice: Choice, found: Diagnosis, foreseen: dict) -> Round:
+        noise, confirmed = found.study.noise.value, {}
+        if self.done:
+            confirmed = {family(e): k for e, k in self.done[-1].confirmed_by.items()}
+            error, another = foreseen["predicted_error"], choice.kind not in {r.kind for r in self.done}
+            if another and error <= CONFIRMS * noise:
+                needed = [e for e, worse in foreseen["without"].items() if worse > NEEDED * error]
+                confirmed = {family(e): len(self.done) for e in needed} | confirmed
+        return Round(
+            number=len(self.done),
+            program=choice.name,
+            kind=choice.kind,
+            seconds=choice.seconds,
+            pause_s=self._bench.pause_s,
+            unit=found.study.unit,
+            noise=noise,
+            **foreseen,
+            error=found.after["heldout"],
+            verdict=found.verdict,
+            selected=list(found.selected),
+            sentence=found.sentence,
+            probabilities={" + ".join(c.terms): c.probability for c in found.outcome.contenders},
+            confirmed_by={e: confirmed[family(e)] for e in found.selected if family(e) in confirmed},
+        )
+
+
+def error_of(twin: Twin, recording: Recording, rows: slice = slice(None), favour: bool = False) -> float:
+    """Root mean square headline error of a twin on some rows of a recording, driven by the command.
+
+    Args:
+        twin: of the recording's device.
+        recording: of a finger, with all that came before these rows.
+        rows: that count.
+        favour: whether gains and offsets of the predicted columns are fitted to these rows.
+    """
+    data = read(recording, twin)
+    seen, measured = predict(twin, data)[0][rows], data.measured[rows, : data.counted]
+    if favour:
+        ground = np.concatenate([seen, np.ones((len(seen), 1))], axis=1)
+        seen = ground @ np.linalg.lstsq(ground, measured, rcond=None)[0]
+    return root_mean(((measured - seen) ** 2).sum(axis=1))
+
+
+def _without(twin: Twin, effect: str) -> Twin:
+    return replace(twin, effects={k: v for k, v in twin.effects.items() if k != effect})
+
+
+def _body(twin: Twin) -> tuple:
+    return twin.device, twin.length_mm, twin.parameters, twin.effects

@@ -1,0 +1,111 @@
+"""What a program is expected to tell: known cases of information, limits, and what was visited."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from lerobot_pneutac.diagnosis.design import (
+    Limits,
+    _between,
+    _visited,
+    choices,
+    common_programs,
+    first_program,
+)
+from lerobot_pneutac.diagnosis.joined import joined
+from lerobot_pneutac.diagnosis.result import Contender
+from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.errors import InputError
+from pneutac_sim.twin import Twin, Value
+
+LIMITS = Limits(0.0, 15.0, hz=10.0, seconds=120.0)
+
+
+def recording(folder, t, p, trial=0):
+    samples = pd.DataFrame(
+        {"trial": trial, "time_s": t, "pressure_cmd_kpa": p, "tip_x_mm": 100.0, "tip_z_mm": 1.0}
+    )
+    return Recording(folder, {"device": "finger", "length_mm": 110.0}, samples, "finger")
+
+
+def twin(**effects):
+    made = Twin.builtin()
+    made.effects |= {k: {n: Value(x) for n, x in v.items()} for k, v in effects.items()}
+    return made
+
+
+def test_information_between_models_is_what_is_known_of_equal_and_of_far_ones():
+    same, far = np.zeros((50, 2)), np.full((50, 2), 9.0)
+    assert _between([same, same], np.array([0.5, 0.5]), 1.0) == pytest.approx(0.0)
+    assert _between([same, far], np.array([0.5, 0.5]), 1.0) == pytest.approx(np.log(2))
+    p = np.array([0.7, 0.2, 0.1])
+    told = [same, far, -far]
+    assert _between(told, p, 1.0) == pytest.approx(-(p * np.log(p)).sum())
+    near = same + 0.05
+    assert 0 < _between([same, near], np.array([0.5, 0.5]), 1.0) < np.log(2)
+
+
+def test_the_program_that_shows_a_lag_ranks_before_those_that_hide_it(tmp_path):
+    t, p = first_program(LIMITS)
+    lagged = twin(valve_lag={"fill_time_s": 0.06, "vent_time_s": 0.06})
+    models = [Contender(lagged, ("valve_lag",), 0.5), Contender(twin(), (), 0.5)]
+    ranked = choices(recording(tmp_path, t, p), models, 0.5, LIMITS)
+    told = {c.name: c.rivals for c in ranked}
+    assert told["steps to 100%, held 2 s"] > 0.65 > 0.4 > told["strokes to 40% in 15 s"]
+    assert all(0 <= c.rivals <= np.log(2) + 1e-9 and 0 <= c.new <= 1 for c in ranked)
+    assert [c.worth for c in ranked] == sorted((c.worth for c in ranked), reverse=True)
+
+
+def test_a_wide_interval_is_worth_narrowing_and_a_known_constant_is_not(tmp_path):
+    t, p = first_program(LIMITS)
+
+    def gain(half):
+        made = twin()
+        value = made.parameters["gain_rad_per_kpa"].value
+        made.parameters["gain_rad_per_kpa"] = Value(value, (value - half, value + half))
+        ranked = choices(recording(tmp_path, t, p), [Contender(made, (), 1.0)], 0.5, LIMITS)
+        return next(c.constants for c in ranked if c.name == "hold at 90%")
+
+    assert gain(1e-9) == pytest.approx(0.0, abs=1e-3)
+    assert gain(2e-3) > gain(1e-3) > 0.5
+
+
+def test_what_was_driven_before_is_not_new():
+    for t, p in [first_program(LIMITS), *((t, p) for *_, t, p in common_programs(LIMITS))]:
+        assert p.min() >= 0 and p.max() <= 15.0 and (np.diff(t) > 0).all() and p[0] == 0
+        seen = _visited([t], [p], LIMITS)
+        assert sum(seen.values()) == pytest.approx(t[-1] + 0.1)
+    slow = {n: (t, p) for n, _, t, p in common_programs(LIMITS)}["strokes to 100% in 15 s"]
+    fast = {n: (t, p) for n, _, t, p in common_programs(LIMITS)}["strokes to 100% in 1.5 s"]
+    common = set(_visited([slow[0]], [slow[1]], LIMITS)) & set(_visited([fast[0]], [fast[1]], LIMITS))
+    assert len(common) <= 3  # they differ in pace wherever they move
+
+
+def test_limits_that_leave_nothing_are_told(tmp_path):
+    t, p = first_program(LIMITS)
+    models = [Contender(twin(), (), 1.0)]
+    with pytest.raises(InputError, match="No program fits into the 5 s"):
+        choices(recording(tmp_path, t, p), models, 0.5, Limits(0.0, 15.0, seconds=5.0))
+    with pytest.raises(InputError, match="No program fits between 3 and 3 kPa"):
+        Limits(3.0, 3.0)
+    more = recording(tmp_path, t, p)
+    more.samples = more.samples.rename(columns={"pressure_cmd_kpa": "pressure_cmd_1_kpa"})
+    more.samples["pressure_cmd_2_kpa"] = 0.0
+    with pytest.raises(InputError, match="several chambers"):
+        choices(more, models, 0.5, LIMITS)
+
+
+def test_joined_recordings_keep_their_trials_and_how_they_began(tmp_path):
+    a = recording(tmp_path / "a", [0.0, 0.1, 0.0, 0.1], 1.0, [4, 4, 7, 7])
+    b = recording(tmp_path / "b", [0.0, 0.1], 2.0, [0, 0])
+    a.meta["trials"] = {"7": {"start": "continues", "pause_s": 3}}
+    b.meta["trials"] = {"0": {"start": "rested"}}
+    both = joined([a, b], [None, None])
+    assert list(both.samples["trial"]) == [0, 0, 1, 1, 2, 2]
+    assert both.meta["trials"] == {"1": {"start": "continues", "pause_s": 3}, "2": {"start": "rested"}}
+    assert list(a.samples["trial"]) == [4, 4, 7, 7]
+    rested = joined([a, b], [None, 90.0]).meta["trials"]["2"]
+    assert rested == {"start": "continues", "pause_s": 90.0}
+    b.samples["payload_g"] = 5.0
+    with pytest.raises(InputError, match="differ in payload_g"):
+        joined([a, b], [None, None])

@@ -1,0 +1,131 @@
+"""The loop of asking the bench: it ends with what is hidden, goes on after a kill, and believes late."""
+
+import json
+import shutil
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from lerobot_pneutac import design, learn
+from lerobot_pneutac.cli.learn import main
+from lerobot_pneutac.diagnosis.experiment import predict
+from lerobot_pneutac.verbs.benches import StandinBench
+from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.effects.laws import family
+from pneutac_sim.errors import InputError
+from pneutac_sim.finger.data import BodyData
+from pneutac_sim.twin import Twin, Value
+
+OPTIONS = {"budget_s": 100.0, "program_s": 20.0, "jobs": 1}
+
+
+class Mirror:
+    """A device of the twin's own forms, for the loop's mechanics alone: a lag of 0.4 s, quick to search."""
+
+    range_kpa, hz, pause_s = (0.0, 15.0), 10.0, None
+
+    def __init__(self, fails_at=99):
+        self.device = Twin.builtin()
+        self.device.effects["valve_lag"] = {"fill_time_s": Value(0.4), "vent_time_s": Value(0.4)}
+        self._fails_at = fails_at
+
+    def follow(self, program, out, number):
+        if number == self._fails_at:
+            raise KeyboardInterrupt
+        table = pd.read_csv(program)
+        table["trial"] = 0
+        table["tip_x_mm"] = table["tip_z_mm"] = 0.0
+        noise = {"tip_x_mm": 0.3, "tip_z_mm": 0.3}
+        meta = {"device": "finger", "length_mm": 110.0, "noise": noise, "trials": {"0": {"start": "rested"}}}
+        made = Recording(out, meta, table, "finger")
+        seen, _ = predict(self.device, BodyData.of(made, self.device, source="command"))
+        seen = seen + 0.3 * np.random.default_rng(number).standard_normal(seen.shape)
+        made.samples[["tip_x_mm", "tip_z_mm"]] = seen
+        made.write(out)
+        return Recording.load(out)
+
+
+@pytest.fixture(scope="module")
+def learnt(tmp_path_factory):
+    out = tmp_path_factory.mktemp("learn")
+    return learn(Twin.builtin(), Mirror(), out / "whole", **OPTIONS)
+
+
+@pytest.mark.slow
+def test_it_ends_by_itself_with_what_is_hidden_and_a_program_that_needed_it(learnt):
+    assert learnt.confirmed and learnt.last.verdict == "missing_effect"
+    assert "valve_lag" in {family(e) for e in learnt.last.selected} | set(learnt.last.selected)
+    (name,) = learnt.last.confirmed_by
+    by = learnt.rounds[learnt.last.confirmed_by[name]]
+    assert by.kind not in {r.kind for r in learnt.rounds[: by.number]}
+    assert by.predicted_error < 1.5 * by.noise and by.without[name] > 1.2 * by.predicted_error
+    assert by.bare_error > 2 * by.predicted_error
+    assert learnt.bench_s <= OPTIONS["budget_s"]
+    history = Twin.load(learnt.folder / "twin").history
+    assert len(history) == len(learnt.rounds) and name in history[-1]["change"]
+
+
+@pytest.mark.slow
+def test_interrupted_it_goes_on_and_ends_alike(learnt, tmp_path):
+    last = learnt.last.number
+    with pytest.raises(KeyboardInterrupt):
+        learn(Twin.builtin(), Mirror(fails_at=last), tmp_path / "out", **OPTIONS)
+    assert not (tmp_path / "out" / f"round_{last}" / "round.json").exists()
+    again = learn(Twin.builtin(), Mirror(), tmp_path / "out", **OPTIONS)
+    assert again.to_dict()["rounds"] == learnt.to_dict()["rounds"]
+    ended = learn(Twin.builtin(), Mirror(fails_at=0), tmp_path / "out", **OPTIONS)  # nothing is driven anew
+    assert ended.sentence == again.sentence
+
+
+@pytest.mark.slow
+def test_the_report_begins_with_what_was_foreseen_and_design_goes_on_from_a_round(learnt, tmp_path):
+    page = learnt.report(tmp_path).read_text()
+    assert page.index("Error on each program before it was used") < page.index("What was commanded")
+    told = json.loads((tmp_path / "result.json").read_text())
+    assert told["confirmed"] and told["rounds"][1]["predicted_error"] > 0
+    first = learnt.folder / "round_0"
+    chosen = design(
+        Twin.builtin(), Recording.load(first / "recording"), first / "diagnosis", program_s=20.0, hz=10.0
+    )
+    assert chosen.best.seconds > 5 and "nats between" in chosen.sentence
+    chosen.report(tmp_path / "design")
+    program = pd.read_csv(tmp_path / "design" / "program.csv")
+    assert program["pressure_cmd_kpa"].max() <= 15.0 and (tmp_path / "design" / "report.html").exists()
+
+
+@pytest.mark.slow
+def test_rounds_of_another_twin_are_refused(learnt, tmp_path):
+    shutil.copytree(learnt.folder, tmp_path / "out")
+    other = Twin.builtin()
+    other.effects["creep"] = {"weight_4s": Value(0.1)}
+    with pytest.raises(InputError, match="holds rounds of another twin"):
+        learn(other, Mirror(), tmp_path / "out", **OPTIONS)
+
+
+def test_a_budget_below_the_first_program_is_refused_before_anything_is_driven(tmp_path):
+    with pytest.raises(InputError, match="first program takes 21 s; give a budget of 42 s"):
+        learn(Twin.builtin(), Mirror(fails_at=0), tmp_path / "out", budget_s=5.0, program_s=20.0)
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (["--bench=robot"], "bench=robot must be one of standin, measure"),
+        (["--bench=measure"], "go together"),
+        (["--program_s=1"], "program_s is 1"),
+    ],
+)
+def test_options_that_do_not_fit_are_refused(tmp_path, options, sentence):
+    folder = Twin.builtin().save(tmp_path / "twin")
+    with pytest.raises(InputError, match=sentence):
+        main([f"--twin={folder}", f"--out={tmp_path / 'out'}", *options])
+
+
+@pytest.mark.nightly
+def test_on_the_stand_in_what_was_found_foresees_the_next_program(tmp_path):
+    learnt = learn(Twin(length_mm=110.0), StandinBench(3), tmp_path / "out", budget_s=720.0)
+    last = learnt.last
+    found = {family(e) for e in last.selected} | set(last.selected)
+    assert "creep" in found and found & {"valve_lag", "valve_slew", "orifice_flow"}
+    assert last.predicted_error < 1.5 * last.noise and last.bare_error > 2 * last.predicted_error
