@@ -1,6 +1,6 @@
 """`pneutac compare`: compares a twin with a recording, and shows where it fails."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from rich.console import Console
@@ -9,7 +9,9 @@ from lerobot_pneutac.cli.options import parse_options
 from lerobot_pneutac.cli.progress import progress_bar
 from lerobot_pneutac.cli.show import show, write
 from lerobot_pneutac.study.pair import load_pair
+from lerobot_pneutac.verbs.ageing import ageing
 from lerobot_pneutac.verbs.compare import check_fidelity, compare
+from pneutac_sim.errors import InputError
 
 
 @dataclass
@@ -23,6 +25,7 @@ class CompareConfig:
         fidelity: `pipeline` (the twin's kinematics, every sample) or `mpm` (of a finger or an arm: the full
             body of material points, at samples spread over the recording).
         samples: largest number of samples by mpm; where left out, 200.
+        later: recordings of the same finger or arm on other dates: how it ages, when to calibrate it again.
         seed: seed of the choice of what is held out, where the twin was not fitted on this recording, and of
             the samples by mpm.
     """
@@ -32,16 +35,25 @@ class CompareConfig:
     out: Path | None = None
     fidelity: str = "pipeline"
     samples: int | None = None
+    later: list[Path] = field(default_factory=list)
     seed: int = 0
 
     def __post_init__(self):
         check_fidelity(self.fidelity, self.samples)
+        if self.later and self.fidelity != "pipeline":
+            raise InputError(f"later is compared by the pipeline, not by fidelity={self.fidelity}; omit it.")
 
 
 def main(argv: list[str]) -> None:
     """Runs the verb."""
     cfg, console = parse_options(CompareConfig, argv), Console()
     twin, recording = load_pair(cfg.twin, cfg.recording, "compare")
+    if cfg.later:
+        same = [recording, *(load_pair(cfg.twin, path, "compare")[1] for path in cfg.later)]
+        result = ageing(twin, same, cfg.seed)
+        show(result, console)
+        write(result, cfg.out, "compare", argv, console)
+        return
     with progress_bar(console) as progress:
         result = compare(
             twin, recording, fidelity=cfg.fidelity, samples=cfg.samples, seed=cfg.seed, progress=progress

@@ -92,10 +92,11 @@ def read_table(folder: Path, meta: dict) -> tuple[pd.DataFrame, Path]:
         raise InputError(f"{folder / 'recording.json'}: field 'samples' must name a file inside the folder.")
     if not file.is_file():
         raise InputError(f"{file} is missing; field 'samples' of recording.json names the table of samples.")
-    return (_read_csv(file) if file.suffix.lower() == ".csv" else _read_parquet(file)), file
+    return (read_csv(file) if file.suffix.lower() == ".csv" else _read_parquet(file)), file
 
 
-def _read_csv(file: Path) -> pd.DataFrame:
+def read_csv(file: Path) -> pd.DataFrame:
+    """A table of text with commas, semicolons or tabs; raises InputError where it is none or too large."""
     size = file.stat().st_size
     if size > MAX_CSV_BYTES:
         raise InputError(

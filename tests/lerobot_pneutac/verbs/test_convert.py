@@ -1,0 +1,224 @@
+"""One bend of a finger as every other system would have logged it, made a bench recording."""
+
+import cv2
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.io import savemat
+from scipy.spatial.transform import Rotation
+
+from lerobot_pneutac.measuring.camera import DICTIONARY, Intrinsics
+from lerobot_pneutac.verbs.convert import ConvertConfig, convert
+from pneutac_sim.errors import InputError
+
+LENGTH, OFFSET_S = 100.0, 0.5  # mm; the markers' clock shows it when the log begins
+LAB = Rotation.from_euler("xyz", [20, -35, 70], degrees=True)  # of the base in the lab
+ORIGIN_MM = np.array([900.0, 400.0, 250.0])
+MARKERS_S = np.arange(0, 6, 1 / 60)
+
+
+def pressure(time_s):
+    """Stairs of the log's clock, kPa."""
+    return 3.0 * np.floor(np.clip(time_s, 0, 4.99))
+
+
+def tip_mm():
+    """Tip in the base frame (n, 3): an arc whose angle follows the pressure."""
+    bend = 0.01 + 0.06 * pressure(MARKERS_S - OFFSET_S)
+    return LENGTH * np.stack([np.sin(bend) / bend, 0 * bend, (1 - np.cos(bend)) / bend], 1)
+
+
+def lab_mm():
+    return LAB.apply(tip_mm()) + ORIGIN_MM
+
+
+@pytest.fixture
+def log(tmp_path):
+    t = np.arange(0, 5, 0.1)
+    table = {"t": t, "pressure_cmd_kpa": pressure(t), "gauge": pressure(t) + 0.1}
+    pd.DataFrame(table).to_csv(tmp_path / "log.csv", index=False)
+    return {
+        "log": tmp_path / "log.csv",
+        "time": "t",
+        "columns": {"pressure_cmd_kpa": "pressure_cmd_kpa", "gauge": "pressure_kpa"},
+        "offset_s": OFFSET_S,
+        "length_mm": LENGTH,
+        "out": tmp_path / "bench",
+    }
+
+
+def check(recording, within_mm, steps=5):
+    """Whether tip and pressure are those of the truth, on one clock."""
+    tip = recording.samples[["tip_x_mm", "tip_y_mm", "tip_z_mm"]].to_numpy()
+    kpa = recording.column("pressure_cmd_kpa")
+    truth = tip_mm()
+    begin = int(np.argmin(np.linalg.norm(truth - tip[-1], axis=1)))
+    for level in np.unique(kpa)[:steps]:
+        bend = 0.01 + 0.06 * level
+        arc = LENGTH * np.array([np.sin(bend) / bend, 0.0, (1 - np.cos(bend)) / bend])
+        np.testing.assert_allclose(np.median(tip[kpa == level], 0), arc, atol=within_mm)
+    assert len(np.unique(kpa)) >= steps and begin > 0
+    return recording
+
+
+def optitrack(file, name="Tip"):
+    quaternion = LAB.as_quat()
+    head = [
+        "Format Version,1.23,Take Name,bend,Rotation Type,Quaternion,Length Units,Meters",
+        "",
+        f",Type,{'Rigid Body,' * 7}Marker,Marker,Marker",
+        f",Name,{'Base,' * 7}{name},{name},{name}",
+        ",ID,1,1,1,1,1,1,1,2,2,2",
+        ",,Rotation,Rotation,Rotation,Rotation,Position,Position,Position,Position,Position,Position",
+        "Frame,Time (Seconds),X,Y,Z,W,X,Y,Z,X,Y,Z",
+    ]
+    rows = []
+    for k, (t, p) in enumerate(zip(MARKERS_S, lab_mm() / 1000, strict=True)):
+        place = ",," if k == 7 else ",".join(f"{v:.6f}" for v in p)  # unseen for once
+        rows.append(f"{k},{t:.5f},{','.join(f'{v:.7f}' for v in [*quaternion, *ORIGIN_MM / 1000])},{place}")
+    file.write_text("\n".join([*head, *rows]))
+    return file
+
+
+def vicon(file):
+    base = ",".join(f"{v:.4f}" for v in ORIGIN_MM)
+    rows = [f"{k + 1},0,{base},{','.join(f'{v:.4f}' for v in p)}" for k, p in enumerate(lab_mm())]
+    head = ["Trajectories", "60", ",,Finger:Base,,,Finger:Tip,,", "Frame,Sub Frame,X,Y,Z,X,Y,Z"]
+    file.write_text("\n".join([*head, ",,mm,mm,mm,mm,mm,mm", *rows, "", "Devices", "1000"]))
+    return file
+
+
+def test_a_take_of_optitrack_is_turned_into_the_bases_frame(tmp_path, log):
+    source = optitrack(tmp_path / "take.csv")
+    recording = convert(ConvertConfig(source, tip="Tip", base="Base", date="2026-03-01", **log))
+    check(recording, 0.01)
+    gauge = recording.column("pressure_kpa") - recording.column("pressure_cmd_kpa")
+    assert np.median(gauge) == pytest.approx(0.1, abs=1e-6)
+    assert recording.meta["date"] == "2026-03-01" and recording.length_mm == LENGTH
+    with pytest.raises(InputError, match="no marker 'Tipp'; is 'Tip' meant.* --tip"):
+        convert(ConvertConfig(source, tip="Tipp", base="Base", **log | {"out": tmp_path / "b"}))
+    with pytest.raises(InputError, match="base_x is 'x' and base_z '-x'"):
+        convert(ConvertConfig(source, tip="Tip", base="Base", base_z="-x", **log | {"out": tmp_path / "b"}))
+    with pytest.raises(InputError, match="seen in 0 frames .* give --offset_s"):
+        late = log | {"offset_s": 100.0, "out": tmp_path / "b"}
+        convert(ConvertConfig(source, tip="Tip", base="Base", **late))
+
+
+def test_of_vicons_markers_x_goes_to_where_the_tip_rests(tmp_path, log):
+    recording = convert(ConvertConfig(vicon(tmp_path / "nexus.csv"), tip="Tip", base="Base", **log))
+    # The rest bend of 0.01 rad turns the frame by half of it.
+    check(recording, 0.6)
+    assert recording.column("tip_z_mm").max() > 30  # positive pressure bends towards +z
+
+
+def test_a_mat_may_have_all_of_it(tmp_path):
+    t = np.arange(0, 5, 0.1)
+    bend = 0.01 + 0.06 * pressure(t)
+    run = {"clock": t, "p": pressure(t), "angle": bend, "note": "x", "tip": np.zeros((3, len(t)))}
+    savemat(tmp_path / "run.mat", {"run": run})
+    names = {"run.p": "pressure_cmd_kpa", "run.angle": "bend_angle_rad"}
+    options = {"length_mm": LENGTH, "columns": names, "time": "run.clock"}
+    recording = convert(ConvertConfig(tmp_path / "run.mat", tmp_path / "bench", **options))
+    np.testing.assert_allclose(recording.column("bend_angle_rad"), bend, atol=1e-6)
+    with pytest.raises(InputError, match=r"no vector 'time_s'; it has run.clock, .* by --time"):
+        convert(ConvertConfig(tmp_path / "run.mat", tmp_path / "b", LENGTH))
+    with pytest.raises(InputError, match=r"has no 'run.angel'; is 'run.angle' meant"):
+        wrong = options | {"columns": {"run.p": "pressure_cmd_kpa", "run.angel": "bend_angle_rad"}}
+        convert(ConvertConfig(tmp_path / "run.mat", tmp_path / "b", **wrong))
+    (tmp_path / "bad.mat").write_bytes(b"no such thing" * 20)
+    with pytest.raises(InputError, match="is no .mat file"):
+        convert(ConvertConfig(tmp_path / "bad.mat", tmp_path / "b", **options))
+
+
+def test_a_ros_2_bag_holds_poses_and_pressures(tmp_path):
+    pytest.importorskip("rosbags")
+    from rosbags.rosbag2 import Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    kinds = store.types
+    point, quaternion = kinds["geometry_msgs/msg/Point"], kinds["geometry_msgs/msg/Quaternion"]
+    pose, stamped = kinds["geometry_msgs/msg/Pose"], kinds["geometry_msgs/msg/PoseStamped"]
+    header, stamp = kinds["std_msgs/msg/Header"], kinds["builtin_interfaces/msg/Time"]
+
+    def message(t, place_mm):
+        when = stamp(sec=1000 + int(t), nanosec=int(1e9 * (t % 1)))
+        at = pose(position=point(*(place_mm / 1000)), orientation=quaternion(*LAB.as_quat()))
+        return stamped(header=header(stamp=when, frame_id="lab"), pose=at)
+
+    with Writer(tmp_path / "bag", version=9) as writer:
+        kind = "geometry_msgs/msg/PoseStamped"
+        tip, base = (writer.add_connection(topic, kind, typestore=store) for topic in ("/tip", "/base"))
+        valve = writer.add_connection("/valve", "std_msgs/msg/Float64", typestore=store)
+        number = kinds["std_msgs/msg/Float64"]
+        for t, place in zip(MARKERS_S, lab_mm(), strict=True):
+            ns = int(1e9 * (1000 + t))
+            writer.write(tip, ns, store.serialize_cdr(message(t, place), kind))
+            writer.write(base, ns, store.serialize_cdr(message(t, ORIGIN_MM), kind))
+            kpa = number(data=float(pressure(t - OFFSET_S)))
+            writer.write(valve, ns, store.serialize_cdr(kpa, "std_msgs/msg/Float64"))
+    options = {"columns": {"/valve.data": "pressure_cmd_kpa"}, "length_mm": LENGTH}
+    source = ConvertConfig(tmp_path / "bag", tmp_path / "bench", tip="/tip", base="/base", **options)
+    check(convert(source), 0.01)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="is no ROS 2 bag that rosbags reads"):
+        convert(ConvertConfig(tmp_path / "empty", tmp_path / "b", tip="/tip", base="/base", **options))
+
+
+def film(file, draw):
+    writer = cv2.VideoWriter(str(file), cv2.VideoWriter_fourcc(*"MJPG"), 20, (640, 480))
+    for place in tip_mm()[::3]:
+        writer.write(draw(place))
+    writer.release()
+    return file
+
+
+def test_coloured_dots_in_a_film_are_found(tmp_path, log):
+    def draw(place):
+        image = np.full((480, 640, 3), 200, np.uint8)
+        for at, bgr in (([0, 0, 0], (40, 200, 40)), ([20, 0, 0], (40, 200, 40)), (place, (30, 30, 220))):
+            u, v = 100 + 4 * at[0], 300 + 4 * at[2]  # the finger bends downwards in the picture
+            cv2.circle(image, (round(16 * u), round(16 * v)), 16 * 9, bgr, -1, cv2.LINE_AA, 4)
+        return image
+
+    colours = {"tip_rgb": (220, 30, 30), "base_rgb": (40, 200, 40), "dots_mm": 20.0}
+    source = film(tmp_path / "dots.avi", draw)
+    check(convert(ConvertConfig(source, **colours, **log)), 0.4)
+    with pytest.raises(InputError, match="nearly one hue"):
+        options = colours | {"base_rgb": (220, 40, 30)} | log
+        convert(ConvertConfig(source, **options | {"out": tmp_path / "b"}))
+    with pytest.raises(InputError, match="A film needs --marker_mm .* or --tip_rgb"):
+        convert(ConvertConfig(source, **log | {"out": tmp_path / "b"}))
+
+
+def test_aruco_markers_in_a_film_are_found(tmp_path, log):
+    matrix = np.array([[800.0, 0, 320], [0, 800, 240], [0, 0, 1]])
+    Intrinsics(matrix, np.zeros(5), (640, 480), 0.1).save(tmp_path / "camera.json")
+    dictionary = cv2.aruco.getPredefinedDictionary(DICTIONARY)
+
+    def draw(place):
+        image = np.full((480, 640), 235, np.uint8)
+        for number, at in ((0, np.zeros(3)), (1, place)):  # 250 mm away: 3.2 px a mm
+            side, u, v = 64, 170 + 3.2 * at[0], 340 - 3.2 * at[2]
+            marker = cv2.aruco.generateImageMarker(dictionary, number, side)
+            shift = np.float32([[1, 0, u - side / 2], [0, 1, v - side / 2]])
+            cv2.warpAffine(marker, shift, (640, 480), image, borderMode=cv2.BORDER_TRANSPARENT)
+        return cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
+
+    source = film(tmp_path / "aruco.avi", draw)
+    options = {"marker_mm": 20.0, "intrinsics": tmp_path / "camera.json"}
+    check(convert(ConvertConfig(source, **options, **log)), 1.0)
+
+
+def test_what_is_missing_is_one_sentence(tmp_path, log):
+    options = {k: v for k, v in log.items() if k != "log"}
+    with pytest.raises(InputError, match="source is '.*none.csv', which does not exist"):
+        ConvertConfig(tmp_path / "none.csv", **options)
+    source = optitrack(tmp_path / "take.csv")
+    with pytest.raises(InputError, match="has no column for pressure_cmd_kpa; .* --columns="):
+        convert(ConvertConfig(source, tip="Tip", base="Base", **options | {"columns": {}}))
+    with pytest.raises(InputError, match="give --tip and --base"):
+        convert(ConvertConfig(source, **options | {"columns": {}}))
+    (tmp_path / "bench").mkdir()
+    with pytest.raises(InputError, match="which exists; give a new folder"):
+        ConvertConfig(source, **options)
