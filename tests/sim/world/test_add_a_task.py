@@ -34,6 +34,10 @@ def block(kind):
     return re.search(rf"```{kind}\n(.*?)```", DOC.read_text(), re.S)[1]
 
 
+def edge():
+    return next(b for b in re.findall(r"```python\n(.*?)```", DOC.read_text(), re.S) if "EdgeTask" in b)
+
+
 @pytest.fixture
 def install(tmp_path, monkeypatch):
     """Puts a package with a task onto a folder, as an installer does."""
@@ -64,7 +68,26 @@ def doorbell(install):
 
 
 def test_it_is_short():
-    assert len(block("python").splitlines()) < 60
+    assert len(block("python").splitlines()) < 60 > len(edge().splitlines())
+
+
+def test_an_edge_is_followed_by_touch_and_lost_without(install):
+    install(edge(), {"edge": "pneutac_edge:EdgeTask"}, "pneutac_edge")
+    world = World("edge", touch="area")
+    ends = []
+    for seed in range(3):
+        world.reset(seed)
+        expert, actions = ScriptedExpert(world, np.random.default_rng(seed)), []
+        while not (world.success or world.failure) and world.time_s < 12:
+            actions.append(expert.action())
+            world.step(actions[-1])
+        assert world.success and len(actions) > 60, world.failure
+        world.reset(seed + 100)
+        for action in actions:  # what did one tilt, blindly on another
+            if not (world.success or world.failure):
+                world.step(action)
+        ends.append(world.success)
+    assert not all(ends)
 
 
 def test_its_expert_rings_it_and_idleness_does_not(doorbell):
