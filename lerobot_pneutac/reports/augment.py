@@ -9,8 +9,7 @@ from lerobot.utils.constants import OBS_STATE
 
 from lerobot_pneutac.reports.page import Report
 from pneutac_datasets.demonstrations.augment.reference import Reference, onset_sigma_m
-from pneutac_datasets.demonstrations.episodes import AREA, EE
-from pneutac_sim.features import CONTROL_HZ
+from pneutac_sim.features import AREA, CONTROL_HZ, EE
 
 SHOWN = 4  # recorded demonstrations whose touch is drawn
 
@@ -97,7 +96,7 @@ def _scene_row(reference: Reference, scene: dict) -> dict:
 
 
 def _states(repo_id: str, root: Path) -> list[np.ndarray]:
-    """(T, 20) of each demonstration."""
+    """(T, 2 N + 6) of each demonstration."""
     dataset = LeRobotDataset(repo_id, root, video_backend="pyav")
     state = np.stack(dataset.hf_dataset.with_format("numpy")[OBS_STATE])
     rows = (dataset.meta.episodes[i] for i in range(dataset.num_episodes))

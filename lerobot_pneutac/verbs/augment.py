@@ -2,15 +2,17 @@
 
 import os
 import shlex
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+
+import numpy as np
 
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.demonstrations.augment.planner import PlannerConfig
 from pneutac_datasets.demonstrations.faults import demonstration_faults
 from pneutac_sim.errors import InputError, check_choice, check_least
-from pneutac_sim.features import FIDELITIES, task_names
+from pneutac_sim.features import FIDELITIES, joint_count, task_names
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.checks import check_world
@@ -50,8 +52,8 @@ class AugmentConfig:
             for material points with formulas.
         conditions: values that the twin's effects ask for, such as {temperature_c: 28}; every demonstration
             draws from a range [low, high].
-        station: file `station.yaml` of workspace and mount in which they were recorded; where left out, the
-            paper's.
+        station: file `station.yaml` of arm, workspace and mount in which they were recorded; where
+            left out, the paper's.
         planner: horizon, samples and weights of the planner.
         attempts: number of variants tried for one demonstration before giving up.
         check_mpm: number of the new demonstrations that are carried out once more by material points; how far
@@ -97,7 +99,7 @@ class AugmentConfig:
             twin = Twin.load(self.twin) if self.twin else Twin.builtin()
             check_world(twin, self.fidelity, self.conditions)
         if self.station is not None:
-            Station.load(self.station)
+            Station.load(self.station).make_arm()
 
 
 @dataclass(frozen=True)
@@ -195,8 +197,11 @@ def augment(config: AugmentConfig, progress: Progress = no_progress) -> Augmenta
     if config.method == "naive":
         summary = augment_without_simulator(meta, *new, config.seed, progress)
     else:
+        station = Station.load(config.station) if config.station else Station()
+        _check_arm(meta, station)
+        base_m = np.array(station.base_m)  # demonstrations tell places in the arm's frame
         setup = AugmentSetup(
-            references,
+            [replace(r, flange_m=r.flange_m + base_m) for r in references],
             config.task,
             config.twin,
             config.fidelity,
@@ -208,3 +213,13 @@ def augment(config: AugmentConfig, progress: Progress = no_progress) -> Augmenta
         )
         summary = augment_guided(meta, setup, *new, config.workers, progress, config.check_mpm)
     return Augmentation(config, summary, references)
+
+
+def _check_arm(meta, station: Station) -> None:
+    """Raises InputError where demonstrations were recorded with an arm of another number of joints."""
+    joints = joint_count(len(meta.features["observation.state"]["names"]))
+    if joints != station.joints:
+        raise InputError(
+            f"Dataset '{meta.repo_id}' was recorded with an arm of {joints} joints, and the station's has"
+            f" {station.joints}; give its station by --station=."
+        )

@@ -21,6 +21,7 @@ from lerobot_robot_pneutac.options import (
     check_twin_folder,
     contact_threshold,
     refuse_if,
+    station_joints,
 )
 from pneutac_sim.features import (
     ACTION_NAMES,
@@ -29,9 +30,10 @@ from pneutac_sim.features import (
     FIDELITIES,
     IMAGE_NAME,
     IMAGE_SHAPE,
+    PANDA_JOINTS,
     RENDERS,
-    STATE_NAMES,
     TRIAL_S,
+    state_names,
     task_names,
 )
 
@@ -60,7 +62,7 @@ class PneutacTaskConfig(EnvConfig):
     features: dict[str, PolicyFeature] = field(
         default_factory=lambda: {
             ACTION: PolicyFeature(FeatureType.ACTION, (len(ACTION_NAMES),)),
-            "agent_pos": PolicyFeature(FeatureType.STATE, (len(STATE_NAMES),)),
+            "agent_pos": PolicyFeature(FeatureType.STATE, (len(state_names(PANDA_JOINTS)),)),
             f"pixels/{IMAGE_NAME}": PolicyFeature(FeatureType.VISUAL, IMAGE_SHAPE),
         }
     )
@@ -115,7 +117,7 @@ class PneutacEnvConfig(PneutacTaskConfig):
             Gaussians of the gel and of the twin's body, over MuJoCo's scene (needs OpenGL).
         pressure_range_kpa: pressures of the action, such as [0, 20]; default those that the twin was measured
             over, beyond which it is extrapolated.
-        station: file `station.yaml` of workspace and mount; default the paper's.
+        station: file `station.yaml` of arm, workspace and mount; default the paper's.
     """
 
     twin: Path | None = None
@@ -129,6 +131,8 @@ class PneutacEnvConfig(PneutacTaskConfig):
         super().__post_init__()
         check_range("env.pressure_range_kpa", self.pressure_range_kpa)
         check_station("env.station", self.station)
+        size = (len(state_names(station_joints(self.station))),)
+        self.features["agent_pos"] = PolicyFeature(FeatureType.STATE, size)
         check_choice("env.fidelity", self.fidelity, FIDELITIES)
         check_twin_folder("env.twin", self.twin)
         check_conditions("env.conditions", self.twin, self.conditions)

@@ -57,14 +57,21 @@ def check_range(option: str, pressure_range_kpa: tuple[float, float] | None) -> 
 
 
 def check_station(option: str, file: Path | None) -> None:
-    """Refuses what is no station.yaml; None is none."""
+    """Refuses what is no station.yaml, or has an arm that carries no finger; None is none."""
     from pneutac_sim.world.station import Station
 
     try:
         if file is not None:
-            Station.load(file)
+            Station.load(file).make_arm()
     except InputError as e:
         refuse_if(True, f"--{option}: {e}")
+
+
+def station_joints(file: Path | None) -> int:
+    """Joints of a station's arm; the paper's where there is no file."""
+    from pneutac_sim.world.station import Station
+
+    return (Station.load(file) if file is not None else Station()).joints
 
 
 def check_gl(option: str) -> None:

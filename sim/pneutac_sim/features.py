@@ -5,6 +5,7 @@ contact pixels log(1 + s), pressure kPa. Actions: end-effector velocity in m/s w
 pressure set-point in kPa. The paper's displacement per step is `velocity / CONTROL_HZ`.
 """
 
+from collections.abc import Iterable
 from functools import cache
 from importlib.metadata import entry_points
 
@@ -21,17 +22,35 @@ IMAGE_SHAPE = (320, 240, 3)
 IMAGE_NAME = "tactile"
 CAMERA_SHAPE = (240, 320)  # height and width of a scene camera's picture, where they are not told, px
 
-JOINT_NAMES = tuple(f"joint_{i}" for i in range(1, 8))
-STATE_NAMES = (
-    *(f"{j}.pos" for j in JOINT_NAMES),
-    *(f"{j}.vel" for j in JOINT_NAMES),
-    "ee_x.pos",
-    "ee_y.pos",
-    "ee_z.pos",
-    "contact_area.pos",
-    "contact_pixels.pos",
-    "pressure.pos",
-)
+PANDA_JOINTS = 7
+_AFTER_JOINTS = ("ee_x.pos", "ee_y.pos", "ee_z.pos", "contact_area.pos", "contact_pixels.pos", "pressure.pos")
+# Where these are in a state of any arm; its first entries are the joints' angles, then their rates.
+EE, AREA, PIXELS, PRESSURE = slice(-6, -3), -3, -2, -1
+
+
+def joint_names(joints: int) -> tuple[str, ...]:
+    """Names of an arm's joints, from the base on, whatever its own description calls them."""
+    return tuple(f"joint_{i}" for i in range(1, joints + 1))
+
+
+def state_names(joints: int) -> tuple[str, ...]:
+    """Names of the state (2 joints + 6,) of a robot whose arm has so many joints, in order."""
+    names = joint_names(joints)
+    return (*(f"{j}.pos" for j in names), *(f"{j}.vel" for j in names), *_AFTER_JOINTS)
+
+
+def state_names_like(names: Iterable[str]) -> tuple[str, ...]:
+    """Names of a state with as many joints as these names have rates of; the Panda's where they have none."""
+    return state_names(sum(n.startswith("joint_") and n.endswith(".vel") for n in names) or PANDA_JOINTS)
+
+
+def joint_count(size: int) -> int:
+    """Joints of the arm whose state has that size; 0 where no arm has such a one."""
+    joints, odd = divmod(size - len(_AFTER_JOINTS), 2)
+    return 0 if odd or joints < 1 else joints
+
+
+JOINT_NAMES, STATE_NAMES = joint_names(PANDA_JOINTS), state_names(PANDA_JOINTS)  # of the paper's arm
 ACTION_NAMES = ("dx.vel", "dy.vel", "dz.vel", "pressure.pos")
 
 MAX_SPEED_M_S = 0.1
@@ -63,11 +82,19 @@ JOINT_SPEED = np.array([2.1750, 2.1750, 2.1750, 2.1750, 2.6100, 2.6100, 2.6100])
 N_PIXELS = IMAGE_SHAPE[0] * IMAGE_SHAPE[1]
 
 
-def state_limits(pressure_range_kpa: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest state (20,) float32 as `STATE_NAMES`, of a finger with that range of pressures."""
+def state_limits(
+    pressure_range_kpa: tuple[float, float],
+    joints: tuple[np.ndarray, np.ndarray, np.ndarray] = (JOINT_LOW, JOINT_HIGH, JOINT_SPEED),
+) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest state (2 N + 6,) float32 as `state_names`.
+
+    Args:
+        pressure_range_kpa: of the finger.
+        joints: lowest and highest angle (N,), rad, and highest rate (N,), rad/s, of the arm's joints.
+    """
     low, high = pressure_range_kpa
-    lowest = np.concatenate([JOINT_LOW, -JOINT_SPEED, [-0.9, -0.9, -0.3, 0.0, 0.0, low]])
-    highest = np.concatenate([JOINT_HIGH, JOINT_SPEED, [0.9, 0.9, 1.2, 1.0, np.log1p(N_PIXELS), high]])
+    lowest = np.concatenate([joints[0], -joints[2], [-0.9, -0.9, -0.3, 0.0, 0.0, low]])
+    highest = np.concatenate([joints[1], joints[2], [0.9, 0.9, 1.2, 1.0, np.log1p(N_PIXELS), high]])
     return lowest.astype(np.float32), highest.astype(np.float32)
 
 

@@ -9,13 +9,9 @@ from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
 from lerobot.utils.constants import ACTION, DEFAULT_FEATURES, OBS_IMAGES, OBS_STATE
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import ACTION_NAMES, IMAGE_NAME, STATE_NAMES
+from pneutac_sim.features import ACTION_NAMES, AREA, IMAGE_NAME, PIXELS, joint_count, state_names_like
 
 TACTILE = f"{OBS_IMAGES}.{IMAGE_NAME}"
-JOINTS, RATES, EE = slice(0, 7), slice(7, 14), slice(14, 17)
-AREA = STATE_NAMES.index("contact_area.pos")
-PIXELS = STATE_NAMES.index("contact_pixels.pos")
-PRESSURE = STATE_NAMES.index("pressure.pos")
 
 
 @dataclass
@@ -23,7 +19,7 @@ class Episode:
     """One demonstration.
 
     Attributes:
-        state: (T, 20) in the order of `features.STATE_NAMES`.
+        state: (T, 2 N + 6) in the order of `features.state_names` of an arm of N joints.
         action: (T, 4) in the order of `features.ACTION_NAMES`.
         images: uint8 (T, 320, 240, 3).
         task: the instruction.
@@ -39,6 +35,16 @@ class Episode:
     def __len__(self) -> int:
         return len(self.state)
 
+    @property
+    def angles(self) -> slice:
+        """Where the joints' angles are in the state."""
+        return slice(0, joint_count(self.state.shape[1]))
+
+    @property
+    def rates(self) -> slice:
+        """Where the joints' rates are in the state."""
+        return slice(self.angles.stop, 2 * self.angles.stop)
+
     def at(self, times: np.ndarray) -> "Episode":
         """The episode played at fractional frame numbers `times` (T',), T' > 1.
 
@@ -51,7 +57,7 @@ class Episode:
             for x in (self.state, self.action)
         )
         pace = np.gradient(times)[:, None]  # the velocities follow the pace
-        state[:, RATES] *= pace
+        state[:, self.rates] *= pace
         action[:, :3] *= pace
         state[:, [AREA, PIXELS]] = self.state[nearest][:, [AREA, PIXELS]]
         return replace(self, state=state, action=action, images=self.images[nearest])
@@ -70,7 +76,8 @@ def demonstration_features(meta: LeRobotDatasetMetadata) -> dict:
             f"Dataset '{meta.repo_id}' has the features {', '.join(features)}; demonstrations have exactly"
             f" {OBS_STATE}, {ACTION} and {TACTILE}."
         )
-    for key, names in ((OBS_STATE, STATE_NAMES), (ACTION, ACTION_NAMES)):
+    own = state_names_like(features[OBS_STATE]["names"])
+    for key, names in ((OBS_STATE, own), (ACTION, ACTION_NAMES)):
         if list(features[key]["names"]) != list(names):
             raise InputError(
                 f"Dataset '{meta.repo_id}': '{key}' has the names {features[key]['names']}; it must have"

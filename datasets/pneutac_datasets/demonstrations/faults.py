@@ -8,12 +8,10 @@ import numpy as np
 import pyarrow.parquet as parquet
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import ACTION_NAMES, CONTROL_HZ, IMAGE_NAME, IMAGE_SHAPE, STATE_NAMES
+from pneutac_sim.features import ACTION_NAMES, AREA, CONTROL_HZ, IMAGE_NAME, IMAGE_SHAPE, state_names_like
 
 STATE, ACTION, TACTILE = "observation.state", "action", f"observation.images.{IMAGE_NAME}"
 OWN = ("timestamp", "frame_index", "episode_index", "index", "task_index")  # LeRobot's, in every dataset
-NAMES = {STATE: STATE_NAMES, ACTION: ACTION_NAMES}
-AREA = STATE_NAMES.index("contact_area.pos")
 ROUNDING_KPA = 0.01  # share of the range by which a command may be beyond it
 
 
@@ -73,9 +71,10 @@ def _of_features(features: dict, file: Path) -> list[str]:
             f"{file}: feature {', '.join(more)} is none of a demonstration's; take it out with"
             " lerobot-edit-dataset --operation.type=remove_feature."
         )
-    for key, names in NAMES.items():
+    for key in (STATE, ACTION):
         there = (features.get(key) or {}).get("names") or []
         there = list(there.values())[0] if isinstance(there, dict) else list(there)
+        names = state_names_like(map(str, there)) if key == STATE else ACTION_NAMES
         if key in features and there != list(names):
             missing = [f"'{n}'{_close(n, there)}" for n in names if n not in there]
             what = f"lacks {', '.join(missing)}" if missing else f"has the names {there} in another order"

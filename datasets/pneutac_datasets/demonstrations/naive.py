@@ -15,12 +15,6 @@ from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
 from lerobot.utils.constants import OBS_STATE
 
 from pneutac_datasets.demonstrations.episodes import (
-    AREA,
-    EE,
-    JOINTS,
-    PIXELS,
-    PRESSURE,
-    RATES,
     TACTILE,
     Episode,
     demonstration_features,
@@ -29,7 +23,18 @@ from pneutac_datasets.demonstrations.episodes import (
 )
 from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import N_PIXELS, PAPER_RANGE_KPA, action_limits, state_limits
+from pneutac_sim.features import (
+    AREA,
+    EE,
+    N_PIXELS,
+    PANDA_JOINTS,
+    PAPER_RANGE_KPA,
+    PIXELS,
+    PRESSURE,
+    action_limits,
+    joint_count,
+    state_limits,
+)
 from pneutac_sim.progress import Progress, no_progress
 
 # How far each variation goes; small against what tells one phase of a demonstration from the next.
@@ -105,7 +110,7 @@ def vary(
     Args:
         episode: the demonstration to vary.
         partner: another one to mix in, or None.
-        slope: (3, 7) change of the joint angles with the flange position, rad/m.
+        slope: (3, N) change of the joint angles with the flange position, rad/m.
         rng: decides every variation.
         pressure_range_kpa: of the finger, which the pressures keep to.
     """
@@ -117,10 +122,19 @@ def vary(
     state[:, PRESSURE] *= gain
     action[:, 3] *= gain
     varied = _warp_time(replace(episode, state=state, action=action), rng)
-    varied.state = np.clip(varied.state, *state_limits(pressure_range_kpa)).astype(np.float32)
+    varied.state = np.clip(varied.state, *_limits(varied, pressure_range_kpa)).astype(np.float32)
     varied.action = np.clip(varied.action, *action_limits(pressure_range_kpa)).astype(np.float32)
     varied.images = _change_appearance(varied.images, rng)
     return varied
+
+
+def _limits(episode: Episode, pressure_range_kpa: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Of the state; of the joints only the Panda's are known."""
+    joints = joint_count(episode.state.shape[1])
+    if joints == PANDA_JOINTS:
+        return state_limits(pressure_range_kpa)
+    far = np.full(joints, np.inf)
+    return state_limits(pressure_range_kpa, (-far, far, far))
 
 
 def _mix(episode: Episode, partner: Episode, weight: float) -> Episode:
@@ -150,9 +164,9 @@ def _displace_approach(episode: Episode, state, action, slope, rng) -> None:
     fade[: end + 1] = 0.5 + 0.5 * np.cos(np.pi * np.arange(end + 1) / max(end, 1))
     shift = fade[:, None] * (START_M * rng.standard_normal(3))  # (T + 1, 3) m
     state[:, EE] += shift[:-1]
-    state[:, JOINTS] += shift[:-1] @ slope
+    state[:, episode.angles] += shift[:-1] @ slope
     velocity = np.diff(shift, axis=0) * episode.fps
-    state[:, RATES] += velocity @ slope
+    state[:, episode.rates] += velocity @ slope
     action[:, :3] += velocity
 
 
@@ -184,11 +198,12 @@ def _change_appearance(images: np.ndarray, rng: np.random.Generator) -> np.ndarr
 
 
 def _joint_slope(dataset: LeRobotDataset) -> np.ndarray:
-    """Least-squares change of the joint angles with the flange position over a dataset, (3, 7) rad/m.
+    """Least-squares change of the joint angles with the flange position over a dataset, (3, N) rad/m.
 
     With the orientation held this is the arm's inverse Jacobian where the demonstrations are; directions in
     which they hardly move stay out (singular values under 1 %).
     """
     state = np.stack(dataset.hf_dataset.with_format("numpy")[OBS_STATE])
     state = state - state.mean(0)
-    return np.linalg.lstsq(state[:, EE], state[:, JOINTS], rcond=0.01)[0]
+    angles = state[:, : joint_count(state.shape[1])]
+    return np.linalg.lstsq(state[:, EE], angles, rcond=0.01)[0]

@@ -17,7 +17,6 @@ from lerobot.utils.constants import ACTION
 
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import POOL, POOLED_SHAPE, PREVIOUS_ACTION
 from pneutac_datasets.demonstrations.episodes import (
-    PRESSURE,
     TACTILE,
     Episode,
     demonstration_features,
@@ -26,7 +25,7 @@ from pneutac_datasets.demonstrations.episodes import (
 )
 from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import IMAGE_SHAPE
+from pneutac_sim.features import IMAGE_SHAPE, PRESSURE
 from pneutac_sim.progress import Progress, no_progress
 
 

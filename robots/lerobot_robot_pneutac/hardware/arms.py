@@ -1,12 +1,21 @@
 """Options of each kind of arm; another kind is one more registered class."""
 
 import abc
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import draccus
+from draccus.utils import DecodingError
 
 from lerobot_robot_pneutac.hardware.parts import Arm
-from lerobot_robot_pneutac.options import refuse_if
+from lerobot_robot_pneutac.options import check_station, refuse_if
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import PANDA_JOINTS
+
+if TYPE_CHECKING:
+    from pneutac_sim.world.station import Station
 
 
 @dataclass(kw_only=True)
@@ -17,6 +26,11 @@ class ArmConfig(draccus.ChoiceRegistry, abc.ABC):
     def type(self) -> str:
         """Name that it is registered by."""
         return str(self.get_choice_name(self.__class__))
+
+    @property
+    def joints(self) -> int:
+        """How many joints it has."""
+        return PANDA_JOINTS
 
     @abc.abstractmethod
     def make(self) -> Arm:
@@ -69,10 +83,101 @@ class PandaConfig(ArmConfig):
 @ArmConfig.register_subclass("simulated")
 @dataclass(kw_only=True)
 class SimulatedArmConfig(ArmConfig):
-    """An arm for dry runs."""
+    """An arm for dry runs.
+
+    Attributes:
+        model: `panda`, `ur5`, `so101`, or the file `station.yaml` that describes it.
+    """
+
+    model: str = "panda"
+
+    def __post_init__(self):
+        self._station = _station(self.model)
+
+    @property
+    def joints(self) -> int:
+        """How many joints it has."""
+        return self._station.joints
 
     def make(self) -> Arm:
         """See `ArmConfig.make`."""
         from lerobot_robot_pneutac.hardware.simulated_arm import SimulatedArm
 
-        return SimulatedArm()
+        return SimulatedArm(arm=_of_base(self._station))
+
+
+@ArmConfig.register_subclass("lerobot")
+@dataclass(kw_only=True)
+class LeRobotArmConfig(ArmConfig):
+    """An arm that LeRobot has a Robot of, commanded by joint positions.
+
+    Attributes:
+        robot: its options, such as {type: so101_follower, port: /dev/ttyACM1, id: mine}.
+        model: its kinematics: `so101`, or the file `station.yaml` that describes it.
+        motors: its names of the joints' positions from the base on; left out, all that end in `.pos` but the
+            gripper's.
+        degrees: whether it counts in degrees and not in radians.
+    """
+
+    robot: dict[str, Any] = field(default_factory=dict)
+    model: str = "so101"
+    motors: list[str] = field(default_factory=list)
+    degrees: bool = True
+
+    def __post_init__(self):
+        self._station = _station(self.model)
+        refuse_if(self._station.arm == "panda", "--robot.arm.model is 'panda'; give --robot.arm.type=panda.")
+        refuse_if(
+            not self.robot.get("type"),
+            "--robot.arm.robot is missing; give LeRobot's, such as '{type: so101_follower, port: ...}'.",
+        )
+        refuse_if(
+            self.degrees and not self.robot.get("use_degrees", True),
+            "--robot.arm.robot has use_degrees=false, whose numbers are no angles; leave it out.",
+        )
+
+    @property
+    def joints(self) -> int:
+        """How many joints it has."""
+        return self._station.joints
+
+    def make(self) -> Arm:
+        """See `ArmConfig.make`; raises InputError where LeRobot's robot has other joints."""
+        import lerobot.robots.so_follower  # noqa: F401  registers; LeRobot's commands import all of its robots
+        from lerobot.robots import RobotConfig, make_robot_from_config
+
+        from lerobot_robot_pneutac.hardware.lerobot_arm import LeRobotArm
+
+        try:
+            robot = make_robot_from_config(draccus.decode(RobotConfig, self.robot))
+        except (
+            ImportError,
+            ValueError,
+            DecodingError,
+        ) as e:  # what its package is called, or its options are
+            raise InputError(f"--robot.arm.robot: {e}") from e
+        found = [n for n in robot.action_features if n.endswith(".pos")]
+        motors = self.motors or [n for n in found if not n.startswith("gripper")]
+        if len(motors) != self.joints or not set(motors) <= set(found):
+            raise InputError(
+                f"--robot.arm.motors is {motors}, of LeRobot's {', '.join(found)}; give one of these for each"
+                f" of the {self.joints} joints of '{self.model}', from the base on."
+            )
+        per_rad = math.degrees(1) if self.degrees else 1.0
+        return LeRobotArm(robot, tuple(motors), _of_base(self._station), per_rad)
+
+
+def _station(model: str) -> "Station":
+    """The station that has an arm: of the library's, or of a file."""
+    from pneutac_sim.world.arms import ARMS
+    from pneutac_sim.world.station import Station
+
+    if model in ARMS:
+        return Station(arm=model)
+    check_station("robot.arm.model", Path(model))
+    return Station.load(model)
+
+
+def _of_base(station: "Station"):
+    """A station's arm in its own frame: on hardware every place is told in it."""
+    return replace(station, base_m=(0.0, 0.0, 0.0)).make_arm()

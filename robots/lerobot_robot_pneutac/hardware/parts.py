@@ -15,8 +15,8 @@ class ArmState:
     """What an arm senses.
 
     Attributes:
-        joints_rad: (7,).
-        joints_rad_s: (7,).
+        joints_rad: (N,), from the base on.
+        joints_rad_s: (N,).
         flange_m: (3,) in the base frame.
         force_n: size of the external force at the flange.
     """

@@ -1,12 +1,19 @@
-"""An arm for dry runs: the Panda's kinematics, moving in wall time, touching nothing."""
+"""An arm for dry runs: an arm's kinematics, moving in wall time, touching nothing."""
+
+from __future__ import annotations
 
 import threading
 import time
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lerobot_robot_pneutac.hardware.parts import COMMAND_S, ArmState, HardwareFault
+
+if TYPE_CHECKING:
+    from pneutac_sim.world.arms.chain import Chain
+    from pneutac_sim.world.panda import Panda
 
 
 class SimulatedArm:
@@ -14,21 +21,21 @@ class SimulatedArm:
 
     Args:
         clock: seconds, rising.
+        arm: whose kinematics; default the Panda.
     """
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic):
-        self._clock = clock
+    def __init__(self, clock: Callable[[], float] = time.monotonic, arm: Chain | Panda | None = None):
+        self._clock, self._arm = clock, arm
         self._lock = threading.Lock()
         self._ik = None
 
     def connect(self) -> None:
         """Builds the kinematics."""
-        from pneutac_sim.world.panda import HOME_JOINTS, CartesianIK, forward_kinematics
+        from pneutac_sim.world.panda import Panda
 
-        self._forward = forward_kinematics
-        self._ik = CartesianIK()
-        self._joints = HOME_JOINTS.copy()
-        self._rates = np.zeros(7)
+        self._ik = (self._arm or Panda()).solver()
+        self._joints = self._ik.q.copy()
+        self._rates = np.zeros(len(self._joints))
         self._velocity = np.zeros(3)
         self._now_s = self._until_s = self._clock()
 
@@ -36,7 +43,7 @@ class SimulatedArm:
         """The newest state; no force is ever felt."""
         with self._lock:
             self._advance()
-            flange = self._forward(self._joints)[:3, 3]
+            flange = self._ik.pose(self._joints)[1]
             return ArmState(self._joints.copy(), self._rates.copy(), flange, 0.0)
 
     def move(self, velocity_m_s: np.ndarray) -> None:
@@ -69,7 +76,7 @@ class SimulatedArm:
         before = self._joints
         if moved_s > 0:
             # From where it is, not from where it was told to be: beyond its reach it stays behind.
-            position = self._forward(self._joints)[:3, 3]
+            position = self._ik.pose(self._joints)[1]
             self._joints = self._ik.solve(position + self._velocity * moved_s)
         self._rates = (self._joints - before) / elapsed_s
         self._now_s = now

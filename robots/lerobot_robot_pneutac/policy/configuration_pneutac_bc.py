@@ -11,7 +11,15 @@ from lerobot.utils.constants import ACTION, OBS_IMAGES, OBS_STATE
 
 from lerobot_robot_pneutac.options import refuse_if
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import ACTION_NAMES, CONTROL_HZ, IMAGE_NAME, IMAGE_SHAPE, STATE_NAMES
+from pneutac_sim.features import (
+    ACTION_NAMES,
+    CONTROL_HZ,
+    IMAGE_NAME,
+    IMAGE_SHAPE,
+    STATE_NAMES,
+    joint_count,
+    state_names_like,
+)
 
 POOL = 4  # the network sees the mean of 4 x 4 pixels; a dataset may hold these means instead of images
 POOLED_SHAPE = (IMAGE_SHAPE[0] // POOL, IMAGE_SHAPE[1] // POOL, IMAGE_SHAPE[2])
@@ -105,10 +113,17 @@ class PneutacBCConfig(PreTrainedConfig):
             num_warmup_steps=0, num_decay_steps=MOST_STEPS, peak_lr=self.optimizer_lr, decay_lr=0.0
         )
 
+    @property
+    def joints(self) -> int:
+        """Joints of the arm, as the size of the state tells; 0 where it is the state of none."""
+        shape = self.input_features[OBS_STATE].shape if OBS_STATE in (self.input_features or {}) else ()
+        return joint_count(shape[0]) if len(shape) == 1 else 0
+
     def validate_features(self) -> None:
         """Raises InputError where the shapes of state, action or tactile image do not fit."""
         inputs, outputs = self.input_features or {}, self.output_features or {}
-        _need_shape(inputs, OBS_STATE, (len(STATE_NAMES),))
+        if not self.joints:  # of no arm
+            _need_shape(inputs, OBS_STATE, (len(STATE_NAMES),))
         _need_shape(outputs, ACTION, (len(ACTION_NAMES),))
         if self.use_tactile:
             if TACTILE in inputs:  # a dataset may hold means; robots give all pixels
@@ -152,8 +167,9 @@ class PneutacBCConfig(PreTrainedConfig):
                 f"{where} has {meta.fps} frames per second and the policy's control_hz is {self.control_hz};"
                 " they must be equal."
             )
-        for key, names in ((OBS_STATE, STATE_NAMES), (ACTION, ACTION_NAMES)):
+        for key in (OBS_STATE, ACTION):
             found = (meta.features.get(key) or {}).get("names")
+            names = state_names_like(found or []) if key == OBS_STATE else ACTION_NAMES
             if list(found or []) != list(names):
                 raise InputError(f"{where}: '{key}' has the names {found}; pneutac_bc needs {list(names)}.")
             if not {"min", "max"} <= (meta.stats or {}).get(key, {}).keys():

@@ -9,7 +9,7 @@ from lerobot.configs.train import TrainPipelineConfig
 from lerobot.utils.constants import ACTION, OBS_STATE
 
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import TACTILE, PneutacBCConfig
-from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, ACTION_NAMES, STATE_NAMES
+from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, ACTION_NAMES, state_names
 
 _STATE_UNITS = {
     "contact_area.pos": "share of the image's pixels that are in contact",
@@ -108,7 +108,10 @@ def _features(
         return _STATE_UNITS.get(name, "m")
 
     unused = () if config.use_tactile else ("contact_area.pos", "contact_pixels.pos")
-    rows = [(OBS_STATE, f"`{n}`", unit(n) + (" (not looked at)" if n in unused else "")) for n in STATE_NAMES]
+    rows = [
+        (OBS_STATE, f"`{n}`", unit(n) + (" (not looked at)" if n in unused else ""))
+        for n in state_names(config.joints)
+    ]
     if config.use_tactile:
         c, h, w = config.image_shape
         rows.append((TACTILE, f"{w} x {h} pixels, {c} channels, RGB", "0 to 1"))

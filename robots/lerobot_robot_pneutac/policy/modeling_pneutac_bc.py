@@ -20,10 +20,8 @@ from lerobot_robot_pneutac.policy.rest_image import check_same_sensor, rest_imag
 from lerobot_robot_pneutac.policy.scaling import Scaling
 from lerobot_robot_pneutac.policy.tactile_encoder import DIFFERENCE_SCALE, EMBEDDING, TactileEncoder
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import ACTION_NAMES, STATE_NAMES
+from pneutac_sim.features import ACTION_NAMES, AREA, PIXELS, PRESSURE, state_names
 
-_CONTACT = [STATE_NAMES.index("contact_area.pos"), STATE_NAMES.index("contact_pixels.pos")]
-_PRESSURE = STATE_NAMES.index("pressure.pos")
 HIDDEN = 256
 REST = "encoder.rest_image"
 BEFORE_0_2 = ("_action_centre", "_action_high", "_action_low", "_action_scale")  # not in older files
@@ -62,11 +60,13 @@ class PneutacBCPolicy(PreTrainedPolicy):
             self._dataset_rest = rest_image_of(dataset_meta) if config.use_tactile else None
 
         self.encoder = TactileEncoder(config.image_shape) if config.use_tactile else None
-        channels = [i for i in range(len(STATE_NAMES)) if config.use_tactile or i not in _CONTACT]
+        size = len(state_names(config.joints))
+        contact = (size + AREA, size + PIXELS)
+        channels = [i for i in range(size) if config.use_tactile or i not in contact]
         self.register_buffer("_channels", torch.tensor(channels), persistent=False)
         # Saved with the weights, which mean nothing with another scale.
         self._dataset_scaling = None if dataset_meta is None else Scaling.of(dataset_meta.stats)
-        for name, value in (self._dataset_scaling or Scaling.paper()).tensors().items():
+        for name, value in (self._dataset_scaling or Scaling.paper(config.joints)).tensors().items():
             self.register_buffer(name, value)
         width = len(channels) + len(ACTION_NAMES) + (EMBEDDING if config.use_tactile else 0)
         self.mlp = nn.Sequential(
@@ -92,7 +92,7 @@ class PneutacBCPolicy(PreTrainedPolicy):
                 model.config.check_size(tuple(file.get_slice(REST).get_shape()), str(model_file))
             other = sorted(set(file.keys()) ^ set(model.state_dict()))
         if other == sorted(BEFORE_0_2):  # their actions were those of the paper's finger
-            paper = Scaling.paper().tensors()
+            paper = Scaling.paper(model.config.joints).tensors()
             weights = load_file(model_file, device=map_location) | {n: paper[n] for n in BEFORE_0_2}
             model.load_state_dict(weights, strict=strict)
         elif other:
@@ -164,8 +164,8 @@ class PneutacBCPolicy(PreTrainedPolicy):
         Args:
             batch: `action` (B, 2, 4), the previous and the present one; `action_is_pad` (B, 2), true where
                 there is none; with `previous_action_in_data` instead `action` (B, 4) and
-                `observation.previous_action` (B, 4); `observation.state` (B, 20); the tactile image
-                (B, 3, H, W) in [0, 1].
+                `observation.previous_action` (B, 4); `observation.state` (B, 2 N + 6) with N joints; the
+                tactile image (B, 3, H, W) in [0, 1].
 
         Returns:
             loss, and its two terms by name.
@@ -187,7 +187,7 @@ class PneutacBCPolicy(PreTrainedPolicy):
         """What `forward` returns, of samples whose images are prepared.
 
         Args:
-            state: (B, 20).
+            state: (B, 2 N + 6).
             previous: action (B, 4) of the frame before.
             hidden: (B,), true where there is none.
             target: action (B, 4) to be learnt.
@@ -195,7 +195,7 @@ class PneutacBCPolicy(PreTrainedPolicy):
         """
         if self.training:
             state = state.clone()
-            state[:, _PRESSURE] += self.config.pressure_noise_kpa * torch.randn_like(state[:, _PRESSURE])
+            state[:, PRESSURE] += self.config.pressure_noise_kpa * torch.randn_like(state[:, PRESSURE])
             drawn = torch.rand(len(hidden), device=hidden.device)
             hidden = hidden | (drawn < self.config.previous_action_dropout)
             if difference is not None:
@@ -232,10 +232,9 @@ class PneutacBCPolicy(PreTrainedPolicy):
         """The next action as a chunk of one, (B, 1, 4); remembers nothing."""
         self.eval()
         state = batch[OBS_STATE]
-        if state.shape[1:] != (len(STATE_NAMES),):
-            raise InputError(
-                f"The state has the shape {tuple(state.shape[1:])}; it must be ({len(STATE_NAMES)},)."
-            )
+        size = len(state_names(self.config.joints))
+        if state.shape[1:] != (size,):
+            raise InputError(f"The state has the shape {tuple(state.shape[1:])}; it must be ({size},).")
         previous = self._hold(state) if self._previous is None else self._previous
         action = self._predict(state, self._difference(batch), previous)
         if not action.isfinite().all():
@@ -247,7 +246,7 @@ class PneutacBCPolicy(PreTrainedPolicy):
     def _hold(self, state: Tensor) -> Tensor:
         """The action (B, 4) that holds still: no velocity, and the pressure that there is."""
         hold = torch.zeros(len(state), len(ACTION_NAMES), device=state.device)
-        hold[:, 3] = state[:, _PRESSURE]
+        hold[:, 3] = state[:, PRESSURE]
         return hold
 
     def _difference(self, batch: dict[str, Tensor]) -> Tensor | None:
@@ -259,7 +258,7 @@ class PneutacBCPolicy(PreTrainedPolicy):
         return self.encoder.difference(batch[TACTILE])
 
     def _predict(self, state: Tensor, difference: Tensor | None, previous: Tensor) -> Tensor:
-        """Action (B, 4), m/s and kPa, not clipped, from state (B, 20), difference, previous action (B, 4)."""
+        """Action (B, 4), m/s and kPa, not clipped, from state (B, 2 N + 6), difference, previous action."""
         parts = [
             ((state - self._state_centre) / self._state_scale)[:, self._channels],
             (previous - self._action_centre) / self._action_scale,

@@ -8,7 +8,7 @@ from pathlib import Path
 from lerobot.robots import Robot
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import ACTION_NAMES, IMAGE_NAME, IMAGE_SHAPE, STATE_NAMES
+from pneutac_sim.features import ACTION_NAMES, IMAGE_NAME, IMAGE_SHAPE, state_names
 from pneutac_sim.files import whole
 
 BEND_NAMES = (*ACTION_NAMES[:3], "bend.pos")  # rad, in place of the pressure
@@ -45,9 +45,14 @@ class BaseRobot(Robot):
         return IMAGE_SHAPE
 
     @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of the state's scalars, as many as the arm has joints for."""
+        return state_names(self.config.joints)
+
+    @property
     def observation_features(self) -> dict[str, type | tuple]:
         """Every scalar of the state in order, then the tactile image."""
-        return dict.fromkeys(STATE_NAMES, float) | {IMAGE_NAME: self.image_shape}
+        return dict.fromkeys(self.state_names, float) | {IMAGE_NAME: self.image_shape}
 
     @property
     def action_features(self) -> dict[str, type]:

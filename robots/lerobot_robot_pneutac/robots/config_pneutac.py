@@ -9,9 +9,15 @@ from lerobot.robots import RobotConfig
 
 from lerobot_robot_pneutac.hardware.arms import ArmConfig
 from lerobot_robot_pneutac.hardware.limits import Limits
-from lerobot_robot_pneutac.options import check_twin_folder, contact_threshold, pressure_range, refuse_if
+from lerobot_robot_pneutac.options import (
+    check_station,
+    check_twin_folder,
+    contact_threshold,
+    pressure_range,
+    refuse_if,
+)
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import IMAGE_NAME, STATE_NAMES
+from pneutac_sim.features import IMAGE_NAME, state_names
 
 
 @dataclass(kw_only=True)
@@ -56,6 +62,7 @@ class PneutacConfig(RobotConfig):
         bend: actions command the finger's bend, `bend.pos` in rad, in place of the pressure; the twin finds
             the pressure for it.
         conditions: what the twin's effects ask for, such as {temperature_c: 22}, for `bend`.
+        station: file `station.yaml`, whose workspace is the box of `limits` where these give none.
     """
 
     arm: ArmConfig | None = None
@@ -67,6 +74,7 @@ class PneutacConfig(RobotConfig):
     cameras: dict[str, CameraConfig] = field(default_factory=dict)
     bend: bool = False
     conditions: dict[str, float] = field(default_factory=dict)
+    station: Path | None = None
 
     def __post_init__(self):
         super().__post_init__()
@@ -88,10 +96,22 @@ class PneutacConfig(RobotConfig):
             self.bend and self.twin is None,
             "--robot.bend=true needs --robot.twin, the folder of the finger's calibrated twin.",
         )
-        taken = {IMAGE_NAME, *STATE_NAMES} & self.cameras.keys()
+        taken = {IMAGE_NAME, *state_names(self.joints)} & self.cameras.keys()
         refuse_if(bool(taken), f"--robot.cameras has '{', '.join(taken)}', which is taken; choose another.")
         self._check_contact()
         self.limits = self.limits.of_twin(pressure_range("robot.twin", self.twin))
+        check_station("robot.station", self.station)
+        if self.station is not None and (self.limits.low_m, self.limits.high_m) == (
+            Limits.low_m,
+            Limits.high_m,
+        ):
+            low_m, high_m = _box_m(self.station, self.twin)
+            self.limits.low_m, self.limits.high_m = low_m, high_m
+
+    @property
+    def joints(self) -> int:
+        """Joints of the arm."""
+        return self.arm.joints
 
     def threshold_levels(self) -> float:
         """The contact threshold, 8-bit levels; raises InputError where the twin's folder is damaged."""
@@ -115,3 +135,14 @@ class PneutacConfig(RobotConfig):
                 self.threshold_levels()
         except InputError as e:
             raise DecodingError((), f"--robot.twin: {e}") from e
+
+
+def _box_m(station: Path, twin: Path | None) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Corners (3,) of a station's workspace in the arm's frame, with the finger of a twin."""
+    from pneutac_sim.twin import Twin
+    from pneutac_sim.world.station import Station
+
+    where = Station.load(station)
+    corners = where.box_m((Twin.load(twin) if twin else Twin.builtin()).length_mm)
+    low_m, high_m = (tuple((corner - where.base_m).tolist()) for corner in corners)
+    return low_m, high_m

@@ -15,6 +15,7 @@ from lerobot_robot_pneutac.options import (
     check_station,
     check_twin_folder,
     refuse_if,
+    station_joints,
 )
 from pneutac_sim.features import CONTROL_HZ, FIDELITIES, RENDERS, task_names
 
@@ -22,7 +23,7 @@ from pneutac_sim.features import CONTROL_HZ, FIDELITIES, RENDERS, task_names
 @RobotConfig.register_subclass("pneutac_sim")
 @dataclass(kw_only=True)
 class PneutacSimConfig(RobotConfig):
-    """A Panda with the pneumatic finger and its gel, simulated.
+    """An arm, a Panda where no station tells another, with the pneumatic finger and its gel, simulated.
 
     Attributes:
         task: what stands in front of the robot: `switch`, `egg` or `card`, or of another package.
@@ -36,7 +37,7 @@ class PneutacSimConfig(RobotConfig):
         render: what draws the touch: `mesh`, light on every pixel; `splats`, the Gaussians of the gel.
         pressure_range_kpa: pressures that can be commanded, such as [0, 20]; default those that the twin was
             measured over, beyond which it is extrapolated.
-        station: file `station.yaml` of workspace and mount; default the paper's.
+        station: file `station.yaml` of arm, workspace and mount; default the paper's.
         standin: act on the stand-in for reality, which has a finger and a gel of its own.
         spread: number of random starts that the demonstrations are to stand for: each episode begins at that
             one of them which leaves the others nearest to a start that was done, as a person would spread a
@@ -60,6 +61,11 @@ class PneutacSimConfig(RobotConfig):
     bend: bool = False
     cameras: dict[str, CameraConfig] = field(default_factory=dict)
     randomise_look: bool = False
+
+    @property
+    def joints(self) -> int:
+        """Joints of the station's arm."""
+        return station_joints(self.station)
 
     def __post_init__(self):
         super().__post_init__()

@@ -27,7 +27,6 @@ from pneutac_sim.features import (
     ACTION_NAMES,
     CONTROL_HZ,
     IMAGE_NAME,
-    STATE_NAMES,
 )
 from pneutac_sim.twin import Twin
 
@@ -127,7 +126,7 @@ class Pneutac(BaseRobot):
         values = [
             *arm.joints_rad, *arm.joints_rad_s, *arm.flange_m, contact.area, contact.log_pixels, kpa
         ]  # fmt: skip
-        state = {name: float(v) for name, v in zip(STATE_NAMES, values, strict=True)}
+        state = {name: float(v) for name, v in zip(self.state_names, values, strict=True)}
         return state | {IMAGE_NAME: image} | extra
 
     def send_action(self, action: dict[str, Any]) -> dict[str, float]:

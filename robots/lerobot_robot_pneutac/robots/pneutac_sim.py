@@ -20,17 +20,16 @@ from lerobot_robot_pneutac.robots.spread_starts import SpreadStarts
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import (
     ACTION_NAMES,
+    AREA,
     CONTROL_HZ,
+    EE,
     IMAGE_NAME,
-    STATE_NAMES,
     action_limits,
 )
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.look import SceneCameras
 from pneutac_sim.world.scene import OBJECT_GROUP
 
-AREA = STATE_NAMES.index("contact_area.pos")
-EE = slice(STATE_NAMES.index("ee_x.pos"), STATE_NAMES.index("ee_z.pos") + 1)
 # A pose command this near to one of the task's starts brings the arm home; their jitter is less.
 HOME_RADIUS_M = 0.010
 
@@ -90,7 +89,7 @@ class PneutacSim(BaseRobot):
     def get_observation(self) -> dict[str, Any]:
         """The present state (floats), tactile image uint8 (320, 240, 3), and scene cameras' pictures."""
         self._need_world()
-        state = zip(STATE_NAMES, self._observation.state.tolist(), strict=True)
+        state = zip(self.state_names, self._observation.state.tolist(), strict=True)
         return dict(state) | {IMAGE_NAME: self._observation.tactile} | self._scene.pictures()
 
     def send_action(self, action: dict[str, Any]) -> dict[str, float]:
@@ -166,8 +165,9 @@ class PneutacSim(BaseRobot):
 
     def _go_to(self, pose: np.ndarray) -> None:
         """One step towards a pose: (4,) flange position m, pressure kPa."""
-        task = self.world.task
-        away = pose[:3] - self.world.home_m
+        task, arm = self.world.task, getattr(self.world, "arm", None)
+        base_m = np.zeros(3) if arm is None else arm.base_m  # poses are in the arm's frame
+        away = pose[:3] - (self.world.home_m - base_m)
         away[1] -= np.clip(away[1], min(task.starts_m), max(task.starts_m))
         if np.linalg.norm(away) < HOME_RADIUS_M:  # of the line on which all starts lie
             if self._moved:

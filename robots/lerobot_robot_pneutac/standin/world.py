@@ -24,7 +24,7 @@ from pneutac_sim.features import (
 from pneutac_sim.world import scene
 from pneutac_sim.world.action import checked_action
 from pneutac_sim.world.observation import Observation
-from pneutac_sim.world.panda import HOME_JOINTS, WORKSPACE_HIGH, WORKSPACE_LOW, CartesianIK
+from pneutac_sim.world.panda import WORKSPACE_HIGH, WORKSPACE_LOW, CartesianIK
 from pneutac_sim.world.task_env import TaskEnv
 from pneutac_sim.world.tasks import make_task
 from pneutac_sim.world.tasks.base import HOME_JITTER_M
@@ -105,7 +105,7 @@ class StandinWorld:
         self.task.reset(self.model, self.data, self._rng)
         self.target_m = self.home_m + self._rng.uniform(-1, 1, 3) * HOME_JITTER_M
         self.target_m[1] += self._rng.choice(self.task.starts_m)
-        self._ik.reset(HOME_JOINTS)
+        self._ik.reset()
         for _ in range(20):
             self._joints = self._ik.solve(self.target_m)
         self.data.qpos[self._arm] = self._joints

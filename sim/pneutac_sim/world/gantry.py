@@ -1,6 +1,6 @@
 """The world for planners: with its orientation held, the arm is three slides that carry the finger.
 
-A step is cheaper than one with the arm's seven joints and its inverse kinematics, and flange and finger go
+A step is cheaper than one with the arm's joints and its inverse kinematics, and flange and finger go
 the same ways, because the slides follow their targets with the same lag as the arm's servos.
 """
 
@@ -60,7 +60,7 @@ class Gantry(VariedWorld):
         self.task = _Staged(task, self.model)
         self.sensor = TactileSensor(self.twin)
         self.touch = Touch(self.model, self.sensor, "area", world.touch.network)
-        self._ik = slides.Straight()
+        self._ik, self._base_m = slides.Straight(), np.zeros(3)
         self._flange, self._gel = self.model.site("flange").id, self.model.site("gel").id
         self._tip, self._placing = self.model.site("tip").id, Placing(self.model)
         n = self._spine.stop - self._spine.start

@@ -10,7 +10,7 @@ class Observation:
     """What a robot senses once a control step.
 
     Attributes:
-        state: (20,) float32 in the order of `features.STATE_NAMES`.
+        state: (2 N + 6,) float32 in the order of `features.state_names` of an arm of N joints.
         tactile: uint8 (320, 240, 3), or None where the world has no image.
     """
 

@@ -7,7 +7,7 @@ stiff joint control they matter for looks and little else.
 
 import numpy as np
 
-from pneutac_sim.features import JOINT_HIGH, JOINT_LOW, JOINT_NAMES
+from pneutac_sim.features import JOINT_HIGH, JOINT_LOW, JOINT_NAMES, JOINT_SPEED, PANDA_JOINTS
 from pneutac_sim.world import ik_kernel
 
 # Link offsets a (m), joint offsets d (m) and twists alpha (rad) of joints 1 to 7, then the flange (m).
@@ -65,8 +65,8 @@ def forward_kinematics(q: np.ndarray) -> np.ndarray:
     return T
 
 
-def body(payload: str = "") -> str:
-    """MJCF body of the arm, its base at the origin; `payload` is MJCF placed in the frame `flange`."""
+def body(payload: str = "", base_m: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> str:
+    """MJCF body of the arm, its base at `base_m`; `payload` is MJCF placed in the frame `flange`."""
     site = '<site name="flange" size=".001" group="5"/>'
     xml = f'<body name="flange" pos="0 0 {FLANGE_M}">{site}{payload}</body>'
     for i in reversed(range(7)):
@@ -85,7 +85,7 @@ def body(payload: str = "") -> str:
             f' armature="{ARMATURE}"/>{geoms}{xml}</body>'
         )
     base = '<geom class="arm" type="capsule" fromto="-.06 0 .06 0 0 .08" size=".075" material="arm_dark"/>'
-    return f'<body name="panda">{base}{xml}</body>'
+    return f'<body name="panda" pos="{" ".join(map(str, base_m))}">{base}{xml}</body>'
 
 
 def actuators() -> str:
@@ -113,6 +113,8 @@ class CartesianIK:
         q: the present joint targets (7,), rad; each `solve` starts from them.
     """
 
+    missing_m = 0.0  # its whole workspace is in reach
+
     def __init__(self, damping: float = 0.01, iterations: int = 2):
         alpha = np.array(DH_ALPHA)
         self._arm = np.array(DH_A), np.array(DH_D), np.cos(alpha), np.sin(alpha), FLANGE_M
@@ -121,12 +123,40 @@ class CartesianIK:
         self._held = np.ascontiguousarray(forward_kinematics(HOME_JOINTS)[:3, :3])
         self.reset(HOME_JOINTS)
 
-    def reset(self, q: np.ndarray) -> None:
-        """Starts again from the joint angles `q` (7,), rad."""
+    def reset(self, q: np.ndarray = HOME_JOINTS) -> None:
+        """Starts again from the joint angles `q` (7,), rad; from home where there are none."""
         self.q = np.array(q, float)
+
+    def pose(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Rotation (3, 3) and position (3,), m, of the flange in the base's frame at joint angles (7,)."""
+        T = forward_kinematics(q)
+        return T[:3, :3], T[:3, 3]
 
     def solve(self, position: np.ndarray) -> np.ndarray:
         """Joint targets (7,), rad, for the flange at `position` (3,), metres in the base frame."""
         at = np.ascontiguousarray(position, float)
         ik_kernel.solve(self.q, at, self._held, *self._arm, *self._limits, *self._search)
         return self.q.copy()
+
+
+class Panda:
+    """The paper's arm, with what the world asks of any; see `arms.chain.Chain` for the attributes."""
+
+    joints, root = PANDA_JOINTS, "panda"
+    low_rad, high_rad, speed_rad_s, home_rad = JOINT_LOW, JOINT_HIGH, JOINT_SPEED, HOME_JOINTS
+
+    def __init__(self, base_m: tuple[float, float, float] = (0.0, 0.0, 0.0)):
+        """The arm, its base at `base_m` (3,)."""
+        self.base_m = np.array(base_m, float)
+
+    def body(self, payload: str = "") -> str:
+        """MJCF body of the arm; `payload` is MJCF placed in the frame `flange`."""
+        return body(payload, tuple(self.base_m.tolist()))
+
+    def servos(self) -> str:
+        """MJCF position servos of the joints."""
+        return actuators()
+
+    def solver(self) -> CartesianIK:
+        """Inverse kinematics of the flange in the base's frame."""
+        return CartesianIK()

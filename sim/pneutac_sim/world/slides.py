@@ -33,7 +33,9 @@ def actuators() -> str:
 class Straight:
     """Inverse kinematics of the slides."""
 
-    def reset(self, q) -> None:
+    missing_m = 0.0
+
+    def reset(self) -> None:
         """Nothing to start from."""
 
     def solve(self, position: np.ndarray) -> np.ndarray:

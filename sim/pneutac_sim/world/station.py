@@ -9,37 +9,97 @@ from pathlib import Path
 import numpy as np
 
 from pneutac_sim.errors import InputError, shown
+from pneutac_sim.features import CONTROL_HZ
 from pneutac_sim.files import read_yaml
+from pneutac_sim.twin import PAPER_LENGTH_MM
+from pneutac_sim.world.arms import ARMS, ArmFile, joints_of, make_arm, read_arm
+from pneutac_sim.world.arms.chain import Chain
+from pneutac_sim.world.panda import Panda
 
+MOST_LATE_S = 1.0
 FORMAT = "pneutac-station/1"
 
 
 @dataclass(frozen=True)
 class Station:
-    """A station, in the arm's base frame.
+    """A station. Its origin lies on the table, x forwards and z up; the tasks are laid out in its frame.
 
     Attributes:
+        arm: `panda`, `ur5`, `so101`, or an arm's own description.
+        base_m: where the arm's base stands (x, y, z), so that the table is at -z in the arm's own frame; left
+            out, the origin, and for `so101` where it reaches the tasks.
         workspace_low_m: corner (x, y, z) of the box to which the flange is held with a finger of 110 mm on a
             mount of 20 mm; with what is longer its floor is as much higher.
         workspace_high_m: the opposite corner.
         mount_mm: from the flange to the finger's base.
+        home_m: where the flange starts (x, y, z) in place of the task's own start.
+        latency_s: by which commands act late, in whole control steps.
+        control_hz: control rate; the world has one only.
     """
 
     workspace_low_m: tuple[float, float, float] = (0.30, -0.20, 0.18)
     workspace_high_m: tuple[float, float, float] = (0.66, 0.20, 0.55)
     mount_mm: float = 20.0
+    arm: ArmFile | str = "panda"
+    base_m: tuple[float, float, float] | None = None
+    home_m: tuple[float, float, float] | None = None
+    latency_s: float = 0.0
+    control_hz: int = CONTROL_HZ
 
     def __post_init__(self):
-        for name in ("workspace_low_m", "workspace_high_m"):
+        if self.base_m is None:
+            base_m = ARMS[self.arm][1] if isinstance(self.arm, str) else (0.0, 0.0, 0.0)
+            object.__setattr__(self, "base_m", base_m)
+        for name in (
+            "workspace_low_m",
+            "workspace_high_m",
+            "base_m",
+            *["home_m"] * (self.home_m is not None),
+        ):
             object.__setattr__(self, name, _corner(getattr(self, name), name))
         if not np.less(self.workspace_low_m, self.workspace_high_m).all():
             raise InputError(
                 f"workspace_low_m is {self.workspace_low_m} and workspace_high_m {self.workspace_high_m};"
                 " each number of the first must be below that of the second."
             )
-        right = isinstance(self.mount_mm, int | float) and not isinstance(self.mount_mm, bool)
-        if not (right and 1 <= self.mount_mm <= 200):
-            raise InputError(f"mount_mm is {shown(self.mount_mm)}; give 1 to 200 mm.")
+        for name, low, high, unit in (("mount_mm", 1, 200, "mm"), ("latency_s", 0, MOST_LATE_S, "s")):
+            value = getattr(self, name)
+            right = isinstance(value, int | float) and not isinstance(value, bool)
+            if not (right and low <= value <= high):
+                raise InputError(f"{name} is {shown(value)}; give {low} to {high} {unit}.")
+        if self.control_hz != CONTROL_HZ:
+            raise InputError(
+                f"control_hz is {shown(self.control_hz)}; the world and its policies run at {CONTROL_HZ} Hz,"
+                f" so record at --dataset.fps={CONTROL_HZ} and leave it out."
+            )
+        if self.home_m is not None and not (
+            np.less_equal(self.workspace_low_m, self.home_m).all()
+            and np.less_equal(self.home_m, self.workspace_high_m).all()
+        ):
+            raise InputError(
+                f"home_m is {self.home_m}, outside the workspace, {self.workspace_low_m} to"
+                f" {self.workspace_high_m}."
+            )
+
+    @property
+    def late_commands(self) -> int:
+        """Control steps by which commands act late."""
+        return round(self.latency_s * CONTROL_HZ)
+
+    def box_m(self, length_mm: float) -> tuple[np.ndarray, np.ndarray]:
+        """Corners (3,) of the flange's box with a finger of that length."""
+        longer_mm = length_mm - PAPER_LENGTH_MM + self.mount_mm - Station.mount_mm
+        lift_m = np.array([0.0, 0.0, 1e-3 * longer_mm])
+        return self.workspace_low_m + lift_m, np.array(self.workspace_high_m)
+
+    @property
+    def joints(self) -> int:
+        """Joints of the arm."""
+        return joints_of(self.arm)
+
+    def make_arm(self) -> Chain | Panda:
+        """The arm; raises InputError where its file is missing or damaged, or it cannot carry a finger."""
+        return make_arm(self.arm, self.base_m)
 
     @classmethod
     def load(cls, file: str | Path) -> "Station":
@@ -61,6 +121,8 @@ class Station:
                 hint = f"is '{near[0]}' meant?" if near else f"the fields are {', '.join(names)}."
                 raise InputError(f"{file}: there is no field '{name}'; {hint}")
         try:
+            if "arm" in content:
+                content["arm"] = read_arm(content["arm"], file.parent)
             return cls(**content)
         except InputError as e:
             raise InputError(f"{file}: {e}") from e

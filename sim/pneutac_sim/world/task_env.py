@@ -21,9 +21,9 @@ from pneutac_sim.world.observation import Observation
 class TaskEnv(gymnasium.Env):
     """The task of a world as a Gymnasium environment; reward 1 on the step that succeeds.
 
-    Observation: `agent_pos` (20,) float32 as `features.STATE_NAMES` and, where the world has an image,
-    `pixels/tactile` uint8 (320, 240, 3); of each scene camera `pixels/NAME`. Action: (4,) float32 as
-    `features.ACTION_NAMES`. An episode terminates on success and on failure; `info` has `is_success`,
+    Observation: `agent_pos` float32 as `features.state_names`, (20,) with the Panda, and, where the world has
+    an image, `pixels/tactile` uint8 (320, 240, 3); of each scene camera `pixels/NAME`. Action: (4,) float32
+    as `features.ACTION_NAMES`. An episode terminates on success and on failure; `info` has `is_success`,
     `failure` (text, empty where none), `clipped` and `out_of_range`, see `World`.
 
     Attributes:
@@ -63,7 +63,7 @@ class TaskEnv(gymnasium.Env):
         self.render_mode = render_mode
         self._render_size = (render_width, render_height)
         self.action_space = spaces.Box(*action_limits(world.pressure_range_kpa), dtype=np.float32)
-        state = spaces.Box(*state_limits(world.pressure_range_kpa), dtype=np.float32)
+        state = spaces.Box(*state_limits(world.pressure_range_kpa, *_joints(world)), dtype=np.float32)
         self._cameras = SceneCameras(world, cameras, randomise_look)
         shapes = {IMAGE_NAME: IMAGE_SHAPE} if touch == "image" else {}
         shapes |= {name: (*size, 3) for name, size in cameras.items()}
@@ -111,3 +111,9 @@ class TaskEnv(gymnasium.Env):
             "clipped": self.world.clipped,
             "out_of_range": self.world.out_of_range,
         }
+
+
+def _joints(world) -> tuple:
+    """Limits of a world's arm for `state_limits`; none for the stand-in, whose arm is the paper's."""
+    arm = getattr(world, "arm", None)
+    return () if arm is None else ((arm.low_rad, arm.high_rad, arm.speed_rad_s),)

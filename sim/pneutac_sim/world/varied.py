@@ -20,7 +20,7 @@ class Variation:
         shift_m: displacement (3,) of the task's objects, metres.
         bend_gain: factor on the bend that the pressure makes.
         friction: factor on the friction of the gel.
-        late_commands: control steps by which commands act too late.
+        late_commands: control steps by which commands act later than the station says.
         late_touch: control steps by which touch is shown too late.
         conditions: in place of those that the world draws.
     """
@@ -49,7 +49,6 @@ class VariedWorld(World):
             self.task.variation = self.variation
         self._rest_rad = None
         observation = super().reset(seed)
-        self._sent = deque([self.command] * self.variation.late_commands)
         self._shown = deque([self._felt()] * self.variation.late_touch)
         return observation
 
@@ -59,16 +58,18 @@ class VariedWorld(World):
         start_m = self.variation.start_m
         return super().home_m if start_m is None else np.array(start_m)
 
+    @property
+    @override
+    def _late_commands(self):
+        return super()._late_commands + self.variation.late_commands
+
     @override
     def _draw_conditions(self):
         return super()._draw_conditions() | self.variation.conditions
 
     @override
     def step(self, action: np.ndarray):
-        sent = self._clip(action)
-        self._sent.append(sent)
-        super().step(self._sent.popleft())
-        self.command = sent
+        super().step(action)
         self._shown.append(self._felt())
         self.touch.image, self.touch.pixels, self.touch.area = self._shown.popleft()
         return self._observe()
@@ -96,7 +97,7 @@ class _Staged(Task):
         self.inner, self.variation = task, Variation()
         self.name, self.description, self.watches = task.name, task.description, task.watches
         roots = (model.body(b) for b in range(1, model.nbody) if model.body_parentid[b] == 0)
-        self._roots = [b.id for b in roots if b.name not in ("panda", "gantry")]
+        self._roots = [b.id for b in roots if b.name not in ("panda", "arm", "gantry")]
         self._pad = model.geom("pad").id
         self._grip = float(model.geom_friction[self._pad, 0])
         self._places = model.body_pos[self._roots].copy()

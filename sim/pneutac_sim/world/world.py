@@ -1,19 +1,20 @@
-"""The world: Panda, pneumatic finger with its gel, and a task, stepped at the control rate.
+"""The world: arm, pneumatic finger with its gel, and a task, stepped at the control rate.
 
 One description serves environment, robot twin and planner. A control step integrates the Cartesian velocity,
 solves the inverse kinematics once, and interpolates joint targets and pressure over the physics substeps.
 """
 
 import logging
+from collections import deque
 
 import mujoco
 import numpy as np
 
 from pneutac_sim.errors import InputError, check_choice
-from pneutac_sim.features import CONTROL_HZ, FIDELITIES, JOINT_NAMES, RENDERS, action_limits
+from pneutac_sim.features import CONTROL_HZ, FIDELITIES, RENDERS, action_limits
 from pneutac_sim.finger.online import PressurePipeline
 from pneutac_sim.gel.sensor import TactileSensor
-from pneutac_sim.twin import PAPER_LENGTH_MM, Twin, checked_range
+from pneutac_sim.twin import Twin, checked_range
 from pneutac_sim.world import scene
 from pneutac_sim.world.action import checked_action
 from pneutac_sim.world.conditions import Conditions, conditions_for, draw
@@ -21,7 +22,6 @@ from pneutac_sim.world.deforming import deforming
 from pneutac_sim.world.drawn import drawn
 from pneutac_sim.world.following import Follower
 from pneutac_sim.world.observation import Observation
-from pneutac_sim.world.panda import HOME_JOINTS, CartesianIK
 from pneutac_sim.world.placing import Placing
 from pneutac_sim.world.senses import Senses
 from pneutac_sim.world.soft_finger import Springs, mjcf
@@ -33,6 +33,7 @@ from pneutac_sim.world.touch import Touch
 
 DT = 1 / CONTROL_HZ
 RAMP = np.linspace(0, 1, scene.SUBSTEPS + 1)[1:, None]  # share of a control step at the end of each substep
+MISSING_M = 0.003  # by which a place that is out of the arm's reach is missed
 SETTLE_STEPS = 8  # control steps at rest before an episode
 
 logger = logging.getLogger(__name__)
@@ -49,10 +50,11 @@ class World(Senses):
         pressure_range_kpa: lowest and highest pressure that can be commanded, kPa.
         action_limits: lowest and highest action (4,).
         station: where the finger works.
+        arm: what carries it.
         workspace_m: corners (3,) of the box to which the flange is held, metres.
         clipped: number of commands that were clipped to limits since the reset; the first is logged too.
-        command: last action after clipping (4,).
-        target_m: where the flange is sent (3,), metres.
+        command: last action after clipping (4,), which acts as late as the station says.
+        target_m: where the flange is sent (3,), metres in the station's frame.
         spine_target_rad: spine joint angles q_cmd (N,) that the pressure commands, after the twin's effects.
         finger: the soft body round the spine, `SurrogateFinger` or `MpmFinger`; None where the spine's joints
             have the whole stiffness by themselves.
@@ -91,11 +93,12 @@ class World(Senses):
                 the Gaussians of the gel and of the twin's body over MuJoCo's scene.
             pressure_range_kpa: pressures that can be commanded in place of those that the twin was measured
                 over; beyond these the twin is extrapolated.
-            station: workspace and mount; default the paper's.
+            station: arm, workspace and mount; default the paper's.
 
         Raises:
-            InputError: unknown task, touch mode, fidelity or render; a twin that is not a finger, or has no
-                networks or outdated ones, or a body stiffer than all of it; an effect without its conditions.
+            InputError: unknown task, touch mode, fidelity or render; an arm that does not reach; a twin
+                that is not a finger, or has no networks or outdated ones, or a body stiffer than all of it;
+                an effect without its conditions.
         """
         self.task = make_task(task)
         self.twin = twin or Twin.builtin()
@@ -111,20 +114,20 @@ class World(Senses):
         self._told = False
         # Tasks are laid out for the paper's finger: with a longer one the flange keeps as much higher.
         self.station = station or Station()
-        longer_mm = self.twin.length_mm - PAPER_LENGTH_MM + self.station.mount_mm - Station.mount_mm
-        self._lift_m = np.array([0.0, 0.0, 1e-3 * longer_mm])
-        low, high = self.station.workspace_low_m, self.station.workspace_high_m
-        self.workspace_m = low + self._lift_m, np.array(high)
+        self.workspace_m = self.station.box_m(self.twin.length_mm)
+        self._lift_m = self.workspace_m[0] - self.station.workspace_low_m
+        self.arm = self.station.make_arm()
+        self._base_m = self.arm.base_m  # of the frame in which the arm is told where to go
         self._conditions = conditions_for(self.twin, conditions)
         self._pipeline = PressurePipeline(self.twin, draw(self._conditions, np.random.default_rng(0)))
         self.finger, gel = deforming(self.twin, fidelity, touch)
         self.model = mujoco.MjModel.from_xml_string(
-            scene.build(self.task, mjcf(self.twin, self.station.mount_mm))
+            scene.build(self.task, mjcf(self.twin, self.station.mount_mm), self.arm.body, self.arm.servos)
         )
         self.data = mujoco.MjData(self.model)
         self.sensor = TactileSensor(self.twin)
         self.touch = Touch(self.model, self.sensor, touch, gel)
-        self._ik = CartesianIK()
+        self._ik = self.arm.solver()
         self.view = drawn(render, self.model, self.twin, self.sensor if touch == "image" else None)
         self._rng = np.random.default_rng()
         self._flange = self.model.site("flange").id
@@ -132,7 +135,8 @@ class World(Senses):
 
         n = len(self.twin.spine_joint_positions_mm)
         # The arm's joints and servos come first in the model, then the spine's.
-        self._arm, self._spine = slice(0, len(JOINT_NAMES)), slice(len(JOINT_NAMES), len(JOINT_NAMES) + n)
+        joints = self.arm.joints
+        self._arm, self._spine = slice(0, joints), slice(joints, joints + n)
         self._physics = Substeps(self.model, self.data)
         whole = self.twin.parameter("joint_stiffness_nm_per_rad")
         self._springs = Springs(self.model, n, self.twin.parameter("joint_damping_nms_per_rad"), whole)
@@ -158,9 +162,14 @@ class World(Senses):
         self.task.reset(self.model, self.data, self._rng)
         self.target_m = self.home_m + self._rng.uniform(-1, 1, 3) * HOME_JITTER_M
         self.target_m[1] += self._rng.choice(self.task.starts_m)
-        self._ik.reset(HOME_JOINTS)
+        self._ik.reset()
         for _ in range(20):
-            self._joints = self._ik.solve(self.target_m)
+            self._joints = self._ik.solve(self.target_m - self._base_m)
+        if self._ik.missing_m > MISSING_M:
+            raise InputError(
+                f"The arm falls {self._ik.missing_m:.2g} m short of {np.round(self.target_m, 3).tolist()} m,"
+                f" where the task '{self.task.name}' starts; give the station another base_m or home_rad."
+            )
         self.conditions = self._draw_conditions()
         self._pipeline.set_conditions(self.conditions)
         self._pipeline.reset(0.0, same_session=seed is None)
@@ -174,6 +183,7 @@ class World(Senses):
             self._placing.set(self.model, self._placing.find(self._pipeline, self._drive, DT))
         self.clipped = self.out_of_range = 0
         self.command = np.zeros(4)
+        self._sent = deque([self.command] * self._late_commands)
         for _ in range(SETTLE_STEPS):
             self._advance(self._joints, self.spine_target_rad)
         self.data.time = 0.0
@@ -184,7 +194,12 @@ class World(Senses):
     @property
     def home_m(self) -> np.ndarray:
         """Where the flange starts (3,) before the random part of it, metres."""
-        return self.task.home_m + self._lift_m
+        return np.array(self.station.home_m or self.task.home_m + self._lift_m)
+
+    @property
+    def _late_commands(self) -> int:
+        """Control steps by which commands act late."""
+        return self.station.late_commands
 
     def _draw_conditions(self) -> dict[str, float]:
         return draw(self._conditions, self._rng)
@@ -201,10 +216,17 @@ class World(Senses):
             FloatingPointError: the physics has diverged.
         """
         self.command = self._clip(action)
-        target = np.clip(self.target_m + self.command[:3] * DT, *self.workspace_m)
-        self.clipped += int(np.any(target != self.target_m + self.command[:3] * DT))
+        self._sent.append(self.command)
+        *velocity, pressure = self._sent.popleft()
+        wanted = self.target_m + np.array(velocity) * DT
+        target = np.clip(wanted, *self.workspace_m)
+        self.clipped += int(np.any(target != wanted))
+        joints = self._ik.solve(target - self._base_m)
+        if self._ik.missing_m > MISSING_M:  # it stays where it was, and goes on from there
+            self.clipped, target, joints = self.clipped + 1, self.target_m, self._joints
+            self._ik.reset(joints)
         self.target_m = target
-        self._advance(self._ik.solve(target), self._pipeline.step(self.command[3], DT))
+        self._advance(joints, self._pipeline.step(pressure, DT))
         scene.check_physics(self.data)
         self.task.update(self.model, self.data, DT)
         self._measure(DT)
@@ -231,7 +253,7 @@ class World(Senses):
         return clipped
 
     def _advance(self, joints: np.ndarray, spine: np.ndarray) -> None:
-        """Physics substeps of one control step, towards joint targets of the arm (7,) and the spine (N,).
+        """Physics substeps of one control step, towards joint targets of the arm and the spine (N,).
 
         M (q - q_d)'' + D (q - q_d)' = K_c (q_d - q) + f(q) - f(q_d), with the controller of stiffness K_c,
         the torque f of the soft body, and the path q_d on which `Follower` leads the free finger to where it
@@ -284,7 +306,7 @@ class World(Senses):
             [
                 d.qpos[self._arm],
                 d.qvel[self._arm],
-                d.site_xpos[self._flange],
+                d.site_xpos[self._flange] - self._base_m,
                 [self.touch.area, np.log1p(s), self.pressure_kpa],
             ]
         )

@@ -4,15 +4,7 @@ from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata, merge_datas
 from lerobot.utils.constants import ACTION, OBS_STATE
 
 from pneutac_datasets.demonstrations import naive
-from pneutac_datasets.demonstrations.episodes import (
-    AREA,
-    EE,
-    PIXELS,
-    PRESSURE,
-    TACTILE,
-    Episode,
-    save_episode,
-)
+from pneutac_datasets.demonstrations.episodes import TACTILE, Episode, save_episode
 from pneutac_datasets.demonstrations.naive import augment_naive, vary
 from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError
@@ -20,8 +12,12 @@ from pneutac_sim.features import (
     ACTION_HIGH,
     ACTION_LOW,
     ACTION_NAMES,
+    AREA,
+    EE,
     IMAGE_SHAPE,
     N_PIXELS,
+    PIXELS,
+    PRESSURE,
     STATE_HIGH,
     STATE_LOW,
     STATE_NAMES,

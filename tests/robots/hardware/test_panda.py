@@ -96,11 +96,12 @@ class StandInRobot:
         if self.dead:
             raise self.franky.NetworkException("libfranka: UDP receive: Timeout")
         self.clock += 0.0 if self.frozen else 0.001
-        s = self.arm.state()
+        s, pose = self.arm.state(), np.eye(4)
+        pose[:3, :3], pose[:3, 3] = self.arm._ik.pose(s.joints_rad)
         return types.SimpleNamespace(
             q=s.joints_rad,
             dq=s.joints_rad_s,
-            O_T_EE=Affine(self.arm._forward(s.joints_rad) @ self.hand),
+            O_T_EE=Affine(pose @ self.hand),
             F_T_EE=Affine(self.hand),
             O_F_ext_hat_K=np.array([3.0, 0, -4.0, 9, 9, 9]),
             current_errors=self.current,

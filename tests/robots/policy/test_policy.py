@@ -381,7 +381,7 @@ def test_fine_tuning_keeps_the_weights_and_takes_the_new_rest_image(tmp_path):
 def test_a_checkpoint_keeps_its_scale(tmp_path, monkeypatch):
     trained, batch = make_ready_policy(), make_batch()
     trained.save_pretrained(tmp_path)
-    monkeypatch.setattr(scaling, "_SCALE", 2 * scaling._SCALE)
+    monkeypatch.setattr(scaling, "POSITION_M", 2 * scaling.POSITION_M)
     loaded = PneutacBCPolicy.from_pretrained(tmp_path)
     assert torch.equal(loaded.select_action(batch), trained.select_action(batch))
     assert not torch.equal(make_ready_policy()._state_scale, trained._state_scale)

@@ -19,7 +19,7 @@ from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.pneutac import Pneutac
 from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import ACTION_NAMES, STATE_NAMES
+from pneutac_sim.features import ACTION_NAMES, STATE_NAMES, state_names
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.twin import Twin
 
@@ -90,6 +90,22 @@ def test_features_equal_the_simulated_robots(tmp_path):
     assert real.name == simulated.name
     assert list(real.observation_features.items()) == list(simulated.observation_features.items())
     assert list(real.action_features.items()) == list(simulated.action_features.items())
+
+
+def test_an_arm_of_five_joints_runs_dry_within_its_stations_box(tmp_path, make_robot):
+    station = tmp_path / "station.yaml"
+    station.write_text(
+        "format: pneutac-station/1\narm: so101\nworkspace_low_m: [0.38, -0.1, 0.24]\n"
+        "workspace_high_m: [0.5, 0.1, 0.4]\n"
+    )
+    robot = make_robot(arm=SimulatedArmConfig(model=str(station)), station=station)
+    observation = robot.get_observation()
+    assert list(observation)[:-1] == list(state_names(5))
+    # The base stands at (0.29, 0, 0.23), and the limits are in its frame.
+    np.testing.assert_allclose(robot.config.limits.low_m, (0.09, -0.1, 0.01), atol=1e-9)
+    np.testing.assert_allclose(robot.config.limits.high_m, (0.21, 0.1, 0.17), atol=1e-9)
+    own = config(tmp_path, station=station, limits=Limits(low_m=(0.3, -0.1, 0.2)))
+    assert own.limits.low_m == (0.3, -0.1, 0.2)
 
 
 def test_more_cameras_come_after_what_policies_know(make_robot):
@@ -166,7 +182,7 @@ def test_contact_area_is_that_of_the_simulated_robot_with_the_same_twin(make_rob
 
 
 def test_the_flange_follows_velocities_and_holds_its_orientation(robot):
-    start, matrix = position(robot), robot._arm._forward(robot._arm.state().joints_rad)[:3, :3]
+    start, matrix = position(robot), robot._arm._ik.pose(robot._arm.state().joints_rad)[0]
     sent_s = []
     for _ in range(12):
         robot.send_action(act(dx=0.06, dy=-0.03))
@@ -177,7 +193,7 @@ def test_the_flange_follows_velocities_and_holds_its_orientation(robot):
     seconds = np.minimum(np.diff(sent_s), COMMAND_S).sum()  # a velocity holds for so long at most
     moved = position(robot) - start
     np.testing.assert_allclose(moved, np.array([0.06, -0.03, 0]) * seconds, atol=3e-3)
-    turned = robot._arm._forward(robot._arm.state().joints_rad)[:3, :3]
+    turned = robot._arm._ik.pose(robot._arm.state().joints_rad)[0]
     np.testing.assert_allclose(turned, matrix, atol=5e-3)
 
 

@@ -7,6 +7,7 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.world.gantry import Gantry
 from pneutac_sim.world.station import Station
 from pneutac_sim.world.varied import VariedWorld
+from pneutac_sim.world.world import World
 
 
 def written(folder, text="", form="pneutac-station/1"):
@@ -45,6 +46,10 @@ def test_a_longer_mount_keeps_the_gel_where_it_was_and_the_box_holds_world_and_p
         ("mount_mm: 0.02", "mount_mm is 0.02; give 1 to 200"),
         ("workspace_low_m: [0.3, 0.1]", "workspace_low_m is .* three finite numbers"),
         ("workspace_low_m: [0.3, 0.1, .nan]", "workspace_low_m is .* three finite numbers"),
+        ("latency_s: -1", "latency_s is -1; give 0 to 1"),
+        ("control_hz: 10", "control_hz is 10; the world and its policies run at 15 Hz"),
+        ("home_m: [0.9, 0, 0.3]", "home_m is .* outside the workspace"),
+        ("base_m: [0, 0]", "base_m is .* three finite numbers"),
         ("workspace_low_m: [0.7, -0.1, 0.2]", "each number of the first must be below"),
     ],
 )
@@ -58,3 +63,26 @@ def test_another_format_or_no_file_is_named(tmp_path):
         Station.load(written(tmp_path, form="other"))
     with pytest.raises(InputError, match="There is no file"):
         Station.load(tmp_path / "none.yaml")
+
+
+def test_commands_act_late_by_the_stations_latency_and_it_starts_at_its_home():
+    station = Station(home_m=(0.42, 0.02, 0.33), latency_s=0.2)
+    late, prompt = (
+        World("card", touch="none", station=s) for s in (station, Station(home_m=(0.42, 0.02, 0.33)))
+    )
+    ahead = VariedWorld("card", touch="none", station=station)
+    for world in (late, prompt, ahead):
+        world.reset(0)
+    np.testing.assert_allclose(late.flange_m, [0.42, 0.02, 0.33], atol=0.007)
+    path = [[world.step([0.05, 0.0, 0.0, 3.0]).state for _ in range(8)] for world in (late, prompt, ahead)]
+    np.testing.assert_array_equal(path[0], path[2])
+    flange, pressure = slice(-6, -3), -1
+    np.testing.assert_allclose(np.array(path[0])[3:, flange], np.array(path[1])[:-3, flange], atol=1e-4)
+    assert path[0][2][pressure] == 0 < path[0][3][pressure]
+    gantry = Gantry(ahead)
+    gantry.mirror(ahead)
+    planned, _ = gantry.rollout(np.zeros((5, 4)))
+    for _ in range(5):
+        ahead.step(np.zeros(4))
+    np.testing.assert_allclose(planned[-1], ahead.flange_m, atol=1e-3)  # what was sent before still acts
+    assert planned[-1][0] > path[2][-1][-6] + 0.008

@@ -11,7 +11,7 @@ from pneutac_datasets.demonstrations.augment.planner import CemPlanner, PlannerC
 from pneutac_datasets.demonstrations.augment.reference import EXTRA_STEPS, Reference, onset_sigma_m
 from pneutac_datasets.demonstrations.augment.scene import Scene, command_latency, find_scene, follow
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import ACTION_NAMES, CONTROL_HZ, MAX_PRESSURE_KPA, STATE_NAMES
+from pneutac_sim.features import ACTION_NAMES, AREA, CONTROL_HZ, MAX_PRESSURE_KPA
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.conditions import Conditions, draw
 from pneutac_sim.world.gantry import Gantry
@@ -139,7 +139,7 @@ class Attempt:
     @property
     def area(self) -> np.ndarray:
         """(T,) contact areas before each action."""
-        return self.state[:, STATE_NAMES.index("contact_area.pos")]
+        return self.state[:, AREA]
 
 
 @dataclass
@@ -222,7 +222,7 @@ class Generator:
         observation = self.world.reset(scene.seed)
         begun = scene.seed, self.world.variation
         if self.world.blocked:
-            nothing = np.zeros((0, len(STATE_NAMES))), np.zeros((0, len(ACTION_NAMES))), None
+            nothing = observation.state[None][:0], np.zeros((0, len(ACTION_NAMES))), None
             return Attempt(*nothing, IN_THE_WAY, 0.0, 1.0, begun)
         ways = self._plan(r, variant, rng) if plan else iter(np.clip(r.action, *self.world.action_limits))
         states, actions, images, areas, self._costs = [], [], [], [], []

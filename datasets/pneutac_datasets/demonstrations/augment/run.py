@@ -30,8 +30,6 @@ from pneutac_datasets.demonstrations.augment.reference import (
 from pneutac_datasets.demonstrations.augment.scene import Scene
 from pneutac_datasets.demonstrations.augment.work import Work, begin, make_episode, make_scene
 from pneutac_datasets.demonstrations.episodes import (
-    AREA,
-    EE,
     TACTILE,
     Episode,
     demonstration_features,
@@ -41,7 +39,7 @@ from pneutac_datasets.demonstrations.episodes import (
 from pneutac_datasets.demonstrations.naive import augment_naive
 from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import CONTROL_HZ
+from pneutac_sim.features import AREA, CONTROL_HZ, EE
 from pneutac_sim.files import write_text
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.progress import Progress, no_progress

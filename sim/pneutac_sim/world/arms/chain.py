@@ -1,0 +1,217 @@
+"""An arm from its URDF or MJCF: the chain of hinges from its base to its flange, by MuJoCo.
+
+Of the file only the chain counts: frames, axes, limits. Its shapes are left out, so that meshes that are
+missing, or in a format that MuJoCo does not read, are no hindrance; capsules are drawn between the joints.
+With stiff joint control a link's mass matters for little, so every link has the same.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import joint_names
+from pneutac_sim.world import panda
+from pneutac_sim.world.arms.chain_ik import ChainIK
+
+LEAST_JOINTS = 5  # to hold the flange's direction while it goes anywhere
+TILT = np.cos(np.radians(5))  # of the flange's axis from straight down at home, at most
+LINK_KG = 1.0
+THICKNESS = 0.045  # radius of the capsules as a share of the longest link
+MOST_TURN_RAD = 2 * np.pi  # of a joint without limits
+LEFT_OUT = (  # of a file: all that the chain does not need
+    "geoms meshes hfields skins textures materials actuators sensors equalities tendons keys excludes pairs"
+).split()
+
+
+@dataclass(frozen=True)
+class Link:
+    """One body of the chain in the frame of the one before.
+
+    Attributes:
+        pos, quat: its frame, m.
+        hinges: joints (origin (3,), axis (3,), lowest, highest angle in rad), mostly one or none.
+    """
+
+    pos: np.ndarray
+    quat: np.ndarray
+    hinges: tuple[tuple[np.ndarray, np.ndarray, float, float], ...]
+
+
+class Chain:
+    """An arm of N hinges; the finger hangs from its flange as it does from the Panda's.
+
+    Attributes:
+        joints: N.
+        root: name of its outermost body.
+        base_m: where its base stands (3,).
+        low_rad, high_rad, speed_rad_s: limits (N,) of the joints.
+        home_rad: (N,) where every inverse kinematics starts.
+    """
+
+    root = "arm"
+
+    def __init__(self, file: str, flange: str, home_rad: Sequence[float], base_m: Sequence[float]):
+        """An arm from a file.
+
+        Args:
+            file: URDF or MJCF.
+            flange: name of the link (body, site) that carries the finger.
+            home_rad: (N,) joint angles at which it points down.
+            base_m: where the base stands (3,).
+
+        Raises:
+            InputError: one sentence with file and fault.
+        """
+        self.base_m, self.home_rad = np.array(base_m, float), np.array(home_rad, float)
+        self._links = read_chain(Path(file), flange)
+        limits = [(low, high) for link in self._links for *_, low, high in link.hinges]
+        self.joints = len(limits)
+        self._check(file, flange, limits)
+        self.low_rad, self.high_rad = np.array(limits).T
+        self.speed_rad_s = np.full(self.joints, np.pi)  # no motion here comes near a joint's own limit
+        self._turn = np.array([1.0, 0.0, 0.0, 0.0])
+        home, _ = self._solver().pose(self.home_rad)
+        down = panda.forward_kinematics(panda.HOME_JOINTS)[:3, :3]
+        if home[:, 2] @ down[:, 2] < TILT:
+            raise InputError(
+                f"{file}: at home_rad {self.home_rad.tolist()} the z axis of '{flange}' points along"
+                f" {np.round(home[:, 2], 2).tolist()}; give joint angles at which it points down, (0, 0, -1)."
+            )
+        # However the flange is turned about its axis, the finger is mounted to bend forwards at home.
+        mujoco.mju_mat2Quat(self._turn, np.ascontiguousarray(home.T @ down).ravel())
+        self._gains = self._servo_gains()
+
+    def _check(self, file, flange: str, limits: list) -> None:
+        if self.joints < LEAST_JOINTS:
+            raise InputError(
+                f"{file}: {self.joints} joints lead to '{flange}'; it takes {LEAST_JOINTS} or more to hold"
+                " the finger's direction."
+            )
+        if len(self.home_rad) != self.joints:
+            raise InputError(
+                f"{file}: {self.joints} joints lead to '{flange}', and home_rad has {len(self.home_rad)}"
+                " angles; give one a joint, from the base on."
+            )
+        for name, q, (low, high) in zip(joint_names(self.joints), self.home_rad, limits, strict=True):
+            if not low <= q <= high:
+                raise InputError(
+                    f"{file}: home_rad has {q:g} for {name}, whose limits are {low:.4g} and {high:.4g} rad."
+                )
+
+    def body(self, payload: str = "") -> str:
+        """MJCF body of the arm; `payload` is MJCF placed in the frame `flange`."""
+        site = '<site name="flange" size=".001" group="5"/>'
+        xml = f'<body name="flange" quat="{_text(self._turn)}">{site}{payload}</body>'
+        thick = THICKNESS * max(np.linalg.norm(link.pos) for link in self._links)
+        number, names = self.joints, joint_names(self.joints)
+        for k in reversed(range(len(self._links))):
+            link, ahead = self._links[k], [n.pos for n in self._links[k + 1 : k + 2]]
+            hinges = ""
+            for at, axis, low, high in reversed(link.hinges):
+                number -= 1
+                hinges = (
+                    f'<joint name="{names[number]}" pos="{_text(at)}" axis="{_text(axis)}" limited="true"'
+                    f' range="{float(low)!r} {float(high)!r}" armature="{panda.ARMATURE}"/>{hinges}'
+                )
+            shape = f'type="sphere" size="{1.2 * thick}" mass="{LINK_KG / 2}" material="arm_dark"'
+            geoms = f'<geom class="arm" {shape}/>' if hinges or k == 0 else ""
+            if ahead and np.linalg.norm(ahead[0]) > thick:
+                ends = f"0 0 0 {_text(ahead[0])}"
+                geoms += (
+                    f'<geom class="arm" type="capsule" fromto="{ends}" size="{thick}" mass="{LINK_KG / 2}"'
+                )
+                geoms += ' material="arm"/>'
+            xml = (
+                f'<body name="link{k + 1}" pos="{_text(link.pos)}" quat="{_text(link.quat)}" gravcomp="1">'
+                f"{hinges}{geoms}{xml}</body>"
+            )
+        foot = f"0 0 {-self.base_m[2] - 0.001} 0 0 0.001"
+        stand = (
+            f'<geom class="arm" type="cylinder" fromto="{foot}" size="{1.5 * thick}" material="arm_dark"/>'
+        )
+        return f'<body name="{self.root}" pos="{_text(self.base_m)}">{stand}{xml}</body>'
+
+    def servos(self) -> str:
+        """MJCF position servos of the joints, with the same lag as the Panda's in every one."""
+        return "".join(
+            f'<position name="servo_{j}" joint="{j}" kp="{kp!r}" kv="{panda.SERVO_LAG_S * kp!r}"/>'
+            for j, kp in zip(joint_names(self.joints), self._gains, strict=True)
+        )
+
+    def solver(self) -> ChainIK:
+        """Inverse kinematics of the flange in the base's frame, with its orientation held as at home."""
+        return self._solver()
+
+    def _solver(self) -> ChainIK:
+        return ChainIK(self._model(), self.base_m, self.home_rad)
+
+    def _model(self) -> mujoco.MjModel:
+        return mujoco.MjModel.from_xml_string(
+            f"<mujoco><compiler angle='radian'/><default>{panda.DEFAULTS}</default>"
+            f"<asset>{panda.MATERIALS}</asset><worldbody>{self.body()}</worldbody></mujoco>"
+        )
+
+    def _servo_gains(self) -> list[float]:
+        """Stiffness (N,) in N m/rad: with the lag, damping is critical for the inertia that turns at home."""
+        model = self._model()
+        data, inertia = mujoco.MjData(model), np.empty(model.nv)
+        data.qpos[:] = self.home_rad
+        mujoco.mj_forward(model, data)
+        for n, one in enumerate(np.eye(model.nv)):
+            moved = np.empty(model.nv)
+            mujoco.mj_mulM(model, data, moved, one)
+            inertia[n] = moved[n]
+        return (4 * inertia / panda.SERVO_LAG_S**2).tolist()
+
+
+def read_chain(file: Path, flange: str) -> list[Link]:
+    """The bodies from an arm's base to its flange, a body or site of a URDF or MJCF.
+
+    Raises:
+        InputError: one sentence with file and fault.
+    """
+    if not file.is_file():
+        raise InputError(f"There is no file '{file}'; give the arm's URDF or MJCF.")
+    try:
+        spec = mujoco.MjSpec.from_file(str(file))
+        for kind in LEFT_OUT:
+            for each in list(getattr(spec, kind)):
+                spec.delete(each)
+        spec.compiler.fusestatic, spec.compiler.discardvisual = False, False
+        spec.compiler.boundmass, spec.compiler.boundinertia = 1e-3, 1e-6
+        model = spec.compile()
+    except (ValueError, RuntimeError) as e:
+        raise InputError(f"{file} is no URDF or MJCF that MuJoCo reads ({' '.join(str(e).split())}).") from e
+    bodies = [model.body(i).name for i in range(model.nbody)]
+    sites = [model.site(i).name for i in range(model.nsite)]
+    links = []
+    if flange in bodies:
+        b = bodies.index(flange)
+    elif flange in sites:
+        site = model.site(flange)
+        b = int(model.site_bodyid[site.id])
+        links.append(Link(site.pos.copy(), site.quat.copy(), ()))
+    else:
+        raise InputError(f"{file} has no link '{flange}'; it has {', '.join([*bodies[1:], *sites])}.")
+    while b > 0:
+        first, count = model.body_jntadr[b], model.body_jntnum[b]
+        hinges = []
+        for j in range(first, first + count):
+            if model.jnt_type[j] != mujoco.mjtJoint.mjJNT_HINGE:
+                raise InputError(
+                    f"{file}: joint '{model.joint(j).name}' on the way to '{flange}' is no hinge; an arm of"
+                    " hinges alone can be used."
+                )
+            limits = model.jnt_range[j] if model.jnt_limited[j] else (-MOST_TURN_RAD, MOST_TURN_RAD)
+            hinges.append((model.jnt_pos[j].copy(), model.jnt_axis[j].copy(), *limits))
+        links.append(Link(model.body_pos[b].copy(), model.body_quat[b].copy(), tuple(hinges)))
+        b = int(model.body_parentid[b])
+    return links[::-1]
+
+
+def _text(numbers: np.ndarray) -> str:
+    return " ".join(repr(float(x)) for x in numbers)
