@@ -2,15 +2,20 @@
 
 import json
 import shutil
+import time
 
 import numpy as np
 import pandas as pd
 import pytest
+from pressure_rig import build, connected, terminal
 
 from lerobot_pneutac import design, learn
 from lerobot_pneutac.cli.learn import main
 from lerobot_pneutac.diagnosis.experiment import predict
 from lerobot_pneutac.verbs.benches import StandinBench
+from lerobot_robot_pneutac.hardware.parts import HardwareFault
+from lerobot_robot_pneutac.hardware.pneutac_serial import PneutacSerial
+from lerobot_robot_pneutac.standin.finger import new_rod
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.laws import family
 from pneutac_sim.errors import InputError
@@ -129,3 +134,52 @@ def test_on_the_stand_in_what_was_found_foresees_the_next_program(tmp_path):
     found = {family(e) for e in last.selected} | set(last.selected)
     assert "creep" in found and found & {"valve_lag", "valve_slew", "orifice_flow"}
     assert last.predicted_error < 1.5 * last.noise and last.bare_error > 2 * last.predicted_error
+
+
+class FirmwareBench:
+    """The stand-in's rod on the chamber of the controller's own firmware, in real time over a serial line."""
+
+    range_kpa, hz, pause_s = (0.0, 15.0), 20.0, None
+
+    def __init__(self, link):
+        self._link = str(link)
+        rod = new_rod()
+        rod.step(5.0, 0.05)  # compiles, for which a controller does not wait
+        rod.tip_mm()
+
+    def follow(self, program, out, number):
+        with connected(PneutacSerial(self._link, max_kpa=15)) as controller:
+            rows = self._rows(controller, pd.read_csv(program), np.random.default_rng(number))
+        time.sleep(1.0)
+        meta = {"device": "finger", "length_mm": 110.0, "noise": {"tip_x_mm": 0.2, "tip_z_mm": 0.2}}
+        meta["trials"] = {"0": {"start": "rested"}}
+        Recording(out, meta, pd.DataFrame(rows), "finger").write(out)
+        return Recording.load(out)
+
+    def _rows(self, controller, table, noise):
+        rows, rod, start_s = [], new_rod(), time.monotonic()
+        for t, command in zip(table["time_s"], table["pressure_cmd_kpa"], strict=True):
+            time.sleep(max(0.0, start_s + t - time.monotonic()))
+            controller.set_pressure(command)
+            kpa, now_s = controller.pressure(), time.monotonic() - start_s
+            rod.step(kpa, now_s - (rows[-1]["time_s"] if rows else 0.0))
+            x, _, z = rod.tip_mm() + 0.2 * noise.standard_normal(3)
+            row = {"trial": 0, "time_s": now_s, "program": "p", "pressure_cmd_kpa": command}
+            rows.append(row | {"pressure_kpa": kpa, "tip_x_mm": x, "tip_z_mm": z})
+        return rows
+
+
+@pytest.mark.nightly
+def test_the_loop_runs_on_the_pressure_controllers_own_firmware(tmp_path):
+    link = tmp_path / "rig"
+    with terminal(build(tmp_path), link):
+        bench, learnt, faults = FirmwareBench(link), None, 0
+        while learnt is None:
+            try:
+                learnt = learn(Twin(length_mm=110.0), bench, tmp_path / "out", budget_s=30.0, program_s=6.0)
+            except HardwareFault:  # a busy computer reads too late: the same call goes on, as a person would
+                faults += 1
+                assert faults < 10
+    last = learnt.last
+    assert len(learnt.rounds) >= 2 and last.predicted_error < 0.5 * last.bare_error
+    assert 0 < last.error < 3 * last.noise
