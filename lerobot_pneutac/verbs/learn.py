@@ -34,7 +34,7 @@ from pneutac_sim.twin import Twin
 CONFIRMS = 1.5  # error over noise, before it was used, up to which a recording confirms what predicted it
 NEEDED = 1.2  # by so much worse it must have been foreseen without a law to confirm that law
 DOUBT = 0.1  # probability that an unconfirmed law is not there, when the next program is chosen
-GIVE_UP = 3  # rounds in a row that explain nothing and lower nothing, after which it ends
+GIVE_UP = 4  # programs in a row, foreseen badly and no better, after which it ends
 FALLS = 0.9  # of the error over noise: what stays above has not fallen
 KNOWN = ("adequate", "missing_effect")
 
@@ -321,10 +321,9 @@ class Rounds:
                 return "all that was found predicted a program that it had not seen"
             if all(r.foreseen for r in two) and len({r.kind for r in two}) == 2:
                 return "two programs of other kinds in a row were foreseen"
-        recent = self.done[-GIVE_UP:]
-        if len(recent) == GIVE_UP and all(r.verdict not in KNOWN for r in recent):
-            if last.error / last.noise > FALLS * recent[0].error / recent[0].noise:
-                return f"of {GIVE_UP} programs in a row none lowered the error, which no form explains"
+        ratios = [r.predicted_error / r.noise for r in self.done[1:]][-GIVE_UP:]
+        if len(ratios) == GIVE_UP and min(ratios) > CONFIRMS and ratios[-1] > FALLS * ratios[0]:
+            return f"{GIVE_UP} programs in a row were foreseen no better, so something is not in any model"
         return ""
 
     def drive(self, choice: Choice) -> Round:
