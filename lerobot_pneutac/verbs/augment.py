@@ -10,7 +10,7 @@ import numpy as np
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.demonstrations.augment.planner import PlannerConfig
-from pneutac_datasets.demonstrations.faults import demonstration_faults
+from pneutac_datasets.demonstrations.faults import POINTS, demonstration_faults
 from pneutac_sim.errors import InputError, check_choice, check_least
 from pneutac_sim.features import FIDELITIES, joint_count, task_names
 from pneutac_sim.progress import Progress, no_progress
@@ -210,6 +210,7 @@ def augment(config: AugmentConfig, progress: Progress = no_progress) -> Augmenta
             attempts=config.attempts,
             conditions=config.conditions,
             station=config.station,
+            tactile_points=POINTS in meta.features,
         )
         summary = augment_guided(meta, setup, *new, config.workers, progress, config.check_mpm)
     return Augmentation(config, summary, references)

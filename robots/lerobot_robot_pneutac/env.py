@@ -5,7 +5,7 @@ from pathlib import Path
 
 from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.envs.configs import EnvConfig
-from lerobot.utils.constants import ACTION, OBS_IMAGES, OBS_STATE
+from lerobot.utils.constants import ACTION, OBS_IMAGES, OBS_STATE, OBS_STR
 
 # Both register the Gymnasium ids. Workers of lerobot-eval get them by unpickling this module's config.
 import lerobot_robot_pneutac.standin  # noqa: F401
@@ -31,6 +31,8 @@ from pneutac_sim.features import (
     IMAGE_NAME,
     IMAGE_SHAPE,
     PANDA_JOINTS,
+    POINTS_KEY,
+    POINTS_SIZE,
     RENDERS,
     TRIAL_S,
     state_names,
@@ -50,6 +52,7 @@ class PneutacTaskConfig(EnvConfig):
         observation_height: rows of their pictures, px.
         observation_width: columns of their pictures, px.
         randomise_look: light, colours and texture of the scene are drawn anew in every episode.
+        tactile_points: touch as data too, `observation.tactile.points`: displacement and force on a grid.
     """
 
     task: str | None = "switch"
@@ -59,6 +62,7 @@ class PneutacTaskConfig(EnvConfig):
     observation_height: int = CAMERA_SHAPE[0]
     observation_width: int = CAMERA_SHAPE[1]
     randomise_look: bool = False
+    tactile_points: bool = False
     features: dict[str, PolicyFeature] = field(
         default_factory=lambda: {
             ACTION: PolicyFeature(FeatureType.ACTION, (len(ACTION_NAMES),)),
@@ -85,6 +89,9 @@ class PneutacTaskConfig(EnvConfig):
             f"--env.episode_length is {self.episode_length}; it must be at least 1 step.",
         )
         check_cameras("env.cameras", self._sizes)
+        if self.tactile_points:
+            self.features[POINTS_KEY] = PolicyFeature(FeatureType.STATE, (POINTS_SIZE,))
+            self.features_map[POINTS_KEY] = f"{OBS_STR}.{POINTS_KEY}"
         for name, size in self._sizes.items():
             key = f"pixels/{name}"
             self.features[key] = PolicyFeature(FeatureType.VISUAL, (*size, 3))
@@ -95,7 +102,8 @@ class PneutacTaskConfig(EnvConfig):
         """What `gymnasium.make` is given."""
         look = {"cameras": self._sizes} if self.cameras else {}
         look |= {"randomise_look": True} if self.randomise_look else {}
-        return {"max_episode_steps": self.episode_length} | look
+        points = {"points": True} if self.tactile_points else {}
+        return {"max_episode_steps": self.episode_length} | look | points
 
     @property
     def _sizes(self) -> dict[str, tuple[int, int]]:

@@ -20,6 +20,9 @@ FIDELITIES = ("surrogate", "mpm", "probe")  # how finger and gel of a world defo
 RENDERS = ("mesh", "splats")  # how a world is drawn
 IMAGE_SHAPE = (320, 240, 3)
 IMAGE_NAME = "tactile"
+POINTS_KEY = "tactile.points"  # touch as data; LeRobot puts `observation.` before it
+POINTS_SHAPE = (16, 12, 6)  # its rows, columns and values of a point; a millimetre apart on a DIGIT
+POINTS_SIZE = 1152  # in observations and datasets they are one vector: LeRobot 0.6 merges nothing else
 CAMERA_SHAPE = (240, 320)  # height and width of a scene camera's picture, where they are not told, px
 
 PANDA_JOINTS = 7

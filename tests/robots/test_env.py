@@ -29,7 +29,8 @@ def test_environment_gives_what_the_config_promises():
 @pytest.mark.parametrize("config", [PneutacEnvConfig, PneutacStandinConfig])
 def test_scene_cameras_come_under_lerobots_names(config):
     size = {"observation_height": 48, "observation_width": 64}
-    config = config(cameras=["front", "wrist"], randomise_look=True, episode_length=3, **size)
+    more = {"randomise_look": True, "tactile_points": True}
+    config = config(cameras=["front", "wrist"], **more, episode_length=3, **size)
     features = {k: f.shape for k, f in env_to_policy_features(config).items()}
     assert features["observation.images.front"] == features["observation.images.wrist"] == (3, 48, 64)
     env = make_env(config, n_envs=1)[config.type][0]

@@ -6,12 +6,23 @@ from types import MappingProxyType
 
 import numpy as np
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
-from lerobot.utils.constants import ACTION, DEFAULT_FEATURES, OBS_IMAGES, OBS_STATE
+from lerobot.utils.constants import ACTION, DEFAULT_FEATURES, OBS_IMAGES, OBS_STATE, OBS_STR
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import ACTION_NAMES, AREA, IMAGE_NAME, PIXELS, joint_count, state_names_like
+from pneutac_sim.features import (
+    ACTION_NAMES,
+    AREA,
+    IMAGE_NAME,
+    PIXELS,
+    POINTS_KEY,
+    POINTS_SIZE,
+    joint_count,
+    state_names_like,
+)
+from pneutac_sim.world.points import points_info
 
 TACTILE = f"{OBS_IMAGES}.{IMAGE_NAME}"
+POINTS = f"{OBS_STR}.{POINTS_KEY}"  # touch as data, which demonstrations may have
 
 
 @dataclass
@@ -69,8 +80,8 @@ class Episode:
 
 
 def demonstration_features(meta: LeRobotDatasetMetadata) -> dict:
-    """The dataset's own features; raises InputError where they are not those of a pneutac robot."""
-    features = {k: dict(f) for k, f in meta.features.items() if k not in DEFAULT_FEATURES}
+    """The dataset's own features but `POINTS`; raises InputError where they are no pneutac robot's."""
+    features = {k: dict(f) for k, f in meta.features.items() if k not in (*DEFAULT_FEATURES, POINTS)}
     if set(features) != {OBS_STATE, ACTION, TACTILE}:
         raise InputError(
             f"Dataset '{meta.repo_id}' has the features {', '.join(features)}; demonstrations have exactly"
@@ -87,6 +98,11 @@ def demonstration_features(meta: LeRobotDatasetMetadata) -> dict:
     info = features[TACTILE].get("info") or {}
     features[TACTILE]["info"] = {k: v for k, v in info.items() if not k.startswith("video.")}
     return features
+
+
+def points_feature(window_mm: tuple[float, float]) -> dict:
+    """LeRobot's description of `POINTS`, of a gel whose window has that width and height."""
+    return {"dtype": "float32", "shape": (POINTS_SIZE,), "names": None, "info": points_info(window_mm)}
 
 
 def load_episode(dataset: LeRobotDataset, index: int) -> Episode:

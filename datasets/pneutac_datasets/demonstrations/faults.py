@@ -8,9 +8,18 @@ import numpy as np
 import pyarrow.parquet as parquet
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import ACTION_NAMES, AREA, CONTROL_HZ, IMAGE_NAME, IMAGE_SHAPE, state_names_like
+from pneutac_sim.features import (
+    ACTION_NAMES,
+    AREA,
+    CONTROL_HZ,
+    IMAGE_NAME,
+    IMAGE_SHAPE,
+    POINTS_KEY,
+    state_names_like,
+)
 
 STATE, ACTION, TACTILE = "observation.state", "action", f"observation.images.{IMAGE_NAME}"
+POINTS = f"observation.{POINTS_KEY}"  # which demonstrations may have
 OWN = ("timestamp", "frame_index", "episode_index", "index", "task_index")  # LeRobot's, in every dataset
 ROUNDING_KPA = 0.01  # share of the range by which a command may be beyond it
 
@@ -65,7 +74,7 @@ def _of_features(features: dict, file: Path) -> list[str]:
             found.append(
                 f"{file}: feature '{key}' is missing{_close(key, features)}; record it with this robot."
             )
-    more = [k for k in features if k not in (*wanted, *OWN)]
+    more = [k for k in features if k not in (*wanted, POINTS, *OWN)]
     if more:
         found.append(
             f"{file}: feature {', '.join(more)} is none of a demonstration's; take it out with"

@@ -12,9 +12,11 @@ from lerobot.utils.feature_utils import build_dataset_frame, combine_feature_dic
 
 from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
 from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
+from pneutac_datasets.demonstrations.episodes import POINTS, points_feature
 from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import CONTROL_HZ
+from pneutac_sim.features import CONTROL_HZ, POINTS_KEY
+from pneutac_sim.gel.probe import WINDOW_MM
 from pneutac_sim.progress import Progress, no_progress
 
 
@@ -52,6 +54,8 @@ def record_episodes(
         hw_to_dataset_features(robot.action_features, ACTION, use_videos),
         hw_to_dataset_features(robot.observation_features, OBS_STR, use_videos),
     )
+    if robot.config.tactile_points:
+        features[POINTS] = points_feature(WINDOW_MM)
     length = teleop.config.episode_steps
     dataset = create_dataset(repo_id, root, CONTROL_HZ, features, robot.name, use_videos, length)
     ours = [device for device in (teleop, robot) if not device.is_connected]
@@ -81,14 +85,17 @@ def record_episodes(
 def _record_episode(robot: PneutacSim, teleop: PneutacScripted, dataset: LeRobotDataset, task: str) -> bool:
     """One demonstration into the episode buffer; returns whether the task was done, by touch."""
     teleop.begin()
+    scalars_and_images = {key: feature for key, feature in dataset.features.items() if key != POINTS}
     felt = False
     for _ in range(teleop.config.episode_steps):
         observation = robot.get_observation()
         felt = felt or observation["contact_area.pos"] > 0
         action = teleop.get_action()
+        points = {POINTS: observation[POINTS_KEY]} if POINTS_KEY in observation else {}
         dataset.add_frame(
             {
-                **build_dataset_frame(dataset.features, observation, OBS_STR),
+                **points,
+                **build_dataset_frame(scalars_and_images, observation, OBS_STR),
                 **build_dataset_frame(dataset.features, action, ACTION),
                 "task": task,
             }

@@ -45,6 +45,8 @@ class PneutacSimConfig(RobotConfig):
         bend: actions command the finger's bend, `bend.pos` in rad, in place of the pressure; the twin finds
             the pressure for it. On the stand-in it takes the twin that was calibrated to it.
         cameras: scene cameras, such as {front: {type: pneutac_scene, width: 320, height: 240, fps: 15}}.
+        tactile_points: the observation has touch as data too, `tactile.points`: displacement and force on a
+            grid. lerobot-record 0.6 has no place for it and leaves it out; `record_episodes` writes it.
         randomise_look: light, colours and texture of the scene are drawn anew in every episode.
     """
 
@@ -61,6 +63,7 @@ class PneutacSimConfig(RobotConfig):
     bend: bool = False
     cameras: dict[str, CameraConfig] = field(default_factory=dict)
     randomise_look: bool = False
+    tactile_points: bool = False
 
     @property
     def joints(self) -> int:

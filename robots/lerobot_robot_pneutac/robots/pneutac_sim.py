@@ -24,10 +24,12 @@ from pneutac_sim.features import (
     CONTROL_HZ,
     EE,
     IMAGE_NAME,
+    POINTS_KEY,
     action_limits,
 )
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.look import SceneCameras
+from pneutac_sim.world.points import tactile_points
 from pneutac_sim.world.scene import OBJECT_GROUP
 
 # A pose command this near to one of the task's starts brings the arm home; their jitter is less.
@@ -87,10 +89,13 @@ class PneutacSim(BaseRobot):
         _connected.append(self)
 
     def get_observation(self) -> dict[str, Any]:
-        """The present state (floats), tactile image uint8 (320, 240, 3), and scene cameras' pictures."""
+        """State (floats), tactile image uint8 (320, 240, 3), and what else was asked for."""
         self._need_world()
         state = zip(self.state_names, self._observation.state.tolist(), strict=True)
-        return dict(state) | {IMAGE_NAME: self._observation.tactile} | self._scene.pictures()
+        touch: dict[str, Any] = {IMAGE_NAME: self._observation.tactile}
+        if self.config.tactile_points:
+            touch[POINTS_KEY] = tactile_points(self.world).ravel()
+        return dict(state) | touch | self._scene.pictures()
 
     def send_action(self, action: dict[str, Any]) -> dict[str, float]:
         """Moves the world on by one control step.

@@ -37,7 +37,8 @@ class PneutacEnv(TaskEnv):
             render: `mesh` or `splats`, what draws touch and finger, see `World`.
             pressure_range_kpa: of the action; default what the twin was measured over.
             station: workspace and mount; default the paper's.
-            options: `render_mode`, `render_width`, `render_height`, `cameras`, `randomise_look` of `TaskEnv`.
+            options: `render_mode`, `render_width`, `render_height`, `cameras`, `randomise_look`,
+                `points` of `TaskEnv`.
         """
         twin = Twin.load(twin) if isinstance(twin, str | Path) else twin or Twin.builtin()
         more = {"pressure_range_kpa": pressure_range_kpa, "station": station}

@@ -7,24 +7,29 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
+from pneutac_sim.errors import InputError
 from pneutac_sim.features import (
     CONTROL_HZ,
     IMAGE_NAME,
     IMAGE_SHAPE,
+    POINTS_KEY,
+    POINTS_SIZE,
     action_limits,
     state_limits,
 )
 from pneutac_sim.world.look import SceneCameras
 from pneutac_sim.world.observation import Observation
+from pneutac_sim.world.points import tactile_points
 
 
 class TaskEnv(gymnasium.Env):
     """The task of a world as a Gymnasium environment; reward 1 on the step that succeeds.
 
     Observation: `agent_pos` float32 as `features.state_names`, (20,) with the Panda, and, where the world has
-    an image, `pixels/tactile` uint8 (320, 240, 3); of each scene camera `pixels/NAME`. Action: (4,) float32
-    as `features.ACTION_NAMES`. An episode terminates on success and on failure; `info` has `is_success`,
-    `failure` (text, empty where none), `clipped` and `out_of_range`, see `World`.
+    an image, `pixels/tactile` uint8 (320, 240, 3); of each scene camera `pixels/NAME`; where asked for,
+    `tactile.points` (`features.POINTS_SIZE`,). Action: (4,) float32 as `features.ACTION_NAMES`. An episode
+    terminates on success and on failure; `info` has `is_success`, `failure` (text, empty where none),
+    `clipped` and `out_of_range`, see `World`.
 
     Attributes:
         world: the world inside, for experts and tests.
@@ -43,6 +48,7 @@ class TaskEnv(gymnasium.Env):
         render_height: int = 360,
         cameras: Mapping[str, tuple[int, int]] = MappingProxyType({}),
         randomise_look: bool = False,
+        points: bool = False,
     ):
         """An environment of a world.
 
@@ -54,9 +60,10 @@ class TaskEnv(gymnasium.Env):
             render_height: pixels of `render()`.
             cameras: scene cameras to height and width of their pictures, such as {"front": (240, 320)}.
             randomise_look: draws light, colours and texture of the scene anew in every episode.
+            points: puts touch as data, `tactile.points` of `world.points`, into the observation.
 
         Raises:
-            InputError: as `SceneCameras`.
+            InputError: as `SceneCameras`, or points without touch.
         """
         self.world, self._begun = world, False
         self.task, self.task_description = world.task.name, world.task.description
@@ -70,6 +77,11 @@ class TaskEnv(gymnasium.Env):
         pixels = {name: spaces.Box(0, 255, shape, np.uint8) for name, shape in shapes.items()}
         observation = {"pixels": spaces.Dict(pixels)} if pixels else {}
         observation |= {"agent_pos": state}
+        self._points = points
+        if points:
+            if touch == "none":
+                raise InputError("There are no tactile points with touch 'none'; choose image or area.")
+            observation[POINTS_KEY] = spaces.Box(-np.inf, np.inf, (POINTS_SIZE,), np.float32)
         self.observation_space = spaces.Dict(observation)
 
     def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[dict, dict]:
@@ -102,7 +114,8 @@ class TaskEnv(gymnasium.Env):
     def _observation(self, o: Observation) -> dict:
         touch = {} if o.tactile is None else {IMAGE_NAME: o.tactile}
         pixels = touch | self._cameras.pictures()
-        return ({"pixels": pixels} if pixels else {}) | {"agent_pos": o.state}
+        touch = {POINTS_KEY: tactile_points(self.world).ravel()} if self._points else {}
+        return ({"pixels": pixels} if pixels else {}) | {"agent_pos": o.state} | touch
 
     def _info(self) -> dict:
         return {

@@ -54,6 +54,11 @@ class Touch:
                 " where it is touched."
             )
 
+    @property
+    def displacement_mm(self) -> np.ndarray:
+        """How far the gel's face is pressed in now, (80, 59) mm; not in the modes `probe` and `none`."""
+        return self.sensor.displacement(self.depth_mm)
+
     def objects(self, data: mujoco.MjData) -> tuple[np.ndarray, ...]:
         """What may touch the gel, and the gel's pose, as `gel.probe.probe_grid` takes them."""
         return (

@@ -20,7 +20,7 @@ from pneutac_datasets.demonstrations.augment import check
 from pneutac_datasets.demonstrations.augment.episode import Attempt, AugmentSetup
 from pneutac_datasets.demonstrations.augment.planner import PlannerConfig
 from pneutac_datasets.demonstrations.augment.work import Work
-from pneutac_datasets.demonstrations.episodes import TACTILE
+from pneutac_datasets.demonstrations.episodes import POINTS, TACTILE
 from pneutac_datasets.demonstrations.record import record_episodes
 from pneutac_datasets.demonstrations.save import create_dataset
 from pneutac_sim.errors import InputError
@@ -35,7 +35,7 @@ QUICK = ["--planner.samples=4", "--planner.elites=2", "--planner.iterations=1", 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
     root = tmp_path_factory.mktemp("augment") / "demos"
-    robot = PneutacSim(PneutacSimConfig(id="t", task="switch", seed=3, fidelity="probe"))
+    robot = PneutacSim(PneutacSimConfig(id="t", task="switch", seed=3, fidelity="probe", tactile_points=True))
     teleop = PneutacScripted(PneutacScriptedConfig(id="t", seed=3, episode_steps=80))
     return record_episodes(robot, teleop, "local/demos", root, 2, "flip the switch", False)
 
@@ -85,6 +85,17 @@ def test_output_has_the_sources_features_and_merges(recorded, made, tmp_path):
     frame = merged[merged.num_frames - 1]
     assert frame["task"] == "flip the switch"
     assert frame[TACTILE].shape == (3, 320, 240)
+
+
+def test_touch_as_data_is_made_where_the_demonstrations_have_it(recorded, made):
+    for name, root in (("demos", recorded), ("more", made / "more")):
+        rows = LeRobotDataset(f"local/{name}", root, video_backend="pyav").hf_dataset.with_format("numpy")
+        points, area = np.stack(rows[POINTS]), np.stack(rows[OBS_STATE])[:, 17]
+        assert points.shape[1:] == (16 * 12 * 6,) and not points[0].any()
+        most = points[area.argmax()].reshape(16, 12, 6)
+        assert most[..., 2].min() < -0.2 and most[..., 5].sum() < -0.2  # mm, N
+    info = LeRobotDatasetMetadata("local/more", made / "more").features[POINTS]["info"]
+    assert info["units"] == ["mm", "mm", "mm", "N", "N", "N"] and "image columns" in info["frame"]
 
 
 def test_provenance_and_report_tell_what_was_done(made):

@@ -15,6 +15,7 @@ from pneutac_sim.features import ACTION_NAMES, AREA, CONTROL_HZ, MAX_PRESSURE_KP
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.conditions import Conditions, draw
 from pneutac_sim.world.gantry import Gantry
+from pneutac_sim.world.points import tactile_points
 from pneutac_sim.world.station import Station
 from pneutac_sim.world.varied import Variation, VariedWorld
 
@@ -46,6 +47,7 @@ class AugmentSetup:
         candidates: scenes drawn to find where the object stood.
         conditions: of the world, see `World`; every demonstration draws from a range.
         station: file of the station, or None for the paper's.
+        tactile_points: whether demonstrations have touch as data too.
     """
 
     references: list[Reference]
@@ -58,6 +60,7 @@ class AugmentSetup:
     candidates: int = 48
     conditions: Conditions = field(default_factory=dict)
     station: Path | None = None
+    tactile_points: bool = False
 
     @property
     def where(self) -> Station:
@@ -126,6 +129,7 @@ class Attempt:
         cost: mean of the plans' costs.
         area_rmse: root mean square error of the contact area from its onset on.
         start: seed and variation of the world at the start.
+        points: touch as data, float32 (T, POINTS_SIZE), or None.
     """
 
     state: np.ndarray
@@ -135,6 +139,7 @@ class Attempt:
     cost: float
     area_rmse: float
     start: tuple[int, Variation]
+    points: np.ndarray | None = None
 
     @property
     def area(self) -> np.ndarray:
@@ -225,7 +230,7 @@ class Generator:
             nothing = observation.state[None][:0], np.zeros((0, len(ACTION_NAMES))), None
             return Attempt(*nothing, IN_THE_WAY, 0.0, 1.0, begun)
         ways = self._plan(r, variant, rng) if plan else iter(np.clip(r.action, *self.world.action_limits))
-        states, actions, images, areas, self._costs = [], [], [], [], []
+        states, actions, images, areas, points, self._costs = [], [], [], [], [], []
         missed = plan
         while not (self.world.success or self.world.failure):
             action = next(ways, None)
@@ -233,6 +238,8 @@ class Generator:
                 break
             states.append(observation.state)
             images.append(observation.tactile)
+            if self.setup.tactile_points:
+                points.append(tactile_points(self.world).ravel())
             actions.append(action.astype(np.float32))
             areas.append(self.world.touch.area)
             began = time.perf_counter()
@@ -254,6 +261,7 @@ class Generator:
             float(np.mean(self._costs)) if self._costs else 0.0,
             _area_rmse(np.array(areas), r.area),
             begun,
+            np.array(points) if points else None,
         )
 
     def _plan(self, r: Reference, variant: Variant, rng: np.random.Generator):

@@ -30,6 +30,7 @@ from pneutac_datasets.demonstrations.augment.reference import (
 from pneutac_datasets.demonstrations.augment.scene import Scene
 from pneutac_datasets.demonstrations.augment.work import Work, begin, make_episode, make_scene
 from pneutac_datasets.demonstrations.episodes import (
+    POINTS,
     TACTILE,
     Episode,
     demonstration_features,
@@ -199,6 +200,8 @@ def _write(
     """Writes the dataset into `part`; returns the provenance and the seconds spent, by part of the work."""
     features = demonstration_features(meta)
     use_videos = features[TACTILE]["dtype"] == "video"
+    if POINTS in meta.features:
+        features[POINTS] = dict(meta.features[POINTS])
     longest = max(map(len, references)) + EXTRA_STEPS
     provenance, seconds = [], {"writing": 0.0}
     with quiet_encoders():
@@ -210,9 +213,9 @@ def _write(
                     seconds[name] = seconds.get(name, 0.0) + s
                 start = time.perf_counter()
                 instruction = references[line["source"]].task
-                save_episode(
-                    out, Episode(attempt.state, attempt.action, attempt.images, instruction, meta.fps)
-                )
+                more = {} if attempt.points is None else {POINTS: attempt.points}
+                made = Episode(attempt.state, attempt.action, attempt.images, instruction, meta.fps)
+                save_episode(out, made, more)
                 seconds["writing"] += time.perf_counter() - start
         finally:
             out.finalize()
@@ -281,4 +284,5 @@ def _run(meta: LeRobotDatasetMetadata, setup: AugmentSetup) -> dict:
         "attempts": setup.attempts,
         "files": 2,  # version of the work folder's files
         "candidates": setup.candidates,
+        **({"tactile_points": True} if setup.tactile_points else {}),
     }

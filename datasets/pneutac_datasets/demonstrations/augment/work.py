@@ -63,7 +63,8 @@ class Work:
             provenance, seconds = json.loads(str(d["provenance"])), json.loads(str(d["seconds"]))
             scores = provenance["cost"], provenance["area_rmse"]
             start = start_from_json(str(d["start"]))
-            attempt = Attempt(d["state"], d["action"], images, None, *scores, start)
+            points = d["points"] if "points" in d else None
+            attempt = Attempt(d["state"], d["action"], images, None, *scores, start, points)
         return attempt, provenance, seconds
 
     def save_scene(self, source: int, scene: Scene) -> None:
@@ -81,6 +82,8 @@ class Work:
             "provenance": np.array(json.dumps(provenance)),
             "seconds": np.array(json.dumps(seconds)),
         }
+        if attempt.points is not None:
+            arrays["points"] = attempt.points
         with whole(self.episode_file(index)) as part, part.open("wb") as f:
             np.savez_compressed(f, **arrays)
 

@@ -1,0 +1,60 @@
+"""Touch as data: displacement and force on a grid of the gel's face."""
+
+import gymnasium
+import numpy as np
+import pytest
+
+import pneutac_sim  # noqa: F401  registers the environments
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import POINTS_SHAPE
+from pneutac_sim.world.expert import ScriptedExpert
+from pneutac_sim.world.points import contact_force_n, tactile_points
+from pneutac_sim.world.soft_finger import GEL_STIFFNESS
+from pneutac_sim.world.world import World
+
+
+@pytest.fixture(scope="module")
+def pressed() -> World:
+    """A world whose gel presses the switch, some way in."""
+    world = World("switch", touch="area")
+    world.reset(2)
+    expert = ScriptedExpert(world, np.random.default_rng(2))
+    while world.press_mm < 1.2:
+        world.step(expert.action())
+    return world
+
+
+def test_forces_sum_to_the_one_of_the_gels_spring(pressed):
+    total = tactile_points(pressed)[..., 3:].sum((0, 1))
+    np.testing.assert_allclose(total, contact_force_n(pressed.model, pressed.data), rtol=1e-5)
+    assert total[2] == pytest.approx(-GEL_STIFFNESS * 1e-3 * pressed.press_mm, rel=0.05)
+    assert np.hypot(*total[:2]) < 0.5 * abs(total[2])  # the gel's friction
+
+
+def test_they_are_where_the_gel_is_pressed(pressed):
+    points = tactile_points(pressed)
+    assert points.shape == POINTS_SHAPE and points.dtype == np.float32
+    width, height = pressed.sensor.model.window_mm
+    rows, columns, _ = POINTS_SHAPE
+    deepest = np.unravel_index(points[..., 2].argmin(), points.shape[:2])
+    at = [(deepest[1] + 0.5) / columns * width - width / 2, (deepest[0] + 0.5) / rows * height - height / 2]
+    assert pressed.imprint_m is not None
+    np.testing.assert_allclose(at, 1e3 * pressed.imprint_m, atol=1.0)  # a cell
+    mean = pressed.touch.displacement_mm.mean()
+    assert -points[..., 2].mean() == pytest.approx(mean, rel=1e-3) and mean > 0
+    assert not points[..., :2].any()
+
+
+def test_nothing_touched_is_all_zero(pressed):
+    free = World("switch", touch="area")
+    free.reset(2)
+    assert not tactile_points(free).any()
+
+
+def test_the_environment_has_them_where_asked_for():
+    env = gymnasium.make("pneutac_sim/switch", touch="area", fidelity="probe", points=True)
+    observation, _ = env.reset(seed=2)
+    assert env.observation_space.contains(observation)
+    assert observation["tactile.points"].size == np.prod(POINTS_SHAPE)
+    with pytest.raises(InputError, match="no tactile points with touch 'none'"):
+        gymnasium.make("pneutac_sim/switch", touch="none", points=True)
