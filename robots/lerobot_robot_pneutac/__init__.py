@@ -7,7 +7,7 @@ from lerobot_robot_pneutac.cameras.config_digit import DigitConfig
 from lerobot_robot_pneutac.cameras.config_digit_generated import DigitGeneratedConfig
 from lerobot_robot_pneutac.cameras.config_elastomer import ElastomerConfig
 from lerobot_robot_pneutac.cameras.config_pneutac_scene import PneutacSceneConfig
-from lerobot_robot_pneutac.env import PneutacEnvConfig, PneutacStandinConfig
+from lerobot_robot_pneutac.env import PneutacEnvConfig, PneutacHubConfig, PneutacStandinConfig
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import PneutacBCConfig
 from lerobot_robot_pneutac.robots.config_pneutac import PneutacConfig
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
@@ -24,6 +24,7 @@ __all__ = [
     "PneutacConfig",
     "PneutacEnvConfig",
     "PneutacGamepadConfig",
+    "PneutacHubConfig",
     "PneutacKeyboardConfig",
     "PneutacSceneConfig",
     "PneutacScriptedConfig",

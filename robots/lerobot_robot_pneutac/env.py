@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from lerobot.configs import FeatureType, PolicyFeature
-from lerobot.envs.configs import EnvConfig
+from lerobot.envs.configs import EnvConfig, HubEnvConfig
 from lerobot.utils.constants import ACTION, OBS_IMAGES, OBS_STATE, OBS_STR
 
 # Both register the Gymnasium ids. Workers of lerobot-eval get them by unpickling this module's config.
@@ -79,7 +79,8 @@ class PneutacTaskConfig(EnvConfig):
     )
 
     def __post_init__(self):
-        check_choice("env.task", self.task, task_names())
+        if self.task is not None or not isinstance(self, HubEnvConfig):
+            check_choice("env.task", self.task, task_names())
         refuse_if(
             self.fps != CONTROL_HZ,
             f"--env.fps is {self.fps}; the simulated robot is controlled at {CONTROL_HZ} Hz.",
@@ -167,6 +168,26 @@ class PneutacEnvConfig(PneutacTaskConfig):
 
             own["station"] = Station.load(self.station)
         return super().gym_kwargs | own | twin
+
+
+@EnvConfig.register_subclass("pneutac_hub")
+@dataclass
+class PneutacHubConfig(PneutacTaskConfig, HubEnvConfig):
+    """Tasks by a repo on the Hub whose `env.py` makes them, such as our folder `envhub`.
+
+    Attributes:
+        hub_path: such as `you/pneutac-switch` or `you/pneutac-switch@revision`.
+        task: one task of the repo's; all of them where it is left out.
+    """
+
+    task: str | None = None
+
+    def __post_init__(self):
+        super().__post_init__()
+        refuse_if(
+            not self.hub_path,
+            "--env.hub_path is missing; give the repo of an env.py, such as you/pneutac-switch.",
+        )
 
 
 @EnvConfig.register_subclass("pneutac_standin")
