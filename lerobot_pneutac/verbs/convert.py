@@ -1,5 +1,6 @@
 """`pneutac convert`: makes a bench recording of what a lab's other systems logged."""
 
+import shutil
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -107,7 +108,11 @@ def convert(config: ConvertConfig) -> Recording:
     if config.date:
         recording.meta["date"] = config.date
     recording.meta["notes"] = f"from {config.source.name}"
-    return Recording.load(recording.write(config.out))
+    try:
+        return Recording.load(recording.write(config.out))
+    except InputError:
+        shutil.rmtree(config.out)  # there was no such folder before
+        raise
 
 
 def _read(path: Path, time: str) -> Source:

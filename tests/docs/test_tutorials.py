@@ -17,6 +17,7 @@ pytestmark = pytest.mark.timeout(1200)  # two busy cores; a page takes one or tw
         pytest.param("docs/how_to/networks.md", marks=SLOW),
         # The same loop, without augmentation and stand-in, is in the README and in test_plugin_loop.
         pytest.param("docs/tutorials/train_on_the_switch.md", marks=[NIGHTLY, pytest.mark.timeout(2400)]),
+        pytest.param("docs/tutorials/own_finger.md", marks=NIGHTLY),
         pytest.param("docs/how_to/pictures.md", marks=NIGHTLY),
         pytest.param("docs/how_to/photographs.md", marks=NIGHTLY),
         pytest.param("docs/how_to/ask_the_bench.md", marks=NIGHTLY),

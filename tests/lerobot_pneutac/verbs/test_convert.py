@@ -130,6 +130,21 @@ def test_a_mat_may_have_all_of_it(tmp_path):
         convert(ConvertConfig(tmp_path / "bad.mat", tmp_path / "b", **options))
 
 
+def test_a_csv_with_names_of_its_own_keeps_clocks_that_start_anew(tmp_path):
+    table = {"run": np.repeat([0, 1], 50), "t": np.tile(np.arange(50) / 10, 2)}
+    table |= {"p": np.tile(pressure(np.arange(50) / 10), 2), "a": np.linspace(0, 1, 100)}
+    pd.DataFrame(table).to_csv(tmp_path / "lab.csv", index=False)
+    names = {"run": "trial", "p": "pressure_cmd_kpa", "a": "bend_angle_rad"}
+    options = {"length_mm": 80.0, "time": "t", "columns": names}
+    recording = convert(ConvertConfig(tmp_path / "lab.csv", tmp_path / "bench", **options))
+    assert list(recording.trials()) == [0, 1]
+    np.testing.assert_allclose(recording.column("bend_angle_rad"), table["a"], atol=1e-6)
+    faulty = options | {"columns": {"p": "pressure_cmd_kpa", "a": "bend_angle_rad"}}
+    with pytest.raises(InputError, match="goes back from"):
+        convert(ConvertConfig(tmp_path / "lab.csv", tmp_path / "faulty", **faulty))
+    assert not (tmp_path / "faulty").exists()
+
+
 def test_a_ros_2_bag_holds_poses_and_pressures(tmp_path):
     pytest.importorskip("rosbags")
     from rosbags.rosbag2 import Writer

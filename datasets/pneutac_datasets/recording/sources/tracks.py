@@ -67,7 +67,15 @@ class Source:
 
 
 def resampled(time_s: np.ndarray, values: np.ndarray, at_s: np.ndarray, column: str) -> np.ndarray:
-    """Values (n,) of a column at other times (m,); what is commanded or counted holds until the next."""
+    """Values (n,) of a column at other times (m,); what is commanded or counted holds until the next.
+
+    Raises:
+        InputError: the times go back.
+    """
+    if np.array_equal(time_s, at_s):  # a clock may start anew with each trial
+        return values
+    if (np.diff(time_s) < 0).any():
+        raise InputError(f"The times of '{column}' go back; give a log with one clock that rises throughout.")
     if column == "trial" or "_cmd_" in column or values.dtype.kind not in "fiu":
         return values[np.clip(np.searchsorted(time_s, at_s, side="right") - 1, 0, len(values) - 1)]
     return np.interp(at_s, time_s, values.astype(float))
