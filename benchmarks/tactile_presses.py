@@ -18,6 +18,7 @@ from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.gel.fit import fit_presses
 from pneutac_sim.gel.metrics import ImageScores, score
 from pneutac_sim.gel.photograph import Predictor
+from pneutac_sim.gel.told import open_levels
 
 
 def predicted_by(folder: Path, presses: tuple[int, ...]) -> tuple[str, ImageScores]:
@@ -35,6 +36,15 @@ def predicted_by(folder: Path, presses: tuple[int, ...]) -> tuple[str, ImageScor
     )
 
 
+def advised(folder: Path, first: int) -> tuple[int, int]:
+    """A press and, of all other photographs' presses, the one that leaves least open beside it."""
+    data = GelRecording.load(Recording.load(folder))
+    fit = fit_presses([data.samples[first].photograph], data.px_per_mm, None, data.thickness_mm)
+    left = open_levels(fit.gel, fit.channels, [s.press for s in data.samples])[1]
+    left[first] = np.inf
+    return first, int(np.argmin(left))
+
+
 def choices(n: int, samples: int, sets: int) -> list[tuple[int, ...]]:
     """Every one press, or some sets of n."""
     if n == 1:
@@ -48,6 +58,7 @@ def main():
     parser.add_argument("--presses", default="1,3,5", help="numbers of presses, joined by commas")
     parser.add_argument("--sets", type=int, default=8, help="random sets of several presses")
     parser.add_argument("--data", type=Path, default=None, help="folder of recorded gels")
+    parser.add_argument("--advised", action="store_true", help="every press, with the one that it asks for")
     options = parser.parse_args()
     root = options.data or Path(os.environ.get("PNEUTAC_DATA", "")) / "tactile"
     folders = sorted(f.parent for f in root.glob("*/recording.json"))
@@ -57,8 +68,11 @@ def main():
     with ProcessPoolExecutor() as pool:
         for folder in folders:
             count = len(GelRecording.load(Recording.load(folder)).samples)
-            for n in map(int, options.presses.split(",")):
-                sets = choices(n, count, options.sets)
+            tries = [(n, choices(int(n), count, options.sets)) for n in options.presses.split(",")]
+            if options.advised:
+                pairs = list(pool.map(advised, [folder] * count, range(count)))
+                tries.append(("2, advised", pairs))
+            for n, sets in tries:
                 found = list(pool.map(predicted_by, [folder] * len(sets), sets))
                 contact = np.array([s.contact_rmse for _, s in found])
                 ncc = np.median([s.contact_dncc for _, s in found])

@@ -1,4 +1,4 @@
-"""Keeps every test off the user's Hugging Face folders and off the network."""
+"""Keeps every test off the user's folders (Hugging Face's, priors of sensors) and off the network."""
 
 import json
 import os
@@ -12,6 +12,7 @@ import pytest
 # Before LeRobot is imported: it reads these once.
 os.environ["HF_HOME"] = tempfile.mkdtemp(prefix="pneutac_hf_")
 os.environ["HF_HUB_OFFLINE"] = "1"
+os.environ["PNEUTAC_PRIORS"] = os.path.join(os.environ["HF_HOME"], "priors")
 # Processes that are started to run tests inherit it.
 FIRST = "PNEUTAC_TEST_RECORDINGS" not in os.environ
 os.environ.setdefault("PNEUTAC_TEST_RECORDINGS", tempfile.mkdtemp(prefix="pneutac_recordings_"))

@@ -33,6 +33,7 @@ def run_page(page: str, work: Path) -> None:
     """Runs its blocks one after the other in `work`; fails at the first that ends in an error."""
     env = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY", "PNEUTAC_DATA")}
     env |= {"HF_HOME": str(work / "hf"), "HF_HUB_OFFLINE": "1", "OMP_NUM_THREADS": "1"}
+    env["PNEUTAC_PRIORS"] = str(work / "priors")
     env["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{env['PATH']}"
     found = blocks(page)
     assert any(b.kind in RUN and not b.why for b in found), f"{page} has nothing to run"

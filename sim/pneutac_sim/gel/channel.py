@@ -200,11 +200,14 @@ class Channel:
             c, further = self.light(x)
             return self._weight(x, log_rest) * optics.channel(u, self._cell, c, self._k, further)
 
-        step = 0.05 * np.sqrt(np.diag(self.covariance)) + 1e-9
-        slopes = [
-            (predicted(self._x + d) - predicted(self._x - d)) / (2 * h)
-            for h, d in zip(step, np.diag(step), strict=True)
-        ]
+        slopes = []
+        for i, step in enumerate(0.05 * np.sqrt(np.diag(self.covariance)) + 1e-9):
+            low, high = self._x.copy(), self._x.copy()
+            low[i] -= (
+                step if self._x[i] - step > self._lower[i] else 0
+            )  # an effect may begin with a jump there
+            high[i] += step if self._x[i] + step < self._upper[i] or low[i] == high[i] else 0
+            slopes.append((predicted(high) - predicted(low)) / (high[i] - low[i]))
         slope = np.stack(slopes, -1)[mask]
         return slope.T @ slope / max(len(slope), 1)
 

@@ -66,18 +66,35 @@ def told(gel: GelModel, channels: Sequence[Channel], photographs: Sequence[Press
         for where, (x, y) in names.items()
         for d in dict.fromkeys((deepest.depth_mm, depth))
     ]
-    grams = np.array([_grams(gel, channels, press) for _, press in presses])  # (presses, channels, F, F)
-    before = [c.covariance for c in channels]
-    left = []
-    for gram in grams:
-        after = [
-            np.linalg.pinv(np.linalg.pinv(S) + INDEPENDENT / ERROR_LEVELS**2 * g)
-            for S, g in zip(before, gram, strict=True)
-        ]
-        left.append(_levels(grams, after))
-    where, add = presses[int(np.argmin(left))]
+    now, then = open_levels(gel, channels, [press for _, press in presses])
+    where, add = presses[int(np.argmin(then))]
     deeper = add.depth_mm > deepest.depth_mm
-    return Told(_untold(channels), add, where, deeper, _levels(grams, before), min(left))
+    return Told(_untold(channels), add, where, deeper, now, float(then.min()))
+
+
+def open_levels(
+    gel: GelModel, channels: Sequence[Channel], presses: Sequence[Press]
+) -> tuple[float, np.ndarray]:
+    """Standard deviation that a fit leaves to the light of these presses, their root mean square.
+
+    Args:
+        gel: as fitted.
+        channels: of red, green and blue, as solved.
+        presses: n of them.
+
+    Returns:
+        As it is, and (n,) with each press added.
+    """
+    grams = np.array([_grams(gel, channels, press) for press in presses])  # (presses, channels, F, F)
+    now = [c.covariance for c in channels]
+    then = [
+        [
+            np.linalg.pinv(np.linalg.pinv(S) + INDEPENDENT / ERROR_LEVELS**2 * g)
+            for S, g in zip(now, gram, strict=True)
+        ]
+        for gram in grams
+    ]
+    return _levels(grams, now), np.array([_levels(grams, covariances) for covariances in then])
 
 
 def _grams(gel: GelModel, channels: Sequence[Channel], press: Press) -> list[np.ndarray]:
