@@ -14,8 +14,8 @@ USAGE = """usage: pneutac check PATH [PATH ...] [--twin=PATH]
 
 Tells in seconds what a later verb would refuse, all faults at once, and exits with 1 where there is one.
 
-  PATH         folder of a twin, a bench recording, or a LeRobotDataset of demonstrations
-  --twin=PATH  twin on which demonstrations are to be augmented (default the built-in one)"""
+  PATH         folder of a twin, a bench recording, or a LeRobotDataset of demonstrations; or a station.yaml
+  --twin=PATH  twin for which demonstrations or a station are looked at (default the built-in one)"""
 
 
 def main(argv: list[str]) -> None:

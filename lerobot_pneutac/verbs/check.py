@@ -11,7 +11,8 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.finger import Pipeline
 from pneutac_sim.finger.online import COMPUTED
 from pneutac_sim.twin import Twin
-from pneutac_sim.world.checks import check_networks
+from pneutac_sim.world.checks import check_networks, out_of_reach
+from pneutac_sim.world.station import Station
 
 
 @dataclass(frozen=True)
@@ -20,7 +21,7 @@ class Checked:
 
     Attributes:
         path: what was looked at.
-        kind: `twin`, `bench recording` or `demonstrations`.
+        kind: `twin`, `bench recording`, `demonstrations` or `station`.
         faults: one sentence for each thing that a later verb refuses.
         notes: one for each thing that is poor but usable.
     """
@@ -32,16 +33,18 @@ class Checked:
 
 
 def check_path(path: str | Path, twin: Twin | None = None) -> Checked:
-    """Looks at a folder, whatever it holds.
+    """Looks at a folder, whatever it holds, or at a `station.yaml`.
 
     Args:
-        path: of a twin, a bench recording or a LeRobotDataset.
-        twin: on which demonstrations are to be augmented; default the built-in one.
+        path: of a twin, a bench recording or a LeRobotDataset, or the file of a station.
+        twin: on which demonstrations are augmented, or that works in the station; default the built-in one.
 
     Raises:
         InputError: there is no such folder.
     """
     path = Path(path)
+    if path.suffix in (".yaml", ".yml") and path.is_file():
+        return Checked(path, "station", *_station(path, twin or Twin.builtin()))
     if not path.is_dir():
         near = difflib.get_close_matches(path.name, [p.name for p in path.absolute().parent.glob("*")], n=1)
         raise InputError(f"There is no folder '{path}'" + (f"; is '{near[0]}' meant?" if near else "."))
@@ -51,6 +54,17 @@ def check_path(path: str | Path, twin: Twin | None = None) -> Checked:
         faults = demonstration_faults(path, (twin or Twin.builtin()).pressure_range_kpa)
         return Checked(path, "demonstrations", faults, [])
     return Checked(path, "bench recording", *recording_faults(path))
+
+
+def _station(path: Path, twin: Twin) -> tuple[list[str], list[str]]:
+    try:
+        short = out_of_reach(Station.load(path), twin.length_mm)
+    except InputError as e:
+        return [str(e)], []
+    return [], [
+        f"The arm falls {missing:.2g} m short of where the task '{task}' starts; choose another base_m."
+        for task, missing in short.items()
+    ]
 
 
 def _twin(path: Path) -> tuple[list[str], list[str]]:

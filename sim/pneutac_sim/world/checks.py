@@ -1,7 +1,14 @@
 """Whether a world can be made of a twin, asked before any work begins."""
 
+import numpy as np
+
+from pneutac_sim.features import task_names
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.conditions import Conditions, conditions_for
+from pneutac_sim.world.station import Station
+from pneutac_sim.world.tasks import make_task
+
+MISSING_M = 0.003  # by which a place that is out of the arm's reach is missed
 
 
 def check_networks(twin: Twin, fidelity: str) -> None:
@@ -25,3 +32,27 @@ def check_world(twin: Twin, fidelity: str, conditions: Conditions) -> None:
     """
     conditions_for(twin, conditions)
     check_networks(twin, fidelity)
+
+
+def out_of_reach(station: Station, length_mm: float) -> dict[str, float]:
+    """Tasks whose start the station's arm does not reach, and by how many metres it falls short.
+
+    Args:
+        station: with its arm.
+        length_mm: of the finger.
+
+    Raises:
+        InputError: the arm cannot carry a finger.
+    """
+    arm, short = station.make_arm(), {}
+    lift_m = station.box_m(length_mm)[0] - station.workspace_low_m
+    for name in task_names():
+        task, solver = make_task(name), arm.solver()
+        for aside in task.starts_m:
+            start = np.array(station.home_m or task.home_m + lift_m) + (0.0, aside, 0.0)
+            solver.reset()
+            for _ in range(20):
+                solver.solve(start - arm.base_m)
+            if solver.missing_m > MISSING_M:
+                short[name] = max(short.get(name, 0.0), solver.missing_m)
+    return short

@@ -17,6 +17,7 @@ from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.twin import Twin, checked_range
 from pneutac_sim.world import scene
 from pneutac_sim.world.action import checked_action
+from pneutac_sim.world.checks import MISSING_M
 from pneutac_sim.world.conditions import Conditions, conditions_for, draw
 from pneutac_sim.world.deforming import deforming
 from pneutac_sim.world.drawn import drawn
@@ -33,7 +34,6 @@ from pneutac_sim.world.touch import Touch
 
 DT = 1 / CONTROL_HZ
 RAMP = np.linspace(0, 1, scene.SUBSTEPS + 1)[1:, None]  # share of a control step at the end of each substep
-MISSING_M = 0.003  # by which a place that is out of the arm's reach is missed
 SETTLE_STEPS = 8  # control steps at rest before an episode
 
 logger = logging.getLogger(__name__)

@@ -84,3 +84,15 @@ def test_the_command_tells_each_folder_and_ends_with_one_where_there_is_a_fault(
         verb.main([str(tmp_path / "bensh")])
     with pytest.raises(InputError, match="There is no option --twins=x"):
         verb.main(["bench", "--twins=x"])
+
+
+def test_a_station_tells_which_tasks_its_arm_does_not_reach(tmp_path):
+    file = tmp_path / "station.yaml"
+    file.write_text("format: pneutac-station/1\narm: so101\n")
+    assert check_path(file).faults == check_path(file).notes == []
+    file.write_text("format: pneutac-station/1\narm: so101\nbase_m: [0.0, 0.0, 0.2]\n")
+    found = check_path(file)
+    assert found.kind == "station" and not found.faults
+    assert len(found.notes) == 5 and "short of where the task 'switch' starts" in found.notes[0]
+    file.write_text("format: pneutac-station/1\narm: so102\n")
+    assert "arm is 'so102'" in check_path(file).faults[0]
