@@ -52,6 +52,7 @@ def demos(station, tmp_path_factory):
     return LeRobotDataset("local/six", root)
 
 
+@pytest.mark.slow
 def test_six_joints_are_recorded_learnt_and_rolled_out(station, demos, tmp_path):
     assert demos.meta.features[OBS_STATE]["names"] == list(state_names(6))
     torch.manual_seed(0)
@@ -86,6 +87,7 @@ def test_six_joints_are_recorded_learnt_and_rolled_out(station, demos, tmp_path)
     env.close()
 
 
+@pytest.mark.slow
 def test_its_demonstrations_are_augmented(station, demos, tmp_path):
     augment_naive(demos.root, "local/six", tmp_path / "naive", "local/naive", 1, seed=0)
     varied = LeRobotDataset("local/naive", tmp_path / "naive")

@@ -181,8 +181,8 @@ def test_a_ros_2_bag_holds_poses_and_pressures(tmp_path):
 
 
 def film(file, draw):
-    writer = cv2.VideoWriter(str(file), cv2.VideoWriter_fourcc(*"MJPG"), 20, (640, 480))
-    for place in tip_mm()[::3]:
+    writer = cv2.VideoWriter(str(file), cv2.VideoWriter_fourcc(*"MJPG"), 10, (640, 480))
+    for place in tip_mm()[::6]:
         writer.write(draw(place))
     writer.release()
     return file
