@@ -110,6 +110,7 @@ def test_to_what_cannot_be_diagnosed_nothing_is_added(tmp_path):
     assert Twin.load(twin).effects == {}
 
 
+@pytest.mark.nightly
 def test_ten_images_are_enough_and_it_is_said_that_none_were_kept_for_the_report(tmp_path):
     recording = once(write_hidden_gel, tmp_path / "recording", ["shadow"], images=NEEDED)
     found = run(diagnose, tmp_path / "d", linear_twin(tmp_path / "twin", recording), recording)

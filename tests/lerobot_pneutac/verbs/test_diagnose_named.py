@@ -50,6 +50,7 @@ def real(name):
     return Recording.load(Path(root) / "soft" / name)
 
 
+@pytest.mark.nightly
 def test_real_segment_bends_by_more_than_a_gain():
     """Its bend is no straight line in pressure: a static form says so, or a memory of one."""
     recording = real("sopra_segment")

@@ -16,6 +16,7 @@ def found(truth, folder):
     return diagnose(Twin("finger", recording.length_mm), recording, jobs=1)
 
 
+@pytest.mark.nightly
 def test_zeros_of_trials_do_not_swallow_weight_and_payload(tmp_path):
     """They are constant in each trial, so zeros explain them as well until a trial is left out."""
     d = found("gravity_and_payload", tmp_path)
