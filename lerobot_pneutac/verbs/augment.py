@@ -10,7 +10,7 @@ import numpy as np
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.demonstrations.augment.planner import PlannerConfig
-from pneutac_datasets.demonstrations.faults import POINTS, demonstration_faults
+from pneutac_datasets.demonstrations.faults import demonstration_faults
 from pneutac_sim.errors import InputError, check_choice, check_least
 from pneutac_sim.features import FIDELITIES, joint_count, task_names
 from pneutac_sim.progress import Progress, no_progress
@@ -183,6 +183,7 @@ def augment(config: AugmentConfig, progress: Progress = no_progress) -> Augmenta
         augment_without_simulator,
         read_references,
     )
+    from pneutac_datasets.demonstrations.episodes import POINTS, further_features
     from pneutac_sim.gel.sensor import TactileSensor
 
     sensor = None
@@ -200,6 +201,7 @@ def augment(config: AugmentConfig, progress: Progress = no_progress) -> Augmenta
         station = Station.load(config.station) if config.station else Station()
         _check_arm(meta, station)
         base_m = np.array(station.base_m)  # demonstrations tell places in the arm's frame
+        further = further_features(meta)
         setup = AugmentSetup(
             [replace(r, flange_m=r.flange_m + base_m) for r in references],
             config.task,
@@ -210,7 +212,10 @@ def augment(config: AugmentConfig, progress: Progress = no_progress) -> Augmenta
             attempts=config.attempts,
             conditions=config.conditions,
             station=config.station,
-            tactile_points=POINTS in meta.features,
+            tactile_points=POINTS in further,
+            cameras={
+                key.split(".")[-1]: tuple(f["shape"][:2]) for key, f in further.items() if key != POINTS
+            },
         )
         summary = augment_guided(meta, setup, *new, config.workers, progress, config.check_mpm)
     return Augmentation(config, summary, references)

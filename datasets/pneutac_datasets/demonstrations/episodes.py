@@ -19,10 +19,12 @@ from pneutac_sim.features import (
     joint_count,
     state_names_like,
 )
+from pneutac_sim.world.cameras import SCENE_CAMERAS
 from pneutac_sim.world.points import points_info
 
 TACTILE = f"{OBS_IMAGES}.{IMAGE_NAME}"
-POINTS = f"{OBS_STR}.{POINTS_KEY}"  # touch as data, which demonstrations may have
+POINTS = f"{OBS_STR}.{POINTS_KEY}"  # touch as data
+FURTHER = (POINTS, *(f"{OBS_IMAGES}.{name}" for name in SCENE_CAMERAS))  # demonstrations may have them
 
 
 @dataclass
@@ -80,8 +82,8 @@ class Episode:
 
 
 def demonstration_features(meta: LeRobotDatasetMetadata) -> dict:
-    """The dataset's own features but `POINTS`; raises InputError where they are no pneutac robot's."""
-    features = {k: dict(f) for k, f in meta.features.items() if k not in (*DEFAULT_FEATURES, POINTS)}
+    """The dataset's own features but `FURTHER`; raises InputError where they are no pneutac robot's."""
+    features = {k: dict(f) for k, f in meta.features.items() if k not in (*DEFAULT_FEATURES, *FURTHER)}
     if set(features) != {OBS_STATE, ACTION, TACTILE}:
         raise InputError(
             f"Dataset '{meta.repo_id}' has the features {', '.join(features)}; demonstrations have exactly"
@@ -94,10 +96,19 @@ def demonstration_features(meta: LeRobotDatasetMetadata) -> dict:
                 f"Dataset '{meta.repo_id}': '{key}' has the names {features[key]['names']}; it must have"
                 f" {list(names)}."
             )
-    # The encoder's own entries are written anew with the first video.
-    info = features[TACTILE].get("info") or {}
-    features[TACTILE]["info"] = {k: v for k, v in info.items() if not k.startswith("video.")}
+    features[TACTILE] = _before_encoding(features[TACTILE])
     return features
+
+
+def further_features(meta: LeRobotDatasetMetadata) -> dict:
+    """Those of `FURTHER` that a dataset has."""
+    return {k: _before_encoding(meta.features[k]) for k in FURTHER if k in meta.features}
+
+
+def _before_encoding(feature: dict) -> dict:
+    """A feature without the encoder's own entries, which are written anew with the first video."""
+    info = feature.get("info") or {}
+    return {**feature, "info": {k: v for k, v in info.items() if not k.startswith("video.")}}
 
 
 def points_feature(window_mm: tuple[float, float]) -> dict:

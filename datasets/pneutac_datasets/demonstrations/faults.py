@@ -17,9 +17,11 @@ from pneutac_sim.features import (
     POINTS_KEY,
     state_names_like,
 )
+from pneutac_sim.world.cameras import SCENE_CAMERAS
 
 STATE, ACTION, TACTILE = "observation.state", "action", f"observation.images.{IMAGE_NAME}"
-POINTS = f"observation.{POINTS_KEY}"  # which demonstrations may have
+# Which demonstrations may have too.
+FURTHER = (f"observation.{POINTS_KEY}", *(f"observation.images.{name}" for name in SCENE_CAMERAS))
 OWN = ("timestamp", "frame_index", "episode_index", "index", "task_index")  # LeRobot's, in every dataset
 ROUNDING_KPA = 0.01  # share of the range by which a command may be beyond it
 
@@ -74,7 +76,7 @@ def _of_features(features: dict, file: Path) -> list[str]:
             found.append(
                 f"{file}: feature '{key}' is missing{_close(key, features)}; record it with this robot."
             )
-    more = [k for k in features if k not in (*wanted, POINTS, *OWN)]
+    more = [k for k in features if k not in (*wanted, *FURTHER, *OWN)]
     if more:
         found.append(
             f"{file}: feature {', '.join(more)} is none of a demonstration's; take it out with"

@@ -12,6 +12,7 @@ from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata, merge_datas
 from lerobot.utils.constants import ACTION, OBS_STATE
 
 from lerobot_pneutac.cli import augment as verb
+from lerobot_robot_pneutac.cameras.config_pneutac_scene import PneutacSceneConfig
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
 from lerobot_robot_pneutac.teleoperators.config_pneutac_scripted import PneutacScriptedConfig
@@ -35,7 +36,10 @@ QUICK = ["--planner.samples=4", "--planner.elites=2", "--planner.iterations=1", 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
     root = tmp_path_factory.mktemp("augment") / "demos"
-    robot = PneutacSim(PneutacSimConfig(id="t", task="switch", seed=3, fidelity="probe", tactile_points=True))
+    camera = {"front": PneutacSceneConfig(width=64, height=48)}
+    robot = PneutacSim(
+        PneutacSimConfig(id="t", task="switch", seed=3, fidelity="probe", tactile_points=True, cameras=camera)
+    )
     teleop = PneutacScripted(PneutacScriptedConfig(id="t", seed=3, episode_steps=80))
     return record_episodes(robot, teleop, "local/demos", root, 2, "flip the switch", False)
 
@@ -96,6 +100,19 @@ def test_touch_as_data_is_made_where_the_demonstrations_have_it(recorded, made):
         assert most[..., 2].min() < -0.2 and most[..., 5].sum() < -0.2  # mm, N
     info = LeRobotDatasetMetadata("local/more", made / "more").features[POINTS]["info"]
     assert info["units"] == ["mm", "mm", "mm", "N", "N", "N"] and "image columns" in info["frame"]
+
+
+def test_scene_cameras_see_what_is_made(recorded, made):
+    """The first pictures are alike, the last shows the lever flipped."""
+    key = "observation.images.front"
+    old, new = (
+        LeRobotDataset(f"local/{n}", r, video_backend="pyav")
+        for n, r in (("demos", recorded), ("more", made / "more"))
+    )
+    end = new.meta.episodes[0]["dataset_to_index"] - 1
+    start, last, before = (255 * each[key] for each in (new[0], new[end], old[0]))
+    assert start.shape == (3, 48, 64)
+    assert (start - before).abs().mean() < 8 and ((last - start).abs().amax(0) > 40).float().mean() > 0.005
 
 
 def test_provenance_and_report_tell_what_was_done(made):

@@ -5,16 +5,19 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
+from lerobot.utils.constants import OBS_IMAGES
 
 from pneutac_datasets.demonstrations.augment.course import Course
 from pneutac_datasets.demonstrations.augment.planner import CemPlanner, PlannerConfig
 from pneutac_datasets.demonstrations.augment.reference import EXTRA_STEPS, Reference, onset_sigma_m
 from pneutac_datasets.demonstrations.augment.scene import Scene, command_latency, find_scene, follow
+from pneutac_datasets.demonstrations.episodes import POINTS
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_NAMES, AREA, CONTROL_HZ, MAX_PRESSURE_KPA
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.conditions import Conditions, draw
 from pneutac_sim.world.gantry import Gantry
+from pneutac_sim.world.look import SceneCameras
 from pneutac_sim.world.points import tactile_points
 from pneutac_sim.world.station import Station
 from pneutac_sim.world.varied import Variation, VariedWorld
@@ -48,6 +51,7 @@ class AugmentSetup:
         conditions: of the world, see `World`; every demonstration draws from a range.
         station: file of the station, or None for the paper's.
         tactile_points: whether demonstrations have touch as data too.
+        cameras: their scene cameras to height and width of the pictures.
     """
 
     references: list[Reference]
@@ -61,6 +65,7 @@ class AugmentSetup:
     conditions: Conditions = field(default_factory=dict)
     station: Path | None = None
     tactile_points: bool = False
+    cameras: dict[str, tuple[int, int]] = field(default_factory=dict)
 
     @property
     def where(self) -> Station:
@@ -129,7 +134,7 @@ class Attempt:
         cost: mean of the plans' costs.
         area_rmse: root mean square error of the contact area from its onset on.
         start: seed and variation of the world at the start.
-        points: touch as data, float32 (T, POINTS_SIZE), or None.
+        more: (T, ...) of further features, such as scene cameras' pictures, by their names in the dataset.
     """
 
     state: np.ndarray
@@ -139,7 +144,7 @@ class Attempt:
     cost: float
     area_rmse: float
     start: tuple[int, Variation]
-    points: np.ndarray | None = None
+    more: dict[str, np.ndarray] = field(default_factory=dict)
 
     @property
     def area(self) -> np.ndarray:
@@ -159,6 +164,7 @@ class Generator:
         s = self.setup
         twin = Twin.load(s.twin) if s.twin else None
         self.world = VariedWorld(s.task, twin, self.touch, s.fidelity, s.conditions, station=s.where)
+        self._scene = SceneCameras(self.world, s.cameras)
         self.gantry = Gantry(self.world)
         self.sigma_m = onset_sigma_m(s.references)
         self.late_commands = command_latency(self.world, self.gantry, s.references)
@@ -230,7 +236,7 @@ class Generator:
             nothing = observation.state[None][:0], np.zeros((0, len(ACTION_NAMES))), None
             return Attempt(*nothing, IN_THE_WAY, 0.0, 1.0, begun)
         ways = self._plan(r, variant, rng) if plan else iter(np.clip(r.action, *self.world.action_limits))
-        states, actions, images, areas, points, self._costs = [], [], [], [], [], []
+        states, actions, images, areas, more, self._costs = [], [], [], [], [], []
         missed = plan
         while not (self.world.success or self.world.failure):
             action = next(ways, None)
@@ -238,8 +244,7 @@ class Generator:
                 break
             states.append(observation.state)
             images.append(observation.tactile)
-            if self.setup.tactile_points:
-                points.append(tactile_points(self.world).ravel())
+            more.append(self._further())
             actions.append(action.astype(np.float32))
             areas.append(self.world.touch.area)
             began = time.perf_counter()
@@ -261,8 +266,13 @@ class Generator:
             float(np.mean(self._costs)) if self._costs else 0.0,
             _area_rmse(np.array(areas), r.area),
             begun,
-            np.array(points) if points else None,
+            {key: np.array([each[key] for each in more]) for key in more[0]},
         )
+
+    def _further(self) -> dict[str, np.ndarray]:
+        """What the demonstrations have of `FURTHER`, now."""
+        points = {POINTS: tactile_points(self.world).ravel()} if self.setup.tactile_points else {}
+        return points | {f"{OBS_IMAGES}.{name}": p for name, p in self._scene.pictures().items()}
 
     def _plan(self, r: Reference, variant: Variant, rng: np.random.Generator):
         """Yields the next action (4,) for what is, until it is over."""

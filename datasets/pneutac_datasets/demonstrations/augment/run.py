@@ -30,10 +30,10 @@ from pneutac_datasets.demonstrations.augment.reference import (
 from pneutac_datasets.demonstrations.augment.scene import Scene
 from pneutac_datasets.demonstrations.augment.work import Work, begin, make_episode, make_scene
 from pneutac_datasets.demonstrations.episodes import (
-    POINTS,
     TACTILE,
     Episode,
     demonstration_features,
+    further_features,
     load_episode,
     save_episode,
 )
@@ -200,8 +200,7 @@ def _write(
     """Writes the dataset into `part`; returns the provenance and the seconds spent, by part of the work."""
     features = demonstration_features(meta)
     use_videos = features[TACTILE]["dtype"] == "video"
-    if POINTS in meta.features:
-        features[POINTS] = dict(meta.features[POINTS])
+    features |= further_features(meta)
     longest = max(map(len, references)) + EXTRA_STEPS
     provenance, seconds = [], {"writing": 0.0}
     with quiet_encoders():
@@ -213,9 +212,8 @@ def _write(
                     seconds[name] = seconds.get(name, 0.0) + s
                 start = time.perf_counter()
                 instruction = references[line["source"]].task
-                more = {} if attempt.points is None else {POINTS: attempt.points}
                 made = Episode(attempt.state, attempt.action, attempt.images, instruction, meta.fps)
-                save_episode(out, made, more)
+                save_episode(out, made, attempt.more)
                 seconds["writing"] += time.perf_counter() - start
         finally:
             out.finalize()
@@ -285,4 +283,5 @@ def _run(meta: LeRobotDatasetMetadata, setup: AugmentSetup) -> dict:
         "files": 2,  # version of the work folder's files
         "candidates": setup.candidates,
         **({"tactile_points": True} if setup.tactile_points else {}),
+        **({"cameras": setup.cameras} if setup.cameras else {}),
     }

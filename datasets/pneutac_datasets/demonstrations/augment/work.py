@@ -16,6 +16,8 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.files import whole, write_json
 from pneutac_sim.world.varied import Variation
 
+MORE = "more "  # before the names of further features
+
 
 class Work:
     """The folder.
@@ -63,8 +65,8 @@ class Work:
             provenance, seconds = json.loads(str(d["provenance"])), json.loads(str(d["seconds"]))
             scores = provenance["cost"], provenance["area_rmse"]
             start = start_from_json(str(d["start"]))
-            points = d["points"] if "points" in d else None
-            attempt = Attempt(d["state"], d["action"], images, None, *scores, start, points)
+            more = {key.removeprefix(MORE): d[key] for key in d.files if key.startswith(MORE)}
+            attempt = Attempt(d["state"], d["action"], images, None, *scores, start, more)
         return attempt, provenance, seconds
 
     def save_scene(self, source: int, scene: Scene) -> None:
@@ -82,8 +84,7 @@ class Work:
             "provenance": np.array(json.dumps(provenance)),
             "seconds": np.array(json.dumps(seconds)),
         }
-        if attempt.points is not None:
-            arrays["points"] = attempt.points
+        arrays |= {f"{MORE}{key}": values for key, values in attempt.more.items()}
         with whole(self.episode_file(index)) as part, part.open("wb") as f:
             np.savez_compressed(f, **arrays)
 
