@@ -340,9 +340,11 @@ class Rounds:
         self._recordings.append(recording)
         r = self._judged(choice, found, foreseen)
         names = ", ".join(r.selected) or "nothing"
-        twin = replace(found.twin, history=Twin.load(self._out / "twin").history)
+        history, given = (Twin.load(self._out / name).history for name in ("twin", "given"))
         errors = {k: found.after[k] for k in ("train", "heldout")} | {"unit": r.unit}
-        twin.save_version(self._out / "twin", f"learnt {names}", str(folder / "recording"), errors)
+        if len(history) - len(given) == len(self.done):  # else this round was killed just after it saved
+            twin = replace(found.twin, history=history)
+            twin.save_version(self._out / "twin", f"learnt {names}", str(folder / "recording"), errors)
         write_json(folder / "round.json", asdict(r))
         self.done.append(r)
         return r

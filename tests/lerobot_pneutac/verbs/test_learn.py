@@ -100,6 +100,15 @@ def test_the_report_begins_with_what_was_foreseen_and_design_goes_on_from_a_roun
 
 
 @pytest.mark.slow
+def test_killed_after_a_version_was_saved_it_saves_none_twice(learnt, tmp_path):
+    out = shutil.copytree(learnt.folder, tmp_path / "out")
+    (out / f"round_{learnt.last.number}" / "round.json").unlink()
+    again = learn(Twin.builtin(), Mirror(), out, **OPTIONS)
+    assert again.to_dict()["rounds"] == learnt.to_dict()["rounds"]
+    assert Twin.load(out / "twin").history == Twin.load(learnt.folder / "twin").history
+
+
+@pytest.mark.slow
 def test_rounds_of_another_twin_are_refused(learnt, tmp_path):
     shutil.copytree(learnt.folder, tmp_path / "out")
     other = Twin.builtin()
