@@ -12,7 +12,7 @@ from lerobot_robot_pneutac.options import refuse_if
 PLAIN = {"rotation": 0, "crop": (0.0, 0.0, 0.0, 0.0), "mirror": False, "fourcc": None, "fps": 30}
 # What is known of each make; an option that is given goes before it.
 SENSORS: dict[str, dict[str, Any]] = {
-    # Stream, border and size as in the maker's own gsrobotics.
+    # Border and size as in the maker's own gsrobotics; stream, rate and format are not checked on a sensor.
     "gelsight_mini": {
         "stream": (3280, 2464),
         "fps": 25,
