@@ -25,6 +25,8 @@ class CalibrateConfig:
         out: folder for `result.json`, `report.html` and pictures.
         effects: optics effects of a gel to fit, with commas between, or `none` for the paper's linear model;
             where left out, those once chosen for the twin, else all that the presses can tell.
+        through: `mpm` to fit a gel's light to the surfaces that material points have under the presses, which
+            takes minutes; where left out, to those of the closed form.
         save_prior: name under which a gel's lights are kept for other sensors of its make.
         by: what a finger or an arm is fitted to: `images` (photographs with masks) or `markers` (markers and
             angles); where left out, markers if the recording has them, else images.
@@ -38,6 +40,7 @@ class CalibrateConfig:
     recording: Path | None = None
     out: Path | None = None
     effects: str | None = None
+    through: str | None = None
     save_prior: str | None = None
     by: str | None = None
     train_kpa: str = "0,3,6,9,12,15"
@@ -66,7 +69,8 @@ def run(cfg: CalibrateConfig, scratch: Path, console: Console) -> Calibration:
     try:
         with progress_bar(console) as progress:
             result = calibrate(
-                twin, recording, by=cfg.by, effects=cfg.effects, train_kpa=cfg.train_kpa, seed=cfg.seed,
+                twin, recording, by=cfg.by, effects=cfg.effects, through=cfg.through,
+                train_kpa=cfg.train_kpa, seed=cfg.seed,
                 evaluations=cfg.evaluations, particles=cfg.particles, keep=keep, progress=progress,
             )  # fmt: skip
     except KeyboardInterrupt:

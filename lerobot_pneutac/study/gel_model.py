@@ -9,7 +9,7 @@ from pneutac_datasets.recording.gel import GelRecording
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.features import IMAGE_SHAPE
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.gel.photograph import Predictor, PressPhotograph
+from pneutac_sim.gel.photograph import Predictor, Pressed, PressPhotograph
 from pneutac_sim.twin import Twin
 
 
@@ -26,9 +26,15 @@ def calibration_pairs(data: GelRecording) -> list[PressPhotograph]:
     return [s.photograph for s in data.samples if s.role == "calibration"]
 
 
-def predict(gel: GelModel, data: GelRecording) -> list[np.ndarray]:
-    """Predicted image of every sample; the calibration pairs tell how the light drifts."""
-    predictor = Predictor(gel, calibration_pairs(data))
+def predict(gel: GelModel, data: GelRecording, pressed: Pressed | None = None) -> list[np.ndarray]:
+    """Predicted image of every sample; the calibration pairs tell how the light drifts.
+
+    Args:
+        gel: of this recording.
+        data: its images.
+        pressed: gives the surfaces, see `Predictor`.
+    """
+    predictor = Predictor(gel, calibration_pairs(data), pressed)
     return [predictor.image(s.press, s.rest, s.clock) for s in data.samples]
 
 

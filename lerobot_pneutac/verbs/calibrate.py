@@ -15,6 +15,7 @@ from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
 
 WAYS = ("images", "markers")
+THROUGH = ("mpm",)
 
 
 def calibrate(
@@ -23,6 +24,7 @@ def calibrate(
     *,
     by: str | None = None,
     effects: Sequence[str] | str | None = None,
+    through: str | None = None,
     train_kpa: Sequence[float] | str = (0.0, 3.0, 6.0, 9.0, 12.0, 15.0),
     evaluations: int = 84,
     particles: int = 4000,
@@ -40,6 +42,8 @@ def calibrate(
         effects: of a gel: optics effects to fit, none for the paper's linear model; those once chosen for
             the twin (this way, or by `add`), else all that the presses can tell. Names, or a text with commas
             between, `none` for none.
+        through: of a gel: `mpm` to fit its light to the surfaces that material points have under the presses
+            (minutes); None for the closed form.
         train_kpa: by images: pressures to fit; all others are held out.
         evaluations: by images: of the search.
         particles: by images: of the body, about.
@@ -51,6 +55,7 @@ def calibrate(
         InputError: the devices differ, or the recording does not serve.
     """
     check_choice("by", by or WAYS[0], WAYS)
+    check_choice("through", through or THROUGH[0], THROUGH)
     check_least(500, particles=particles)
     check_least(7, evaluations=evaluations)
     if (twin.device, recording.device) not in ((recording.device, recording.device), ("finger", "gel")):
@@ -63,11 +68,16 @@ def calibrate(
 
         if isinstance(effects, str):
             effects = [e.strip() for e in effects.split(",") if e != "none"]
-        return calibrate_gel(twin, recording, effects)
+        return calibrate_gel(twin, recording, effects, through == "mpm", progress)
     if effects is not None:
         raise InputError(
             f"effects chooses the optics of a gel, but {recording.folder} is a recording of a "
             f"'{recording.device}'; omit it, and switch an effect on with `pneutac add --effect=NAME`."
+        )
+    if through is not None:
+        raise InputError(
+            f"through={through} simulates presses into a gel, but {recording.folder} is a recording of a "
+            f"'{recording.device}'; omit it."
         )
     if by == "images" or (by is None and _photographs_alone(recording)):
         from lerobot_pneutac.verbs.fit_photographs import PhotoOptions, calibrate_photographs

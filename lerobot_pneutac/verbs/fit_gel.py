@@ -4,6 +4,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,9 +26,14 @@ from pneutac_sim.gel.metrics import ImageScores, score
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.pair import Pair, check_pair
 from pneutac_sim.gel.told import Told, told
+from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
 
+if TYPE_CHECKING:
+    from pneutac_sim.mpm.pressed import PressedGel  # which starts a compiler
+
 OURS, PASTED, REST = "this model", "difference pasted", "rest image"
+MPM = "this model, material points"  # light and all predictions on their surfaces
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -43,6 +49,7 @@ class GelCalibration(Calibration):
         scores: method to the score of every image.
         notes: of `recording.json`.
         standard: whether nobody chose the effects.
+        material: of the material points whose surfaces the light was fitted to; empty for the closed form.
     """
 
     gel: GelModel
@@ -53,6 +60,7 @@ class GelCalibration(Calibration):
     scores: dict[str, list[ImageScores]]
     notes: str = ""
     standard: bool = False
+    material: str = ""
 
     def _noted(self) -> dict:
         """That the effects were no one's choice, so that the next calibration need not keep them."""
@@ -98,7 +106,12 @@ class GelCalibration(Calibration):
         return rows
 
     def _told_of(self) -> list[str]:
-        return [*filter(None, [make_sentence(self.fit)]), *told_sentences(self.told, self.fit.make)]
+        through = (
+            f"The light was fitted to surfaces of material points ({self.material}). The twin draws by the "
+            f"closed form nearest to them, of decay {self.gel.decay_mm:.2f} mm; '{MPM}' by theirs."
+        )
+        first = [make_sentence(self.fit), through if self.material else ""]
+        return [*filter(None, first), *told_sentences(self.told, self.fit.make)]
 
     def save_prior(self, name: str) -> Path:
         """Keeps the sensor's lights as those of a make, for later calibrations; returns the file.
@@ -168,9 +181,7 @@ class GelCalibration(Calibration):
             "(image - rest) there.",
         )
         page.heading("What was fitted")
-        page.text(
-            " ".join(filter(None, [make_sentence(self.fit), *told_sentences(self.told, self.fit.make)]))
-        )
+        page.text(" ".join(self._told_of()))
         page.table(
             [{"parameter": k, **v} for k, v in self.parameters.items()],
             "Light per unit slope along x (columns) and y (rows) and per millimetre of depth",
@@ -178,16 +189,25 @@ class GelCalibration(Calibration):
         return page
 
 
-def calibrate_gel(twin: Twin, recording: Recording, effects: Sequence[str] | None = None) -> GelCalibration:
+def calibrate_gel(
+    twin: Twin,
+    recording: Recording,
+    effects: Sequence[str] | None = None,
+    through_mpm: bool = False,
+    progress: Progress = no_progress,
+) -> GelCalibration:
     """Fits light and optics to all images of role `calibration`.
 
     Args:
         twin: of a gel, or of a finger that gets this gel.
         recording: of a gel, with a row of role `calibration` or more.
         effects: see `gel_effects.wanted`.
+        through_mpm: whether material points give the surfaces that the light is fitted to.
+        progress: called with a text, the presses of material points done and all of them.
 
     Raises:
-        InputError: an effect cannot be fitted to one pair, or the images do not serve.
+        InputError: an effect cannot be fitted to one pair, the images do not serve, or the material points
+            find no rest.
     """
     data = GelRecording.load(recording)
     names, start = wanted(effects, twin), time.monotonic()
@@ -198,10 +218,17 @@ def calibrate_gel(twin: Twin, recording: Recording, effects: Sequence[str] | Non
             where = f"rest image '{recording.meta['rest_image']}', indentation '{s.name}'"
             raise InputError(f"{recording.folder} ({where}): {e}") from e
     presses = [s.photograph for s in data.presses]
-    fit = fit_presses(presses, data.px_per_mm, names, data.thickness_mm, library())
+    points = _material_points(twin, data, names) if through_mpm else None
+    if points:
+        progress("material points under the presses of the calibration", 0, 1)
+    given = points and points.between
+    fit = fit_presses(presses, data.px_per_mm, names, data.thickness_mm, library(), given)
     gel = for_twin(fit.gel, twin)
     seconds = time.monotonic() - start
     images = render(fit.gel, data)
+    if points:
+        progress(f"material points under all {len(data.samples)} presses", 0, 1)
+        images[MPM] = predict(fit.gel, data, points.surface)
     scores = {name: scores_of(data, predicted) for name, predicted in images.items()}
     unseen = [x.rmse for x, s in zip(scores[OURS], data.samples, strict=True) if s.role != "calibration"]
     seen = [x.rmse for x, s in zip(scores[OURS], data.samples, strict=True) if s.role == "calibration"]
@@ -218,7 +245,7 @@ def calibrate_gel(twin: Twin, recording: Recording, effects: Sequence[str] | Non
         evaluations=fit.evaluations,
         seconds=seconds,
         recording=str(recording.folder),
-        change="calibrated gel",
+        change="calibrated gel through material points" if through_mpm else "calibrated gel",
         seed=None,
         findings=tuple(data.warnings),
         gel=gel,
@@ -229,7 +256,28 @@ def calibrate_gel(twin: Twin, recording: Recording, effects: Sequence[str] | Non
         scores=scores,
         notes=recording.meta.get("notes", ""),
         standard=names is None,
+        material=_material(twin) if through_mpm else "",
     )
+
+
+def _material_points(twin: Twin, data: GelRecording, effects: Sequence[str] | None) -> "PressedGel":
+    """The gel of a recording; raises InputError where an effect would move its presses."""
+    from pneutac_sim.mpm.pressed import PressedGel
+
+    moving = [name for name in effects or () if get_effect(name).press is not None]
+    if moving:
+        raise InputError(
+            f"through=mpm presses where the recording says, but the effect '{moving[0]}' moves the presses; "
+            "choose other effects, or omit through."
+        )
+    return PressedGel(GelModel(data.rest, np.zeros((3, 2)), np.zeros(3), data.px_per_mm), twin)
+
+
+def _material(twin: Twin) -> str:
+    from pneutac_sim.mpm.solid import parameter
+
+    name = "gel_poissons_ratio"
+    return f"Poisson's ratio {parameter(twin, name):g}{'' if name in twin.parameters else ', assumed'}"
 
 
 def render(gel: GelModel, data: GelRecording) -> dict[str, list[np.ndarray]]:

@@ -10,13 +10,15 @@ from pneutac_benchmarks.baselines.dot_sim import DotSim
 from pneutac_benchmarks.baselines.tacchi import Tacchi
 from pneutac_benchmarks.baselines.taxim import Taxim
 from pneutac_datasets.recording.gel import GelRecording, GelSample
-from pneutac_sim.gel.fit import fit_gel
+from pneutac_sim.gel.fit import fit_presses
 from pneutac_sim.gel.layout import DIGIT, Layout
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.pair import Pair
-from pneutac_sim.gel.photograph import Predictor, expected_drift, press_depth, registered
+from pneutac_sim.gel.photograph import Predictor, Pressed, expected_drift, press_depth, registered
 from pneutac_sim.gel.sensor import TactileSensor
+from pneutac_sim.mpm.pressed import PressedGel
 from pneutac_sim.splat.gel import SplatSensor
+from pneutac_sim.twin import Twin
 
 Predict = Callable[[GelSample], np.ndarray]
 
@@ -53,11 +55,14 @@ class Method:
 
 
 def own_gel(
-    data: GelRecording, effects: tuple[str, ...] | None = None, makes: tuple[Layout, ...] = (DIGIT,)
+    data: GelRecording,
+    effects: tuple[str, ...] | None = None,
+    makes: tuple[Layout, ...] = (DIGIT,),
+    pressed: Pressed | None = None,
 ) -> GelModel:
     """This library's gel, fitted to a recording's calibration pair."""
-    c = data.calibration
-    return fit_gel(c.rest, c.image, c.press, data.px_per_mm, effects, data.thickness_mm, makes).gel
+    pair = data.calibration.photograph
+    return fit_presses([pair], data.px_per_mm, effects, data.thickness_mm, makes, pressed).gel
 
 
 def _model(
@@ -65,6 +70,19 @@ def _model(
 ):
     def fit(name: str, data: GelRecording) -> Predict:
         predictor = Predictor(own_gel(data, effects, makes(name)), [data.calibration.photograph])
+        return lambda s: predictor.image(s.press, s.rest, s.clock)
+
+    return fit
+
+
+def _through_mpm(effects: tuple[str, ...] | None = None, drawn: bool = True):
+    """Light fitted to the surface of material points; where `drawn`, predictions are of theirs, too."""
+
+    def fit(name: str, data: GelRecording) -> Predict:
+        sizes = GelModel(data.rest, np.zeros((3, 2)), np.zeros(3), data.px_per_mm)
+        points = PressedGel(sizes, Twin("gel"))
+        gel = own_gel(data, effects, pressed=points.between)
+        predictor = Predictor(gel, [data.calibration.photograph], points.surface if drawn else None)
         return lambda s: predictor.image(s.press, s.rest, s.clock)
 
     return fit
@@ -117,8 +135,11 @@ METHODS = {
     "tacchi": Method("Tacchi", _baseline(Tacchi), seconds=8),
     "dot_sim": Method("DOT-Sim", _baseline(DotSim), seconds=35),
     "linear": Method("paper, linear model", _model(effects=()), seconds=2),
+    "linear_mpm": Method("paper, material points", _through_mpm(effects=()), seconds=60),
     "model": Method("this model", _model(), ours=True, seconds=5),
     "splats": Method("this model, splats", _splats, ours=True, seconds=9),
+    "model_mpm": Method("this model, material points", _through_mpm(), ours=True, seconds=60),
+    "light_mpm": Method("this model, light through mpm", _through_mpm(drawn=False), seconds=15),
     "no_drift": Method("this model, no drift", _without_drift, seconds=5),
     "no_make": Method(
         "this model, no make", _model(makes=lambda name: ()), seconds=4, sets=tuple(FOUND_ALONE)

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.optimize import minimize
+from scipy.optimize import minimize, minimize_scalar
 
 from pneutac_sim.effects.registry import in_order, of_sensor, sensor_effects
 from pneutac_sim.effects.sensor_effect import SensorEffect
@@ -22,6 +22,7 @@ from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.optics import gradient
 from pneutac_sim.gel.pair import check_pair
 from pneutac_sim.gel.photograph import (
+    Pressed,
     PressPhotograph,
     drift_known,
     gains,
@@ -106,6 +107,7 @@ def fit_presses(
     effects: Sequence[str] | None = None,
     thickness_mm: float = THICKNESS_MM,
     makes: Sequence[Layout] = (DIGIT,),
+    pressed: Pressed | None = None,
 ) -> GelFit:
     """Fits a gel to one press or several, whose lights are the same and whose drifts are each one's own.
 
@@ -116,6 +118,8 @@ def fit_presses(
             apart from the light, and a shadow that nobody saw spoils other images: it needs a second press.
         thickness_mm: gel thickness.
         makes: sensors whose lights are known.
+        pressed: gives the surfaces, such as `mpm.pressed.PressedGel.between`; None for the closed form. The
+            gel's decay is then that of the closed form nearest to them.
 
     Raises:
         InputError: a pair is no rest and indentation image, see `check_pair`.
@@ -123,9 +127,11 @@ def fit_presses(
     for p in presses:
         check_pair(p.rest, p.image, p.press, px_per_mm)
     gel = GelModel(presses[0].rest, np.zeros((3, 2)), np.zeros(3), px_per_mm, thickness_mm)
-    fit = fit_photographs(gel, presses, standard_effects() if effects is None else effects, makes)
+    names = standard_effects() if effects is None else effects
+    fit = fit_photographs(gel, presses, names, makes, pressed=pressed)
     if effects is None and not fit.make and len(presses) == 1:
-        fit = fit_photographs(gel, presses, [e for e in standard_effects() if e != SHADOW], makes)
+        names = [e for e in names if e != SHADOW]
+        fit = fit_photographs(gel, presses, names, makes, pressed=pressed)
     return fit
 
 
@@ -141,6 +147,7 @@ def fit_photographs(
     makes: Sequence[Layout] = (DIGIT,),
     near: GelModel | None = None,
     quick: bool = False,
+    pressed: Pressed | None = None,
 ) -> GelFit:
     """Fits light, mechanics and these effects anew.
 
@@ -151,13 +158,14 @@ def fit_photographs(
         makes: sensors whose lights are known.
         near: a fit with almost the same effects; the search stays around its mechanics.
         quick: whether `near` has the same effects and almost the same photographs, so that few steps do.
+        pressed: see `fit_presses`; presses stay where they are stated.
     """
     chosen = in_order(of_sensor(effects))
     gel = replace(gel, effects=estimate_gains(gel, chosen, photographs))
     of_contacts = [e for e in chosen if e.stage == "gel"]
     gel.effects |= {e.name: {p.name: p.neutral for p in e.parameters} for e in of_contacts}
     for left in reversed(range(CONTACT_ROUNDS if of_contacts else 1)):
-        problem = _Problem(gel, photographs, chosen)
+        problem = _Problem(gel, photographs, chosen, pressed)
         best = problem.best(makes, near, quick=quick or left > 0)
         if left:
             gel.effects |= refine_contacts(
@@ -171,18 +179,22 @@ def fit_photographs(
     return best
 
 
-def slope_light(gel: GelModel, pair: PressPhotograph) -> np.ndarray:
+def slope_light(gel: GelModel, pair: PressPhotograph, pressed: Pressed | None = None) -> np.ndarray:
     """L (3, 2) of the paper's linear model fitted to one pair, levels per unit slope."""
-    return _Problem(gel, [pair], []).linear()
+    return _Problem(gel, [pair], [], pressed).linear()
 
 
 class _Problem:
     """The least-squares problem of some photographs and effects."""
 
     def __init__(
-        self, gel: GelModel, photographs: Sequence[PressPhotograph], effects: Sequence[SensorEffect]
+        self,
+        gel: GelModel,
+        photographs: Sequence[PressPhotograph],
+        effects: Sequence[SensorEffect],
+        pressed: Pressed | None = None,
     ):
-        self.gel, self.photographs = gel, photographs
+        self.gel, self.photographs, self.pressed = gel, photographs, pressed
         self.effects = [e for e in effects if e.of_channels]
         self.cell = gel.window_mm[0] / COLS, gel.window_mm[1] / ROWS
         self.depths = [press_depth(registered(p.press, gel), gel) for p in photographs]
@@ -198,8 +210,26 @@ class _Problem:
         self.evaluations = 0
 
     def surfaces(self, decay_mm: float, depth_scale: float) -> list[np.ndarray]:
+        us = self.closed(decay_mm, depth_scale) if self.pressed is None else self.given(depth_scale)
+        return [self.gel.surface(u, self.cell) for u in us]
+
+    def closed(self, decay_mm: float, depth_scale: float) -> list[np.ndarray]:
         gel = replace(self.gel, depth_scale=depth_scale)
-        return [gel.surface(surface(gel.imprint(d), self.cell, decay_mm), self.cell) for d in self.depths]
+        return [surface(gel.imprint(d), self.cell, decay_mm) for d in self.depths]
+
+    def given(self, depth_scale: float) -> list[np.ndarray]:
+        assert self.pressed is not None
+        return [self.pressed(registered(p.press, self.gel), depth_scale) for p in self.photographs]
+
+    def nearest_decay(self, depth_scale: float) -> float:
+        """Decay in mm of the closed form that is nearest to the given surfaces, by least squares."""
+        given = self.given(depth_scale)
+
+        def off(log_decay: float) -> float:
+            both = zip(self.closed(np.exp(log_decay), depth_scale), given, self.masks, strict=True)
+            return sum(float(np.square(u - v)[m].sum()) for u, v, m in both)
+
+        return float(np.exp(minimize_scalar(off, bounds=np.log(DECAY_RANGE_MM), method="bounded").x))
 
     def linear(self) -> np.ndarray:
         """L (3, 2) of the paper's model, with the depth term, by linear least squares."""
@@ -220,7 +250,7 @@ class _Problem:
                 by_rest.append((alike, make, orientation))
                 continue
             size = self.gel.rest_image.shape[1::-1]
-            alone = light if len(self.photographs) == 1 else slope_light(self.gel, first)
+            alone = light if len(self.photographs) == 1 else slope_light(self.gel, first, self.pressed)
             orientation = recognise(alone, first.press.x_mm, first.press.y_mm, size, make)
             if orientation is not None:
                 by_light.append((alike, make, orientation))
@@ -234,33 +264,36 @@ class _Problem:
         return best
 
     def search(self, light: np.ndarray, layout: Layout | None, near: GelModel | None, quick: bool) -> GelFit:
-        """Nelder-Mead over decay and depth scale, the channels solved at each."""
+        """Nelder-Mead over decay, unless surfaces are given, and depth scale; channels solved at each."""
         channels = []
         for k in range(3):
             prior = priors(k, light[k], layout, self.effects)
             channels.append(Channel(k, self.effects, prior, self.cell, self.masks, self.seen, self.rests))
-        low, high = np.log(np.transpose([DECAY_RANGE_MM, DEPTH_SCALE_RANGE]))
+        of = slice(0 if self.pressed is None else 1, 2)
+        low, high = np.log(np.transpose([DECAY_RANGE_MM, DEPTH_SCALE_RANGE]))[:, of]
 
         def solve(x: np.ndarray) -> float:
             self.evaluations += 1
             inside = np.clip(x, low, high)
-            surfaces = self.surfaces(*np.exp(inside))
+            *decay, scale = np.exp(inside)
+            surfaces = self.surfaces(*decay or [DECAY_MM], scale)
             outside = 1e3 * np.square(x - inside).sum()
             return (
-                outside + 0.5 * (inside[1] / DEPTH_SCALE_SD) ** 2 + sum(c.solve(surfaces) for c in channels)
+                outside + 0.5 * (inside[-1] / DEPTH_SCALE_SD) ** 2 + sum(c.solve(surfaces) for c in channels)
             )
 
-        start = np.log([DECAY_MM, 0.9] if near is None else [near.decay_mm, min(near.depth_scale, 0.98)])
-        size = np.array([0.4, -0.15]) * (1.0 if near is None else 0.3)
+        start = np.log([DECAY_MM, 0.9] if near is None else [near.decay_mm, min(near.depth_scale, 0.98)])[of]
+        size = np.array([0.4, -0.15])[of] * (1.0 if near is None else 0.3)
         options = {
-            "initial_simplex": start + np.array([[0, 0], [size[0], 0], [0, size[1]]]),
+            "initial_simplex": start + np.vstack([np.zeros(len(size)), np.diag(size)]),
             "xatol": 0.02,
             "fatol": 0.02,
             "maxfev": 40 if near is None else 6 if quick else 15,
         }
         found = minimize(solve, start, method="Nelder-Mead", options=options).x
         cost = solve(found)
-        decay, scale = np.exp(np.clip(found, low, high))
+        *decay, scale = np.exp(np.clip(found, low, high))
+        decay_mm = decay[0] if decay else self.nearest_decay(scale)
         rows, g = np.array([c.row for c in channels]), self.gel
         gel = GelModel(
             g.rest_image,
@@ -268,7 +301,7 @@ class _Problem:
             rows[:, 2],
             g.px_per_mm,
             g.thickness_mm,
-            float(decay),
+            float(decay_mm),
             float(scale),
             effects=g.effects | effects_of([c.values for c in channels], self.effects),
         )

@@ -5,7 +5,7 @@ far, away from its contact, but not whether that is the session's or its own: ha
 session's other photographs, which is right where both are alike, and n / (n + 1) of the mean of n pairs.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -17,6 +17,9 @@ from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.pair import press_px
 from pneutac_sim.gel.probe import COLS, ROWS
 from pneutac_sim.gel.sensor import TactileSensor
+
+# The gel's surface (80, 59) in mm under a press at a share of its depth (`GelModel.depth_scale`).
+Pressed = Callable[[Press, float], np.ndarray]
 
 NEAR_RADII = 3.0  # pixels within so many contact radii tell about the gel, those beyond about the session
 
@@ -114,10 +117,16 @@ class Predictor:
     Args:
         gel: the sensor.
         pairs: photographs whose drift of light is known, each of the session of its rest image.
+        pressed: gives the surfaces, such as `mpm.pressed.PressedGel.surface`; None for the closed form.
     """
 
-    def __init__(self, gel: GelModel, pairs: Sequence[PressPhotograph] = ()):
-        self._gel, self._pairs = gel, pairs
+    def __init__(
+        self,
+        gel: GelModel,
+        pairs: Sequence[PressPhotograph] = (),
+        pressed: Pressed | None = None,
+    ):
+        self._gel, self._pairs, self._pressed = gel, pairs, pressed
         self._sensors: dict[int, tuple] = {}
         self._drifts: dict[int, np.ndarray] = {}
         if not drift_known(gel):
@@ -128,7 +137,13 @@ class Predictor:
         """Predicted photograph, uint8 (H, W, 3), of a press as stated and its session's rest image."""
         if id(rest) not in self._sensors:
             self._sensors[id(rest)] = rest, TactileSensor(replace(self._gel, rest_image=rest))
-        image = self._sensors[id(rest)][1].image(press_depth(registered(press, self._gel), self._gel))
+        sensor, press = self._sensors[id(rest)][1], registered(press, self._gel)
+        if self._pressed is None:
+            image = sensor.image(press_depth(press, self._gel))
+        else:
+            width, height = self._gel.window_mm
+            u = self._pressed(press, self._gel.depth_scale)
+            image = sensor.draw(self._gel.surface(u, (width / COLS, height / ROWS)))
         if drift_known(self._gel):
             image = image * gains(self._gel, clock)
         elif id(rest) in self._drifts:

@@ -1,6 +1,7 @@
 import json
 import os
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,8 @@ from PIL import Image
 from lerobot_pneutac.cli.calibrate import main
 from lerobot_pneutac.cli.new import main as new_verb
 from lerobot_pneutac.study.pasted import shift
-from lerobot_pneutac.verbs.fit_gel import render, scores_of
+from lerobot_pneutac.verbs.calibrate import calibrate
+from lerobot_pneutac.verbs.fit_gel import MPM, OURS, REST, render, scores_of
 from lerobot_pneutac.verbs.gel_effects import wanted
 from pneutac_datasets.generate.gel import HEIGHT, WIDTH, write_gel_recording
 from pneutac_datasets.recording.gel import GelRecording
@@ -23,6 +25,8 @@ from pneutac_sim.gel.metrics import ImageScores, score
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.photograph import Predictor
 from pneutac_sim.gel.sensor import TactileSensor
+from pneutac_sim.gel.surface import surface
+from pneutac_sim.mpm import pressed
 from pneutac_sim.twin import Twin
 
 pytestmark = pytest.mark.slow
@@ -235,6 +239,37 @@ def test_a_twin_of_another_device_and_a_folder_of_other_things_are_refused(gener
         run(tmp_path / "full", generated)
 
 
+class FakePoints:
+    """Surfaces of a closed form of decay 0.6 mm where material points would be solved for."""
+
+    def __init__(self, gel, twin):
+        self._cell = gel.window_mm[0] / 59, gel.window_mm[1] / 80
+        self._window = gel.window_mm
+
+    def surface(self, press, share):
+        return surface(replace(press, depth_mm=share * press.depth_mm).depths(self._window), self._cell, 0.6)
+
+    between = surface
+
+
+def test_a_light_through_material_points_is_scored_beside_the_closed_form(generated, monkeypatch):
+    monkeypatch.setattr(pressed, "PressedGel", FakePoints)
+    recording = Recording.load(generated)
+    found = calibrate(Twin("gel", 16.0), recording, effects="none", through="mpm")
+    ours, points, rest = (found.mean(k).contact_rmse for k in (OURS, MPM, REST))
+    assert found.gel.decay_mm == pytest.approx(0.6, abs=0.02) and found.change.endswith("material points")
+    assert ours < 0.7 * rest and points == pytest.approx(ours, rel=0.01)
+    assert "material points (Poisson's ratio 0.46, assumed)" in " ".join(found.remarks())
+    twin = found.twin
+    twin.effects = {"registration_shift": get_effect("registration_shift").start(1.0)}
+    twin.history = [{"unit": "levels"}]
+    with pytest.raises(InputError, match="'registration_shift' moves the presses"):
+        calibrate(twin, recording, through="mpm")
+    body = replace(recording, device="finger")
+    with pytest.raises(InputError, match="through=mpm simulates presses into a gel.*of a 'finger'; omit it"):
+        calibrate(Twin.builtin(), body, through="mpm")
+
+
 def test_bad_options_get_one_sentence(generated, tmp_path):
     for argv, says in [
         ([f"--recording={generated}"], "Give --twin=PATH;"),
@@ -247,6 +282,7 @@ def test_bad_options_get_one_sentence(generated, tmp_path):
             [f"--twin={tmp_path}", f"--recording={generated}", "--effects=shadow,illumination_drift"],
             "'illumination_drift' needs more than one pair",
         ),
+        ([f"--twin={tmp_path}", f"--recording={generated}", "--through=splats"], "through is 'splats'"),
         ([f"--twin={tmp_path}", f"--out={generated / 'rest.png'}"], "is a file"),
     ]:
         with pytest.raises(InputError, match=says) as e:
