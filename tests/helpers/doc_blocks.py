@@ -12,7 +12,7 @@ FENCE = re.compile(
     r"(?:<!-- not run: (?P<why>[^\n]+) -->\n)?^```(?P<kind>\w*)\n(?P<text>.*?)^```$", re.M | re.S
 )
 RUN = ("bash", "python")
-SHOWN = ("json", "toml", "text", "bibtex")  # nothing to run
+SHOWN = ("json", "toml", "yaml", "text", "bibtex")  # nothing to run
 
 
 @dataclass(frozen=True)
