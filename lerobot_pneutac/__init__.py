@@ -28,7 +28,8 @@ if TYPE_CHECKING:
     from lerobot_pneutac.verbs.design import Design, design
     from lerobot_pneutac.verbs.diagnose import diagnose
     from lerobot_pneutac.verbs.diagnosis import Diagnosis
-    from lerobot_pneutac.verbs.learn import Learning, learn
+    from lerobot_pneutac.verbs.learn import learn
+    from lerobot_pneutac.verbs.learning import Learning
     from pneutac_datasets.recording.recording import Recording
     from pneutac_sim.errors import InputError
     from pneutac_sim.twin import Twin
@@ -48,7 +49,7 @@ _MODULES = {
     "diagnose": "lerobot_pneutac.verbs.diagnose",
     "Diagnosis": "lerobot_pneutac.verbs.diagnosis",
     "learn": "lerobot_pneutac.verbs.learn",
-    "Learning": "lerobot_pneutac.verbs.learn",
+    "Learning": "lerobot_pneutac.verbs.learning",
     "add": "lerobot_pneutac.verbs.add",
     "Addition": "lerobot_pneutac.verbs.add",
 }

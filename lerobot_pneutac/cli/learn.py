@@ -9,7 +9,8 @@ from lerobot_pneutac.cli.options import parse_options
 from lerobot_pneutac.cli.progress import progress_bar
 from lerobot_pneutac.cli.show import show, write
 from lerobot_pneutac.verbs.benches import Bench, MeasuredBench, StandinBench
-from lerobot_pneutac.verbs.learn import Round, learn
+from lerobot_pneutac.verbs.learn import learn
+from lerobot_pneutac.verbs.learning import Round
 from lerobot_robot_pneutac.hardware.parts import HardwareFault
 from pneutac_sim.errors import InputError, check_least
 from pneutac_sim.twin import Twin

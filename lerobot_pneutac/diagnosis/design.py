@@ -93,6 +93,16 @@ class Limits:
                 f"No program fits between {self.low_kpa:g} and {self.high_kpa:g} kPa; give a wider range."
             )
 
+    @property
+    def rest_kpa(self) -> float:
+        """Where programs begin: without pressure, as far as the limits allow."""
+        return min(max(0.0, self.low_kpa), self.high_kpa)
+
+    @property
+    def far_kpa(self) -> float:
+        """To where common programs go: the highest set-point, or vacuum where there is none above rest."""
+        return self.high_kpa if self.high_kpa > self.rest_kpa else self.low_kpa
+
 
 def choices(
     recording: Recording, contenders: Sequence[Contender], noise: float, limits: Limits
@@ -226,8 +236,7 @@ def _sampled(knots: Knots, limits: Limits) -> tuple[np.ndarray, np.ndarray]:
     time_s, share = np.array([(0.0, 0.0), *knots]).T
     time_s = np.cumsum(np.where(time_s <= STEP_S, time_s, scale * time_s))
     grid = np.arange(round(time_s[-1] * limits.hz) + 1) / limits.hz
-    rest = max(limits.low_kpa, 0.0)
-    return grid, rest + (limits.high_kpa - rest) * np.interp(grid, time_s, share)
+    return grid, limits.rest_kpa + (limits.far_kpa - limits.rest_kpa) * np.interp(grid, time_s, share)
 
 
 # ---------------------------------------------------------------- what each would tell
@@ -299,16 +308,17 @@ def _commanded(recording: Recording) -> tuple[list[np.ndarray], list[np.ndarray]
 def _visited(times: Sequence[np.ndarray], pressures: Sequence[np.ndarray], limits: Limits) -> dict:
     """Cell of level, direction and pace, or of level and time at rest, to seconds spent in it."""
     cells: dict[tuple, float] = {}
-    span = limits.high_kpa - min(limits.low_kpa, 0.0)
+    span = limits.far_kpa - limits.rest_kpa
     scale = limits.length_s / 60.0
     for t, p in zip(times, pressures, strict=True):
         dt = np.diff(t, append=t[-1] + (t[-1] - t[-2] if len(t) > 1 else 0.1))
-        rate = np.gradient(p, t) / span if len(t) > 1 else np.zeros(1)
+        share = (p - limits.rest_kpa) / span
+        rate = np.gradient(share, t) if len(t) > 1 else np.zeros(1)
         since, still = 0.0, []
         for moving, step in zip(np.abs(rate) > 1e-3, dt, strict=True):
             since = 0.0 if moving else since + step
             still.append(since)
-        level = np.clip((LEVELS * p / span).astype(int), 0, LEVELS - 1)
+        level = np.clip((LEVELS * share).astype(int), 0, LEVELS - 1)
         pace = np.digitize(np.abs(rate) * scale, PACES)
         rest = np.digitize(np.array(still) / scale, STILL_S)
         for i in range(len(t)):

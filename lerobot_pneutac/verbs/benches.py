@@ -87,7 +87,7 @@ class MeasuredBench:
         return recording
 
 
-def write_program(file: Path, time_s: np.ndarray, pressure_kpa: np.ndarray, kind: str) -> None:
+def save_program(file: Path, time_s: np.ndarray, pressure_kpa: np.ndarray, kind: str) -> None:
     """Writes a program as `pneutac measure --program=` reads it."""
     table = pd.DataFrame({"time_s": time_s, "pressure_cmd_kpa": pressure_kpa, "program": kind})
     with whole(file) as part:

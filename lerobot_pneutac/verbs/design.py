@@ -8,7 +8,7 @@ from lerobot_pneutac.diagnosis.result import Contender
 from lerobot_pneutac.reports.design import design_page
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.reports.sentences import called
-from lerobot_pneutac.verbs.benches import write_program
+from lerobot_pneutac.verbs.benches import save_program
 from lerobot_pneutac.verbs.contenders import load_contenders
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.recording.noise import noise_floor
@@ -101,7 +101,7 @@ class Design(Result):
     def report(self, out: str | Path, command: str = "") -> Path:
         """Writes `program.csv` too."""
         c = self.best
-        write_program(Path(out) / "program.csv", c.time_s, c.pressure_kpa, c.kind)
+        save_program(Path(out) / "program.csv", c.time_s, c.pressure_kpa, c.kind)
         return super().report(out, command)
 
     def page(self) -> Report:

@@ -3,27 +3,22 @@
 import json
 import shutil
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 
 from lerobot_pneutac.diagnosis.design import Choice, Limits, choices, first_program
 from lerobot_pneutac.diagnosis.experiment import predict
-from lerobot_pneutac.diagnosis.joined import joined
 from lerobot_pneutac.diagnosis.result import Contender
-from lerobot_pneutac.diagnosis.verdict import LITTLE
-from lerobot_pneutac.reports.learn import learn_page
-from lerobot_pneutac.reports.page import Report
-from lerobot_pneutac.reports.sentences import called
 from lerobot_pneutac.study.pair import same_body
 from lerobot_pneutac.study.reading import read
-from lerobot_pneutac.verbs.benches import Bench, write_program
+from lerobot_pneutac.verbs.benches import Bench, save_program
 from lerobot_pneutac.verbs.contenders import load_contenders
 from lerobot_pneutac.verbs.diagnose import diagnose
 from lerobot_pneutac.verbs.diagnosis import Diagnosis
-from lerobot_pneutac.verbs.result import Result
+from lerobot_pneutac.verbs.learning import KNOWN, Learning, Round
+from pneutac_datasets.recording.joined import joined
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.laws import family
 from pneutac_sim.errors import InputError
@@ -36,172 +31,6 @@ NEEDED = 1.2  # by so much worse it must have been foreseen without a law to con
 DOUBT = 0.1  # probability that an unconfirmed law is not there, when the next program is chosen
 GIVE_UP = 4  # programs in a row, foreseen badly and no better, after which it ends
 FALLS = 0.9  # of the error over noise: what stays above has not fallen
-KNOWN = ("adequate", "missing_effect")
-
-
-@dataclass(frozen=True)
-class Round:
-    """One program and what it taught.
-
-    Attributes:
-        number: from 0.
-        program: its name.
-        kind: see `Choice`.
-        seconds: of the program.
-        pause_s: see `Bench`.
-        unit: of the errors.
-        noise: floor of the error.
-        predicted_error: of this recording before it was used, by the best model then; None in the first.
-        bare_error: the same by the twin as it was given, re-fitted.
-        without: effect to the same error by the best model without it, gain and offset fitted to favour it.
-        error: on test blocks of everything measured so far, by the best model now.
-        verdict: now.
-        selected: effects found now, the most important first.
-        sentence: what was found.
-        probabilities: each contender's, its terms joined by ` + `.
-        confirmed_by: effect to the number of the round whose recording was predicted with it.
-    """
-
-    number: int
-    program: str
-    kind: str
-    seconds: float
-    pause_s: float | None
-    unit: str
-    noise: float
-    predicted_error: float | None
-    bare_error: float | None
-    without: dict[str, float]
-    error: float
-    verdict: str
-    selected: list[str]
-    sentence: str
-    probabilities: dict[str, float]
-    confirmed_by: dict[str, int] = field(default_factory=dict)
-
-    @property
-    def foreseen(self) -> bool:
-        """Whether this recording was predicted to the noise before it was used."""
-        return self.predicted_error is not None and self.predicted_error <= LITTLE * self.noise
-
-    @property
-    def unconfirmed(self) -> list[str]:
-        """Effects found that no recording confirms."""
-        return [e for e in self.selected if e not in self.confirmed_by]
-
-
-@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class Learning(Result):
-    """What the bench taught, round by round.
-
-    Attributes:
-        twin: with all that was found; its folder has a version for each round.
-        rounds: in order.
-        ended: why there was no further round, a clause.
-        folder: where everything lies.
-        choice: the last program that was chosen and not driven; None where none was.
-    """
-
-    twin: Twin
-    rounds: tuple[Round, ...]
-    ended: str
-    folder: Path
-    choice: Choice | None = None
-
-    title = "Learnt from the bench"
-
-    @property
-    def last(self) -> Round:
-        """The newest round."""
-        return self.rounds[-1]
-
-    @property
-    def confirmed(self) -> bool:
-        """Whether a recording of another kind, predicted before it was used, needed each effect found."""
-        if not self.last.selected:
-            return self.last.verdict == "adequate" and self.last.foreseen
-        return self.last.verdict in KNOWN and not self.last.unconfirmed
-
-    @property
-    def bench_s(self) -> float:
-        """Time on the bench."""
-        return sum(r.seconds for r in self.rounds)
-
-    @cached_property
-    def sentence(self) -> str:
-        """What is known now."""
-        r = self.last
-        minutes = f"{self.bench_s / 60:.1f} minutes on the bench in {len(self.rounds)} programs"
-        if not r.selected:
-            what = "nothing is missing" if self.confirmed else "nothing was found for sure"
-        else:
-            names = [called(e) for e in r.selected]
-            what = "the finger shows " + (
-                names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
-            )
-        foreseen = (
-            f" The last program was foreseen to {r.predicted_error:.3g} {r.unit} before it was used "
-            f"({r.predicted_error / r.noise:.2g} times the noise)."
-            if r.predicted_error is not None
-            else ""
-        )
-        sure = [called(e) for e in r.selected if e in r.confirmed_by]
-        loose = [called(e) for e in r.unconfirmed]
-        told = f" Confirmed, by a program of another kind that needed it: {', '.join(sure)}." if sure else ""
-        told += f" Not confirmed: {', '.join(loose)}." if loose else ""
-        return f"After {minutes}: {what}.{foreseen}{told} It ended because {self.ended}."
-
-    def rows(self) -> list[dict]:
-        """One a round."""
-        return [
-            {
-                "round": r.number,
-                "program": r.program,
-                "s": f"{r.seconds:.0f}",
-                "foreseen": "" if r.predicted_error is None else f"{r.predicted_error:.3g}",
-                "as given": "" if r.bare_error is None else f"{r.bare_error:.3g}",
-                f"after, {r.unit}": f"{r.error:.3g}",
-                "noise": f"{r.noise:.3g}",
-                "found": ", ".join(f"{e}{'*' if e in r.confirmed_by else ''}" for e in r.selected) or "-",
-                "verdict": r.verdict,
-            }
-            for r in self.rounds
-        ]
-
-    def remarks(self) -> list[str]:
-        """Where things lie."""
-        return [
-            "* confirmed: a recording of another kind was predicted with it before it was used",
-            f"twin: {self.folder / 'twin'}, a version for each round",
-        ]
-
-    def to_dict(self) -> dict:
-        """The content of `result.json`."""
-        last = self.last
-        return {
-            "confirmed": self.confirmed,
-            "confirmed_by": last.confirmed_by,
-            "selected": last.selected,
-            "verdict": last.verdict,
-            "ended": self.ended,
-            "bench_s": self.bench_s,
-            "sentence": self.sentence,
-            "rounds": [asdict(r) for r in self.rounds],
-        }
-
-    def subject(self) -> tuple[Twin, str]:
-        """The twin as it is now."""
-        return self.twin, ""
-
-    @property
-    def next_command(self) -> str:
-        """To see where the twin still fails, on the newest recording."""
-        newest = self.folder / f"round_{self.last.number}" / "recording"
-        return f"pneutac compare --twin={self.folder / 'twin'} --recording={newest}"
-
-    def page(self) -> Report:
-        """The error on each next recording before it was used, first."""
-        return learn_page(self)
 
 
 def learn(
@@ -218,7 +47,7 @@ def learn(
 ) -> Learning:
     """Measures, searches anew on everything, and chooses the next program, until it is known or time is up.
 
-    Rounds that are finished in `out` are kept: a call with the same folder goes on after them.
+    What was measured in `out` is kept: a call with the same folder goes on after it.
 
     Args:
         twin: of the device; not changed.
@@ -244,7 +73,7 @@ def learn(
         choice, ended = rounds.next(replace(limits, seconds=left_s))
         if ended:
             twin = Twin.load(out / "twin")
-            return Learning(twin=twin, rounds=tuple(rounds.done), ended=ended, folder=out, choice=choice)
+            return Learning(twin=twin, rounds=tuple(rounds.done), ended=ended, folder=out)
         on_round(rounds.drive(choice))
 
 
@@ -292,7 +121,7 @@ class Rounds:
         try:
             ranked = choices(self._joined(), self._rivals(), self.done[-1].noise, limits)
         except InputError as e:
-            return None, f"no program is left: {e}"
+            return None, f"no program is left ({str(e).rstrip('.')})"
         kinds = {r.kind for r in self.done}
         if self.done[-1].unconfirmed or not self.done[-1].selected:  # a law is confirmed by another kind
             ranked = [c for c in ranked if c.kind not in kinds] or ranked
@@ -329,16 +158,14 @@ class Rounds:
     def drive(self, choice: Choice) -> Round:
         """Measures, judges what was foreseen, searches anew on everything, and saves."""
         folder = self._folder(len(self.done))
-        shutil.rmtree(folder, ignore_errors=True)
-        write_program(folder / "program.csv", choice.time_s, choice.pressure_kpa, choice.kind)
-        recording = self._bench.follow(folder / "program.csv", folder / "recording", len(self.done))
-        recording = same_body(self._base, recording, "learn")
-        everything = self._joined((recording, self._bench.pause_s))
+        told = self._measured(folder, choice)
+        recording = same_body(self._base, Recording.load(folder / "recording"), "learn")
+        everything = self._joined((recording, told["pause_s"]))
         foreseen = self._foreseen(everything, slice(len(everything) - len(recording), None))
         found = diagnose(self._base, everything, **self._how)
         found.save(folder / "diagnosis")
         self._recordings.append(recording)
-        r = self._judged(choice, found, foreseen)
+        r = self._judged(told, found, foreseen)
         names = ", ".join(r.selected) or "nothing"
         history, given = (Twin.load(self._out / name).history for name in ("twin", "given"))
         errors = {k: found.after[k] for k in ("train", "heldout")} | {"unit": r.unit}
@@ -348,6 +175,17 @@ class Rounds:
         write_json(folder / "round.json", asdict(r))
         self.done.append(r)
         return r
+
+    def _measured(self, folder: Path, choice: Choice) -> dict:
+        """Drives a program unless that was done before a kill; what was driven, as fields of `Round`."""
+        file = folder / "measured.json"
+        if not file.is_file():
+            shutil.rmtree(folder, ignore_errors=True)
+            save_program(folder / "program.csv", choice.time_s, choice.pressure_kpa, choice.kind)
+            self._bench.follow(folder / "program.csv", folder / "recording", len(self.done))
+            told = {"program": choice.name, "kind": choice.kind, "seconds": choice.seconds}
+            write_json(file, told | {"pause_s": self._bench.pause_s})
+        return json.loads(file.read_text())
 
     def _foreseen(self, everything: Recording, rows: slice) -> dict:
         """Errors in these newest rows, which no model has seen: fields of `Round`."""
@@ -361,20 +199,17 @@ class Rounds:
             "without": {e: error_of(_without(best, e), everything, rows, favour=True) for e in terms},
         }
 
-    def _judged(self, choice: Choice, found: Diagnosis, foreseen: dict) -> Round:
+    def _judged(self, told: dict, found: Diagnosis, foreseen: dict) -> Round:
         noise, confirmed = found.study.noise.value, {}
         if self.done:
             confirmed = {family(e): k for e, k in self.done[-1].confirmed_by.items()}
-            error, another = foreseen["predicted_error"], choice.kind not in {r.kind for r in self.done}
+            error, another = foreseen["predicted_error"], told["kind"] not in {r.kind for r in self.done}
             if another and error <= CONFIRMS * noise:
                 needed = [e for e, worse in foreseen["without"].items() if worse > NEEDED * error]
                 confirmed = {family(e): len(self.done) for e in needed} | confirmed
         return Round(
             number=len(self.done),
-            program=choice.name,
-            kind=choice.kind,
-            seconds=choice.seconds,
-            pause_s=self._bench.pause_s,
+            **told,
             unit=found.study.unit,
             noise=noise,
             **foreseen,

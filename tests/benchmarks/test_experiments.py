@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from lerobot_pneutac.verbs.benches import write_program
+from lerobot_pneutac.verbs.benches import save_program
 from pneutac_benchmarks.diagnosis.rules import COUNTS
 from pneutac_benchmarks.experiments import LAWS, NO_FORM, TruthBench, _known_at, wrong_ones
 from pneutac_truths import EFFECTS
@@ -29,7 +29,7 @@ def test_a_device_remembers_the_programs_before(tmp_path):
     bench = TruthBench(("creep_fractional",), 3)
     for number, top in enumerate((0.9, 0.3)):
         file = tmp_path / f"{number}.csv"
-        write_program(file, t, np.where((t > 1) & (t < 5), top * bench.range_kpa[1], 0.0), "steps")
+        save_program(file, t, np.where((t > 1) & (t < 5), top * bench.range_kpa[1], 0.0), "steps")
         after = bench.follow(file, tmp_path / str(number), number)
         assert bench.pause_s == (None if number == 0 else 120.0)
     fresh = TruthBench(("creep_fractional",), 3).follow(file, tmp_path / "fresh", 0)

@@ -12,8 +12,8 @@ from lerobot_pneutac.diagnosis.design import (
     common_programs,
     first_program,
 )
-from lerobot_pneutac.diagnosis.joined import joined
 from lerobot_pneutac.diagnosis.result import Contender
+from pneutac_datasets.recording.joined import joined
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin, Value
@@ -79,6 +79,14 @@ def test_what_was_driven_before_is_not_new():
     fast = {n: (t, p) for n, _, t, p in common_programs(LIMITS)}["strokes to 100% in 1.5 s"]
     common = set(_visited([slow[0]], [slow[1]], LIMITS)) & set(_visited([fast[0]], [fast[1]], LIMITS))
     assert len(common) <= 3  # they differ in pace wherever they move
+
+
+def test_a_finger_of_vacuum_alone_is_driven_below_zero_and_one_of_both_above():
+    for limits, far in ((Limits(-50.0, 0.0), -50.0), (Limits(-20.0, 30.0), 30.0), (Limits(5.0, 15.0), 15.0)):
+        t, p = first_program(limits)
+        assert p[0] == limits.rest_kpa and max(p, key=lambda x: abs(x - p[0])) == pytest.approx(far)
+        assert p.min() >= limits.low_kpa and p.max() <= limits.high_kpa
+        assert len({cell[0] for cell in _visited([t], [p], limits)}) >= 5  # levels
 
 
 def test_limits_that_leave_nothing_are_told(tmp_path):

@@ -101,6 +101,22 @@ def test_the_report_begins_with_what_was_foreseen_and_design_goes_on_from_a_roun
 
 
 @pytest.mark.slow
+def test_what_was_measured_outlives_a_kill_in_the_search_after_it(learnt, tmp_path, monkeypatch):
+    out, last = shutil.copytree(learnt.folder, tmp_path / "out"), learnt.last.number
+    shutil.rmtree(out / f"round_{last}")
+
+    def killed(*args, **options):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as m:
+        m.setattr("lerobot_pneutac.verbs.learn.diagnose", killed)
+        with pytest.raises(KeyboardInterrupt):
+            learn(Twin.builtin(), Mirror(), out, **OPTIONS)
+    again = learn(Twin.builtin(), Mirror(fails_at=last), out, **OPTIONS)  # it is not driven once more
+    assert again.to_dict()["rounds"] == learnt.to_dict()["rounds"]
+
+
+@pytest.mark.slow
 def test_killed_after_a_version_was_saved_it_saves_none_twice(learnt, tmp_path):
     out = shutil.copytree(learnt.folder, tmp_path / "out")
     (out / f"round_{learnt.last.number}" / "round.json").unlink()
