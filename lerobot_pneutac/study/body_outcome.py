@@ -88,9 +88,10 @@ def _ladder(study: "BodyStudy", done: Searched, after: FittedModel) -> list[tupl
 def _contenders(
     study: "BodyStudy", search: BodySearch, start: Scored, done: Searched | None
 ) -> list[Contender]:
-    """The final model, up to `MOST_OTHERS` others of other physics, and the twin as it is, re-fitted.
+    """The final model, others of other physics, and the twin as it is, re-fitted.
 
-    Others are those that the search weighed where it accepted its last terms.
+    Others are up to `MOST_OTHERS` that the search weighed where it accepted its last terms, and the final
+    model re-fitted without each of its terms.
     """
     if done is None:
         return [Contender(study.fitted(start.model).twin, (), 1.0)]
@@ -98,8 +99,9 @@ def _contenders(
     others = [s for rivals in reversed(done.found.rivals) for s in sorted(rivals, key=lambda s: s.value)]
     kinds = {_kinds(done.model, known), frozenset()}
     scored = [done.model]
-    for s in [*reversed(done.found.path), *others]:
-        if _kinds(s, known) not in kinds and len(scored) <= MOST_OTHERS:
+    for s in [*reversed(done.found.path), *others, *done.without.values()]:
+        spared = len(scored) > MOST_OTHERS and not any(s is w for w in done.without.values())
+        if _kinds(s, known) not in kinds and not spared:
             kinds.add(_kinds(s, known))
             scored.append(s)
     errors = np.stack([search.judge.mse(s.crossed) for s in [*scored, start]])

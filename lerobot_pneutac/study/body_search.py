@@ -41,6 +41,7 @@ class Searched:
         driven: whether the body was driven by the measured pressure.
         terms: effects found, the most important first.
         importance: of each, rise of the mean square error without it.
+        without: of each of the body, the model re-fitted without it.
         chosen_in: of each, share of the votes.
         forward: whether it holds for the later part when fitted to the earlier one.
         black_box: share of what is left that a black box removes.
@@ -53,6 +54,7 @@ class Searched:
     driven: bool = False
     terms: list[str] = field(default_factory=list)
     importance: dict[str, float] = field(default_factory=dict)
+    without: dict[str, Scored] = field(default_factory=dict)
     chosen_in: dict[str, float] = field(default_factory=dict)
     forward: bool = True
     black_box: float = 0.0
@@ -220,6 +222,7 @@ class BodySearch:
         parts_of_base = set() if not model.model.form.own else {e for e in space.base if e not in NAMED}
         terms = [e for e in model.model.form.effects if e not in own and e not in parts_of_base]
         without = dict(self.run(lambda t: (t, self._score(space.without(model.model, t))), terms))
+        done.without = without
         done.importance = {t: s.value - model.value for t, s in without.items()}
         if done.air is not None and done.driven:
             terms += [e for e in done.air.final.model.form.effects if e not in own]

@@ -27,7 +27,7 @@ from pneutac_sim.finger.quantities import root_mean
 from pneutac_sim.twin import Twin
 
 CONFIRMS = 1.5  # error over noise, before it was used, up to which a recording confirms what predicted it
-NEEDED = 1.2  # by so much worse it must have been foreseen without a law to confirm that law
+NEEDED = 1.2  # by so much worse the best contender without a law must have foreseen it to confirm that law
 DOUBT = 0.1  # probability that an unconfirmed law is not there, when the next program is chosen
 GIVE_UP = 4  # programs in a row, foreseen badly and no better, after which it ends
 FALLS = 0.9  # of the error over noise: what stays above has not fallen
@@ -135,13 +135,18 @@ class Rounds:
         return joined(*zip(*pairs, strict=True))
 
     def _rivals(self) -> list[Contender]:
-        """The contenders, and the best one without each law that is not confirmed."""
+        """The contenders; one without each law that is not confirmed is at least as likely as `DOUBT`."""
         contenders = self._contenders
         best = contenders[0]
-        doubted = [e for e in self.done[-1].unconfirmed if e in best.terms]
-        return contenders + [
-            Contender(_without(best.twin, e), tuple(t for t in best.terms if t != e), DOUBT) for e in doubted
-        ]
+        for e in (e for e in self.done[-1].unconfirmed if e in best.terms):
+            lacking = [i for i, c in enumerate(contenders[:-1]) if family(e) not in _families(c)]
+            if not lacking:
+                rest = tuple(t for t in best.terms if t != e)
+                contenders.insert(-1, Contender(_without(best.twin, e), rest, DOUBT))
+                continue
+            likely = max(lacking, key=lambda i: contenders[i].probability)
+            contenders[likely].probability = max(contenders[likely].probability, DOUBT)
+        return contenders
 
     def _known(self) -> str:
         last, two = self.done[-1], self.done[-2:]
@@ -193,10 +198,22 @@ class Rounds:
             return {"predicted_error": None, "bare_error": None, "without": {}}
         contenders = self._contenders
         best, terms = contenders[0].twin, contenders[0].terms
+        errors = [error_of(c.twin, everything, rows) for c in contenders]
+
+        def lacking(effect: str) -> float:
+            """The least error without the effect's kind of physics, of it dropped or of another contender."""
+            dropped = error_of(_without(best, effect), everything, rows, favour=True)
+            others = [
+                error
+                for error, c in zip(errors, contenders, strict=True)
+                if family(effect) not in _families(c)
+            ]
+            return min(dropped, *others)
+
         return {
-            "predicted_error": error_of(best, everything, rows),
-            "bare_error": error_of(contenders[-1].twin, everything, rows),
-            "without": {e: error_of(_without(best, e), everything, rows, favour=True) for e in terms},
+            "predicted_error": errors[0],
+            "bare_error": errors[-1],
+            "without": {e: lacking(e) for e in terms},
         }
 
     def _judged(self, told: dict, found: Diagnosis, foreseen: dict) -> Round:
@@ -237,6 +254,10 @@ def error_of(twin: Twin, recording: Recording, rows: slice = slice(None), favour
         ground = np.concatenate([seen, np.ones((len(seen), 1))], axis=1)
         seen = ground @ np.linalg.lstsq(ground, measured, rcond=None)[0]
     return root_mean(((measured - seen) ** 2).sum(axis=1))
+
+
+def _families(contender: Contender) -> set[str]:
+    return {family(e) for e in contender.terms}
 
 
 def _without(twin: Twin, effect: str) -> Twin:

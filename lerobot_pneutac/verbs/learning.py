@@ -28,7 +28,8 @@ class Round:
         noise: floor of the error.
         predicted_error: of this recording before it was used, by the best model then; None in the first.
         bare_error: the same by the twin as it was given, re-fitted.
-        without: effect to the same error by the best model without it, gain and offset fitted to favour it.
+        without: effect to the least such error without its kind of physics, by other models or by the best
+            model without it, gain and offset fitted to favour it.
         error: on test blocks of everything measured so far, by the best model now.
         verdict: now.
         selected: effects found now, the most important first.

@@ -13,7 +13,10 @@ from pressure_rig import build, connected, terminal
 from lerobot_pneutac import design, learn
 from lerobot_pneutac.cli.learn import LearnConfig, _bench, main
 from lerobot_pneutac.diagnosis.experiment import predict
+from lerobot_pneutac.diagnosis.result import Contender
 from lerobot_pneutac.verbs.benches import StandinBench
+from lerobot_pneutac.verbs.contenders import load_contenders, save_contenders
+from lerobot_pneutac.verbs.learn import Rounds
 from lerobot_robot_pneutac.hardware.parts import HardwareFault
 from lerobot_robot_pneutac.hardware.pneutac_serial import PneutacSerial
 from lerobot_robot_pneutac.standin.finger import new_rod
@@ -123,6 +126,19 @@ def test_killed_after_a_version_was_saved_it_saves_none_twice(learnt, tmp_path):
     again = learn(Twin.builtin(), Mirror(), out, **OPTIONS)
     assert again.to_dict()["rounds"] == learnt.to_dict()["rounds"]
     assert Twin.load(out / "twin").history == Twin.load(learnt.folder / "twin").history
+
+
+@pytest.mark.slow
+def test_a_law_is_not_confirmed_by_what_another_model_without_it_foresaw_as_well(learnt, tmp_path):
+    out, last = shutil.copytree(learnt.folder, tmp_path / "out"), learnt.last
+    (out / f"round_{last.number}" / "round.json").unlink()
+    before = out / f"round_{last.number - 1}" / "diagnosis"
+    best, *others = load_contenders(before)
+    rival = Contender(best.twin, ("another_effect",), 0.01)
+    save_contenders(before, [best, rival, *others])
+    again = Rounds(out, Twin.builtin(), Mirror(), 0, 1, None).drive(None)  # what was measured is kept
+    assert again.predicted_error == last.predicted_error and last.confirmed_by
+    assert not again.confirmed_by and again.unconfirmed == again.selected
 
 
 @pytest.mark.slow
