@@ -106,7 +106,7 @@ class TruthBench:
 def benchmark_experiments(cfg: BenchmarkExperimentsConfig) -> None:
     """Runs what is not there yet, then prints and writes the table."""
     names = cfg.effects or LAWS + NO_FORM
-    cases = [(name, s) for name in names for s in STRATEGIES]
+    cases = [(name, s) for s in STRATEGIES for name in names]  # the longest first
     folder = cfg.out / "cases"
     folder.mkdir(parents=True, exist_ok=True)
     todo = [(n, s) for n, s in cases if not (folder / f"{n}_{s}.json").is_file()]
