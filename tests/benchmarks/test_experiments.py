@@ -8,6 +8,7 @@ from lerobot_pneutac.verbs.benches import save_program
 from pneutac_benchmarks.diagnosis.rules import COUNTS
 from pneutac_benchmarks.experiments import LAWS, NO_FORM, TruthBench, _known_at, wrong_ones
 from pneutac_truths import EFFECTS
+from pneutac_truths import generate
 from pneutac_truths.programs import given
 
 
@@ -21,6 +22,12 @@ def test_what_is_given_is_commanded_and_rests_lie_between():
     np.testing.assert_array_equal(first, np.where(at < 1 - 1e-9, 0.2, np.where(at < 2.5 - 1e-9, 0.8, 0.0)))
     assert not p.command[p.ends[0] : p.starts[1]].any()
     assert set(p.sent_s[p.starts[0] : p.ends[0]]) == {0.0, 1.0, 2.5}
+
+
+def test_one_trial_of_a_regulator_whose_zero_moves_between_trials_is_finite():
+    plan = given([("a", np.arange(0, 3, 0.05), np.linspace(0, 1, 60))], 10.0)
+    zero = generate("rod", ["regulator_zero"], 3, plan=plan)
+    assert np.isfinite(zero.samples["tip_z_mm"]).all() and np.ptp(zero.samples["tip_z_mm"]) > 5
 
 
 @pytest.mark.slow

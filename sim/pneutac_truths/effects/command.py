@@ -57,7 +57,9 @@ def _deadband(sent, band, settle):
 def regulator_zero(w: World, size: float) -> None:
     """`size`: standard deviation over trials, share of the top pressure."""
     x = w.draws("regulator_zero").normal(size=(len(w.plan.starts), w.sent.shape[1]))
-    zero = np.vstack([size * (x - x.mean(0)) / x.std(0), np.zeros(x.shape[1])])
+    if len(x) > 1:  # one trial alone has no spread
+        x = (x - x.mean(0)) / x.std(0)
+    zero = np.vstack([size * x, np.zeros(x.shape[1])])
     w.sent = w.sent + zero[w.plan.trial]
 
 
