@@ -176,7 +176,10 @@ class Search:
             if key not in seen and len(fine) < FINE:
                 seen.add(key)
                 fine.append(s.model)
-        return self.fits([self.space.again(m) for m in fine], 8)
+        done = self.fits([self.space.again(m) for m in fine], 8)
+        for s in best_of_each(done, 1):
+            self.tell(f"tried {' + '.join(s.model.form.effects)}: error {s.value**0.5:.3g}")
+        return done
 
     def _accepted(self, now: Scored, done: list[Scored], room: float, start: float) -> Scored | None:
         """The simplest of the best, if the error falls for sure and worthwhile."""

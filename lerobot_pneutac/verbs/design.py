@@ -10,9 +10,11 @@ from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.reports.sentences import called
 from lerobot_pneutac.verbs.benches import save_program
 from lerobot_pneutac.verbs.contenders import load_contenders
+from lerobot_pneutac.verbs.diagnosis import Diagnosis
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.recording.noise import noise_floor
 from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin
 
 SHOWN = 8
@@ -112,7 +114,7 @@ class Design(Result):
 def design(
     twin: Twin,
     recording: Recording,
-    diagnosis: str | Path,
+    diagnosis: str | Path | Diagnosis,
     max_kpa: float | None = None,
     min_kpa: float | None = None,
     budget_s: float = 600.0,
@@ -124,7 +126,7 @@ def design(
     Args:
         twin: that was diagnosed.
         recording: likewise; everything that was measured so far.
-        diagnosis: folder that `pneutac diagnose --out=` wrote.
+        diagnosis: what `diagnose` found, itself or the folder that `pneutac diagnose --out=` wrote.
         max_kpa: highest set-point; that of the recording where None.
         min_kpa: lowest one; that of the recording, at most 0, where None.
         budget_s: longest program.
@@ -134,7 +136,10 @@ def design(
     Raises:
         InputError: the folder holds no diagnosis of a body, or no program fits the limits.
     """
-    contenders = load_contenders(diagnosis)
+    found = isinstance(diagnosis, Diagnosis)
+    contenders = list(diagnosis.outcome.contenders) if found else load_contenders(diagnosis)
+    if not contenders:
+        raise InputError("The diagnosis is of a gel, for which there is no program of pressures.")
     command = recording.samples[recording.pressure_columns].to_numpy(float)
     low = float(min(command.min(), 0.0)) if min_kpa is None else min_kpa
     limits = Limits(low, float(command.max()) if max_kpa is None else max_kpa, hz, budget_s, program_s)

@@ -171,10 +171,12 @@ class Twin:
         return path
 
     @classmethod
-    def load(cls, path: str | Path) -> "Twin":
-        """Reads a twin's folder. Raises InputError with file and field where it is not one."""
-        file = Path(path) / "twin.yaml"
+    def load(cls, path: str | Path, version: int | None = None) -> "Twin":
+        """Reads a twin's folder, or an earlier version in it; else InputError with file and field."""
+        file = Path(path) / ("twin.yaml" if version is None else f"history/{version:03d}/twin.yaml")
         if not file.is_file():
+            if version is not None:
+                raise InputError(f"{path} has no version {version} ({file} is missing).")
             raise InputError(
                 f"There is no twin at '{path}' (no twin.yaml); make one with `pneutac new --twin={path}`."
             )

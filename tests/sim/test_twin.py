@@ -91,3 +91,14 @@ def test_a_malformed_twin_names_file_and_field(old, new, said, tmp_path):
     file.write_text(file.read_text().replace(old, new))
     with pytest.raises(InputError, match=f"twin.yaml: {said}"):
         Twin.load(tmp_path)
+
+
+def test_an_earlier_version_has_the_arrays_of_its_time(tmp_path):
+    twin = Twin.builtin()
+    for value in (1, 2):
+        twin.arrays["rest_image"] = np.full((2, 2, 3), value, np.uint8)
+        twin.save_version(tmp_path, f"{value}", "bench", {"train": 1.0, "heldout": 1.0, "unit": "mm"})
+    first = Twin.load(tmp_path, 0)
+    assert first.arrays["rest_image"].max() == 1 and len(first.history) == 1 and first.folder == tmp_path
+    with pytest.raises(InputError, match="no version 7"):
+        Twin.load(tmp_path, 7)

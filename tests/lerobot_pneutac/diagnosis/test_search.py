@@ -265,7 +265,7 @@ def test_only_so_many_different_ones_are_fitted_well():
 def test_progress_is_told():
     told = []
     find({"": 4.25, "A": 1.0}, told.append)
-    assert told == ["trying the base: error 2.06", "found A: error 1"]
+    assert told == ["trying the base: error 2.06", "tried A: error 1", "found A: error 1"]
 
 
 def test_no_more_acceptances_than_allowed():

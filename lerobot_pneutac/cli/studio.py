@@ -1,0 +1,52 @@
+"""`pneutac studio`: a twin in the browser: bend it, see where it fails, find and add what is missing."""
+
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+
+from lerobot_pneutac.cli.options import parse_options
+from pneutac_sim.errors import InputError
+
+
+@dataclass
+class StudioConfig:
+    """Options of `pneutac studio`.
+
+    Attributes:
+        twin: folder of the twin; nothing is written to it unless a button that says so is pressed.
+        recording: folder of a bench recording of the same finger, arm or gel.
+        host: address to listen on; any but this machine's own asks for the token that is printed.
+        port: to listen on; 0 for any that is free.
+    """
+
+    twin: Path
+    recording: Path | None = None
+    host: str = "127.0.0.1"
+    port: int = 8080
+
+    def __post_init__(self):
+        if not 0 <= self.port < 65536:
+            raise InputError(f"port={self.port} must be between 0 and 65535.")
+
+
+def main(argv: list[str]) -> None:
+    """Runs the verb until it is interrupted."""
+    cfg, console = parse_options(StudioConfig, argv), Console()
+    try:
+        from lerobot_pneutac.studio.app import Studio
+    except ModuleNotFoundError as e:
+        if e.name != "viser":
+            raise
+        raise InputError(
+            "The studio needs the package viser; `pip install 'lerobot_robot_pneutac[studio]'`."
+        ) from e
+    from lerobot_pneutac.studio.session import Session
+
+    studio = Studio(Session(cfg.twin, cfg.recording), cfg.host, cfg.port)
+    console.print(f"The studio is open at {studio.address} (Ctrl+C ends it)", soft_wrap=True, highlight=False)
+    try:
+        threading.Event().wait()
+    finally:
+        studio.close()

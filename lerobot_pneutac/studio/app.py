@@ -1,0 +1,112 @@
+"""The studio: a viewer in the browser, its pages, and the door in front of it."""
+
+import contextlib
+import io
+import secrets
+import socket
+from collections.abc import Callable
+from functools import wraps
+from pathlib import Path
+
+import viser
+
+from lerobot_pneutac.studio.colours import BRAND
+from lerobot_pneutac.studio.gate import LOCAL, Gate
+from lerobot_pneutac.studio.session import Session
+from pneutac_sim.errors import InputError
+from pneutac_sim.finger.inputs import CHAMBERS
+
+PANEL_PX = 500
+
+
+class Studio:
+    """One open studio.
+
+    Args:
+        session: what it shows.
+        host: to listen on.
+        port: to listen on; 0 for any that is free.
+
+    Attributes:
+        session: see there.
+        server: the viewer.
+        pages: by their titles.
+        driver: page that moves the body in the picture.
+        address: to open in a browser.
+
+    Raises:
+        InputError: the address cannot be had.
+    """
+
+    def __init__(self, session: Session, host: str = "127.0.0.1", port: int = 8080):
+        self.session, self.driver = session, ""
+        self._token = "" if host in LOCAL else secrets.token_urlsafe(16)
+        with contextlib.redirect_stdout(io.StringIO()):  # it prints its own address, which is not the door's
+            self.server = viser.ViserServer("127.0.0.1", 0, verbose=False)
+        try:
+            self._gate = Gate(host, port, self.server.get_port(), self._token)
+        except InputError:
+            self.server.stop()
+            raise
+        shown = socket.gethostname() if host in ("0.0.0.0", "::") else host
+        self.address = f"http://{shown}:{self._gate.port}/" + (f"?token={self._token}" if self._token else "")
+        gui = self.server.gui
+        gui.set_panel_label("PneuTac studio")
+        self._dress(dark=False)
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(PANEL_PX)
+        self.title = gui.add_markdown("")
+        self.said = gui.add_markdown("", visible=False)
+        self.pages = self._pages()
+        dark = gui.add_checkbox("Dark", False)
+        dark.on_update(lambda _: self._dress(dark.value))
+        session.when_changed(self._name)
+        self._name()
+
+    def _pages(self) -> dict[str, object]:
+        """The pages that twin and recording have something to show on."""
+        tabs, pages = self.server.gui.add_tab_group(), {}
+        twin = self.session.twin
+        if twin.device in CHAMBERS:
+            from lerobot_pneutac.studio.device_page import DevicePage
+
+            with tabs.add_tab("Device", viser.Icon.HAND_FINGER):
+                pages["Device"] = DevicePage(self)
+        return pages
+
+    def _dress(self, dark: bool) -> None:
+        self.server.gui.configure_theme(
+            dark_mode=dark, show_logo=False, show_share_button=False, brand_color=BRAND
+        )
+
+    def _name(self) -> None:
+        s = self.session
+        last = s.twin.history[-1] if s.twin.history else None
+        version = f"version {last['version']} ({last['change']})" if last else "as it was made"
+        looked = "" if s.version is None else ", **an earlier version; nothing is written**"
+        recording = f"  \nRecording `{Path(s.recording.folder).name}`" if s.recording else ""
+        self.title.content = f"Twin `{s.folder.name}`: {s.twin.device}, {version}{looked}{recording}"
+
+    def say(self, text: str) -> None:
+        """Shows a sentence above the pages, in every browser; empty for none."""
+        self.said.content, self.said.visible = f"> {text}" if text else "", bool(text)
+
+    def safely(self, work: Callable) -> Callable:
+        """The same as a callback of the viewer: bad input ends in the sentence above the pages."""
+
+        @wraps(work)
+        def run(*_) -> None:
+            try:
+                self.say("")
+                work()
+            except InputError as e:
+                self.say(str(e))
+
+        return run
+
+    def close(self) -> None:
+        """Ends it; what was not written is lost."""
+        for page in self.pages.values():
+            page.close()
+        self._gate.close()
+        self.server.stop()

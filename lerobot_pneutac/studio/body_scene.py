@@ -1,0 +1,90 @@
+"""The picture of a finger or an arm: skin, spine, joints, the tip and where it went."""
+
+import numpy as np
+import viser
+from scipy.spatial.transform import Rotation
+
+from lerobot_pneutac.studio.colours import BASE, JOINTS, MEASURED, SKIN, SPINE, TRAIL, rgb
+from lerobot_pneutac.studio.live import Shape, Skin
+from pneutac_sim.twin import Twin
+
+UNIT = 0.01  # of the scene, in mm^-1: a decimetre
+TRAIL_POINTS = 200
+
+
+class BodyScene:
+    """What is drawn of a body.
+
+    Args:
+        server: the viewer.
+        twin: gives its sizes.
+    """
+
+    def __init__(self, server: viser.ViserServer, twin: Twin):
+        self._server, self._length = server, twin.length_mm
+        self._joints = np.array(twin.spine_joint_positions_mm)
+        scene, skin = server.scene, Skin.of(twin)
+        scene.set_up_direction("-x")  # it hangs
+        size = UNIT * twin.length_mm
+        server.initial_camera.position = (0.45 * size, -2.1 * size, 0.9 * size)
+        server.initial_camera.look_at = (0.5 * size, 0.0, 0.25 * size)
+        server.initial_camera.up = (-1.0, 0.0, 0.0)
+        server.initial_camera.fov = np.radians(45)
+        width = UNIT * float(np.ptp(skin.vertices_mm[:, 2]))
+        scene.add_box("/base", color=BASE, dimensions=(0.4 * width, 1.5 * width, 1.5 * width),
+                      position=(-0.2 * width, 0.0, 0.0))  # fmt: skip
+        bones = len(self._joints) + 1
+        places = np.zeros((bones, 3))
+        places[1:, 0] = UNIT * self._joints
+        self._skin = scene.add_mesh_skinned(
+            "/skin", UNIT * skin.vertices_mm, skin.faces, bone_wxyzs=np.tile([1.0, 0, 0, 0], (bones, 1)),
+            bone_positions=places, skin_weights=skin.weights, color=SKIN, opacity=0.55, side="double",
+        )  # fmt: skip
+        straight = np.zeros((bones + 1, 3))
+        straight[1:-1, 0], straight[-1, 0] = self._joints, self._length
+        self._spine = scene.add_line_segments(
+            "/spine", _segments(UNIT * straight), SPINE, thickness=0.08 * width
+        )
+        self._dots = scene.add_point_cloud(
+            "/joints", (UNIT * straight[1:-1]).astype(np.float32), JOINTS, point_size=0.14 * width,
+            point_shape="circle", precision="float32",
+        )  # fmt: skip
+        self._tip = scene.add_icosphere("/tip", radius=0.13 * width, color=TRAIL)
+        self._measured = scene.add_icosphere(
+            "/measured tip", radius=0.13 * width, color=rgb(MEASURED), visible=False
+        )
+        self._trail = scene.add_line_segments(
+            "/tip's path", np.zeros((1, 2, 3), np.float32), TRAIL, thickness=2.0, thickness_units="screen"
+        )
+        self._path: list[np.ndarray] = []
+
+    def show(self, shape: Shape, measured_mm: np.ndarray | None = None) -> None:
+        """Draws a shape, and the measured tip (3,) beside the model's where there is one."""
+        with self._server.atomic():
+            turns = Rotation.from_matrix(shape.turns).as_quat(scalar_first=True)
+            for bone, turn, place in zip(self._skin.bones, turns, UNIT * shape.places_mm, strict=True):
+                bone.wxyz, bone.position = turn, place
+            spine = UNIT * shape.spine_mm(self._length, self._joints)
+            self._spine.points = _segments(spine)
+            self._dots.points = spine[1:-1].astype(np.float32)
+            self._tip.position = UNIT * shape.markers[:3]
+            self._measured.visible = measured_mm is not None
+            if measured_mm is not None:
+                self._measured.position = UNIT * measured_mm
+            self._path = [*self._path[1 - TRAIL_POINTS :], UNIT * shape.markers[:3]]
+            if len(self._path) > 1:
+                self._trail.points = _segments(np.array(self._path))
+
+    def forget_path(self) -> None:
+        """The tip's path begins anew."""
+        self._path = []
+
+    def remove(self) -> None:
+        """Takes it out of the picture."""
+        for name in ("/base", "/skin", "/spine", "/joints", "/tip", "/measured tip", "/tip's path"):
+            self._server.scene.remove_by_name(name)
+
+
+def _segments(points: np.ndarray) -> np.ndarray:
+    """(n - 1, 2, 3) of the line through (n, 3)."""
+    return np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)

@@ -1,0 +1,26 @@
+"""Colours of the studio: those of the reports, told apart by the colour-blind, on light and on dark."""
+
+from lerobot_pneutac.reports.compare import FLOOR, HELDOUT, MODEL
+
+MEASURED = "#7a8794"  # the reports' is near black, which a dark page swallows
+BRAND = (11, 110, 153)
+SKIN, BASE = (120, 170, 200), (90, 100, 112)
+SPINE, JOINTS, TRAIL = (27, 36, 48), (255, 214, 102), (209, 73, 91)
+__all__ = [
+    "BASE",
+    "BRAND",
+    "FLOOR",
+    "HELDOUT",
+    "JOINTS",
+    "MEASURED",
+    "MODEL",
+    "SKIN",
+    "SPINE",
+    "TRAIL",
+    "rgb",
+]
+
+
+def rgb(colour: str) -> tuple[int, int, int]:
+    """Red, green and blue of `#rrggbb`."""
+    return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)

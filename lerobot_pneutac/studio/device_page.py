@@ -1,0 +1,257 @@
+"""The device page of a finger or an arm: knobs of what acts on it, and how it bends, in real time."""
+
+import threading
+import time
+from collections import deque
+from dataclasses import replace
+
+import numpy as np
+
+from lerobot_pneutac.studio.body_scene import UNIT, BodyScene
+from lerobot_pneutac.studio.effects_panel import EffectsPanel
+from lerobot_pneutac.studio.live import LiveBody, Shape
+from lerobot_pneutac.studio.plots import Lines
+from pneutac_sim.effects.registry import body_effects, get_effect, of_body, of_sensor
+from pneutac_sim.errors import InputError
+from pneutac_sim.finger.inputs import CHAMBERS
+from pneutac_sim.finger.online import COMPUTED, OTHERS
+from pneutac_sim.twin import Twin
+
+FRAMES_A_S = 30
+CHART_S, CHART_A_S, CHART_HZ = 20.0, 10, 5
+LONGEST_S = 0.25  # a frame that came late is no jump in time
+STILL_MM = 1e-3
+TWO_BENDS_RAD = 0.5  # of a joint, by the largest poke
+GRAVITY_M_S2 = 9.81
+SPEEDS = {"1 x": 1.0, "10 x": 10.0, "100 x": 100.0}
+
+
+class DevicePage:
+    """Knobs, switches, and a body that follows them.
+
+    Args:
+        studio: that it is a page of.
+
+    Attributes:
+        shape: where the body is now.
+        busy_s: processor time of the last frame, s.
+    """
+
+    title = "Device"
+
+    def __init__(self, studio):
+        self._studio, self._gui = studio, studio.server.gui
+        twin = studio.session.twin
+        self.scene = BodyScene(studio.server, twin)
+        self._arm = CHAMBERS[twin.device] > 1
+        self.readout = self._gui.add_markdown("")
+        self._chart = Lines(self._gui, "time, s", (("bend, °", "#d1495b"), ("pressure, kPa", "#0b6e99")), 190)
+        self._pressures = self._pressure_sliders(twin)
+        self._loads(twin)
+        with self._gui.add_folder("Time", expand_by_default=False):
+            self._speed = self._gui.add_dropdown("speed of time", tuple(SPEEDS))
+            rested = self._gui.add_button("Let it rest at this pressure", icon="bed")
+        rested.on_click(studio.safely(self._rest))
+        self._folder, self._panel = None, None
+        self._series: deque = deque(maxlen=int(CHART_S * CHART_A_S))
+        self.busy_s = 0.0
+        self._stop, self._lock = threading.Event(), threading.Lock()
+        self._place = self._gui.add_folder("Effects of the twin", expand_by_default=False)
+        self._changed()
+        studio.driver = self.title
+        studio.session.when_changed(studio.safely(self._changed))
+        self._thread = threading.Thread(target=self._run, daemon=True, name="device page")
+        self._thread.start()
+
+    # ---------------------------------------------------------------- knobs
+
+    def _pressure_sliders(self, twin: Twin) -> list:
+        low, high = twin.pressure_range_kpa
+        names = (
+            [f"pressure {i + 1}, kPa" for i in range(CHAMBERS[twin.device])]
+            if self._arm
+            else ["pressure, kPa"]
+        )
+        sliders = [self._gui.add_slider(n, float(low), float(high), 0.1, 0.0) for n in names]
+        for s in sliders:
+            s.on_update(self._drive)
+        return sliders
+
+    def _drive(self, _=None) -> None:
+        if self._studio.driver != self.title:
+            self._studio.driver = self.title
+            self.scene.forget_path()
+
+    def _loads(self, twin: Twin) -> None:
+        gui, recording = self._gui, self._studio.session.recording
+
+        def typical(column: str, otherwise: float) -> float:
+            if recording is None or not recording.has(column):
+                return otherwise
+            return float(np.median(recording.column(column)))
+
+        with gui.add_folder("Surroundings"):
+            warm = typical("temperature_c", 22.0)
+            self._temperature = gui.add_slider("temperature, °C", min(0.0, warm), max(60.0, warm), 0.5, warm)
+            load = typical("payload_g", 0.0)
+            self._payload = gui.add_slider("payload at the tip, g", 0.0, max(200.0, load), 1.0, load)
+            self._down = gui.add_slider("gravity, ° from the finger", -180.0, 180.0, 1.0, 0.0,
+                                        hint="0: it hangs; 90: it lies and bends downwards")  # fmt: skip
+            self._aside = gui.add_slider("gravity, ° out of the plane", -90.0, 90.0, 1.0, 0.0)
+            stiffness = twin.parameter("joint_stiffness_nm_per_rad")
+            most = float(f"{TWO_BENDS_RAD * stiffness / (5e-4 * twin.length_mm):.1g}")
+            step = most / 100
+            self._force = [
+                gui.add_slider(f"poke along {axis}, N", -most, most, step, 0.0)
+                for axis in ("xyz" if self._arm else "xz")
+            ]
+        for s in (self._temperature, self._payload, self._down, self._aside):
+            s.on_update(self._studio.safely(self._surroundings))
+        for s in self._force:
+            s.on_update(self._drive)
+        self._poke = self._studio.server.scene.add_transform_controls(
+            "/poke", scale=0.25, disable_rotations=True, depth_test=False, opacity=0.8
+        )
+        self._most_n, self._dragged = most, False
+        self._poke.on_drag_start(self._grab)
+        self._poke.on_update(self._pull)
+        self._poke.on_drag_end(self._let_go)
+
+    def _grab(self, _) -> None:
+        self._dragged, self._from = True, np.array(self._poke.position)
+
+    def _pull(self, _) -> None:
+        """A pull by half the finger's length is the largest force."""
+        if not self._dragged:
+            return
+        pulled = (np.array(self._poke.position) - self._from) / (
+            0.5 * UNIT * self._studio.session.twin.length_mm
+        )
+        parts = pulled if self._arm else pulled[[0, 2]]
+        for slider, part in zip(self._force, np.clip(parts, -1, 1), strict=True):
+            slider.value = float(self._most_n * part)
+        self._drive()
+
+    def _let_go(self, _) -> None:
+        self._dragged = False
+        for slider in self._force:
+            slider.value = 0.0
+
+    @property
+    def pressure_kpa(self) -> np.ndarray:
+        """(chambers,) of the sliders."""
+        return np.array([s.value for s in self._pressures], float)
+
+    @property
+    def force_n(self) -> np.ndarray:
+        """(3,) of the sliders."""
+        f = [s.value for s in self._force]
+        return np.array(f if self._arm else [f[0], 0.0, f[1]], float)
+
+    def conditions(self) -> dict[str, float]:
+        """What the sliders say of the surroundings; further conditions as the recording has them, else 0."""
+        down, aside = np.radians(self._down.value), np.radians(self._aside.value)
+        x, y, z = np.cos(down) * np.cos(aside), np.sin(aside), np.sin(down) * np.cos(aside)
+        given = {f"gravity_{a}": GRAVITY_M_S2 * v for a, v in zip("xyz", (x, y, z), strict=True)}
+        given |= {"temperature_c": self._temperature.value, "payload_g": self._payload.value}
+        recording, effects = self._studio.session.recording, self._twin.effects
+        for name in {c for e in of_body(effects) for c in get_effect(e).columns} - {*COMPUTED, *given}:
+            known = recording is not None and recording.has(name)
+            given[name] = float(np.median(recording.column(name))) if known else 0.0
+        return given
+
+    # ---------------------------------------------------------------- the body
+
+    def _changed(self) -> None:
+        """Another twin is looked at: its switches."""
+        twin = self._studio.session.twin
+        if self._folder is not None:
+            self._folder.remove()
+        names = [*body_effects(), *(e for e in of_body(twin.effects) if e not in body_effects())]
+        names = [n for n in names if n in twin.effects or not set(get_effect(n).columns) & set(OTHERS)]
+        with self._place:
+            self._folder = self._gui.add_folder("switched on here alone; nothing is written")
+        with self._folder:
+            top = max(abs(x) for x in twin.pressure_range_kpa)
+            self._panel = EffectsPanel(
+                self._gui, names, twin.effects, top, self._studio.safely(self._rebuild)
+            )
+        self._rebuild()
+
+    def _rebuild(self) -> None:
+        """The body with the effects that are switched on, long at rest under the present pressure."""
+        twin = self._studio.session.twin
+        kept = {n: twin.effects[n] for n in of_sensor(twin.effects)}
+        self._twin = replace(twin, effects=kept | self._panel.values())
+        body = LiveBody(self._twin, self.conditions())
+        body.rest(self.pressure_kpa)
+        with self._lock:
+            self._body, self._moved = body, True
+        self._drive()
+
+    def _surroundings(self) -> None:
+        with self._lock:
+            self._body.set_conditions(self.conditions())
+        acting = {c for e in of_body(self._twin.effects) for c in get_effect(e).columns}
+        for column, slider, effect in (
+            ("temperature_c", self._temperature, "thermal"),
+            ("payload_g", self._payload, "payload"),
+            ("gravity_x", self._down, "gravity"),
+        ):
+            if column not in acting and slider.value != self._began[column]:
+                raise InputError(
+                    f"This bends the body by its effect `{effect}`, which is off; switch it on below."
+                )
+        self._drive()
+
+    @property
+    def _began(self) -> dict[str, float]:
+        return {"temperature_c": 22.0, "payload_g": 0.0, "gravity_x": 0.0}
+
+    def _rest(self) -> None:
+        with self._lock:
+            self._body.rest(self.pressure_kpa)
+        self.scene.forget_path()
+        self._drive()
+
+    def step(self, dt_s: float) -> Shape:
+        """The body goes on for `dt_s` seconds."""
+        with self._lock:
+            self.shape = self._body.step(self.pressure_kpa, self.force_n, dt_s)
+        return self.shape
+
+    def _run(self) -> None:
+        last, shown, drawn = time.monotonic(), None, 0
+        while not self._stop.wait(1 / FRAMES_A_S):
+            now = time.monotonic()
+            dt, last = min(now - last, LONGEST_S), now
+            if self._studio.driver != self.title:
+                shown = None
+                continue
+            began = time.thread_time()
+            shape = self.step(dt * SPEEDS[self._speed.value])
+            moved = shown is None or np.abs(shape.markers[:3] - shown).max() > STILL_MM
+            if moved:
+                self._show(shape)
+                shown = shape.markers[:3]
+            self._series.append((now, shape.bend_deg, float(self.pressure_kpa.mean())))
+            drawn += 1
+            if drawn % (FRAMES_A_S // CHART_HZ) == 0 and np.ptp(np.array(self._series)[:, 1]) > 1e-3:
+                t, *lines = np.array(self._series).T
+                self._chart.show(t - t[-1], *lines)
+            self.busy_s = time.thread_time() - began
+
+    def _show(self, shape: Shape) -> None:
+        self.scene.show(shape)
+        if not self._dragged:
+            self._poke.position = UNIT * shape.markers[:3]
+        x, y, z = shape.markers[:3]
+        self.readout.content = (
+            f"**Bend {shape.bend_deg:.1f}°**, tip at x {x:.1f}, y {y:.1f}, z {z:.1f} mm, "
+            f"pressure {' / '.join(f'{p:.1f}' for p in self.pressure_kpa)} kPa"
+        )
+
+    def close(self) -> None:
+        """Stops the body."""
+        self._stop.set()
+        self._thread.join(timeout=2.0)

@@ -1,0 +1,92 @@
+"""Effects as switches, with sliders of their parameters inside what physics allows. Nothing is written."""
+
+from collections.abc import Callable, Iterable, Mapping
+
+import numpy as np
+import viser
+
+from pneutac_sim.effects.effect import Effect, Parameter
+from pneutac_sim.effects.registry import get_effect
+from pneutac_sim.twin import Value
+
+STEPS = 400  # of a slider
+DECADES = 10.0  # a positive parameter may be so many times larger or smaller than it is
+
+
+class EffectsPanel:
+    """Switches of some effects.
+
+    Args:
+        gui: of the viewer.
+        names: of the effects.
+        present: of the twin, name to parameters.
+        range_kpa: largest pressure, which scales bounds.
+        changed: called when a switch or a slider moves.
+    """
+
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        names: Iterable[str],
+        present: Mapping[str, Mapping[str, Value]],
+        range_kpa: float,
+        changed: Callable[[], None],
+    ):
+        self._rows = [_Switch(gui, get_effect(n), present.get(n), range_kpa, changed) for n in names]
+
+    def values(self) -> dict[str, dict[str, Value]]:
+        """The effects that are on."""
+        return {row.effect.name: row.values() for row in self._rows if row.on}
+
+
+class _Switch:
+    """One effect."""
+
+    def __init__(self, gui, effect: Effect, values: Mapping[str, Value] | None, range_kpa: float, changed):
+        self.effect = effect
+        start = effect.start(range_kpa) | dict(values or {})
+        self._box = gui.add_checkbox(effect.name.replace("_", " "), values is not None, hint=_about(effect))
+        self._kept = {k: v for k, v in start.items() if k not in {p.name for p in effect.parameters}}
+        self._sliders = {
+            p.name: _slider(gui, p, start[p.name], range_kpa, values is not None) for p in effect.parameters
+        }
+
+        def switched(_) -> None:
+            for slider in self._sliders.values():
+                slider.visible = self._box.value
+            changed()
+
+        self._box.on_update(switched)
+        for slider in self._sliders.values():
+            slider.on_update(lambda _: changed())
+
+    @property
+    def on(self) -> bool:
+        return self._box.value
+
+    def values(self) -> dict[str, Value]:
+        return self._kept | {name: Value(float(s.value)) for name, s in self._sliders.items()}
+
+
+def interval(parameter: Parameter, value: float, range_kpa: float) -> tuple[float, float]:
+    """Between which values a parameter may be moved by hand: its bounds, or a decade about it."""
+    _, low, high = parameter.limits(range_kpa)
+    if parameter.log:
+        low, high = max(low, value / DECADES), min(high, value * DECADES)
+    return min(low, value), max(high, value)
+
+
+def _slider(gui, parameter: Parameter, value: Value, range_kpa: float, visible: bool):
+    low, high = interval(parameter, value.value, range_kpa)
+    known = "" if value.ci95 is None else " Fitted: 95 % interval {:.4g} to {:.4g}.".format(*value.ci95)
+    step = float(10.0 ** np.floor(np.log10((high - low) / STEPS)))
+    name = parameter.name.removesuffix("_" + parameter.name.rpartition("_")[2]) if parameter.unit else ""
+    unit = f"{name or parameter.name}, {parameter.unit or 'ratio'}".replace("_", " ")
+    hint = f"From {low:.4g} to {high:.4g} {parameter.unit}.{known}"
+    return gui.add_slider(unit, low, high, step, float(value.value), hint=hint, visible=visible)
+
+
+def _about(effect: Effect) -> str:
+    """The first sentence of an effect's summary at its defaults."""
+    text = effect.describe({k: v.value for k, v in effect.start().items()}, "device")
+    return text.partition(". ")[0]

@@ -1,0 +1,117 @@
+"""What the studio knows: the twin, its recording, what was found, and the one work that is under way.
+
+It lives in the server, so that any number of browsers see the same and none takes anything with it.
+"""
+
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+from lerobot_pneutac.study.pair import same_body, same_device
+from lerobot_pneutac.verbs.add import Addition
+from lerobot_pneutac.verbs.comparison import Comparison
+from lerobot_pneutac.verbs.diagnosis import Diagnosis
+from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.errors import InputError
+from pneutac_sim.progress import Progress
+from pneutac_sim.twin import Twin
+
+
+class Session:
+    """One twin at work.
+
+    Args:
+        twin: folder of it.
+        recording: folder of a recording of the same device; None for none.
+
+    Attributes:
+        folder: of the twin.
+        twin: as it lies on the disk, or an earlier version that is looked at.
+        version: number of that earlier version; None for the newest.
+        recording: None where none was given.
+        comparison: of twin and recording, once it was made.
+        diagnosis: likewise.
+        addition: the last one.
+        working: what is being done; empty where nothing is.
+
+    Raises:
+        InputError: there is no twin, or the two do not go together.
+    """
+
+    def __init__(self, twin: Path, recording: Path | None):
+        self.folder, self.twin, self.version = twin, Twin.load(twin), None
+        self.recording = None
+        if recording is not None:
+            loaded = Recording.load(recording)
+            same_device(self.twin, loaded, twin, "open")
+            same_body(self.twin, loaded, "open")
+            self.recording = loaded
+        self.comparison: Comparison | None = None
+        self.diagnosis: Diagnosis | None = None
+        self.addition: Addition | None = None
+        self.working = ""
+        self._lock = threading.Lock()
+        self._told: list[Callable[[], None]] = []
+
+    def when_changed(self, tell: Callable[[], None]) -> None:
+        """Calls `tell` whenever another twin is looked at."""
+        self._told.append(tell)
+
+    def needs_recording(self) -> Recording:
+        """The recording; raises InputError where there is none."""
+        if self.recording is None:
+            raise InputError(
+                f"There is no recording to weigh the twin against; start `pneutac studio "
+                f"--twin={self.folder} --recording=DIR`."
+            )
+        return self.recording
+
+    def look_at(self, version: int | None = None) -> None:
+        """Shows the twin as it lies on the disk, or an earlier version of it; nothing is written."""
+        self.twin, self.version = Twin.load(self.folder, version), version
+        self.comparison = self.diagnosis = None
+        for tell in self._told:
+            tell()
+
+    def keep(self) -> int:
+        """Writes the version that is looked at as the newest; returns its number.
+
+        Raises:
+            InputError: it is the newest already.
+        """
+        if self.version is None:
+            raise InputError("The newest version is shown; choose an earlier one to go back to it.")
+        number = self.version
+        twin, newest = Twin.load(self.folder, number), Twin.load(self.folder)
+        entry = newest.history[number]
+        twin.history = newest.history
+        errors = {k: entry.get(k) for k in ("train", "heldout", "unit", "seed") if k in entry}
+        twin.save_version(self.folder, f"back to version {number}", entry.get("recording", ""), errors)
+        self.look_at()
+        return len(twin.history) - 1
+
+    def begin(
+        self, what: str, work: Callable[[Progress], None], show: Callable[[str, int, int], None]
+    ) -> None:
+        """Does a work in a thread of its own, one at a time.
+
+        Args:
+            what: it is, such as `diagnosing`.
+            work: called with `show`; it catches its own errors.
+            show: called with a text, the steps done and all of them.
+
+        Raises:
+            InputError: another work is under way.
+        """
+        with self._lock:
+            if self.working:
+                raise InputError(f"Still {self.working}; wait until that is done.")
+            self.working = what
+
+        def run() -> None:
+            try:
+                work(show)
+            finally:
+                self.working = ""
+
+        threading.Thread(target=run, daemon=True, name=what).start()
