@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from lerobot_pneutac.verbs.diagnosis import Diagnosis
     from lerobot_pneutac.verbs.learn import learn
     from lerobot_pneutac.verbs.learning import Learning
+    from pneutac_datasets.demonstrations.replay.reading import Demonstrations, load_demonstrations
     from pneutac_datasets.recording.recording import Recording
     from pneutac_sim.errors import InputError
     from pneutac_sim.twin import Twin
@@ -38,6 +39,8 @@ _MODULES = {
     "Twin": "pneutac_sim.twin",
     "InputError": "pneutac_sim.errors",
     "Recording": "pneutac_datasets.recording.recording",
+    "Demonstrations": "pneutac_datasets.demonstrations.replay.reading",
+    "load_demonstrations": "pneutac_datasets.demonstrations.replay.reading",
     "calibrate": "lerobot_pneutac.verbs.calibrate",
     "Calibration": "lerobot_pneutac.verbs.calibration",
     "compare": "lerobot_pneutac.verbs.compare",
@@ -55,8 +58,9 @@ _MODULES = {
 }
 
 __all__ = [
-    "Addition", "Calibration", "Comparison", "Control", "Design", "Diagnosis", "InputError", "Learning",
-    "Recording", "Twin", "add", "calibrate", "compare", "control", "design", "diagnose", "learn",
+    "Addition", "Calibration", "Comparison", "Control", "Demonstrations", "Design", "Diagnosis", "InputError",
+    "Learning", "Recording", "Twin", "add", "calibrate", "compare", "control", "design", "diagnose", "learn",
+    "load_demonstrations",
 ]  # fmt: skip
 
 

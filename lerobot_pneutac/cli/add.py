@@ -20,9 +20,11 @@ class AddConfig:
 
     Attributes:
         twin: folder of the twin; its next version is written there if the error falls.
-        recording: folder of a bench recording of the same finger, arm or gel.
+        recording: folder of a bench recording of the same finger, arm or gel; or of a LeRobotDataset of
+            demonstrations, or its name on the Hub.
         effect: names of the effects or laws to switch on, joined by commas.
         diagnosis: folder that `pneutac diagnose` wrote; all that it found is switched on. Also `--from`.
+        task: of demonstrations: what stood in front of the robot, where their instruction does not tell.
         out: folder for `result.json` and `report.html`.
         seed: seed of the choice of what is held out, and of the bootstrap.
     """
@@ -31,6 +33,7 @@ class AddConfig:
     recording: Path
     effect: str = ""
     diagnosis: Path | None = None
+    task: str = ""
     out: Path | None = None
     seed: int = 0
 
@@ -49,7 +52,7 @@ def main(argv: list[str]) -> None:
     effects = [e.strip() for e in cfg.effect.split(",")] if cfg.effect else []
     for e in effects:
         get_effect(e)
-    twin, recording = load_pair(cfg.twin, cfg.recording, "add to")
+    twin, recording = load_pair(cfg.twin, cfg.recording, "add to", cfg.task)
     with progress_bar(console) as progress:
         result = add(twin, recording, cfg.diagnosis or effects, seed=cfg.seed, progress=progress)
     if result.accepted:

@@ -12,6 +12,7 @@ from lerobot_pneutac.cli.show import show, write
 from lerobot_pneutac.verbs import calibrate_files as files
 from lerobot_pneutac.verbs.calibrate import calibrate
 from lerobot_pneutac.verbs.calibration import Calibration
+from pneutac_datasets.recording.recording import Recording
 
 
 @dataclass
@@ -21,7 +22,9 @@ class CalibrateConfig:
     Attributes:
         twin: folder of the twin; a twin of a gel is begun where there is none.
         recording: folder of the bench recording; without it, a gel's DIGIT photographs in $PNEUTAC_DATA, or
-            generated images.
+            generated images. Of a LeRobotDataset of demonstrations, or its name on the Hub, the gel's light
+            at rest is taken.
+        task: of demonstrations: what stood in front of the robot, where their instruction does not tell.
         out: folder for `result.json`, `report.html` and pictures.
         effects: optics effects of a gel to fit, with commas between, or `none` for the paper's linear model;
             where left out, those once chosen for the twin, else all that the presses can tell.
@@ -38,6 +41,7 @@ class CalibrateConfig:
 
     twin: Path
     recording: Path | None = None
+    task: str = ""
     out: Path | None = None
     effects: str | None = None
     through: str | None = None
@@ -60,7 +64,7 @@ def main(argv: list[str]) -> None:
 
 def run(cfg: CalibrateConfig, scratch: Path, console: Console) -> Calibration:
     """Fits and saves the twin's next version; `scratch` is a folder for generated data."""
-    recording, note = files.recording_for(cfg.recording, scratch, cfg.seed)
+    recording, note = files.recording_for(cfg.recording, scratch, cfg.seed, cfg.task)
     console.print(note, end="\n" if note else "", highlight=False)
     files.check_prior(cfg.save_prior, recording)
     twin, keep = files.twin_for(cfg.twin, recording), cfg.out or cfg.twin
@@ -78,7 +82,9 @@ def run(cfg: CalibrateConfig, scratch: Path, console: Console) -> Calibration:
         raise
     if cfg.out is None:
         files.forget_search(keep)
-    if note and recording.meta.get("generated"):  # their folder is gone after this run
+    if (
+        note and isinstance(recording, Recording) and recording.meta.get("generated")
+    ):  # their folder is gone after this run
         result = replace(result, recording=f"generated images (seed {cfg.seed})")
     console.print(files.keep_prior(result, cfg.save_prior), end="", highlight=False)
     return result.save(cfg.twin)

@@ -20,7 +20,9 @@ class CompareConfig:
 
     Attributes:
         twin: folder of the twin.
-        recording: folder of a bench recording of the same device.
+        recording: folder of a bench recording of the same device; or of a LeRobotDataset of demonstrations,
+            or its name on the Hub, which are replayed in the twin's world.
+        task: of demonstrations: what stood in front of the robot, where their instruction does not tell.
         out: folder for `result.json` and `report.html`; nothing is written without it.
         fidelity: `pipeline` (the twin's kinematics, every sample) or `mpm` (of a finger or an arm: the full
             body of material points, at samples spread over the recording).
@@ -32,6 +34,7 @@ class CompareConfig:
 
     twin: Path
     recording: Path
+    task: str = ""
     out: Path | None = None
     fidelity: str = "pipeline"
     samples: int | None = None
@@ -47,7 +50,7 @@ class CompareConfig:
 def main(argv: list[str]) -> None:
     """Runs the verb."""
     cfg, console = parse_options(CompareConfig, argv), Console()
-    twin, recording = load_pair(cfg.twin, cfg.recording, "compare")
+    twin, recording = load_pair(cfg.twin, cfg.recording, "compare", cfg.task)
     if cfg.later:
         same = [recording, *(load_pair(cfg.twin, path, "compare")[1] for path in cfg.later)]
         result = ageing(twin, same, cfg.seed)

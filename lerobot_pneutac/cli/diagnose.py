@@ -18,7 +18,9 @@ class DiagnoseConfig:
 
     Attributes:
         twin: folder of the twin, which is not changed.
-        recording: folder of a bench recording of the same finger, arm or gel.
+        recording: folder of a bench recording of the same finger, arm or gel; or of a LeRobotDataset of
+            demonstrations, or its name on the Hub.
+        task: of demonstrations: what stood in front of the robot, where their instruction does not tell.
         out: folder for `result.json` and `report.html`.
         jobs: number of processes; 0 for all cores.
         seed: seed of the choice of what is held out, and of every bootstrap.
@@ -26,6 +28,7 @@ class DiagnoseConfig:
 
     twin: Path
     recording: Path
+    task: str = ""
     out: Path | None = None
     jobs: int = 0
     seed: int = 0
@@ -34,7 +37,7 @@ class DiagnoseConfig:
 def main(argv: list[str]) -> None:
     """Runs the verb."""
     cfg, console = parse_options(DiagnoseConfig, argv), Console()
-    twin, recording = load_pair(cfg.twin, cfg.recording, "diagnose")
+    twin, recording = load_pair(cfg.twin, cfg.recording, "diagnose", cfg.task)
     with progress_bar(console) as progress:
         result = diagnose(twin, recording, jobs=cfg.jobs, seed=cfg.seed, progress=progress)
     if cfg.out is not None and recording.device != "gel":

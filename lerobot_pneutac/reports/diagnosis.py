@@ -152,7 +152,7 @@ def over_time(study: EffectStudy, o: Outcome) -> go.Figure:
     """Error before and after, over the commanded pressure on an axis of its own at the right."""
     t = _session_time(study)
     step = max(1, len(t) // MOST_POINTS)
-    p = study.recording.samples[study.recording.pressure_columns].to_numpy(float).mean(1)
+    p = study.recording.samples[list(study.recording.pressure_columns)].to_numpy(float).mean(1)
     figure = go.Figure()
     figure.add_scatter(
         x=t[::step], y=np.round(p[::step], 3), name="command", yaxis="y2", opacity=0.35,
@@ -178,7 +178,7 @@ def over_time(study: EffectStudy, o: Outcome) -> go.Figure:
 def axes(study: EffectStudy) -> dict[str, np.ndarray]:
     """Quantities against which the error is drawn."""
     s = study.recording.samples
-    p = s[study.recording.pressure_columns].to_numpy(float).mean(1)
+    p = s[list(study.recording.pressure_columns)].to_numpy(float).mean(1)
     t = s["time_s"].to_numpy()
     first = np.r_[True, np.diff(s["trial"].to_numpy()) != 0]
     dt = np.where(first, np.inf, np.diff(t, prepend=t[0]))

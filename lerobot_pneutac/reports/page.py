@@ -59,6 +59,22 @@ class Report:
         Image.fromarray(image).save(buffer, "PNG")
         self._add("image", caption, width=width, data=_base64(buffer.getvalue()))
 
+    def film(
+        self, frames: list[np.ndarray], seconds: float, caption: str = "", width: int | None = None
+    ) -> None:
+        """Pictures, uint8 (H, W, 3), each shown for so many seconds, as animated WebP."""
+        buffer, (first, *rest) = io.BytesIO(), [Image.fromarray(f) for f in frames]
+        first.save(
+            buffer,
+            "WEBP",
+            save_all=True,
+            append_images=rest,
+            duration=round(1e3 * seconds),
+            loop=0,
+            quality=60,
+        )
+        self._add("film", caption, width=width, data=_base64(buffer.getvalue()))
+
     def video(self, path: str | Path, caption: str = "", width: int = 640) -> None:
         """An MP4 file, embedded."""
         self._add("video", caption, width=width, data=_base64(Path(path).read_bytes()))

@@ -89,6 +89,10 @@ class EffectStudy(Study, ABC):
             steps: counts the fit.
         """
 
+    def residual(self, twin: Twin) -> np.ndarray:
+        """(n, k) measured minus predicted by another twin of this device; of bodies and demonstrations."""
+        raise NotImplementedError
+
     @abstractmethod
     def refusal(self, effect: str) -> str:
         """Why an effect cannot be switched on, a sentence; empty where it can."""

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pneutac_datasets.demonstrations.replay.reading import Demonstrations, is_dataset, load_demonstrations
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import an, plural
 from pneutac_sim.errors import InputError
@@ -15,14 +16,23 @@ from pneutac_sim.twin import Twin
 LONGER = "Record ten minutes with steps, slow and fast ramps and long holds, in several trials."
 
 
-def load_pair(twin_path: Path, recording_path: Path, verb: str) -> tuple[Twin, Recording]:
-    """The twin and a recording from their folders; raises InputError where they are of different devices."""
-    twin, recording = Twin.load(twin_path), Recording.load(recording_path)
+def load_pair(
+    twin_path: Path, recording_path: Path, verb: str, task: str = ""
+) -> tuple[Twin, Recording | Demonstrations]:
+    """The twin and a recording from their folders; raises InputError where they are of different devices.
+
+    Demonstrations may lie on the Hub, and are of a task; see `load_demonstrations`.
+    """
+    twin = Twin.load(twin_path)
+    if is_dataset(recording_path):
+        recording = load_demonstrations(recording_path, task, twin.pressure_range_kpa)
+    else:
+        recording = Recording.load(recording_path)
     same_device(twin, recording, twin_path, verb)
     return twin, recording
 
 
-def same_device(twin: Twin, recording: Recording, twin_name: str | Path, verb: str) -> None:
+def same_device(twin: Twin, recording: Recording | Demonstrations, twin_name: str | Path, verb: str) -> None:
     """Raises InputError where the two are of different devices; a gel may be that of a finger."""
     if recording.device != twin.device and not (recording.device == "gel" and twin.gel):
         raise InputError(
@@ -31,10 +41,10 @@ def same_device(twin: Twin, recording: Recording, twin_name: str | Path, verb: s
         )
 
 
-def same_body(twin: Twin, recording: Recording, verb: str) -> Recording:
+def same_body[R: Recording | Demonstrations](twin: Twin, recording: R, verb: str) -> R:
     """The recording, with a note where one is due; raises InputError where the two do not fit together."""
     same_device(twin, recording, "the twin", verb)
-    if recording.device == "gel":
+    if isinstance(recording, Demonstrations) or recording.device == "gel":
         return recording
     if recording.length_mm is not None and abs(recording.length_mm - twin.length_mm) > 0.02 * twin.length_mm:
         raise InputError(

@@ -9,12 +9,12 @@ from lerobot_pneutac.diagnosis.steps import Steps
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.reports.sentences import percent
 from lerobot_pneutac.study.base import EffectStudy
-from lerobot_pneutac.study.body import BodyStudy
 from lerobot_pneutac.study.by_device import study_of
 from lerobot_pneutac.study.pair import same_body
 from lerobot_pneutac.verbs.diagnosis import Diagnosis
 from lerobot_pneutac.verbs.found import read_found
 from lerobot_pneutac.verbs.result import Result, command_on
+from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.twin import Twin
@@ -68,7 +68,8 @@ class Addition(Result):
         """Writes the twin as the next version of `folder`; returns the result that knows where it lies."""
         twin = self.twin.copy()
         after = self.after or {}
-        errors = {k: after[k] for k in ("train", "heldout")} | {"unit": self.unit, "seed": self.seed}
+        errors = {k: after[k] for k in ("train", "heldout", "arm_and_gauge", "touch") if k in after}
+        errors |= {"unit": self.unit, "seed": self.seed}
         twin.save_version(folder, f"added {self.effect}", self.recording, errors)
         return replace(self, twin=twin, saved_to=Path(folder))
 
@@ -178,7 +179,7 @@ class Addition(Result):
 
 def add(
     twin: Twin,
-    recording: Recording,
+    recording: Recording | Demonstrations,
     effect: str | Sequence[str] | Diagnosis | Path,
     *,
     seed: int = 0,
@@ -192,7 +193,7 @@ def add(
 
     Args:
         twin: of the recording's device, or a finger with the gel of the recording.
-        recording: of a finger, an arm or a gel.
+        recording: of a finger, an arm or a gel, or demonstrations of a robot with the finger.
         effect: one or several names of effects or laws; or what `diagnose` found on this recording, itself or
             the folder that it was written to.
         seed: decides which part is held out, and the bootstrap.
@@ -221,10 +222,10 @@ def add(
     return _judged(study, twin, effects, before, after, study.fall(before, after), given)
 
 
-def _written(twin: Twin, recording: Recording, folder: Path) -> Addition:
+def _written(twin: Twin, recording: Recording | Demonstrations, folder: Path) -> Addition:
     """All that a diagnosis wrote to a folder, judged on its own blocks."""
     written = read_found(folder, recording)
-    study = BodyStudy(twin, recording, written.told["seed"])
+    study = study_of(twin, recording, written.told["seed"])
     before, after = (
         FittedModel(effects=tuple(t.effects), residual=study.residual(t), count=0, twin=t)
         for t in (written.before, written.found)

@@ -9,6 +9,7 @@ import numpy as np
 from lerobot_pneutac.verbs.calibrate_files import BEST, SEARCH
 from lerobot_pneutac.verbs.calibration import Calibration
 from lerobot_pneutac.verbs.measured_range import measured_range
+from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError, check_choice, check_least
 from pneutac_sim.progress import Progress, no_progress
@@ -20,7 +21,7 @@ THROUGH = ("mpm",)
 
 def calibrate(
     twin: Twin,
-    recording: Recording,
+    recording: Recording | Demonstrations,
     *,
     by: str | None = None,
     effects: Sequence[str] | str | None = None,
@@ -36,7 +37,7 @@ def calibrate(
 
     Args:
         twin: of the recording's device, or a finger for a recording of its gel.
-        recording: of a finger, an arm or a gel.
+        recording: of a finger, an arm or a gel; or demonstrations, which tell the gel's light at rest.
         by: of a body: `images` (photographs with masks) or `markers` (markers and angles); by markers where
             the recording has them, else by images.
         effects: of a gel: optics effects to fit, none for the paper's linear model; those once chosen for
@@ -63,6 +64,10 @@ def calibrate(
             f"{recording.folder} is a recording of a '{recording.device}' but the twin is of a "
             f"'{twin.device}'; give a twin of that device."
         )
+    if isinstance(recording, Demonstrations):
+        from lerobot_pneutac.verbs.calibrate_demonstrations import calibrate_demonstrations
+
+        return calibrate_demonstrations(twin, recording, seed)
     if recording.device == "gel":
         from lerobot_pneutac.verbs.fit_gel import calibrate_gel
 

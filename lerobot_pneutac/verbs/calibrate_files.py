@@ -5,6 +5,7 @@ import os
 from pathlib import Path
 
 from lerobot_pneutac.verbs.calibration import Calibration
+from pneutac_datasets.demonstrations.replay.reading import Demonstrations, is_dataset, load_demonstrations
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin
@@ -13,12 +14,16 @@ SEARCH = "evaluations.json"  # in the folder where a search by images is kept
 BEST = "best.png"  # there, the best rendering so far
 
 
-def recording_for(folder: Path | None, scratch: Path, seed: int) -> tuple[Recording, str]:
+def recording_for(
+    folder: Path | None, scratch: Path, seed: int, task: str = ""
+) -> tuple[Recording | Demonstrations, str]:
     """The recording, and a sentence where none was given.
 
     Without one the DIGIT photographs in $PNEUTAC_DATA, or images generated in folder `scratch` where that is
     unset.
     """
+    if folder is not None and is_dataset(folder):
+        return load_demonstrations(folder, task), ""
     if folder is not None:
         return Recording.load(folder), ""
     real = Path(os.environ.get("PNEUTAC_DATA", "/nonexistent")) / "tactile" / "digit_nagoya"
@@ -32,7 +37,7 @@ def recording_for(folder: Path | None, scratch: Path, seed: int) -> tuple[Record
     )
 
 
-def twin_for(folder: Path, recording: Recording) -> Twin:
+def twin_for(folder: Path, recording: Recording | Demonstrations) -> Twin:
     """The twin in a folder; a twin of a gel is begun where there is none yet.
 
     Raises:
@@ -57,7 +62,7 @@ def twin_for(folder: Path, recording: Recording) -> Twin:
     return Twin(device="gel", length_mm=16.0)
 
 
-def check_prior(name: str | None, recording: Recording) -> None:
+def check_prior(name: str | None, recording: Recording | Demonstrations) -> None:
     """Raises InputError, before any work, where a prior cannot be kept under this name."""
     if name is None:
         return

@@ -2,6 +2,7 @@
 
 from lerobot_pneutac.study.pair import same_device, with_unit_note
 from lerobot_pneutac.verbs.comparison import Comparison
+from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError, check_choice
 from pneutac_sim.progress import Progress, no_progress
@@ -12,7 +13,7 @@ FIDELITIES = ("pipeline", "mpm")
 
 def compare(
     twin: Twin,
-    recording: Recording,
+    recording: Recording | Demonstrations,
     *,
     fidelity: str = "pipeline",
     samples: int | None = None,
@@ -23,7 +24,8 @@ def compare(
 
     Args:
         twin: of the recording's device, or a finger with the gel of the recording.
-        recording: of a finger, an arm or a gel.
+        recording: of a finger, an arm or a gel; or demonstrations of a robot with the finger, which are
+            replayed in the twin's world.
         fidelity: `pipeline` (the twin's kinematics, every sample) or `mpm` (of a finger or an arm: the full
             body of material points, at samples spread over the recording).
         samples: by mpm: at most so many, 200 where left out.
@@ -35,6 +37,13 @@ def compare(
         InputError: the devices differ, or an effect cannot act in the full simulation.
     """
     check_fidelity(fidelity, samples)
+    if isinstance(recording, Demonstrations):
+        if fidelity != "pipeline":
+            raise InputError(f"fidelity={fidelity} does not replay demonstrations; omit it.")
+        same_device(twin, recording, "the twin", "compare")
+        from lerobot_pneutac.verbs.compare_demonstrations import compare_demonstrations
+
+        return compare_demonstrations(twin, recording, seed, progress)
     if not (recording.device == "gel" and twin.gel):
         same_device(twin, recording, "the twin", "compare")
     if recording.device == "gel":

@@ -7,6 +7,7 @@ from lerobot_pneutac.diagnosis.steps import Steps
 from lerobot_pneutac.study.by_device import study_of
 from lerobot_pneutac.study.pair import same_body
 from lerobot_pneutac.verbs.diagnosis import Diagnosis
+from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin
@@ -14,7 +15,7 @@ from pneutac_sim.twin import Twin
 
 def diagnose(
     twin: Twin,
-    recording: Recording,
+    recording: Recording | Demonstrations,
     *,
     jobs: int = 0,
     seed: int = 0,
@@ -24,7 +25,7 @@ def diagnose(
 
     Args:
         twin: of the recording's device, or a finger with the gel of the recording.
-        recording: of a finger, an arm or a gel.
+        recording: of a finger, an arm or a gel, or demonstrations of a robot with the finger.
         jobs: threads; 0 for all cores.
         seed: decides which part is held out, and every bootstrap.
         progress: called with a text, the fits done and all of them.

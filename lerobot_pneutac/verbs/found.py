@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin
@@ -27,7 +28,7 @@ class WrittenDiagnosis:
     found: Twin
 
 
-def read_found(folder: str | Path, recording: Recording) -> WrittenDiagnosis:
+def read_found(folder: str | Path, recording: Recording | Demonstrations) -> WrittenDiagnosis:
     """Reads what `pneutac diagnose --out=FOLDER` wrote.
 
     Args:

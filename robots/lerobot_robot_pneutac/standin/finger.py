@@ -56,10 +56,11 @@ _MATERIALS = (
 )
 
 
-def new_rod() -> OnlineRod:
-    """The rod with its air and memory, long without pressure."""
+def new_rod(creep_size: float = CREEP["size"], orifice_size: float = ORIFICE["size"]) -> OnlineRod:
+    """The rod with its air and memory, long without pressure; sizes as of `CREEP` and `ORIFICE`."""
     rod = Rod.of(LENGTH_MM, TIP_MM, **CHAMBER)
-    return OnlineRod(rod, MAX_PRESSURE_KPA, BEND_RAD, MOULDED_RAD, ORIFICE, CREEP, HYSTERESIS)
+    orifice, creep = ORIFICE | {"size": orifice_size}, CREEP | {"size": creep_size}
+    return OnlineRod(rod, MAX_PRESSURE_KPA, BEND_RAD, MOULDED_RAD, orifice, creep, HYSTERESIS)
 
 
 def gel_force_n(depth_mm: float) -> float:
@@ -142,8 +143,8 @@ class RodBody:
         rod: air and memory.
     """
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData):
-        self._model, self._data, self.rod = model, data, new_rod()
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, rod: OnlineRod | None = None):
+        self._model, self._data, self.rod = model, data, rod or new_rod()
         names = [f"bend_{n}" for n in range(PARTS)]
         self._springs = [model.joint(n).qposadr[0] for n in names]
         self._pad, self._force = model.joint("pad").qposadr[0], model.joint("pad").dofadr[0]

@@ -5,11 +5,12 @@ late. Augmentation and training see its recordings alone: `docs/concepts/standin
 """
 
 from collections import deque
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
-from lerobot_robot_pneutac.standin.finger import RodBody, mjcf
+from lerobot_robot_pneutac.standin.finger import CREEP, ORIFICE, RodBody, mjcf, new_rod
 from lerobot_robot_pneutac.standin.gel import GelTouch
 from pneutac_sim.features import (
     ACTION_HIGH,
@@ -45,6 +46,27 @@ _N = len(JOINT_NAMES)
 NOISE[:_N], NOISE[_N : 2 * _N], NOISE[2 * _N : 2 * _N + 3], NOISE[-1] = 2e-4, 2e-3, 1e-4, GAUGE_NOISE_KPA
 
 
+@dataclass(frozen=True)
+class Physics:
+    """What a lab's robot may do otherwise than when it was measured; the defaults are as on its bench.
+
+    Attributes:
+        late_commands: control steps by which commands act late.
+        creep: size of the power law, see `finger.CREEP`.
+        orifice: size of the valve, see `finger.ORIFICE`.
+        brightness: factors on red, green and blue of the gel's light.
+        object_mass: factor on the mass of moving objects.
+        friction: factor on the friction of the gel.
+    """
+
+    late_commands: int = LATE_COMMANDS
+    creep: float = CREEP["size"]
+    orifice: float = ORIFICE["size"]
+    brightness: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    object_mass: float = OBJECT_MASS
+    friction: float = 1.0
+
+
 class StandinWorld:
     """The stand-in and a task; deterministic under `reset(seed)`.
 
@@ -53,7 +75,8 @@ class StandinWorld:
     Attributes:
         task: the task; `task.description` is the instruction.
         clipped: number of commands that were clipped to limits since the reset.
-        command: action (4,) that was sent last, after clipping; it acts `LATE_COMMANDS` control steps later.
+        command: action (4,) that was sent last, after clipping; it acts some control steps
+            later, see `Physics`.
         target_m: where the flange is sent (3,), metres.
         out_of_range: always 0; networks have a range, this has none.
         touch: last touch: `image`, `pixels`, `area`, a control step late.
@@ -65,7 +88,11 @@ class StandinWorld:
     pressure_range_kpa = PAPER_RANGE_KPA  # that of its own finger
 
     def __init__(
-        self, task: str = "switch", touch: str = "image", contact_threshold: float = CONTACT_THRESHOLD
+        self,
+        task: str = "switch",
+        touch: str = "image",
+        contact_threshold: float = CONTACT_THRESHOLD,
+        physics: Physics | None = None,
     ):
         """The stand-in before a task.
 
@@ -74,19 +101,22 @@ class StandinWorld:
             touch: `image`, `area` (contact area without an image) or `none`.
             contact_threshold: mean difference of R, G, B to the rest image, 8-bit levels, above which a pixel
                 is in contact; the calibrated one of a lab's twin, as on its real robot.
+            physics: what is otherwise than on its bench.
 
         Raises:
             InputError: unknown task or touch mode.
         """
-        self.task = make_task(task)
+        self.task, self._physics = make_task(task), physics or Physics()
         self.model = mujoco.MjModel.from_xml_string(scene.build(self.task, mjcf()))
         self.data = mujoco.MjData(self.model)
         objects = np.unique(self.model.geom_bodyid[self.model.geom_group == scene.OBJECT_GROUP])
-        self.model.body_mass[objects] *= OBJECT_MASS
-        self.model.body_inertia[objects] *= OBJECT_MASS
+        self.model.body_mass[objects] *= self._physics.object_mass
+        self.model.body_inertia[objects] *= self._physics.object_mass
+        self.model.geom_friction[self.model.geom("pad").id, 0] *= self._physics.friction
         mujoco.mj_setConst(self.model, self.data)
-        self.touch = GelTouch(self.model, touch, contact_threshold)
-        self._finger = RodBody(self.model, self.data)
+        self.touch = GelTouch(self.model, touch, contact_threshold, self._physics.brightness)
+        rod = new_rod(self._physics.creep, self._physics.orifice)
+        self._finger = RodBody(self.model, self.data, rod)
         self._ik, self.view = CartesianIK(), View(self.model)
         self._arm = slice(0, len(JOINT_NAMES))
         self._pad = self.model.geom("pad").id
@@ -111,7 +141,7 @@ class StandinWorld:
         self.data.qpos[self._arm] = self._joints
         self._finger.rest()
         self.clipped, self.command = 0, np.zeros(4)
-        self._waiting = deque([np.zeros(4)] * LATE_COMMANDS)
+        self._waiting = deque([np.zeros(4)] * self._physics.late_commands)
         for _ in range(SETTLE_STEPS):
             self._advance(self._joints, 0.0)
         self.data.time = 0.0

@@ -198,8 +198,9 @@ class World(Senses):
 
     @property
     def _late_commands(self) -> int:
-        """Control steps by which commands act late."""
-        return self.station.late_commands
+        """Control steps by which commands act late: the station's and, as demonstrations told, the twin's."""
+        known = self.twin.parameters.get("command_latency_s")
+        return self.station.late_commands + (round(known.value * CONTROL_HZ) if known else 0)
 
     def _draw_conditions(self) -> dict[str, float]:
         return draw(self._conditions, self._rng)

@@ -93,6 +93,6 @@ def test_a_station_tells_which_tasks_its_arm_does_not_reach(tmp_path):
     file.write_text("format: pneutac-station/1\narm: so101\nbase_m: [0.0, 0.0, 0.2]\n")
     found = check_path(file)
     assert found.kind == "station" and not found.faults
-    assert len(found.notes) == 5 and "short of where the task 'switch' starts" in found.notes[0]
+    assert len(found.notes) == 6 and "short of where the task 'switch' starts" in found.notes[0]
     file.write_text("format: pneutac-station/1\narm: so102\n")
     assert "arm is 'so102'" in check_path(file).faults[0]

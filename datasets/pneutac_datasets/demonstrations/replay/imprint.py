@@ -1,0 +1,99 @@
+"""What images tell beside the contact area: how strong an imprint is, and how the light has drifted."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from pneutac_datasets.demonstrations.episodes import Episode
+
+REST_FRAMES, GAP = 12, 1  # frames before the first touch that show the gel at rest, but for the last ones
+DRIFT_LEVELS, SHAPE_LEVELS = 2.0, 2.0  # of a rest image: less is noise, rounding and slow wander of a camera
+FAINT_LEVELS = 10.0  # what noise and drift of the light change
+
+
+def rest_image(episode: Episode) -> np.ndarray:
+    """The gel at rest in an episode, uint8 (H, W, 3): the mean of the frames before its first touch."""
+    contact = episode.contact()
+    until = len(episode) if contact is None else max(contact[0] - GAP, 1)
+    frames = episode.images[max(until - REST_FRAMES, 0) : until]
+    return frames.mean(0).round().astype(np.uint8)
+
+
+def strengths(images: np.ndarray, rest: np.ndarray) -> np.ndarray:
+    """How strong the imprints are (T,), levels: the mean change beyond `FAINT_LEVELS` over each image.
+
+    Contact area counts pixels beside a threshold, where a drift of the light of one level moves many; this
+    weighs them by what they change.
+
+    Args:
+        images: uint8 (T, H, W, 3).
+        rest: uint8 (H, W, 3).
+    """
+    out = np.empty(len(images))
+    for t, image in enumerate(images):
+        change = cv2.blur(cv2.absdiff(image, rest), (3, 3)).sum(2, dtype=np.float32) / 3
+        out[t] = np.maximum(change - FAINT_LEVELS, 0).mean()
+    return out
+
+
+@dataclass(frozen=True)
+class LightDrift:
+    """How the light of a gel at rest differs from the twin's.
+
+    Attributes:
+        levels: (3,) mean difference of red, green and blue, 8-bit levels.
+        shape_levels: root mean square of what a factor on each colour does not explain.
+        gain: (3,) factor on each colour of the twin's rest image.
+        spread_levels: standard deviation of `levels` from episode to episode.
+    """
+
+    levels: tuple[float, float, float]
+    shape_levels: float
+    gain: tuple[float, float, float]
+    spread_levels: float
+
+    @property
+    def drifted(self) -> bool:
+        """Whether it is more than episodes differ and than a camera's noise."""
+        return max(map(abs, self.levels)) > max(DRIFT_LEVELS, 3 * self.spread_levels) or (
+            self.shape_levels > SHAPE_LEVELS
+        )
+
+    @property
+    def sentence(self) -> str:
+        """Whether it has changed, and what to do."""
+        r, g, b = (f"{100 * (x - 1):+.1f} %" for x in self.gain)
+        if not self.drifted:
+            return f"The gel's light is as when the twin was made (red {r}, green {g}, blue {b})."
+        return (
+            f"The gel's light has changed since the twin was made: red {r}, green {g}, blue {b}, and "
+            f"{self.shape_levels:.2g} levels in its shape; `pneutac calibrate` with these demonstrations "
+            "takes the new rest image."
+        )
+
+    def to_dict(self) -> dict:
+        """As numbers."""
+        return {
+            "levels": list(self.levels),
+            "shape_levels": self.shape_levels,
+            "gain": list(self.gain),
+            "spread_levels": self.spread_levels,
+            "drifted": self.drifted,
+        }
+
+
+def light_drift(episodes: list[Episode], rest: np.ndarray) -> LightDrift:
+    """How the gel at rest in episodes differs from a twin's rest image, uint8 (H, W, 3)."""
+    seen = np.stack([rest_image(e) for e in episodes]).astype(float)
+    ground = rest.astype(float)
+    each = (seen - ground).mean((1, 2))
+    mean = seen.mean(0)
+    gain = (mean * ground).sum((0, 1)) / np.maximum((ground**2).sum((0, 1)), 1e-9)
+    apart = cv2.blur(mean - gain * ground, (9, 9))
+    return LightDrift(
+        tuple(each.mean(0).tolist()),
+        float(np.sqrt((apart**2).mean())),
+        tuple(gain.tolist()),
+        float(each.std(0).max()) if len(each) > 1 else 0.0,
+    )

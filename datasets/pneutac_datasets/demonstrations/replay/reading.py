@@ -1,0 +1,163 @@
+"""Demonstrations as measurements: the episodes of a LeRobotDataset, checked before any work."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import PAPER_RANGE_KPA, PRESSURE, task_names
+
+if TYPE_CHECKING:
+    from pneutac_datasets.demonstrations.episodes import Episode
+
+ROBOT = "pneutac"
+LEAST_KPA = 0.5  # travel of a command of pressure that a gauge must show
+
+
+@dataclass
+class Demonstrations:
+    """Episodes of one task.
+
+    Attributes:
+        folder: of the dataset, or its name on the Hub.
+        task: in front of the robot, such as `switch`.
+        episodes: as recorded.
+        device: of what they are measurements.
+        warnings: what a reader should know.
+    """
+
+    folder: Path
+    task: str
+    episodes: list[Episode]
+    device: str = "finger"
+    warnings: list[str] = field(default_factory=list)
+
+    pressure_columns = ("pressure_cmd_kpa",)
+
+    def __len__(self) -> int:
+        return sum(map(len, self.episodes))
+
+    @cached_property
+    def samples(self) -> pd.DataFrame:
+        """Trial, time and pressures as a bench recording has them, a row a frame."""
+        parts = [
+            pd.DataFrame(
+                {
+                    "trial": i,
+                    "time_s": np.arange(len(e)) / e.fps,
+                    "pressure_cmd_kpa": e.action[:, 3],
+                    "pressure_kpa": e.state[:, PRESSURE],
+                }
+            )
+            for i, e in enumerate(self.episodes)
+        ]
+        return pd.concat(parts, ignore_index=True)
+
+    def column(self, name: str) -> np.ndarray:
+        """(n,) one column of `samples`."""
+        return self.samples[name].to_numpy()
+
+    def trials(self) -> dict[str, slice]:
+        """Rows of each episode."""
+        ends = np.cumsum([0, *map(len, self.episodes)])
+        return {str(i): slice(a, b) for i, (a, b) in enumerate(zip(ends[:-1], ends[1:], strict=True))}
+
+
+def is_dataset(name: str | Path) -> bool:
+    """Whether this is a folder of demonstrations, or what may be one's name on the Hub (`user/name`)."""
+    from pneutac_datasets.demonstrations.faults import is_demonstrations
+
+    path = Path(name)
+    on_hub = len(path.parts) == 2 and not path.is_absolute() and not path.parent.exists()
+    return is_demonstrations(path) or on_hub
+
+
+def load_demonstrations(
+    name: str | Path, task: str = "", pressure_range_kpa: tuple[float, float] = PAPER_RANGE_KPA
+) -> Demonstrations:
+    """Reads a dataset of episodes.
+
+    Args:
+        name: its folder, or its name on the Hub.
+        task: in front of the robot; left out, the one whose description is the dataset's instruction.
+        pressure_range_kpa: of the twin.
+
+    Raises:
+        InputError: it is no dataset of this robot, or its episodes cannot serve as measurements.
+    """
+    from huggingface_hub.errors import HfHubHTTPError
+    from lerobot.datasets import LeRobotDataset
+
+    from pneutac_datasets.demonstrations.episodes import load_episode
+    from pneutac_datasets.demonstrations.faults import is_demonstrations
+
+    folder = Path(name)
+    if not is_demonstrations(folder):
+        try:
+            folder = Path(LeRobotDataset(str(name), video_backend="pyav").root)
+        except (OSError, ValueError, HfHubHTTPError) as e:
+            raise InputError(
+                f"There is no folder '{name}', and no dataset of that name on the Hub ({e})."
+            ) from e
+    _refuse(folder, pressure_range_kpa)
+    dataset = LeRobotDataset(f"local/{folder.name}", folder, video_backend="pyav", return_uint8=True)
+    episodes = [load_episode(dataset, i) for i in range(dataset.meta.total_episodes)]
+    return checked(Demonstrations(Path(name), task or _task_of(episodes[0].task, folder), episodes))
+
+
+def checked(given: Demonstrations) -> Demonstrations:
+    """The same, where each episode has touch and a pressure that was measured.
+
+    Raises:
+        InputError: one has not, or there is no such task.
+    """
+    from pneutac_sim.world.tasks import make_task
+
+    make_task(given.task)
+    untouched = [i for i, e in enumerate(given.episodes) if e.contact() is None]
+    if untouched:
+        raise InputError(
+            f"{given.folder}: episode {untouched[0]} never touches anything (contact_area.pos is 0 "
+            "throughout), so it tells nothing of the finger; leave it out with lerobot-edit-dataset."
+        )
+    for i, e in enumerate(given.episodes):
+        if np.ptp(e.action[:, 3]) > LEAST_KPA and np.ptp(e.state[:, PRESSURE]) < 1e-6:
+            raise InputError(
+                f"{given.folder}: in episode {i} pressure.pos stays at {e.state[0, PRESSURE]:g} kPa while "
+                "the command moves; log the gauge of the chamber, or leave the episode out."
+            )
+    return given
+
+
+def _refuse(folder: Path, pressure_range_kpa: tuple[float, float]) -> None:
+    from pneutac_datasets.demonstrations.faults import demonstration_faults
+
+    info = json.loads((folder / "meta" / "info.json").read_text(encoding="utf-8"))
+    robot = info.get("robot_type")
+    if robot != ROBOT:
+        raise InputError(
+            f"{folder / 'meta' / 'info.json'}: robot_type is '{robot}'; give demonstrations of a "
+            f"'{ROBOT}' robot."
+        )
+    faults = demonstration_faults(folder, pressure_range_kpa)
+    if faults:
+        raise InputError(faults[0])
+
+
+def _task_of(instruction: str, folder: Path) -> str:
+    from pneutac_sim.world.tasks import make_task
+
+    for name in task_names():
+        if make_task(name).description == instruction:
+            return name
+    raise InputError(
+        f"{folder}: the instruction '{instruction}' is no task's own; say with task= which of "
+        f"{', '.join(task_names())} stood in front of the robot."
+    )

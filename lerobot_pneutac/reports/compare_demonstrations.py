@@ -1,0 +1,83 @@
+"""The page of a twin against demonstrations: recorded touch beside the twin's, curves, a film, errors."""
+
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from lerobot_pneutac.reports.page import Report
+from pneutac_sim.features import AREA, CONTROL_HZ, PRESSURE
+
+if TYPE_CHECKING:
+    from lerobot_pneutac.verbs.compare_demonstrations import DemonstrationComparison
+
+WIDTH = 180  # of a picture of the gel, px
+GAIN = 3  # by which a change is shown larger
+SHOWN = 3  # episodes with curves
+EVERY = 2  # frames of an episode that are shown in the film
+
+
+def demonstrations_page(c: "DemonstrationComparison") -> Report:
+    """The report of a comparison."""
+    page = Report(c.title)
+    page.lead(c.sentence)
+    for remark in c.remarks():
+        page.text(remark.replace("[yellow]", "").replace("[/]", ""))
+    worst = c.worst[0]["trial"]
+    e = c.demonstrations.episodes[worst]
+    frames = film_frames(c, worst)
+    told = f"Episode {worst}: the gel as recorded, as replayed, and their difference, {GAIN} times as large."
+    page.image(frames[int(np.argmax(e.state[:, AREA]))], told, 3 * WIDTH)
+    page.film(
+        frames[::EVERY], EVERY / CONTROL_HZ, f"The same as a film, {len(e) / CONTROL_HZ:.0f} s.", 3 * WIDTH
+    )
+    page.heading("Pressure, contact area and path")
+    for row in c.worst[:SHOWN]:
+        page.figure(
+            _curves(c, row["trial"]), f"Episode {row['trial']}: recorded, and replayed by the twin.", 520
+        )
+    page.heading("Errors")
+    for axis, rows in c.by.items():
+        page.table([{axis: r.pop("bin"), **r} for r in map(dict, rows)])
+    page.text(
+        f"Error in {c.unit}: root mean square over frames; a gauge's and a touch's are told by the bend that "
+        "would make them. Area is the share of the image that is in contact."
+    )
+    return page
+
+
+def film_frames(c: "DemonstrationComparison", number: int) -> list[np.ndarray]:
+    """Of an episode: the gel as recorded and as replayed side by side, uint8 (H, W, 3) each."""
+    recorded, replayed = c.demonstrations.episodes[number].images, c.replayed[number].images
+    assert replayed is not None
+    height = round(WIDTH * recorded.shape[1] / recorded.shape[2])
+    out = []
+    for a, b in zip(recorded, replayed, strict=True):
+        apart = np.clip(128 + GAIN * (a.astype(int) - b), 0, 255).astype(np.uint8)
+        out.append(
+            np.hstack([cv2.resize(x, (WIDTH, height), interpolation=cv2.INTER_AREA) for x in (a, b, apart)])
+        )
+    return out
+
+
+def _curves(c: "DemonstrationComparison", number: int):
+    from plotly.subplots import make_subplots
+
+    e, r = c.demonstrations.episodes[number], c.replayed[number]
+    t = np.arange(len(e)) / CONTROL_HZ
+    figure = make_subplots(rows=3, cols=1, shared_xaxes=True, vertical_spacing=0.05)
+    ends = c.study.fitter.ends
+    off = np.linalg.norm(c.residual[ends[number] : ends[number + 1], :3], axis=1)
+    lines = (
+        (1, "commanded", t, e.action[:, 3], "#c9a227"),
+        (1, "recorded", t, e.state[:, PRESSURE], "#333333"),
+        (1, "replayed", t, r.pressure_kpa, "#0b6e99"),
+        (2, "recorded", t, 100 * e.state[:, AREA], "#333333"),
+        (2, "replayed", t, 100 * r.area, "#0b6e99"),
+        (3, "arm off its commands", t, off, "#b5473c"),
+    )
+    for row, name, x, y, colour in lines:
+        figure.add_scatter(x=x, y=y, name=name, line_color=colour, showlegend=row != 2, row=row, col=1)
+    for row, title in ((1, "pressure (kPa)"), (2, "contact area (%)"), (3, "arm (mm)")):
+        figure.update_yaxes(title=title, row=row, col=1)
+    return figure.update_xaxes(title="s", row=3, col=1)

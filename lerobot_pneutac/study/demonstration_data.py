@@ -1,0 +1,100 @@
+"""Demonstrations as a study needs them: what was measured, and what the twin's world answers to more bend.
+
+Touch tells the bend only through the world: where the flange was, where the object stands, how far the
+finger gives way. So each episode is replayed once for each of some bends beside the pressure's, and what
+any model of the finger makes of the touch is read between them, without a further simulation.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from pneutac_datasets.demonstrations.replay.imprint import rest_image, strengths
+from pneutac_datasets.demonstrations.replay.placing import find_place
+from pneutac_datasets.demonstrations.replay.reading import Demonstrations
+from pneutac_datasets.demonstrations.replay.replaying import Place, ReplayWorld, late
+from pneutac_sim.features import CONTROL_HZ, EE, PRESSURE
+from pneutac_sim.finger.inputs import Inputs
+from pneutac_sim.progress import Progress, no_progress
+from pneutac_sim.twin import Twin
+from pneutac_sim.world.conditions import GRAVITY
+
+MORE_RAD = (-0.10, -0.04, 0.0, 0.04, 0.10, 0.18)  # bends beside the pressure's that are replayed
+CHATTER = 3  # frames
+BEFORE, AFTER = 6, 8  # frames about the touches in which touch is compared
+
+
+@dataclass
+class EpisodeData:
+    """One episode.
+
+    Attributes:
+        place: of its objects, by inference.
+        command_kpa: (T,) commanded.
+        pressure_kpa: (T,) measured.
+        flange_m: (T, 3) measured.
+        commanded_m: (T, 3) where the flange goes in the twin's world when commands act at once.
+        imprint: (T,) strength measured, levels.
+        area: (T,) contact area measured.
+        press_mm: (T, len(MORE_RAD)) imprint depth in the twin's world.
+        contact: (T,) frames in which touch is compared.
+    """
+
+    place: Place
+    command_kpa: np.ndarray
+    pressure_kpa: np.ndarray
+    flange_m: np.ndarray
+    commanded_m: np.ndarray
+    imprint: np.ndarray
+    area: np.ndarray
+    press_mm: np.ndarray
+    contact: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.command_kpa)
+
+
+def episode_data(twin: Twin, given: Demonstrations, progress: Progress = no_progress) -> list[EpisodeData]:
+    """Replays every episode of the demonstrations in the twin's world.
+
+    Raises:
+        InputError: an episode's objects cannot be placed.
+    """
+    world, out = ReplayWorld(given.task, twin), []
+    for i, e in enumerate(given.episodes):
+        progress("replaying demonstrations", i, len(given.episodes))
+        place = find_place(world, e)
+        first, last = e.contact() or (0, 0)
+        frames = np.arange(len(e))
+        out.append(
+            EpisodeData(
+                place,
+                e.action[:, 3],
+                e.state[:, PRESSURE],
+                e.state[:, EE],
+                world.commanded(e),
+                strengths(e.images, rest_image(e)),
+                e.state[:, -3],
+                _steady(np.stack([world.replay(e, place, m).press_mm for m in MORE_RAD], 1)),
+                (frames >= first - BEFORE) & (frames <= last + AFTER),
+            )
+        )
+    progress("replaying demonstrations", len(given.episodes), len(given.episodes))
+    return out
+
+
+def _steady(press_mm: np.ndarray) -> np.ndarray:
+    """Depths (T, k) without the chatter of a rigid contact, whose period is `CHATTER` frames."""
+    return uniform_filter1d(press_mm, CHATTER, axis=0, mode="nearest")
+
+
+def inputs_of(episodes: list[EpisodeData], latency_s: float, twin: Twin) -> Inputs:
+    """What drives the pipeline, one row a frame: each frame follows the command before it."""
+    rows = [np.append(0.0, late(e.command_kpa, latency_s)[:-1]) for e in episodes]
+    pressure = np.concatenate(rows)[:, None]
+    dt = np.concatenate([np.append(np.inf, np.full(len(r) - 1, 1 / CONTROL_HZ)) for r in rows])
+    n = len(pressure)
+    columns = {name: np.full(n, value) for name, value in GRAVITY.items()}
+    columns |= {"session_time_s": np.zeros(n), "length_mm": np.full(n, twin.length_mm)}
+    return Inputs(pressure, dt, np.arange(n), columns, False, float(np.abs(pressure).max()))

@@ -1,0 +1,345 @@
+"""A model of the finger against demonstrations: flange, pressure and touch predicted together.
+
+All errors are in mm at the finger's tip: the flange's own; a pressure's by the bend that it makes in the
+twin; a touch's by the bend that would make it. What belongs to an episode and not to the finger is fitted
+beside it, from that episode alone: by how much its object stands elsewhere, as a bend, and how strong its
+imprints show where it pressed. Touch is shown `touch_late` frames late, and grows as a power of the depth,
+alike in all.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from lerobot_pneutac.study.demonstration_data import MORE_RAD, EpisodeData, inputs_of
+from pneutac_sim.effects.effect import Parameter
+from pneutac_sim.features import CONTROL_HZ
+from pneutac_sim.finger import Pipeline
+from pneutac_sim.finger.confidence import Z95
+from pneutac_sim.twin import Twin, Value
+
+LATE = "late_commands"  # arm and air alike
+LATENCY = Parameter("latency_s", "s", default=0.1, lower=0.0, upper=0.8)
+GROWTH = Parameter("growth", "", default=2.0, lower=0.5, upper=5.0)
+TOUCH_LATE = Parameter("touch_late", "frames", default=1.0, lower=0.0, upper=6.0)
+APART_RAD = np.linspace(-0.10, 0.18, 29)  # by which an object may stand elsewhere
+# Of a residual's columns: the flange's x, y, z, and pressure; touch.
+ARM, AIR, TOUCH = slice(0, 3), slice(0, 4), slice(4, 5)
+START = {"growth": GROWTH.default, "touch_late": TOUCH_LATE.default}
+STEP = 1e-3
+BEGIN = 4  # frames
+
+
+@dataclass(frozen=True)
+class Form:
+    """What is free.
+
+    Attributes:
+        effects: fitted: new ones, and those of the twin whose parameters are fitted anew.
+    """
+
+    effects: tuple[str, ...] = ()
+
+    def plus(self, effect: str) -> "Form":
+        """With one effect more."""
+        return Form((*self.effects, effect))
+
+
+@dataclass
+class Trial:
+    """A form to be fitted from some values; see `Fitter.values`."""
+
+    form: Form
+    values: dict[str, float]
+
+
+@dataclass
+class DemonstrationModel:
+    """A fitted model.
+
+    Attributes:
+        form: what was free.
+        values: name to value.
+        residual: (n, k) of the rows and columns that were fitted, mm.
+        jacobian: (n, k, P) of it by what was free, in units of its range.
+        at_bound: names that stopped at a bound.
+        unit: of what the Jacobian is by: name to its lower and upper bound, of the logarithm of those that
+            are `logarithmic`.
+        logarithmic: names.
+    """
+
+    form: Form
+    values: dict[str, float]
+    residual: np.ndarray
+    jacobian: np.ndarray
+    at_bound: list[str]
+    unit: dict[str, tuple[float, float]]
+    logarithmic: frozenset[str] = frozenset()
+
+    @property
+    def cost(self) -> int:
+        """Parameters, by which simpler models are told."""
+        return self.jacobian.shape[2] + len(self.form.effects)
+
+    def crossed(self, fold: np.ndarray) -> np.ndarray:
+        """(n,) squared errors, each by a fit without its own fold, one Gauss-Newton step away."""
+        if not self.jacobian.shape[2]:
+            return (self.residual**2).sum(1)
+        out, steps = np.zeros(len(fold)), self._steps(fold)
+        for k, step in zip(np.unique(fold), steps, strict=True):
+            mine = fold == k
+            out[mine] = ((self.residual[mine] + self.jacobian[mine] @ step) ** 2).sum(1)
+        return out
+
+    def _steps(self, fold: np.ndarray) -> np.ndarray:
+        """(folds, P) Gauss-Newton steps from the whole fit to those without each fold."""
+        J, r, out = self.jacobian, self.residual, []
+        for k in np.unique(fold):
+            rest = J[fold != k].reshape(-1, J.shape[2])
+            H = rest.T @ rest
+            ridge = 1e-6 * np.trace(H) / max(len(H), 1) + 1e-12
+            step = -np.linalg.solve(H + ridge * np.eye(len(H)), rest.T @ r[fold != k].ravel())
+            out.append(np.clip(step, -0.3, 0.3))
+        return np.array(out)
+
+    def intervals(self, fold: np.ndarray) -> dict[str, tuple[float, float]]:
+        """95 % intervals of what was free, from fits without each fold (jackknife)."""
+        if not self.unit:
+            return {}
+        steps = self._steps(fold)
+        n = len(steps)
+        sd = np.sqrt((n - 1) / n * ((steps - steps.mean(0)) ** 2).sum(0))
+        out = {}
+        for (name, (low, high)), s in zip(self.unit.items(), sd, strict=True):
+            value, wide = self.values[name], Z95 * float(s) * (high - low)
+            log = name in self.logarithmic
+            out[name] = (value * np.exp(-wide), value * np.exp(wide)) if log else (value - wide, value + wide)
+        return out
+
+
+class Fitter:
+    """Fits models of one twin to episodes.
+
+    Args:
+        twin: as it is; what a form does not free stays as it has it.
+        episodes: all of them.
+        rows: (N,) mask of the frames that are fitted, over all episodes in a row.
+    """
+
+    def __init__(self, twin: Twin, episodes: list[EpisodeData], rows: np.ndarray):
+        self.twin, self.episodes, self.rows = twin, episodes, rows
+        self.known_s = latency_s(twin)
+        self.ends = np.cumsum([0, *map(len, episodes)])
+        self.slopes = [imprint_per_rad(e) for e in episodes]
+        self._bent = self._run(twin, (), {}).markers[:, 3]
+        tip = self._run(twin, (), {}).markers[:, [0, 2]]
+        reach = np.ptp(self._bent) or 1.0
+        self.mm_per_rad = float(np.linalg.norm(np.ptp(tip, axis=0)) / reach)
+        pressure = np.concatenate([e.pressure_kpa for e in episodes])
+        self.mm_per_kpa = self.mm_per_rad * reach / max(float(np.ptp(pressure)), 1.0)
+
+    # ---------------------------------------------------------------- parameters
+
+    def free(self, form: Form, columns: slice = TOUCH) -> list[tuple[str, Parameter]]:
+        """Names and specifications of what a form fits to these columns."""
+        out = [("growth", GROWTH), ("touch_late", TOUCH_LATE)] if columns == TOUCH else []
+        pipeline = self._pipeline(form.effects)
+        for effect in form.effects:
+            if effect == LATE:
+                out.append((f"{LATE}.latency_s", LATENCY))
+            for name, spec in zip(pipeline.names, pipeline.specs, strict=True):
+                if name.rpartition(".")[0] == effect and not spec.fixed:
+                    out.append((name, spec))
+        return out
+
+    def start(self, effect: str) -> dict[str, float]:
+        """Where an effect's parameters begin: as the twin has them, or at their defaults."""
+        own = self.twin.effects.get(effect, {})
+        range_kpa = self._range
+        return {
+            name: own[name.rpartition(".")[2]].value
+            if name.rpartition(".")[2] in own
+            else (self.known_s or LATENCY.default)
+            if effect == LATE
+            else spec.limits(range_kpa)[0]
+            for name, spec in self.free(Form((effect,)), AIR)
+            if name.startswith(f"{effect}.")
+        }
+
+    @property
+    def _range(self) -> float:
+        return float(max(np.abs(e.command_kpa).max() for e in self.episodes))
+
+    def _pipeline(self, effects: Sequence[str]) -> Pipeline:
+        more = [e for e in effects if e != LATE and e not in self.twin.effects]
+        columns = set(inputs_of(self.episodes[:1], 0.0, self.twin).columns)
+        names = [*self.twin.effects, *more]
+        whole = Pipeline.of(self.twin, None, names)
+        return Pipeline(whole.geometry, names, False, columns)
+
+    def _run(self, twin: Twin, effects: Sequence[str], values: Mapping[str, float]):
+        pipeline = self._pipeline(effects)
+        theta = pipeline.theta(twin, self._range)
+        for i, name in enumerate(pipeline.names):
+            theta[i] = values.get(name, theta[i])
+        latency = values.get(f"{LATE}.latency_s", self.known_s)
+        return pipeline.run(inputs_of(self.episodes, latency, twin), theta)
+
+    # ---------------------------------------------------------------- prediction
+
+    def predict(
+        self, form: Form, values: Mapping[str, float], columns: slice = slice(None)
+    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """Residual (N, 5) of all frames, measured - predicted in mm, and the curves behind it, (N,) each.
+
+        Columns that are not asked for may be left 0.
+        """
+        run = self._run(self.twin, form.effects, values)
+        latency = values.get(f"{LATE}.latency_s", self.known_s) * CONTROL_HZ
+        more, residual = run.markers[:, 3] - self._bent, np.zeros((self.ends[-1], 5))
+        imprint = np.zeros(self.ends[-1])
+        for e, slope, a, b in zip(self.episodes, self.slopes, self.ends, self.ends[1:], strict=False):
+            frames = np.arange(len(e))
+            path = np.stack([np.interp(frames - latency, frames, c) for c in e.commanded_m.T], 1)
+            residual[a:b, :3] = 1e3 * (moved(e.flange_m) - moved(path))
+            residual[a:b, 3] = self.mm_per_kpa * (e.pressure_kpa - run.pressure_kpa[a:b, 0])
+            if columns in (AIR, ARM):
+                continue
+            imprint[a:b] = _touch(e, more[a:b], values["growth"], values["touch_late"])
+            residual[a:b, 4] = np.where(e.contact, (e.imprint - imprint[a:b]) / slope, 0.0) * self.mm_per_rad
+        return residual, {"pressure_kpa": run.pressure_kpa[:, 0], "imprint": imprint}
+
+    def fit(self, trial: Trial, columns: slice, steps: int = 12) -> DemonstrationModel:
+        """A model, by bounded least squares with differences, on the columns `AIR` or `TOUCH`."""
+        names, specs = zip(*self.free(trial.form, columns), strict=True)
+        known = ("", *trial.form.effects)
+        given = {n: v for n, v in trial.values.items() if n.rpartition(".")[0] in known}
+        low, high = np.array([_bounds(s, self._range) for s in specs]).T
+
+        def free(v: np.ndarray) -> dict[str, float]:
+            found = zip(names, specs, low + v * (high - low), strict=True)
+            return given | {n: _value(s, x) for n, s, x in found}
+
+        start = [_inside(s, given[n], self._range) for n, s in zip(names, specs, strict=True)]
+
+        def residual(v: np.ndarray) -> np.ndarray:
+            return self.predict(trial.form, free(v), columns)[0][self.rows, columns].ravel()
+
+        found = least_squares(
+            residual,
+            np.clip(start, 1e-4, 1 - 1e-4),
+            bounds=(0, 1),
+            diff_step=STEP,
+            x_scale=0.1,
+            max_nfev=steps,
+            loss="linear",
+        )
+        r = found.fun.reshape(int(self.rows.sum()), -1)
+        edge = [n for n, v in zip(names, found.x, strict=True) if v < STEP or v > 1 - STEP]
+        J = found.jac.reshape(*r.shape, -1)
+        moving = (found.x > STEP) & (found.x < 1 - STEP)
+        kept = free(found.x)
+        log = frozenset(n for n, s in zip(names, specs, strict=True) if s.log)
+        unit = {n: (a, b) for n, a, b, m in zip(names, low, high, moving, strict=True) if m}
+        return DemonstrationModel(trial.form, kept, r, J[:, :, moving], edge, unit, log)
+
+    def base(self, columns: slice) -> DemonstrationModel:
+        """The twin as it is."""
+        if columns == AIR:
+            r = self.predict(Form(), START, AIR)[0][self.rows, AIR]
+            return DemonstrationModel(Form(), dict(START), r, np.zeros((*r.shape, 0)), [], {})
+        return self.fit(Trial(Form(), dict(START)), TOUCH, 20)
+
+    def lateness(self, kept: list[np.ndarray]) -> float:
+        """By how many frames touch is shown late in some frames of the episodes, (T,) masks each."""
+        whole = self.base(TOUCH).values
+        episodes = [replace(e, contact=m) for e, m in zip(self.episodes, kept, strict=True)]
+        part = Fitter(self.twin, episodes, np.concatenate(kept))
+        tried = np.arange(TOUCH_LATE.lower, TOUCH_LATE.upper, 0.25)
+        errors = []
+        for late in tried:
+            r = part.predict(Form(), whole | {"touch_late": float(late)}, TOUCH)[0][part.rows, TOUCH]
+            errors.append(float((r**2).sum()))
+        return float(tried[int(np.argmin(errors))])
+
+    def twin_with(self, model: DemonstrationModel, ci95: Mapping[str, tuple[float, float]]) -> Twin:
+        """The twin with a model's effects and their intervals."""
+        twin, fitted = self.twin.copy(), {}
+        pipeline = self._pipeline(model.form.effects)
+        theta = pipeline.theta(twin, self._range)
+        for name, value in zip(pipeline.names, theta, strict=True):
+            effect, _, parameter = name.rpartition(".")
+            if effect in model.form.effects:
+                found = model.values[name] if name in model.values else float(value)
+                fitted.setdefault(effect, {})[parameter] = Value(found, ci95.get(name))
+        twin.effects = twin.effects | fitted
+        if LATE in model.form.effects:
+            known = model.values[f"{LATE}.latency_s"]
+            twin.parameters = twin.parameters | {
+                "command_latency_s": Value(known, ci95.get(f"{LATE}.latency_s"))
+            }
+        return replace(twin)
+
+
+def latency_s(twin: Twin) -> float:
+    """By which the twin's commands act late."""
+    known = twin.parameters.get("command_latency_s")
+    return known.value if known else 0.0
+
+
+def moved(path: np.ndarray) -> np.ndarray:
+    """A path (T, 3) from where it begins, the mean of its first frames."""
+    return path - path[:BEGIN].mean(0)
+
+
+def _touch(e: EpisodeData, more_rad: np.ndarray, growth: float, late: float) -> np.ndarray:
+    """Imprint strength (T,) predicted, with the episode's own gain and bend apart."""
+    grid = np.array(MORE_RAD)
+    x = np.clip(more_rad[:, None] + APART_RAD, grid[0], grid[-1])
+    k = np.clip(np.searchsorted(grid, x) - 1, 0, len(grid) - 2)
+    share = (x - grid[k]) / (grid[k + 1] - grid[k])
+    rows = np.arange(len(e))[:, None]
+    depth = np.maximum(e.press_mm[rows, k] * (1 - share) + e.press_mm[rows, k + 1] * share, 0.0)
+    shown = depth**growth
+    whole, part = divmod(late, 1.0)
+    back = [np.clip(np.arange(len(e)) - int(whole) - d, 0, None) for d in (0, 1)]
+    shown = (1 - part) * shown[back[0]] + part * shown[back[1]]
+    B, y = shown[e.contact], e.imprint[e.contact]
+    gain = np.maximum(y @ B / np.maximum((B**2).sum(0), 1e-12), 0.0)
+    j = int(np.clip(np.argmin(((y[:, None] - gain * B) ** 2).sum(0)), 1, len(APART_RAD) - 2))
+    # About the best of the grid both are fitted as a line, so that the error moves smoothly with the model.
+    ground = np.stack([shown[:, j], (shown[:, j + 1] - shown[:, j - 1]) / 2], 1)
+    A = ground[e.contact]
+    weights = np.linalg.lstsq(A, y, rcond=None)[0]
+    if weights[0] <= 0 or abs(weights[1]) > weights[0]:
+        weights = np.array([gain[j], 0.0])
+    return ground @ weights
+
+
+def imprint_per_rad(e: EpisodeData) -> float:
+    """By how many levels an episode's imprint grows with the bend, where it is strong."""
+    middle = MORE_RAD.index(0.0)
+    depth = e.press_mm[:, middle]
+    slope = (e.press_mm[:, middle + 1] - e.press_mm[:, middle - 1]) / (
+        MORE_RAD[middle + 1] - MORE_RAD[middle - 1]
+    )
+    strong = e.contact & (e.imprint > 0.5 * e.imprint.max()) & (depth > 0.1)
+    if not strong.any():
+        return max(float(e.imprint.max()), 0.1)
+    return max(float(np.median(GROWTH.default * e.imprint[strong] * slope[strong] / depth[strong])), 0.05)
+
+
+def _bounds(spec: Parameter, range_kpa: float) -> tuple[float, float]:
+    _, low, high = spec.limits(range_kpa)
+    return (np.log(low), np.log(high)) if spec.log else (low, high)
+
+
+def _value(spec: Parameter, x: float) -> float:
+    return float(np.exp(x)) if spec.log else float(x)
+
+
+def _inside(spec: Parameter, value: float, range_kpa: float) -> float:
+    low, high = _bounds(spec, range_kpa)
+    return ((np.log(max(value, 1e-12)) if spec.log else value) - low) / (high - low)

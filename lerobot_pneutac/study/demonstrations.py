@@ -1,0 +1,417 @@
+"""Demonstrations under judgement: which physics a twin lacks to explain what arm, gauge and touch did.
+
+A sample is a frame; whole episodes are learnt from or held out. Errors are those of `demonstration_model`.
+"""
+
+import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from lerobot_pneutac.diagnosis.black_box import share_left
+from lerobot_pneutac.diagnosis.bootstrap import Resampler
+from lerobot_pneutac.diagnosis.model import FittedModel
+from lerobot_pneutac.diagnosis.parts import Parts
+from lerobot_pneutac.diagnosis.result import Outcome, Rival, Tested
+from lerobot_pneutac.diagnosis.search import Found, Search
+from lerobot_pneutac.diagnosis.steps import Steps
+from lerobot_pneutac.diagnosis.verdict import Evidence, decide
+from lerobot_pneutac.diagnosis.votes import chosen_in
+from lerobot_pneutac.study.base import EffectStudy
+from lerobot_pneutac.study.demonstration_data import episode_data
+from lerobot_pneutac.study.demonstration_model import (
+    AIR,
+    LATE,
+    TOUCH,
+    DemonstrationModel,
+    Fitter,
+    Form,
+    Trial,
+    latency_s,
+)
+from lerobot_pneutac.study.demonstration_space import DemonstrationSpace
+from pneutac_datasets.demonstrations.replay.reading import Demonstrations
+from pneutac_datasets.recording.noise import NoiseFloor
+from pneutac_sim.effects.laws import family, is_law, law
+from pneutac_sim.effects.registry import body_effects, get_effect, of_body
+from pneutac_sim.features import CONTROL_HZ
+from pneutac_sim.finger.quantities import rms
+from pneutac_sim.progress import Progress, no_progress
+from pneutac_sim.twin import Twin
+
+UNIT = "mm at the tip"
+OF_AIR = ("dead_time", "valve_lag", "valve_slew", "leak")
+OF_BODY = ("creep", "power_law_memory(p)", "hysteresis", "stiffening", "friction")
+HELD_OUT, LEAST = 0.3, 5  # share of the episodes that is held out, and how many there must be in all
+# Least fall of the mean square error that counts: of what the twin left of the demonstrations that it was
+# last fitted to, by which others of the same finger may differ; where it was to none, of what is left.
+WORTH, WORTH_OF_LEFT = 0.3, 0.1
+MAD = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
+LAGS_S = (0.1, 0.3, 1.0, 3.0)  # of the command, for the black box
+MORE = "Record ten demonstrations or more that press and hold, at two pressures."
+
+
+class DemonstrationStudy(EffectStudy):
+    """Episodes of one task.
+
+    Args:
+        twin: of the finger.
+        recording: the episodes.
+        seed: decides which are held out, and every bootstrap.
+        adding: the effects that are to be tried; empty where all are.
+        progress: is told how many episodes are replayed.
+
+    Attributes:
+        fitter: fits models to the episodes that are learnt from, as replayed in the twin's world.
+        owner: (N,) which episode each frame is of.
+        remainder: error that the twin left of the demonstrations that it was last fitted to; None where it
+            was to none.
+    """
+
+    unit = UNIT
+    unknown_where = "moves your {device}"
+    more_data = repeat = MORE
+    nothing_left = "Nothing needs to be recorded."
+    recording: Demonstrations  # pyright: ignore[reportIncompatibleVariableOverride]
+
+    def __init__(
+        self,
+        twin: Twin,
+        recording: Demonstrations,
+        seed: int = 0,
+        adding: Sequence[str] = (),
+        progress: Progress = no_progress,
+    ):
+        self.twin, self.recording, self.seed = twin, recording, seed
+        self.own = tuple(of_body(twin.effects))
+        tried = dict.fromkeys((LATE, *OF_AIR, *OF_BODY, *(e for e in self.own if _bends(e))))
+        self.candidates = [e for e in tried if not adding or e in adding]
+        episodes = episode_data(twin, recording, progress)
+        self.owner = np.repeat(np.arange(len(episodes)), list(map(len, episodes)))
+        order = np.random.default_rng([seed, 5]).permutation(len(episodes))
+        away = order[: min(max(1, round(HELD_OUT * len(order))), len(order) - 1)]
+        test = np.isin(self.owner, away)
+        self.parts = Parts(~test, ~test, test, self.owner, np.zeros(len(episodes), int))
+        self.fitter = Fitter(twin, episodes, self.parts.train)
+        self._bare_air, self._bare_touch = self.fitter.base(AIR), self.fitter.base(TOUCH)
+        self._last = ([{}] + [h for h in twin.history if h.get("unit") == UNIT])[-1]
+        self.remainder = self._last.get("heldout")
+        self.noise = self._noise()
+        self.findings = [*recording.warnings]
+
+    def world_of(self, twin: Twin, progress: Progress = no_progress) -> Fitter:
+        """Fits models to the episodes that are learnt from, as replayed in the world of a twin."""
+        if twin is self.twin:
+            return self.fitter
+        return Fitter(twin, episode_data(twin, self.recording, progress), self.parts.train)
+
+    def _noise(self) -> NoiseFloor:
+        """What differs from frame to frame; or what the twin left before, where that is known and more."""
+        f = self.fitter
+        columns: dict[str, list[np.ndarray]] = {"flange": [], "pressure.pos": [], "imprint": []}
+        for e, slope in zip(f.episodes, f.slopes, strict=True):
+            jumps = np.diff(e.flange_m, 3, axis=0)  # third differences, of which motion has little
+            columns["flange"].append(1e3 * np.sqrt(3) * jumps.ravel())
+            columns["pressure.pos"].append(f.mm_per_kpa * np.diff(e.pressure_kpa, 3))
+            strong = e.imprint > 0.5 * e.imprint.max()
+            columns["imprint"].append(f.mm_per_rad * np.diff(e.imprint[strong], 3) / slope)
+        sizes = {
+            k: float(MAD * np.median(np.abs(np.concatenate(v))) / np.sqrt(20)) for k, v in columns.items()
+        }
+        value = float(np.sqrt(sum(s**2 for s in sizes.values())))
+        if self.remainder is not None and self.remainder > value:
+            how = "What the twin left of the demonstrations that it was last fitted to."
+            return NoiseFloor(self.remainder, None, UNIT, how, sizes, True)
+        return NoiseFloor(value, None, UNIT, "What differs from frame to frame.", sizes, False)
+
+    # ---------------------------------------------------------------- models
+
+    def fitted(self, air: DemonstrationModel, touch: DemonstrationModel, fitter: Fitter) -> FittedModel:
+        """A model on all frames: its air's, and its body's on replays with that air."""
+        fold = self.owner[self.parts.train]
+        twin = self.fitter.twin_with(air, air.intervals(fold))
+        replayed = Fitter(twin, fitter.episodes, fitter.rows) if fitter.twin is not twin else fitter
+        found = (*air.form.effects, *touch.form.effects)
+        return FittedModel(
+            effects=tuple(dict.fromkeys((*self.own, *found))),
+            residual=fitter.predict(touch.form, touch.values)[0],
+            count=len(air.unit) + len(touch.unit),
+            twin=replayed.twin_with(touch, touch.intervals(fold)),
+            at_bound=[n for n in (*air.at_bound, *touch.at_bound) if _stopped(n)],
+        )
+
+    def residual(self, twin: Twin) -> np.ndarray:
+        """(N, 5) measured minus predicted by another twin of this finger."""
+        fitter = self.world_of(twin)
+        model = fitter.base(TOUCH)
+        return fitter.predict(model.form, model.values)[0]
+
+    def refit(self, effects: Sequence[str], start: FittedModel | None, steps: Steps) -> FittedModel:
+        """The twin with these effects fitted, its own where they are named again."""
+        fold, asked = self.owner[self.parts.train], effects[len(self.own) :]
+        if start is None:
+            steps.done()
+            self._errors = [self._bare_air.crossed(fold) + self._bare_touch.crossed(fold)]
+            return self.fitted(self._bare_air, self._bare_touch, self.fitter)
+        air = self._with(self.fitter, [e for e in asked if self._of_air(e)], AIR, self._bare_air)
+        fitter = self.world_of(self.fitter.twin_with(air, {})) if air.form.effects else self.fitter
+        touch = self._with(fitter, [e for e in asked if not self._of_air(e)], TOUCH, fitter.base(TOUCH))
+        self._errors.append(air.crossed(fold) + touch.crossed(fold))
+        steps.done()
+        return self.fitted(air, touch, fitter)
+
+    @staticmethod
+    def _with(
+        fitter: Fitter, effects: list[str], columns: slice, base: DemonstrationModel
+    ) -> DemonstrationModel:
+        if not effects:
+            return base
+        values = dict(base.values)
+        for e in effects:
+            values |= fitter.start(e)
+        return fitter.fit(Trial(Form(tuple(effects)), values), columns, 60)
+
+    @staticmethod
+    def _of_air(effect: str) -> bool:
+        return effect == LATE or get_effect(effect).of_air
+
+    def errors(self, model: FittedModel) -> dict[str, float]:
+        """Root mean square errors, beside the usual ones of arm and gauge and of touch, of all episodes."""
+        parts = {"arm_and_gauge": AIR, "touch": TOUCH}
+        return super().errors(model) | {k: rms(model.residual[:, c]) for k, c in parts.items()}
+
+    def fall(self, before: FittedModel, after: FittedModel) -> tuple[float, float, float]:
+        """Fall of the mean square error on episodes that no fit saw."""
+        return self._learnt().drop(*self._errors)
+
+    def _learnt(self) -> Resampler:
+        owner = self.owner[self.parts.train]
+        return Resampler(np.ones(len(owner), bool), owner, self.parts.stratum, self.seed)
+
+    # ---------------------------------------------------------------- the verbs
+
+    def search(self, jobs: int, steps: Steps) -> Outcome:
+        """Looks for what the twin lacks: in its air by arm and gauge, then in its body by touch."""
+        began = time.perf_counter()
+        steps.expect("fitting arm and gauge", 2)
+        air = self._stage(jobs, steps, self.fitter, self._bare_air, AIR)
+        tried = air
+        if not self._worth(air, self._bare_air, self.fitter, AIR):
+            air = Found(air.base, air.path[:1], air.base)
+        steps.done()
+        fitter = self.fitter
+        if air.final.model.form.effects:
+            steps.expect("replaying with that", 0)
+            fitter = self.world_of(self.fitter.twin_with(air.final.model, {}))
+        base = fitter.base(TOUCH)
+        steps.expect("fitting touch", 0)
+        touch = self._stage(jobs, steps, fitter, base, TOUCH)
+        steps.done()
+        tested = self._tested(tried, None) + self._tested(touch, (air.final.model, fitter))
+        if not self._worth(touch, base, fitter, TOUCH):
+            touch = Found(touch.base, touch.path[:1], touch.base)
+        return self._outcome(air, touch, fitter, tested, began)
+
+    def _stage(
+        self, jobs: int, steps: Steps, fitter: Fitter, base: DemonstrationModel, columns: slice
+    ) -> Found:
+        candidates = [e for e in self.candidates if self._of_air(e) == (columns == AIR)]
+        candidates = [] if self.too_little() else candidates
+        noise = self.noise.by_column
+        floor = np.hypot(noise["flange"], noise["pressure.pos"]) if columns == AIR else noise["imprint"]
+        fold = self.owner[self.parts.train]
+        with ThreadPoolExecutor(jobs) as pool:
+            space = DemonstrationSpace(fitter, base, candidates, columns)
+            tell = lambda text: steps.expect(text, 0)  # noqa: E731
+            return Search(space, self._learnt(), fold, float(floor), pool.map, tell).find()
+
+    def _outcome(
+        self, air: Found, touch: Found, fitter: Fitter, tested: list[Tested], began: float
+    ) -> Outcome:
+        before = self.fitted(self._bare_air, self._bare_touch, self.fitter)
+        models, base = [air.final.model, touch.final.model], touch.base.model
+        after = self.fitted(models[0], models[1], fitter)
+        if not self._lower(before, after):
+            models, after = [self._bare_air, self._bare_touch], before
+        selected = [e for m in models for e in m.form.effects]
+        ladder = [("as it is", before)]
+        if models[0].form.effects:
+            ladder.append((" + ".join(models[0].form.effects), self.fitted(models[0], base, fitter)))
+        if models[1].form.effects:
+            ladder.append((" + ".join(selected), after))
+        votes = {}
+        for found in (air, touch):
+            votes |= chosen_in(found, self.owner[self.parts.train], self.noise.value, family)
+        chosen = {t: votes.get(t, 1.0) for t in selected}
+        evidence = self._evidence(before, after, selected, chosen)
+        return Outcome(
+            before=before,
+            after=after,
+            ladder=ladder,
+            selected=selected,
+            tested=tested,
+            rivals=self._rivals(touch, selected, air.final.model, fitter),
+            correlated=[],
+            evidence=evidence,
+            verdict=decide(evidence),
+            twin=after.twin,
+            seconds=time.perf_counter() - began,
+            chosen_in=chosen,
+        )
+
+    def _lower(self, before: FittedModel, after: FittedModel) -> bool:
+        return self.test.value(after.squared) < self.test.value(before.squared)
+
+    def _worth(self, found: Found, base: DemonstrationModel, fitter: Fitter, columns: slice) -> bool:
+        """Whether a stage lowers the error by more than demonstrations of an unchanged finger differ.
+
+        On episodes that no fit saw, those of the search, and on the held-out ones it must fall too.
+        """
+        last = self._last.get("touch" if columns == TOUCH else "arm_and_gauge")
+        least = WORTH * last**2 if last is not None else WORTH_OF_LEFT * found.final.value
+        squared = (
+            (fitter.predict(m.form, m.values)[0][:, columns] ** 2).sum(1) for m in (base, found.final.model)
+        )
+        before, after = map(self.test.value, squared)
+        return found.base.value - found.final.value > least and after < before
+
+    def _evidence(self, before, after, selected, chosen) -> Evidence:
+        floor = max(self.noise.value, 1e-12)
+        worst, left = self.test.value(before.squared), self.test.value(after.squared)
+        room = worst - floor**2
+        removed = 1 - max(left - floor**2, 0.0) / room if selected and room > 0 else float(bool(selected))
+        features, train, test = self._features(), self.parts.train, self.parts.test
+        return Evidence(
+            poor=bool(self.too_little()),
+            before=float(np.sqrt(worst)) / floor,
+            after=float(np.sqrt(left)) / floor,
+            selected=selected,
+            removed=float(np.clip(removed, -1, 1)),
+            at_bound=[n for n in after.at_bound if n.rpartition(".")[0] in selected],
+            left_to_black_box=share_left(after.residual, features, train, test, floor),
+            agreed=min([chosen[t] for t in selected[:1]], default=1.0),
+            noise_known=self.noise.known,
+        )
+
+    def _features(self) -> np.ndarray:
+        """(N, f) causal signals of the command and the arm, for a black box."""
+        out = []
+        for e in self.fitter.episodes:
+            u = e.command_kpa / max(float(np.abs(e.command_kpa).max()), 1e-9)
+            columns = [u, e.contact.astype(float), *np.gradient(e.flange_m, axis=0).T]
+            for tau in LAGS_S:
+                keep, x, lagged = np.exp(-1 / (tau * CONTROL_HZ)), 0.0, []
+                for v in u:
+                    x = keep * x + (1 - keep) * v
+                    lagged.append(x)
+                columns.append(np.array(lagged))
+            out.append(np.stack(columns, 1))
+        return np.concatenate(out)
+
+    def _tested(self, found: Found, behind: tuple[DemonstrationModel, Fitter] | None) -> list[Tested]:
+        before = self.fitted(self._bare_air, self._bare_touch, self.fitter)
+        out, first = [], [*found.path[1:2], *(found.rivals[0] if found.rivals else [])]
+        for s in sorted(first, key=lambda s: s.value):
+            if len(s.model.form.effects) != 1:
+                continue
+            name = s.model.form.effects[0]
+            if behind is None:
+                model = self.fitted(s.model, self._bare_touch, self.fitter)
+                how, ground = "arm and gauge", self.fitter.predict(s.model.form, s.model.values, AIR)[0]
+                model.residual = np.concatenate([ground[:, AIR], before.residual[:, TOUCH]], 1)
+            else:
+                model, how = self.fitted(behind[0], s.model, behind[1]), "touch"
+            share, interval = self.test.reduction(before.squared, model.squared, self.noise.value)
+            errors = {"heldout": float(np.sqrt(self.test.value(model.squared)))}
+            out.append(Tested(name, errors, share, interval, self.parameters(model, name), how))
+        return out
+
+    def _rivals(
+        self, found: Found, selected: list[str], air: DemonstrationModel, fitter: Fitter
+    ) -> list[Rival]:
+        out = []
+        for taken, others, before in zip(found.path[1:], found.rivals, found.path, strict=False):
+            room = max(before.value - self.noise.by_column["imprint"] ** 2, 0.0)
+            new = [e for e in taken.model.form.effects if e not in before.model.form.effects]
+            for s in others:
+                other = [e for e in s.model.form.effects if e not in taken.model.form.effects]
+                as_good = s.value - taken.value < 0.02 * room and len(new) == len(other) == 1
+                if as_good and new[0] in selected and family(other[0]) != family(new[0]):
+                    fits = [self.fitted(air, m.model, fitter) for m in (s, taken)]
+                    out.append(Rival(new[0], other[0], s.value / max(taken.value, 1e-30) - 1, *fits))
+        return out[:3]
+
+    # ---------------------------------------------------------------- words
+
+    def twin_of(self, model: FittedModel) -> Twin:
+        """The twin as it is to be written."""
+        return model.twin
+
+    def refusal(self, effect: str) -> str:
+        """Why an effect cannot be switched on."""
+        if effect in self.candidates:
+            return ""
+        known = ", ".join(dict.fromkeys((LATE, *OF_AIR, *OF_BODY, *self.own)))
+        return f"Demonstrations do not tell of '{effect}'; give one of {known}."
+
+    def parameters(self, model: FittedModel, effect: str) -> dict[str, dict]:
+        """Parameters of one effect with interval and unit."""
+        if effect == LATE:
+            known = model.twin.parameters.get("command_latency_s")
+            values, units = ({"latency_s": known} if known else {}), {"latency_s": "s"}
+        else:
+            values = model.twin.effects.get(effect, {})
+            units = {p.name: p.unit for p in get_effect(effect).parameters}
+        return {
+            k: {"value": v.value, "ci95": list(v.ci95) if v.ci95 else None, "unit": units.get(k, "")}
+            for k, v in values.items()
+        }
+
+    def at_bound(self, model: FittedModel, effects: Sequence[str]) -> list[str]:
+        """Parameters stopped by a bound."""
+        return [n for n in model.at_bound if n.rpartition(".")[0] in effects]
+
+    def describe(self, model: FittedModel, effect: str) -> str:
+        """What an effect does, a sentence with the fitted numbers."""
+        if effect == LATE:
+            late = latency_s(model.twin)
+            return f"Your commands act {late:.2g} s late, of arm and air alike."
+        if effect in self.own:
+            was, now = self.twin.effects[effect], model.twin.effects[effect]
+            changes = ", ".join(
+                f"{k} {was[k].value:.3g} -> {v.value:.3g}"
+                for k, v in now.items()
+                if k in was and v.value != was[k].value
+            )
+            kind = family(effect).replace("_", " ")
+            return f"Your finger's {kind} differs from the twin's ({effect}: {changes})."
+        return super().describe(model, effect)
+
+    def experiment(self, model: FittedModel, effect: str) -> str:
+        """What to record to see an effect apart from its rivals."""
+        if effect == LATE:
+            return (
+                "Command a step of the arm and of the pressure in one frame, and hold still before and after."
+            )
+        return super().experiment(model, effect)
+
+    def too_little(self) -> str:
+        """Why the demonstrations are too few for any claim."""
+        n = len(self.fitter.episodes)
+        return "" if n >= LEAST else f"{n} demonstrations are too few to tell what is missing. {MORE}"
+
+    def how_tested(self, outcome: Outcome) -> str:
+        """On what the candidates were tried."""
+        return "Each candidate is fitted to arm, gauge and touch together and judged on whole episodes."
+
+
+def _bends(effect: str) -> bool:
+    """Whether an effect of the twin can be fitted anew to demonstrations: one of air, drive or material."""
+    e = law(effect) if is_law(effect) else body_effects()[effect]
+    return e.stage in ("pneumatics", "drive", "material") and not e.columns and not e.of_markers
+
+
+def _stopped(name: str) -> bool:
+    """Whether a bound stops an effect: the weights of a series may well be zero."""
+    return not name.partition(".")[2].startswith(("weight", "delay", "vent_growth", "fill", "band"))

@@ -1,0 +1,113 @@
+"""From touch alone: the gel's light at rest is taken anew from demonstrations."""
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from lerobot_pneutac.verbs.calibration import Calibration
+from pneutac_datasets.demonstrations.replay.imprint import LightDrift, light_drift, rest_image
+from pneutac_datasets.demonstrations.replay.reading import Demonstrations
+from pneutac_sim.errors import InputError
+from pneutac_sim.gel.model import GelModel
+from pneutac_sim.twin import Twin
+
+LEAST = 2  # episodes: one to take the light from, one to judge it by
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class LightCalibration(Calibration):
+    """A twin whose gel is lit at rest as in demonstrations.
+
+    Attributes:
+        light: how the light had changed since the twin was made.
+        before: error of the twin's own rest image on the held-out episodes, levels.
+    """
+
+    light: LightDrift
+    before: float
+
+    title = "The gel's light at rest"
+
+    @property
+    def sentence(self) -> str:
+        """How the light had changed, and what the new rest image gains."""
+        if self.error["heldout"] == self.before:
+            return f"{self.light.sentence} Its rest image is kept: it is {self.before:.2f} levels off."
+        return (
+            f"{self.light.sentence.split(';')[0].rstrip('.')}. On rest frames of held-out episodes the "
+            f"twin's own rest image is {self.before:.2f} levels off, the new one {self.error['heldout']:.2f}."
+        )
+
+    def rows(self) -> list[dict]:
+        """The error before and after, and the factor on each colour."""
+        return [
+            {"colour": name, "factor": gain, "levels": level}
+            for name, gain, level in zip(
+                ("red", "green", "blue"), self.light.gain, self.light.levels, strict=True
+            )
+        ]
+
+    def remarks(self) -> list[str]:
+        """What stays as it was."""
+        return [
+            "How the light changes under a press stays as it was calibrated; presses of known objects on the "
+            f"bench calibrate that{self._now()}."
+        ]
+
+    def to_dict(self) -> dict:
+        """The content of `result.json`."""
+        return super().to_dict() | {"light": self.light.to_dict(), "before": self.before}
+
+
+def calibrate_demonstrations(twin: Twin, given: Demonstrations, seed: int = 0) -> LightCalibration:
+    """Takes the gel's rest image from the frames before the first touches; the twin is not changed.
+
+    Args:
+        twin: of a finger with its gel.
+        given: the episodes; a third of them are held out.
+        seed: decides which.
+
+    Raises:
+        InputError: there are fewer than two episodes, or their images have another size than the gel's.
+    """
+    began = time.perf_counter()
+    if len(given.episodes) < LEAST:
+        raise InputError(f"{given.folder} has {len(given.episodes)} episode; a rest image takes {LEAST}.")
+    model = GelModel.from_twin(twin)
+    rests = np.stack([rest_image(e) for e in given.episodes]).astype(float)
+    if rests.shape[1:] != model.rest_image.shape:
+        raise InputError(
+            f"{given.folder}: the images are {rests.shape[1:]} and the gel's {model.rest_image.shape}; "
+            "calibrate the gel on its own camera first."
+        )
+    order = np.random.default_rng([seed, 6]).permutation(len(rests))
+    away, used = np.split(order, [max(1, len(rests) // 3)])
+    new = np.median(rests[used], axis=0).round().astype(np.uint8)
+    out = twin.copy()
+    if not out.gel:
+        raise InputError("The twin has no gel of its own yet; calibrate one with a bench recording first.")
+
+    def off(image: np.ndarray, which: np.ndarray) -> float:
+        return float(np.sqrt(np.mean((rests[which] - image.astype(float)) ** 2)))
+
+    light, before = light_drift(given.episodes, model.rest_image), off(model.rest_image, away)
+    if off(new, away) >= before:  # nothing has changed by more than the camera wanders
+        new = model.rest_image
+    out.arrays = out.arrays | {"rest_image": new}
+    return LightCalibration(
+        twin=out,
+        parameters={
+            f"{c}_factor": {"value": g, "unit": ""}
+            for c, g in zip(("red", "green", "blue"), light.gain, strict=True)
+        },
+        error={"train": off(new, used), "heldout": off(new, away)},
+        unit="levels",
+        evaluations=1,
+        seconds=time.perf_counter() - began,
+        recording=str(given.folder),
+        change="light at rest",
+        seed=seed,
+        light=light,
+        before=before,
+    )

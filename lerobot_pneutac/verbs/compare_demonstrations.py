@@ -1,0 +1,284 @@
+"""Compares a twin with demonstrations: each is replayed in its world."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from lerobot_pneutac.reports.compare_demonstrations import demonstrations_page, film_frames
+from lerobot_pneutac.reports.page import Report
+from lerobot_pneutac.study.demonstration_model import ARM, LATE, TOUCH, Form, Trial
+from lerobot_pneutac.study.demonstrations import UNIT, DemonstrationStudy
+from lerobot_pneutac.verbs.comparison import Comparison, rms_of
+from pneutac_datasets.demonstrations.episodes import Episode
+from pneutac_datasets.demonstrations.replay.imprint import LightDrift, light_drift
+from pneutac_datasets.demonstrations.replay.reading import Demonstrations
+from pneutac_datasets.demonstrations.replay.replaying import Replayed, ReplayWorld
+from pneutac_sim.features import AREA, CONTROL_HZ
+from pneutac_sim.gel.model import GelModel
+from pneutac_sim.progress import Progress, no_progress
+from pneutac_sim.twin import Twin
+
+PHASES = ("free", "onset", "pressed", "release")
+NEAR = 4  # frames about the first and after the last touch that are its onset and release
+DEPTHS_MM = (0.0, 0.3, 0.6, 0.9, 1.2)
+LATE_S = 0.02  # beside the twin's own latency: more is told
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class DemonstrationComparison(Comparison):
+    """A twin against demonstrations.
+
+    Attributes:
+        study: the episodes as measured and replayed for the errors.
+        findings: of the checks, one sentence each.
+        replayed: each episode in the twin's world, with images.
+        latency_s: by which the commands acted late, as the arm tells; with what the twin has.
+        clock_s: by which touch is shown late, as the camera's clock tells against the robot's.
+        drift_s: change of that from an episode's first half to its second; None where it cannot be told.
+        light: how the light of the gel has changed since the twin was made.
+    """
+
+    study: DemonstrationStudy
+    findings: tuple[str, ...]
+    replayed: list[Replayed]
+    latency_s: float
+    clock_s: float
+    drift_s: float | None
+    light: LightDrift
+
+    unit = UNIT
+
+    @property
+    def twin(self) -> Twin:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """That was compared."""
+        return self.study.twin
+
+    @property
+    def demonstrations(self) -> Demonstrations:
+        """That it was compared with."""
+        return self.study.recording
+
+    @property
+    def noise_floor(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Error that the measurement's own noise makes."""
+        return self.study.noise.value
+
+    @property
+    def title(self) -> str:
+        """Heading of the report."""
+        return f"Twin against demonstrations: {self.demonstrations.folder.name}"
+
+    def subject(self) -> tuple[Twin, str]:
+        """The twin and the dataset."""
+        return self.twin, str(self.demonstrations.folder)
+
+    @cached_property
+    def residual(self) -> np.ndarray:
+        """(N, 5) measured minus predicted of all frames, mm at the tip: flange x, y, z, pressure, touch."""
+        base = self.study.fitter.base(TOUCH)
+        return self.study.fitter.predict(base.form, base.values)[0]
+
+    @property
+    def _squared(self) -> np.ndarray:
+        return (self.residual**2).sum(1)
+
+    @property
+    def error(self) -> dict[str, float | None]:
+        """Of the episodes that a fit would see, and of those that it would not; and of each channel."""
+        parts = self.study.parts
+        out = {"train": rms_of(self._squared[parts.train]), "heldout": rms_of(self._squared[parts.test])}
+        channels = {"arm": slice(0, 3), "gauge": slice(3, 4), "touch": TOUCH}
+        return out | {k: rms_of((self.residual[:, c] ** 2).sum(1)) for k, c in channels.items()}
+
+    @cached_property
+    def phase(self) -> np.ndarray:
+        """(N,) phase of each frame, an index of `PHASES`."""
+        return np.concatenate([phases(e) for e in self.demonstrations.episodes])
+
+    @property
+    def by(self) -> dict[str, list[dict]]:
+        """Errors by phase, by episode and by imprint depth."""
+        return self._by
+
+    @cached_property
+    def _by(self) -> dict[str, list[dict]]:
+        owner = self.study.owner
+        episodes = [
+            {"bin": str(i), **self._row(owner == i)} | self._touches(i)
+            for i in range(len(self.demonstrations.episodes))
+        ]
+        depth = np.concatenate([r.press_mm for r in self.replayed])
+        bands = zip(DEPTHS_MM, (*DEPTHS_MM[1:], np.inf), strict=True)
+        depths = [(f"{a:g} mm and more", (depth >= a) & (depth < b) & (self.phase > 0)) for a, b in bands]
+        return {
+            "phase": [{"bin": n, **self._row(self.phase == k)} for k, n in enumerate(PHASES)],
+            "episode": episodes,
+            "depth": [{"bin": name, **self._row(rows)} for name, rows in depths if rows.any()],
+        }
+
+    def _row(self, rows: np.ndarray) -> dict:
+        r = self.residual[rows]
+        channels = {"error": slice(None), "arm": slice(0, 3), "gauge": slice(3, 4), "touch": TOUCH}
+        row = {k: rms_of((r[:, c] ** 2).sum(1)) for k, c in channels.items()}
+        apart = np.concatenate([self._areas(i) for i in range(len(self.replayed))])[rows]
+        return row | {"area": rms_of(apart**2), "frames": int(rows.sum())}
+
+    def _areas(self, i: int) -> np.ndarray:
+        return self.demonstrations.episodes[i].state[:, AREA] - self.replayed[i].area
+
+    def _touches(self, i: int) -> dict:
+        """When an episode first touches, as recorded and as replayed, and how far its images differ."""
+        e, r = self.demonstrations.episodes[i], self.replayed[i]
+        felt = np.flatnonzero(r.area > 0)
+        first = (e.contact() or (0, 0))[0]
+        phase, images = phases(e), r.images
+        shown = (
+            np.mean((images[phase == 2].astype(np.float32) - e.images[phase == 2]) ** 2)
+            if images is not None and (phase == 2).any()
+            else np.nan
+        )
+        return {
+            "onset_s": first / CONTROL_HZ,
+            "onset_replayed_s": float(felt[0]) / CONTROL_HZ if len(felt) else None,
+            "image_rmse_levels": float(np.sqrt(shown)) if np.isfinite(shown) else None,
+            "does_the_task": r.success,
+        }
+
+    @property
+    def worst(self) -> list[dict]:
+        """The episodes with the largest errors."""
+        rows = sorted(self.by["episode"], key=lambda r: -r["error"])[:3]
+        length = [len(e) / CONTROL_HZ for e in self.demonstrations.episodes]
+        return [
+            {"trial": int(r["bin"]), "from_s": 0.0, "to_s": length[int(r["bin"])], "error": r["error"]}
+            for r in rows
+        ]
+
+    @property
+    def sentence(self) -> str:
+        """How far it is off, and where most."""
+        channel = max(("arm", "gauge", "touch"), key=lambda k: self.error[k] or 0.0)
+        phase = max(self.by["phase"], key=lambda r: r["error"] or 0.0)["bin"]
+        most = {"arm": "where the arm goes", "gauge": "its pressure", "touch": "its touch"}[channel]
+        return (
+            f"Replayed in its world, the twin misses the demonstrations by {self.error['heldout']:.3g} "
+            f"{UNIT} on held-out episodes, most in {most} and in the phase '{phase}'."
+        )
+
+    def rows(self) -> list[dict]:
+        """Errors by phase."""
+        name = f"{UNIT} (noise {self.noise_floor:.3g})"
+        return [
+            {name: r["bin"], **{k: r[k] for k in ("error", "arm", "gauge", "touch")}, "area": r["area"]}
+            for r in self.by["phase"]
+        ]
+
+    def remarks(self) -> list[str]:
+        """Latency, clocks and light."""
+        own = self.study.fitter.known_s
+        out = []
+        if self.latency_s - own > LATE_S:
+            out.append(
+                f"Commands acted {self.latency_s:.2g} s late and the twin has {own:.2g} s; `pneutac "
+                "diagnose` tells whether arm and air are late alike."
+            )
+        out.append(f"Touch is shown {self.clock_s:.2g} s after what the robot's joints and gauge tell.")
+        if self.drift_s is not None and abs(self.drift_s) > 1 / CONTROL_HZ:
+            out.append(
+                f"[yellow]The clocks of camera and robot drift:[/] touch is {self.drift_s:+.2g} s later in "
+                "the second half of an episode than in the first, which the twin is charged with."
+            )
+        out.append(self.light.sentence)
+        return out
+
+    def to_dict(self) -> dict:
+        """The content of `result.json`."""
+        return {
+            "unit": UNIT,
+            "error": self.error,
+            "noise_floor": self.noise_floor,
+            "by": self.by,
+            "worst": self.worst,
+            "history": self.history,
+            "task": self.demonstrations.task,
+            "latency_s": self.latency_s,
+            "clock_s": self.clock_s,
+            "clock_drift_s": self.drift_s,
+            "light": self.light.to_dict(),
+            "places": [
+                {"seed": e.place.seed, "shift_m": list(e.place.shift_m)} for e in self.study.fitter.episodes
+            ],
+        }
+
+    def page(self) -> Report:
+        """Pictures, curves, a film and errors."""
+        return demonstrations_page(self)
+
+    def pictures(self) -> dict[str, np.ndarray]:
+        """Recorded touch beside the twin's, of the worst episode, where it is pressed most."""
+        frames = film_frames(self, self.worst[0]["trial"])
+        e = self.demonstrations.episodes[self.worst[0]["trial"]]
+        return {"touch.png": frames[int(np.argmax(e.state[:, AREA]))]}
+
+
+def phases(episode: Episode) -> np.ndarray:
+    """(T,) phase of each frame of an episode, an index of `PHASES`."""
+    touched = episode.state[:, AREA] > 0
+    first, last = episode.contact() or (len(episode), len(episode))
+    frames = np.arange(len(episode))
+    out = np.zeros(len(episode), int)
+    out[touched] = 2
+    out[np.abs(frames - first) <= NEAR] = 1
+    letting_go = (frames > last - NEAR) & (frames <= last + NEAR) & (frames > first + NEAR)
+    out[letting_go] = 3
+    return out
+
+
+def compare_demonstrations(
+    twin: Twin, given: Demonstrations, seed: int = 0, progress: Progress = no_progress
+) -> DemonstrationComparison:
+    """Replays demonstrations in the twin's world and compares; neither is changed.
+
+    Args:
+        twin: of the finger.
+        given: the episodes.
+        seed: decides which episodes are held out.
+        progress: is told how many episodes are replayed.
+
+    Raises:
+        InputError: an episode's objects cannot be placed.
+    """
+    study = DemonstrationStudy(twin, given, seed, (), progress)
+    world, f = ReplayWorld(given.task, twin, "image"), study.fitter
+    replayed = [
+        world.replay(e, data.place, keep=True) for e, data in zip(given.episodes, f.episodes, strict=True)
+    ]
+    late = f.fit(Trial(Form((LATE,)), f.start(LATE)), ARM, 40).values[f"{LATE}.latency_s"]
+    touch = f.base(TOUCH).values["touch_late"] / CONTROL_HZ
+    return DemonstrationComparison(
+        study=study,
+        findings=tuple(study.findings),
+        replayed=replayed,
+        latency_s=late,
+        clock_s=touch,
+        drift_s=_clock_drift_s(study),
+        light=light_drift(given.episodes, GelModel.from_twin(twin).rest_image),
+    )
+
+
+def _clock_drift_s(study: DemonstrationStudy) -> float | None:
+    """How much later touch is shown in the second halves of the episodes' touches than in the first."""
+    f, halves = study.fitter, []
+    for later in (False, True):
+        kept = []
+        for e in f.episodes:
+            touched = np.flatnonzero(e.contact)
+            mine = np.zeros(len(e), bool)
+            part = touched[len(touched) // 2 :] if later else touched[: len(touched) // 2]
+            mine[part] = True
+            kept.append(mine)
+        if min(int(m.sum()) for m in kept) < 2 * CONTROL_HZ:
+            return None
+        halves.append(f.lateness(kept) / CONTROL_HZ)
+    return halves[1] - halves[0]

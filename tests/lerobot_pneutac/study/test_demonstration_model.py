@@ -1,0 +1,101 @@
+"""Hidden lateness and creep are found in arm, gauge and touch that are made up for them."""
+
+import numpy as np
+import pytest
+
+from lerobot_pneutac.study.demonstration_data import MORE_RAD, EpisodeData, inputs_of
+from lerobot_pneutac.study.demonstration_model import AIR, LATE, TOUCH, Fitter, Form, Trial
+from pneutac_datasets.demonstrations.replay.replaying import Place
+from pneutac_sim.effects.registry import get_effect
+from pneutac_sim.features import CONTROL_HZ
+from pneutac_sim.finger import Pipeline
+from pneutac_sim.twin import Twin, Value
+
+LATENCY_S, SLOPE, GAIN, GROWTH = 0.15, 4.0, 0.7, 2.0
+CREEP = {"weight_1_3s": 0.3, "weight_4s": 0.2}
+
+
+def bends(twin, episode):
+    run = Pipeline.of(twin)
+    inputs = inputs_of([episode], 0.0, twin)
+    return run.run(inputs, run.theta(twin, inputs.pressure_range_kpa))
+
+
+def made(twin, truth, seed, latency_s=0.0):
+    """An episode of a finger `truth` that presses twice, on the replays of `twin`."""
+    rng, n = np.random.default_rng(seed), 150
+    t = np.arange(n) / CONTROL_HZ
+    top = rng.uniform(6, 12, 2)
+    command = 3.0 + (top[0] - 3) * ((t > 3) & (t < 6)) + (top[1] - 3) * ((t > 7) & (t < 9.5))
+    path = np.cumsum(np.stack([0.05 * (t < 2.5), 0.02 * np.sin(t), 0 * t], 1) / CONTROL_HZ, 0)
+    back = t - latency_s
+    late = np.stack([np.interp(back, t, c) for c in path.T], 1)
+    empty = np.zeros(n)
+    e = EpisodeData(
+        Place(0, (0, 0, 0)), command, empty, late, path, empty, empty, np.zeros((n, len(MORE_RAD))), t > 2.4
+    )
+    bent = bends(twin, e).markers[:, 3]
+    e.press_mm = (
+        np.maximum(0.2 + 3 * (bent - bent[40])[:, None] + np.array(MORE_RAD) * SLOPE, 0) * (t > 2.5)[:, None]
+    )
+    shift = int(round(latency_s * CONTROL_HZ))
+    e.command_kpa = np.concatenate([np.zeros(shift), command])[:n]  # what the finger saw
+    run = bends(truth, e)
+    e.pressure_kpa = run.pressure_kpa[:, 0] + 0.05 * rng.standard_normal(n)
+    here = 0.2 + 3 * (bent - bent[40]) + SLOPE * (run.markers[:, 3] - bent)
+    e.imprint = GAIN * (np.maximum(here, 0) * (t > 2.5)) ** GROWTH + 0.002 * rng.standard_normal(n)
+    e.command_kpa, e.flange_m = command, late + 1e-4 * rng.standard_normal((n, 3))
+    return e
+
+
+@pytest.fixture(scope="module")
+def twin():
+    return Twin.builtin()
+
+
+def fitter(twin, episodes):
+    return Fitter(twin, episodes, np.ones(sum(map(len, episodes)), bool))
+
+
+def test_late_commands_are_told_from_arm_and_gauge(twin):
+    f = fitter(twin, [made(twin, twin, seed, 2 / CONTROL_HZ) for seed in range(4)])
+    found = f.fit(Trial(Form((LATE,)), f.start(LATE)), AIR, 40)
+    assert found.values[f"{LATE}.latency_s"] == pytest.approx(2 / CONTROL_HZ, abs=0.005)
+    before, after = (np.sqrt((m.residual**2).sum(1).mean()) for m in (f.base(AIR), found))
+    assert after < 0.5 * before
+    low, high = found.intervals(np.repeat(np.arange(4), 150))[f"{LATE}.latency_s"]
+    assert low < 2 / CONTROL_HZ + 0.002 and high > 2 / CONTROL_HZ - 0.002 and high - low < 0.02
+    assert f.twin_with(found, {}).parameters["command_latency_s"].value == pytest.approx(
+        2 / CONTROL_HZ, abs=0.005
+    )
+
+
+def test_creep_is_told_from_touch_and_better_than_stiffening(twin):
+    creeps = Twin.builtin()
+    creeps.effects["creep"] = {p.name: Value(CREEP.get(p.name, 0.0)) for p in get_effect("creep").parameters}
+    f = fitter(twin, [made(twin, creeps, seed) for seed in range(4)])
+    base = f.base(TOUCH)
+    fold = np.repeat(np.arange(4), 150)
+    errors = {"as it is": base.crossed(fold).mean()}
+    for e in ("creep", "stiffening"):
+        errors[e] = f.fit(Trial(Form((e,)), base.values | f.start(e)), TOUCH, 40).crossed(fold).mean()
+    assert errors["creep"] < 0.3 * errors["as it is"]
+    assert errors["creep"] < 0.6 * errors["stiffening"]
+
+
+def test_what_an_episode_has_of_its_own_is_no_effect(twin):
+    """Its object stands elsewhere and its imprints are fainter: no error is left."""
+    f = fitter(twin, [made(twin, twin, seed) for seed in range(2)])
+    e = f.episodes[0]
+    e.imprint = 0.4 * e.imprint
+    e.press_mm = np.maximum(e.press_mm + 0.03 * SLOPE * (e.press_mm > 0), 0)
+    base = f.base(TOUCH)
+    assert np.sqrt((base.residual**2).mean()) < 0.3
+
+
+def test_the_lateness_of_touch_is_found(twin):
+    f = fitter(twin, [made(twin, twin, seed) for seed in range(2)])
+    for e in f.episodes:
+        e.imprint = np.append(np.zeros(2), e.imprint)[: len(e)]
+    assert f.base(TOUCH).values["touch_late"] == pytest.approx(2, abs=0.3)
+    assert f.lateness([e.contact for e in f.episodes]) == pytest.approx(2, abs=0.3)

@@ -1,0 +1,123 @@
+"""Demonstrations of the independent stand-in: compared, diagnosed, added, and their light taken."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lerobot_pneutac import Demonstrations, InputError, Recording, Twin, add, calibrate, compare, diagnose
+from lerobot_robot_pneutac.standin.gel import new_gel
+from lerobot_robot_pneutac.standin.world import Physics, StandinWorld
+from pneutac_datasets.demonstrations.episodes import Episode
+from pneutac_datasets.generate.standin import write_finger, write_gel
+from pneutac_sim.features import CONTROL_HZ
+from pneutac_sim.world.expert import ScriptedExpert
+
+STEPS = 220
+
+
+def shown(count, seed, physics=None, task="button"):
+    """Demonstrations of a scripted expert on the stand-in; one that fails is shown anew."""
+    world, episodes = StandinWorld(task, physics=physics), []
+    while len(episodes) < count:
+        seen, actions = [world.reset(seed)], []
+        expert = ScriptedExpert(world, np.random.default_rng(seed))
+        seed += 1
+        while len(actions) < STEPS and not (world.success or world.failure):
+            actions.append(expert.action())
+            seen.append(world.step(actions[-1]))
+        if world.success:
+            state = np.array([o.state for o in seen[:-1]], float)
+            images = np.stack([o.tactile for o in seen[:-1]])
+            episodes.append(Episode(state, np.array(actions, float), images, "press", CONTROL_HZ))
+    return Demonstrations(Path("shown"), task, episodes)
+
+
+@pytest.fixture(scope="module")
+def two():
+    return shown(2, 20)
+
+
+def with_gel(twin):
+    """The twin, lit at rest as the stand-in is."""
+    from pneutac_sim.gel.model import GelModel
+
+    twin = twin.copy()
+    replace(GelModel.from_twin(twin), rest_image=new_gel().rest_image).into_twin(twin)
+    return twin
+
+
+def test_a_comparison_tells_phases_latency_and_light(two, tmp_path):
+    result = compare(Twin.builtin(), two)
+    told = result.to_dict()
+    assert [r["bin"] for r in told["by"]["phase"]] == ["free", "onset", "pressed", "release"]
+    assert told["latency_s"] == pytest.approx(1 / CONTROL_HZ, abs=0.01)  # the stand-in's own
+    free = told["by"]["phase"][0]
+    assert free["touch"] < 0.1 * free["arm"] and told["by"]["phase"][2]["touch"] > 0.2
+    assert told["light"]["drifted"]  # the built-in gel is lit otherwise
+    for row, e in zip(told["by"]["episode"], two.episodes, strict=True):
+        assert abs(row["onset_s"] - e.contact()[0] / CONTROL_HZ) < 1e-9
+        assert abs(row["onset_replayed_s"] - row["onset_s"]) < 0.5
+    page = result.report(tmp_path).read_text()
+    assert "image/webp" in page and (tmp_path / "touch.png").is_file()
+    assert "Commands acted 0.0" in " ".join(result.remarks())
+
+
+def test_two_demonstrations_claim_nothing(two):
+    assert "2 demonstrations are too few" in diagnose(Twin.builtin(), two, jobs=1).sentence
+
+
+def test_light_at_rest_is_taken_and_a_drift_is_told(two):
+    twin = with_gel(Twin.builtin())
+    same = calibrate(twin, two)
+    assert not same.light.drifted
+    red = [
+        replace(e, images=np.clip(e.images * np.array([1.2, 1, 1]), 0, 255).astype(np.uint8))
+        for e in two.episodes
+    ]
+    drifted = calibrate(twin, replace(two, episodes=red))
+    assert drifted.light.drifted and "has changed" in drifted.sentence
+    assert drifted.error["heldout"] < 0.5 * drifted.before
+    assert not calibrate(drifted.twin, replace(two, episodes=red)).light.drifted
+
+
+def test_what_does_not_go_with_demonstrations_is_refused(two):
+    with pytest.raises(InputError, match="fidelity=mpm does not replay demonstrations"):
+        compare(Twin.builtin(), two, fidelity="mpm")
+    with pytest.raises(InputError, match="is of a finger and the twin of an arm"):
+        compare(Twin(device="arm", length_mm=200.0), two)
+    wrong = add(Twin.builtin(), two, "base_tilt")
+    assert not wrong.accepted and "Demonstrations do not tell of 'base_tilt'" in wrong.reason
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory):
+    """A twin that was measured on the stand-in's bench and then fitted to its demonstrations."""
+    folder = tmp_path_factory.mktemp("measured")
+    finger = write_finger(folder / "finger")
+    twin = calibrate(Twin.builtin(), finger).twin
+    twin = add(twin, finger, diagnose(twin, finger, jobs=1)).twin
+    twin = calibrate(twin, Recording.load(write_gel(folder / "gel").folder)).twin
+    twin.save(folder / "twin")
+    plain = shown(10, 300)
+    result = add(Twin.load(folder / "twin"), plain, diagnose(Twin.load(folder / "twin"), plain, jobs=1))
+    return result.save(folder / "twin").twin
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(
+    ("hidden", "found", "left"),
+    [
+        (Physics(late_commands=3), "late_commands", 0.5),
+        (Physics(creep=0.5), "creep", 0.9),
+        (Physics(), None, 1.0),
+    ],
+)
+def test_ten_demonstrations_reveal_what_is_hidden_in_the_stand_in(measured, hidden, found, left):
+    """Commands three steps late instead of one, creep three times as large, and nothing."""
+    from pneutac_sim.effects.laws import family
+
+    diagnosis = diagnose(measured, shown(10, 100, hidden), jobs=1)
+    assert ([family(e) for e in diagnosis.selected][:1] or [None]) == [found]
+    assert diagnosis.after["heldout"] <= left * diagnosis.before["heldout"]

@@ -1,0 +1,104 @@
+"""Episodes of the independent stand-in, replayed in the twin's world."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lerobot_robot_pneutac.standin.world import StandinWorld
+from pneutac_datasets.demonstrations.episodes import Episode
+from pneutac_datasets.demonstrations.replay.imprint import light_drift, rest_image, strengths
+from pneutac_datasets.demonstrations.replay.placing import find_place
+from pneutac_datasets.demonstrations.replay.reading import Demonstrations, checked, is_dataset
+from pneutac_datasets.demonstrations.replay.replaying import ReplayWorld, late
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import AREA, CONTROL_HZ, EE, PRESSURE
+from pneutac_sim.twin import Twin, Value
+from pneutac_sim.world.expert import ScriptedExpert
+
+
+@pytest.fixture(scope="module")
+def episode():
+    world = StandinWorld("button")
+    seen, actions = [world.reset(2)], []
+    expert = ScriptedExpert(world, np.random.default_rng(2))
+    for _ in range(75):
+        actions.append(expert.action())
+        seen.append(world.step(actions[-1]))
+    state, images = np.array([o.state for o in seen[:-1]], float), np.stack([o.tactile for o in seen[:-1]])
+    return Episode(state, np.array(actions, float), images, world.task.description, CONTROL_HZ)
+
+
+@pytest.fixture(scope="module")
+def world():
+    return ReplayWorld("button", Twin.builtin())
+
+
+def test_the_flange_goes_where_it_went_and_its_object_is_met_when_it_was(world, episode):
+    place = find_place(world, episode)
+    replayed = world.replay(episode, place)
+    off_mm = 1e3 * np.linalg.norm(replayed.flange_m - episode.state[:, EE], axis=1)
+    assert np.median(off_mm) < 0.5
+    onset, felt = episode.contact()[0], np.flatnonzero(replayed.press_mm > 0.05)
+    assert abs(felt[0] - onset) < 0.4 * CONTROL_HZ
+    away = world.replay(episode)
+    assert away.press_mm.max() < 0.05
+
+
+def test_more_bend_presses_harder(world, episode):
+    place = find_place(world, episode)
+    less, more = (world.replay(episode, place, m).press_mm[45:].mean() for m in (0.0, 0.1))
+    assert more > less + 0.02
+
+
+def test_commands_act_as_late_as_they_are_said_to():
+    command = np.arange(1.0, 9.0)
+    np.testing.assert_allclose(late(command, 0.0), command)
+    np.testing.assert_allclose(late(command, 2 / CONTROL_HZ), [0, 0, 1, 2, 3, 4, 5, 6])
+    np.testing.assert_allclose(late(command, 0.5 / CONTROL_HZ), [0.5, 1.5, 2.5, 3.5, 4.5, 5.5, 6.5, 7.5])
+
+
+def test_a_twin_with_a_latency_moves_later(episode):
+    at_once, later = Twin.builtin(), Twin.builtin()
+    later.parameters["command_latency_s"] = Value(2 / CONTROL_HZ)
+    a, b = (ReplayWorld("button", t).replay(episode).pressure_kpa for t in (at_once, later))
+    np.testing.assert_allclose(b[2:], a[:-2], atol=1e-6)
+
+
+def test_an_imprint_grows_with_the_press_and_a_drift_of_light_makes_none(episode):
+    rest = rest_image(episode)
+    strength = strengths(episode.images, rest)
+    onset = episode.contact()[0]
+    assert strength[: onset - 2].max() < 1e-3 < strength[onset + 12 :].max()
+    brighter = np.clip(rest * 1.03, 0, 255).astype(np.uint8)
+    assert strengths(brighter[None], rest)[0] < 1e-3
+
+
+def test_a_drift_of_the_light_is_told(episode):
+    rest = rest_image(episode)
+    assert not light_drift([episode], rest).drifted
+    red = np.clip(episode.images * np.array([1.15, 1.0, 1.0]), 0, 255).astype(np.uint8)
+    drift = light_drift([replace(episode, images=red)], rest)
+    assert drift.drifted and drift.gain[0] == pytest.approx(1.15, abs=0.02)
+    assert drift.gain[1] == pytest.approx(1.0, abs=0.01)
+
+
+def test_what_cannot_serve_is_refused(episode):
+    def given(e):
+        return Demonstrations(Path("demos"), "button", [episode, e])
+
+    still, blind = episode.state.copy(), episode.state.copy()
+    still[:, PRESSURE] = 0.0
+    blind[:, AREA] = 0.0
+    with pytest.raises(InputError, match="in episode 1 pressure.pos stays at 0 kPa while the command moves"):
+        checked(given(replace(episode, state=still)))
+    with pytest.raises(InputError, match="episode 1 never touches anything"):
+        checked(given(replace(episode, state=blind)))
+    with pytest.raises(InputError, match="There is no task 'tea'"):
+        checked(replace(given(episode), task="tea"))
+
+
+def test_a_folder_that_is_not_there_is_no_name_on_the_hub(tmp_path):
+    assert not is_dataset(tmp_path / "nothing") and not is_dataset("tests/nothing")
+    assert is_dataset("user/demonstrations")
