@@ -52,14 +52,13 @@ class Studio:
         self.address = f"http://{shown}:{self._gate.port}/" + (f"?token={self._token}" if self._token else "")
         gui = self.server.gui
         gui.set_panel_label("PneuTac studio")
-        self._dress(dark=False)
+        gui.configure_theme(show_logo=False, show_share_button=False, brand_color=BRAND)
         gui.main_panel.dock_right()
         gui.main_panel.set_width(PANEL_PX)
         self.title = gui.add_markdown("")
         self.said = gui.add_markdown("", visible=False)
+        self.pages: dict = {}
         self.pages = self._pages()
-        dark = gui.add_checkbox("Dark", False)
-        dark.on_update(lambda _: self._dress(dark.value))
         session.when_changed(self._name)
         self._name()
 
@@ -71,13 +70,30 @@ class Studio:
             from lerobot_pneutac.studio.device_page import DevicePage
 
             with tabs.add_tab("Device", viser.Icon.HAND_FINGER):
-                pages["Device"] = DevicePage(self)
-        return pages
+                pages["Device"] = device = DevicePage(self)
+        if twin.device == "gel" or twin.gel:
+            from lerobot_pneutac.studio.gel_page import GelPage
 
-    def _dress(self, dark: bool) -> None:
-        self.server.gui.configure_theme(
-            dark_mode=dark, show_logo=False, show_share_button=False, brand_color=BRAND
-        )
+            with tabs.add_tab("Touch", viser.Icon.FINGERPRINT):
+                pages["Touch"] = GelPage(self)
+        recording = self.session.recording
+        if recording is None:
+            return pages
+        if recording.device in CHAMBERS:
+            from lerobot_pneutac.studio.measurement_page import MeasurementPage
+
+            with tabs.add_tab("Measurement", viser.Icon.CHART_LINE):
+                pages["Measurement"] = MeasurementPage(self, device.scene)
+        else:
+            from lerobot_pneutac.studio.images_page import ImagesPage
+
+            with tabs.add_tab("Measurement", viser.Icon.PHOTO):
+                pages["Measurement"] = ImagesPage(self)
+        from lerobot_pneutac.studio.find_page import FindPage
+
+        with tabs.add_tab("Find it", viser.Icon.SEARCH):
+            pages["Find it"] = FindPage(self)
+        return pages
 
     def _name(self) -> None:
         s = self.session
@@ -109,4 +125,5 @@ class Studio:
         for page in self.pages.values():
             page.close()
         self._gate.close()
-        self.server.stop()
+        with contextlib.redirect_stdout(io.StringIO()):
+            self.server.stop()

@@ -2,7 +2,6 @@
 
 import numpy as np
 import viser
-from scipy.spatial.transform import Rotation
 
 from lerobot_pneutac.studio.colours import BASE, JOINTS, MEASURED, SKIN, SPINE, TRAIL, rgb
 from lerobot_pneutac.studio.live import Shape, Skin
@@ -33,14 +32,17 @@ class BodyScene:
         width = UNIT * float(np.ptp(skin.vertices_mm[:, 2]))
         scene.add_box("/base", color=BASE, dimensions=(0.4 * width, 1.5 * width, 1.5 * width),
                       position=(-0.2 * width, 0.0, 0.0))  # fmt: skip
-        bones = len(self._joints) + 1
-        places = np.zeros((bones, 3))
-        places[1:, 0] = UNIT * self._joints
-        self._skin = scene.add_mesh_skinned(
-            "/skin", UNIT * skin.vertices_mm, skin.faces, bone_wxyzs=np.tile([1.0, 0, 0, 0], (bones, 1)),
-            bone_positions=places, skin_weights=skin.weights, color=SKIN, opacity=0.55, side="double",
-        )  # fmt: skip
-        straight = np.zeros((bones + 1, 3))
+        # sent anew as it moves: a skinned mesh of viser 1.1.1 breaks the page when the server restarts
+        self._carried = skin
+        self._skin = scene.add_mesh_simple(
+            "/skin",
+            (UNIT * skin.vertices_mm).astype(np.float32),
+            skin.faces,
+            color=SKIN,
+            opacity=0.55,
+            side="double",
+        )
+        straight = np.zeros((len(self._joints) + 2, 3))
         straight[1:-1, 0], straight[-1, 0] = self._joints, self._length
         self._spine = scene.add_line_segments(
             "/spine", _segments(UNIT * straight), SPINE, thickness=0.08 * width
@@ -61,9 +63,7 @@ class BodyScene:
     def show(self, shape: Shape, measured_mm: np.ndarray | None = None) -> None:
         """Draws a shape, and the measured tip (3,) beside the model's where there is one."""
         with self._server.atomic():
-            turns = Rotation.from_matrix(shape.turns).as_quat(scalar_first=True)
-            for bone, turn, place in zip(self._skin.bones, turns, UNIT * shape.places_mm, strict=True):
-                bone.wxyz, bone.position = turn, place
+            self._skin.vertices = (UNIT * self._carried.carried_mm(shape, self._joints)).astype(np.float32)
             spine = UNIT * shape.spine_mm(self._length, self._joints)
             self._spine.points = _segments(spine)
             self._dots.points = spine[1:-1].astype(np.float32)
@@ -78,11 +78,7 @@ class BodyScene:
     def forget_path(self) -> None:
         """The tip's path begins anew."""
         self._path = []
-
-    def remove(self) -> None:
-        """Takes it out of the picture."""
-        for name in ("/base", "/skin", "/spine", "/joints", "/tip", "/measured tip", "/tip's path"):
-            self._server.scene.remove_by_name(name)
+        self._trail.points = np.zeros((1, 2, 3), np.float32)
 
 
 def _segments(points: np.ndarray) -> np.ndarray:

@@ -34,6 +34,7 @@ class DevicePage:
 
     Attributes:
         shape: where the body is now.
+        pressed_kpa: (chambers,) with which it came there.
         busy_s: processor time of the last frame, s.
     """
 
@@ -79,7 +80,7 @@ class DevicePage:
 
     def _drive(self, _=None) -> None:
         if self._studio.driver != self.title:
-            self._studio.driver = self.title
+            self._studio.driver, self._poke.visible = self.title, True
             self.scene.forget_path()
 
     def _loads(self, twin: Twin) -> None:
@@ -113,16 +114,16 @@ class DevicePage:
             "/poke", scale=0.25, disable_rotations=True, depth_test=False, opacity=0.8
         )
         self._most_n, self._dragged = most, False
-        self._poke.on_drag_start(self._grab)
         self._poke.on_update(self._pull)
-        self._poke.on_drag_end(self._let_go)
 
-    def _grab(self, _) -> None:
-        self._dragged, self._from = True, np.array(self._poke.position)
-
-    def _pull(self, _) -> None:
-        """A pull by half the finger's length is the largest force."""
-        if not self._dragged:
+    def _pull(self, event) -> None:
+        """A pull at the tip's arrows; by half the finger's length it is the largest force."""
+        if event.phase == "start":
+            self._dragged, self._from = True, self.shape.markers[:3] * UNIT
+        if event.phase == "end":
+            self._dragged = False
+            for slider in self._force:
+                slider.value = 0.0
             return
         pulled = (np.array(self._poke.position) - self._from) / (
             0.5 * UNIT * self._studio.session.twin.length_mm
@@ -131,11 +132,6 @@ class DevicePage:
         for slider, part in zip(self._force, np.clip(parts, -1, 1), strict=True):
             slider.value = float(self._most_n * part)
         self._drive()
-
-    def _let_go(self, _) -> None:
-        self._dragged = False
-        for slider in self._force:
-            slider.value = 0.0
 
     @property
     def pressure_kpa(self) -> np.ndarray:
@@ -217,7 +213,8 @@ class DevicePage:
     def step(self, dt_s: float) -> Shape:
         """The body goes on for `dt_s` seconds."""
         with self._lock:
-            self.shape = self._body.step(self.pressure_kpa, self.force_n, dt_s)
+            self.pressed_kpa = self.pressure_kpa
+            self.shape = self._body.step(self.pressed_kpa, self.force_n, dt_s)
         return self.shape
 
     def _run(self) -> None:
@@ -226,7 +223,7 @@ class DevicePage:
             now = time.monotonic()
             dt, last = min(now - last, LONGEST_S), now
             if self._studio.driver != self.title:
-                shown = None
+                self._poke.visible, shown = False, None
                 continue
             began = time.thread_time()
             shape = self.step(dt * SPEEDS[self._speed.value])
@@ -248,7 +245,7 @@ class DevicePage:
         x, y, z = shape.markers[:3]
         self.readout.content = (
             f"**Bend {shape.bend_deg:.1f}°**, tip at x {x:.1f}, y {y:.1f}, z {z:.1f} mm, "
-            f"pressure {' / '.join(f'{p:.1f}' for p in self.pressure_kpa)} kPa"
+            f"pressure {' / '.join(f'{p:.1f}' for p in self.pressed_kpa)} kPa"
         )
 
     def close(self) -> None:

@@ -41,17 +41,26 @@ class Gate:
         self._names = (*LOCAL, host)
         self._socket = _bound(host, port)
         self.port = self._socket.getsockname()[1]
-        self._loop = asyncio.new_event_loop()
-        serving = asyncio.start_server(self._pass, sock=self._socket, limit=HEAD_BYTES)
-        self._server = self._loop.run_until_complete(serving)
-        self._thread = threading.Thread(target=self._loop.run_forever, daemon=True, name="studio gate")
+        self._loop, self._closed = asyncio.new_event_loop(), asyncio.Event()
+        self._thread = threading.Thread(
+            target=self._loop.run_until_complete, args=(self._serve(),), daemon=True, name="studio gate"
+        )
         self._thread.start()
 
     def close(self) -> None:
         """Refuses everybody from now on; the port is free again."""
-        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._loop.call_soon_threadsafe(self._closed.set)
         self._thread.join(timeout=2.0)
         self._socket.close()
+
+    async def _serve(self) -> None:
+        server = await asyncio.start_server(self._pass, sock=self._socket, limit=HEAD_BYTES)
+        await self._closed.wait()
+        server.close()
+        open_ones = asyncio.all_tasks() - {asyncio.current_task()}
+        for task in open_ones:
+            task.cancel()
+        await asyncio.gather(*open_ones, return_exceptions=True)
 
     async def _pass(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:

@@ -15,28 +15,38 @@ class Lines:
         x: name of the axis, with its unit.
         lines: name with unit, and colour, of each.
         height: in px.
-        one_scale: whether all lines share the first one's scale, named `one_scale`.
+        one_scale: name of the scale that all lines share; empty where each has its own.
+        now: colour of a dot at the present moment; empty for none.
     """
 
-    def __init__(self, gui: viser.GuiApi, x: str, lines: tuple, height: int = 160, one_scale: str = ""):
+    def __init__(
+        self, gui: viser.GuiApi, x: str, lines: tuple, height: int = 160, one_scale: str = "", now: str = ""
+    ):
         names = [one_scale or name for name, _ in lines]
         series = [uplot.Series(label=x)]
         for (name, colour), scale in zip(lines, names, strict=True):
             series.append(
                 uplot.Series(label=name, stroke=colour, width=1.5, scale=scale, points={"show": False})
             )
+        if now:
+            dot = {"show": True, "size": 9, "fill": now}
+            series.append(uplot.Series(label="now", stroke=now, width=0, scale=names[0], points=dot))
         axes = [uplot.Axis(stroke=INK, grid={"stroke": GRID}, size=30)]
         for k, scale in enumerate(dict.fromkeys(names)):
             axes.append(uplot.Axis(
                 scale=scale, label=scale, stroke=INK, side=3 if k == 0 else 1, size=48, labelSize=18,
                 grid={"stroke": GRID, "show": k == 0},
             ))  # fmt: skip
-        data = tuple(np.array([0.0, 1.0]) for _ in series)
+        data = (np.array([0.0, 1.0]), *(np.full(2, np.nan) for _ in series[1:]))
         scales = {"x": {"time": False}} | {s: {"auto": True} for s in names}
         self._plot = gui.add_uplot(
             data, tuple(series), scales=scales, axes=tuple(axes), height=height, legend={"show": True}
         )
 
-    def show(self, x: np.ndarray, *lines: np.ndarray) -> None:
-        """Draws lines (n,) over x (n,); NaN is a gap."""
+    def show(self, x: np.ndarray, *lines: np.ndarray, now: tuple[float, float] | None = None) -> None:
+        """Draws lines (n,) over x (n,), and the dot of the present moment at (x, y); NaN is a gap."""
+        if now is not None:
+            dot = np.full(len(x), np.nan)
+            dot[np.argmin(np.abs(x - now[0]))] = now[1]
+            lines = (*lines, dot)
         self._plot.data = tuple(np.asarray(v, np.float64) for v in (x, *lines))

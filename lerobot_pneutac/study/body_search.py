@@ -95,8 +95,9 @@ class BodySearch:
 
     # ---------------------------------------------------------------- stages
 
-    def _search(self, space: BodySpace, floor: float) -> Search:
-        return Search(space, self.judge, self.fold, floor, self.run, self.tell)
+    def _search(self, space: BodySpace, floor: float, unit: str = "") -> Search:
+        tell = lambda text: self.tell(f"{text} {unit or self.study.unit}")  # noqa: E731
+        return Search(space, self.judge, self.fold, floor, self.run, tell)
 
     def _air(self) -> Found:
         """What lies between command and measured pressure."""
@@ -107,7 +108,7 @@ class BodySearch:
         joints = len(study.twin.spine_joint_positions_mm)
         reading = Reading(target="pressure", start=study.start)
         space = BodySpace(fitter, own, [joints], candidates, _lines(own, study.excluded), reading)
-        found = self._search(space, study.air_noise).find()
+        found = self._search(space, study.air_noise, "kPa").find()
         settled = self._score(space.settle_air(found.final.model))
         found.final = min(found.final, settled, key=lambda s: s.value)
         return found

@@ -84,7 +84,11 @@ class GelStudy(EffectStudy):
         """Looks for optics effects that the twin lacks; in one process."""
         began, space = time.perf_counter(), self.space
         engine = Search(
-            space, self.judge, space.fold, self.noise.value, tell=lambda text: steps.expect(text, 0)
+            space,
+            self.judge,
+            space.fold,
+            self.noise.value,
+            tell=lambda text: steps.expect(f"{text} {self.unit}", 0),
         )
         steps.expect("the twin as it is, and with each effect", 1 + len(self.candidates))
         space.steps = steps

@@ -1,0 +1,279 @@
+"""The page that finds what is missing: compare, diagnose, try, keep, go back, the next experiment."""
+
+import tempfile
+from pathlib import Path
+
+from lerobot_pneutac.reports.diagnosis import ladder, reductions
+from lerobot_pneutac.reports.page import cell
+from lerobot_pneutac.verbs.add import add
+from lerobot_pneutac.verbs.benches import save_program
+from lerobot_pneutac.verbs.compare import compare
+from lerobot_pneutac.verbs.design import design
+from lerobot_pneutac.verbs.diagnose import diagnose
+from pneutac_sim.errors import InputError
+
+FOUND = "all that was found"
+NEWEST = "the newest"
+SHOWN = 10  # of the candidates
+
+
+class FindPage:
+    """The loop, by buttons; each does what the command of its name does.
+
+    Args:
+        studio: that it is a page of; its session has a recording.
+    """
+
+    title = "Find it"
+
+    def __init__(self, studio):
+        self._studio, self._gui = studio, studio.server.gui
+        self._scored: dict[str, float] = {}
+        self._unit = ""  # of what was scored
+        self._figures: list = []
+        gui, safely = self._gui, studio.safely
+        self.error = gui.add_markdown("")
+        gui.add_button("1. Compare", hint="pneutac compare").on_click(safely(self.compare))
+        gui.add_button("2. Diagnose: what is missing?", hint="pneutac diagnose").on_click(
+            safely(self.diagnose)
+        )
+        self._bar = gui.add_progress_bar(0.0, animated=True, visible=False)
+        self.progress = gui.add_markdown("", visible=False)
+        self.sentence = gui.add_markdown("")
+        self._evidence = gui.add_folder("Evidence", visible=False, expand_by_default=False)
+        self._choice = gui.add_dropdown("effect", (FOUND,), visible=False)
+        self._try = gui.add_button(
+            "3. Try it: the error before and after", visible=False, hint="pneutac add, not yet written"
+        )
+        self._try.on_click(safely(self.try_it))
+        self.before_after = gui.add_markdown("", visible=False)
+        self._keep = gui.add_button("4. Keep it", visible=False, color="green")
+        self._keep.on_click(safely(self.keep))
+        with gui.add_folder("Next experiment", expand_by_default=False):
+            gui.add_button("Which program tells most?", hint="pneutac design").on_click(safely(self.design))
+            self.experiment = gui.add_markdown("")
+            self._download = gui.add_button("Download program.csv", visible=False, icon="download")
+            self._download.on_click(self._send)
+        with gui.add_folder("History of the twin", expand_by_default=False):
+            self.history = gui.add_markdown("")
+            self._version = gui.add_dropdown("look at version", (NEWEST,))
+            self._version.on_update(safely(self._look))
+            self._back = gui.add_button("Go back to it", visible=False, color="orange")
+            self._back.on_click(safely(self.back))
+        with gui.add_folder("Report on disk", expand_by_default=False):
+            self._out = gui.add_text("folder", "outputs/studio")
+            write = gui.add_button("Write the diagnosis there", hint="as pneutac diagnose --out=FOLDER does")
+            write.on_click(safely(self.write))
+        self._program = b""
+        studio.session.when_changed(self._changed)
+        self._changed()
+
+    # ---------------------------------------------------------------- the loop
+
+    def _work(self, what: str, work) -> None:
+        """Does something that takes long; how far it is stands under the buttons."""
+        self._scored = {}
+
+        def run(show) -> None:
+            try:
+                work(show)
+            except InputError as e:
+                self._studio.say(str(e))
+            finally:
+                self._bar.visible = self.progress.visible = False
+
+        self._studio.session.begin(what, run, self._show)
+        self._bar.value, self._bar.visible = 2.0, True
+        self.progress.content, self.progress.visible = f"{what} ...", True
+
+    def _show(self, text: str, done: int, total: int) -> None:
+        """Progress, and the candidates with the errors that they were scored with, the best first."""
+        name, found, error = text.rpartition(": error ")
+        if found:
+            value, _, unit = error.partition(" ")
+            if unit != self._unit:  # air is searched before the body
+                self._scored, self._unit = {}, unit
+            self._scored[name.partition(" ")[2]] = float(value)
+        best = sorted(self._scored.items(), key=lambda item: item[1])[:SHOWN]
+        rows = "".join(f"\n| {k} | {v:.3g} |" for k, v in best)
+        table = f"\n\n| tried | error, {self._unit} |\n|---|---|{rows}" if rows else ""
+        self.progress.content = f"{self._studio.session.working}: {name or text}{table}"
+        self._bar.value = 100.0 * max(0.02, done / max(total, 1))
+
+    def compare(self) -> None:
+        """Where the twin stands."""
+        session = self._studio.session
+        session.comparison = compare(session.twin, session.needs_recording())
+        self._tell_error()
+        self.sentence.content = session.comparison.sentence
+
+    def diagnose(self) -> None:
+        """Looks for what is missing; the twin stays as it is."""
+        session = self._studio.session
+        recording = session.needs_recording()
+
+        def work(show) -> None:
+            session.diagnosis = diagnose(session.twin, recording, progress=show)
+            self._tell_diagnosis()
+
+        self._work("diagnosing", work)
+
+    def try_it(self) -> None:
+        """What the chosen effect does to the error; nothing is written."""
+        session = self._studio.session
+        recording, chosen = session.needs_recording(), self._choice.value
+        if session.diagnosis is None:
+            raise InputError("Diagnose first; then what was found can be tried.")
+
+        def work(show) -> None:
+            what = session.diagnosis if chosen == FOUND else chosen
+            session.addition = add(session.twin, recording, what, progress=show)
+            self._tell_addition()
+
+        self._work(f"trying {chosen}", work)
+
+    def keep(self) -> None:
+        """Writes what was tried as the twin's next version."""
+        session = self._studio.session
+        if session.addition is None or not session.addition.accepted:
+            raise InputError("There is nothing to keep; try an effect first.")
+        if session.version is not None:
+            raise InputError(
+                "An earlier version is looked at; choose the newest, or go back to this one first."
+            )
+        session.addition = session.addition.save(session.folder)
+        kept = session.addition
+        session.look_at()
+        session.comparison = compare(session.twin, session.needs_recording())
+        self._tell_error()
+        self.before_after.content = f"Kept as version {kept.twin.history[-1]['version']}. {kept.sentence}"
+        self.before_after.visible = True
+
+    def design(self) -> None:
+        """The program for the bench that tells most."""
+        session = self._studio.session
+        recording = session.needs_recording()
+        if session.diagnosis is None:
+            raise InputError("Diagnose first; the next experiment follows from what is in the running.")
+
+        def work(show) -> None:
+            show("choosing among programs", 0, 1)
+            found = design(session.twin, recording, session.diagnosis)
+            c = found.best
+            with tempfile.TemporaryDirectory() as folder:
+                save_program(Path(folder) / "program.csv", c.time_s, c.pressure_kpa, c.kind)
+                self._program = (Path(folder) / "program.csv").read_bytes()
+            self.experiment.content = f"{found.sentence}\n\n{table(found.rows())}"
+            self._download.visible = True
+
+        self._work("choosing the next experiment", work)
+
+    def back(self) -> None:
+        """Writes the version that is looked at as the newest."""
+        number = self._studio.session.keep()
+        self._studio.say(f"Version {number} is as the one that you went back to; none was lost.")
+
+    def write(self) -> None:
+        """The diagnosis as the command would write it."""
+        diagnosis, out = self._studio.session.diagnosis, Path(self._out.value)
+        if diagnosis is None:
+            raise InputError("Diagnose first; there is nothing to write yet.")
+        if out.is_file():
+            raise InputError(f"folder={out} is a file; give a folder.")
+        if diagnosis.study.recording.device != "gel":
+            diagnosis = diagnosis.save(out)
+        self._studio.say(f"Wrote {diagnosis.report(out)}.")
+
+    # ---------------------------------------------------------------- what is shown
+
+    def _tell_error(self) -> None:
+        c = self._studio.session.comparison
+        if c is None:
+            self.error.content = "How far is the twin from the recording?"
+            return
+        name, value = ("Held-out error", c.heldout) if c.heldout is not None else ("Error", c.train)
+        self.error.content = f"**{name} {value:.3g} {c.unit}** (noise {c.noise_floor:.3g} {c.unit})"
+
+    def _tell_diagnosis(self) -> None:
+        d = self._studio.session.diagnosis
+        self.sentence.content = (
+            f"**{d.sentence}**\n\n**How sure.** {d.how_sure}\n\n**Not explained.** {d.not_explained}\n\n"
+            f"**Record next.** {d.next_experiment}"
+        )
+        self._clear()
+        rivals = [
+            {"effect": r.effect, "rival": r.rival, "its mean square": f"{100 * r.difference:+.1f} %"}
+            for r in d.outcome.rivals
+        ]
+        with self._evidence:
+            for figure, height in ((ladder(d.study, d.outcome), 260), (reductions(d.outcome), 300)):
+                figure.update_layout(template="plotly_white", height=height, font={"size": 10},
+                                     margin={"l": 90, "r": 10, "t": 20, "b": 40})  # fmt: skip
+                self._figures.append(self._gui.add_plotly(figure, aspect=440 / height))
+            text = table(rivals) if rivals else "No other effect explains the test part as well."
+            self._figures.append(self._gui.add_markdown(f"**Rivals.** \n\n{text}"))
+        self._evidence.visible = True
+        tested = [t.name for t in d.outcome.tested if t.name not in d.selected]
+        self._choice.options = (FOUND, *d.selected, *tested)[: 1 + SHOWN]
+        self._choice.value = FOUND
+        self._choice.visible = self._try.visible = bool(d.outcome.tested)
+
+    def _tell_addition(self) -> None:
+        a = self._studio.session.addition
+        rows = table(a.rows())
+        self.before_after.content = f"{a.sentence}\n\n{rows}"
+        self.before_after.visible = True
+        number = len(self._studio.session.twin.history)
+        self._keep.label = f"4. Keep it: writes version {number} of {self._studio.session.folder.name}"
+        self._keep.visible = a.accepted
+
+    def _changed(self) -> None:
+        """Another twin is looked at: what was found about the one before is no longer shown."""
+        session = self._studio.session
+        newest = session.twin if session.version is None else None
+        if newest is not None:
+            rows = [
+                {
+                    "version": e["version"],
+                    "what": e["change"],
+                    "held out": e.get("heldout"),
+                    "unit": e.get("unit"),
+                }
+                for e in newest.history
+            ]
+            self.history.content = table(rows) or "Nothing was changed yet."
+            self._version.options = (NEWEST, *(f"{e['version']}: {e['change']}" for e in newest.history[:-1]))
+            self._version.value = NEWEST
+        self._back.visible = session.version is not None
+        self._back.label = f"Go back: writes version {session.version} of the twin as its newest"
+        self._clear()
+        self.sentence.content = ""
+        self._evidence.visible = self._choice.visible = self._try.visible = self._keep.visible = False
+        self.before_after.visible = False
+        self._tell_error()
+
+    def _look(self) -> None:
+        chosen = self._version.value
+        number = None if chosen == NEWEST else int(chosen.partition(":")[0])
+        if number != self._studio.session.version:
+            self._studio.session.look_at(number)
+
+    def _clear(self) -> None:
+        for figure in self._figures:
+            figure.remove()
+        self._figures = []
+
+    def _send(self, event) -> None:
+        if event.client is not None:
+            event.client.send_file_download("program.csv", self._program)
+
+    def close(self) -> None:
+        """Nothing of it goes on by itself."""
+
+
+def table(rows: list[dict]) -> str:
+    """Rows of one kind as Markdown; empty where there are none."""
+    if not rows:
+        return ""
+    head = "| " + " | ".join(map(str, rows[0])) + " |\n|" + "---|" * len(rows[0])
+    return "\n".join([head, *("| " + " | ".join(cell(v) for v in row.values()) + " |" for row in rows)])

@@ -1,0 +1,191 @@
+"""The measurement page of a finger or an arm: the recording in time, beside what the twin makes of it."""
+
+import threading
+import time
+
+import numpy as np
+
+from lerobot_pneutac.reports.compare import by_condition
+from lerobot_pneutac.studio.colours import FLOOR, HELDOUT, MEASURED, MODEL
+from lerobot_pneutac.studio.live import shape_of
+from lerobot_pneutac.studio.plots import Lines
+from lerobot_pneutac.verbs.compare import compare
+from pneutac_sim.errors import InputError
+from pneutac_sim.finger import Pipeline
+
+FRAMES_A_S = 20
+MOST_POINTS = 500  # of a line: more cannot be told apart in the panel
+WINDOWS = {"10 s": 10.0, "30 s": 30.0, "2 min": 120.0, "all": np.inf}
+SPEEDS = {"1 x": 1.0, "0.2 x": 0.2, "5 x": 5.0, "20 x": 20.0}
+TIPS = ("tip_x_mm", "tip_y_mm", "tip_z_mm")
+
+
+class MeasurementPage:
+    """Play, scrub, jump.
+
+    Args:
+        studio: that it is a page of; its session has a recording of a body.
+        scene: the picture that follows.
+    """
+
+    title = "Measurement"
+
+    def __init__(self, studio, scene):
+        self._studio, self._gui, self._scene = studio, studio.server.gui, scene
+        gui = self._gui
+        self.readout = gui.add_markdown("The twin is run on the recording ...")
+        self._time = gui.add_slider("time, s", 0.0, 1.0, 0.01, 0.0)
+        self._playing = gui.add_checkbox("Play", False)
+        self._speed = gui.add_dropdown("speed", tuple(SPEEDS))
+        self._window = gui.add_dropdown("shown about it", tuple(WINDOWS), initial_value="30 s")
+        self._photograph = gui.add_image(np.zeros((2, 2, 3), np.uint8), label="photographed", visible=False)
+        self._charts, self._beside = [], gui.add_folder("In time")
+        self._places = gui.add_folder("Worst passages")
+        self._conditions = gui.add_folder("Error against conditions", expand_by_default=False)
+        self._rows, self._lock, self._stop = [], threading.RLock(), threading.Event()
+        self._time.on_update(self._scrubbed)
+        self._window.on_update(lambda _: self._draw())
+        studio.session.when_changed(self._load)
+        self._thread = threading.Thread(target=self._run, daemon=True, name="measurement page")
+        self._thread.start()
+
+    # ---------------------------------------------------------------- what is shown
+
+    def _load(self) -> None:
+        """Runs the twin on the recording and shows what comes of it."""
+        session = self._studio.session
+        try:
+            comparison = compare(session.twin, session.needs_recording())
+        except InputError as e:
+            self.readout.content = f"> {e}"
+            return
+        session.comparison = comparison
+        with self._lock:
+            self._read(comparison)
+        self._lay_out(comparison)
+        self._draw()
+
+    def _read(self, c) -> None:
+        """Keeps what is drawn of a comparison, trials laid end to end."""
+        pipeline = Pipeline.of(c.twin, c.bench.inputs)
+        self._run_of = pipeline.run(c.bench.inputs, pipeline.theta(c.twin, c.bench.inputs.pressure_range_kpa))
+        own = c.recording.column("time_s").astype(float)
+        self._t, at = np.empty(len(own)), 0.0
+        for rows in c.recording.trials().values():
+            self._t[rows] = own[rows] - own[rows][0] + at
+            at = self._t[rows][-1] + 1.0
+        self._c, self._error = c, np.sqrt(c.squared)
+        self._main = int(np.argmax(np.var(c.measured[:, : c.counted], axis=0)))
+        self._pressure = c.recording.samples[c.recording.pressure_columns].to_numpy(float)
+        self._tip = None
+        if all(n in c.columns for n in (TIPS[0], TIPS[2])):
+            self._tip = np.stack(
+                [c.measured[:, c.columns.index(n)] if n in c.columns else np.zeros(len(own)) for n in TIPS], 1
+            )
+
+    def _lay_out(self, c) -> None:
+        """Charts, worst passages and conditions of a comparison."""
+        gui = self._gui
+        self._time.max = float(self._t[-1])
+        self._time.value = float(min(self._time.value, self._t[-1]))
+        if not self._charts:
+            name, _, unit = c.columns[self._main].rpartition("_")
+            with self._beside:
+                said = f"{name.replace('_', ' ')}, {unit}"
+                chambers = [
+                    n.replace("pressure_cmd_", "").replace("_kpa", "") for n in c.recording.pressure_columns
+                ]
+                commands = [f"command {n}".removesuffix(" kpa").removesuffix(" pressure") for n in chambers]
+                colours = (HELDOUT, FLOOR, MODEL)
+                lines = tuple(zip([f"{n}, kPa" for n in commands], colours, strict=False))
+                self._charts = [
+                    Lines(gui, "time, s", (("measured", MEASURED), ("model", MODEL)), 170, said, FLOOR),
+                    Lines(gui, "time, s", (("error", MODEL), ("noise", FLOOR)), 130, f"error, {c.unit}"),
+                    Lines(gui, "time, s", lines, 130, "command, kPa"),
+                ]
+        for handle in self._rows:
+            handle.remove()
+        self._rows = []
+        with self._places:
+            for p in c.worst:
+                b = gui.add_button(
+                    f"{p['error']:.3g} {c.unit}: trial {p['trial']}, {p['from_s']:.1f} s to {p['to_s']:.1f} s"
+                )
+                b.on_click(lambda _, p=p: self.jump(p))
+                self._rows.append(b)
+        with self._conditions:
+            shown = {n: r for n, r in c.by.items() if len(r) > 1}
+            figure = by_condition(shown, c).update_layout(
+                template="plotly_white", height=160 + 200 * ((len(shown) + 1) // 2), font={"size": 9},
+                margin={"l": 40, "r": 10, "t": 30, "b": 30}, legend={"orientation": "h", "y": -0.08},
+            )  # fmt: skip
+            self._rows.append(gui.add_plotly(figure, aspect=min(1.5, 3.0 / max(1, (len(shown) + 1) // 2))))
+
+    def jump(self, passage: dict) -> None:
+        """Shows the beginning of a passage as `compare` names it."""
+        rows = self._c.recording.trials()[passage["trial"]]
+        own = self._c.recording.column("time_s")[rows]
+        self._time.value = float(self._t[rows][0] + passage["from_s"] - own[0])
+        self._scene.forget_path()
+        self._scrubbed()
+
+    # ---------------------------------------------------------------- in time
+
+    def _scrubbed(self, _=None) -> None:
+        if self._studio.driver != self.title:
+            self._studio.driver = self.title
+            self._scene.forget_path()
+        self._draw()
+
+    def _run(self) -> None:
+        self._load()
+        last = time.monotonic()
+        while not self._stop.wait(1 / FRAMES_A_S):
+            now = time.monotonic()
+            dt, last = now - last, now
+            if self._playing.value and hasattr(self, "_c"):
+                t = self._time.value + dt * SPEEDS[self._speed.value]
+                self._time.value = float(t if t <= self._t[-1] else 0.0)
+                self._scrubbed()
+
+    def _draw(self) -> None:
+        with self._lock:
+            if not hasattr(self, "_c"):
+                return
+            c, t = self._c, self._t
+            i = int(np.clip(np.searchsorted(t, self._time.value), 0, len(t) - 1))
+            if self._studio.driver == self.title:
+                tip = None if self._tip is None else self._tip[i]
+                self._scene.show(shape_of(self._run_of.joints[i], self._run_of.markers[i], c.twin), tip)
+            half = WINDOWS[self._window.value] / 2
+            at = np.flatnonzero(np.abs(t - t[i]) <= half) if np.isfinite(half) else np.arange(len(t))
+            at = at[:: max(1, len(at) // MOST_POINTS)]
+            x = t[at]
+            main = c.measured[:, self._main], c.model[:, self._main]
+            self._charts[0].show(x, *(values[at] for values in main), now=(t[i], main[1][i]))
+            self._charts[1].show(x, self._error[at], np.full(len(at), c.noise_floor))
+            self._charts[2].show(x, *self._pressure[at].T)
+            self.readout.content = self._told(i)
+            self._show_photograph(i)
+
+    def _told(self, i: int) -> str:
+        c = self._c
+        trial, own = int(c.recording.column("trial")[i]), float(c.recording.column("time_s")[i])
+        heldout = "" if c.heldout is None else f"; held out {c.heldout:.3g} {c.unit} in all"
+        name = c.columns[self._main]
+        return (
+            f"**Off by {self._error[i]:.2f} {c.unit}** in trial {trial} at {own:.2f} s{heldout}.  \n"
+            f"{name}: measured {c.measured[i, self._main]:.2f}, model {c.model[i, self._main]:.2f}; "
+            f"command {' / '.join(f'{p:.1f}' for p in self._pressure[i])} kPa"
+        )
+
+    def _show_photograph(self, i: int) -> None:
+        recording = self._c.recording
+        value = recording.samples["image"].iloc[i] if recording.has("image") else ""
+        if isinstance(value, str) and value:
+            self._photograph.image, self._photograph.visible = recording.image(value), True
+
+    def close(self) -> None:
+        """Stops it."""
+        self._stop.set()
+        self._thread.join(timeout=2.0)

@@ -1,0 +1,210 @@
+"""The studio in a real browser; what takes long, and the pictures of the docs, run nightly.
+
+PNEUTAC_SCREENSHOTS=docs/pictures writes the pictures there.
+"""
+
+import os
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from playwright.sync_api import expect, sync_playwright
+
+from lerobot_pneutac.studio.app import Studio
+from lerobot_pneutac.studio.session import Session
+from pneutac_sim.twin import Twin
+
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+GOLDEN = Path(__file__).parents[2] / "golden" / "recordings"
+WEBGL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+pytestmark = pytest.mark.skipif(BROWSER is None, reason="there is no Chromium; `apt-get install chromium`")
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=BROWSER, args=WEBGL)
+        yield browser
+        browser.close()
+
+
+class Page:
+    """A page, with what it complained of, whom it asked and how many messages came."""
+
+    def __init__(self, browser, address, width=1280, height=720):
+        self.page = browser.new_page(viewport={"width": width, "height": height})
+        self.errors, self.foreign, self.messages = [], [], 0
+        self.page.on("pageerror", lambda e: self.errors.append(str(e)))
+        self.page.on("console", lambda m: m.type == "error" and self.errors.append(m.text))
+        self.page.on("request", self._asked)
+        self.page.on("websocket", lambda ws: ws.on("framereceived", self._came))
+        self.page.goto(address)
+
+    def _asked(self, request):
+        if re.match(r"https?://(?!127\.0\.0\.1)", request.url):
+            self.foreign.append(request.url)
+
+    def _came(self, _):
+        self.messages += 1
+
+    def bend_deg(self) -> float:
+        return float(re.search(r"Bend (-?[0-9.]+)°", self.page.get_by_text("Bend ").first.inner_text())[1])
+
+    def press(self, kpa: float):
+        box = self.page.get_by_role("textbox").first
+        box.fill(str(kpa))
+        box.press("Enter")
+
+    def picture(self, name: str, colours: int = 128):
+        folder = os.environ.get("PNEUTAC_SCREENSHOTS")
+        if folder:
+            file = Path(folder) / f"studio_{name}.png"
+            for close in self.page.locator(".mantine-Notification-closeButton").all():
+                close.click()  # that this machine has no graphics card is of no interest there
+            self.page.wait_for_timeout(600)
+            self.page.screenshot(path=file)
+            small = Image.open(file).convert("RGB").quantize(colours, dither=Image.Dither.NONE)
+            small.save(file, optimize=True)
+            assert file.stat().st_size < 150_000
+
+
+def twin_of(recording: Path, folder: Path) -> Path:
+    """A calibrated twin of it, which lacks what the recording hides."""
+    for verb in ("new", "calibrate"):
+        command = [sys.executable, "-m", "lerobot_pneutac.cli", verb]
+        subprocess.run(
+            [*command, f"--twin={folder}", f"--recording={recording}"], check=True, capture_output=True
+        )
+    return folder
+
+
+def test_the_slider_bends_the_finger_for_all_who_look(browser, tmp_path):
+    twin = Twin.builtin().save(tmp_path / "finger")
+    untouched = {f: f.read_bytes() for f in twin.rglob("*") if f.is_file()}
+    studio = Studio(Session(twin, None), port=0)
+    try:
+        began = time.monotonic()
+        one = Page(browser, studio.address, 800, 400)  # drawn without a graphics card
+        expect(one.page.get_by_text("Bend ").first).to_be_visible(timeout=20_000)
+        assert time.monotonic() - began < 20  # under 2 on an idle machine
+        still = one.bend_deg()
+        one.press(12)
+        expect(one.page.get_by_text("pressure 12.0 kPa").first).to_be_visible()
+        assert one.bend_deg() > still + 15
+        two = Page(browser, studio.address, 800, 400)
+        expect(two.page.get_by_text("pressure 12.0 kPa").first).to_be_visible()
+        two.press(3)
+        expect(one.page.get_by_text("pressure 3.0 kPa").first).to_be_visible()
+        one.page.reload()
+        expect(one.page.get_by_text("pressure 3.0 kPa").first).to_be_visible(timeout=20_000)
+        came, device = one.messages, studio.pages["Device"]
+        for kpa in np.linspace(3, 12, 30):
+            device._pressures[0].value = float(kpa)
+            one.page.wait_for_timeout(33)
+        assert one.messages - came > 20
+        assert not one.errors + two.errors and not one.foreign + two.foreign
+        assert {f: f.read_bytes() for f in twin.rglob("*") if f.is_file()} == untouched
+        one.page.close(), two.page.close()
+    finally:
+        studio.close()
+
+
+@pytest.mark.nightly
+def test_a_newcomer_finds_and_adds_what_is_missing(browser, tmp_path):
+    recording = shutil.copytree(GOLDEN / "finger_creep", tmp_path / "bench")
+    studio = Studio(Session(twin_of(recording, tmp_path / "finger"), recording), port=0)
+    try:
+        seen = Page(browser, studio.address)
+        page = seen.page
+        button = lambda name: page.get_by_role("button", name=name)  # noqa: E731
+        expect(page.get_by_text("Bend ").first).to_be_visible(timeout=20_000)
+        seen.press(10)
+        page.get_by_text("Effects of the twin").wait_for()
+        seen.picture("device")
+        page.get_by_role("tab", name="Measurement").click()
+        expect(page.get_by_text("Off by ").first).to_be_visible(timeout=30_000)
+        page.locator("button", has_text="mm: trial").first.click()
+        page.get_by_text("Off by ").first.scroll_into_view_if_needed()
+        seen.picture("measurement")
+        page.get_by_role("tab", name="Find it").click()
+        button("1. Compare").click()
+        shown = page.get_by_text("Held-out error").first
+        expect(shown).to_be_visible(timeout=30_000)
+        before = float(re.search(r"error ([0-9.]+) mm", shown.inner_text())[1])
+        button("2. Diagnose").click()
+        expect(page.get_by_text("tried", exact=True)).to_be_visible(timeout=120_000)
+        page.reload()  # in the middle of the work, which goes on
+        page.get_by_role("tab", name="Find it").click()
+        expect(page.get_by_text("Your finger creeps").first).to_be_visible(timeout=300_000)
+        seen.picture("found")
+        button("3. Try it").click()
+        expect(button("4. Keep it")).to_be_visible(timeout=120_000)
+        assert "creep" not in str(Twin.load(tmp_path / "finger").history)
+        button("4. Keep it").click()
+        expect(page.get_by_text("Kept as version 1").first).to_be_visible(timeout=60_000)
+        after = float(
+            re.search(r"error ([0-9.]+) mm", page.get_by_text("Held-out error").first.inner_text())[1]
+        )
+        assert after < 0.5 * before
+        assert Twin.load(tmp_path / "finger").history[-1]["change"].startswith("added ")
+        seen.picture("kept")
+        assert not seen.errors and not seen.foreign
+        page.close()
+    finally:
+        studio.close()
+
+
+@pytest.mark.nightly
+def test_a_server_that_was_killed_is_found_again(browser, tmp_path):
+    twin = Twin.builtin().save(tmp_path / "finger")
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    command = [sys.executable, "-m", "lerobot_pneutac.cli", "studio", f"--twin={twin}", f"--port={port}"]
+
+    def start():
+        server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        assert f"http://127.0.0.1:{port}/" in server.stdout.readline()
+        return server
+
+    server = start()
+    try:
+        seen = Page(browser, f"http://127.0.0.1:{port}/")
+        expect(seen.page.get_by_text("Bend ").first).to_be_visible(timeout=20_000)
+        server.send_signal(signal.SIGKILL)
+        server.wait()
+        server = start()
+        expect(seen.page.get_by_text("pressure 0.0 kPa").first).to_be_visible(timeout=60_000)
+        seen.press(12)
+        expect(seen.page.get_by_text("pressure 12.0 kPa").first).to_be_visible(timeout=20_000)
+    finally:
+        server.kill()
+
+
+@pytest.mark.nightly
+def test_a_gel_is_pressed_and_its_recording_shown(browser, tmp_path):
+    recording = shutil.copytree(GOLDEN / "gel_presses", tmp_path / "presses")
+    studio = Studio(Session(twin_of(recording, tmp_path / "gel"), recording), port=0)
+    try:
+        seen = Page(browser, studio.address)
+        contact = seen.page.get_by_text("Contact ").first
+        expect(contact).to_be_visible(timeout=20_000)
+        area = lambda: float(re.search(r"Contact ([0-9.]+)", contact.inner_text())[1])  # noqa: E731
+        small, touch = area(), studio.pages["Touch"]
+        touch._depth.value = 1.2
+        seen.page.wait_for_timeout(1000)
+        assert area() > 1.2 * small
+        seen.picture("gel")
+        seen.page.get_by_role("tab", name="Measurement").click()
+        expect(seen.page.get_by_text("levels").first).to_be_visible(timeout=60_000)
+        seen.page.get_by_role("button", name="The worst image").click()
+        assert not seen.errors and not seen.foreign
+    finally:
+        studio.close()
