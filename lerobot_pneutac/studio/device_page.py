@@ -89,7 +89,7 @@ class DevicePage:
         def typical(column: str, otherwise: float) -> float:
             if recording is None or not recording.has(column):
                 return otherwise
-            return float(np.median(recording.column(column)))
+            return round(float(np.median(recording.column(column))), 1)
 
         with gui.add_folder("Surroundings"):
             warm = typical("temperature_c", 22.0)

@@ -80,6 +80,8 @@ class Gate:
                 self.connections -= 1
         except (OSError, TimeoutError, asyncio.IncompleteReadError, asyncio.LimitOverrunError):
             pass  # a browser that went away
+        except asyncio.CancelledError:
+            pass  # the gate closes
         finally:
             writer.close()
 

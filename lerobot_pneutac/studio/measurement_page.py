@@ -162,7 +162,7 @@ class MeasurementPage:
             at = at[:: max(1, len(at) // MOST_POINTS)]
             x = t[at]
             main = c.measured[:, self._main], c.model[:, self._main]
-            self._charts[0].show(x, *(values[at] for values in main), now=(t[i], main[1][i]))
+            self._charts[0].show(x, *(values[at] for values in main), now=t[i])
             self._charts[1].show(x, self._error[at], np.full(len(at), c.noise_floor))
             self._charts[2].show(x, *self._pressure[at].T)
             self.readout.content = self._told(i)

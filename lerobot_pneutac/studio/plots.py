@@ -16,7 +16,7 @@ class Lines:
         lines: name with unit, and colour, of each.
         height: in px.
         one_scale: name of the scale that all lines share; empty where each has its own.
-        now: colour of a dot at the present moment; empty for none.
+        now: colour of a cursor at the present moment; empty for none.
     """
 
     def __init__(
@@ -29,8 +29,8 @@ class Lines:
                 uplot.Series(label=name, stroke=colour, width=1.5, scale=scale, points={"show": False})
             )
         if now:
-            dot = {"show": True, "size": 9, "fill": now}
-            series.append(uplot.Series(label="now", stroke=now, width=0, scale=names[0], points=dot))
+            quiet = {"show": False}
+            series.append(uplot.Series(label="now", stroke=now, width=1.5, scale=names[0], points=quiet))
         axes = [uplot.Axis(stroke=INK, grid={"stroke": GRID}, size=30)]
         for k, scale in enumerate(dict.fromkeys(names)):
             axes.append(uplot.Axis(
@@ -43,10 +43,10 @@ class Lines:
             data, tuple(series), scales=scales, axes=tuple(axes), height=height, legend={"show": True}
         )
 
-    def show(self, x: np.ndarray, *lines: np.ndarray, now: tuple[float, float] | None = None) -> None:
-        """Draws lines (n,) over x (n,), and the dot of the present moment at (x, y); NaN is a gap."""
-        if now is not None:
-            dot = np.full(len(x), np.nan)
-            dot[np.argmin(np.abs(x - now[0]))] = now[1]
-            lines = (*lines, dot)
+    def show(self, x: np.ndarray, *lines: np.ndarray, now: float | None = None) -> None:
+        """Draws lines (n,) over x (n,), and a cursor at x = `now`."""
+        if now is not None:  # a line with one peak, for a gap would take the axis its range
+            cursor = np.full(len(x), min(v.min() for v in lines))
+            cursor[np.argmin(np.abs(x - now))] = max(v.max() for v in lines)
+            lines = (*lines, cursor)
         self._plot.data = tuple(np.asarray(v, np.float64) for v in (x, *lines))

@@ -141,6 +141,8 @@ class Demo:
     def _add(self) -> dict:
         """All that was found, at once: found together, one alone may not be worth it."""
         if not set(self.state["diagnose"]["selected"]) <= set(Twin.load(self.twin).effects):
+            shutil.rmtree(self._path("before"), ignore_errors=True)
+            shutil.copytree(self.twin, self._path("before"))  # to be found anew in the studio
             self._verb("add", self.finger, "added", f"--from={self._path('diagnosis')}")
         return self._compare("compare_after")
 

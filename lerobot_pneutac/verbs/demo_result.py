@@ -50,11 +50,12 @@ class DemoResult(Result):
 
     @property
     def next_commands(self) -> list[str]:
-        """Three commands to try next."""
+        """Commands to try next; the last one opens the twin as it was before anything was added."""
         return [
             f"pneutac diagnose --twin={self.out}/twin --recording={self.out}/bench/finger --out=outputs/rest",
             f"pneutac render --twin={self.out}/twin --pressure_kpa=[0,15] --out=outputs/render",
             "python -m pneutac_datasets.generate --effect=hysteresis --seed=7 --out=outputs/hysteresis",
+            f"pneutac studio --twin={self.out}/before --recording={self.out}/bench/finger",
         ]
 
     def subject(self) -> tuple[Twin, Path]:

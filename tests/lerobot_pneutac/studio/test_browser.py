@@ -103,8 +103,6 @@ def test_the_slider_bends_the_finger_for_all_who_look(browser, tmp_path):
         expect(two.page.get_by_text("pressure 12.0 kPa").first).to_be_visible()
         two.press(3)
         expect(one.page.get_by_text("pressure 3.0 kPa").first).to_be_visible()
-        one.page.reload()
-        expect(one.page.get_by_text("pressure 3.0 kPa").first).to_be_visible(timeout=20_000)
         came, device = one.messages, studio.pages["Device"]
         for kpa in np.linspace(3, 12, 30):
             device._pressures[0].value = float(kpa)
@@ -155,7 +153,6 @@ def test_a_newcomer_finds_and_adds_what_is_missing(browser, tmp_path):
         )
         assert after < 0.5 * before
         assert Twin.load(tmp_path / "finger").history[-1]["change"].startswith("added ")
-        seen.picture("kept")
         assert not seen.errors and not seen.foreign
         page.close()
     finally:
@@ -203,7 +200,7 @@ def test_a_gel_is_pressed_and_its_recording_shown(browser, tmp_path):
         assert area() > 1.2 * small
         seen.picture("gel")
         seen.page.get_by_role("tab", name="Measurement").click()
-        expect(seen.page.get_by_text("levels").first).to_be_visible(timeout=60_000)
+        expect(seen.page.get_by_text("Off by ").first).to_be_visible(timeout=60_000)
         seen.page.get_by_role("button", name="The worst image").click()
         assert not seen.errors and not seen.foreign
     finally:
