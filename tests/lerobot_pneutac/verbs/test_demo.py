@@ -237,9 +237,10 @@ def test_the_sentence_says_what_was_found_and_the_report_is_written(commands, tm
     assert result["selected"] == SELECTED
 
 
-def test_the_command_ends_with_three_to_try_next(commands, tmp_path, capsys):
+def test_the_command_ends_with_what_to_try_next(commands, tmp_path, capsys):
     command.main([f"--out={tmp_path / 'd'}"])
     printed = capsys.readouterr().out
     after = printed.split("Try next:\n")[1].strip().splitlines()
-    assert [line.split()[0] for line in after] == ["pneutac", "pneutac", "python"]
+    assert [line.split()[0] for line in after] == ["pneutac", "pneutac", "python", "pneutac"]
     assert "--twin=" in after[0] and "report.html" in printed
+    assert after[-1].strip().startswith(f"pneutac studio --twin={tmp_path / 'd'}/before")
