@@ -16,6 +16,7 @@ TABLES = {
     "policy": "pneutac_benchmarks.policy.main",
     "speed": "pneutac_benchmarks.speed.main",
     "experiments": "pneutac_benchmarks.experiments",
+    "demonstrations": "pneutac_benchmarks.demonstrations",
     "robustness": "pneutac_benchmarks.robustness.main",
 }
 

@@ -224,7 +224,20 @@ class DemonstrationStudy(EffectStudy):
         with ThreadPoolExecutor(jobs) as pool:
             space = DemonstrationSpace(fitter, base, candidates, columns)
             tell = lambda text: steps.expect(text, 0)  # noqa: E731
-            return Search(space, self._learnt(), fold, float(floor), pool.map, tell).find()
+            search = Search(space, self._learnt(), fold, float(floor), pool.map, tell)
+            found = search.find()
+            while found.final.model.form.effects:  # a term that hardly counts must not ride on another
+                without = {
+                    e: search.score(space.without(found.final.model, e))
+                    for e in found.final.model.form.effects
+                }
+                weakest = min(without, key=lambda e: without[e].value)
+                if without[weakest].value - found.final.value > self._least(columns, found.final.value):
+                    effects = sorted(without, key=lambda e: -without[e].value)
+                    found.final.model.form = Form(tuple(effects))
+                    break
+                found.final = without[weakest]
+            return found
 
     def _outcome(
         self, air: Found, touch: Found, fitter: Fitter, tested: list[Tested], began: float
@@ -264,17 +277,17 @@ class DemonstrationStudy(EffectStudy):
         return self.test.value(after.squared) < self.test.value(before.squared)
 
     def _worth(self, found: Found, base: DemonstrationModel, fitter: Fitter, columns: slice) -> bool:
-        """Whether a stage lowers the error by more than demonstrations of an unchanged finger differ.
-
-        On episodes that no fit saw, those of the search, and on the held-out ones it must fall too.
-        """
-        last = self._last.get("touch" if columns == TOUCH else "arm_and_gauge")
-        least = WORTH * last**2 if last is not None else WORTH_OF_LEFT * found.final.value
+        """Whether what a stage found lowers the error of the held-out episodes too."""
         squared = (
             (fitter.predict(m.form, m.values)[0][:, columns] ** 2).sum(1) for m in (base, found.final.model)
         )
         before, after = map(self.test.value, squared)
-        return found.base.value - found.final.value > least and after < before
+        return bool(found.final.model.form.effects) and after < before
+
+    def _least(self, columns: slice, left: float) -> float:
+        """Fall of the mean square error below which a term does not count, where `left` is left with it."""
+        last = self._last.get("touch" if columns == TOUCH else "arm_and_gauge")
+        return WORTH * last**2 if last is not None else WORTH_OF_LEFT * left
 
     def _evidence(self, before, after, selected, chosen) -> Evidence:
         floor = max(self.noise.value, 1e-12)

@@ -12,12 +12,13 @@ import numpy as np
 import pandas as pd
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import PAPER_RANGE_KPA, PRESSURE, task_names
+from pneutac_sim.features import EE, PAPER_RANGE_KPA, PRESSURE, task_names
 
 if TYPE_CHECKING:
     from pneutac_datasets.demonstrations.episodes import Episode
 
 ROBOT = "pneutac"
+JUMP_M = 0.03  # in a frame, four times the fastest
 LEAST_KPA = 0.5  # travel of a command of pressure that a gauge must show
 
 
@@ -128,6 +129,13 @@ def checked(given: Demonstrations) -> Demonstrations:
             "throughout), so it tells nothing of the finger; leave it out with lerobot-edit-dataset."
         )
     for i, e in enumerate(given.episodes):
+        step_m = np.linalg.norm(np.diff(e.state[:, EE], axis=0), axis=1)
+        if step_m.max() > JUMP_M:
+            raise InputError(
+                f"{given.folder}: in episode {i} the flange jumps by {1e3 * step_m.max():.0f} mm at "
+                f"frame {int(step_m.argmax())}, as where frames were lost or the scene was started afresh; "
+                "leave it out with lerobot-edit-dataset."
+            )
         if np.ptp(e.action[:, 3]) > LEAST_KPA and np.ptp(e.state[:, PRESSURE]) < 1e-6:
             raise InputError(
                 f"{given.folder}: in episode {i} pressure.pos stays at {e.state[0, PRESSURE]:g} kPa while "

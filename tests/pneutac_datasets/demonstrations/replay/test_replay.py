@@ -95,6 +95,10 @@ def test_what_cannot_serve_is_refused(episode):
         checked(given(replace(episode, state=still)))
     with pytest.raises(InputError, match="episode 1 never touches anything"):
         checked(given(replace(episode, state=blind)))
+    jumps = episode.state.copy()
+    jumps[40:, EE] += [0.1, 0, 0]
+    with pytest.raises(InputError, match="in episode 1 the flange jumps by 10. mm at frame 39"):
+        checked(given(replace(episode, state=jumps)))
     with pytest.raises(InputError, match="There is no task 'tea'"):
         checked(replace(given(episode), task="tea"))
 

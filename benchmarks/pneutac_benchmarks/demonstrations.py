@@ -1,0 +1,167 @@
+"""`pneutac benchmark demonstrations`: what ten demonstrations of the stand-in tell of physics hidden in it.
+
+The twin was measured on the stand-in's bench and fitted to ten of its demonstrations. Then the stand-in is
+changed, itself, not the twin, and shows ten others. Right is whoever names what was changed, whatever else
+beside it, and nothing where nothing was; a change of light must be told by the rest frames.
+"""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from lerobot_pneutac.study.demonstrations import DemonstrationStudy
+from lerobot_pneutac.verbs.add import add
+from lerobot_pneutac.verbs.calibrate import calibrate
+from lerobot_pneutac.verbs.diagnose import diagnose
+from lerobot_robot_pneutac.standin.world import Physics, StandinWorld
+from pneutac_benchmarks.tables import markdown, terminal
+from pneutac_datasets.demonstrations.episodes import Episode
+from pneutac_datasets.demonstrations.replay.imprint import light_drift
+from pneutac_datasets.demonstrations.replay.reading import Demonstrations
+from pneutac_datasets.generate.standin import write_finger, write_gel
+from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.effects.laws import family
+from pneutac_sim.errors import check_least
+from pneutac_sim.features import CONTROL_HZ, TRIAL_S
+from pneutac_sim.files import write_json, write_text
+from pneutac_sim.twin import Twin
+from pneutac_sim.world.expert import ScriptedExpert
+
+VALVE = ("valve_slew", "valve_lag", "leak", "orifice_flow")
+# What is hidden, how the stand-in has it, and which kinds of finding are right.
+CASES: dict[str, tuple[Physics, tuple[str, ...]]] = {
+    "nothing (1)": (Physics(), ()),
+    "nothing (2)": (Physics(), ()),
+    "nothing (3)": (Physics(), ()),
+    "commands two steps late, not one": (Physics(late_commands=2), ("late_commands",)),
+    "commands three steps late": (Physics(late_commands=3), ("late_commands",)),
+    "creep 2.5 times as large": (Physics(creep=0.35), ("creep",)),
+    "creep 3.5 times as large": (Physics(creep=0.50), ("creep",)),
+    "commands three steps late and creep 3.5 times": (
+        Physics(late_commands=3, creep=0.50),
+        ("late_commands", "creep"),
+    ),
+    "valve of 60 % of its size": (Physics(orifice=0.27), VALVE),
+    "valve of 40 % of its size": (Physics(orifice=0.18), VALVE),
+    "red light 15 % brighter": (Physics(brightness=(1.15, 1.0, 1.0)), ("light",)),
+    "all light 10 % darker": (Physics(brightness=(0.9, 0.9, 0.9)), ("light",)),
+    "half the friction of the gel": (Physics(friction=0.5), ("gel friction",)),
+}
+
+
+@dataclass
+class BenchmarkDemonstrationsConfig:
+    """Options of `pneutac benchmark demonstrations`.
+
+    Attributes:
+        out: folder of the table; finished cases in it are not repeated.
+        demonstrations: of each case.
+        cases: so many of the cases, from the first on; all where left out.
+        seed: of the demonstrations.
+    """
+
+    out: Path = Path("outputs/benchmark_demonstrations")
+    demonstrations: int = 10
+    cases: int = len(CASES)
+    seed: int = 0
+
+    def __post_init__(self):
+        check_least(5, demonstrations=self.demonstrations)
+        check_least(1, cases=self.cases)
+
+
+def show(count: int, seed: int, physics: Physics, task: str = "button") -> Demonstrations:
+    """Demonstrations of a scripted expert on the stand-in; one that fails is shown anew."""
+    world, episodes = StandinWorld(task, physics=physics), []
+    while len(episodes) < count:
+        seen, actions = [world.reset(seed)], []
+        expert = ScriptedExpert(world, np.random.default_rng(seed))
+        seed += 1
+        while len(actions) < TRIAL_S * CONTROL_HZ and not (world.success or world.failure):
+            actions.append(expert.action())
+            seen.append(world.step(actions[-1]))
+        if world.success:
+            state = np.array([o.state for o in seen[:-1]], float)
+            images = np.stack([o.tactile for o in seen[:-1]])
+            episodes.append(
+                Episode(state, np.array(actions, float), images, world.task.description, CONTROL_HZ)
+            )
+    return Demonstrations(Path(f"standin/{task}"), task, episodes)
+
+
+def measured_twin(folder: Path, count: int, seed: int) -> Twin:
+    """The stand-in's twin by its bench, then by demonstrations; read where it has been made."""
+    if (folder / "twin.yaml").is_file():
+        return Twin.load(folder)
+    bench = folder.with_name("bench")
+    finger = write_finger(bench / "finger", seed)
+    twin = calibrate(Twin.builtin(), finger).twin
+    twin = add(twin, finger, diagnose(twin, finger)).twin
+    twin = calibrate(twin, Recording.load(write_gel(bench / "gel", seed).folder)).twin
+    plain = show(count, 1000 * seed + 300, Physics())
+    result = add(twin, plain, diagnose(twin, plain))
+    result.save(folder)
+    return Twin.load(folder)
+
+
+def run_case(twin: Twin, number: int, config: BenchmarkDemonstrationsConfig) -> dict:
+    """One case: what is found, and the replay error of held-out episodes before and after."""
+    name, (physics, right) = list(CASES.items())[number]
+    given = show(config.demonstrations, 1000 * config.seed + 100 + 37 * number, physics)
+    found = diagnose(twin, given)
+    corrected = add(twin, given, found)
+    after = found.before["heldout"]
+    if corrected.accepted:
+        study = DemonstrationStudy(corrected.twin, given)
+        residual = study.residual(corrected.twin)
+        after = float(np.sqrt(study.test.value((residual**2).sum(1))))
+    light = light_drift(given.episodes, twin.arrays["rest_image"])
+    kinds = [family(e) for e in found.selected] + ["light"] * light.drifted
+    return {
+        "case": name,
+        "found": found.selected + ["light"] * light.drifted,
+        "right": names_right(right, kinds),
+        "verdict": found.verdict,
+        "before": found.before["heldout"],
+        "after": after,
+        "touch_before": found.before["touch"],
+        "touch_after": found.after["touch"],
+        "sentence": found.sentence,
+    }
+
+
+def names_right(right: tuple[str, ...], kinds: list[str]) -> bool:
+    """Whether what was found names all that was hidden, any of the valve's; and nothing where nothing was."""
+    named = set(kinds) & set(right)
+    if not right:
+        return not kinds
+    return bool(named) if right == VALVE else named == set(right)
+
+
+def benchmark_demonstrations(config: BenchmarkDemonstrationsConfig) -> None:
+    """Runs the cases and writes `demonstrations.md` and one file a case."""
+    console = Console()
+    twin = measured_twin(config.out / "twin", config.demonstrations, config.seed)
+    rows = []
+    for number in range(min(config.cases, len(CASES))):
+        file = config.out / f"case_{number:02d}.json"
+        if not file.is_file():
+            write_json(file, run_case(twin, number, config))
+            console.print(f"{number + 1} of {config.cases}: {json.loads(file.read_text())['found']}")
+        rows.append(json.loads(file.read_text()))
+    heads = ("hidden in the stand-in", "found", "right", "error before (mm)", "after (mm)")
+    shown = [
+        (
+            r["case"],
+            ", ".join(r["found"]) or "nothing",
+            "yes" if r["right"] else "no",
+            f"{r['before']:.2f}",
+            f"{r['after']:.2f}",
+        )
+        for r in rows
+    ]
+    console.print(terminal("Physics hidden in the stand-in, by ten demonstrations", heads, shown, left=3))
+    write_text(config.out / "demonstrations.md", "\n".join(markdown(heads, shown)) + "\n")
