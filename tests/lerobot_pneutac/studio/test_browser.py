@@ -1,8 +1,9 @@
 """The studio in a real browser; what takes long, and the pictures of the docs, run nightly.
 
-PNEUTAC_SCREENSHOTS=docs/pictures writes the pictures there.
+PNEUTAC_SCREENSHOTS=docs/pictures writes the pictures and the film there.
 """
 
+import io
 import os
 import re
 import shutil
@@ -42,6 +43,7 @@ class Page:
     def __init__(self, browser, address, width=1280, height=720):
         self.page = browser.new_page(viewport={"width": width, "height": height})
         self.errors, self.foreign, self.messages = [], [], 0
+        self.frames = []  # of the film, and how long each is shown, ms
         self.page.on("pageerror", lambda e: self.errors.append(str(e)))
         self.page.on("console", lambda m: m.type == "error" and self.errors.append(m.text))
         self.page.on("request", self._asked)
@@ -63,12 +65,31 @@ class Page:
         box.fill(str(kpa))
         box.press("Enter")
 
+    def frame(self, ms: int, times: int = 1, wait_ms: int = 100):
+        if os.environ.get("PNEUTAC_SCREENSHOTS"):
+            for _ in range(times):
+                self.page.wait_for_timeout(wait_ms)
+                image = Image.open(io.BytesIO(self.page.screenshot())).convert("RGB")
+                self.frames.append((image.resize((960, 540), Image.Resampling.LANCZOS), ms))
+
+    def film(self, name: str):
+        folder = os.environ.get("PNEUTAC_SCREENSHOTS")
+        if folder:
+            file, (images, ms) = Path(folder) / f"{name}.webp", zip(*self.frames, strict=True)
+            more = {"append_images": images[1:], "duration": list(ms), "loop": 0, "method": 6}
+            images[0].save(file, save_all=True, quality=55, **more)
+            assert file.stat().st_size < 1_000_000
+
+    def tidy(self):
+        """That this machine has no graphics card is of no interest in a picture."""
+        for close in self.page.locator(".mantine-Notification-closeButton").all():
+            close.click()
+
     def picture(self, name: str, colours: int = 128):
         folder = os.environ.get("PNEUTAC_SCREENSHOTS")
         if folder:
             file = Path(folder) / f"studio_{name}.png"
-            for close in self.page.locator(".mantine-Notification-closeButton").all():
-                close.click()  # that this machine has no graphics card is of no interest there
+            self.tidy()
             self.page.wait_for_timeout(600)
             self.page.screenshot(path=file)
             small = Image.open(file).convert("RGB").quantize(colours, dither=Image.Dither.NONE)
@@ -122,7 +143,10 @@ def test_a_newcomer_finds_and_adds_what_is_missing(browser, tmp_path):
         page = seen.page
         button = lambda name: page.get_by_role("button", name=name)  # noqa: E731
         expect(page.get_by_text("Bend ").first).to_be_visible()
-        seen.press(10)
+        seen.tidy()
+        for kpa in (0, 3, 6, 9, 12, 9, 10):
+            seen.press(kpa)
+            seen.frame(250, wait_ms=250)
         page.get_by_text("Effects of the twin").wait_for()
         seen.picture("device")
         page.get_by_role("tab", name="Measurement").click()
@@ -130,20 +154,28 @@ def test_a_newcomer_finds_and_adds_what_is_missing(browser, tmp_path):
         page.locator("button", has_text="mm: trial").first.click()
         page.get_by_text("Off by ").first.scroll_into_view_if_needed()
         seen.picture("measurement")
+        page.get_by_label("Play").check()
+        seen.frame(300, times=8, wait_ms=250)
+        page.get_by_label("Play").uncheck()
         page.get_by_role("tab", name="Find it").click()
         button("1. Compare").click()
         shown = page.get_by_text("Held-out error").first
         expect(shown).to_be_visible()
         before = float(re.search(r"error ([0-9.]+) mm", shown.inner_text())[1])
+        seen.frame(1500)
         button("2. Diagnose").click()
         expect(page.get_by_text("tried", exact=True)).to_be_visible(timeout=120_000)
+        seen.frame(400, times=4, wait_ms=300)
         page.reload()  # in the middle of the work, which goes on
         page.get_by_role("tab", name="Find it").click()
         expect(page.get_by_text("Your finger creeps").first).to_be_visible(timeout=300_000)
         seen.picture("found")
+        seen.frame(3500)
         button("3. Try it").click()
         expect(button("4. Keep it")).to_be_visible(timeout=120_000)
         assert "creep" not in str(Twin.load(tmp_path / "finger").history)
+        button("4. Keep it").scroll_into_view_if_needed()
+        seen.frame(2500)
         button("4. Keep it").click()
         expect(page.get_by_text("Kept as version 1").first).to_be_visible(timeout=60_000)
         after = float(
@@ -151,6 +183,10 @@ def test_a_newcomer_finds_and_adds_what_is_missing(browser, tmp_path):
         )
         assert after < 0.5 * before
         assert Twin.load(tmp_path / "finger").history[-1]["change"].startswith("added ")
+        page.get_by_text("Held-out error").first.scroll_into_view_if_needed()
+        page.get_by_text("History of the twin").click()
+        seen.frame(3500, wait_ms=1000)
+        seen.film("studio")
         assert not seen.errors and not seen.foreign
         page.close()
     finally:
