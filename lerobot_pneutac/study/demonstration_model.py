@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import least_squares
 
-from lerobot_pneutac.study.demonstration_data import MORE_RAD, EpisodeData, inputs_of
+from lerobot_pneutac.study.demonstration_data import EpisodeData, inputs_of
+from lerobot_pneutac.study.demonstration_touch import TYPICAL, imprint_per_rad, touch
 from pneutac_sim.effects.effect import Parameter
 from pneutac_sim.features import CONTROL_HZ
 from pneutac_sim.finger import Pipeline
@@ -22,9 +23,8 @@ from pneutac_sim.twin import Twin, Value
 
 LATE = "late_commands"  # arm and air alike
 LATENCY = Parameter("latency_s", "s", default=0.1, lower=0.0, upper=0.8)
-GROWTH = Parameter("growth", "", default=2.0, lower=0.5, upper=5.0)
+GROWTH = Parameter("growth", "", default=TYPICAL, lower=0.5, upper=5.0)
 TOUCH_LATE = Parameter("touch_late", "frames", default=1.0, lower=0.0, upper=6.0)
-APART_RAD = np.linspace(-0.10, 0.18, 29)  # by which an object may stand elsewhere
 # Of a residual's columns: the flange's x, y, z, and pressure; touch.
 ARM, AIR, TOUCH = slice(0, 3), slice(0, 4), slice(4, 5)
 START = {"growth": GROWTH.default, "touch_late": TOUCH_LATE.default}
@@ -207,7 +207,7 @@ class Fitter:
             residual[a:b, 3] = self.mm_per_kpa * (e.pressure_kpa - run.pressure_kpa[a:b, 0])
             if columns in (AIR, ARM):
                 continue
-            imprint[a:b] = _touch(e, more[a:b], values["growth"], values["touch_late"])
+            imprint[a:b] = touch(e, more[a:b], values["growth"], values["touch_late"])
             residual[a:b, 4] = np.where(e.contact, (e.imprint - imprint[a:b]) / slope, 0.0) * self.mm_per_rad
         return residual, {"pressure_kpa": run.pressure_kpa[:, 0], "imprint": imprint}
 
@@ -292,43 +292,6 @@ def latency_s(twin: Twin) -> float:
 def moved(path: np.ndarray) -> np.ndarray:
     """A path (T, 3) from where it begins, the mean of its first frames."""
     return path - path[:BEGIN].mean(0)
-
-
-def _touch(e: EpisodeData, more_rad: np.ndarray, growth: float, late: float) -> np.ndarray:
-    """Imprint strength (T,) predicted, with the episode's own gain and bend apart."""
-    grid = np.array(MORE_RAD)
-    x = np.clip(more_rad[:, None] + APART_RAD, grid[0], grid[-1])
-    k = np.clip(np.searchsorted(grid, x) - 1, 0, len(grid) - 2)
-    share = (x - grid[k]) / (grid[k + 1] - grid[k])
-    rows = np.arange(len(e))[:, None]
-    depth = np.maximum(e.press_mm[rows, k] * (1 - share) + e.press_mm[rows, k + 1] * share, 0.0)
-    shown = depth**growth
-    whole, part = divmod(late, 1.0)
-    back = [np.clip(np.arange(len(e)) - int(whole) - d, 0, None) for d in (0, 1)]
-    shown = (1 - part) * shown[back[0]] + part * shown[back[1]]
-    B, y = shown[e.contact], e.imprint[e.contact]
-    gain = np.maximum(y @ B / np.maximum((B**2).sum(0), 1e-12), 0.0)
-    j = int(np.clip(np.argmin(((y[:, None] - gain * B) ** 2).sum(0)), 1, len(APART_RAD) - 2))
-    # About the best of the grid both are fitted as a line, so that the error moves smoothly with the model.
-    ground = np.stack([shown[:, j], (shown[:, j + 1] - shown[:, j - 1]) / 2], 1)
-    A = ground[e.contact]
-    weights = np.linalg.lstsq(A, y, rcond=None)[0]
-    if weights[0] <= 0 or abs(weights[1]) > weights[0]:
-        weights = np.array([gain[j], 0.0])
-    return ground @ weights
-
-
-def imprint_per_rad(e: EpisodeData) -> float:
-    """By how many levels an episode's imprint grows with the bend, where it is strong."""
-    middle = MORE_RAD.index(0.0)
-    depth = e.press_mm[:, middle]
-    slope = (e.press_mm[:, middle + 1] - e.press_mm[:, middle - 1]) / (
-        MORE_RAD[middle + 1] - MORE_RAD[middle - 1]
-    )
-    strong = e.contact & (e.imprint > 0.5 * e.imprint.max()) & (depth > 0.1)
-    if not strong.any():
-        return max(float(e.imprint.max()), 0.1)
-    return max(float(np.median(GROWTH.default * e.imprint[strong] * slope[strong] / depth[strong])), 0.05)
 
 
 def _bounds(spec: Parameter, range_kpa: float) -> tuple[float, float]:

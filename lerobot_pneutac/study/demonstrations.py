@@ -18,7 +18,6 @@ from lerobot_pneutac.diagnosis.search import Found, Search
 from lerobot_pneutac.diagnosis.steps import Steps
 from lerobot_pneutac.diagnosis.verdict import Evidence, decide
 from lerobot_pneutac.diagnosis.votes import chosen_in
-from lerobot_pneutac.study.base import EffectStudy
 from lerobot_pneutac.study.demonstration_data import episode_data
 from lerobot_pneutac.study.demonstration_model import (
     AIR,
@@ -28,9 +27,9 @@ from lerobot_pneutac.study.demonstration_model import (
     Fitter,
     Form,
     Trial,
-    latency_s,
 )
 from lerobot_pneutac.study.demonstration_space import DemonstrationSpace
+from lerobot_pneutac.study.demonstration_words import OF_AIR, OF_BODY, UNIT, DemonstrationWords
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_datasets.recording.noise import NoiseFloor
 from pneutac_sim.effects.laws import family, is_law, law
@@ -40,19 +39,15 @@ from pneutac_sim.finger.quantities import rms
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
 
-UNIT = "mm at the tip"
-OF_AIR = ("dead_time", "valve_lag", "valve_slew", "leak")
-OF_BODY = ("creep", "power_law_memory(p)", "hysteresis", "stiffening", "friction")
-HELD_OUT, LEAST = 0.3, 5  # share of the episodes that is held out, and how many there must be in all
+HELD_OUT = 0.3  # share of the episodes
 # Least fall of the mean square error that counts: of what the twin left of the demonstrations that it was
 # last fitted to, by which others of the same finger may differ; where it was to none, of what is left.
 WORTH, WORTH_OF_LEFT = 0.3, 0.1
 MAD = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
 LAGS_S = (0.1, 0.3, 1.0, 3.0)  # of the command, for the black box
-MORE = "Record ten demonstrations or more that press and hold, at two pressures."
 
 
-class DemonstrationStudy(EffectStudy):
+class DemonstrationStudy(DemonstrationWords):
     """Episodes of one task.
 
     Args:
@@ -68,12 +63,6 @@ class DemonstrationStudy(EffectStudy):
         remainder: error that the twin left of the demonstrations that it was last fitted to; None where it
             was to none.
     """
-
-    unit = UNIT
-    unknown_where = "moves your {device}"
-    more_data = repeat = MORE
-    nothing_left = "Nothing needs to be recorded."
-    recording: Demonstrations  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def __init__(
         self,
@@ -354,69 +343,6 @@ class DemonstrationStudy(EffectStudy):
                     fits = [self.fitted(air, m.model, fitter) for m in (s, taken)]
                     out.append(Rival(new[0], other[0], s.value / max(taken.value, 1e-30) - 1, *fits))
         return out[:3]
-
-    # ---------------------------------------------------------------- words
-
-    def twin_of(self, model: FittedModel) -> Twin:
-        """The twin as it is to be written."""
-        return model.twin
-
-    def refusal(self, effect: str) -> str:
-        """Why an effect cannot be switched on."""
-        if effect in self.candidates:
-            return ""
-        known = ", ".join(dict.fromkeys((LATE, *OF_AIR, *OF_BODY, *self.own)))
-        return f"Demonstrations do not tell of '{effect}'; give one of {known}."
-
-    def parameters(self, model: FittedModel, effect: str) -> dict[str, dict]:
-        """Parameters of one effect with interval and unit."""
-        if effect == LATE:
-            known = model.twin.parameters.get("command_latency_s")
-            values, units = ({"latency_s": known} if known else {}), {"latency_s": "s"}
-        else:
-            values = model.twin.effects.get(effect, {})
-            units = {p.name: p.unit for p in get_effect(effect).parameters}
-        return {
-            k: {"value": v.value, "ci95": list(v.ci95) if v.ci95 else None, "unit": units.get(k, "")}
-            for k, v in values.items()
-        }
-
-    def at_bound(self, model: FittedModel, effects: Sequence[str]) -> list[str]:
-        """Parameters stopped by a bound."""
-        return [n for n in model.at_bound if n.rpartition(".")[0] in effects]
-
-    def describe(self, model: FittedModel, effect: str) -> str:
-        """What an effect does, a sentence with the fitted numbers."""
-        if effect == LATE:
-            late = latency_s(model.twin)
-            return f"Your commands act {late:.2g} s late, of arm and air alike."
-        if effect in self.own:
-            was, now = self.twin.effects[effect], model.twin.effects[effect]
-            changes = ", ".join(
-                f"{k} {was[k].value:.3g} -> {v.value:.3g}"
-                for k, v in now.items()
-                if k in was and v.value != was[k].value
-            )
-            kind = family(effect).replace("_", " ")
-            return f"Your finger's {kind} differs from the twin's ({effect}: {changes})."
-        return super().describe(model, effect)
-
-    def experiment(self, model: FittedModel, effect: str) -> str:
-        """What to record to see an effect apart from its rivals."""
-        if effect == LATE:
-            return (
-                "Command a step of the arm and of the pressure in one frame, and hold still before and after."
-            )
-        return super().experiment(model, effect)
-
-    def too_little(self) -> str:
-        """Why the demonstrations are too few for any claim."""
-        n = len(self.fitter.episodes)
-        return "" if n >= LEAST else f"{n} demonstrations are too few to tell what is missing. {MORE}"
-
-    def how_tested(self, outcome: Outcome) -> str:
-        """On what the candidates were tried."""
-        return "Each candidate is fitted to arm, gauge and touch together and judged on whole episodes."
 
 
 def _bends(effect: str) -> bool:

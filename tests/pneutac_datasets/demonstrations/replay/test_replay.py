@@ -1,5 +1,6 @@
 """Episodes of the independent stand-in, replayed in the twin's world."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,10 +11,15 @@ from lerobot_robot_pneutac.standin.world import StandinWorld
 from pneutac_datasets.demonstrations.episodes import Episode
 from pneutac_datasets.demonstrations.replay.imprint import light_drift, rest_image, strengths
 from pneutac_datasets.demonstrations.replay.placing import find_place
-from pneutac_datasets.demonstrations.replay.reading import Demonstrations, checked, is_dataset
+from pneutac_datasets.demonstrations.replay.reading import (
+    Demonstrations,
+    checked,
+    is_dataset,
+    load_demonstrations,
+)
 from pneutac_datasets.demonstrations.replay.replaying import ReplayWorld, late
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import AREA, CONTROL_HZ, EE, PRESSURE
+from pneutac_sim.features import ACTION_NAMES, AREA, CONTROL_HZ, EE, IMAGE_SHAPE, PRESSURE, STATE_NAMES
 from pneutac_sim.twin import Twin, Value
 from pneutac_sim.world.expert import ScriptedExpert
 
@@ -106,3 +112,29 @@ def test_what_cannot_serve_is_refused(episode):
 def test_a_folder_that_is_not_there_is_no_name_on_the_hub(tmp_path):
     assert not is_dataset(tmp_path / "nothing") and not is_dataset("tests/nothing")
     assert is_dataset("user/demonstrations")
+
+
+def test_a_dataset_of_another_robot_or_rate_is_refused_before_any_work(tmp_path):
+    def described(**more):
+        (tmp_path / "meta").mkdir(exist_ok=True)
+        features = {"observation.state": {"names": ["ee_x.pos"]}, "action": {"names": list(ACTION_NAMES)}}
+        info = {"robot_type": "pneutac", "fps": 15, "features": features} | more
+        (tmp_path / "meta" / "info.json").write_text(json.dumps(info))
+        return tmp_path
+
+    with pytest.raises(InputError, match="robot_type is 'so101'; give demonstrations of a 'pneutac' robot"):
+        load_demonstrations(described(robot_type="so101"))
+    names = list(STATE_NAMES)
+    features = {
+        "observation.state": {"names": names},
+        "action": {"names": list(ACTION_NAMES)},
+        "observation.images.tactile": {"shape": list(IMAGE_SHAPE)},
+    }
+    with pytest.raises(InputError, match="30 fps; the world runs at 15"):
+        load_demonstrations(described(fps=30, features=features))
+    blind = {k: v for k, v in features.items() if "tactile" not in k}
+    with pytest.raises(InputError, match="feature 'observation.images.tactile' is missing"):
+        load_demonstrations(described(features=blind))
+    features["observation.state"] = {"names": names[:-1]}
+    with pytest.raises(InputError, match="'observation.state' lacks 'pressure.pos'"):
+        load_demonstrations(described(features=features))
