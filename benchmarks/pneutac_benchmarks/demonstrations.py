@@ -20,7 +20,7 @@ from lerobot_robot_pneutac.standin.world import Physics, StandinWorld
 from pneutac_benchmarks.tables import markdown, terminal
 from pneutac_datasets.demonstrations.episodes import Episode
 from pneutac_datasets.demonstrations.replay.imprint import light_drift
-from pneutac_datasets.demonstrations.replay.reading import Demonstrations
+from pneutac_datasets.demonstrations.replay.reading import Demonstrations, checked
 from pneutac_datasets.generate.standin import write_finger, write_gel
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.laws import family
@@ -89,7 +89,7 @@ def show(count: int, seed: int, physics: Physics, task: str = "button") -> Demon
             episodes.append(
                 Episode(state, np.array(actions, float), images, world.task.description, CONTROL_HZ)
             )
-    return Demonstrations(Path(f"standin/{task}"), task, episodes)
+    return checked(Demonstrations(Path(f"standin/{task}"), task, episodes))
 
 
 def measured_twin(folder: Path, count: int, seed: int) -> Twin:

@@ -60,8 +60,8 @@ class DemonstrationStudy(DemonstrationWords):
     Attributes:
         fitter: fits models to the episodes that are learnt from, as replayed in the twin's world.
         owner: (N,) which episode each frame is of.
-        remainder: error that the twin left of the demonstrations that it was last fitted to; None where it
-            was to none.
+        remainder: the most, by its 95 % interval, that the twin left of the demonstrations that it was last
+            fitted to; None where it was to none.
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class DemonstrationStudy(DemonstrationWords):
         self.fitter = Fitter(twin, episodes, self.parts.train)
         self._bare_air, self._bare_touch = self.fitter.base(AIR), self.fitter.base(TOUCH)
         self._last = ([{}] + [h for h in twin.history if h.get("unit") == UNIT])[-1]
-        self.remainder = self._last.get("heldout")
+        self.remainder = self._last.get("heldout_ci95", [None, None])[1]
         self.noise = self._noise()
         self.findings = [*recording.warnings]
 
@@ -110,9 +110,9 @@ class DemonstrationStudy(DemonstrationWords):
         }
         value = float(np.sqrt(sum(s**2 for s in sizes.values())))
         if self.remainder is not None and self.remainder > value:
-            how = "What the twin left of the demonstrations that it was last fitted to."
+            how = "what the twin left of the demonstrations that it was last fitted to, at most"
             return NoiseFloor(self.remainder, None, UNIT, how, sizes, True)
-        return NoiseFloor(value, None, UNIT, "What differs from frame to frame.", sizes, False)
+        return NoiseFloor(value, None, UNIT, "what differs from frame to frame", sizes, False)
 
     # ---------------------------------------------------------------- models
 

@@ -69,6 +69,8 @@ class Addition(Result):
         twin = self.twin.copy()
         after = self.after or {}
         errors = {k: after[k] for k in ("train", "heldout", "arm_and_gauge", "touch") if k in after}
+        if "touch" in after:  # of demonstrations, which others of the same finger are held against
+            errors["heldout_ci95"] = list(after["heldout_ci95"])
         errors |= {"unit": self.unit, "seed": self.seed}
         twin.save_version(folder, f"added {self.effect}", self.recording, errors)
         return replace(self, twin=twin, saved_to=Path(folder))

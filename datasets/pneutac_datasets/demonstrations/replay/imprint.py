@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from pneutac_datasets.demonstrations.episodes import Episode
+from pneutac_sim.gel.contact import THRESHOLD_LEVELS
 
 REST_FRAMES, GAP = 12, 1  # frames before the first touch that show the gel at rest, but for the last ones
 DRIFT_LEVELS, SHAPE_LEVELS = 2.0, 2.0  # of a rest image: less is noise, rounding and slow wander of a camera
@@ -18,6 +19,15 @@ def rest_image(episode: Episode) -> np.ndarray:
     until = len(episode) if contact is None else max(contact[0] - GAP, 1)
     frames = episode.images[max(until - REST_FRAMES, 0) : until]
     return frames.mean(0).round().astype(np.uint8)
+
+
+def areas(images: np.ndarray, rest: np.ndarray) -> np.ndarray:
+    """Contact areas (T,) of images uint8 (T, H, W, 3) against a rest image, without the specks of noise."""
+    out = np.empty(len(images))
+    for t, image in enumerate(images):
+        change = cv2.blur(cv2.absdiff(image, rest), (3, 3)).sum(2, dtype=np.float32) / 3
+        out[t] = float((change > THRESHOLD_LEVELS).mean())
+    return out
 
 
 def strengths(images: np.ndarray, rest: np.ndarray) -> np.ndarray:

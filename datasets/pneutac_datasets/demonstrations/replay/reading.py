@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,12 +12,13 @@ import numpy as np
 import pandas as pd
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import EE, PAPER_RANGE_KPA, PRESSURE, task_names
+from pneutac_sim.features import AREA, EE, PAPER_RANGE_KPA, PRESSURE, task_names
 
 if TYPE_CHECKING:
     from pneutac_datasets.demonstrations.episodes import Episode
 
 ROBOT = "pneutac"
+BEGIN = 5  # frames in which nothing is touched yet
 JUMP_M = 0.03  # in a frame, four times the fastest
 LEAST_KPA = 0.5  # travel of a command of pressure that a gauge must show
 
@@ -122,6 +123,7 @@ def checked(given: Demonstrations) -> Demonstrations:
     from pneutac_sim.world.tasks import make_task
 
     make_task(given.task)
+    given = _touch_anew(given)
     untouched = [i for i, e in enumerate(given.episodes) if e.contact() is None]
     if untouched:
         raise InputError(
@@ -142,6 +144,29 @@ def checked(given: Demonstrations) -> Demonstrations:
                 "the command moves; log the gauge of the chamber, or leave the episode out."
             )
     return given
+
+
+def _touch_anew(given: Demonstrations) -> Demonstrations:
+    """The same, where an episode begins in touch its area counted from its images against its first frames.
+
+    So it begins where the light has drifted: every pixel differs from the rest image that the robot has.
+    """
+    from pneutac_datasets.demonstrations.replay.imprint import areas
+
+    begun = [i for i, e in enumerate(given.episodes) if (e.state[:BEGIN, AREA] > 0).all()]
+    if not begun:
+        return given
+    episodes = list(given.episodes)
+    for i in begun:
+        e = episodes[i]
+        state = e.state.copy()
+        state[:, AREA] = areas(e.images, e.images[:BEGIN].mean(0).round().astype(np.uint8))
+        episodes[i] = replace(e, state=state)
+    told = (
+        f"{given.folder}: {len(begun)} of {len(episodes)} episodes begin with contact_area.pos above 0, "
+        "as where the gel's light has drifted; their contact is counted anew against their own first frames."
+    )
+    return replace(given, episodes=episodes, warnings=[*given.warnings, told])
 
 
 def _refuse(folder: Path, pressure_range_kpa: tuple[float, float]) -> None:

@@ -90,6 +90,15 @@ def test_a_drift_of_the_light_is_told(episode):
     assert drift.gain[1] == pytest.approx(1.0, abs=0.01)
 
 
+def test_a_drifted_light_is_no_touch(episode):
+    state, onset = episode.state.copy(), episode.contact()[0]
+    state[:, AREA] = 0.9
+    red = np.clip(episode.images * np.array([1.15, 1.0, 1.0]), 0, 255).astype(np.uint8)
+    given = checked(Demonstrations(Path("demos"), "button", [replace(episode, state=state, images=red)]))
+    assert "1 of 1 episodes begin with contact_area.pos above 0" in given.warnings[0]
+    assert abs(given.episodes[0].contact()[0] - onset) < 0.4 * CONTROL_HZ
+
+
 def test_what_cannot_serve_is_refused(episode):
     def given(e):
         return Demonstrations(Path("demos"), "button", [episode, e])
