@@ -18,6 +18,7 @@ VERBS = {
     "design": "choose the program that tells most about what is missing",
     "learn": "ask the bench, program by program, until it is known what is missing",
     "studio": "open a twin in the browser: bend it, weigh it, find and add what is missing",
+    "report": "write a twin and its history as one page, or as a file for Rerun",
     "effects": "list, show and export the effects and laws that a twin may have",
     "add": "switch an effect on, re-fit, show the error before and after",
     "control": "make a pressure program that bends the finger as asked, and show how it followed",

@@ -1,0 +1,89 @@
+"""A twin with its history as one page to send to somebody."""
+
+from dataclasses import dataclass
+
+from lerobot_pneutac.reports.page import Report
+from lerobot_pneutac.verbs.result import Result
+from pneutac_sim.effects.registry import get_effect
+from pneutac_sim.twin import Twin, Value
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class TwinReport(Result):
+    """What a twin is and how it became so.
+
+    Attributes:
+        twin: as it lies on the disk.
+    """
+
+    twin: Twin
+
+    @property
+    def title(self) -> str:
+        """Heading of the page."""
+        return f"Twin of a {self.twin.device}" + (f": {self.twin.folder.name}" if self.twin.folder else "")
+
+    def subject(self) -> tuple[Twin, str]:
+        """The twin, and the recording that its last version was made with."""
+        return self.twin, (self.twin.history[-1].get("recording") or "") if self.twin.history else ""
+
+    @property
+    def sentence(self) -> str:
+        """What it has and how far it was off when it was last judged."""
+        twin = self.twin
+        effects = ", ".join(twin.effects) or "no effects"
+        judged = [e for e in twin.history if e.get("heldout") is not None]
+        said = f"A twin of a {twin.device}"
+        said += "" if twin.device == "gel" else f", {twin.length_mm:g} mm long"
+        said += (
+            f", with {effects}, in version {len(twin.history) - 1}" if twin.history else f", with {effects}"
+        )
+        if not judged:
+            return f"{said}; it was never judged on data that it had not seen."
+        last = judged[-1]
+        error = f"{last['heldout']:.3g} {last.get('unit') or ''}".strip()
+        return f"{said}; where it was not fitted it was {error} off when last judged."
+
+    def rows(self) -> list[dict]:
+        """One row a version."""
+        names = ("version", "change", "train", "heldout", "unit", "recording")
+        return [{k: e.get(k) for k in names} for e in self.twin.history]
+
+    def described(self) -> list[str]:
+        """What each effect does to this device, a sentence with its numbers."""
+        device = self.twin.device
+        return [
+            get_effect(name).describe({k: v.value for k, v in values.items()}, device)
+            for name, values in self.twin.effects.items()
+        ]
+
+    def parameters(self) -> list[dict]:
+        """Every number of the body and of its effects."""
+        rows = [_row("body", k, v) for k, v in self.twin.parameters.items()]
+        return rows + [_row(e, k, v) for e, values in self.twin.effects.items() for k, v in values.items()]
+
+    def to_dict(self) -> dict:
+        """The content of `result.json`."""
+        return {
+            "device": self.twin.device,
+            "sentence": self.sentence,
+            "history": self.rows(),
+            "effects": list(self.twin.effects),
+            "parameters": self.parameters(),
+        }
+
+    def page(self) -> Report:
+        """Its history, what its effects do, its numbers, its looks."""
+        from lerobot_pneutac.reports.twin import twin_page
+
+        return twin_page(self)
+
+
+def _row(of: str, name: str, value: Value) -> dict:
+    known = "" if value.ci95 is None else "{:.4g} to {:.4g}".format(*value.ci95)
+    return {"of": of, "parameter": name, "value": value.value, "95 % interval": known}
+
+
+def report(twin: Twin) -> TwinReport:
+    """The twin with its history; nothing is changed."""
+    return TwinReport(twin=twin)
