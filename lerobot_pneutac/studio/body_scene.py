@@ -59,6 +59,7 @@ class BodyScene:
             "/tip's path", np.zeros((1, 2, 3), np.float32), TRAIL, thickness=2.0, thickness_units="screen"
         )
         self._path: list[np.ndarray] = []
+        self._solid = None
 
     def show(self, shape: Shape, measured_mm: np.ndarray | None = None) -> None:
         """Draws a shape, and the measured tip (3,) beside the model's where there is one."""
@@ -74,6 +75,20 @@ class BodyScene:
             self._path = [*self._path[1 - TRAIL_POINTS :], UNIT * shape.markers[:3]]
             if len(self._path) > 1:
                 self._trail.points = _segments(np.array(self._path))
+
+    def show_solid(self, points_mm: np.ndarray, colours: np.ndarray) -> None:
+        """Material points (P, 3) with their colours in place of the skin, until `hide_solid`."""
+        self._skin.visible = False
+        self._solid = self._server.scene.add_point_cloud(
+            "/material points", (UNIT * points_mm).astype(np.float32), colours, point_size=0.02,
+            point_shape="circle", precision="float32",
+        )  # fmt: skip
+
+    def hide_solid(self) -> None:
+        """The skin again."""
+        if self._solid is not None:
+            self._solid.remove()
+            self._solid, self._skin.visible = None, True
 
     def forget_path(self) -> None:
         """The tip's path begins anew."""
