@@ -70,20 +70,30 @@ class Studio:
             from lerobot_pneutac.studio.device_page import DevicePage
 
             with tabs.add_tab("Device", viser.Icon.HAND_FINGER):
-                pages["Device"] = device = DevicePage(self)
+                pages["Device"] = DevicePage(self)
         if twin.device == "gel" or twin.gel:
             from lerobot_pneutac.studio.gel_page import GelPage
 
             with tabs.add_tab("Touch", viser.Icon.FINGERPRINT):
                 pages["Touch"] = GelPage(self)
         recording = self.session.recording
-        if recording is None:
-            return pages
+        if recording is not None:
+            self._add_recorded(tabs, pages)
+        if twin.device == "finger":
+            from lerobot_pneutac.studio.world_page import WorldPage
+
+            with tabs.add_tab("World", viser.Icon.WORLD):
+                pages["World"] = WorldPage(self)
+        return pages
+
+    def _add_recorded(self, tabs, pages: dict) -> None:
+        """The pages that weigh the twin against its recording."""
+        recording = self.session.recording
         if recording.device in CHAMBERS:
             from lerobot_pneutac.studio.measurement_page import MeasurementPage
 
             with tabs.add_tab("Measurement", viser.Icon.CHART_LINE):
-                pages["Measurement"] = MeasurementPage(self, device.scene)
+                pages["Measurement"] = MeasurementPage(self, pages["Device"].scene)
         else:
             from lerobot_pneutac.studio.images_page import ImagesPage
 
@@ -93,7 +103,6 @@ class Studio:
 
         with tabs.add_tab("Find it", viser.Icon.SEARCH):
             pages["Find it"] = FindPage(self)
-        return pages
 
     def _name(self) -> None:
         s = self.session

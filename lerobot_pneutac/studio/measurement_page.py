@@ -159,13 +159,15 @@ class MeasurementPage:
                 self._scene.show(shape_of(self._run_of.joints[i], self._run_of.markers[i], c.twin), tip)
             half = WINDOWS[self._window.value] / 2
             at = np.flatnonzero(np.abs(t - t[i]) <= half) if np.isfinite(half) else np.arange(len(t))
-            at = at[:: max(1, len(at) // MOST_POINTS)]
+            every = max(1, len(at) // MOST_POINTS)
+            at = at[::every]
             x = t[at]
             main = c.measured[:, self._main], c.model[:, self._main]
             self._charts[0].show(x, *(values[at] for values in main), now=t[i])
             self._charts[1].show(x, self._error[at], np.full(len(at), c.noise_floor))
             self._charts[2].show(x, *self._pressure[at].T)
-            self.readout.content = self._told(i)
+            drawn = f"  \nDrawn: one sample of {every}." if every > 1 else ""
+            self.readout.content = self._told(i) + drawn
             self._show_photograph(i)
 
     def _told(self, i: int) -> str:

@@ -64,3 +64,17 @@ def test_an_arm_opens_and_its_worst_passage_is_jumped_to(opened, tmp_path):
     page.jump(worst)
     assert f"in trial {worst['trial']} at {worst['from_s']:.2f} s" in page.readout.content
     assert len(studio.pages["Device"]._pressures) == 3
+
+
+@pytest.mark.slow
+def test_a_world_is_played_by_the_expert_and_moved_by_hand(opened, tmp_path):
+    page = opened(Twin.builtin().save(tmp_path / "finger"), None).pages["World"]
+    page._hold("up")
+    page._pressure.value = 5.0
+    np.testing.assert_allclose(page.action(), [0, 0, 0.05, 5.0])
+    page.begin()
+    for _ in range(600):
+        if "s of the task" in page.readout.content:
+            break
+        time.sleep(0.05)
+    assert page.readout.content.startswith("switch, ") and np.ptp(page._picture.image) > 100
