@@ -107,6 +107,7 @@ def twin_of(recording: Path, folder: Path) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_the_slider_bends_the_finger_for_all_who_look(browser, tmp_path):
     twin = Twin.builtin().save(tmp_path / "finger")
     untouched = {f: f.read_bytes() for f in twin.rglob("*") if f.is_file()}
