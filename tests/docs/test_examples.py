@@ -8,6 +8,8 @@ import pytest
 from doc_blocks import ROOT
 
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+# Half a minute and more each; the front page and a tutorial do the same by commands.
+LONG = {"augment", "find_missing_effect", "mpm_finger"}
 
 
 def test_there_are_eight():
@@ -15,7 +17,9 @@ def test_there_are_eight():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("path", EXAMPLES, ids=lambda p: p.stem)
+@pytest.mark.parametrize(
+    "path", [pytest.param(p, marks=[pytest.mark.nightly] * (p.stem in LONG), id=p.stem) for p in EXAMPLES]
+)
 def test_it_runs(path, tmp_path):
     env = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "PNEUTAC_DATA")}
     env |= {"HF_HOME": str(tmp_path / "hf"), "HF_HUB_OFFLINE": "1", "OMP_NUM_THREADS": "1"}
