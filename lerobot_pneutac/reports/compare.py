@@ -278,7 +278,14 @@ def residuals(c) -> go.Figure:
 def ladder(c) -> go.Figure:
     """Train and held-out error of each version that was judged in the unit of this comparison."""
     known = [e for e in c.history if e["unit"] == c.unit]
-    entries = [e for e in known if e["heldout"] is not None or e["train"] is not None]
+    figure = history([e for e in known if e["heldout"] is not None or e["train"] is not None], c.unit)
+    if c.noise_floor > 0:
+        figure.add_hline(y=c.noise_floor, line={"color": FLOOR, "dash": "dash"}, annotation_text="noise")
+    return figure
+
+
+def history(entries: list[dict], unit: str) -> go.Figure:
+    """Train and held-out error of the versions judged in one unit."""
     x = [f"{e['version']}: {e['change']}" for e in entries]
     figure = go.Figure()
     for key, colour, name in (("train", TRAIN, "train"), ("heldout", HELDOUT, "held out")):
@@ -286,10 +293,7 @@ def ladder(c) -> go.Figure:
             x=x, y=[e[key] for e in entries], name=name, mode="lines+markers",
             line={"color": colour, "width": 2.5, "shape": "hv"}, marker={"size": 9},
         )  # fmt: skip
-    if c.noise_floor > 0:
-        figure.add_hline(y=c.noise_floor, line={"color": FLOOR, "dash": "dash"}, annotation_text="noise")
-    figure.update_yaxes(rangemode="tozero", title_text=c.unit)
-    return figure
+    return figure.update_yaxes(rangemode="tozero", title_text=unit)
 
 
 def _title(name: str) -> str:

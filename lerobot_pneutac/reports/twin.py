@@ -1,8 +1,6 @@
 """The page of `pneutac report`: a twin, its history and its numbers."""
 
-import plotly.graph_objects as go
-
-from lerobot_pneutac.reports.compare import HELDOUT, TRAIN
+from lerobot_pneutac.reports.compare import history
 from lerobot_pneutac.reports.page import Report
 
 
@@ -26,15 +24,3 @@ def twin_page(r) -> Report:
         page.heading("Its touch sensor without contact")
         page.image(r.twin.arrays["rest_image"], width=240)
     return page
-
-
-def history(entries: list[dict], unit: str) -> go.Figure:
-    """Train and held-out error of the versions judged in one unit."""
-    x = [f"{e['version']}: {e['change']}" for e in entries]
-    figure = go.Figure()
-    for key, colour, name in (("train", TRAIN, "train"), ("heldout", HELDOUT, "held out")):
-        figure.add_scatter(
-            x=x, y=[e[key] for e in entries], name=name, mode="lines+markers",
-            line={"color": colour, "width": 2.5, "shape": "hv"}, marker={"size": 9},
-        )  # fmt: skip
-    return figure.update_yaxes(rangemode="tozero", title_text=unit)

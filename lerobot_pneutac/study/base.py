@@ -16,6 +16,7 @@ from lerobot_pneutac.diagnosis.steps import Steps
 from pneutac_datasets.recording.noise import NoiseFloor
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect
+from pneutac_sim.errors import InputError
 from pneutac_sim.finger.quantities import root_mean
 from pneutac_sim.twin import Twin
 
@@ -90,8 +91,14 @@ class EffectStudy(Study, ABC):
         """
 
     def residual(self, twin: Twin) -> np.ndarray:
-        """(n, k) measured minus predicted by another twin of this device; of bodies and demonstrations."""
-        raise NotImplementedError
+        """(n, k) measured minus predicted by another twin of this device; a gel's has an image a row instead.
+
+        Raises:
+            InputError: it is a gel's.
+        """
+        raise InputError(
+            "What a gel's diagnosis found is added by name; give --effect=A,B in place of --from."
+        )
 
     @abstractmethod
     def refusal(self, effect: str) -> str:

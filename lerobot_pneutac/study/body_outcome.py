@@ -1,7 +1,7 @@
 """From a body's search to the outcome of its diagnosis: models, rivals and the evidence of test blocks."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -97,13 +97,8 @@ def _contenders(
         return [Contender(study.fitted(start.model).twin, (), 1.0)]
     known = {*done.space.base, *study.own}
     others = [s for rivals in reversed(done.found.rivals) for s in sorted(rivals, key=lambda s: s.value)]
-    kinds = {_kinds(done.model, known), frozenset()}
-    scored = [done.model]
-    for s in [*reversed(done.found.path), *others, *done.without.values()]:
-        spared = len(scored) > MOST_OTHERS and not any(s is w for w in done.without.values())
-        if _kinds(s, known) not in kinds and not spared:
-            kinds.add(_kinds(s, known))
-            scored.append(s)
+    scored = _differing([done.model], [*reversed(done.found.path), *others], known)[: 1 + MOST_OTHERS]
+    scored = _differing(scored, done.without.values(), known)
     errors = np.stack([search.judge.mse(s.crossed) for s in [*scored, start]])
     best = np.bincount(errors.argmin(axis=0), minlength=len(errors)) / errors.shape[1]
     # A share of few blocks is no certainty (Laplace's rule).
@@ -111,6 +106,16 @@ def _contenders(
     twins = [_after(study, done, s.model).twin for s in scored] + [study.fitted(start.model).twin]
     terms = [tuple(e for e in s.model.form.effects if e not in known) for s in scored] + [()]
     return [Contender(t, e, float(p)) for t, e, p in zip(twins, terms, share, strict=True)]
+
+
+def _differing(first: list[Scored], more: Iterable[Scored], known: set[str]) -> list[Scored]:
+    """The first, then of the others one of each kind of physics that none before it has."""
+    out, kinds = list(first), {frozenset(), *(_kinds(s, known) for s in first)}
+    for s in more:
+        if _kinds(s, known) not in kinds:
+            kinds.add(_kinds(s, known))
+            out.append(s)
+    return out
 
 
 def _kinds(scored: Scored, known: set[str]) -> frozenset[str]:

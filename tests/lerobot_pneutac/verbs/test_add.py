@@ -5,9 +5,11 @@ import json
 import pytest
 from generated import once
 
-from lerobot_pneutac import compare
+from lerobot_pneutac import add, compare
 from lerobot_pneutac.cli import add as verb
 from lerobot_pneutac.cli import calibrate
+from lerobot_pneutac.verbs.found import BEFORE, FOUND
+from pneutac_datasets.generate.gel import write_gel_recording
 from pneutac_datasets.generate.hidden.generate import generate
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
@@ -67,6 +69,18 @@ def test_unknown_effect_lists_the_valid_ones(pair):
     twin, recording = pair
     with pytest.raises(InputError, match="no effect 'crep'.*creep"):
         verb.main([f"--twin={twin}", f"--recording={recording}", "--effect=crep"])
+
+
+def test_a_gels_diagnosis_in_a_folder_is_refused(tmp_path):
+    write_gel_recording(tmp_path / "recording", seed=0, heldout=3)
+    calibrate.main([f"--twin={tmp_path / 'twin'}", f"--recording={tmp_path / 'recording'}", "--effects=none"])
+    recording, twin = Recording.load(tmp_path / "recording"), Twin.load(tmp_path / "twin")
+    for name in (BEFORE, FOUND):
+        twin.save(tmp_path / "d" / name)
+    told = {"verdict": "missing_effect", "rows": len(recording), "seed": 0, "selected": []}
+    (tmp_path / "d" / "result.json").write_text(json.dumps(told))
+    with pytest.raises(InputError, match="added by name; give --effect=A,B"):
+        add(twin, recording, tmp_path / "d")
 
 
 def test_an_effect_without_its_column_is_refused(pair, tmp_path):
