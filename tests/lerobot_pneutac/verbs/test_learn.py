@@ -181,6 +181,7 @@ def test_the_options_of_a_bench_come_from_a_file_as_the_page_shows_it(tmp_path):
 
 
 @pytest.mark.nightly
+@pytest.mark.timeout(1800)  # a search after each of up to a dozen programs
 def test_on_the_stand_in_what_was_found_foresees_the_next_program(tmp_path):
     learnt = learn(Twin(length_mm=110.0), StandinBench(3), tmp_path / "out", budget_s=720.0)
     last = learnt.last
