@@ -41,7 +41,7 @@ NO_FORM = (
 )  # fmt: skip
 STRATEGIES = ("ours", "random", "standard")
 PAUSE_S = 120.0
-DRAWN = ("temperature_c", "time_sent_s")  # logged by the draw of a recording, not by every one
+DRAWN = ("temperature_c",)  # logged by the draw of a recording, not by every one
 OF_BASE = ("base_tilt", "elongation", "gravity", "payload")
 
 
@@ -81,7 +81,7 @@ class TruthBench:
         seed: of the device.
     """
 
-    hz = 20.0
+    hz = 27.0  # of the commands, which are not in step with the camera's 20 a second
 
     def __init__(self, effects: tuple[str, ...], seed: int):
         self._effects, self._seed, self._programs = effects, seed, []
@@ -94,7 +94,8 @@ class TruthBench:
         share = np.round(table["pressure_cmd_kpa"] / self.range_kpa[1], 5)
         name, self.pause_s = str(table["program"][0]), PAUSE_S if number else None
         self._programs = [*self._programs[:number], (name, table["time_s"], share)]
-        truth = generate("rod", self._effects, self._seed, plan=given(self._programs, PAUSE_S))
+        plan = given(self._programs, PAUSE_S)
+        truth = generate("rod", self._effects, self._seed, tell_sent=True, plan=plan)
         write(truth, out)
         r = Recording.load(out)
         r = r.keep(r.column("trial") == number)
@@ -121,7 +122,7 @@ def benchmark_experiments(cfg: BenchmarkExperimentsConfig) -> None:
 
 def _solve(name: str, strategy: str, seed: int, budget_min: float, folder: Path) -> str:
     with tempfile.TemporaryDirectory() as tmp:
-        other_day = generate("rod", [name], seed, day=2, minutes=4.0, tell_pauses=True)
+        other_day = generate("rod", [name], seed, day=2, minutes=4.0, tell_pauses=True, tell_sent=True)
         judge, floor = check(Recording.load(write(other_day, Path(tmp) / "2")))[0], other_day.noise_floor
         twin = Twin("finger", judge.length_mm or 110.0)
         run = _standard if strategy == "standard" else _rounds
@@ -134,7 +135,9 @@ def _solve(name: str, strategy: str, seed: int, budget_min: float, folder: Path)
 
 def _standard(name, strategy, seed, budget_min, tmp, twin, judge, floor) -> list[dict]:
     """The truth's own session of ten minutes, once."""
-    learn = Recording.load(write(generate("rod", [name], seed, day=1, tell_pauses=True), tmp / "1"))
+    learn = Recording.load(
+        write(generate("rod", [name], seed, day=1, tell_pauses=True, tell_sent=True), tmp / "1")
+    )
     d = diagnose(twin, learn, jobs=1, seed=seed)
     ratio = error_of(d.twin, judge) / floor
     return [{"min": 10.0, "verdict": d.verdict, "selected": d.selected, "ratio": ratio, "confirmed": []}]
@@ -161,7 +164,8 @@ def _rounds(name, strategy, seed, budget_min, tmp, twin, judge, floor) -> list[d
             {
                 "min": spent_s / 60, "verdict": r.verdict, "selected": r.selected, "ratio": ratio,
                 "confirmed": list(r.confirmed_by), "probability": max(r.probabilities.values()),
-                "program": r.program, "foreseen": r.predicted_error and r.predicted_error / r.noise,
+                "program": r.program, "kind": r.kind, "error": r.error, "noise": r.noise,
+                "predicted": r.predicted_error, "without": r.without,
             }
         )  # fmt: skip
 

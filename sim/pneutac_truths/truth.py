@@ -103,6 +103,7 @@ def generate(
     minutes: float | None = None,
     tell_noise: bool = True,
     tell_pauses: bool = False,
+    tell_sent: bool = False,
     plan: Plan | None = None,
 ) -> Truth:
     """Makes one recording of a device.
@@ -116,6 +117,7 @@ def generate(
         minutes: of recording; None takes the usual time of the device.
         tell_noise: whether recording.json states the noise.
         tell_pauses: whether recording.json tells how long the device rested before each trial.
+        tell_sent: whether the log tells when each command was sent; otherwise it is drawn.
         plan: what is commanded, see `programs.given`; None draws it.
 
     Raises:
@@ -130,7 +132,7 @@ def generate(
     drawn = make.draw(device, names, seed)
     w = World.start(device, seed, day, make.MINUTES[device] if minutes is None else minutes, plan)
     truly, seen = make.run(w, drawn)
-    samples = _commands(w, rng)
+    samples = _commands(w, rng, tell_sent)
     noise = {}
     if gauged:
         read = make.read_gauge(w, drawn)[w.plan.rows] * w.body.top_kpa
@@ -179,7 +181,7 @@ def _numbered(pattern: str, n: int) -> list[str]:
     return [pattern.format("" if n == 1 else f"{i + 1}_") for i in range(n)]
 
 
-def _commands(w: World, rng: np.random.Generator) -> pd.DataFrame:
+def _commands(w: World, rng: np.random.Generator, tell_sent: bool) -> pd.DataFrame:
     """Trial, clock, program and commands of each row; some computers log when they sent a command."""
     p, rows = w.plan, w.plan.rows
     trial = p.trial[rows]
@@ -188,7 +190,7 @@ def _commands(w: World, rng: np.random.Generator) -> pd.DataFrame:
     table["time_s"] = p.time_s[rows] - p.time_s[start]
     for j, name in enumerate(_numbered("pressure_cmd_{}kpa", p.command.shape[1])):
         table[name] = p.command[rows, j] * w.body.top_kpa
-    if rng.random() < 0.4:
+    if rng.random() < 0.4 or tell_sent:
         table["time_sent_s"] = p.sent_s[rows] - p.time_s[start]
     return table
 
