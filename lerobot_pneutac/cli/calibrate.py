@@ -30,6 +30,8 @@ class CalibrateConfig:
             where left out, those once chosen for the twin, else all that the presses can tell.
         through: `mpm` to fit a gel's light to the surfaces that material points have under the presses, which
             takes minutes; where left out, to those of the closed form.
+        image_size: width and height in px in which the twin has a gel's images, such as [240,320]; where left
+            out, those of the photographs.
         save_prior: name under which a gel's lights are kept for other sensors of its make.
         by: what a finger or an arm is fitted to: `images` (photographs with masks) or `markers` (markers and
             angles); where left out, markers if the recording has them, else images.
@@ -45,6 +47,7 @@ class CalibrateConfig:
     out: Path | None = None
     effects: str | None = None
     through: str | None = None
+    image_size: tuple[int, int] | None = None
     save_prior: str | None = None
     by: str | None = None
     train_kpa: str = "0,3,6,9,12,15"
@@ -64,7 +67,7 @@ def main(argv: list[str]) -> None:
 
 def run(cfg: CalibrateConfig, scratch: Path, console: Console) -> Calibration:
     """Fits and saves the twin's next version; `scratch` is a folder for generated data."""
-    recording, note = files.recording_for(cfg.recording, scratch, cfg.seed, cfg.task)
+    recording, note = files.recording_for(cfg.recording, scratch, cfg.seed, cfg.task, cfg.twin)
     console.print(note, end="\n" if note else "", highlight=False)
     files.check_prior(cfg.save_prior, recording)
     twin, keep = files.twin_for(cfg.twin, recording), cfg.out or cfg.twin
@@ -74,7 +77,7 @@ def run(cfg: CalibrateConfig, scratch: Path, console: Console) -> Calibration:
         with progress_bar(console) as progress:
             result = calibrate(
                 twin, recording, by=cfg.by, effects=cfg.effects, through=cfg.through,
-                train_kpa=cfg.train_kpa, seed=cfg.seed,
+                image_size=cfg.image_size, train_kpa=cfg.train_kpa, seed=cfg.seed,
                 evaluations=cfg.evaluations, particles=cfg.particles, keep=keep, progress=progress,
             )  # fmt: skip
     except KeyboardInterrupt:

@@ -14,7 +14,7 @@ from lerobot_pneutac.rl.options import StudentRef
 from pneutac_datasets.demonstrations.episodes import Episode, save_episode
 from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError, check_least
-from pneutac_sim.features import ACTION_NAMES, CONTROL_HZ, IMAGE_NAME, IMAGE_SHAPE, STATE_NAMES
+from pneutac_sim.features import ACTION_NAMES, CONTROL_HZ, IMAGE_NAME, STATE_NAMES
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.conditions import Conditions
@@ -78,7 +78,7 @@ def record_student(
     if not 0 <= student.noise <= 1:
         raise InputError(f"noise is {student.noise}; it must be from 0 to 1.")
     world = World(task, twin, "image", student.fidelity, conditions)
-    dataset = _new_dataset(student)
+    dataset = _new_dataset(student, world)
     rng = np.random.default_rng(seed)
     kept = trials = 0
     with quiet_encoders():
@@ -100,8 +100,8 @@ def record_student(
     return RecordedStudent(Path(student.root), kept, trials)
 
 
-def _new_dataset(student: StudentRef) -> LeRobotDataset:
-    observed = dict.fromkeys(STATE_NAMES, float) | {IMAGE_NAME: IMAGE_SHAPE}
+def _new_dataset(student: StudentRef, world: World) -> LeRobotDataset:
+    observed = dict.fromkeys(STATE_NAMES, float) | {IMAGE_NAME: world.tactile_shape}
     features = combine_feature_dicts(
         hw_to_dataset_features(dict.fromkeys(ACTION_NAMES, float), ACTION, student.video),
         hw_to_dataset_features(observed, OBS_STR, student.video),

@@ -7,18 +7,15 @@ import numpy as np
 
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_sim.effects.registry import get_effect
-from pneutac_sim.features import IMAGE_SHAPE
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.photograph import Predictor, Pressed, PressPhotograph
 from pneutac_sim.twin import Twin
 
 
 def for_twin(gel: GelModel, twin: Twin) -> GelModel:
-    """The gel at the size in which the twin keeps it: 240 x 320, other proportions for a lone gel only."""
-    h, w = gel.rest_image.shape[:2]
-    if twin.device == "gel" and abs(w / h / (IMAGE_SHAPE[1] / IMAGE_SHAPE[0]) - 1) > 0.02:
-        return gel
-    return gel.resized(*IMAGE_SHAPE[:2])
+    """The gel at the size in which the twin has its images; as it is where that is of other proportions."""
+    (h, w), (rows, columns) = gel.rest_image.shape[:2], GelModel.from_twin(twin).rest_image.shape[:2]
+    return gel.resized(rows, columns) if twin.gel and abs(w * rows / (h * columns) - 1) <= 0.02 else gel
 
 
 def calibration_pairs(data: GelRecording) -> list[PressPhotograph]:

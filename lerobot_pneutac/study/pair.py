@@ -25,7 +25,7 @@ def load_pair(
     """
     twin = Twin.load(twin_path)
     if is_dataset(recording_path):
-        recording = load_demonstrations(recording_path, task, twin.pressure_range_kpa)
+        recording = load_demonstrations(recording_path, task, twin)
     else:
         recording = Recording.load(recording_path)
     same_device(twin, recording, twin_path, verb)

@@ -189,10 +189,10 @@ def augment(config: AugmentConfig, progress: Progress = no_progress) -> Augmenta
     sensor = None
     if config.method == "tactile":
         twin = Twin.load(config.twin) if config.twin else Twin.builtin()
-        faults = demonstration_faults(config.dataset.root, twin.pressure_range_kpa)
+        faults = demonstration_faults(config.dataset.root, twin)
         if faults:
             raise InputError(" ".join(faults))
-        sensor = TactileSensor(Twin.load(config.twin) if config.twin else None)
+        sensor = TactileSensor(twin)
     meta, references = read_references(config.dataset.root, config.dataset.repo_id, sensor)
     new = (config.output.root, config.output.repo_id, config.episodes)
     if config.method == "naive":

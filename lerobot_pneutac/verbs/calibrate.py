@@ -26,6 +26,7 @@ def calibrate(
     by: str | None = None,
     effects: Sequence[str] | str | None = None,
     through: str | None = None,
+    image_size: Sequence[int] | None = None,
     train_kpa: Sequence[float] | str = (0.0, 3.0, 6.0, 9.0, 12.0, 15.0),
     evaluations: int = 84,
     particles: int = 4000,
@@ -45,6 +46,8 @@ def calibrate(
             between, `none` for none.
         through: of a gel: `mpm` to fit its light to the surfaces that material points have under the presses
             (minutes); None for the closed form.
+        image_size: of a gel: width and height in px in which the twin has its images; None for that of the
+            photographs.
         train_kpa: by images: pressures to fit; all others are held out.
         evaluations: by images: of the search.
         particles: by images: of the body, about.
@@ -73,7 +76,7 @@ def calibrate(
 
         if isinstance(effects, str):
             effects = [e.strip() for e in effects.split(",") if e != "none"]
-        return calibrate_gel(twin, recording, effects, through == "mpm", progress)
+        return calibrate_gel(twin, recording, effects, through == "mpm", image_size, progress)
     if effects is not None:
         raise InputError(
             f"effects chooses the optics of a gel, but {recording.folder} is a recording of a "
@@ -82,6 +85,11 @@ def calibrate(
     if through is not None:
         raise InputError(
             f"through={through} simulates presses into a gel, but {recording.folder} is a recording of a "
+            f"'{recording.device}'; omit it."
+        )
+    if image_size is not None:
+        raise InputError(
+            f"image_size is that of a gel's images, but {recording.folder} is a recording of a "
             f"'{recording.device}'; omit it."
         )
     if by == "images" or (by is None and _photographs_alone(recording)):

@@ -15,7 +15,7 @@ BEST = "best.png"  # there, the best rendering so far
 
 
 def recording_for(
-    folder: Path | None, scratch: Path, seed: int, task: str = ""
+    folder: Path | None, scratch: Path, seed: int, task: str = "", twin: Path | None = None
 ) -> tuple[Recording | Demonstrations, str]:
     """The recording, and a sentence where none was given.
 
@@ -23,7 +23,8 @@ def recording_for(
     unset.
     """
     if folder is not None and is_dataset(folder):
-        return load_demonstrations(folder, task), ""
+        known = Twin.load(twin) if twin and (twin / "twin.yaml").exists() else None
+        return load_demonstrations(folder, task, known), ""
     if folder is not None:
         return Recording.load(folder), ""
     real = Path(os.environ.get("PNEUTAC_DATA", "/nonexistent")) / "tactile" / "digit_nagoya"

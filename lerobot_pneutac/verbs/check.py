@@ -51,7 +51,7 @@ def check_path(path: str | Path, twin: Twin | None = None) -> Checked:
     if (path / "twin.yaml").is_file():
         return Checked(path, "twin", *_twin(path))
     if not (path / "recording.json").is_file() and is_demonstrations(path):
-        faults = demonstration_faults(path, (twin or Twin.builtin()).pressure_range_kpa)
+        faults = demonstration_faults(path, twin or Twin.builtin())
         return Checked(path, "demonstrations", faults, [])
     return Checked(path, "bench recording", *recording_faults(path))
 

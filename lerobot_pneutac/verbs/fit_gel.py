@@ -11,7 +11,7 @@ import numpy as np
 from lerobot_pneutac.reports.gel_picture import picture_grid
 from lerobot_pneutac.reports.gel_told import make_sentence, told_sentences
 from lerobot_pneutac.reports.page import Report
-from lerobot_pneutac.study.gel_model import at_bound, for_twin, predict
+from lerobot_pneutac.study.gel_model import at_bound, predict
 from lerobot_pneutac.study.pasted import Pasted
 from lerobot_pneutac.verbs.calibration import Calibration
 from lerobot_pneutac.verbs.gel_effects import EFFECTS, STANDARD, wanted
@@ -111,6 +111,9 @@ class GelCalibration(Calibration):
             f"closed form nearest to them, of decay {self.gel.decay_mm:.2f} mm; '{MPM}' by theirs."
         )
         first = [make_sentence(self.fit), through if self.material else ""]
+        rows, columns = self.gel.rest_image.shape[:2]
+        if (rows, columns) != self.data.rest.shape[:2]:
+            first.append(f"The twin's images are {columns} x {rows} px, made of the photographs'.")
         return [*filter(None, first), *told_sentences(self.told, self.fit.make)]
 
     def save_prior(self, name: str) -> Path:
@@ -194,6 +197,7 @@ def calibrate_gel(
     recording: Recording,
     effects: Sequence[str] | None = None,
     through_mpm: bool = False,
+    image_size: Sequence[int] | None = None,
     progress: Progress = no_progress,
 ) -> GelCalibration:
     """Fits light and optics to all images of role `calibration`.
@@ -203,11 +207,12 @@ def calibrate_gel(
         recording: of a gel, with a row of role `calibration` or more.
         effects: see `gel_effects.wanted`.
         through_mpm: whether material points give the surfaces that the light is fitted to.
+        image_size: width and height in px in which the twin has its images; None for that of the photographs.
         progress: called with a text, the presses of material points done and all of them.
 
     Raises:
-        InputError: an effect cannot be fitted to one pair, the images do not serve, or the material points
-            find no rest.
+        InputError: an effect cannot be fitted to one pair, the images do not serve, the material points
+            find no rest, or the size is of other proportions.
     """
     data = GelRecording.load(recording)
     names, start = wanted(effects, twin), time.monotonic()
@@ -223,7 +228,7 @@ def calibrate_gel(
         progress("material points under the presses of the calibration", 0, 1)
     given = points and points.between
     fit = fit_presses(presses, data.px_per_mm, names, data.thickness_mm, library(), given)
-    gel = for_twin(fit.gel, twin)
+    gel = fit.gel if image_size is None else fit.gel.resized(*image_size[::-1])
     seconds = time.monotonic() - start
     images = render(fit.gel, data)
     if points:

@@ -19,9 +19,10 @@ from lerobot_robot_pneutac.options import (
     check_range,
     check_station,
     check_twin_folder,
-    contact_threshold,
     refuse_if,
+    standin_sensor,
     station_joints,
+    tactile_shape,
 )
 from pneutac_sim.features import (
     ACTION_NAMES,
@@ -106,6 +107,11 @@ class PneutacTaskConfig(EnvConfig):
         points = {"points": True} if self.tactile_points else {}
         return {"max_episode_steps": self.episode_length} | look | points
 
+    def _set_tactile(self, twin: Path | None) -> None:
+        """Tells the size of the tactile image, that of the twin's sensor."""
+        shape = tactile_shape("env.twin", twin)
+        self.features[f"pixels/{IMAGE_NAME}"] = PolicyFeature(FeatureType.VISUAL, shape)
+
     @property
     def _sizes(self) -> dict[str, tuple[int, int]]:
         return dict.fromkeys(self.cameras, (self.observation_height, self.observation_width))
@@ -146,6 +152,7 @@ class PneutacEnvConfig(PneutacTaskConfig):
         check_twin_folder("env.twin", self.twin)
         check_conditions("env.conditions", self.twin, self.conditions)
         check_networks("env.twin", self.twin, self.fidelity)
+        self._set_tactile(self.twin)
         check_choice("env.render", self.render, RENDERS)
         if self.render == "splats":
             check_gl("env.render")
@@ -197,7 +204,7 @@ class PneutacStandinConfig(PneutacTaskConfig):
 
     Attributes:
         twin: folder of the twin that was calibrated on it; as on the real robot, its gel's contact threshold
-            says which pixels are in contact, and nothing else comes from it.
+            says which pixels are in contact, and its images have their size; nothing else comes from it.
     """
 
     twin: Path | None = None
@@ -205,6 +212,7 @@ class PneutacStandinConfig(PneutacTaskConfig):
     def __post_init__(self):
         super().__post_init__()
         check_twin_folder("env.twin", self.twin)
+        self._set_tactile(self.twin)
 
     @property
     def package_name(self) -> str:
@@ -214,5 +222,4 @@ class PneutacStandinConfig(PneutacTaskConfig):
     @property
     def gym_kwargs(self) -> dict:
         """What `gymnasium.make` is given."""
-        threshold = {"contact_threshold": contact_threshold(self.twin)} if self.twin else {}
-        return super().gym_kwargs | threshold
+        return super().gym_kwargs | standin_sensor(self.twin)

@@ -1,11 +1,15 @@
 """Checks of options, in the one form of error whose text LeRobot's commands show."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from draccus.utils import DecodingError
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import checked_range
+
+if TYPE_CHECKING:
+    from pneutac_sim.gel.model import GelModel
 
 
 def refuse_if(wrong: bool, sentence: str) -> None:
@@ -35,8 +39,8 @@ def pressure_range(option: str, twin: Path | None) -> tuple[float, float]:
         raise DecodingError((), f"--{option}: {e}") from e
 
 
-def contact_threshold(twin: Path | None) -> float:
-    """Contact threshold of a twin's gel, 8-bit levels; that of the built-in twin where there is none.
+def gel_of(twin: Path | None) -> "GelModel":
+    """The gel of a twin, which tells contact threshold, size of the images and window of its sensor.
 
     Raises:
         InputError: the twin's folder is damaged.
@@ -44,7 +48,30 @@ def contact_threshold(twin: Path | None) -> float:
     from pneutac_sim.gel.model import GelModel
     from pneutac_sim.twin import Twin
 
-    return GelModel.from_twin(Twin.load(twin) if twin else None).threshold_levels
+    return GelModel.from_twin(Twin.load(twin) if twin else None)
+
+
+def contact_threshold(twin: Path | None) -> float:
+    """Contact threshold of a twin's gel, 8-bit levels; that of the built-in twin where there is none."""
+    return gel_of(twin).threshold_levels
+
+
+def tactile_shape(option: str, twin: Path | None) -> tuple[int, int, int]:
+    """Height, width and channels of the images of a twin's sensor; a DIGIT's where there is none."""
+    try:
+        h, w, c = gel_of(twin).rest_image.shape
+    except InputError as e:
+        raise DecodingError((), f"--{option}: {e}") from e
+    return h, w, c
+
+
+def standin_sensor(twin: Path | None) -> dict:
+    """What the stand-in takes of the twin that was calibrated on it: threshold, size of images and window."""
+    if twin is None:
+        return {}
+    gel = gel_of(twin)
+    shape = tuple(gel.rest_image.shape)
+    return {"contact_threshold": gel.threshold_levels, "image_shape": shape, "window_mm": gel.window_mm}
 
 
 def check_range(option: str, pressure_range_kpa: tuple[float, float] | None) -> None:

@@ -18,7 +18,7 @@ TASK_NAMES = ("switch", "egg", "card")
 TASK_GROUP = "pneutac.tasks"  # entry points by which other packages bring tasks of their own
 FIDELITIES = ("surrogate", "mpm", "probe")  # how finger and gel of a world deform
 RENDERS = ("mesh", "splats")  # how a world is drawn
-IMAGE_SHAPE = (320, 240, 3)
+IMAGE_SHAPE = (320, 240, 3)  # of the built-in twin's DIGIT; another sensor's images have a size of their own
 IMAGE_NAME = "tactile"
 POINTS_KEY = "tactile.points"  # touch as data; LeRobot puts `observation.` before it
 POINTS_SHAPE = (16, 12, 6)  # its rows, columns and values of a point; a millimetre apart on a DIGIT
@@ -81,23 +81,26 @@ ACTION_LOW, ACTION_HIGH = action_limits(PAPER_RANGE_KPA)
 JOINT_LOW = np.array([-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973])
 JOINT_HIGH = np.array([2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973])
 JOINT_SPEED = np.array([2.1750, 2.1750, 2.1750, 2.1750, 2.6100, 2.6100, 2.6100])
+PAPER_JOINTS = (JOINT_LOW, JOINT_HIGH, JOINT_SPEED)
 
 N_PIXELS = IMAGE_SHAPE[0] * IMAGE_SHAPE[1]
 
 
 def state_limits(
     pressure_range_kpa: tuple[float, float],
-    joints: tuple[np.ndarray, np.ndarray, np.ndarray] = (JOINT_LOW, JOINT_HIGH, JOINT_SPEED),
+    joints: tuple[np.ndarray, np.ndarray, np.ndarray] = PAPER_JOINTS,
+    pixels: int = N_PIXELS,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest state (2 N + 6,) float32 as `state_names`.
 
     Args:
         pressure_range_kpa: of the finger.
         joints: lowest and highest angle (N,), rad, and highest rate (N,), rad/s, of the arm's joints.
+        pixels: of the tactile image.
     """
     low, high = pressure_range_kpa
     lowest = np.concatenate([joints[0], -joints[2], [-0.9, -0.9, -0.3, 0.0, 0.0, low]])
-    highest = np.concatenate([joints[1], joints[2], [0.9, 0.9, 1.2, 1.0, np.log1p(N_PIXELS), high]])
+    highest = np.concatenate([joints[1], joints[2], [0.9, 0.9, 1.2, 1.0, np.log1p(pixels), high]])
     return lowest.astype(np.float32), highest.astype(np.float32)
 
 

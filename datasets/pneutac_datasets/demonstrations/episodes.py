@@ -34,7 +34,7 @@ class Episode:
     Attributes:
         state: (T, 2 N + 6) in the order of `features.state_names` of an arm of N joints.
         action: (T, 4) in the order of `features.ACTION_NAMES`.
-        images: uint8 (T, 320, 240, 3).
+        images: uint8 (T, H, W, 3) of the sensor's size.
         task: the instruction.
         fps: frames per second.
     """
@@ -74,6 +74,11 @@ class Episode:
         action[:, :3] *= pace
         state[:, [AREA, PIXELS]] = self.state[nearest][:, [AREA, PIXELS]]
         return replace(self, state=state, action=action, images=self.images[nearest])
+
+    @property
+    def pixels(self) -> int:
+        """Of a tactile image."""
+        return self.images.shape[1] * self.images.shape[2]
 
     def contact(self) -> tuple[int, int] | None:
         """First and last frame in contact, or None."""

@@ -13,10 +13,11 @@ from pneutac_sim.features import (
     AREA,
     CONTROL_HZ,
     IMAGE_NAME,
-    IMAGE_SHAPE,
     POINTS_KEY,
     state_names_like,
 )
+from pneutac_sim.gel.model import GelModel
+from pneutac_sim.twin import Twin
 from pneutac_sim.world.cameras import SCENE_CAMERAS
 
 STATE, ACTION, TACTILE = "observation.state", "action", f"observation.images.{IMAGE_NAME}"
@@ -32,19 +33,19 @@ def is_demonstrations(folder: str | Path) -> bool:
     return file.is_file() and {STATE, ACTION} & set(_info(file).get("features", {})) != set()
 
 
-def demonstration_faults(folder: str | Path, pressure_range_kpa: tuple[float, float]) -> list[str]:
+def demonstration_faults(folder: str | Path, twin: Twin) -> list[str]:
     """One sentence for each fault of recorded demonstrations.
 
     Args:
         folder: root of the LeRobotDataset.
-        pressure_range_kpa: of the twin on which they are to be augmented.
+        twin: on which they are to be augmented.
     """
     folder = Path(folder)
     file = folder / "meta" / "info.json"
     if not file.is_file():
         return [f"'{folder}' holds no LeRobotDataset (no meta/info.json)."]
     info = _info(file)
-    found = _of_features(info.get("features", {}), file)
+    found = _of_features(info.get("features", {}), file, GelModel.from_twin(twin).rest_image.shape)
     if info.get("fps") != CONTROL_HZ:
         found.append(
             f"{file}: {info.get('fps')} fps; the world runs at {CONTROL_HZ}, so record with"
@@ -64,11 +65,12 @@ def demonstration_faults(folder: str | Path, pressure_range_kpa: tuple[float, fl
             f"{folder} has {len(episodes)} demonstration; the spread of the contacts needs two or more."
         )
     return found + _of_episodes(
-        {int(e): (state[episode == e], action[episode == e]) for e in episodes}, pressure_range_kpa
+        {int(e): (state[episode == e], action[episode == e]) for e in episodes},
+        twin.pressure_range_kpa,
     )
 
 
-def _of_features(features: dict, file: Path) -> list[str]:
+def _of_features(features: dict, file: Path, image_shape: tuple[int, ...]) -> list[str]:
     found = []
     wanted = [STATE, ACTION, TACTILE]
     for key in wanted:
@@ -90,9 +92,12 @@ def _of_features(features: dict, file: Path) -> list[str]:
             missing = [f"'{n}'{_close(n, there)}" for n in names if n not in there]
             what = f"lacks {', '.join(missing)}" if missing else f"has the names {there} in another order"
             found.append(f"{file}: '{key}' {what}; it must have {list(names)}.")
-    shape = tuple((features.get(TACTILE) or {}).get("shape", IMAGE_SHAPE))
-    if shape != IMAGE_SHAPE:
-        found.append(f"{file}: the images '{TACTILE}' are {shape}; they must be {IMAGE_SHAPE}.")
+    shape = tuple((features.get(TACTILE) or {}).get("shape", image_shape))
+    if shape != image_shape:
+        found.append(
+            f"{file}: the images '{TACTILE}' are {shape} and those of the twin's sensor {image_shape}; give"
+            " the twin of the sensor that recorded them, at their size."
+        )
     return found
 
 

@@ -26,7 +26,6 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.features import (
     AREA,
     EE,
-    N_PIXELS,
     PANDA_JOINTS,
     PAPER_RANGE_KPA,
     PIXELS,
@@ -132,9 +131,9 @@ def _limits(episode: Episode, pressure_range_kpa: tuple[float, float]) -> tuple[
     """Of the state; of the joints only the Panda's are known."""
     joints = joint_count(episode.state.shape[1])
     if joints == PANDA_JOINTS:
-        return state_limits(pressure_range_kpa)
+        return state_limits(pressure_range_kpa, pixels=episode.pixels)
     far = np.full(joints, np.inf)
-    return state_limits(pressure_range_kpa, (-far, far, far))
+    return state_limits(pressure_range_kpa, (-far, far, far), episode.pixels)
 
 
 def _mix(episode: Episode, partner: Episode, weight: float) -> Episode:
@@ -145,7 +144,7 @@ def _mix(episode: Episode, partner: Episode, weight: float) -> Episode:
     times = np.interp(np.arange(len(episode)), knots, matched)
     other = partner.at(times)
     state = (1 - weight) * episode.state + weight * other.state
-    state[:, PIXELS] = np.log1p(state[:, AREA] * N_PIXELS)
+    state[:, PIXELS] = np.log1p(state[:, AREA] * episode.pixels)
     images = np.stack(
         [((1 - weight) * i + weight * j).round() for i, j in zip(episode.images, other.images, strict=True)]
     )

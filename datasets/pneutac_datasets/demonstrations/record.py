@@ -10,13 +10,13 @@ from lerobot.datasets import LeRobotDataset
 from lerobot.utils.constants import ACTION, OBS_STR
 from lerobot.utils.feature_utils import build_dataset_frame, combine_feature_dicts, hw_to_dataset_features
 
+from lerobot_robot_pneutac.options import gel_of
 from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
 from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
 from pneutac_datasets.demonstrations.episodes import POINTS, points_feature
 from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import CONTROL_HZ, POINTS_KEY
-from pneutac_sim.gel.probe import WINDOW_MM
 from pneutac_sim.progress import Progress, no_progress
 
 
@@ -55,7 +55,7 @@ def record_episodes(
         hw_to_dataset_features(robot.observation_features, OBS_STR, use_videos),
     )
     if robot.config.tactile_points:
-        features[POINTS] = points_feature(WINDOW_MM)
+        features[POINTS] = points_feature(gel_of(robot.config.twin).window_mm)
     length = teleop.config.episode_steps
     dataset = create_dataset(repo_id, root, CONTROL_HZ, features, robot.name, use_videos, length)
     ours = [device for device in (teleop, robot) if not device.is_connected]

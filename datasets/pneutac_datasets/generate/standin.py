@@ -8,7 +8,7 @@ import pandas as pd
 from PIL import Image
 
 from lerobot_robot_pneutac.standin.finger import LENGTH_MM, TIP_MM, RodBody, clamped
-from lerobot_robot_pneutac.standin.gel import WINDOW_M, CameraNoise, new_gel
+from lerobot_robot_pneutac.standin.gel import WINDOW_MM, CameraNoise, new_gel
 from lerobot_robot_pneutac.standin.world import GAUGE_NOISE_KPA
 from pneutac_datasets.generate.hidden.programs import ProgramTrial, session
 from pneutac_datasets.generate.presses import ball_press, press_row, write_session
@@ -136,5 +136,5 @@ def write_gel(folder: str | Path, seed: int = 0) -> Recording:
         displacement, _ = gel.press(*ball, at, np.eye(3))
         Image.fromarray(camera.photograph(gel.image(displacement))).save(folder / name)
         rows.append(press_row(i, name, press))
-    px_per_mm = gel.rest_image.shape[1] / (1e3 * WINDOW_M[0])
+    px_per_mm = gel.rest_image.shape[1] / WINDOW_MM[0]
     return write_session(folder, rows, px_per_mm, "Generated: the stand-in for reality.")

@@ -2,13 +2,14 @@
 
 import json
 import sys
+from abc import abstractmethod
 from collections.abc import Iterable
 from pathlib import Path
 
 from lerobot.robots import Robot
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import ACTION_NAMES, IMAGE_NAME, IMAGE_SHAPE, state_names
+from pneutac_sim.features import ACTION_NAMES, IMAGE_NAME, state_names
 from pneutac_sim.files import whole
 
 BEND_NAMES = (*ACTION_NAMES[:3], "bend.pos")  # rad, in place of the pressure
@@ -40,9 +41,9 @@ class BaseRobot(Robot):
     name = "pneutac"
 
     @property
+    @abstractmethod
     def image_shape(self) -> tuple[int, int, int]:
         """Height, width and channels of the tactile image."""
-        return IMAGE_SHAPE
 
     @property
     def state_names(self) -> tuple[str, ...]:

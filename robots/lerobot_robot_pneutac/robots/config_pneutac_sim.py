@@ -29,7 +29,7 @@ class PneutacSimConfig(RobotConfig):
         task: what stands in front of the robot: `switch`, `egg` or `card`, or of another package.
         seed: decides the random start of every episode.
         twin: folder of the finger's twin; default the built-in one. On the stand-in, as on the real robot,
-            only its gel's contact threshold is used.
+            only its gel's contact threshold and the size of its images are used.
         fidelity: how finger and gel deform: `surrogate`, by networks; `mpm`, by full material points;
             `probe`, by formulas.
         conditions: what the twin's effects ask for, such as {temperature_c: 28, payload_g: [0, 20]}; from a

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
-from lerobot_robot_pneutac.options import contact_threshold
+from lerobot_robot_pneutac.options import standin_sensor, tactile_shape
 from lerobot_robot_pneutac.robots.base_robot import (
     BEND_NAMES,
     POSE_NAMES,
@@ -64,8 +64,14 @@ class PneutacSim(BaseRobot):
         super().__init__(config)
         self.config = config
         self.cameras = config.cameras
+        self._image_shape = tactile_shape("robot.twin", config.twin)
         self.world = None
         self.successes: list[bool] = []
+
+    @property
+    def image_shape(self) -> tuple[int, int, int]:
+        """Height, width and channels of the tactile image, those of the twin's sensor."""
+        return self._image_shape
 
     @property
     def observation_features(self) -> dict[str, type | tuple]:
@@ -89,7 +95,7 @@ class PneutacSim(BaseRobot):
         _connected.append(self)
 
     def get_observation(self) -> dict[str, Any]:
-        """State (floats), tactile image uint8 (320, 240, 3), and what else was asked for."""
+        """State (floats), tactile image uint8 (H, W, 3), and what else was asked for."""
         self._need_world()
         state = zip(self.state_names, self._observation.state.tolist(), strict=True)
         touch: dict[str, Any] = {IMAGE_NAME: self._observation.tactile}
@@ -200,8 +206,7 @@ def _world(config: PneutacSimConfig):
     if config.standin:
         from lerobot_robot_pneutac.standin.world import StandinWorld
 
-        threshold = {"contact_threshold": contact_threshold(config.twin)} if config.twin else {}
-        return StandinWorld(config.task, **threshold)
+        return StandinWorld(config.task, **standin_sensor(config.twin))
     from pneutac_sim.world.station import Station
     from pneutac_sim.world.world import World
 

@@ -1,6 +1,7 @@
 """What the stand-in's gel delivers: contact by theory, light by rays, seen late by a noisy camera."""
 
 from collections import deque
+from dataclasses import replace
 
 import cv2
 import mujoco
@@ -17,7 +18,7 @@ MODES = ("image", "area", "none")
 LATE_IMAGES = 1  # control steps
 NOISE_LEVELS = 1.5  # standard deviation of a pixel's channel
 DRIFT_SHARE, DRIFT_S = 0.012, 20.0  # of the brightness of a channel, and over how long it wanders
-WINDOW_M = (0.012, 0.016)
+WINDOW_MM = (12.0, 16.0)  # of a DIGIT
 # LEDs such that the rest image is like photographs of two DIGITs (correlation 0.8).
 LAMPS = Lamps(
     places=np.array([[-7.0, -1.7, -6.0], [10.0, -4.9, -6.0], [0.2, 13.0, -3.5]]),
@@ -27,9 +28,18 @@ LAMPS = Lamps(
 )
 
 
-def new_gel() -> Gel:
-    """The gel under its light."""
-    return Gel(IMAGE_SHAPE, tuple(1e3 * w for w in WINDOW_M), GEL_KPA, DOME_MM, LAMPS)
+def new_gel(
+    image_shape: tuple[int, int, int] = IMAGE_SHAPE, window_mm: tuple[float, float] = WINDOW_MM
+) -> Gel:
+    """The gel under its light.
+
+    Args:
+        image_shape: height, width and channels of its images.
+        window_mm: width and height of what the camera sees; lights stand as far apart as it is wide and high.
+    """
+    apart = np.append(np.divide(window_mm, WINDOW_MM), 1.0)
+    lamps = replace(LAMPS, places=LAMPS.places * apart)
+    return Gel(image_shape, window_mm, GEL_KPA, DOME_MM, lamps)
 
 
 class GelTouch:
@@ -49,17 +59,19 @@ class GelTouch:
         mode: str,
         threshold_levels: float,
         brightness: tuple[float, float, float] = (1.0, 1.0, 1.0),
+        image_shape: tuple[int, int, int] = IMAGE_SHAPE,
+        window_mm: tuple[float, float] = WINDOW_MM,
     ):
         """The touch of a world; see `StandinWorld`."""
         check_choice("touch", mode, MODES)
-        self.gel, self._mode, self._threshold = new_gel(), mode, threshold_levels
+        self.gel, self._mode, self._threshold = new_gel(image_shape, window_mm), mode, threshold_levels
         self.rest_image = self.gel.rest_image
         self._camera = CameraNoise(self.rest_image.shape, brightness)
         self._site = model.site("gel").id
         shaped = model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE
         self._felt = np.flatnonzero((model.geom_group == OBJECT_GROUP) & shaped)
         self._kinds, self._sizes_mm = model.geom_type[self._felt], 1e3 * model.geom_size[self._felt]
-        self._reach = model.geom_rbound[self._felt] + np.hypot(*WINDOW_M) / 2
+        self._reach = model.geom_rbound[self._felt] + 1e-3 * np.hypot(*window_mm) / 2
         self.begin(np.random.default_rng(0))
 
     def begin(self, rng: np.random.Generator) -> None:

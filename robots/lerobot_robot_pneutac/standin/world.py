@@ -11,16 +11,16 @@ import mujoco
 import numpy as np
 
 from lerobot_robot_pneutac.standin.finger import CREEP, ORIFICE, RodBody, mjcf, new_rod
-from lerobot_robot_pneutac.standin.gel import GelTouch
+from lerobot_robot_pneutac.standin.gel import WINDOW_MM, GelTouch
 from pneutac_sim.features import (
     ACTION_HIGH,
     ACTION_LOW,
     CONTROL_HZ,
+    IMAGE_SHAPE,
     JOINT_NAMES,
     PAPER_RANGE_KPA,
-    STATE_HIGH,
-    STATE_LOW,
     STATE_NAMES,
+    state_limits,
 )
 from pneutac_sim.world import scene
 from pneutac_sim.world.action import checked_action
@@ -93,6 +93,8 @@ class StandinWorld:
         touch: str = "image",
         contact_threshold: float = CONTACT_THRESHOLD,
         physics: Physics | None = None,
+        image_shape: tuple[int, int, int] = IMAGE_SHAPE,
+        window_mm: tuple[float, float] = WINDOW_MM,
     ):
         """The stand-in before a task.
 
@@ -102,6 +104,8 @@ class StandinWorld:
             contact_threshold: mean difference of R, G, B to the rest image, 8-bit levels, above which a pixel
                 is in contact; the calibrated one of a lab's twin, as on its real robot.
             physics: what is otherwise than on its bench.
+            image_shape: height, width and channels of the tactile images, where they are none of a DIGIT's.
+            window_mm: width and height of what they show of the gel.
 
         Raises:
             InputError: unknown task or touch mode.
@@ -114,7 +118,11 @@ class StandinWorld:
         self.model.body_inertia[objects] *= self._physics.object_mass
         self.model.geom_friction[self.model.geom("pad").id, 0] *= self._physics.friction
         mujoco.mj_setConst(self.model, self.data)
-        self.touch = GelTouch(self.model, touch, contact_threshold, self._physics.brightness)
+        self.touch = GelTouch(
+            self.model, touch, contact_threshold, self._physics.brightness, image_shape, window_mm
+        )
+        rows, columns, _ = self.tactile_shape
+        self._limits = state_limits(self.pressure_range_kpa, pixels=rows * columns)
         rod = new_rod(self._physics.creep, self._physics.orifice)
         self._finger = RodBody(self.model, self.data, rod)
         self._ik, self.view = CartesianIK(), View(self.model)
@@ -189,12 +197,17 @@ class StandinWorld:
 
     # ---------------------------------------------------------------- senses
 
+    @property
+    def tactile_shape(self) -> tuple[int, int, int]:
+        """Height, width and channels of the tactile image."""
+        return self.touch.rest_image.shape
+
     def _observe(self) -> Observation:
         d, s = self.data, self.touch.pixels
         contact = [self.touch.area, np.log1p(s), self.pressure_kpa]
         state = np.concatenate([d.qpos[self._arm], d.qvel[self._arm], self.flange_m, contact])
         state += NOISE * self._noise.standard_normal(len(NOISE))
-        return Observation(np.clip(state, STATE_LOW, STATE_HIGH).astype(np.float32), self.touch.image)
+        return Observation(np.clip(state, *self._limits).astype(np.float32), self.touch.image)
 
     def _felt(self) -> tuple[float, np.ndarray | None]:
         """How far the gel is pressed in, mm, and where: the centre of pressure (2,) in its frame, m."""
@@ -263,7 +276,14 @@ class StandinWorld:
 
 
 def standin_env(
-    task: str = "switch", touch: str = "image", contact_threshold: float = CONTACT_THRESHOLD, **options
+    task: str = "switch",
+    touch: str = "image",
+    contact_threshold: float = CONTACT_THRESHOLD,
+    image_shape: tuple[int, int, int] = IMAGE_SHAPE,
+    window_mm: tuple[float, float] = WINDOW_MM,
+    **options,
 ) -> TaskEnv:
     """A task on the stand-in for reality; arguments of `StandinWorld`, `options` of `TaskEnv`."""
-    return TaskEnv(StandinWorld(task, touch, contact_threshold), touch, **options)
+    return TaskEnv(
+        StandinWorld(task, touch, contact_threshold, None, image_shape, window_mm), touch, **options
+    )

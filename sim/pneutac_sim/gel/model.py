@@ -18,6 +18,8 @@ from pneutac_sim.gel.probe import THICKNESS_MM
 from pneutac_sim.gel.surface import DECAY_MM
 from pneutac_sim.twin import Twin, Value
 
+LEAST_PX = 32  # a side of the image
+
 
 @dataclass
 class GelModel:
@@ -147,13 +149,15 @@ class GelModel:
         """The same gel seen by an image of another size but the same proportions (within 2 %).
 
         Raises:
-            InputError: the proportions differ.
+            InputError: the proportions differ, or there would be no pixels left.
         """
+        if min(height, width) < LEAST_PX:
+            raise InputError(f"An image of {width} x {height} px is too small; give {LEAST_PX} px or more.")
         h, w = self.rest_image.shape[:2]
         if abs(w / h / (width / height) - 1) > 0.02:
             raise InputError(
                 f"The gel's images are {w} x {h} pixels, which cannot become {width} x {height} without "
-                "distortion; crop the recording's images to 3 : 4."
+                "distortion; give a size of the same proportions, or crop the images."
             )
         image = np.asarray(Image.fromarray(self.rest_image).resize((width, height), Image.Resampling.BOX))
         return replace(self, rest_image=image, px_per_mm=self.px_per_mm * height / h)

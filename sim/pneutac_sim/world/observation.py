@@ -11,7 +11,7 @@ class Observation:
 
     Attributes:
         state: (2 N + 6,) float32 in the order of `features.state_names` of an arm of N joints.
-        tactile: uint8 (320, 240, 3), or None where the world has no image.
+        tactile: uint8 (H, W, 3) of the sensor's size, or None where the world has no image.
     """
 
     state: np.ndarray

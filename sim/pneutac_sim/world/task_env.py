@@ -11,7 +11,7 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.features import (
     CONTROL_HZ,
     IMAGE_NAME,
-    IMAGE_SHAPE,
+    PAPER_JOINTS,
     POINTS_KEY,
     POINTS_SIZE,
     action_limits,
@@ -26,10 +26,10 @@ class TaskEnv(gymnasium.Env):
     """The task of a world as a Gymnasium environment; reward 1 on the step that succeeds.
 
     Observation: `agent_pos` float32 as `features.state_names`, (20,) with the Panda, and, where the world has
-    an image, `pixels/tactile` uint8 (320, 240, 3); of each scene camera `pixels/NAME`; where asked for,
-    `tactile.points` (`features.POINTS_SIZE`,). Action: (4,) float32 as `features.ACTION_NAMES`. An episode
-    terminates on success and on failure; `info` has `is_success`, `failure` (text, empty where none),
-    `clipped` and `out_of_range`, see `World`.
+    an image, `pixels/tactile` uint8 (H, W, 3) of the sensor's size, (320, 240, 3) with a DIGIT; of each scene
+    camera `pixels/NAME`; where asked for, `tactile.points` (`features.POINTS_SIZE`,). Action: (4,) float32 as
+    `features.ACTION_NAMES`. An episode terminates on success and on failure; `info` has `is_success`,
+    `failure` (text, empty where none), `clipped` and `out_of_range`, see `World`.
 
     Attributes:
         world: the world inside, for experts and tests.
@@ -70,9 +70,11 @@ class TaskEnv(gymnasium.Env):
         self.render_mode = render_mode
         self._render_size = (render_width, render_height)
         self.action_space = spaces.Box(*action_limits(world.pressure_range_kpa), dtype=np.float32)
-        state = spaces.Box(*state_limits(world.pressure_range_kpa, *_joints(world)), dtype=np.float32)
+        rows, columns, _ = world.tactile_shape
+        limits = state_limits(world.pressure_range_kpa, _joints(world), rows * columns)
+        state = spaces.Box(*limits, dtype=np.float32)
         self._cameras = SceneCameras(world, cameras, randomise_look)
-        shapes = {IMAGE_NAME: IMAGE_SHAPE} if touch == "image" else {}
+        shapes = {IMAGE_NAME: world.tactile_shape} if touch == "image" else {}
         shapes |= {name: (*size, 3) for name, size in cameras.items()}
         pixels = {name: spaces.Box(0, 255, shape, np.uint8) for name, shape in shapes.items()}
         observation = {"pixels": spaces.Dict(pixels)} if pixels else {}
@@ -126,7 +128,7 @@ class TaskEnv(gymnasium.Env):
         }
 
 
-def _joints(world) -> tuple:
-    """Limits of a world's arm for `state_limits`; none for the stand-in, whose arm is the paper's."""
+def _joints(world) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Limits of a world's arm for `state_limits`; the stand-in's arm is the paper's."""
     arm = getattr(world, "arm", None)
-    return () if arm is None else ((arm.low_rad, arm.high_rad, arm.speed_rad_s),)
+    return PAPER_JOINTS if arm is None else (arm.low_rad, arm.high_rad, arm.speed_rad_s)

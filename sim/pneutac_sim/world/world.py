@@ -300,6 +300,12 @@ class World(Senses):
 
     # ---------------------------------------------------------------- senses
 
+    @property
+    def tactile_shape(self) -> tuple[int, int, int]:
+        """Height, width and channels of the tactile image, those of the twin's sensor."""
+        h, w, c = self.sensor.rest_image.shape
+        return h, w, c
+
     def _observe(self) -> Observation:
         d = self.data
         s = self.touch.pixels

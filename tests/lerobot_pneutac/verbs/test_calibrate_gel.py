@@ -167,8 +167,8 @@ def test_same_recording_same_twin(generated, twin, tmp_path):
     assert a.gel == b.gel and a.effects == b.effects
 
 
-def test_larger_images_end_as_the_sensors_own_size(recording, tmp_path):
-    """Photographs at twice the resolution give the same light, and a twin at 240 x 320."""
+def test_larger_images_keep_their_size_and_are_made_smaller_where_asked(recording, tmp_path):
+    """Photographs at twice the resolution give the same light."""
     run(tmp_path / "small", recording, "--effects=rest_colour")
     for file in recording.rglob("*.png"):
         Image.open(file).resize((2 * WIDTH, 2 * HEIGHT), Image.Resampling.BILINEAR).save(file)
@@ -178,9 +178,14 @@ def test_larger_images_end_as_the_sensors_own_size(recording, tmp_path):
     table.samples["contact_radius_px"] *= 2
     table.write(recording)
     run(tmp_path / "large", recording, "--effects=rest_colour")
-    small, large = (GelModel.from_twin(Twin.load(tmp_path / n)) for n in ("small", "large"))
-    assert large.rest_image.shape == (320, 240, 3) and large.px_per_mm == pytest.approx(small.px_per_mm)
-    np.testing.assert_allclose(large.light, small.light, atol=4)
+    run(tmp_path / "less", recording, "--effects=rest_colour", f"--image_size=[{WIDTH},{HEIGHT}]")
+    small, large, less = (GelModel.from_twin(Twin.load(tmp_path / n)) for n in ("small", "large", "less"))
+    assert large.rest_image.shape == (640, 480, 3) and large.window_mm == pytest.approx(small.window_mm)
+    assert less.rest_image.shape == (320, 240, 3) and less.px_per_mm == pytest.approx(small.px_per_mm)
+    for gel in (large, less):
+        np.testing.assert_allclose(gel.light, small.light, atol=4)
+    with pytest.raises(InputError, match="cannot become 320 x 240 without distortion"):
+        run(tmp_path / "turned", recording, f"--image_size=[{HEIGHT},{WIDTH}]")
 
 
 def test_shift_moves_and_fills_with_zeros():

@@ -8,6 +8,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as parquet
 import pytest
+from sensors import wide_twin
 
 from lerobot_pneutac.cli import check as verb
 from lerobot_pneutac.verbs.check import check_path
@@ -38,7 +39,7 @@ def demonstrations(folder, pressures=(12.0, 12.0), area=0.1, names=STATE_NAMES, 
 
 
 def test_good_demonstrations_pass_and_recorded_ones_too(tmp_path):
-    assert demonstration_faults(demonstrations(tmp_path / "d"), (0.0, 15.0)) == []
+    assert demonstration_faults(demonstrations(tmp_path / "d"), Twin.builtin()) == []
     assert check_path(GOLDEN / "demos").kind == "demonstrations"
     assert check_path(GOLDEN / "demos").faults == []
 
@@ -46,15 +47,18 @@ def test_good_demonstrations_pass_and_recorded_ones_too(tmp_path):
 def test_all_faults_of_demonstrations_are_told_at_once(tmp_path):
     names = ["joint_1.pose" if n == "joint_1.pos" else n for n in STATE_NAMES]
     spoilt = demonstrations(tmp_path / "a", names=names, fps=30)
-    text = " ".join(demonstration_faults(spoilt, (0.0, 15.0)))
+    text = " ".join(demonstration_faults(spoilt, Twin.builtin()))
     assert "30 fps; the world runs at 15" in text
     assert "lacks 'joint_1.pos' (there is 'joint_1.pose')" in text
     spoilt = demonstrations(tmp_path / "b", (12.0, 40.0, 12.0, np.nan), (0.1, 0.1, 0.0, 0.1))
-    text = " ".join(demonstration_faults(spoilt, (0.0, 15.0)))
+    text = " ".join(demonstration_faults(spoilt, Twin.builtin()))
     assert "Episode 1: each commands pressures beyond the 0 to 15 kPa" in text
     assert "Episode 2: each never touches anything" in text
     assert "Episode 3: each holds numbers that are not finite" in text
-    assert "beyond" not in " ".join(demonstration_faults(spoilt, (0.0, 60.0)))
+    twin = wide_twin()
+    twin.pressure_range_kpa = (0.0, 60.0)
+    text = " ".join(demonstration_faults(spoilt, twin))
+    assert "beyond" not in text and "(320, 240, 3) and those of the twin's sensor (480, 640, 3)" in text
 
 
 def test_a_twin_says_what_the_world_will_ask_for(tmp_path):

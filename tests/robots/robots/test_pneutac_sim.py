@@ -9,6 +9,7 @@ from lerobot.cameras.opencv import OpenCVCameraConfig
 from lerobot.rollout.context import HardwareContext
 from lerobot.rollout.strategies import core
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
+from sensors import wide_twin
 
 from lerobot_robot_pneutac.cameras.config_pneutac_scene import PneutacSceneConfig
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
@@ -58,6 +59,14 @@ def test_features_are_known_before_connecting_and_survive_lerobot_rollout(tmp_pa
     # lerobot-rollout silently leaves out every scalar that ends otherwise.
     assert all(k.endswith((".pos", ".vel")) for k in [*scalars, *robot.action_features])
     assert robot.observation_features["tactile"] == (320, 240, 3)
+
+
+@pytest.mark.parametrize("options", [{"fidelity": "probe"}, {"standin": True}])
+def test_the_tactile_image_has_the_size_of_the_twins_sensor(make_robot, tmp_path, options):
+    robot = make_robot(twin=wide_twin().save(tmp_path / "twin"), **options)
+    image = robot.get_observation()["tactile"]
+    assert image.shape == robot.observation_features["tactile"] == (480, 640, 3)
+    assert image.std() > 10
     assert len(robot.cameras) == 0
 
 

@@ -129,7 +129,7 @@ class Attempt:
     """What came of a variant.
 
     Attributes:
-        state: (T, 20), action: (T, 4), images: uint8 (T, 320, 240, 3) as recorded.
+        state: (T, 20), action: (T, 4), images: uint8 (T, H, W, 3) as recorded.
         reason: why it is not kept, or None.
         cost: mean of the plans' costs.
         area_rmse: root mean square error of the contact area from its onset on.

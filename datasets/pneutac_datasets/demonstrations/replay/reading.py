@@ -12,7 +12,8 @@ import numpy as np
 import pandas as pd
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import AREA, EE, PAPER_RANGE_KPA, PRESSURE, task_names
+from pneutac_sim.features import AREA, EE, PRESSURE, task_names
+from pneutac_sim.twin import Twin
 
 if TYPE_CHECKING:
     from pneutac_datasets.demonstrations.episodes import Episode
@@ -81,15 +82,13 @@ def is_dataset(name: str | Path) -> bool:
     return is_demonstrations(path) or on_hub
 
 
-def load_demonstrations(
-    name: str | Path, task: str = "", pressure_range_kpa: tuple[float, float] = PAPER_RANGE_KPA
-) -> Demonstrations:
+def load_demonstrations(name: str | Path, task: str = "", twin: Twin | None = None) -> Demonstrations:
     """Reads a dataset of episodes.
 
     Args:
         name: its folder, or its name on the Hub.
         task: in front of the robot; left out, the one whose description is the dataset's instruction.
-        pressure_range_kpa: of the twin.
+        twin: whose sensor and range of pressures they have; left out, the built-in one.
 
     Raises:
         InputError: it is no dataset of this robot, or its episodes cannot serve as measurements.
@@ -108,7 +107,7 @@ def load_demonstrations(
             raise InputError(
                 f"There is no folder '{name}', and no dataset of that name on the Hub ({e})."
             ) from e
-    _refuse(folder, pressure_range_kpa)
+    _refuse(folder, twin or Twin.builtin())
     dataset = LeRobotDataset(f"local/{folder.name}", folder, video_backend="pyav", return_uint8=True)
     episodes = [load_episode(dataset, i) for i in range(dataset.meta.total_episodes)]
     return checked(Demonstrations(Path(name), task or _task_of(episodes[0].task, folder), episodes))
@@ -169,7 +168,7 @@ def _touch_anew(given: Demonstrations) -> Demonstrations:
     return replace(given, episodes=episodes, warnings=[*given.warnings, told])
 
 
-def _refuse(folder: Path, pressure_range_kpa: tuple[float, float]) -> None:
+def _refuse(folder: Path, twin: Twin) -> None:
     from pneutac_datasets.demonstrations.faults import demonstration_faults
 
     info = json.loads((folder / "meta" / "info.json").read_text(encoding="utf-8"))
@@ -179,7 +178,7 @@ def _refuse(folder: Path, pressure_range_kpa: tuple[float, float]) -> None:
             f"{folder / 'meta' / 'info.json'}: robot_type is '{robot}'; give demonstrations of a "
             f"'{ROBOT}' robot."
         )
-    faults = demonstration_faults(folder, pressure_range_kpa)
+    faults = demonstration_faults(folder, twin)
     if faults:
         raise InputError(faults[0])
 
