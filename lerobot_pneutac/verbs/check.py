@@ -4,7 +4,11 @@ import difflib
 from dataclasses import dataclass
 from pathlib import Path
 
-from pneutac_datasets.demonstrations.faults import demonstration_faults, is_demonstrations
+from pneutac_datasets.demonstrations.faults import (
+    demonstration_faults,
+    demonstration_notes,
+    is_demonstrations,
+)
 from pneutac_datasets.recording.faults import recording_faults
 from pneutac_sim.effects.registry import get_effect, of_body
 from pneutac_sim.errors import InputError
@@ -52,7 +56,7 @@ def check_path(path: str | Path, twin: Twin | None = None) -> Checked:
         return Checked(path, "twin", *_twin(path))
     if not (path / "recording.json").is_file() and is_demonstrations(path):
         faults = demonstration_faults(path, twin or Twin.builtin())
-        return Checked(path, "demonstrations", faults, [])
+        return Checked(path, "demonstrations", faults, demonstration_notes(path))
     return Checked(path, "bench recording", *recording_faults(path))
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as parquet
 
+from lerobot_robot_pneutac.pace import pace_notes
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import (
     ACTION_NAMES,
@@ -68,6 +69,12 @@ def demonstration_faults(folder: str | Path, twin: Twin) -> list[str]:
         {int(e): (state[episode == e], action[episode == e]) for e in episodes},
         twin.pressure_range_kpa,
     )
+
+
+def demonstration_notes(folder: str | Path) -> list[str]:
+    """What is poor but usable: episodes whose control loop fell short of the dataset's rate."""
+    meta = Path(folder) / "meta"
+    return pace_notes(meta, float(_info(meta / "info.json").get("fps") or CONTROL_HZ))
 
 
 def _of_features(features: dict, file: Path, image_shape: tuple[int, ...]) -> list[str]:

@@ -1,35 +1,15 @@
 """What every robot of this plugin shares: one definition, so that datasets and policies fit all."""
 
-import json
-import sys
 from abc import abstractmethod
 from collections.abc import Iterable
-from pathlib import Path
 
 from lerobot.robots import Robot
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_NAMES, IMAGE_NAME, state_names
-from pneutac_sim.files import whole
 
 BEND_NAMES = (*ACTION_NAMES[:3], "bend.pos")  # rad, in place of the pressure
 POSE_NAMES = ("ee_x.pos", "ee_y.pos", "ee_z.pos", "pressure.pos")
-
-
-def write_info_whole() -> None:
-    """Where this process records, has LeRobot replace a dataset's `info.json` in one step; called on connect.
-
-    LeRobot 0.6 empties the old file and writes it anew after every episode: a kill meanwhile loses the
-    features' names and the frame rate, which nothing else tells. `pneutac repair` finds all the rest.
-    """
-    io_utils = sys.modules.get("lerobot.datasets.io_utils")
-    if io_utils is not None:
-        io_utils.write_json = _write_json
-
-
-def _write_json(data: dict, fpath: Path) -> None:
-    with whole(Path(fpath)) as part:
-        part.write_text(json.dumps(data, indent=4, ensure_ascii=False), encoding="utf-8")
 
 
 class BaseRobot(Robot):

@@ -11,12 +11,12 @@ from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnected
 from lerobot_robot_pneutac.cameras.live import LiveCamera
 from lerobot_robot_pneutac.cameras.tactile import Tactile
 from lerobot_robot_pneutac.hardware.safety import Guard, within
+from lerobot_robot_pneutac.pace import Keeper
 from lerobot_robot_pneutac.robots.base_robot import (
     BEND_NAMES,
     POSE_NAMES,
     BaseRobot,
     action_names,
-    write_info_whole,
 )
 from lerobot_robot_pneutac.robots.bend import BendCommands
 from lerobot_robot_pneutac.robots.config_pneutac import PneutacConfig
@@ -53,6 +53,7 @@ class Pneutac(BaseRobot):
         super().__init__(config)
         self.config = config
         self.guard: Guard | None = None
+        self._keeper = Keeper()
         self._arm = config.arm.make()
         self._pressure = config.pressure.make()
         self.cameras = make_cameras_from_configs({IMAGE_NAME: config.digit} | config.cameras)
@@ -84,7 +85,7 @@ class Pneutac(BaseRobot):
         """
         if self.is_connected:
             raise DeviceAlreadyConnectedError(f"{self} is already connected.")
-        write_info_whole()
+        self._keeper.connect()
         if self.config.bend:
             self._bend = BendCommands(Twin.load(self.config.twin), self.config.conditions)
         try:
@@ -118,6 +119,7 @@ class Pneutac(BaseRobot):
     def get_observation(self) -> dict[str, Any]:
         """State (floats) and images; raises HardwareFault, and everything halts, where a part fails."""
         guard = self._need_guard()
+        self._keeper.observed()
         arm, kpa = guard.look()
         with guard.failing("reading the cameras"):
             image = self._tactile.read()
@@ -171,6 +173,7 @@ class Pneutac(BaseRobot):
 
     def _let_go(self) -> None:
         """Disconnects all that was connected; one part's trouble does not keep the next one."""
+        self._keeper.disconnect()
         for part in (self._pressure, self._arm, *self.cameras.values()):
             try:
                 if getattr(part, "is_connected", True):

@@ -7,12 +7,12 @@ import numpy as np
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
 from lerobot_robot_pneutac.options import standin_sensor, tactile_shape
+from lerobot_robot_pneutac.pace import Keeper
 from lerobot_robot_pneutac.robots.base_robot import (
     BEND_NAMES,
     POSE_NAMES,
     BaseRobot,
     action_names,
-    write_info_whole,
 )
 from lerobot_robot_pneutac.robots.bend import BendCommands
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
@@ -55,7 +55,8 @@ class PneutacSim(BaseRobot):
     Attributes:
         world: the world, while connected.
         successes: for each finished episode whether the task was done when the scene started afresh.
-        cameras: the scene cameras' options; their pictures, as the tactile image, come with the observation.
+        cameras: the tactile image, and the scene cameras' options; their pictures come with the observation.
+            LeRobot counts them and writes PNG files in as many times four threads.
     """
 
     config_class = PneutacSimConfig
@@ -63,10 +64,11 @@ class PneutacSim(BaseRobot):
     def __init__(self, config: PneutacSimConfig):
         super().__init__(config)
         self.config = config
-        self.cameras = config.cameras
+        self.cameras = {IMAGE_NAME: None, **config.cameras}
         self._image_shape = tactile_shape("robot.twin", config.twin)
         self.world = None
         self.successes: list[bool] = []
+        self._keeper = Keeper()
 
     @property
     def image_shape(self) -> tuple[int, int, int]:
@@ -87,7 +89,7 @@ class PneutacSim(BaseRobot):
         """Builds the world and starts the first episode."""
         if self.is_connected:
             raise DeviceAlreadyConnectedError(f"{self} is already connected.")
-        write_info_whole()
+        self._keeper.connect()
         self.world = _world(self.config)
         self._scene = SceneCameras(self.world, self.config.sizes, self.config.randomise_look)
         self._spread = self._starts()
@@ -97,6 +99,7 @@ class PneutacSim(BaseRobot):
     def get_observation(self) -> dict[str, Any]:
         """State (floats), tactile image uint8 (H, W, 3), and what else was asked for."""
         self._need_world()
+        self._keeper.observed()
         state = zip(self.state_names, self._observation.state.tolist(), strict=True)
         touch: dict[str, Any] = {IMAGE_NAME: self._observation.tactile}
         if self.config.tactile_points:
@@ -144,6 +147,7 @@ class PneutacSim(BaseRobot):
         """Frees the world."""
         self._need_world()
         _connected.remove(self)
+        self._keeper.disconnect()
         self.world.close()
         self.world = None
 

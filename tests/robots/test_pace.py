@@ -1,0 +1,74 @@
+import json
+import logging
+
+import pytest
+from lerobot.datasets import io_utils
+
+from lerobot_robot_pneutac.pace import PACE_FILE, Keeper, Pace, pace_notes, read_pace
+from pneutac_sim.errors import InputError
+
+SECONDS = "lerobot_robot_pneutac.pace.time.perf_counter"
+
+
+@pytest.fixture
+def keeper(monkeypatch):
+    monkeypatch.setattr(io_utils, "write_json", io_utils.write_json)
+    monkeypatch.setattr(logging.getLogger(), "level", logging.INFO)
+    keeper = Keeper()
+    keeper.connect()
+    yield keeper
+    keeper.disconnect()
+
+
+def observe(keeper, monkeypatch, times_s):
+    for at in times_s:
+        monkeypatch.setattr(SECONDS, lambda at=at: at)
+        keeper.observed()
+
+
+def save(meta, episodes, frames, fps=15):
+    meta.mkdir(exist_ok=True)
+    info = {"fps": fps, "total_episodes": episodes, "total_frames": frames}
+    io_utils.write_json(info, meta / "info.json")
+    assert json.loads((meta / "info.json").read_text()) == info
+
+
+def test_an_episode_is_what_was_observed_after_it_was_announced(keeper, monkeypatch, tmp_path, caplog):
+    save(tmp_path, 0, 0)
+    logging.info("Recording episode 0")
+    observe(keeper, monkeypatch, [0.0, 5.0])  # is recorded anew
+    logging.info("Recording episode 0")
+    observe(keeper, monkeypatch, [10.0, 10.1, 10.2, 10.4])
+    observe(keeper, monkeypatch, [10.41, 10.42])  # while the scene is put back
+    save(tmp_path, 1, 4)
+    assert read_pace(tmp_path) == {0: Pace(7.5, 1, 0.2)}
+    assert "Episode 0 ran at 7.5 Hz and not at 15" in caplog.text
+    logging.info("Recording episode 1")
+    observe(keeper, monkeypatch, [20 + k / 15 for k in range(31)])
+    save(tmp_path, 2, 4 + 31)
+    assert read_pace(tmp_path)[1].achieved_hz == pytest.approx(15)
+    (note,) = pace_notes(tmp_path, 15)
+    assert "fell short of 15 Hz in episode 0 (7.5 Hz, 1 frames late)" in note
+
+
+def test_what_was_not_announced_has_no_rate(keeper, monkeypatch, tmp_path):
+    """Strategies that record all the time save in the midst of it, and our own recorder has no clock."""
+    save(tmp_path, 0, 0)
+    observe(keeper, monkeypatch, [0.0, 0.1, 0.2])
+    save(tmp_path, 1, 3)
+    logging.info("Recording episode 1")
+    observe(keeper, monkeypatch, [0.0, 0.1])  # fewer than it counts
+    save(tmp_path, 2, 6)
+    io_utils.write_json({"total_frames": 9}, tmp_path / "stats.json")
+    assert read_pace(tmp_path) == {} and pace_notes(tmp_path, 15) == []
+
+
+def test_a_damaged_file_is_told_and_loses_no_episode(keeper, monkeypatch, tmp_path, caplog):
+    (tmp_path / PACE_FILE).write_text("[1")
+    with pytest.raises(InputError, match="is damaged"):
+        read_pace(tmp_path)
+    save(tmp_path, 0, 0)
+    logging.info("Recording episode 0")
+    observe(keeper, monkeypatch, [0.0, 0.1])
+    save(tmp_path, 1, 2)
+    assert "is damaged" in caplog.text
