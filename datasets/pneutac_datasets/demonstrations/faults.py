@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as parquet
 
-from lerobot_robot_pneutac.pace import pace_notes
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import (
     ACTION_NAMES,
@@ -18,6 +17,7 @@ from pneutac_sim.features import (
     state_names_like,
 )
 from pneutac_sim.gel.model import GelModel
+from pneutac_sim.pace import pace_notes
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.cameras import SCENE_CAMERAS
 

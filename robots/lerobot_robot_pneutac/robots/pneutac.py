@@ -11,7 +11,6 @@ from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnected
 from lerobot_robot_pneutac.cameras.live import LiveCamera
 from lerobot_robot_pneutac.cameras.tactile import Tactile
 from lerobot_robot_pneutac.hardware.safety import Guard, within
-from lerobot_robot_pneutac.pace import Keeper
 from lerobot_robot_pneutac.robots.base_robot import (
     BEND_NAMES,
     POSE_NAMES,
@@ -20,6 +19,7 @@ from lerobot_robot_pneutac.robots.base_robot import (
 )
 from lerobot_robot_pneutac.robots.bend import BendCommands
 from lerobot_robot_pneutac.robots.config_pneutac import PneutacConfig
+from lerobot_robot_pneutac.robots.keeping import Keeper
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import (
     ACTION_HIGH,

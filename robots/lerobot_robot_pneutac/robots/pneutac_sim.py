@@ -7,7 +7,6 @@ import numpy as np
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
 from lerobot_robot_pneutac.options import standin_sensor, tactile_shape
-from lerobot_robot_pneutac.pace import Keeper
 from lerobot_robot_pneutac.robots.base_robot import (
     BEND_NAMES,
     POSE_NAMES,
@@ -16,6 +15,7 @@ from lerobot_robot_pneutac.robots.base_robot import (
 )
 from lerobot_robot_pneutac.robots.bend import BendCommands
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
+from lerobot_robot_pneutac.robots.keeping import Keeper
 from lerobot_robot_pneutac.robots.spread_starts import SpreadStarts
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import (

@@ -4,10 +4,11 @@ import logging
 import pytest
 from lerobot.datasets import io_utils
 
-from lerobot_robot_pneutac.pace import PACE_FILE, Keeper, Pace, pace_notes, read_pace
+from lerobot_robot_pneutac.robots.keeping import Keeper
 from pneutac_sim.errors import InputError
+from pneutac_sim.pace import PACE_FILE, Pace, pace_notes, read_pace
 
-SECONDS = "lerobot_robot_pneutac.pace.time.perf_counter"
+SECONDS = "lerobot_robot_pneutac.robots.keeping.time.perf_counter"
 
 
 @pytest.fixture

@@ -1,0 +1,68 @@
+"""How fast an episode was recorded: its control loop may fall behind, and LeRobot's times do not show it."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pneutac_sim.errors import InputError
+
+PACE_FILE = "achieved_rate.json"  # in a dataset's `meta`; LeRobot drops what it does not know from info.json
+SHORT = 0.95  # of the rate that was asked for: less is told
+LATE = 1.5  # periods after which a frame is late
+
+
+@dataclass(frozen=True)
+class Pace:
+    """Of one episode.
+
+    Attributes:
+        achieved_hz: mean rate of its frames by the clock.
+        late_frames: how many came more than half a period late.
+        longest_s: the longest time between two.
+    """
+
+    achieved_hz: float
+    late_frames: int
+    longest_s: float
+
+    @classmethod
+    def of(cls, times_s: Sequence[float], fps: float) -> "Pace":
+        """Of two or more frames that were taken at these times, at a rate of `fps`."""
+        apart = np.diff(times_s)
+        hz = round(1 / float(apart.mean()), 3)
+        return cls(hz, int((apart > LATE / fps).sum()), round(float(apart.max()), 4))
+
+
+def short_of(pace: Pace, fps: float) -> bool:
+    """Whether an episode fell short of its rate."""
+    return pace.achieved_hz < SHORT * fps
+
+
+def read_pace(meta: Path) -> dict[int, Pace]:
+    """Episode to pace, from a dataset's folder `meta`; empty where nothing was kept.
+
+    Raises:
+        InputError: the file is damaged.
+    """
+    file = meta / PACE_FILE
+    try:
+        content = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+        return {int(k): Pace(**v) for k, v in content.items()}
+    except (ValueError, TypeError, AttributeError) as e:
+        raise InputError(f"{file} is damaged ({e}); delete it, the dataset does without.") from e
+
+
+def pace_notes(meta: Path, fps: float) -> list[str]:
+    """A sentence where episodes of a dataset fell short of their rate."""
+    slow = {k: p for k, p in read_pace(meta).items() if short_of(p, fps)}
+    if not slow:
+        return []
+    each = ", ".join(f"{k} ({p.achieved_hz:.1f} Hz, {p.late_frames} frames late)" for k, p in slow.items())
+    return [
+        f"The loop fell short of {fps:g} Hz in {'episode' if len(slow) == 1 else 'episodes'} {each}, so their"
+        " motions are stored as faster than they were: free the computer (fewer or smaller cameras, video"
+        " encoding afterwards) and record them anew."
+    ]
