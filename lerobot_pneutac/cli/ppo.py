@@ -10,6 +10,7 @@ from lerobot_pneutac.cli.progress import progress_bar
 from lerobot_pneutac.rl.options import PpoConfig
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin
+from pneutac_sim.world.station import Station
 
 
 def main(argv: list[str]) -> None:
@@ -21,7 +22,9 @@ def main(argv: list[str]) -> None:
 
     twin = Twin.load(config.twin) if config.twin else None
     compute = Compute(config.envs, config.parallel, config.device)
+    station = Station.load(config.station) if config.station else None
     options = {"conditions": config.conditions} if config.conditions else {}
+    options |= {"station": station} if station else {}
     with progress_bar(console) as progress:
         train = (config.task, twin, config.seed, config.steps, config.out, compute)
         card = train_ppo(*train, progress=progress, **options)
@@ -36,8 +39,7 @@ def main(argv: list[str]) -> None:
         from lerobot_pneutac.rl.student import record_student
 
         with progress_bar(console) as progress:
-            done = record_student(
-                config.out, config.task, twin, config.seed, config.student, progress, config.conditions
-            )
+            what = (config.out, config.task, twin, config.seed, config.student)
+            done = record_student(*what, progress, config.conditions, station)
         share = f"{done.episodes} demonstrations of {done.trials} trials ({100 * done.success:.0f} %)"
         console.print(f"{share} in {config.student.root}.", highlight=False)

@@ -9,9 +9,9 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import nn
 
-from lerobot_pneutac.rl.env import ACTOR_SIZE, GRID
+from lerobot_pneutac.rl.env import GRID, actor_size
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import ACTION_NAMES
+from pneutac_sim.features import ACTION_NAMES, PANDA_JOINTS
 from pneutac_sim.files import whole, write_json
 
 WEIGHTS_FILE, CARD_FILE = "actor.safetensors", "actor.json"
@@ -29,20 +29,21 @@ class Actor(nn.Module):
 
     Attributes:
         card: what is known of it: task, training, success.
+        joints: of the arm.
     """
 
-    def __init__(self, hidden: tuple[int, ...], card: dict | None = None):
+    def __init__(self, hidden: tuple[int, ...], card: dict | None = None, joints: int = PANDA_JOINTS):
         super().__init__()
-        self.body, self.head = layers(ACTOR_SIZE, hidden), nn.Linear(hidden[-1], len(ACTION_NAMES))
-        self.hidden, self.card = tuple(hidden), dict(card or {})
+        self.body, self.head = layers(actor_size(joints), hidden), nn.Linear(hidden[-1], len(ACTION_NAMES))
+        self.hidden, self.card, self.joints = tuple(hidden), dict(card or {}), joints
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
-        """Mean actions (N, 4), not limited, of observations (N, ACTOR_SIZE)."""
+        """Mean actions (N, 4), not limited, of observations (N, actor_size)."""
         return self.head(self.body(observation))
 
     @torch.no_grad()
     def act(self, observation: np.ndarray) -> np.ndarray:
-        """The mean action (4,) in [-1, 1] of one observation (ACTOR_SIZE,); `to_action` gives its units."""
+        """The mean action (4,) in [-1, 1] of one observation (actor_size,); `to_action` gives its units."""
         mean = self(torch.as_tensor(observation, dtype=torch.float32)[None])[0]
         return mean.clamp(-1, 1).double().numpy()
 
@@ -52,7 +53,7 @@ class Actor(nn.Module):
         tensors = {k: v.detach().cpu().contiguous() for k, v in self.state_dict().items()}
         with whole(folder / WEIGHTS_FILE) as part:
             save_file(tensors, part)
-        card = {"hidden": list(self.hidden), "grid": list(GRID), **self.card}
+        card = {"hidden": list(self.hidden), "grid": list(GRID), "joints": self.joints, **self.card}
         write_json(folder / CARD_FILE, card)
 
     @classmethod
@@ -66,7 +67,7 @@ class Actor(nn.Module):
             card = json.loads((folder / CARD_FILE).read_text())
             hidden = tuple(int(n) for n in card.pop("hidden"))
             grid = tuple(card.pop("grid"))
-            actor = cls(hidden, card)
+            actor = cls(hidden, card, int(card.pop("joints", PANDA_JOINTS)))
         except (ValueError, KeyError, TypeError, AttributeError, IndexError) as e:
             raise InputError(
                 f"'{folder / CARD_FILE}' is not an actor's card with 'hidden' and 'grid'; train it anew."

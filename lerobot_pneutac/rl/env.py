@@ -8,24 +8,28 @@ from gymnasium import spaces
 
 from lerobot_pneutac.rl.reward import Moment, reward_terms, total
 from lerobot_pneutac.rl.task import TaskView
-from pneutac_sim.features import ACTION_NAMES, action_limits
+from pneutac_sim.features import ACTION_NAMES, EE, PANDA_JOINTS, PRESSURE, action_limits
 from pneutac_sim.gel.probe import COLS, ROWS
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.conditions import Conditions
-from pneutac_sim.world.panda import HOME_JOINTS, WORKSPACE_HIGH, WORKSPACE_LOW
+from pneutac_sim.world.station import Station
 from pneutac_sim.world.varied import Variation, VariedWorld
+from pneutac_sim.world.world import World
 
 GRID = (10, 8)  # cells of the actor's probe grid, rows and columns
 STEPS = 200  # control steps of an episode; fewer than of a trial, for more starts
 JOINT_RANGE_RAD, JOINT_RATE_RAD_S = 0.6, 0.4  # what a joint moves about home, and how fast, in these tasks
-PROPRIOCEPTION = 18  # joints, their rates, flange, pressure
-ACTOR_SIZE = PROPRIOCEPTION + len(ACTION_NAMES) + GRID[0] * GRID[1]
 FRICTION, BEND_GAIN = (0.8, 1.25), (0.93, 1.07)  # ranges of randomisation, factors
 _LIMIT = 20.0  # observations are clipped there; none comes near it in a trial that goes well
 
 _ROWS = np.arange(GRID[0]) * ROWS // GRID[0]
 _COLS = np.arange(GRID[1]) * COLS // GRID[1]
-_MIDDLE, _HALF = (WORKSPACE_LOW + WORKSPACE_HIGH) / 2, (WORKSPACE_HIGH - WORKSPACE_LOW) / 2
+
+
+def actor_size(joints: int = PANDA_JOINTS) -> int:
+    """How many numbers an actor observes of a robot whose arm has so many joints."""
+    proprioception = 2 * joints + 4  # joints, their rates, flange, pressure
+    return proprioception + len(ACTION_NAMES) + GRID[0] * GRID[1]
 
 
 def pool(depth_mm: np.ndarray) -> np.ndarray:
@@ -39,28 +43,26 @@ def to_action(normal: np.ndarray, pressure_range_kpa: tuple[float, float]) -> np
     return low + share * (high - low)
 
 
-def actor_observation(
-    state: np.ndarray, depth_mm: np.ndarray, previous: np.ndarray, pressure_range_kpa: tuple[float, float]
-) -> np.ndarray:
+def actor_observation(world: World, state: np.ndarray, previous: np.ndarray) -> np.ndarray:
     """What the actor observes: proprioception, its last action, and the probe grid.
 
     Args:
-        state: (20,) as `features.STATE_NAMES`; its contact area needs an image and is left out.
-        depth_mm: probe grid (80, 59), mm.
+        world: whose station scales joints and places, and whose touch it is now.
+        state: (2 N + 6,) as `features.state_names`; its contact area needs an image and is left out.
         previous: last action (4,), each entry in [-1, 1].
-        pressure_range_kpa: of the action.
 
     Returns:
-        (ACTOR_SIZE,) float32, entries of about one.
+        (actor_size(N),) float32, entries of about one.
     """
-    low, high = pressure_range_kpa
+    n, (low, high) = world.arm.joints, world.pressure_range_kpa
+    corners = np.array([world.station.workspace_low_m, world.station.workspace_high_m]) - world.arm.base_m
     parts = (
-        (state[:7] - HOME_JOINTS) / JOINT_RANGE_RAD,
-        state[7:14] / JOINT_RATE_RAD_S,
-        (state[14:17] - _MIDDLE) / _HALF,
-        (state[19:] - low) * (2 / (high - low)) - 1,
+        (state[:n] - world.arm.home_rad) / JOINT_RANGE_RAD,
+        state[n : 2 * n] / JOINT_RATE_RAD_S,
+        (state[EE] - corners.mean(0)) / (np.diff(corners, axis=0)[0] / 2),
+        [(state[PRESSURE] - low) * (2 / (high - low)) - 1],
         previous,
-        pool(depth_mm).ravel(),
+        pool(world.touch.depth_mm).ravel(),
     )
     return np.clip(np.concatenate(parts), -_LIMIT, _LIMIT).astype(np.float32)
 
@@ -68,7 +70,7 @@ def actor_observation(
 class PpoEnv(gymnasium.Env):
     """A task with a shaped reward, in the world whose finger and gel follow formulas.
 
-    Observation: `actor` (ACTOR_SIZE,), see `actor_observation`, and `object`, the object's state, for the
+    Observation: `actor` (actor_size(N),), see `actor_observation`, and `object`, the object's state, for the
     critic alone. Action (4,) in [-1, 1], see `to_action`. `info` has `terms`, the reward's terms before
     their weights, `is_success` and `failure`. An episode terminates on success and failure.
 
@@ -87,6 +89,7 @@ class PpoEnv(gymnasium.Env):
         randomise: bool = True,
         length: int = STEPS,
         conditions: Conditions | None = None,
+        station: Station | None = None,
     ):
         """An environment with a task.
 
@@ -96,18 +99,19 @@ class PpoEnv(gymnasium.Env):
             randomise: whether friction and bend change with every episode.
             length: control steps after which a trial is cut off.
             conditions: of the world, see `World`.
+            station: likewise.
 
         Raises:
-            InputError: the task is unknown, or the twin is not a finger's.
+            InputError: the task is unknown, the arm does not reach it, or the twin is not a finger's.
         """
-        self.world = VariedWorld(task, twin, "probe", "probe", conditions)
+        self.world = VariedWorld(task, twin, "probe", "probe", conditions, station=station)
         self.view = TaskView(self.world)
         self.randomise, self._length = randomise, length
         self.action_space = spaces.Box(-1.0, 1.0, (len(ACTION_NAMES),), np.float32)
         size = self.view.size + 2  # with friction and bend gain
         self.observation_space = spaces.Dict(
             {
-                "actor": spaces.Box(-_LIMIT, _LIMIT, (ACTOR_SIZE,), np.float32),
+                "actor": spaces.Box(-_LIMIT, _LIMIT, (actor_size(self.world.arm.joints),), np.float32),
                 "object": spaces.Box(-_LIMIT, _LIMIT, (size,), np.float32),
             }
         )
@@ -154,8 +158,6 @@ class PpoEnv(gymnasium.Env):
         v = self.world.variation
         hidden = np.concatenate([self.view.state(), [5 * (v.friction - 1), 10 * (v.bend_gain - 1)]])
         return {
-            "actor": actor_observation(
-                state, self.world.touch.depth_mm, self._previous, self.world.pressure_range_kpa
-            ),
+            "actor": actor_observation(self.world, state, self._previous),
             "object": np.clip(hidden, -_LIMIT, _LIMIT).astype(np.float32),
         }

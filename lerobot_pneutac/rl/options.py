@@ -8,6 +8,7 @@ from pneutac_sim.errors import InputError, check_choice, check_least
 from pneutac_sim.features import FIDELITIES, task_names
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.checks import check_world
+from pneutac_sim.world.station import Station
 
 
 @dataclass
@@ -42,6 +43,7 @@ class PpoConfig:
         twin: folder of the finger's twin; where left out, the built-in one.
         conditions: values that the twin's effects ask for, such as {temperature_c: 28}; every episode draws
             from a range [low, high].
+        station: file `station.yaml` of arm, workspace and mount; where left out, the paper's.
         steps: control steps of training, of all worlds together; with more than before the training goes on.
         seed: seed of networks and starts.
         envs: number of worlds; where left out, two a core, at least 8.
@@ -55,6 +57,7 @@ class PpoConfig:
     task: str = "switch"
     twin: Path | None = None
     conditions: dict[str, float | list[float]] = field(default_factory=dict)
+    station: Path | None = None
     steps: int = 500_000
     seed: int = 0
     envs: int | None = None
@@ -70,6 +73,8 @@ class PpoConfig:
             raise InputError(f"twin is '{self.twin}', which holds no twin.yaml; give a twin's folder.")
         twin = Twin.load(self.twin) if self.twin else Twin.builtin()
         check_world(twin, self.student.fidelity, self.conditions)
+        if self.station is not None:
+            Station.load(self.station).make_arm()
         if self.student.root is not None and Path(self.student.root).exists():
             raise InputError(f"root is '{self.student.root}', which exists; give a new folder.")
         cores = len(os.sched_getaffinity(0))

@@ -20,11 +20,13 @@ from torch import nn
 
 from lerobot_pneutac.rl.actor import Actor, layers, try_actor
 from lerobot_pneutac.rl.checkpoint import CHECKPOINT, Keeper
-from lerobot_pneutac.rl.env import ACTOR_SIZE, PpoEnv
+from lerobot_pneutac.rl.env import PpoEnv
 from lerobot_pneutac.rl.reward import WEIGHTS
 from pneutac_sim.errors import InputError, check_least
+from pneutac_sim.features import PANDA_JOINTS
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
+from pneutac_sim.world.station import Station
 
 TEST_SEED = 1_000_000  # starts of the test are none of the training's
 
@@ -82,12 +84,13 @@ class Compute:
 
 
 class Asymmetric(nn.Module):
-    """Hidden layers of both networks: the actor's read the first `ACTOR_SIZE` entries, the critic's all."""
+    """Hidden layers of both networks: the actor's read the first `felt` entries, the critic's all."""
 
-    def __init__(self, inputs: int, hidden: tuple[int, ...]):
+    def __init__(self, inputs: int, felt: int, hidden: tuple[int, ...]):
         super().__init__()
+        self.felt = felt
         self.latent_dim_pi = self.latent_dim_vf = hidden[-1]
-        self.actor, self.critic = layers(ACTOR_SIZE, hidden), layers(inputs, hidden)
+        self.actor, self.critic = layers(felt, hidden), layers(inputs, hidden)
 
     def forward(self, features: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Hidden features (N, hidden) of actor and critic."""
@@ -95,7 +98,7 @@ class Asymmetric(nn.Module):
 
     def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
         """The actor's; what follows its own part of the observation is cut off."""
-        return self.actor(features[:, :ACTOR_SIZE])
+        return self.actor(features[:, : self.felt])
 
     def forward_critic(self, features: torch.Tensor) -> torch.Tensor:
         """The critic's."""
@@ -106,7 +109,8 @@ class AsymmetricPolicy(MultiInputActorCriticPolicy):
     """The library's Gaussian policy around `Asymmetric`; `actor` comes before `object` in the features."""
 
     def _build_mlp_extractor(self) -> None:
-        self.mlp_extractor = Asymmetric(self.features_dim, tuple(self.net_arch))
+        felt = self.observation_space["actor"].shape[0]
+        self.mlp_extractor = Asymmetric(self.features_dim, felt, tuple(self.net_arch))
 
 
 def make_worlds(task: str, twin: Twin | None, envs: int, parallel: bool, **options) -> VecEnv:
@@ -174,7 +178,8 @@ def train_ppo(
     compute.check(steps)
     env = PpoEnv(task, twin, **options)  # refuses a bad task or twin before anything is written
     run = {"task": task, "twin": _identity(twin), "seed": seed, "settings": asdict(settings)}
-    run = json.loads(json.dumps(run | {"weights": WEIGHTS, "options": options}))
+    told = {k: asdict(v) if isinstance(v, Station) else v for k, v in options.items()}
+    run = json.loads(json.dumps(run | {"weights": WEIGHTS, "options": told}))
     worlds = make_worlds(task, twin, compute.envs, compute.parallel, **options)
     try:
         model = make_ppo(worlds, seed, compute.device, settings)
@@ -188,7 +193,7 @@ def train_ppo(
             keeper.save()
     finally:
         worlds.close()
-    actor, seconds = actor_of(model, settings), keeper.curve[-1]["seconds"]
+    actor, seconds = actor_of(model, settings, env.world.arm.joints), keeper.curve[-1]["seconds"]
     progress(f"trying the actor on {compute.tries} new starts", steps, steps)
     found = {"steps": model.num_timesteps, "seconds": seconds, "steps_per_s": model.num_timesteps / seconds}
     actor.card = run | found | {"test": try_actor(actor, env, compute.tries, TEST_SEED + seed)}
@@ -196,9 +201,9 @@ def train_ppo(
     return actor.card
 
 
-def actor_of(model: PPO, settings: PpoSettings) -> Actor:
+def actor_of(model: PPO, settings: PpoSettings, joints: int = PANDA_JOINTS) -> Actor:
     """A copy of the actor's networks, on the CPU."""
-    actor = Actor(settings.hidden)
+    actor = Actor(settings.hidden, joints=joints)
     actor.body.load_state_dict(model.policy.mlp_extractor.actor.state_dict())
     actor.head.load_state_dict(model.policy.action_net.state_dict())
     return actor.eval()

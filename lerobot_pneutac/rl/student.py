@@ -14,10 +14,11 @@ from lerobot_pneutac.rl.options import StudentRef
 from pneutac_datasets.demonstrations.episodes import Episode, save_episode
 from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError, check_least
-from pneutac_sim.features import ACTION_NAMES, CONTROL_HZ, IMAGE_NAME, STATE_NAMES
+from pneutac_sim.features import ACTION_NAMES, CONTROL_HZ, IMAGE_NAME, state_names
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.conditions import Conditions
+from pneutac_sim.world.station import Station
 from pneutac_sim.world.world import World
 
 ROBOT = "pneutac"  # type of the robot in recorded demonstrations, so that they merge
@@ -52,6 +53,7 @@ def record_student(
     student: StudentRef,
     progress: Progress = no_progress,
     conditions: Conditions | None = None,
+    station: Station | None = None,
 ) -> RecordedStudent:
     """Writes a LeRobotDataset with the features of recorded demonstrations; rollouts that fail are left out.
 
@@ -65,6 +67,7 @@ def record_student(
         seed: of starts and noise.
         student: the dataset, how many demonstrations, fidelity and noise.
         conditions: of the world, see `World`.
+        station: likewise.
         progress: is called after each trial with a few words, the demonstrations and how many are wanted.
 
     Raises:
@@ -77,7 +80,12 @@ def record_student(
     check_least(1, episodes=student.episodes)
     if not 0 <= student.noise <= 1:
         raise InputError(f"noise is {student.noise}; it must be from 0 to 1.")
-    world = World(task, twin, "image", student.fidelity, conditions)
+    world = World(task, twin, "image", student.fidelity, conditions, station=station)
+    if actor.joints != world.arm.joints:
+        raise InputError(
+            f"The actor in '{actor_dir}' was trained with an arm of {actor.joints} joints, and the station's"
+            f" has {world.arm.joints}; give its station by --station=."
+        )
     dataset = _new_dataset(student, world)
     rng = np.random.default_rng(seed)
     kept = trials = 0
@@ -101,7 +109,7 @@ def record_student(
 
 
 def _new_dataset(student: StudentRef, world: World) -> LeRobotDataset:
-    observed = dict.fromkeys(STATE_NAMES, float) | {IMAGE_NAME: world.tactile_shape}
+    observed = dict.fromkeys(state_names(world.arm.joints), float) | {IMAGE_NAME: world.tactile_shape}
     features = combine_feature_dicts(
         hw_to_dataset_features(dict.fromkeys(ACTION_NAMES, float), ACTION, student.video),
         hw_to_dataset_features(observed, OBS_STR, student.video),
@@ -115,7 +123,7 @@ def roll_out(actor: Actor, world: World, rng: np.random.Generator, noise: float)
     previous, kpa = np.zeros(len(ACTION_NAMES)), world.pressure_range_kpa
     states, actions, images = [], [], []
     while len(states) < STEPS and not (world.success or world.failure):
-        mean = actor.act(actor_observation(observed.state, world.touch.depth_mm, previous, kpa))
+        mean = actor.act(actor_observation(world, observed.state, previous))
         states.append(observed.state)
         actions.append(to_action(mean, kpa).astype(np.float32))
         images.append(observed.tactile)

@@ -112,9 +112,21 @@ class PneutacTaskConfig(EnvConfig):
         shape = tactile_shape("env.twin", twin)
         self.features[f"pixels/{IMAGE_NAME}"] = PolicyFeature(FeatureType.VISUAL, shape)
 
+    def _set_joints(self, station: Path | None) -> None:
+        """Tells the size of the state, that of the station's arm."""
+        check_station("env.station", station)
+        size = (len(state_names(station_joints(station))),)
+        self.features["agent_pos"] = PolicyFeature(FeatureType.STATE, size)
+
     @property
     def _sizes(self) -> dict[str, tuple[int, int]]:
         return dict.fromkeys(self.cameras, (self.observation_height, self.observation_width))
+
+
+def _station(file: Path | None) -> dict:
+    from pneutac_sim.world.station import Station
+
+    return {} if file is None else {"station": Station.load(file)}
 
 
 @EnvConfig.register_subclass("pneutac")
@@ -145,9 +157,7 @@ class PneutacEnvConfig(PneutacTaskConfig):
     def __post_init__(self):
         super().__post_init__()
         check_range("env.pressure_range_kpa", self.pressure_range_kpa)
-        check_station("env.station", self.station)
-        size = (len(state_names(station_joints(self.station))),)
-        self.features["agent_pos"] = PolicyFeature(FeatureType.STATE, size)
+        self._set_joints(self.station)
         check_choice("env.fidelity", self.fidelity, FIDELITIES)
         check_twin_folder("env.twin", self.twin)
         check_conditions("env.conditions", self.twin, self.conditions)
@@ -170,11 +180,7 @@ class PneutacEnvConfig(PneutacTaskConfig):
         twin = {"twin": Twin.load(self.twin)} if self.twin else {}
         own = {"fidelity": self.fidelity, "conditions": self.conditions, "render": self.render}
         own |= {"pressure_range_kpa": self.pressure_range_kpa}
-        if self.station:
-            from pneutac_sim.world.station import Station
-
-            own["station"] = Station.load(self.station)
-        return super().gym_kwargs | own | twin
+        return super().gym_kwargs | own | twin | _station(self.station)
 
 
 @EnvConfig.register_subclass("pneutac_hub")
@@ -205,14 +211,17 @@ class PneutacStandinConfig(PneutacTaskConfig):
     Attributes:
         twin: folder of the twin that was calibrated on it; as on the real robot, its gel's contact threshold
             says which pixels are in contact, and its images have their size; nothing else comes from it.
+        station: file `station.yaml` of arm, workspace and mount; default the paper's.
     """
 
     twin: Path | None = None
+    station: Path | None = None
 
     def __post_init__(self):
         super().__post_init__()
         check_twin_folder("env.twin", self.twin)
         self._set_tactile(self.twin)
+        self._set_joints(self.station)
 
     @property
     def package_name(self) -> str:
@@ -222,4 +231,4 @@ class PneutacStandinConfig(PneutacTaskConfig):
     @property
     def gym_kwargs(self) -> dict:
         """What `gymnasium.make` is given."""
-        return super().gym_kwargs | standin_sensor(self.twin)
+        return super().gym_kwargs | standin_sensor(self.twin) | _station(self.station)

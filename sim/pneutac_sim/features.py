@@ -57,6 +57,7 @@ JOINT_NAMES, STATE_NAMES = joint_names(PANDA_JOINTS), state_names(PANDA_JOINTS) 
 ACTION_NAMES = ("dx.vel", "dy.vel", "dz.vel", "pressure.pos")
 
 MAX_SPEED_M_S = 0.1
+PAPER_LENGTH_MM = 110.0  # of the paper's finger, for which the tasks are laid out
 MAX_PRESSURE_KPA = 15.0  # of the paper's finger; another twin has a `pressure_range_kpa` of its own
 PAPER_RANGE_KPA = (0.0, MAX_PRESSURE_KPA)
 

@@ -16,14 +16,13 @@ import yaml
 from safetensors.numpy import load_file, save
 
 from pneutac_sim.errors import InputError, shown
-from pneutac_sim.features import PAPER_RANGE_KPA
+from pneutac_sim.features import PAPER_LENGTH_MM, PAPER_RANGE_KPA
 from pneutac_sim.files import inside, locked, read_yaml, whole, write_json
 
 DEVICES = ("finger", "arm", "gel")
 FORMAT = "pneutac-twin/1"
 NETWORKS = ("action", "perception")  # each a safetensors file in the twin's folder
 
-PAPER_LENGTH_MM = 110.0
 # The paper's calibrated finger (Sec. IV-A), with the joint spring of a segment from beam theory:
 # K = E I / (L / N) for a 20 mm square section of 110 mm length; damping is light (ratio about 0.1).
 PAPER_FINGER = {

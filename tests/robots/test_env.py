@@ -43,6 +43,17 @@ def test_the_tactile_image_has_the_size_of_the_twins_sensor(tmp_path):
         env.close()
 
 
+@pytest.mark.parametrize("kind", [PneutacEnvConfig, PneutacStandinConfig])
+def test_the_state_is_that_of_the_stations_arm(tmp_path, kind):
+    (tmp_path / "station.yaml").write_text("format: pneutac-station/1\narm: ur5\n")
+    config = kind(station=tmp_path / "station.yaml")
+    env = make_env(config, n_envs=1)[config.type][0]
+    observation, _ = env.reset(seed=[1])
+    assert observation["agent_pos"].shape[1:] == config.features["agent_pos"].shape == (18,)
+    assert env.single_observation_space.contains({k: _first(v) for k, v in observation.items()})
+    env.close()
+
+
 def _first(x):
     return {k: v[0] for k, v in x.items()} if isinstance(x, dict) else x[0]
 

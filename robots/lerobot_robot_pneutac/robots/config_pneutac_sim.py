@@ -95,11 +95,10 @@ class PneutacSimConfig(RobotConfig):
         check_station("robot.station", self.station)
         refuse_if(
             self.standin
-            and (self.fidelity, self.conditions, self.render, self.pressure_range_kpa, self.station)
-            != ("surrogate", {}, "mesh", None, None),
+            and (self.fidelity, self.conditions, self.render, self.pressure_range_kpa)
+            != ("surrogate", {}, "mesh", None),
             "--robot.standin=true has a finger and a gel of its own; leave --robot.fidelity,"
-            " --robot.conditions, --robot.render, --robot.pressure_range_kpa and --robot.station out, or the"
-            " stand-in.",
+            " --robot.conditions, --robot.render and --robot.pressure_range_kpa out, or the stand-in.",
         )
 
     @property

@@ -180,8 +180,7 @@ class PneutacSim(BaseRobot):
 
     def _go_to(self, pose: np.ndarray) -> None:
         """One step towards a pose: (4,) flange position m, pressure kPa."""
-        task, arm = self.world.task, getattr(self.world, "arm", None)
-        base_m = np.zeros(3) if arm is None else arm.base_m  # poses are in the arm's frame
+        task, base_m = self.world.task, self.world.arm.base_m  # poses are in the arm's frame
         away = pose[:3] - (self.world.home_m - base_m)
         away[1] -= np.clip(away[1], min(task.starts_m), max(task.starts_m))
         if np.linalg.norm(away) < HOME_RADIUS_M:  # of the line on which all starts lie
@@ -207,14 +206,15 @@ def connected_robot() -> PneutacSim:
 
 
 def _world(config: PneutacSimConfig):
+    from pneutac_sim.world.station import Station
+
+    station = Station.load(config.station) if config.station else None
     if config.standin:
         from lerobot_robot_pneutac.standin.world import StandinWorld
 
-        return StandinWorld(config.task, **standin_sensor(config.twin))
-    from pneutac_sim.world.station import Station
+        return StandinWorld(config.task, station=station, **standin_sensor(config.twin))
     from pneutac_sim.world.world import World
 
     twin = Twin.load(config.twin) if config.twin else None
-    station = Station.load(config.station) if config.station else None
     more = {"pressure_range_kpa": config.pressure_range_kpa, "station": station}
     return World(config.task, twin, "image", config.fidelity, config.conditions, config.render, **more)

@@ -94,11 +94,11 @@ def body(axes: str, place: str) -> str:
     return f'<body name="finger" pos="{place}" xyaxes="{axes}">{xml}</body>'
 
 
-def mjcf() -> Finger:
+def mjcf(mount_m: float = MOUNT_M) -> Finger:
     """The finger for the frame `flange`, turned about it by 45 degrees as Franka's hand is."""
     c = float(np.sqrt(0.5))
-    mount = f'<geom class="skin" type="cylinder" fromto="0 0 0 0 0 {MOUNT_M}" size=".026" material="digit"/>'
-    return Finger(mount + body(f"0 0 1 {-c} {-c} 0", f"0 0 {MOUNT_M}"), _DEFAULTS, _MATERIALS)
+    mount = f'<geom class="skin" type="cylinder" fromto="0 0 0 0 0 {mount_m}" size=".026" material="digit"/>'
+    return Finger(mount + body(f"0 0 1 {-c} {-c} 0", f"0 0 {mount_m}"), _DEFAULTS, _MATERIALS)
 
 
 def clamped() -> mujoco.MjModel:

@@ -10,22 +10,21 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from lerobot_robot_pneutac.standin.finger import CREEP, ORIFICE, RodBody, mjcf, new_rod
+from lerobot_robot_pneutac.standin.finger import CREEP, LENGTH_MM, ORIFICE, TIP_MM, RodBody, mjcf, new_rod
 from lerobot_robot_pneutac.standin.gel import WINDOW_MM, GelTouch
+from pneutac_sim.errors import InputError
 from pneutac_sim.features import (
     ACTION_HIGH,
     ACTION_LOW,
     CONTROL_HZ,
     IMAGE_SHAPE,
-    JOINT_NAMES,
     PAPER_RANGE_KPA,
-    STATE_NAMES,
     state_limits,
 )
 from pneutac_sim.world import scene
 from pneutac_sim.world.action import checked_action
 from pneutac_sim.world.observation import Observation
-from pneutac_sim.world.panda import WORKSPACE_HIGH, WORKSPACE_LOW, CartesianIK
+from pneutac_sim.world.station import MISSING_M, Station
 from pneutac_sim.world.task_env import TaskEnv
 from pneutac_sim.world.tasks import make_task
 from pneutac_sim.world.tasks.base import HOME_JITTER_M
@@ -38,12 +37,9 @@ OBJECT_MASS = 1.15  # factor
 TOUCH_N = 0.02  # less is no contact
 CONTACT_THRESHOLD = 12.0  # levels, where no twin gives a calibrated one
 
-# Standard deviations of what is read once a control step, in the order of `features.STATE_NAMES`: encoders,
-# flange (by kinematics from them), gauge. Contact comes from the noisy image.
-GAUGE_NOISE_KPA = 0.1
-NOISE = np.zeros(len(STATE_NAMES))
-_N = len(JOINT_NAMES)
-NOISE[:_N], NOISE[_N : 2 * _N], NOISE[2 * _N : 2 * _N + 3], NOISE[-1] = 2e-4, 2e-3, 1e-4, GAUGE_NOISE_KPA
+# Standard deviations of what is read once a control step: encoders (rad, rad/s), flange (m, by kinematics
+# from them), gauge. Contact comes from the noisy image.
+ENCODER_NOISE, RATE_NOISE, FLANGE_NOISE, GAUGE_NOISE_KPA = 2e-4, 2e-3, 1e-4, 0.1
 
 
 @dataclass(frozen=True)
@@ -74,6 +70,7 @@ class StandinWorld:
 
     Attributes:
         task: the task; `task.description` is the instruction.
+        station, arm, workspace_m: as of `World`.
         clipped: number of commands that were clipped to limits since the reset.
         command: action (4,) that was sent last, after clipping; it acts some control steps
             later, see `Physics`.
@@ -95,6 +92,7 @@ class StandinWorld:
         physics: Physics | None = None,
         image_shape: tuple[int, int, int] = IMAGE_SHAPE,
         window_mm: tuple[float, float] = WINDOW_MM,
+        station: Station | None = None,
     ):
         """The stand-in before a task.
 
@@ -106,12 +104,19 @@ class StandinWorld:
             physics: what is otherwise than on its bench.
             image_shape: height, width and channels of the tactile images, where they are none of a DIGIT's.
             window_mm: width and height of what they show of the gel.
+            station: arm, workspace and mount; default the paper's. Its latency comes on top of its own.
 
         Raises:
-            InputError: unknown task or touch mode.
+            InputError: unknown task or touch mode, or an arm that does not reach.
         """
         self.task, self._physics = make_task(task), physics or Physics()
-        self.model = mujoco.MjModel.from_xml_string(scene.build(self.task, mjcf()))
+        self.station = station or Station()
+        self.arm, self.workspace_m = self.station.make_arm(), self.station.box_m(LENGTH_MM + TIP_MM)
+        self._lift_m = self.workspace_m[0] - self.station.workspace_low_m
+        self._late = self._physics.late_commands + self.station.late_commands
+        self.model = mujoco.MjModel.from_xml_string(
+            scene.build(self.task, mjcf(1e-3 * self.station.mount_mm), self.arm.body, self.arm.servos)
+        )
         self.data = mujoco.MjData(self.model)
         objects = np.unique(self.model.geom_bodyid[self.model.geom_group == scene.OBJECT_GROUP])
         self.model.body_mass[objects] *= self._physics.object_mass
@@ -122,11 +127,15 @@ class StandinWorld:
             self.model, touch, contact_threshold, self._physics.brightness, image_shape, window_mm
         )
         rows, columns, _ = self.tactile_shape
-        self._limits = state_limits(self.pressure_range_kpa, pixels=rows * columns)
+        joints = (self.arm.low_rad, self.arm.high_rad, self.arm.speed_rad_s)
+        self._limits = state_limits(self.pressure_range_kpa, joints, rows * columns)
+        n = self.arm.joints
+        encoders, flange = [ENCODER_NOISE] * n + [RATE_NOISE] * n, [FLANGE_NOISE] * 3
+        self._deviation = np.array([*encoders, *flange, 0.0, 0.0, GAUGE_NOISE_KPA])
         rod = new_rod(self._physics.creep, self._physics.orifice)
         self._finger = RodBody(self.model, self.data, rod)
-        self._ik, self.view = CartesianIK(), View(self.model)
-        self._arm = slice(0, len(JOINT_NAMES))
+        self._ik, self.view = self.arm.solver(), View(self.model)
+        self._arm = slice(0, n)
         self._pad = self.model.geom("pad").id
         self._rng, self._noise = np.random.default_rng(), np.random.default_rng(0)
         self.reset(0)
@@ -145,11 +154,16 @@ class StandinWorld:
         self.target_m[1] += self._rng.choice(self.task.starts_m)
         self._ik.reset()
         for _ in range(20):
-            self._joints = self._ik.solve(self.target_m)
+            self._joints = self._ik.solve(self.target_m - self.arm.base_m)
+        if self._ik.missing_m > MISSING_M:
+            raise InputError(
+                f"The arm falls {self._ik.missing_m:.2g} m short of {np.round(self.target_m, 3).tolist()} m,"
+                f" where the task '{self.task.name}' starts; give the station another base_m or home_rad."
+            )
         self.data.qpos[self._arm] = self._joints
         self._finger.rest()
         self.clipped, self.command = 0, np.zeros(4)
-        self._waiting = deque([np.zeros(4)] * self._physics.late_commands)
+        self._waiting = deque([np.zeros(4)] * self._late)
         for _ in range(SETTLE_STEPS):
             self._advance(self._joints, 0.0)
         self.data.time = 0.0
@@ -175,17 +189,22 @@ class StandinWorld:
         self._waiting.append(self.command)
         *velocity, pressure = self._waiting.popleft()
         wanted = self.target_m + np.array(velocity) * DT
-        self.target_m = np.clip(wanted, WORKSPACE_LOW, WORKSPACE_HIGH)
-        self.clipped += int(np.any(self.target_m != wanted))
+        target = np.clip(wanted, *self.workspace_m)
+        self.clipped += int(np.any(target != wanted))
+        joints = self._ik.solve(target - self.arm.base_m)
+        if self._ik.missing_m > MISSING_M:  # it stays where it was, and goes on from there
+            self.clipped, target, joints = self.clipped + 1, self.target_m, self._joints
+            self._ik.reset(joints)
+        self.target_m = target
         self._shown = self._felt()
-        self._advance(self._ik.solve(self.target_m), pressure)
+        self._advance(joints, pressure)
         scene.check_physics(self.data)
         self.task.update(self.model, self.data, DT)
         self.touch.sense(self.data)
         return self._observe()
 
     def _advance(self, joints: np.ndarray, pressure_kpa: float) -> None:
-        """Physics substeps of one control step, towards joint targets (7,) of the arm."""
+        """Physics substeps of one control step, towards joint targets (N,) of the arm."""
         before = self._joints
 
         def servo(share: float) -> None:
@@ -205,8 +224,10 @@ class StandinWorld:
     def _observe(self) -> Observation:
         d, s = self.data, self.touch.pixels
         contact = [self.touch.area, np.log1p(s), self.pressure_kpa]
-        state = np.concatenate([d.qpos[self._arm], d.qvel[self._arm], self.flange_m, contact])
-        state += NOISE * self._noise.standard_normal(len(NOISE))
+        state = np.concatenate(
+            [d.qpos[self._arm], d.qvel[self._arm], self.flange_m - self.arm.base_m, contact]
+        )
+        state += self._deviation * self._noise.standard_normal(len(state))
         return Observation(np.clip(state, *self._limits).astype(np.float32), self.touch.image)
 
     def _felt(self) -> tuple[float, np.ndarray | None]:
@@ -224,7 +245,7 @@ class StandinWorld:
     @property
     def home_m(self) -> np.ndarray:
         """Where the flange starts (3,) before the random part of it, metres."""
-        return np.array(self.task.home_m)
+        return np.array(self.station.home_m or self.task.home_m + self._lift_m)
 
     @property
     def press_mm(self) -> float:
@@ -281,9 +302,10 @@ def standin_env(
     contact_threshold: float = CONTACT_THRESHOLD,
     image_shape: tuple[int, int, int] = IMAGE_SHAPE,
     window_mm: tuple[float, float] = WINDOW_MM,
+    station: Station | None = None,
     **options,
 ) -> TaskEnv:
     """A task on the stand-in for reality; arguments of `StandinWorld`, `options` of `TaskEnv`."""
     return TaskEnv(
-        StandinWorld(task, touch, contact_threshold, None, image_shape, window_mm), touch, **options
+        StandinWorld(task, touch, contact_threshold, None, image_shape, window_mm, station), touch, **options
     )

@@ -5,10 +5,8 @@ import numpy as np
 from pneutac_sim.features import task_names
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.conditions import Conditions, conditions_for
-from pneutac_sim.world.station import Station
+from pneutac_sim.world.station import MISSING_M, Station
 from pneutac_sim.world.tasks import make_task
-
-MISSING_M = 0.003  # by which a place that is out of the arm's reach is missed
 
 
 def check_networks(twin: Twin, fidelity: str) -> None:

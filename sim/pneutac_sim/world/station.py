@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from pneutac_sim.errors import InputError, shown
-from pneutac_sim.features import CONTROL_HZ
+from pneutac_sim.features import CONTROL_HZ, PAPER_LENGTH_MM
 from pneutac_sim.files import read_yaml
-from pneutac_sim.twin import PAPER_LENGTH_MM
 from pneutac_sim.world.arms import ARMS, ArmFile, joints_of, make_arm, read_arm
 from pneutac_sim.world.arms.chain import Chain
 from pneutac_sim.world.panda import Panda
 
 MOST_LATE_S = 1.0
+MISSING_M = 0.003  # by which a place that is out of the arm's reach is missed
 FORMAT = "pneutac-station/1"
 
 

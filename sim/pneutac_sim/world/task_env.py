@@ -11,7 +11,6 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.features import (
     CONTROL_HZ,
     IMAGE_NAME,
-    PAPER_JOINTS,
     POINTS_KEY,
     POINTS_SIZE,
     action_limits,
@@ -70,8 +69,10 @@ class TaskEnv(gymnasium.Env):
         self.render_mode = render_mode
         self._render_size = (render_width, render_height)
         self.action_space = spaces.Box(*action_limits(world.pressure_range_kpa), dtype=np.float32)
-        rows, columns, _ = world.tactile_shape
-        limits = state_limits(world.pressure_range_kpa, _joints(world), rows * columns)
+        (rows, columns, _), arm = world.tactile_shape, world.arm
+        limits = state_limits(
+            world.pressure_range_kpa, (arm.low_rad, arm.high_rad, arm.speed_rad_s), rows * columns
+        )
         state = spaces.Box(*limits, dtype=np.float32)
         self._cameras = SceneCameras(world, cameras, randomise_look)
         shapes = {IMAGE_NAME: world.tactile_shape} if touch == "image" else {}
@@ -126,9 +127,3 @@ class TaskEnv(gymnasium.Env):
             "clipped": self.world.clipped,
             "out_of_range": self.world.out_of_range,
         }
-
-
-def _joints(world) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Limits of a world's arm for `state_limits`; the stand-in's arm is the paper's."""
-    arm = getattr(world, "arm", None)
-    return PAPER_JOINTS if arm is None else (arm.low_rad, arm.high_rad, arm.speed_rad_s)

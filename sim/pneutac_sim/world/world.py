@@ -17,7 +17,6 @@ from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.twin import Twin, checked_range
 from pneutac_sim.world import scene
 from pneutac_sim.world.action import checked_action
-from pneutac_sim.world.checks import MISSING_M
 from pneutac_sim.world.conditions import Conditions, conditions_for, draw
 from pneutac_sim.world.deforming import deforming
 from pneutac_sim.world.drawn import drawn
@@ -26,7 +25,7 @@ from pneutac_sim.world.observation import Observation
 from pneutac_sim.world.placing import Placing
 from pneutac_sim.world.senses import Senses
 from pneutac_sim.world.soft_finger import Springs, mjcf
-from pneutac_sim.world.station import Station
+from pneutac_sim.world.station import MISSING_M, Station
 from pneutac_sim.world.substeps import Substeps
 from pneutac_sim.world.tasks import make_task
 from pneutac_sim.world.tasks.base import HOME_JITTER_M

@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from lerobot_pneutac.rl.env import ACTOR_SIZE, GRID, PpoEnv, pool, to_action
+from lerobot_pneutac.rl.env import GRID, PpoEnv, actor_size, pool, to_action
 from lerobot_pneutac.rl.reward import WEIGHTS, Moment, reward_terms, total
 from lerobot_pneutac.rl.task import GOALS, TaskView
 from pneutac_sim.effects import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, TASK_NAMES
 from pneutac_sim.twin import Twin
+from pneutac_sim.world.station import Station
 from pneutac_sim.world.world import World
 
 STILL = np.zeros(4)
@@ -123,7 +124,7 @@ def test_the_actor_does_not_see_the_object_but_the_critic_does():
     after = env._observe(env.world._observe().state)
     assert np.array_equal(before["actor"], after["actor"])
     assert not np.array_equal(before["object"], after["object"])
-    assert before["actor"].shape == (ACTOR_SIZE,)
+    assert before["actor"].shape == (actor_size(),)
 
 
 def test_the_actor_feels_a_touch_as_the_touch_pipeline_does():
@@ -142,6 +143,14 @@ def test_the_actor_feels_a_touch_as_the_touch_pipeline_does():
     grid = felt.touch.depth_mm
     assert world.touch.pixels and np.array_equal(grid, world.touch.depth_mm)
     assert pool(grid).max() == grid.max() > 0
+
+
+def test_with_another_arm_the_actor_sees_its_joints_about_its_own_home():
+    env = PpoEnv("switch", randomise=False, station=Station(arm="so101"))
+    check_env(env, skip_render_check=True)
+    seen = env.reset(seed=3)[0]["actor"]
+    assert seen.shape == (actor_size(5),) == (actor_size() - 4,)
+    assert np.abs(seen[:5]).max() < 1.5 and np.abs(seen[10:13]).max() <= 1.2
 
 
 def test_pooling_keeps_the_place_of_a_touch():

@@ -10,11 +10,11 @@ from lerobot_robot_pneutac.standin.finger import DOME_MM, GEL_KPA, PARTS, gel_fo
 from lerobot_robot_pneutac.standin.gel import NOISE_LEVELS, contact_pixels
 from lerobot_robot_pneutac.standin.world import CONTACT_THRESHOLD, DT, LATE_COMMANDS, StandinWorld
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import STATE_NAMES
+from pneutac_sim.features import EE, STATE_NAMES
 from pneutac_sim.gel.contact import contact_area
 from pneutac_sim.world.expert import ScriptedExpert
+from pneutac_sim.world.station import Station
 
-EE = slice(STATE_NAMES.index("ee_x.pos"), STATE_NAMES.index("ee_z.pos") + 1)
 OURS = ("effects", "finger", "gel", "mpm", "splat", "surrogate")
 
 
@@ -134,8 +134,11 @@ def test_the_gel_pushes_back_as_hertz_says(world):
     assert total == pytest.approx(hertz, rel=0.1)
 
 
-def test_experts_do_the_card_and_nobody_else_does():
-    world, done = StandinWorld("card", touch="none"), []
+@pytest.mark.parametrize("station", [Station(), Station(arm="ur5"), Station(arm="so101", latency_s=0.1)])
+def test_experts_do_the_card_with_any_arm(station):
+    world, done = StandinWorld("card", touch="none", station=station), []
+    assert len(world.reset(0).state) == 2 * station.joints + 6
+    assert world.reset(0).state[EE] == pytest.approx(world.flange_m - station.base_m, abs=1e-3)
     for seed in range(3):
         world.reset(seed)
         expert = ScriptedExpert(world, np.random.default_rng(seed))
@@ -166,6 +169,8 @@ def test_environments_are_registered():
 
 
 def test_bad_options_are_named():
+    with pytest.raises(InputError, match="short of .* where the task 'switch' starts"):
+        StandinWorld("switch", station=Station(arm="so101", base_m=(0.0, 0.0, 0.2)))
     with pytest.raises(InputError, match="touch is 'probe'; it must be one of image, area, none"):
         StandinWorld("switch", touch="probe")
     with pytest.raises(InputError, match="no task 'door'"):
