@@ -195,11 +195,12 @@ class TrialProblem:
     Args:
         problem: without them.
         trial: (N,) of each row.
+        trials: how many there are, also those of which there is no row.
     """
 
-    def __init__(self, problem: Problem, trial: np.ndarray, widths: tuple[float, ...]):
+    def __init__(self, problem: Problem, trial: np.ndarray, trials: int, widths: tuple[float, ...]):
         self._problem, self._trial, self._widths, self.free = problem, trial, widths, problem.free
-        self.count = (trial.max() + 1) * (len(problem.data.columns) + 3)
+        self._trials, self.count = trials, trials * (len(problem.data.columns) + 3)
 
     def begin(self, v: np.ndarray) -> np.ndarray:
         """The same parameters of the device, with the zeros that suit them best under their prior."""
@@ -231,7 +232,7 @@ class TrialProblem:
         problem = self._problem
         each = of_each_trial(problem.pipeline, problem.data, problem.run, self._widths)
         n, d = each.shape[:2]
-        out = np.zeros((n, d, self._trial.max() + 1, d + 3))
+        out = np.zeros((n, d, self._trials, d + 3))
         out[np.arange(n), :, self._trial] = 2 * TRIAL_RANGE * each
         return out.reshape(n * d, -1)
 
@@ -312,7 +313,8 @@ class BodyFitter:
         v = bounds.scaled(theta, free)
         centre, spread = self._prior(pipeline, free, bounds, p)
         if form.trials:
-            problem = TrialProblem(problem, self.trial[self.rows[::every]], form.trials)
+            trial = self.trial[self.rows[::every]]
+            problem = TrialProblem(problem, trial, self.trial.max() + 1, form.trials)
             more = problem.count
             v, centre = problem.begin(v), np.r_[centre, np.full(more, 0.5)]
             spread = np.r_[spread, np.full(more, 0.5 / TRIAL_RANGE)]

@@ -217,13 +217,13 @@ class Rounds:
         }
 
     def _judged(self, told: dict, found: Diagnosis, foreseen: dict) -> Round:
-        noise, confirmed = found.study.noise.value, {}
+        noise, needed_by = found.study.noise.value, {}
         if self.done:
-            confirmed = {family(e): k for e, k in self.done[-1].confirmed_by.items()}
+            needed_by = {family(e): k for e, k in self.done[-1].needed_by.items()}
             error, another = foreseen["predicted_error"], told["kind"] not in {r.kind for r in self.done}
             if another and error <= CONFIRMS * noise:
                 needed = [e for e, worse in foreseen["without"].items() if worse > NEEDED * error]
-                confirmed = {family(e): len(self.done) for e in needed} | confirmed
+                needed_by = {family(e): len(self.done) for e in needed} | needed_by
         return Round(
             number=len(self.done),
             **told,
@@ -235,7 +235,7 @@ class Rounds:
             selected=list(found.selected),
             sentence=found.sentence,
             probabilities={" + ".join(c.terms): c.probability for c in found.outcome.contenders},
-            confirmed_by={e: confirmed[family(e)] for e in found.selected if family(e) in confirmed},
+            needed_by={e: needed_by[family(e)] for e in found.selected if family(e) in needed_by},
         )
 
 

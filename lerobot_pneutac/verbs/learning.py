@@ -12,6 +12,7 @@ from lerobot_pneutac.verbs.result import Result
 from pneutac_sim.twin import Twin
 
 KNOWN = ("adequate", "missing_effect")
+LEFT = 1.15  # error over noise, on all that was measured, above which something unknown is at work
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,7 @@ class Round:
         selected: effects found now, the most important first.
         sentence: what was found.
         probabilities: each contender's, its terms joined by ` + `.
-        confirmed_by: effect to the number of the round whose recording was predicted with it.
+        needed_by: effect to the number of the round whose recording was predicted with it, and not without.
     """
 
     number: int
@@ -53,7 +54,12 @@ class Round:
     selected: list[str]
     sentence: str
     probabilities: dict[str, float]
-    confirmed_by: dict[str, int] = field(default_factory=dict)
+    needed_by: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def confirmed_by(self) -> dict[str, int]:
+        """The same, while the form suffices and only noise is left: else it may stand in for another."""
+        return self.needed_by if self.verdict in KNOWN and self.error <= LEFT * self.noise else {}
 
     @property
     def foreseen(self) -> bool:
