@@ -1,7 +1,8 @@
 """What a later verb would refuse in a dataset, a recording or a twin, said in seconds and all at once."""
 
 import difflib
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pneutac_datasets.demonstrations.faults import (
@@ -10,13 +11,15 @@ from pneutac_datasets.demonstrations.faults import (
     is_demonstrations,
 )
 from pneutac_datasets.recording.faults import recording_faults
-from pneutac_sim.effects.registry import get_effect, of_body
+from pneutac_sim.effects.registry import get_effect, of_body, of_sensor
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import Pipeline
 from pneutac_sim.finger.online import COMPUTED
+from pneutac_sim.gel.model import GelModel
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.checks import check_networks, out_of_reach
 from pneutac_sim.world.station import Station
+from pneutac_sim.world.station_faults import station_faults
 
 
 @dataclass(frozen=True)
@@ -61,10 +64,10 @@ def check_path(path: str | Path, twin: Twin | None = None) -> Checked:
 
 
 def _station(path: Path, twin: Twin) -> tuple[list[str], list[str]]:
-    try:
-        short = out_of_reach(Station.load(path), twin.length_mm)
-    except InputError as e:
-        return [str(e)], []
+    faults = station_faults(path)
+    if faults:
+        return faults, []
+    short = out_of_reach(Station.load(path), twin.length_mm)
     return [], [
         f"The arm falls {missing:.2g} m short of where the task '{task}' starts; choose another base_m."
         for task, missing in short.items()
@@ -72,36 +75,60 @@ def _station(path: Path, twin: Twin) -> tuple[list[str], list[str]]:
 
 
 def _twin(path: Path) -> tuple[list[str], list[str]]:
-    try:
-        twin = Twin.load(path)
-    except InputError as e:
-        return [str(e)], []
-    faults, notes = [], []
+    faults, notes = Twin.faults(path), []
+    if faults:
+        return faults, notes
+    twin = Twin.load(path)
+    faults += [f"{path / 'twin.yaml'}: {fault}" for fault in _broken(twin)]
     for name in twin.effects:
-        try:
-            effect = get_effect(name)
-        except InputError as e:
-            faults.append(f"{path / 'twin.yaml'}: {e}")
-            continue
+        if faults:
+            return faults, notes
+        effect = get_effect(name)
         asked = [c for c in effect.columns if c not in COMPUTED] if name in of_body([name]) else []
         if asked:
             notes.append(
                 f"The effect {name} asks robots and environments for {', '.join(asked)}: give them as"
                 f" --env.conditions='{{{asked[0]}: ...}}'."
             )
-    if twin.device == "gel" or faults:
-        return faults, notes
-    try:
-        Pipeline.of(twin)
-    except InputError as e:
-        faults.append(f"{path / 'twin.yaml'}: {e}")
-    if twin.device == "finger" and not faults:
+    if twin.device == "finger":
         missing = [n for n in WORLD if n not in twin.parameters]
         if missing:
             notes.append(f"The world needs {', '.join(missing)}, which `pneutac new` and `calibrate` write.")
         else:
             notes += _networks(twin)
     return faults, notes
+
+
+def _broken(twin: Twin) -> list[str]:
+    """One sentence for each effect that no pipeline and no sensor takes, and for a gel that is malformed."""
+    found: list[str] = []
+
+    def look(call: Callable, *args) -> None:
+        try:
+            call(*args)
+        except InputError as e:
+            if str(e) not in found:
+                found.append(str(e))
+
+    for name, values in twin.effects.items():
+        if of_sensor([name]):
+            numbers = {name: {k: v.value for k, v in values.items()}}
+            look(lambda effects: replace(GelModel.builtin(), effects=effects), numbers)
+        else:
+            look(_body, replace(twin, effects={name: values}))
+    look(GelModel.from_twin, replace(twin, effects={}))
+    if not found:
+        look(_body, twin)
+        look(GelModel.from_twin, twin)
+    return found
+
+
+def _body(twin: Twin) -> None:
+    """Refuses effects that the body's pipeline does not take; a gel alone has none, which its model says."""
+    for name in twin.effects:
+        get_effect(name)
+    if twin.device != "gel":
+        Pipeline.of(twin).theta(twin)
 
 
 WORLD = ("joint_stiffness_nm_per_rad", "joint_damping_nms_per_rad", "gain_rad_per_kpa")

@@ -8,8 +8,10 @@ import copy
 import hashlib
 import math
 import shutil
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
@@ -182,23 +184,10 @@ class Twin:
         d = read_yaml(file)
         if not isinstance(d, dict) or d.get("format") != FORMAT:
             raise InputError(f"{file}: field 'format' must be '{FORMAT}'.")
-        try:
-            twin = cls(
-                device=d["device"],
-                length_mm=float(d["length_mm"]),
-                spine_joint_positions_mm=[float(x) for x in d["spine_joint_positions_mm"]],
-                parameters=_values(d["parameters"], "parameters"),
-                effects={n: _values(e, f"effects.{n}") for n, e in _mapping(d["effects"], "effects").items()},
-                pressure_range_kpa=d.get("pressure_range_kpa", PAPER_RANGE_KPA),  # none before 0.2
-                gel=_mapping(d["gel"], "gel"),
-                history=_history(d["history"]),
-            )
-        except InputError as e:
-            raise InputError(f"{file}: {e}") from e
-        except KeyError as e:
-            raise InputError(f"{file}: field {e} is missing.") from e
-        except (TypeError, ValueError) as e:
-            raise InputError(f"{file}: a field is malformed ({e}).") from e
+        told, faults = _told(d)
+        if faults:
+            raise InputError(f"{file}: {faults[0]}")
+        twin = cls(**told)
         twin.folder = folder = Path(path)
         files = {name: Path(path) / f"{name}.safetensors" for name in NETWORKS}
         twin.networks = {name: file for name, file in files.items() if file.is_file()}
@@ -216,6 +205,25 @@ class Twin:
             except Exception as e:
                 raise InputError(f"{arrays} is corrupted ({e}); restore it from the twin's source.") from e
         return twin
+
+    @classmethod
+    def faults(cls, path: str | Path) -> list[str]:
+        """One sentence for each fault that keeps a twin's folder from being read; `load` tells the first."""
+        file = Path(path) / "twin.yaml"
+        try:
+            d = read_yaml(file)
+        except InputError as e:
+            return [str(e)]
+        d = d if isinstance(d, dict) else {}
+        found = [] if d.get("format") == FORMAT else [f"field 'format' must be '{FORMAT}'."]
+        found += _told(d)[1] if d else []
+        if found:
+            return [f"{file}: {fault}" for fault in found]
+        try:
+            cls.load(path)
+        except InputError as e:
+            return [str(e)]
+        return []
 
     def copy(self) -> "Twin":
         """A deep copy."""
@@ -287,26 +295,61 @@ def _plain(v: Value) -> dict:
     return {"value": float(v.value)} | ({"ci95": [float(x) for x in v.ci95]} if v.ci95 else {})
 
 
+def _told(d: dict) -> tuple[dict, list[str]]:
+    """Fields of a `twin.yaml` as a twin takes them, and a sentence for each that is missing or malformed."""
+    told, faults = {}, []
+    for name, read in _READ.items():
+        if name not in d:
+            if name != "pressure_range_kpa":  # none before 0.2
+                faults.append(f"field '{name}' is missing.")
+            continue
+        try:
+            told[name] = read(d[name], faults)
+            Twin(**{name: told[name]})
+        except InputError as e:
+            faults.append(str(e))
+        except (TypeError, ValueError) as e:
+            faults.append(f"field '{name}' is malformed ({e}).")
+    return told, faults
+
+
 def _mapping(d, where: str) -> dict:
     if not isinstance(d, dict):
         raise InputError(f"field '{where}' is {shown(d)}; it must hold names and what they are.")
     return d
 
 
-def _values(d, where: str) -> dict[str, Value]:
-    """Numbers with their intervals, as `_plain` writes them."""
+def _values(d, where: str, faults: list[str]) -> dict[str, Value]:
+    """Numbers with their intervals, as `_plain` writes them; others' sentences go to the faults."""
     out = {}
     for name, v in _mapping(d, where).items():
-        if not isinstance(v, dict) or "value" not in v:
-            raise InputError(f"field '{where}.{name}' is {shown(v)}; it must hold 'value', a number.")
-        ci95 = None
-        if v.get("ci95"):
-            low, high = v["ci95"]
-            ci95 = float(low), float(high)
-        value = Value(float(v["value"]), ci95)
-        if not all(math.isfinite(x) for x in (value.value, *(ci95 or ()))):
-            raise InputError(f"field '{where}.{name}' is {shown(v)}; its numbers must be finite.")
-        out[name] = value
+        try:
+            out[name] = _value(v, f"{where}.{name}")
+        except InputError as e:
+            faults.append(str(e))
+    return out
+
+
+def _value(v, where: str) -> Value:
+    if not isinstance(v, dict) or "value" not in v:
+        raise InputError(f"field '{where}' is {shown(v)}; it must hold 'value', a number.")
+    try:
+        ci95 = tuple(float(x) for x in v.get("ci95") or ())
+        value = Value(float(v["value"]), (ci95[0], ci95[1]) if ci95 else None)
+    except (TypeError, ValueError, IndexError) as e:
+        raise InputError(f"field '{where}' is {shown(v)}; its numbers are malformed ({e}).") from e
+    if not all(math.isfinite(x) for x in (value.value, *ci95)):
+        raise InputError(f"field '{where}' is {shown(v)}; its numbers must be finite.")
+    return value
+
+
+def _effects(d, faults: list[str]) -> dict[str, dict[str, Value]]:
+    out = {}
+    for name, e in _mapping(d, "effects").items():
+        try:
+            out[name] = _values(e, f"effects.{name}", faults)
+        except InputError as error:
+            faults.append(str(error))
     return out
 
 
@@ -315,3 +358,15 @@ def _history(d) -> list[dict]:
     if not isinstance(d, list) or not all(isinstance(e, dict) and "change" in e for e in d):
         raise InputError("field 'history' is malformed; each entry must hold 'version' and 'change'.")
     return d
+
+
+_READ: dict[str, Callable[[Any, list[str]], Any]] = {
+    "device": lambda d, _: d,
+    "length_mm": lambda d, _: float(d),
+    "spine_joint_positions_mm": lambda d, _: [float(x) for x in d],
+    "parameters": lambda d, faults: _values(d, "parameters", faults),
+    "effects": _effects,
+    "pressure_range_kpa": lambda d, _: d,
+    "gel": lambda d, _: _mapping(d, "gel"),
+    "history": lambda d, _: _history(d),
+}

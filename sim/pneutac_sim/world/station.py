@@ -3,8 +3,10 @@
 import dataclasses
 import difflib
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -56,7 +58,7 @@ class Station:
             "base_m",
             *["home_m"] * (self.home_m is not None),
         ):
-            object.__setattr__(self, name, _corner(getattr(self, name), name))
+            object.__setattr__(self, name, check_corner(getattr(self, name), name))
         if not np.less(self.workspace_low_m, self.workspace_high_m).all():
             raise InputError(
                 f"workspace_low_m is {self.workspace_low_m} and workspace_high_m {self.workspace_high_m};"
@@ -117,9 +119,7 @@ class Station:
         names = [f.name for f in dataclasses.fields(cls)]
         for name in content:
             if name not in names:
-                near = difflib.get_close_matches(str(name), names, n=1)
-                hint = f"is '{near[0]}' meant?" if near else f"the fields are {', '.join(names)}."
-                raise InputError(f"{file}: there is no field '{name}'; {hint}")
+                raise InputError(f"{file}: {unknown_field(name, names)}")
         try:
             if "arm" in content:
                 content["arm"] = read_arm(content["arm"], file.parent)
@@ -128,7 +128,15 @@ class Station:
             raise InputError(f"{file}: {e}") from e
 
 
-def _corner(value, name: str) -> tuple[float, float, float]:
+def unknown_field(name: Any, names: Sequence[str]) -> str:
+    """What is said of a field that a station has not."""
+    near = difflib.get_close_matches(str(name), names, n=1)
+    hint = f"is '{near[0]}' meant?" if near else f"the fields are {', '.join(names)}."
+    return f"there is no field '{name}'; {hint}"
+
+
+def check_corner(value, name: str) -> tuple[float, float, float]:
+    """Three numbers of metres; raises InputError where they are none."""
     try:
         x, y, z = (float(v) for v in value)
         right = all(math.isfinite(v) for v in (x, y, z))

@@ -76,6 +76,34 @@ def test_a_twin_says_what_the_world_will_ask_for(tmp_path):
     assert "payload" in check_path(tmp_path / "twin").faults[0].replace("paylod", "")
 
 
+def test_all_faults_of_a_twin_are_told_at_once(tmp_path):
+    file = Twin.builtin().save(tmp_path) / "twin.yaml"
+    text = file.read_text().replace("length_mm: 110.0", "length_mm: long").replace("history: []", "")
+    text = text.replace("value: 0.0313", "value: .nan").replace("value: 0.2974", "valeu: 0.2974")
+    file.write_text(text.replace("effects: {}", "effects:\n  creep: 3\n  hysteresis:\n    width: much"))
+    told = " ".join(check_path(tmp_path).faults)
+    for said in (
+        "field 'length_mm' is malformed",
+        "field 'history' is missing",
+        "'parameters.gain_alpha' is {'value': nan}; its numbers must be finite",
+        "'parameters.gain_beta' is {'valeu': 0.2974}; it must hold 'value'",
+        "field 'effects.creep' is 3",
+        "field 'effects.hysteresis.width' is 'much'",
+    ):
+        assert said in told
+    assert len(check_path(tmp_path).faults) == 6
+
+
+def test_every_effect_that_does_not_fit_is_told_and_the_gel_too(tmp_path):
+    twin = wide_twin()
+    twin.effects |= {"creeep": {}, "creep": {"size": Value(1.0)}, "rest_colour": {"exponent_red": Value(1.0)}}
+    twin.gel["decay"] = twin.gel.pop("decay_mm")
+    told = check_path(twin.save(tmp_path)).faults
+    assert len(told) == 4 and all("twin.yaml" in fault for fault in told)
+    for said in ("'creeep'; did you mean 'creep'", "'creep'", "rest_colour", "unknown field 'decay'"):
+        assert any(said in fault for fault in told)
+
+
 def test_the_command_tells_each_folder_and_ends_with_one_where_there_is_a_fault(tmp_path, capsys):
     shutil.copytree(GOLDEN / "finger_creep", tmp_path / "bench")
     verb.main([str(tmp_path / "bench")])
@@ -98,5 +126,17 @@ def test_a_station_tells_which_tasks_its_arm_does_not_reach(tmp_path):
     found = check_path(file)
     assert found.kind == "station" and not found.faults
     assert len(found.notes) == 6 and "short of where the task 'switch' starts" in found.notes[0]
+    file.write_text(
+        "format: pneutac-station/2\nbase: [0, 0]\nmount_mm: 900\nlatency_s: soon\n"
+        "workspace_low_m: [0.3, 0.2]\nworkspace_high_m: 3\n"
+        "arm: {urdf: mine.urdf, flange: tool0, home_rad: [0, 0, 0, 0, 0, 0]}\n"
+    )
+    told = check_path(file).faults
+    assert len(told) == 7
+    named = ("'format'", "'base'; is 'base_m'", "mount_mm", "latency_s", "_low_m", "_high_m", "mine.urdf")
+    assert all(any(name in fault for fault in told) for name in named)
+    corners = "workspace_low_m: [0.7, 0, 0.2]\nworkspace_high_m: [0.8, 0.1, 0.5]\n"  # beyond the default's
+    file.write_text(f"format: pneutac-station/1\n{corners}")
+    assert check_path(file).faults == []
     file.write_text("format: pneutac-station/1\narm: so102\n")
     assert "arm is 'so102'" in check_path(file).faults[0]
