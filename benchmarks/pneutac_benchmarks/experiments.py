@@ -17,7 +17,8 @@ from rich.console import Console
 
 from lerobot_pneutac.diagnosis.design import Choice, Limits, common_programs
 from lerobot_pneutac.verbs.diagnose import diagnose
-from lerobot_pneutac.verbs.learn import Rounds, error_of
+from lerobot_pneutac.verbs.foreseen import error_of
+from lerobot_pneutac.verbs.learn import Rounds
 from pneutac_benchmarks.diagnosis.rules import BASE, COUNTS, COUNTS_AS_NEAR, counts, names_right
 from pneutac_benchmarks.tables import markdown, terminal
 from pneutac_datasets.recording.checks import check

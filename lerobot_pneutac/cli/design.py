@@ -7,6 +7,7 @@ from rich.console import Console
 
 from lerobot_pneutac.cli.options import parse_options
 from lerobot_pneutac.cli.show import show, write
+from lerobot_pneutac.diagnosis.hands import GRAVITY, Hands, named
 from lerobot_pneutac.study.pair import load_pair
 from lerobot_pneutac.verbs.design import design
 from pneutac_sim.errors import InputError
@@ -26,6 +27,9 @@ class DesignConfig:
         budget_s: longest program.
         program_s: length of a program of the common kinds.
         hz: samples a second.
+        hands: what may be changed for it: `none`, or `flip` (turn the base over) and `payload` (hang a
+            weight at the tip), with a comma.
+        payload_g: weight that can be hung.
     """
 
     twin: Path
@@ -37,9 +41,11 @@ class DesignConfig:
     budget_s: float = 600.0
     program_s: float = 60.0
     hz: float = 20.0
+    hands: str = "none"
+    payload_g: float = 20.0
 
     def __post_init__(self):
-        for name in ("budget_s", "program_s", "hz"):
+        for name in ("budget_s", "program_s", "hz", "payload_g"):
             if not 0 < getattr(self, name) < float("inf"):
                 raise InputError(f"{name}={getattr(self, name)} must be positive.")
 
@@ -49,6 +55,8 @@ def main(argv: list[str]) -> None:
     cfg, console = parse_options(DesignConfig, argv), Console()
     twin, recording = load_pair(cfg.twin, cfg.recording, "design")
     limits = (cfg.max_kpa, cfg.min_kpa, cfg.budget_s, cfg.program_s, cfg.hz)
-    result = design(twin, recording, cfg.diagnosis, *limits)
+    usual = {c: float(recording.column(c)[0]) for c in (*GRAVITY, "payload_g") if recording.has(c)}
+    hands = Hands.of(named(cfg.hands), usual, cfg.payload_g)
+    result = design(twin, recording, cfg.diagnosis, *limits, hands)
     show(result, console)
     write(result, cfg.out, "design", argv, console)

@@ -8,6 +8,7 @@ from rich.console import Console
 from lerobot_pneutac.cli.options import parse_options
 from lerobot_pneutac.cli.progress import progress_bar
 from lerobot_pneutac.cli.show import show, write
+from lerobot_pneutac.diagnosis.hands import Hands, named
 from lerobot_pneutac.verbs.benches import Bench, MeasuredBench, StandinBench
 from lerobot_pneutac.verbs.learn import learn
 from lerobot_pneutac.verbs.learning import Round
@@ -28,6 +29,9 @@ class LearnConfig:
             on after them.
         bench: `standin`, the finger that stands in for a real one, or `measure`, your bench.
         measure: YAML file with the options of `pneutac measure` for your bench, without `program` and `out`.
+        hands: what a person may be asked to change: `none`, or `flip` (turn the base over) and `payload`
+            (hang a weight at the tip), with a comma; the stand-in does it by itself.
+        payload_g: weight that can be hung.
         budget_min: minutes of programs, together.
         program_s: length of a program of the common kinds.
         seed: seed of the choice of what is held out, and of the stand-in's noise.
@@ -38,6 +42,8 @@ class LearnConfig:
     out: Path
     bench: str = "standin"
     measure: Path | None = None
+    hands: str = "none"
+    payload_g: float = 20.0
     budget_min: float = 15.0
     program_s: float = 60.0
     seed: int = 0
@@ -49,13 +55,24 @@ class LearnConfig:
         if (self.bench == "measure") != (self.measure is not None):
             raise InputError("bench=measure and measure=FILE.yaml, the options of your bench, go together.")
         check_least(5, program_s=self.program_s)
+        check_least(1, payload_g=self.payload_g)
 
 
 def main(argv: list[str]) -> None:
     """Runs the verb."""
     cfg, console = parse_options(LearnConfig, argv), Console()
     twin = Twin.load(cfg.twin)
-    bench = _bench(cfg)
+    bench, usual = _bench(cfg)
+
+    def ask(sentence: str) -> None:
+        if cfg.measure is None:
+            return
+        try:
+            console.input(f"[yellow]{sentence}[/] Then press Enter: ")
+        except EOFError as e:
+            raise InputError(f"{sentence} Nobody answers; give --hands=none, or a terminal.") from e
+
+    hands = Hands.of(named(cfg.hands), usual, cfg.payload_g, ask)
 
     def tell(r: Round) -> None:
         foreseen = "" if r.predicted_error is None else f", foreseen to {r.predicted_error:.3g}"
@@ -69,7 +86,7 @@ def main(argv: list[str]) -> None:
         with progress_bar(console) as progress:
             result = learn(
                 twin, bench, cfg.out, budget_s=60 * cfg.budget_min, program_s=cfg.program_s, seed=cfg.seed,
-                jobs=cfg.jobs, progress=progress, on_round=tell,
+                jobs=cfg.jobs, hands=hands, progress=progress, on_round=tell,
             )  # fmt: skip
     except HardwareFault as e:
         raise InputError(f"{e} Finished rounds are kept; the same command goes on after them.") from e
@@ -77,10 +94,14 @@ def main(argv: list[str]) -> None:
     write(result, cfg.out, "learn", argv, console)
 
 
-def _bench(cfg: LearnConfig) -> Bench:
+def _bench(cfg: LearnConfig) -> tuple[Bench, dict[str, float]]:
+    """The bench, and the conditions on it while no hand changes them."""
     if cfg.measure is None:
-        return StandinBench(cfg.seed)
+        from pneutac_datasets.generate.standin import HANGING
+
+        return StandinBench(cfg.seed), dict(HANGING)
     from lerobot_pneutac.measuring.options import MeasureConfig
 
     options = [f"--config_path={cfg.measure}", f"--out={cfg.out / 'round'}"]
-    return MeasuredBench(parse_options(MeasureConfig, options))
+    measure = parse_options(MeasureConfig, options)
+    return MeasuredBench(measure), measure.conditions

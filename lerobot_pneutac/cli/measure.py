@@ -3,9 +3,10 @@
 from rich.console import Console
 
 from lerobot_pneutac.cli.options import parse_options
+from lerobot_pneutac.diagnosis.hands import instructions
 from lerobot_pneutac.measuring.camera import calibrate_camera
 from lerobot_pneutac.measuring.options import MeasureConfig
-from lerobot_pneutac.verbs.measure import TrialNote, kept_trials, measure
+from lerobot_pneutac.verbs.measure import TrialNote, kept_trials, measure, program_of
 from lerobot_robot_pneutac.hardware.parts import HardwareFault
 from pneutac_sim.errors import InputError
 
@@ -42,6 +43,10 @@ def main(argv: list[str]) -> None:
                 " --hz"
             )
 
+    for sentence in dict.fromkeys(s for t in program_of(config) for s in instructions({}, t.conditions)):
+        console.print(f"[yellow]first:[/] {sentence}", highlight=False)
+        if console.is_terminal:
+            console.input("Then press Enter: ")
     try:
         measure(config, start, show)
     except HardwareFault as e:

@@ -7,13 +7,15 @@ prior (Lindley, Ann. Math. Stat. 27 (1956) 986), their present intervals being t
 constants and few laws, so their gain counts beside the largest that any program brings.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from lerobot_pneutac.diagnosis.experiment import predict
+from lerobot_pneutac.diagnosis.hands import Hands
 from lerobot_pneutac.diagnosis.law_programs import STEP_S, law_program
+from lerobot_pneutac.diagnosis.limits import Limits, visited
 from lerobot_pneutac.diagnosis.programs import table
 from lerobot_pneutac.diagnosis.result import Contender
 from pneutac_datasets.recording.recording import Recording
@@ -23,11 +25,12 @@ from pneutac_sim.twin import Twin, Value
 
 INDEPENDENT_S = 1.0  # a model's error hardly changes within; so long a stretch counts as one measurement
 OVERHEAD_S = 15.0  # that any program costs beside its own time
+HAND_S = 60.0  # that what a hand changes costs beside
+BY_HAND = ("strokes to 100% in 15 s", "stairs to 100%, 5 s each")  # programs for which a hand is asked
 LITTLE = 0.05  # nats about contenders, or share of the time where none has been, that count as none
 Z95 = 1.96
-LEVELS = 8  # of pressure, in what counts as visited
-PACES = (0.02, 0.2, 1.0)  # of the range a second, likewise
-STILL_S = (2.0, 10.0)  # that the command has stood, likewise
+
+NO_HANDS = Hands()
 
 Knots = list[tuple[float, float]]  # seconds since the one before, share of the range
 
@@ -46,6 +49,8 @@ class Choice:
         new: share of the time at levels, paces and rests that no recording has.
         predictions: (n, k) headline columns by each contender.
         worth: all three for a second of the bench's time, see `choices`.
+        hand: what a hand changes for it, see `hands.HANDS`; empty for nothing.
+        conditions: in force throughout; empty where no hand may change any.
     """
 
     name: str
@@ -57,6 +62,8 @@ class Choice:
     new: float
     predictions: tuple[np.ndarray, ...]
     worth: float = 0.0
+    hand: str = ""
+    conditions: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def seconds(self) -> float:
@@ -69,43 +76,12 @@ class Choice:
         return self.rivals < LITTLE and self.new < LITTLE and self.constants < 1.0
 
 
-@dataclass(frozen=True)
-class Limits:
-    """What a program may do.
-
-    Attributes:
-        low_kpa: lowest set-point.
-        high_kpa: highest one.
-        hz: samples a second.
-        seconds: most that is left.
-        length_s: of the programs that are no law's own; all their times scale with it.
-    """
-
-    low_kpa: float
-    high_kpa: float
-    hz: float = 20.0
-    seconds: float = 600.0
-    length_s: float = 60.0
-
-    def __post_init__(self):
-        if not self.low_kpa < self.high_kpa:
-            raise InputError(
-                f"No program fits between {self.low_kpa:g} and {self.high_kpa:g} kPa; give a wider range."
-            )
-
-    @property
-    def rest_kpa(self) -> float:
-        """Where programs begin: without pressure, as far as the limits allow."""
-        return min(max(0.0, self.low_kpa), self.high_kpa)
-
-    @property
-    def far_kpa(self) -> float:
-        """To where common programs go: the highest set-point, or vacuum where there is none above rest."""
-        return self.high_kpa if self.high_kpa > self.rest_kpa else self.low_kpa
-
-
 def choices(
-    recording: Recording, contenders: Sequence[Contender], noise: float, limits: Limits
+    recording: Recording,
+    contenders: Sequence[Contender],
+    noise: float,
+    limits: Limits,
+    hands: Hands = NO_HANDS,
 ) -> list[Choice]:
     """All programs that fit into the limits, the one that tells most for its time first.
 
@@ -117,6 +93,7 @@ def choices(
         contenders: models in the running, the best first.
         noise: floor of the headline error, in its unit.
         limits: of device and time.
+        hands: what may be changed for a program.
 
     Raises:
         InputError: the device has several chambers, or no program fits.
@@ -124,27 +101,34 @@ def choices(
     if len(recording.pressure_columns) != 1:
         raise InputError(f"{recording.folder} has several chambers; programs are designed for one.")
     found = []
-    seen = _visited(*_commanded(recording), limits)
-    fits = [p for p in _programs(recording, contenders, limits) if p[2][-1] <= limits.seconds]
+    seen = visited(recording, limits)
+    fits = [p for p in _programs(recording, contenders, limits, hands) if p[2][-1] <= limits.seconds]
     if not fits:
         raise InputError(
             f"No program fits into the {limits.seconds:.0f} s that are left; give a larger budget."
         )
     sigma = noise / np.sqrt(_columns(recording, contenders[0].twin))
-    for name, kind, t, p in fits:
-        planned = _planned(recording, t, p)
+    for name, kind, t, p, hand in fits:
+        conditions = hands.changes.get(hand, hands.usual)
+        planned = _planned(recording, t, p, conditions)
         told = [x for c in contenders if (x := _predicted(planned, c.twin)) is not None]
         if len(told) < len(contenders):
             continue
         share = 1 / (sigma**2 * INDEPENDENT_S * limits.hz)
         rivals = _between(told, np.array([c.probability for c in contenders]), share)
         constants = _of_constants(planned, contenders[0].twin, told[0], share)
-        cells = _visited([t], [p], limits)
+        cells = visited(planned, limits)
         new = sum(n for cell, n in cells.items() if cell not in seen) / sum(cells.values())
-        found.append(Choice(name, kind, t, p, rivals, constants, new, tuple(told)))
+        found.append(
+            Choice(name, kind, t, p, rivals, constants, new, tuple(told), hand=hand, conditions=conditions)
+        )
     most = max((c.constants for c in found), default=0.0) or 1.0
     weighed = [
-        replace(c, worth=(c.rivals + c.constants / most + c.new) / (c.seconds + OVERHEAD_S)) for c in found
+        replace(
+            c,
+            worth=(c.rivals + c.constants / most + c.new) / (c.seconds + OVERHEAD_S + HAND_S * bool(c.hand)),
+        )
+        for c in found
     ]
     return sorted(weighed, key=lambda c: -c.worth)
 
@@ -168,9 +152,14 @@ def common_programs(limits: Limits) -> Iterator[tuple[str, str, np.ndarray, np.n
 
 
 def _programs(
-    recording: Recording, contenders: Sequence[Contender], limits: Limits
-) -> Iterator[tuple[str, str, np.ndarray, np.ndarray]]:
-    yield from common_programs(limits)
+    recording: Recording, contenders: Sequence[Contender], limits: Limits, hands: Hands
+) -> Iterator[tuple[str, str, np.ndarray, np.ndarray, str]]:
+    """Name, kind, time, command and what a hand changes."""
+    for name, kind, t, p in common_programs(limits):
+        yield name, kind, t, p, ""
+        if name in BY_HAND:
+            for hand in hands.changes:
+                yield f"{name}, {hand}", hand, t, p, hand
     had = set()
     for c in contenders:
         for effect in (e for e in c.terms if e not in had):
@@ -183,7 +172,7 @@ def _programs(
             p = law.samples[recording.pressure_columns[0]].to_numpy(float)
             grid = np.arange(round(t[-1] * limits.hz) + 1) / limits.hz
             p = np.clip(np.interp(grid, t, p), limits.low_kpa, limits.high_kpa)
-            yield f"for {effect}", f"for {effect}", grid, p
+            yield f"for {effect}", f"for {effect}", grid, p, ""
 
 
 def _grid() -> Iterator[tuple[str, str, Knots]]:
@@ -242,8 +231,8 @@ def _sampled(knots: Knots, limits: Limits) -> tuple[np.ndarray, np.ndarray]:
 # ---------------------------------------------------------------- what each would tell
 
 
-def _planned(recording: Recording, t: np.ndarray, p: np.ndarray) -> Recording:
-    samples = table(recording, t, p, {})
+def _planned(recording: Recording, t: np.ndarray, p: np.ndarray, conditions) -> Recording:
+    samples = table(recording, t, p, dict(conditions))
     meta = {k: v for k, v in recording.meta.items() if k != "trials"}
     return replace(recording, samples=samples, meta=meta | {"trials": {"0": {"start": "rested"}}})
 
@@ -297,32 +286,3 @@ def _deviation(value: Value) -> float:
     if value.ci95 is None:
         return 0.0
     return min((value.ci95[1] - value.ci95[0]) / (2 * Z95), max(value.ci95[1] - value.value, 0.0))
-
-
-def _commanded(recording: Recording) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    t, p = recording.column("time_s"), recording.column(recording.pressure_columns[0])
-    rows = recording.trials().values()
-    return [t[r] for r in rows], [p[r] for r in rows]
-
-
-def _visited(times: Sequence[np.ndarray], pressures: Sequence[np.ndarray], limits: Limits) -> dict:
-    """Cell of level, direction and pace, or of level and time at rest, to seconds spent in it."""
-    cells: dict[tuple, float] = {}
-    span = limits.far_kpa - limits.rest_kpa
-    scale = limits.length_s / 60.0
-    for t, p in zip(times, pressures, strict=True):
-        dt = np.diff(t, append=t[-1] + (t[-1] - t[-2] if len(t) > 1 else 0.1))
-        share = (p - limits.rest_kpa) / span
-        rate = np.gradient(share, t) if len(t) > 1 else np.zeros(1)
-        since, still = 0.0, []
-        for moving, step in zip(np.abs(rate) > 1e-3, dt, strict=True):
-            since = 0.0 if moving else since + step
-            still.append(since)
-        level = np.clip((LEVELS * share).astype(int), 0, LEVELS - 1)
-        pace = np.digitize(np.abs(rate) * scale, PACES)
-        rest = np.digitize(np.array(still) / scale, STILL_S)
-        for i in range(len(t)):
-            moves = abs(rate[i]) > 1e-3
-            cell = (level[i], np.sign(rate[i]), pace[i]) if moves else (level[i], 0, 10 + rest[i])
-            cells[cell] = cells.get(cell, 0.0) + float(dt[i])
-    return cells

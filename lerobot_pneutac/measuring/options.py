@@ -10,7 +10,8 @@ from lerobot.cameras.opencv import OpenCVCameraConfig  # noqa: F401  registers t
 from lerobot_robot_pneutac import DigitConfig  # noqa: F401  registers the tactile cameras
 from lerobot_robot_pneutac.hardware.parts import COMMAND_S
 from lerobot_robot_pneutac.robots.config_pneutac import PressureConfig
-from pneutac_sim.errors import InputError
+from pneutac_datasets.recording.mounts import CONDITIONS
+from pneutac_sim.errors import InputError, check_choice
 
 MIN_HZ = 2 / COMMAND_S
 
@@ -37,6 +38,9 @@ class MeasureConfig:
         base_id: number of the marker at the base.
         tip_id: number of the marker at the tip.
         base_offset_mm: vector from the finger's base to the base marker's centre, in the base frame.
+        conditions: columns that hold throughout, such as {gravity_x: 1, gravity_y: 0, gravity_z: 0}, the
+            direction of gravity in the base's frame, {payload_g: 50}, {temperature_c: 22}; those that a
+            program asks for go before them.
         notes: text to keep in the recording.
         chessboard: folder of photographs of a chessboard: calibrates the camera, and nothing else.
         corners: number of the chessboard's inner corners, columns and rows.
@@ -60,6 +64,7 @@ class MeasureConfig:
     base_id: int = 0
     tip_id: int = 1
     base_offset_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    conditions: dict[str, float] = field(default_factory=dict)
     notes: str = ""
     chessboard: Path | None = None
     corners: tuple[int, int] = (9, 6)
@@ -79,6 +84,14 @@ class MeasureConfig:
             value = getattr(self, name)
             if value is not None and not 0 < value < np.inf:
                 raise InputError(f"{name}={value} must be positive.")
+        for name, value in self.conditions.items():
+            check_choice("conditions", name, tuple(CONDITIONS))
+            if not np.isfinite(value):
+                raise InputError(f"conditions: {name} is {value}; give a number.")
+        gravity = [self.conditions.get(f"gravity_{a}") for a in "xyz"]
+        known = [g for g in gravity if g is not None]
+        if known and (len(known) < 3 or abs(np.linalg.norm(known) - 1) > 0.01):
+            raise InputError("conditions: give gravity_x, gravity_y and gravity_z together, of length 1.")
         if not -np.inf < self.min_kpa <= 0:
             raise InputError(f"min_kpa={self.min_kpa} must be 0, or below it for vacuum.")
         if self.hz < MIN_HZ:

@@ -1,7 +1,8 @@
 """Pressure programs for the bench: built-in ones, a table, or the experiment that a diagnosis proposes."""
 
 import json
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pandas as pd
 
 from lerobot_pneutac.diagnosis.law_programs import law_programs
 from lerobot_pneutac.diagnosis.programs import menu
+from pneutac_datasets.recording.mounts import CONDITIONS
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 
@@ -23,11 +25,13 @@ class PressureTrial:
         program: its label.
         time_s: (n,) rising from 0.
         pressure_kpa: (n,) set-points.
+        conditions: that it asks for, such as `payload_g`; somebody has to see to them.
     """
 
     program: str
     time_s: np.ndarray
     pressure_kpa: np.ndarray
+    conditions: Mapping[str, float] = field(default_factory=dict)
 
 
 def read_program(
@@ -36,8 +40,8 @@ def read_program(
     """The trials of a program.
 
     Args:
-        given: a name of `BUILTIN`, a CSV with `time_s` and `pressure_cmd_kpa` (and `trial`, `program`), or
-            the `result.json` of `pneutac diagnose`.
+        given: a name of `BUILTIN`, a CSV with `time_s` and `pressure_cmd_kpa` (and `trial`, `program`,
+            conditions), or the `result.json` of `pneutac diagnose`.
         max_kpa: top of the built-in programs, which no program may exceed.
         hz: samples per second.
         recording: what was diagnosed, for a `result.json`.
@@ -91,7 +95,7 @@ def _table(path: Path, hz: float) -> list[PressureTrial]:
         table = pd.read_csv(path)
     except (ValueError, OSError) as e:
         raise InputError(f"{path} cannot be read as a table: {e}.") from e
-    for column in ("time_s", "pressure_cmd_kpa"):
+    for column in ("time_s", "pressure_cmd_kpa", *(c for c in CONDITIONS if c in table)):
         if column not in table:
             raise InputError(f"{path}: column '{column}' is missing; it has {', '.join(table)}.")
         values = pd.to_numeric(table[column], errors="coerce")
@@ -107,7 +111,8 @@ def _table(path: Path, hz: float) -> list[PressureTrial]:
         # A command holds until the next row's: steps stay steps.
         latest = np.searchsorted(time_s, grid + 1e-9, side="right") - 1
         label = str(rows["program"].iloc[0]) if "program" in rows else path.stem
-        trials.append(PressureTrial(label, grid, rows["pressure_cmd_kpa"].to_numpy(float)[latest]))
+        asked = {c: float(rows[c].iloc[0]) for c in CONDITIONS if c in rows}
+        trials.append(PressureTrial(label, grid, rows["pressure_cmd_kpa"].to_numpy(float)[latest], asked))
     return trials
 
 

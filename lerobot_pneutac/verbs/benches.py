@@ -1,8 +1,10 @@
 """What `learn` measures on: the stand-in for a real finger, or the bench itself."""
 
 import time
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -34,7 +36,8 @@ class Bench(Protocol):
         """Drives a program, from rest.
 
         Args:
-            program: CSV with `time_s`, `pressure_cmd_kpa` and `program`.
+            program: CSV with `time_s`, `pressure_cmd_kpa` and `program`, and the conditions it asks for, such
+                as `payload_g`.
             out: new folder of the recording.
             number: of programs driven before.
 
@@ -87,8 +90,15 @@ class MeasuredBench:
         return recording
 
 
-def save_program(file: Path, time_s: np.ndarray, pressure_kpa: np.ndarray, kind: str) -> None:
-    """Writes a program as `pneutac measure --program=` reads it."""
-    table = pd.DataFrame({"time_s": time_s, "pressure_cmd_kpa": pressure_kpa, "program": kind})
+def save_program(
+    file: Path,
+    time_s: np.ndarray,
+    pressure_kpa: np.ndarray,
+    kind: str,
+    conditions: Mapping[str, float] = MappingProxyType({}),
+) -> None:
+    """Writes a program as `pneutac measure --program=` reads it, with the conditions it asks for."""
+    columns = {"time_s": time_s, "pressure_cmd_kpa": pressure_kpa, "program": kind}
+    table = pd.DataFrame(columns | dict(conditions))
     with whole(file) as part:
         table.to_csv(part, index=False, float_format="%.6g")

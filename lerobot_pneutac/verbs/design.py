@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from lerobot_pneutac.diagnosis.design import Choice, Limits, choices
+from lerobot_pneutac.diagnosis.design import NO_HANDS, Choice, Limits, choices
+from lerobot_pneutac.diagnosis.hands import Hands, instructions
 from lerobot_pneutac.diagnosis.result import Contender
 from lerobot_pneutac.reports.design import design_page
 from lerobot_pneutac.reports.page import Report
@@ -31,6 +32,7 @@ class Design(Result):
         choices: see `lerobot_pneutac.diagnosis.design`.
         noise: floor of the error.
         unit: of it.
+        hands: what could be changed.
     """
 
     twin: Twin
@@ -39,6 +41,7 @@ class Design(Result):
     choices: tuple[Choice, ...]
     noise: float
     unit: str
+    hands: Hands = NO_HANDS
 
     title = "The next experiment"
 
@@ -61,11 +64,13 @@ class Design(Result):
                 "programs."
             )
         likely = self.contenders[0]
+        first = "".join(f"{s} " for s in instructions(self.hands.usual, c.conditions))
         names = " + ".join(map(called, likely.terms)) or "no effect"
         return (
-            f"Drive {c.name} ({c.seconds:.0f} s): {c.rivals:.2f} nats between {len(self.contenders)} models, "
-            f"of which {names} is the likeliest ({100 * likely.probability:.0f} %), {c.constants:.1f} nats "
-            f"about its constants, and {100 * c.new:.0f} % of its time where no recording has been."
+            f"{first}Drive {c.name} ({c.seconds:.0f} s): {c.rivals:.2f} nats between "
+            f"{len(self.contenders)} models, of which {names} is the likeliest "
+            f"({100 * likely.probability:.0f} %), {c.constants:.1f} nats about its constants, and "
+            f"{100 * c.new:.0f} % of its time where no recording has been."
         )
 
     def rows(self) -> list[dict]:
@@ -91,6 +96,7 @@ class Design(Result):
         return {
             "program": self.best.name,
             "kind": self.best.kind,
+            "hand": self.best.hand,
             "seconds": self.best.seconds,
             "nats_between_models": self.best.rivals,
             "nats_about_constants": self.best.constants,
@@ -103,7 +109,7 @@ class Design(Result):
     def report(self, out: str | Path, command: str = "") -> Path:
         """Writes `program.csv` too."""
         c = self.best
-        save_program(Path(out) / "program.csv", c.time_s, c.pressure_kpa, c.kind)
+        save_program(Path(out) / "program.csv", c.time_s, c.pressure_kpa, c.kind, c.conditions)
         return super().report(out, command)
 
     def page(self) -> Report:
@@ -120,6 +126,7 @@ def design(
     budget_s: float = 600.0,
     program_s: float = 60.0,
     hz: float = 20.0,
+    hands: Hands = NO_HANDS,
 ) -> Design:
     """Chooses the next program for a recording that was diagnosed.
 
@@ -132,6 +139,7 @@ def design(
         budget_s: longest program.
         program_s: length of a program of the common kinds.
         hz: samples a second.
+        hands: what may be changed for it.
 
     Raises:
         InputError: the folder holds no diagnosis of a body, or no program fits the limits.
@@ -144,7 +152,7 @@ def design(
     low = float(min(command.min(), 0.0)) if min_kpa is None else min_kpa
     limits = Limits(low, float(command.max()) if max_kpa is None else max_kpa, hz, budget_s, program_s)
     noise = noise_floor(recording)
-    ranked = choices(recording, contenders, noise.value, limits)
+    ranked = choices(recording, contenders, noise.value, limits, hands)
     return Design(
         twin=twin,
         recording=recording,
@@ -152,4 +160,5 @@ def design(
         choices=tuple(ranked),
         noise=noise.value,
         unit=noise.unit,
+        hands=hands,
     )

@@ -6,24 +6,21 @@ from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 
-import numpy as np
-
-from lerobot_pneutac.diagnosis.design import Choice, Limits, choices, first_program
-from lerobot_pneutac.diagnosis.experiment import predict
+from lerobot_pneutac.diagnosis.design import NO_HANDS, Choice, Limits, choices, first_program
+from lerobot_pneutac.diagnosis.hands import Hands, instructions
 from lerobot_pneutac.diagnosis.result import Contender
 from lerobot_pneutac.study.pair import same_body
-from lerobot_pneutac.study.reading import read
 from lerobot_pneutac.verbs.benches import Bench, save_program
 from lerobot_pneutac.verbs.contenders import load_contenders
 from lerobot_pneutac.verbs.diagnose import diagnose
 from lerobot_pneutac.verbs.diagnosis import Diagnosis
-from lerobot_pneutac.verbs.learning import KNOWN, Learning, Round
+from lerobot_pneutac.verbs.foreseen import error_of, not_as_asked
+from lerobot_pneutac.verbs.learning import Learning, Round
 from pneutac_datasets.recording.joined import joined
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.laws import family
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import write_json
-from pneutac_sim.finger.quantities import root_mean
 from pneutac_sim.twin import Twin
 
 CONFIRMS = 1.5  # error over noise, before it was used, up to which a recording confirms what predicted it
@@ -42,6 +39,7 @@ def learn(
     program_s: float = 60.0,
     seed: int = 0,
     jobs: int = 0,
+    hands: Hands = NO_HANDS,
     progress: Callable[[str, int, int], None] | None = None,
     on_round: Callable[[Round], None] = lambda r: None,
 ) -> Learning:
@@ -57,17 +55,18 @@ def learn(
         program_s: length of a program of the common kinds.
         seed: decides what is held out.
         jobs: threads; 0 for all cores.
+        hands: what a person may change between programs.
         progress: called with a text, the steps done and all of them.
         on_round: called after each round.
 
     Raises:
-        InputError: the budget is too small for the first program, the folder holds rounds of another twin, or
-            the bench's recording cannot be used.
+        InputError: the budget is too small for the first program, the folder holds rounds of another twin,
+            the bench's recording cannot be used, or a hand did twice what was not asked for.
         HardwareFault: as the bench raises it; finished rounds are kept.
     """
     out = Path(out)
     limits = Limits(*bench.range_kpa, bench.hz, budget_s, program_s)
-    rounds = Rounds(out, twin, bench, seed, jobs, progress)
+    rounds = Rounds(out, twin, bench, seed, jobs, progress, hands)
     while True:
         left_s = budget_s - sum(r.seconds for r in rounds.done)
         choice, ended = rounds.next(replace(limits, seconds=left_s))
@@ -80,8 +79,10 @@ def learn(
 class Rounds:
     """The rounds in a folder: `round_K` with `program.csv`, `recording`, `diagnosis`, last `round.json`."""
 
-    def __init__(self, out: Path, twin: Twin, bench: Bench, seed: int, jobs: int, progress):
-        self._out, self._bench = out, bench
+    def __init__(
+        self, out: Path, twin: Twin, bench: Bench, seed: int, jobs: int, progress, hands: Hands = NO_HANDS
+    ):
+        self._out, self._bench, self._hands = out, bench, hands
         self._how = {"seed": seed, "jobs": jobs, "progress": progress}
         self._base = twin
         self._start(twin)
@@ -113,21 +114,26 @@ class Rounds:
                 raise InputError(
                     f"The first program takes {t[-1]:.0f} s; give a budget of {2 * t[-1]:.0f} s or more."
                 )
-            return Choice("first", "first", t, p, 0.0, 0.0, 1.0, ()), ""
-        if reason := self._known():
-            return None, reason
+            return Choice("first", "first", t, p, 0.0, 0.0, 1.0, (), conditions=self._hands.usual), ""
+        hands = set(self._hands.changes) - {r.hand for r in self.done}  # each is asked once before the end
+        reason = self._known()
         if limits.seconds < limits.length_s / 2:
-            return None, "the budget is used up"
+            return None, reason or "the budget is used up"
+        if reason and not hands:
+            return None, reason
         try:
-            ranked = choices(self._joined(), self._rivals(), self.done[-1].noise, limits)
+            ranked = choices(self._joined(), self._rivals(), self.done[-1].noise, limits, self._hands)
         except InputError as e:
             return None, f"no program is left ({str(e).rstrip('.')})"
+        by_hand = [c for c in ranked if c.hand in hands]
         kinds = {r.kind for r in self.done}
         if self.done[-1].unconfirmed or not self.done[-1].selected:  # a law is confirmed by another kind
             ranked = [c for c in ranked if c.kind not in kinds] or ranked
         if ranked[0].tells_little:
-            return ranked[0], "no program within the limits would tell anything more"
-        return ranked[0], ""
+            reason = reason or "no program within the limits would tell anything more"
+        if by_hand and (reason or limits.seconds < (len(hands) + 1) * limits.length_s):
+            return by_hand[0], ""
+        return ranked[0], reason
 
     def _joined(self, *newest: tuple[Recording, float | None]) -> Recording:
         """All that was measured."""
@@ -150,7 +156,7 @@ class Rounds:
 
     def _known(self) -> str:
         last, two = self.done[-1], self.done[-2:]
-        if last.verdict in KNOWN and last.foreseen:
+        if last.suffices and last.foreseen:
             if not last.unconfirmed:
                 return "all that was found predicted a program that it had not seen"
             if all(r.foreseen for r in two) and len({r.kind for r in two}) == 2:
@@ -185,12 +191,33 @@ class Rounds:
         """Drives a program unless that was done before a kill; what was driven, as fields of `Round`."""
         file = folder / "measured.json"
         if not file.is_file():
-            shutil.rmtree(folder, ignore_errors=True)
-            save_program(folder / "program.csv", choice.time_s, choice.pressure_kpa, choice.kind)
-            self._bench.follow(folder / "program.csv", folder / "recording", len(self.done))
+            before = self._hands.changes.get(self.done[-1].hand if self.done else "", self._hands.usual)
+            for sentence in instructions(before, choice.conditions):
+                self._hands.ask(sentence)
+            if wrong := self._driven(folder, choice):
+                for sentence in instructions(self._hands.usual, choice.conditions):
+                    self._hands.ask(f"{wrong} {sentence}")
+                if wrong := self._driven(folder, choice):
+                    raise InputError(f"{wrong} Twice; weigh what hangs there, and start anew after it.")
             told = {"program": choice.name, "kind": choice.kind, "seconds": choice.seconds}
-            write_json(file, told | {"pause_s": self._bench.pause_s})
+            write_json(file, told | {"pause_s": self._bench.pause_s, "hand": choice.hand})
         return json.loads(file.read_text())
+
+    def _driven(self, folder: Path, choice: Choice) -> str:
+        """Drives a program; what a hand did instead of what was asked, empty where that is not seen."""
+        shutil.rmtree(folder, ignore_errors=True)
+        save_program(
+            folder / "program.csv", choice.time_s, choice.pressure_kpa, choice.kind, choice.conditions
+        )
+        self._bench.follow(folder / "program.csv", folder / "recording", len(self.done))
+        if not choice.hand:
+            return ""
+        recording = same_body(self._base, Recording.load(folder / "recording"), "learn")
+        everything = self._joined((recording, self._bench.pause_s))
+        rows = slice(len(everything) - len(recording), None)
+        best, noise = self._contenders[0].twin, self.done[-1].noise
+        usual, asked = self._hands.usual, choice.conditions
+        return not_as_asked(best, everything, rows, usual, asked, CONFIRMS * noise)
 
     def _foreseen(self, everything: Recording, rows: slice) -> dict:
         """Errors in these newest rows, which no model has seen: fields of `Round`."""
@@ -217,14 +244,15 @@ class Rounds:
         }
 
     def _judged(self, told: dict, found: Diagnosis, foreseen: dict) -> Round:
-        noise, needed_by = found.study.noise.value, {}
+        noise, needed_by, sure = found.study.noise.value, {}, set()
         if self.done:
             needed_by = {family(e): k for e, k in self.done[-1].needed_by.items()}
+            sure = {family(e) for e in self.done[-1].confirmed_by}
             error, another = foreseen["predicted_error"], told["kind"] not in {r.kind for r in self.done}
             if another and error <= CONFIRMS * noise:
                 needed = [e for e, worse in foreseen["without"].items() if worse > NEEDED * error]
                 needed_by = {family(e): len(self.done) for e in needed} | needed_by
-        return Round(
+        r = Round(
             number=len(self.done),
             **told,
             unit=found.study.unit,
@@ -237,23 +265,8 @@ class Rounds:
             probabilities={" + ".join(c.terms): c.probability for c in found.outcome.contenders},
             needed_by={e: needed_by[family(e)] for e in found.selected if family(e) in needed_by},
         )
-
-
-def error_of(twin: Twin, recording: Recording, rows: slice = slice(None), favour: bool = False) -> float:
-    """Root mean square headline error of a twin on some rows of a recording, driven by the command.
-
-    Args:
-        twin: of the recording's device.
-        recording: of a finger, with all that came before these rows.
-        rows: that count.
-        favour: whether gains and offsets of the predicted columns are fitted to these rows.
-    """
-    data = read(recording, twin)
-    seen, measured = predict(twin, data)[0][rows], data.measured[rows, : data.counted]
-    if favour:
-        ground = np.concatenate([seen, np.ones((len(seen), 1))], axis=1)
-        seen = ground @ np.linalg.lstsq(ground, measured, rcond=None)[0]
-    return root_mean(((measured - seen) ** 2).sum(axis=1))
+        confirmed = {e: k for e, k in r.needed_by.items() if r.suffices or family(e) in sure}
+        return replace(r, confirmed_by=confirmed)
 
 
 def _families(contender: Contender) -> set[str]:

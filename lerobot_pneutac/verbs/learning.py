@@ -36,7 +36,10 @@ class Round:
         selected: effects found now, the most important first.
         sentence: what was found.
         probabilities: each contender's, its terms joined by ` + `.
+        hand: what a hand had changed for it, see `hands.HANDS`; empty for nothing.
         needed_by: effect to the number of the round whose recording was predicted with it, and not without.
+        confirmed_by: those of them found while the form sufficed and noise alone was left: else a law may
+            stand in for another.
     """
 
     number: int
@@ -54,12 +57,14 @@ class Round:
     selected: list[str]
     sentence: str
     probabilities: dict[str, float]
+    hand: str = ""
     needed_by: dict[str, int] = field(default_factory=dict)
+    confirmed_by: dict[str, int] = field(default_factory=dict)
 
     @property
-    def confirmed_by(self) -> dict[str, int]:
-        """The same, while the form suffices and only noise is left: else it may stand in for another."""
-        return self.needed_by if self.verdict in KNOWN and self.error <= LEFT * self.noise else {}
+    def suffices(self) -> bool:
+        """Whether what was found explains everything measured so far."""
+        return self.verdict in KNOWN and self.error <= LEFT * self.noise
 
     @property
     def foreseen(self) -> bool:

@@ -59,10 +59,7 @@ def measure(
         HardwareFault: a part failed; the chamber is vented.
         KeyboardInterrupt: as it came; the chamber is vented.
     """
-    trials = (
-        read_program(config.program, config.max_kpa, config.hz, config.recording, config.min_kpa)
-        * config.repeat
-    )
+    trials = program_of(config) * config.repeat
     camera = Intrinsics.load(config.intrinsics)
     tracker = MarkerTracker(camera, config.marker_mm, config.base_id, config.tip_id, config.base_offset_mm)
     given = {"camera": config.camera} | ({"tactile": config.digit} if config.digit is not None else {})
@@ -90,6 +87,11 @@ def measure(
         if not kept:
             shutil.rmtree(config.out, ignore_errors=True)
     return Recording.load(config.out)
+
+
+def program_of(config: MeasureConfig) -> list[PressureTrial]:
+    """The trials that are driven, once; raises InputError where they cannot be read."""
+    return read_program(config.program, config.max_kpa, config.hz, config.recording, config.min_kpa)
 
 
 def kept_trials(folder: Path) -> set[int]:
@@ -146,7 +148,8 @@ class BenchDriver:
             if tip is None:
                 continue
             row = {"trial": number, "time_s": now_s, "time_sent_s": sent_s, "program": trial.program}
-            row |= {"pressure_cmd_kpa": command, "pressure_kpa": kpa}
+            row |= {"pressure_cmd_kpa": command, "pressure_kpa": kpa, **self._config.conditions}
+            row |= trial.conditions
             row |= dict(zip(("tip_x_mm", "tip_y_mm", "tip_z_mm"), tip.tolist(), strict=True))
             for name, image in images.items():
                 file = folder / f"{name}_{sample:05d}.jpg"

@@ -1,5 +1,6 @@
 """The stand-in on the bench, finger and gel: what one measures of a real finger before making its twin."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import mujoco
@@ -18,7 +19,8 @@ from pneutac_sim.features import MAX_PRESSURE_KPA
 from pneutac_truths.light.objects import SPHERE, reach_below
 
 MARKER_NOISE_MM = 0.3
-SETTLE_S = 1.0
+SETTLE_S, TURNED_S = 1.0, 4.0  # a finger that has been turned or loaded swings longer
+HANGING = {"gravity_x": 1.0, "gravity_y": 0.0, "gravity_z": 0.0}  # in the base's frame
 PRESSES = 16
 
 
@@ -44,19 +46,23 @@ def write_finger(folder: str | Path, seed: int = 0, minutes: float = 6.0, hz: fl
     return _write(folder, trials, hz, rng)
 
 
-def _write(folder: str | Path, trials: list[ProgramTrial], hz: float, rng: np.random.Generator) -> Recording:
-    hanging = (1.0, 0.0, 0.0)
-    table = []
+def _write(
+    folder: str | Path,
+    trials: list[ProgramTrial],
+    hz: float,
+    rng: np.random.Generator,
+    conditions: Mapping[str, float] = HANGING,
+) -> Recording:
+    conditions, table = HANGING | conditions, []
     for number, trial in enumerate(trials):
         n = len(trial.command)
-        tip, pressure = _measured(trial.command, hz)
+        tip, pressure = _measured(trial.command, hz, conditions)
         tip = tip + MARKER_NOISE_MM * rng.standard_normal((n, 3))
         gauge = pressure + GAUGE_NOISE_KPA * rng.standard_normal(n)
         columns = {"trial": number, "program": trial.label, "time_s": np.round(np.arange(n) / hz, 4)}
         columns |= {"pressure_cmd_kpa": trial.command, "pressure_kpa": gauge}
         columns |= {f"tip_{a}_mm": tip[:, i] for i, a in enumerate("xyz")}
-        columns |= {f"gravity_{a}": hanging[i] for i, a in enumerate("xyz")}
-        table.append(pd.DataFrame(columns))
+        table.append(pd.DataFrame(columns | conditions))
     length = LENGTH_MM + TIP_MM
     meta = {
         "device": "finger",
@@ -75,7 +81,8 @@ def write_program(folder: str | Path, program: str | Path, seed: int = 0) -> Rec
 
     Args:
         folder: where the recording goes.
-        program: CSV with `time_s`, evenly spaced, and `pressure_cmd_kpa`, as `pneutac control` writes it.
+        program: CSV with `time_s`, evenly spaced, and `pressure_cmd_kpa`, as `pneutac control` writes it; by
+            `gravity_x`, `gravity_y` and `gravity_z` the base is turned, `payload_g` hangs at the tip.
         seed: decides the noise.
 
     Raises:
@@ -92,22 +99,37 @@ def write_program(folder: str | Path, program: str | Path, seed: int = 0) -> Rec
     if len(dt) == 0 or not 0 < dt[0] <= 0.2 or np.abs(dt - dt[0]).max() > 0.01 * dt[0]:
         raise InputError(f"{program}: time_s must rise evenly, by at most 0.2 s.")
     rng = np.random.default_rng([seed, 5])
-    return _write(folder, [ProgramTrial("program", command)], float(1 / dt.mean()), rng)
+    conditions = {c: float(table[c].iloc[0]) for c in (*HANGING, "payload_g") if c in table}
+    return _write(folder, [ProgramTrial("program", command)], float(1 / dt.mean()), rng, conditions)
 
 
-def _measured(command_kpa: np.ndarray, hz: float) -> tuple[np.ndarray, np.ndarray]:
+def _measured(
+    command_kpa: np.ndarray, hz: float, conditions: Mapping[str, float]
+) -> tuple[np.ndarray, np.ndarray]:
     """Marker (n, 3) in mm in the base's frame and pressure (n,) in kPa of the rested finger in its clamp."""
     model = clamped()
     model.opt.timestep = 1 / (hz * np.ceil(1 / (hz * model.opt.timestep)))
     data = mujoco.MjData(model)
     finger, base, tip = RodBody(model, data), data.body("finger"), data.site("tip")
-    finger.advance(0.0, round(SETTLE_S * hz) / hz)
+    mujoco.mj_kinematics(model, data)
+    pull = base.xmat.reshape(3, 3) @ np.array([conditions[g] for g in HANGING])
+    model.opt.gravity[:] = np.linalg.norm(model.opt.gravity) * pull
+    weight = 1e-3 * conditions.get("payload_g", 0.0) * model.opt.gravity
+    last = model.site("tip").bodyid[0]
+
+    def hang(share: float) -> None:
+        """The weight pulls at the marker, wherever that is."""
+        data.xfrc_applied[last] = np.r_[weight, np.cross(tip.xpos - data.xipos[last], weight)]
+
+    turned = {g: conditions[g] for g in HANGING} != HANGING or weight.any()
+    settle_s = TURNED_S if turned else SETTLE_S
+    finger.advance(0.0, round(settle_s * hz) / hz, hang)
     places, pressure = np.empty((len(command_kpa), 3)), np.empty(len(command_kpa))
     for i in range(len(command_kpa)):
         mujoco.mj_kinematics(model, data)
         places[i] = 1e3 * base.xmat.reshape(3, 3).T @ (tip.xpos - base.xpos)
         pressure[i] = finger.rod.pressure_kpa
-        finger.advance(float(command_kpa[i]), 1 / hz)
+        finger.advance(float(command_kpa[i]), 1 / hz, hang)
     return places, pressure
 
 

@@ -31,12 +31,23 @@ def test_a_table_is_held_from_row_to_row(tmp_path):
     assert trial.program == "mine"
 
 
+def test_a_table_says_what_a_hand_is_to_change(tmp_path):
+    file = tmp_path / "hung.csv"
+    file.write_text("time_s,pressure_cmd_kpa,payload_g,note\n0,0,20,a\n1,8,20,a\n")
+    (trial,) = read_program(str(file), 10.0, 10.0)
+    assert trial.conditions == {"payload_g": 20.0}
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
         ("time_s\n0\n", "'pressure_cmd_kpa' is missing"),
         ("time_s,pressure_cmd_kpa\n0,1\n1,x\n", "no finite number in row 2"),
         ("time_s,pressure_cmd_kpa\n1,1\n0,1\n", "must rise"),
+        (
+            "time_s,pressure_cmd_kpa,payload_g\n0,1,heavy\n1,1,2\n",
+            "'payload_g' has no finite number in row 1",
+        ),
         ("time_s,pressure_cmd_kpa\n0,1\n1,60\n", "max_kpa allow 0 to 15"),
     ],
 )

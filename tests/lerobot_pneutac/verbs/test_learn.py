@@ -3,6 +3,7 @@
 import json
 import shutil
 import time
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -12,14 +13,18 @@ from pressure_rig import build, connected, terminal
 
 from lerobot_pneutac import design, learn
 from lerobot_pneutac.cli.learn import LearnConfig, _bench, main
+from lerobot_pneutac.diagnosis.design import Limits, choices
 from lerobot_pneutac.diagnosis.experiment import predict
+from lerobot_pneutac.diagnosis.hands import Hands
 from lerobot_pneutac.diagnosis.result import Contender
-from lerobot_pneutac.verbs.benches import StandinBench
+from lerobot_pneutac.verbs.benches import StandinBench, save_program
 from lerobot_pneutac.verbs.contenders import load_contenders, save_contenders
+from lerobot_pneutac.verbs.foreseen import not_as_asked
 from lerobot_pneutac.verbs.learn import Rounds
 from lerobot_robot_pneutac.hardware.parts import HardwareFault
 from lerobot_robot_pneutac.hardware.pneutac_serial import PneutacSerial
 from lerobot_robot_pneutac.standin.finger import new_rod
+from pneutac_datasets.recording.joined import joined
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.laws import family
 from pneutac_sim.errors import InputError
@@ -98,6 +103,24 @@ def test_the_report_begins_with_what_was_foreseen_and_design_goes_on_from_a_roun
         Twin.builtin(), Recording.load(first / "recording"), first / "diagnosis", program_s=20.0, hz=10.0
     )
     assert chosen.best.seconds > 5 and "nats between" in chosen.sentence
+    hands = Hands.of(("flip",), UPRIGHT, 20.0)
+    by_hand = design(
+        Twin.builtin(),
+        Recording.load(first / "recording"),
+        first / "diagnosis",
+        15.0,
+        0.0,
+        70.0,
+        20.0,
+        10.0,
+        hands,
+    )
+    turned = replace(by_hand, choices=tuple(c for c in by_hand.choices if c.hand == "flip"))
+    assert turned.sentence.startswith(
+        "Turn the base so that gravity points along (-1, 0, 0) in its own frame."
+    )
+    turned.report(tmp_path / "turned")
+    assert (pd.read_csv(tmp_path / "turned" / "program.csv")["gravity_x"] == -1).all()
     chosen.report(tmp_path / "design")
     program = pd.read_csv(tmp_path / "design" / "program.csv")
     assert program["pressure_cmd_kpa"].max() <= 15.0 and (tmp_path / "design" / "report.html").exists()
@@ -173,7 +196,7 @@ def test_the_options_of_a_bench_come_from_a_file_as_the_page_shows_it(tmp_path):
     (shown,) = (b.text for b in blocks("docs/how_to/ask_the_bench.md") if b.kind == "yaml")
     (tmp_path / "bench.yaml").write_text(shown)
     options = {"twin": tmp_path, "out": tmp_path / "out", "bench": "measure"}
-    bench = _bench(LearnConfig(**options, measure=tmp_path / "bench.yaml"))
+    bench, usual = _bench(LearnConfig(**options, measure=tmp_path / "bench.yaml"))
     assert bench.range_kpa == (0.0, 15.0) and bench.hz == 20.0 and bench.pause_s is None
     (tmp_path / "bench.yaml").write_text(shown.replace("max_kpa", "maximum_kpa"))
     with pytest.raises(InputError, match="maximum_kpa"):
@@ -237,3 +260,108 @@ def test_the_loop_runs_on_the_pressure_controllers_own_firmware(tmp_path):
     last = learnt.last
     assert len(learnt.rounds) >= 2 and last.predicted_error < 0.5 * last.bare_error
     assert 0 < last.error < 0.2 * last.bare_error  # programs of 6 s at 20 Hz; the noise is not reached
+
+
+UPRIGHT = {"gravity_x": 1.0, "gravity_y": 0.0, "gravity_z": 0.0}
+
+
+class Handled(Mirror):
+    """The mirror with a weight of its own, whose person hangs what `hung` makes of the order."""
+
+    def __init__(self, hung=lambda asked_g, call: asked_g):
+        super().__init__()
+        self.device.effects |= {
+            "gravity": {"body_mass_g": Value(40.0), "tip_mass_g": Value(20.0)},
+            "payload": {"share": Value(1.0)},
+        }
+        self.hung, self.calls = hung, 0
+
+    def follow(self, program, out, number):
+        table = pd.read_csv(program)
+        asked_g, truly = table["payload_g"].to_numpy(float), table.copy()
+        if asked_g.any():
+            truly["payload_g"] = self.hung(asked_g[0], self.calls)
+            self.calls += 1
+        changed = program.with_name("truly.csv")
+        truly.to_csv(changed, index=False)
+        made = super().follow(changed, out, number)
+        made.samples["payload_g"] = asked_g
+        made.write(out)
+        return Recording.load(out)
+
+
+def handled(folder, bench, asked):
+    """Rounds after two programs, one with a weight of 20 g, and what a hand may change."""
+    hands = Hands.of(("flip", "payload"), UPRIGHT, 20.0, asked.append)
+    rounds = Rounds(folder, Twin.builtin(), bench, 0, 1, None, hands)
+    limits = Limits(0.0, 15.0, bench.hz, 600.0, 20.0)
+    choice, _ = rounds.next(limits)
+    rounds.drive(choice)
+    ranked = choices(rounds._joined(), rounds._contenders, rounds.done[-1].noise, limits, hands)
+    by_hand = {c.hand: c for c in reversed(ranked) if c.hand}
+    rounds.drive(by_hand["payload"])
+    return rounds, by_hand
+
+
+@pytest.mark.nightly
+def test_a_hand_is_asked_and_a_weight_that_was_not_asked_for_is_noticed_and_asked_for_again(tmp_path):
+    asked = []
+    wrong_once = Handled(lambda asked_g, call: 3 * asked_g if call == 1 else asked_g)
+    rounds, by_hand = handled(tmp_path / "out", wrong_once, asked)
+    assert asked == ["Hang 20 g at the tip."]
+    assert by_hand["flip"].conditions["gravity_x"] == -1.0 and by_hand["payload"].new > 0.9
+    rounds.drive(by_hand["payload"])
+    assert wrong_once.calls == 3 and len(asked) == 2
+    assert asked[1] == "The finger moved as if 60 g hung at its tip. Hang 20 g at the tip."
+    rounds.drive(by_hand["flip"])
+    assert asked[2:] == [
+        "Turn the base so that gravity points along (-1, 0, 0) in its own frame.",
+        "Take the weight off the tip.",
+    ]
+    assert [r.hand for r in rounds.done] == ["", "payload", "payload", "flip"]
+
+
+@pytest.mark.nightly
+def test_a_hand_that_errs_twice_ends_it_and_the_program_is_asked_for_anew_later(tmp_path):
+    bench = Handled(lambda asked_g, call: 3 * asked_g if call in (1, 2) else asked_g)
+    rounds, by_hand = handled(tmp_path / "out", bench, [])
+    with pytest.raises(InputError, match="as if 60 g hung at its tip. Twice"):
+        rounds.drive(by_hand["payload"])
+    assert rounds.drive(by_hand["payload"]).hand == "payload" and bench.calls == 4
+
+
+@pytest.mark.parametrize(
+    ("hung", "asked", "sentence"),
+    [
+        (lambda g, call: g, {"payload_g": 20.0}, ""),
+        (lambda g, call: 0.0, {"payload_g": 20.0}, "The finger moved as if 0 g hung at its tip."),
+        (lambda g, call: 3 * g, {"payload_g": 20.0}, "The finger moved as if 60 g hung at its tip."),
+        (None, {"gravity_x": -1.0}, "The finger moved as if the base had not been turned."),
+    ],
+)
+def test_what_hangs_there_is_seen_in_how_the_finger_moves(tmp_path, hung, asked, sentence):
+    bench, usual = Handled(hung), UPRIGHT | {"payload_g": 0.0}
+    time_s, recordings = np.arange(0, 10, 0.1), []
+    for number, conditions in enumerate((usual, usual | asked)):
+        program = tmp_path / f"{number}.csv"
+        driven = usual if hung is None else conditions
+        save_program(program, time_s, 7 * (1 - np.cos(time_s)), "p", driven)
+        recordings.append(bench.follow(program, tmp_path / f"r{number}", number))
+    for name, value in asked.items():
+        recordings[1].samples[name] = value
+    rows = slice(len(time_s), None)
+    given = (joined(recordings, [None, None]), rows, usual, usual | asked, 0.5)
+    assert not_as_asked(bench.device, *given) == sentence
+    assert not_as_asked(Twin.builtin(), *given) == ""  # which has not seen such a change
+
+
+@pytest.mark.parametrize(
+    ("names", "usual", "sentence"),
+    [
+        (("warm",), UPRIGHT, "hands=warm must be none, or some of flip, payload"),
+        (("flip",), {}, "direction of gravity in the base's frame"),
+    ],
+)
+def test_hands_that_do_not_fit_are_refused(names, usual, sentence):
+    with pytest.raises(InputError, match=sentence):
+        Hands.of(names, usual, 20.0)

@@ -1,0 +1,80 @@
+"""What a hand changes between programs: which way gravity pulls in the base's frame, a weight at the tip."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from pneutac_sim.errors import InputError
+
+HANDS = ("flip", "payload")
+GRAVITY = ("gravity_x", "gravity_y", "gravity_z")
+
+
+def _nobody(sentence: str) -> None:
+    """Nobody is there to do it."""
+    raise InputError(f"{sentence} Nobody is there to be asked.")
+
+
+@dataclass(frozen=True)
+class Hands:
+    """What may be changed, and who does it.
+
+    Attributes:
+        usual: condition columns and their values while nothing is changed; empty where nothing may be.
+        changes: name to the conditions that are in force instead for a whole program.
+        ask: called with a sentence for a person; returns once it is done.
+    """
+
+    usual: Mapping[str, float] = field(default_factory=dict)
+    changes: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    ask: Callable[[str], None] = _nobody
+
+    @classmethod
+    def of(
+        cls,
+        names: Sequence[str],
+        usual: Mapping[str, float],
+        payload_g: float,
+        ask: Callable[[str], None] = _nobody,
+    ) -> "Hands":
+        """The changes of these names.
+
+        Args:
+            names: of `HANDS`.
+            usual: conditions of the bench, with `gravity_x`, `gravity_y`, `gravity_z` of length 1 in the
+                base's frame.
+            payload_g: weight that can be hung at the tip.
+            ask: see the class.
+
+        Raises:
+            InputError: a name is unknown, or the direction of gravity is not given.
+        """
+        if not names:
+            return cls()
+        for name in names:
+            if name not in HANDS:
+                raise InputError(f"hands={name} must be none, or some of {', '.join(HANDS)}.")
+        if not set(GRAVITY) <= set(usual):
+            raise InputError(
+                "hands needs the direction of gravity in the base's frame: columns gravity_x, gravity_y and "
+                "gravity_z, which `conditions: {gravity_x: 1, gravity_y: 0, gravity_z: 0}` of a bench writes."
+            )
+        usual = dict(usual) | ({"payload_g": 0.0} if "payload" in names else {})
+        known = {"flip": {g: -usual[g] + 0.0 for g in GRAVITY}, "payload": {"payload_g": payload_g}}
+        return cls(usual, {n: usual | known[n] for n in names}, ask)
+
+
+def named(text: str) -> tuple[str, ...]:
+    """Names out of an option such as `flip,payload`; none of `none`."""
+    return () if text == "none" else tuple(n.strip() for n in text.split(","))
+
+
+def instructions(before: Mapping[str, float], after: Mapping[str, float]) -> list[str]:
+    """What a person does between two programs, a sentence each."""
+    told = []
+    if any(before.get(g) != after.get(g) for g in GRAVITY) and set(GRAVITY) <= set(after):
+        toward = ", ".join(f"{after[g]:g}" for g in GRAVITY)
+        told.append(f"Turn the base so that gravity points along ({toward}) in its own frame.")
+    weight = after.get("payload_g", 0.0)
+    if before.get("payload_g", 0.0) != weight:
+        told.append(f"Hang {weight:g} g at the tip." if weight else "Take the weight off the tip.")
+    return told
