@@ -29,9 +29,9 @@ class SurrogateConfig:
     """
 
     twin: Path
-    trajectories: int = 24
-    seconds: float = 1.0
-    contacts: int = 100
+    trajectories: int = 12
+    seconds: float = 0.5
+    contacts: int = 24
     particles: int = 4000
     fresh: bool = False
     device: str = "auto"
@@ -46,6 +46,12 @@ def main(argv: list[str]) -> None:
     collection = Collection(
         config.trajectories, config.seconds, config.contacts, config.particles, config.seed
     )
+    minutes = collection.minutes(twin, config.fresh)
+    if minutes:
+        console.print(
+            f"Full simulations and training: about {max(1, round(minutes))} min on two cores of their own.",
+            highlight=False,
+        )
     with progress_bar(console) as progress:
         trained = train_networks(twin, config.twin, collection, config.fresh, config.device, progress)
     show(trained, console)

@@ -24,11 +24,18 @@ from pneutac_sim.twin import NETWORKS, Twin
 DATA = "surrogate_data"  # in the twin's folder
 CARD = "networks.md"
 HEADER = ("what", "network", "without")
+# Seconds of processor time for a finger of six joints (`benchmarks/surrogate.md`): of a simulated second of
+# motion and the fit to it; of a contact and the fit to it.
+MOTION_S, FIT_S, CONTACT_S, GEL_FIT_S = 14.0, 8.0, 4.5, 2.5
+FROM_NOTHING = (
+    10  # times as long a fit takes for the gel whose network is shipped, which does not begin with it
+)
+REFINED = "--trajectories=24 --seconds=1 --contacts=100"
 
 
 @dataclass(frozen=True)
 class Collection:
-    """What is collected from full simulations.
+    """What is collected from full simulations; the defaults are coarse.
 
     Attributes:
         trajectories: motions of the finger; two sixths of them are held out.
@@ -38,11 +45,19 @@ class Collection:
         seed: decides programs, contacts and weights.
     """
 
-    trajectories: int = 24
-    seconds: float = 1.0
-    contacts: int = 100
+    trajectories: int = 12
+    seconds: float = 0.5
+    contacts: int = 24
     particles: int = 4000
     seed: int = 0
+
+    def minutes(self, twin: Twin, fresh: bool = False) -> float:
+        """How long two cores take for it, about, if nothing else runs there; 0 where all is shipped."""
+        moved, missing = self.trajectories * self.seconds, _to_train(twin, fresh)
+        finger = moved * (MOTION_S * self.particles / 4000 + FIT_S)
+        shipped = fits(builtin("perception"), "perception", twin)
+        gel = self.contacts * (CONTACT_S + GEL_FIT_S * (FROM_NOTHING if shipped else 1))
+        return sum(s for name, s in (("action", finger), ("perception", gel)) if name in missing) / 60
 
     def check(self) -> None:
         """Refuses what could not be trained on, before anything is collected; raises InputError."""
@@ -89,6 +104,11 @@ class TrainedNetworks(Result):
     def to_dict(self) -> dict:
         """As in `result.json`."""
         return {"twin": self.twin.folder, "networks": self.networks}
+
+    def remarks(self) -> list[str]:
+        """How they become finer."""
+        trained = any(found["source"] == "trained" for found in self.networks.values())
+        return [f"For finer ones repeat with {REFINED}; contacts that were collected are kept."] * trained
 
     def subject(self) -> tuple[Twin, str]:
         """The twin alone."""
@@ -144,7 +164,7 @@ def train_networks(
     networks = {}
     for name in NETWORKS:
         file, start = folder / f"{name}.safetensors", time.perf_counter()
-        if not fresh and fits(builtin(name), name, twin):
+        if name not in _to_train(twin, fresh):
             shutil.copyfile(builtin(name), file)
             found = {"source": "shipped: this finger or gel is the built-in one"}
         else:
@@ -158,13 +178,18 @@ def train_networks(
     return trained
 
 
+def _to_train(twin: Twin, fresh: bool) -> list[str]:
+    """Those of `NETWORKS` that are not shipped for such a finger or gel; all of them where `fresh`."""
+    return [name for name in NETWORKS if fresh or not fits(builtin(name), name, twin)]
+
+
 def _train_action(twin: Twin, file: Path, collection: Collection, device: str, progress: Progress) -> dict:
     """The finger's network."""
     from pneutac_sim.surrogate.action import evaluate_action, train_action
     from pneutac_sim.surrogate.collect import Plan, collect_action
 
-    folder = file.parent / DATA / f"motions_{fingerprint(twin)[:8]}"
     total, seed = collection.trajectories, collection.seed
+    folder = file.parent / DATA / f"motions_{fingerprint(twin)[:8]}_{total}x{collection.seconds:g}s"
 
     def show(*_) -> None:
         progress("finger: full motions", len(list(folder.glob("action_*.safetensors"))), total)
@@ -187,7 +212,8 @@ def _train_perception(
     """The gel's network."""
     from pneutac_sim.surrogate.gel_collect import collect_gel, read_contacts
     from pneutac_sim.surrogate.gel_evaluate import evaluate_gel
-    from pneutac_sim.surrogate.gel_train import split, train_gel
+    from pneutac_sim.surrogate.gel_train import EPOCHS, EPOCHS_ON, split, train_gel
+    from pneutac_sim.surrogate.perception import GelSurrogate
 
     mark, seed = gel_fingerprint(twin), collection.seed
     folder = file.parent / DATA / f"contacts_{mark[:8]}"
@@ -199,12 +225,15 @@ def _train_perception(
         device,
         lambda done, total: progress("gel: full contacts", done, total),
     )
+    shipped = None if fits(builtin("perception"), "perception", twin) else builtin("perception")
     network = train_gel(
         folder,
         mark,
         seed=seed,
+        epochs=EPOCHS_ON if shipped else EPOCHS,
         device=device,
         progress=lambda done, total: progress("gel: training", done, total),
+        start=GelSurrogate.load(shipped) if shipped else None,
     )
     _, check, unseen = split(read_contacts(folder))
     network.errors = evaluate_gel(network, check + unseen, twin)

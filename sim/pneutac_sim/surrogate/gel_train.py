@@ -19,7 +19,8 @@ LEAST = 5  # contacts
 RATE = 1e-3
 BATCH = 32
 EPOCHS, PATIENCE = 400, 60
-AVERAGE = 0.995  # of the weights over steps: what is checked and kept
+EPOCHS_ON = 40  # from another gel's network: its face is near already
+AVERAGE = 0.995  # of the weights over steps: what is checked and kept; at first over fewer
 
 
 def split(
@@ -54,6 +55,7 @@ def train_gel(
     epochs: int = EPOCHS,
     device: str = "auto",
     progress: Callable[[int, int], None] = lambda done, total: None,
+    start: GelSurrogate | None = None,
 ) -> GelSurrogate:
     """Trains on the contacts of a folder, and keeps the weights that were best on the contacts for checking.
 
@@ -65,6 +67,7 @@ def train_gel(
         epochs: at most.
         device: `cpu`, `cuda`, or `auto` for CUDA where there is one.
         progress: called after each epoch with the number of those done and of all.
+        start: another gel's network to begin with, which counts as the first epoch; None for random weights.
 
     Raises:
         InputError: no contacts, damaged ones, or too few; no such device.
@@ -77,20 +80,26 @@ def train_gel(
     train, check, _ = split(read_contacts(folder), heldout)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        network = _fit(train, check, seed, epochs, device, progress)
+        network = _fit(train, check, seed, epochs, device, progress, start)
     deepest = max(float(p.depth_mm.max()) for p in train)
     share = max(float((p.depth_mm > 0).mean((1, 2)).max()) for p in train)
     return GelSurrogate(network.weights(), fingerprint, deepest, share, heldout)
 
 
-def _fit(train, check, seed, epochs, device, progress) -> UNet:
+def _fit(train, check, seed, epochs, device, progress, start=None) -> UNet:
     depth, wanted = _tensors(train, device)
-    network = UNet().to(device)
+    network = UNet()
+    if start is not None:
+        network.load_state_dict({k: torch.from_numpy(w) for k, w in start.weights.items()})
+    network.to(device)
     average = copy.deepcopy(network)
     optimizer = torch.optim.Adam(network.parameters(), lr=RATE)
     generator = np.random.default_rng(seed)
+    looked, steps = _tensors(check, device), 0
     best, best_loss, best_epoch = copy.deepcopy(average), np.inf, 0
-    looked = _tensors(check, device)
+    if start is not None:
+        with torch.no_grad():
+            best_loss = float(_loss(average, *looked))
     for epoch in range(epochs):
         order = generator.permutation(len(depth))
         for i in range(0, len(order), BATCH):
@@ -100,9 +109,11 @@ def _fit(train, check, seed, epochs, device, progress) -> UNet:
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()
+            steps += 1
+            kept = min(AVERAGE, (1 + steps) / (10 + steps))
             with torch.no_grad():
                 for a, w in zip(average.parameters(), network.parameters(), strict=True):
-                    a.lerp_(w, 1 - AVERAGE)
+                    a.lerp_(w, 1 - kept)
         with torch.no_grad():
             now = float(_loss(average, *looked))
         if now < best_loss:

@@ -196,6 +196,21 @@ def test_heldout_indenters_are_never_trained_on(tmp_path, quick):
     assert len(train) + len(check) + len(unseen) == 40 and not {map(id, train)} & {map(id, check)}
 
 
+def test_another_gels_network_to_begin_with_is_kept_where_nothing_is_better(tmp_path, quick, builtin):
+    gel_collect.collect_gel(Twin.builtin(), tmp_path, 12)
+    _, check, unseen = split(read_contacts(tmp_path))
+    same = train_gel(tmp_path, "x", epochs=0, start=builtin)
+    assert all(np.array_equal(same.weights[k], w) for k, w in builtin.weights.items())
+    assert same.fingerprint == "x" and same.deepest_mm < builtin.deepest_mm
+
+    def error(network):
+        depth = np.concatenate([p.depth_mm for p in check + unseen])
+        moved = np.concatenate([p.displacement_mm for p in check + unseen])
+        return np.abs(network.displacement(depth) - moved).mean()
+
+    assert error(train_gel(tmp_path, "x", epochs=2, start=builtin)) < error(builtin)
+
+
 def test_one_contact_can_be_learnt_by_heart(monkeypatch):
     monkeypatch.setattr(gel_train, "AVERAGE", 0.0)  # so few steps have no average
     depth = np.stack([grid(depth_mm=1.4)])
