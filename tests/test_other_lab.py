@@ -138,9 +138,9 @@ def test_a_finger_of_60_kpa_an_arm_a_sensor_and_a_doorbell_go_from_the_bench_to_
     assert "demonstrations): good" in run("pneutac check demos --twin=twin")
     run(
         "pneutac augment --dataset.repo_id=local/bell --dataset.root=demos --output.repo_id=local/more"
-        " --output.root=more --task=doorbell --twin=twin --station=station.yaml --fidelity=probe --episodes=4"
+        " --output.root=more --task=doorbell --twin=twin --station=station.yaml --fidelity=probe --episodes=2"
     )
-    assert facts(tmp_path / "more")["total_episodes"] == 4
+    assert facts(tmp_path / "more")["total_episodes"] == 2
     run(
         "lerobot-edit-dataset --new_repo_id=local/all --new_root=all --operation.type=merge"
         " --operation.repo_ids=['local/bell','local/more'] --operation.roots=['demos','more']"
@@ -153,7 +153,7 @@ def test_a_finger_of_60_kpa_an_arm_a_sensor_and_a_doorbell_go_from_the_bench_to_
     policy = "--policy.path=policy/checkpoints/last/pretrained_model"
     run(
         f"lerobot-eval {policy} --policy.device=cpu --env.type=pneutac --env.{finger.format('--env')}"
-        " --env.episode_length=150 --eval.n_episodes=2 --eval.batch_size=2 --output_dir=eval"
+        " --env.episode_length=60 --eval.n_episodes=2 --eval.batch_size=2 --output_dir=eval"
     )
     assert json.loads((tmp_path / "eval" / "eval_info.json").read_text())["overall"]["n_episodes"] == 2
     run(

@@ -53,6 +53,8 @@ class Collection:
 
     def minutes(self, twin: Twin, fresh: bool = False) -> float:
         """How long two cores take for it, about, if nothing else runs there; 0 where all is shipped."""
+        if twin.device != "finger":  # which training refuses
+            return 0.0
         moved, missing = self.trajectories * self.seconds, _to_train(twin, fresh)
         finger = moved * (MOTION_S * self.particles / 4000 + FIT_S)
         shipped = fits(builtin("perception"), "perception", twin)
