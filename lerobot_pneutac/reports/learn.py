@@ -1,11 +1,14 @@
 """The page of `pneutac learn`: how well each next program was foreseen, and what was found."""
 
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from lerobot_pneutac.reports.compare import HELDOUT, MEASURED, MODEL, TRAIN
+from lerobot_pneutac.reports.learn_film import FASTER, FORESEEN, FRAMES_HZ, film_frames
 from lerobot_pneutac.reports.page import Report
 
 
@@ -18,6 +21,15 @@ def learn_page(learning) -> Report:
         "Error on each program before it was used for anything, by the best model until then and by the "
         "twin as it was given, re-fitted, and the error of what was found after it, where no fit saw.",
     )
+    seen = [r for r in learning.rounds if _kept(learning, r).is_file()]
+    if seen:
+        frames = list(film_frames(seen, [_kept(learning, r) for r in seen]))
+        report.film(
+            frames,
+            1 / FRAMES_HZ,
+            f"What was foreseen of each program, and what came, {FASTER:.0f} times as fast.",
+            720,
+        )
     report.table(learning.rows(), "* confirmed by a program of another kind that was predicted with it.")
     report.figure(_programs(learning), "What was commanded.", 120 + 90 * len(learning.rounds))
     report.figure(_likely(learning), "How likely each model was after each round, by its last effects.")
@@ -25,6 +37,10 @@ def learn_page(learning) -> Report:
     for r in learning.rounds:
         report.text(f"**Round {r.number}, {r.program}.** {r.sentence}")
     return report
+
+
+def _kept(learning, r) -> Path:
+    return learning.folder / f"round_{r.number}" / FORESEEN
 
 
 def _foreseen(learning) -> go.Figure:

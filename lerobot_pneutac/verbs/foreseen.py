@@ -25,12 +25,18 @@ def error_of(twin: Twin, recording: Recording, rows: slice = slice(None), favour
         rows: that count.
         favour: whether gains and offsets of the predicted columns are fitted to these rows.
     """
-    data = read(recording, twin)
-    seen, measured = predict(twin, data)[0][rows], data.measured[rows, : data.counted]
+    seen, measured, _ = paths(twin, recording, rows)
     if favour:
         ground = np.concatenate([seen, np.ones((len(seen), 1))], axis=1)
         seen = ground @ np.linalg.lstsq(ground, measured, rcond=None)[0]
     return root_mean(((measured - seen) ** 2).sum(axis=1))
+
+
+def paths(twin: Twin, recording: Recording, rows: slice) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+    """Headline columns (n, k) foreseen and measured in some rows, and their names; see `error_of`."""
+    data = read(recording, twin)
+    seen, measured = predict(twin, data)[0][rows], data.measured[rows, : data.counted]
+    return seen, measured, tuple(data.columns[: data.counted])
 
 
 def not_as_asked(

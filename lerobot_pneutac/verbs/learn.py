@@ -9,18 +9,19 @@ from pathlib import Path
 from lerobot_pneutac.diagnosis.design import NO_HANDS, Choice, Limits, choices, first_program
 from lerobot_pneutac.diagnosis.hands import Hands, instructions
 from lerobot_pneutac.diagnosis.result import Contender
+from lerobot_pneutac.reports.learn_film import FORESEEN
 from lerobot_pneutac.study.pair import same_body
 from lerobot_pneutac.verbs.benches import Bench, save_program
 from lerobot_pneutac.verbs.contenders import load_contenders
 from lerobot_pneutac.verbs.diagnose import diagnose
 from lerobot_pneutac.verbs.diagnosis import Diagnosis
-from lerobot_pneutac.verbs.foreseen import error_of, not_as_asked
+from lerobot_pneutac.verbs.foreseen import error_of, not_as_asked, paths
 from lerobot_pneutac.verbs.learning import Learning, Round
 from pneutac_datasets.recording.joined import joined
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.laws import family
 from pneutac_sim.errors import InputError
-from pneutac_sim.files import write_json
+from pneutac_sim.files import whole, write_json
 from pneutac_sim.twin import Twin
 
 CONFIRMS = 1.5  # error over noise, before it was used, up to which a recording confirms what predicted it
@@ -172,7 +173,10 @@ class Rounds:
         told = self._measured(folder, choice)
         recording = same_body(self._base, Recording.load(folder / "recording"), "learn")
         everything = self._joined((recording, told["pause_s"]))
-        foreseen = self._foreseen(everything, slice(len(everything) - len(recording), None))
+        newest = slice(len(everything) - len(recording), None)
+        foreseen = self._foreseen(everything, newest)
+        if self.done:
+            self._keep_paths(folder / FORESEEN, everything, newest)
         found = diagnose(self._base, everything, **self._how)
         found.save(folder / "diagnosis")
         self._recordings.append(recording)
@@ -218,6 +222,16 @@ class Rounds:
         best, noise = self._contenders[0].twin, self.done[-1].noise
         usual, asked = self._hands.usual, choice.conditions
         return not_as_asked(best, everything, rows, usual, asked, CONFIRMS * noise)
+
+    def _keep_paths(self, file: Path, everything: Recording, rows: slice) -> None:
+        """What the best model foresaw of the newest rows, and what was measured, as a table."""
+        seen, measured, names = paths(self._contenders[0].twin, everything, rows)
+        told = ["time_s", *everything.pressure_columns]
+        table = everything.samples.iloc[rows][told].reset_index(drop=True)
+        for i, name in enumerate(names):
+            table[f"{name} foreseen"], table[f"{name} measured"] = seen[:, i], measured[:, i]
+        with whole(file) as part:
+            table.to_csv(part, index=False, float_format="%.5g")
 
     def _foreseen(self, everything: Recording, rows: slice) -> dict:
         """Errors in these newest rows, which no model has seen: fields of `Round`."""
