@@ -10,7 +10,7 @@ import numpy as np
 
 from pneutac_sim.world.world import World
 
-TOUCH_MM = 0.25  # imprint that a camera shows as a touch, about 0.25 N
+TOUCH = 0.25  # mm of imprint, or N, that count as a touch, see `pressed`
 VENTED_KPA, SEARCH_KPA = 1.5, 4.5  # below the first it withdraws, from there to the second it searches
 FAST_M_S = 0.095
 WRAP_M = 0.08  # how much farther up after the last lane
@@ -112,4 +112,12 @@ def go_ahead(world: World, habits: Habits, height_m: float, speed: float) -> np.
 
 def touching(world: World) -> bool:
     """Whether the gel shows a touch."""
-    return world.press_mm > TOUCH_MM
+    return pressed(world) > TOUCH
+
+
+def pressed(world: World) -> float:
+    """How hard the gel is pressed: its imprint in mm or the force on it in N, whichever is more.
+
+    An edge makes a deep imprint with little force, a face hardly any with much; a person goes by both.
+    """
+    return max(world.press_mm, world.press_n)
