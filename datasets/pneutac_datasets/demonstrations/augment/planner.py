@@ -30,8 +30,7 @@ class PlannerConfig:
         elites: number of the best sequences, which make the next mean and spread.
         iterations: number of iterations of CEM at a replanning.
         replan: number of control steps after which it plans anew.
-        area_weight: weight of the squared error of the contact area, w. The gel of the built-in twin shows a
-            switch with areas of 0.1 to 0.2; an error of a tenth of them weighs as 3 to 6 mm of position do.
+        area_weight: weight of the squared error of the contact area, w.
         position_weight: weight of the squared error of the flange position, lambda, 1/m2.
         smoothness_weight: weight of the squared change of the action, mu.
         jitter_m_s: spread of the velocities tried, m/s.
@@ -44,7 +43,7 @@ class PlannerConfig:
     elites: int = 3
     iterations: int = 2
     replan: int = 5
-    area_weight: float = 5.0
+    area_weight: float = 1.0
     position_weight: float = 50.0
     smoothness_weight: float = 0.01
     jitter_m_s: float = 0.006

@@ -72,7 +72,7 @@ def test_cost_is_the_papers_sum():
 
 def test_the_defaults_are_those_that_the_results_were_measured_with():
     config = PlannerConfig()
-    assert astuple(config) == (10, 10, 3, 2, 5, 5.0, 50.0, 0.01, 0.006, 0.6)
+    assert astuple(config) == (10, 10, 3, 2, 5, 1.0, 50.0, 0.01, 0.006, 0.6)
     with pytest.raises(FrozenInstanceError):  # it was checked when it was made
         config.horizon = 1
 
