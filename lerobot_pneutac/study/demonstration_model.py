@@ -24,6 +24,7 @@ from pneutac_sim.twin import Twin, Value
 LATE = "late_commands"  # arm and air alike
 LATENCY = Parameter("latency_s", "s", default=0.1, lower=0.0, upper=0.8)
 GROWTH = Parameter("growth", "", default=TYPICAL, lower=0.5, upper=5.0)
+MOST_LATE = 24.0  # frames by which clocks may have run apart
 TOUCH_LATE = Parameter("touch_late", "frames", default=1.0, lower=0.0, upper=6.0)
 # Of a residual's columns: the flange's x, y, z, and pressure; touch.
 ARM, AIR, TOUCH = slice(0, 3), slice(0, 4), slice(4, 5)
@@ -257,7 +258,7 @@ class Fitter:
         whole = self.base(TOUCH).values
         episodes = [replace(e, contact=m) for e, m in zip(self.episodes, kept, strict=True)]
         part = Fitter(self.twin, episodes, np.concatenate(kept))
-        tried = np.arange(TOUCH_LATE.lower, TOUCH_LATE.upper, 0.25)
+        tried = np.arange(0.0, MOST_LATE, 0.25)
         errors = []
         for late in tried:
             r = part.predict(Form(), whole | {"touch_late": float(late)}, TOUCH)[0][part.rows, TOUCH]

@@ -11,7 +11,7 @@ from lerobot_robot_pneutac.standin.gel import new_gel
 from lerobot_robot_pneutac.standin.world import Physics, StandinWorld
 from pneutac_datasets.demonstrations.episodes import Episode
 from pneutac_datasets.generate.standin import write_finger, write_gel
-from pneutac_sim.features import CONTROL_HZ
+from pneutac_sim.features import AREA, CONTROL_HZ
 from pneutac_sim.world.expert import ScriptedExpert
 
 STEPS = 220
@@ -62,6 +62,23 @@ def test_a_comparison_tells_phases_latency_and_light(two, tmp_path):
     page = result.report(tmp_path).read_text()
     assert "image/webp" in page and (tmp_path / "touch.png").is_file()
     assert "Commands acted 0.0" in " ".join(result.remarks())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("frames", [0, 6, -4])
+def test_clocks_of_camera_and_robot_that_run_apart_are_told(two, frames):
+    def apart(e):
+        first, last = e.contact()
+        lag = frames * np.clip((np.arange(len(e)) - first) / (last - first), 0, 1)
+        source = np.clip(np.round(np.arange(len(e)) - lag), 0, len(e) - 1).astype(int)
+        state = e.state.copy()
+        state[:, AREA] = e.state[source, AREA]
+        return replace(e, state=state, images=e.images[source])
+
+    told = compare(Twin.builtin(), replace(two, episodes=[apart(e) for e in two.episodes]))
+    between_halves_s = 0.5 * frames / CONTROL_HZ
+    assert told.drift_s == pytest.approx(between_halves_s, abs=0.5 / CONTROL_HZ)
+    assert ("clocks of camera and robot drift" in " ".join(told.remarks())) == (frames != 0)
 
 
 def test_two_demonstrations_claim_nothing(two):
