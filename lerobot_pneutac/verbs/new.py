@@ -61,6 +61,12 @@ def new_twin(
     twin = pipeline.update(twin, pipeline.theta(twin, top_kpa or USUAL_RANGE_KPA))
     if device == "finger":  # no recording tells it, and the world needs it
         twin.parameters["joint_damping_nms_per_rad"] = Value(PAPER_FINGER["joint_damping_nms_per_rad"])
+        # K = E I / h of the paper's section, with segments of another length h.
+        paper = Twin.builtin()
+        shorter = len(twin.spine_joint_positions_mm) / twin.length_mm * paper.length_mm
+        shorter /= len(paper.spine_joint_positions_mm)
+        stiffness = PAPER_FINGER["joint_stiffness_nm_per_rad"] * shorter
+        twin.parameters["joint_stiffness_nm_per_rad"] = Value(stiffness)
     return twin
 
 

@@ -4,14 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from lerobot_pneutac.diagnosis.design import (
-    Limits,
-    _between,
-    _visited,
-    choices,
-    common_programs,
-    first_program,
-)
+from lerobot_pneutac.diagnosis.design import _between, choices, common_programs, first_program
+from lerobot_pneutac.diagnosis.limits import Limits, visited
 from lerobot_pneutac.diagnosis.result import Contender
 from pneutac_datasets.recording.joined import joined
 from pneutac_datasets.recording.recording import Recording
@@ -70,23 +64,30 @@ def test_a_wide_interval_is_worth_narrowing_and_a_known_constant_is_not(tmp_path
     assert gain(2e-3) > gain(1e-3) > 0.5
 
 
-def test_what_was_driven_before_is_not_new():
+def test_what_was_driven_before_is_not_new(tmp_path):
+    def cells(t, p, **conditions):
+        driven = recording(tmp_path, t, p)
+        driven.samples = driven.samples.assign(**conditions)
+        return visited(driven, LIMITS)
+
     for t, p in [first_program(LIMITS), *((t, p) for *_, t, p in common_programs(LIMITS))]:
         assert p.min() >= 0 and p.max() <= 15.0 and (np.diff(t) > 0).all() and p[0] == 0
-        seen = _visited([t], [p], LIMITS)
+        seen = cells(t, p)
         assert sum(seen.values()) == pytest.approx(t[-1] + 0.1)
     slow = {n: (t, p) for n, _, t, p in common_programs(LIMITS)}["strokes to 100% in 15 s"]
     fast = {n: (t, p) for n, _, t, p in common_programs(LIMITS)}["strokes to 100% in 1.5 s"]
-    common = set(_visited([slow[0]], [slow[1]], LIMITS)) & set(_visited([fast[0]], [fast[1]], LIMITS))
+    common = set(cells(*slow)) & set(cells(*fast))
     assert len(common) <= 3  # they differ in pace wherever they move
+    assert not set(cells(*slow, payload_g=0.0)) & set(cells(*slow, payload_g=20.0))
 
 
-def test_a_finger_of_vacuum_alone_is_driven_below_zero_and_one_of_both_above():
+def test_a_finger_of_vacuum_alone_is_driven_below_zero_and_one_of_both_above(tmp_path):
     for limits, far in ((Limits(-50.0, 0.0), -50.0), (Limits(-20.0, 30.0), 30.0), (Limits(5.0, 15.0), 15.0)):
         t, p = first_program(limits)
         assert p[0] == limits.rest_kpa and max(p, key=lambda x: abs(x - p[0])) == pytest.approx(far)
         assert p.min() >= limits.low_kpa and p.max() <= limits.high_kpa
-        assert len({cell[0] for cell in _visited([t], [p], limits)}) >= 5  # levels
+        levels = {level for _, level, *_ in visited(recording(tmp_path, t, p), limits)}
+        assert len(levels) >= 5
 
 
 def test_limits_that_leave_nothing_are_told(tmp_path):

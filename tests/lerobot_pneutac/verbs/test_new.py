@@ -46,6 +46,18 @@ def test_the_range_measured_is_that_of_the_commands_with_zero_rounded_outwards(c
     assert new_twin("finger", recording).pressure_range_kpa == (found or (0.0, 15.0))
 
 
+def test_joints_are_as_stiff_as_their_segments_are_short():
+    samples = {"trial": [0, 0], "time_s": [0, 1], "pressure_cmd_kpa": [0.0, 60.0], "tip_x_mm": [80.0, 79.0]}
+    known = {"length_mm": 80.0, "spine_joint_positions_mm": [10.0, 30.0, 50.0, 60.0, 70.0, 78.0]}
+    stiff = "joint_stiffness_nm_per_rad"
+    short = new_twin("finger", Recording(Path("bench"), known, pd.DataFrame(samples), "finger"))
+    paper = new_twin(
+        "finger", Recording(Path("bench"), {"length_mm": 110.0}, pd.DataFrame(samples), "finger")
+    )
+    assert paper.parameter(stiff) == pytest.approx(Twin.builtin().parameter(stiff))
+    assert short.parameter(stiff) == pytest.approx(Twin.builtin().parameter(stiff) * (110 / 4) / (80 / 6))
+
+
 @pytest.mark.parametrize(("device", "files"), [("finger", 2), ("arm", 1), ("gel", 1)])
 def test_geometry_is_written_in_millimetres(tmp_path, device, files):
     new.main([f"--twin={tmp_path / 'twin'}", f"--device={device}"])
