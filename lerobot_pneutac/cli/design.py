@@ -27,9 +27,10 @@ class DesignConfig:
         budget_s: longest program.
         program_s: length of a program of the common kinds.
         hz: samples a second.
-        hands: what may be changed for it: `none`, or `flip` (turn the base over) and `payload` (hang a
-            weight at the tip), with a comma.
+        hands: what may be changed for it: `none`, or `flip` (turn the base over), `payload` (hang a weight at
+            the tip) and `warm`, with commas.
         payload_g: weight that can be hung.
+        warm_c: to which the finger can be warmed.
     """
 
     twin: Path
@@ -43,6 +44,7 @@ class DesignConfig:
     hz: float = 20.0
     hands: str = "none"
     payload_g: float = 20.0
+    warm_c: float = 35.0
 
     def __post_init__(self):
         for name in ("budget_s", "program_s", "hz", "payload_g"):
@@ -55,8 +57,10 @@ def main(argv: list[str]) -> None:
     cfg, console = parse_options(DesignConfig, argv), Console()
     twin, recording = load_pair(cfg.twin, cfg.recording, "design")
     limits = (cfg.max_kpa, cfg.min_kpa, cfg.budget_s, cfg.program_s, cfg.hz)
-    usual = {c: float(recording.column(c)[0]) for c in (*GRAVITY, "payload_g") if recording.has(c)}
-    hands = Hands.of(named(cfg.hands), usual, cfg.payload_g)
+    usual = {
+        c: float(recording.column(c)[0]) for c in (*GRAVITY, "payload_g", "temperature_c") if recording.has(c)
+    }
+    hands = Hands.of(named(cfg.hands), usual, cfg.payload_g, cfg.warm_c)
     result = design(twin, recording, cfg.diagnosis, *limits, hands)
     show(result, console)
     write(result, cfg.out, "design", argv, console)

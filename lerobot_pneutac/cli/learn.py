@@ -29,9 +29,10 @@ class LearnConfig:
             on after them.
         bench: `standin`, the finger that stands in for a real one, or `measure`, your bench.
         measure: YAML file with the options of `pneutac measure` for your bench, without `program` and `out`.
-        hands: what a person may be asked to change: `none`, or `flip` (turn the base over) and `payload`
-            (hang a weight at the tip), with a comma; the stand-in does it by itself.
+        hands: what a person may be asked to change: `none`, or `flip` (turn the base over), `payload` (hang a
+            weight at the tip) and `warm`, with commas; the stand-in does the first two by itself.
         payload_g: weight that can be hung.
+        warm_c: to which the finger can be warmed.
         budget_min: minutes of programs, together.
         program_s: length of a program of the common kinds.
         seed: seed of the choice of what is held out, and of the stand-in's noise.
@@ -44,6 +45,7 @@ class LearnConfig:
     measure: Path | None = None
     hands: str = "none"
     payload_g: float = 20.0
+    warm_c: float = 35.0
     budget_min: float = 15.0
     program_s: float = 60.0
     seed: int = 0
@@ -72,7 +74,7 @@ def main(argv: list[str]) -> None:
         except EOFError as e:
             raise InputError(f"{sentence} Nobody answers; give --hands=none, or a terminal.") from e
 
-    hands = Hands.of(named(cfg.hands), usual, cfg.payload_g, ask)
+    hands = Hands.of(named(cfg.hands), usual, cfg.payload_g, cfg.warm_c, ask)
 
     def tell(r: Round) -> None:
         foreseen = "" if r.predicted_error is None else f", foreseen to {r.predicted_error:.3g}"

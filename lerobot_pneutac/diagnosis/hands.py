@@ -1,11 +1,11 @@
-"""What a hand changes between programs: which way gravity pulls in the base's frame, a weight at the tip."""
+"""What a hand changes between programs: how the base is turned, a weight at the tip, how warm it is."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from pneutac_sim.errors import InputError
 
-HANDS = ("flip", "payload")
+HANDS = ("flip", "payload", "warm")
 GRAVITY = ("gravity_x", "gravity_y", "gravity_z")
 
 
@@ -34,6 +34,7 @@ class Hands:
         names: Sequence[str],
         usual: Mapping[str, float],
         payload_g: float,
+        warm_c: float = 35.0,
         ask: Callable[[str], None] = _nobody,
     ) -> "Hands":
         """The changes of these names.
@@ -41,12 +42,13 @@ class Hands:
         Args:
             names: of `HANDS`.
             usual: conditions of the bench, with `gravity_x`, `gravity_y`, `gravity_z` of length 1 in the
-                base's frame.
+                base's frame, and for `warm` with `temperature_c`.
             payload_g: weight that can be hung at the tip.
+            warm_c: to which it can be warmed.
             ask: see the class.
 
         Raises:
-            InputError: a name is unknown, or the direction of gravity is not given.
+            InputError: a name is unknown, or the direction of gravity or the temperature is not given.
         """
         if not names:
             return cls()
@@ -58,8 +60,14 @@ class Hands:
                 "hands needs the direction of gravity in the base's frame: columns gravity_x, gravity_y and "
                 "gravity_z, which `conditions: {gravity_x: 1, gravity_y: 0, gravity_z: 0}` of a bench writes."
             )
+        if "warm" in names and "temperature_c" not in usual:
+            raise InputError("hands=warm needs temperature_c, which `conditions` of a bench writes.")
         usual = dict(usual) | ({"payload_g": 0.0} if "payload" in names else {})
-        known = {"flip": {g: -usual[g] + 0.0 for g in GRAVITY}, "payload": {"payload_g": payload_g}}
+        known = {
+            "flip": {g: -usual[g] + 0.0 for g in GRAVITY},
+            "payload": {"payload_g": payload_g},
+            "warm": {"temperature_c": warm_c},
+        }
         return cls(usual, {n: usual | known[n] for n in names}, ask)
 
 
@@ -77,4 +85,7 @@ def instructions(before: Mapping[str, float], after: Mapping[str, float]) -> lis
     weight = after.get("payload_g", 0.0)
     if before.get("payload_g", 0.0) != weight:
         told.append(f"Hang {weight:g} g at the tip." if weight else "Take the weight off the tip.")
+    warmth = after.get("temperature_c")
+    if warmth is not None and before.get("temperature_c") != warmth:
+        told.append(f"Bring the finger to {warmth:g} °C.")
     return told

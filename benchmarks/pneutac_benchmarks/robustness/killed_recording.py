@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 
-from lerobot_robot_pneutac.robots.base_robot import write_info_whole
+from lerobot_robot_pneutac.robots.keeping import Keeper
 from pneutac_benchmarks.robustness.outcome import Outcome
 from pneutac_datasets.demonstrations.repair.dataset import repair_dataset
 from pneutac_sim.errors import InputError
@@ -37,7 +37,7 @@ def record(root: Path, video: bool, resume: bool, saved) -> None:
     from lerobot.datasets import LeRobotDataset
 
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
-    write_info_whole()  # as a robot that connects
+    Keeper().connect()  # as a robot that connects
     features = {
         "observation.state": {"dtype": "float32", "shape": (len(STATE_NAMES),), "names": list(STATE_NAMES)},
         "action": {"dtype": "float32", "shape": (len(ACTION_NAMES),), "names": list(ACTION_NAMES)},

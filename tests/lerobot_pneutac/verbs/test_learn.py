@@ -15,7 +15,7 @@ from lerobot_pneutac import design, learn
 from lerobot_pneutac.cli.learn import LearnConfig, _bench, main
 from lerobot_pneutac.diagnosis.design import Limits, choices
 from lerobot_pneutac.diagnosis.experiment import predict
-from lerobot_pneutac.diagnosis.hands import Hands
+from lerobot_pneutac.diagnosis.hands import Hands, instructions
 from lerobot_pneutac.diagnosis.result import Contender
 from lerobot_pneutac.verbs.benches import StandinBench, save_program
 from lerobot_pneutac.verbs.contenders import load_contenders, save_contenders
@@ -296,7 +296,7 @@ class Handled(Mirror):
 
 def handled(folder, bench, asked):
     """Rounds after two programs, one with a weight of 20 g, and what a hand may change."""
-    hands = Hands.of(("flip", "payload"), UPRIGHT, 20.0, asked.append)
+    hands = Hands.of(("flip", "payload"), UPRIGHT, 20.0, ask=asked.append)
     rounds = Rounds(folder, Twin.builtin(), bench, 0, 1, None, hands)
     limits = Limits(0.0, 15.0, bench.hz, 600.0, 20.0)
     choice, _ = rounds.next(limits)
@@ -359,10 +359,21 @@ def test_what_hangs_there_is_seen_in_how_the_finger_moves(tmp_path, hung, asked,
     assert not_as_asked(Twin.builtin(), *given) == ""  # which has not seen such a change
 
 
+def test_a_person_is_told_what_to_change_and_what_to_put_back():
+    hands = Hands.of(("flip", "payload", "warm"), UPRIGHT | {"temperature_c": 22.0}, 20.0, 30.0)
+    assert instructions(hands.usual, hands.changes["warm"]) == ["Bring the finger to 30 °C."]
+    assert instructions(hands.changes["warm"], hands.changes["payload"]) == [
+        "Hang 20 g at the tip.",
+        "Bring the finger to 22 °C.",
+    ]
+    assert instructions(hands.usual, hands.usual) == []
+
+
 @pytest.mark.parametrize(
     ("names", "usual", "sentence"),
     [
-        (("warm",), UPRIGHT, "hands=warm must be none, or some of flip, payload"),
+        (("cool",), UPRIGHT, "hands=cool must be none, or some of flip, payload, warm"),
+        (("warm",), UPRIGHT, "hands=warm needs temperature_c"),
         (("flip",), {}, "direction of gravity in the base's frame"),
     ],
 )
