@@ -1,7 +1,8 @@
 """Where the object stood in a demonstration: it is not recorded, but the touch tells.
 
 Scenes are drawn from the task. In each the object is moved along the gel's view to where the gel, on the
-recorded way, feels it at the recorded onset, or nearer, as the finger gives way before its gel feels it.
+recorded way, feels it at the recorded onset, or nearer, as the finger gives way before its gel feels it. If
+the gel does not meet it there, it did shortly before: what is pressed softly is not seen at once.
 There the demonstration is replayed. About those scenes in which it does the task, with contact areas near the
 recorded ones, it is tried anew a few millimetres beside; the scene in the middle of the most that work is
 taken: a demonstration that succeeded hardly did so by a millimetre.
@@ -23,6 +24,7 @@ YIELDING_M = 0.03  # how far the finger may give way before its gel feels what i
 FEEDBACK_HZ = 2.0  # rate at which the path returns to the demonstrated one
 AWAY_M = (0.0, 0.0, -5.0)  # out of everything's way
 LANE_STEPS = 30  # where the gel passed longer before the recorded onset it met nothing
+UNSEEN_STEPS = 8  # so much before the recorded onset the gel may have met an object, too softly to be seen
 EARLY_STEPS = 5  # a firm touch that comes so much before the recorded one is that of an object elsewhere
 DRAWS = 8  # scenes drawn for each in which the gel reaches an object at all
 PARENTS, CHILDREN = (6, 4, 2), 8  # scenes of each round about which others are tried, and how many about each
@@ -32,7 +34,7 @@ NUDGES_M = (0.002, 0.001, 0.0005, 0.00025)  # last trials where none of them wor
 CENTRES, CENTRE_MM = 12, 10.0  # frames whose imprints are compared; their error that weighs as an area of 1
 FAR_MM = 8.0  # error where the twin feels nothing of what was felt: half the gel
 ELITES = 3  # neighbours that make the next middle
-UNSTEADY = 0.3  # added to the misfit of a scene none of whose neighbours works
+UNSTEADY = 0.5  # share of the area felt that is added to the misfit of a scene none of whose neighbours works
 MOST_LATE, FREE_FRAMES = 4, 40  # control steps: latencies tried, frames of a free way compared
 
 
@@ -119,7 +121,8 @@ def find_scene(
     scenes = []
     for scene_seed in rng.integers(2**31, size=DRAWS * candidates).tolist():
         gantry.stage(scene_seed, (0.0, 0.0, 0.0))
-        far = _touching_distance(gantry, way[-1], forward, reference.area[replays.onset])
+        reached = (_touching_distance(gantry, gel, forward) for gel in way[: -UNSEEN_STEPS - 1 : -1])
+        far = next((d for d in reached if d is not None), None)
         if far is None or any(_felt(gantry, gel, far * forward) for gel in way[:-LANE_STEPS]):
             continue
         scenes.append(replays.reduced(scene_seed, (far - YIELDING_M * rng.uniform()) * forward))
@@ -127,7 +130,7 @@ def find_scene(
             break
     if not scenes:
         scenes.append(replays.reduced(int(rng.integers(2**31)), np.zeros(3)))
-    scenes.sort(key=_rank)
+    scenes.sort(key=lambda s: s.misfit + UNSTEADY * replays.felt * (not s.works))
     for parents, spread_m in zip(PARENTS, SPREADS_M, strict=True):
         steady = []
         for scene in scenes[:parents]:
@@ -136,7 +139,7 @@ def find_scene(
             if working:
                 elite = sorted(working, key=_rank)[:ELITES]
                 middle = tuple(np.mean([s.shift_m for s in elite], 0).tolist())
-                lost = UNSTEADY * (1 - len(working) / CHILDREN)
+                lost = UNSTEADY * replays.felt * (1 - len(working) / CHILDREN)
                 steady.append((lost + np.mean([s.misfit for s in elite]), replace(scene, shift_m=middle)))
         scenes = [s for _, s in sorted(steady, key=lambda s: s[0])] or scenes
     tried = []
@@ -159,11 +162,16 @@ class _Replays:
         gantry: its gantry.
         reference: the demonstration.
         late: control steps by which commands acted too late.
+
+    Attributes:
+        onset: first frame in contact.
+        felt: root mean square of the recorded contact area in the contact phase.
     """
 
     def __init__(self, world: VariedWorld, gantry: Gantry, reference: Reference, late: int):
         self._world, self._gantry, self._reference, self._late = world, gantry, reference, late
         self.onset = max(reference.onset, 1)
+        self.felt = float(np.sqrt(np.mean(reference.area[slice(*reference.contact_phase)] ** 2)))
         self._begin = max(self.onset - LANE_STEPS, 0)
 
     def free_way(self, seed: int) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -247,11 +255,11 @@ def _felt(world: Gantry, gel, shift: np.ndarray) -> float:
     return touch.sensor.contact_from_depth(depth).area if depth.any() else 0.0
 
 
-def _touching_distance(world: Gantry, gel, forward: np.ndarray, area: float) -> float | None:
-    """How far (m) the objects must move along `forward` for the gel at pose `gel` to feel `area`, or None."""
+def _touching_distance(world: Gantry, gel, forward: np.ndarray) -> float | None:
+    """How far (m) the objects may move along `forward` for the gel at pose `gel` to feel them, or None."""
 
     def touches(distance: float) -> bool:
-        return 0 < area <= _felt(world, gel, distance * forward)
+        return _felt(world, gel, distance * forward) > 0
 
     far = REACH_M
     while not touches(far - 0.001):
