@@ -72,7 +72,10 @@ def _bars(draw, rounds, font) -> None:
     draw.text((left, top - 22), "foreseen", MODEL, font)
     draw.text((left + 70, top - 22), "as given", HELDOUT, font)
     most = 30.0
-    place = lambda ratio: bottom - (bottom - top) * np.log(max(ratio, 1.0)) / np.log(most)  # noqa: E731
+
+    def place(ratio: float) -> float:
+        return bottom - (bottom - top) * np.log(max(ratio, 1.0)) / np.log(most)
+
     for ratio in (1, 3, 10, 30):
         draw.line([(left, place(ratio)), (right, place(ratio))], PALE)
         draw.text((left - 24, place(ratio) - 8), f"{ratio}", INK, font)
