@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from lerobot_robot_pneutac.standin.finger import DOME_MM, GEL_KPA
-from pneutac_sim.errors import check_choice
+from pneutac_sim.errors import InputError, check_choice
 from pneutac_sim.features import CONTROL_HZ, IMAGE_SHAPE
 from pneutac_sim.world.scene import OBJECT_GROUP
 from pneutac_truths.light import Gel
@@ -70,6 +70,11 @@ class GelTouch:
         self._site = model.site("gel").id
         shaped = model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE
         self._felt = np.flatnonzero((model.geom_group == OBJECT_GROUP) & shaped)
+        if (model.geom_type[self._felt] == mujoco.mjtGeom.mjGEOM_MESH).any():
+            raise InputError(
+                "The stand-in's gel feels no meshes; build the task's objects of boxes, cylinders, capsules, "
+                "spheres and ellipsoids to play it there."
+            )
         self._kinds, self._sizes_mm = model.geom_type[self._felt], 1e3 * model.geom_size[self._felt]
         self._reach = model.geom_rbound[self._felt] + 1e-3 * np.hypot(*window_mm) / 2
         self.begin(np.random.default_rng(0))

@@ -2,8 +2,9 @@
 
 Gel frame: x along image columns, y along image rows (downwards), z out of the sensor towards the object,
 origin in the middle of the gel window on the resting surface. At every grid point a line along z meets each
-convex shape in an interval; its lower end below z = 0 is the depth, closed form for every shape. Grid points
-are the centres of equal cells, so that row i and column j sit at pixel ((j + .5) W / 59, (i + .5) H / 80).
+shape in an interval; its lower end below z = 0 is the depth, closed form for every shape but a mesh, whose
+triangles are gone through. Grid points are the centres of equal cells, so that row i and column j sit at
+pixel ((j + .5) W / 59, (i + .5) H / 80).
 """
 
 import math
@@ -17,9 +18,12 @@ THICKNESS_MM = 2.5
 
 # MuJoCo's geom type numbers and size conventions (radius; radius, half length; half extents).
 SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX = 2, 3, 4, 5, 6
+MESH = 7  # size = number of its first triangle, how many it has, m from its origin to its farthest corner
 CONE = 100  # apex at local -z; size = base radius, half height
-KINDS = (SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, CONE)
+KINDS = (SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH, CONE)
+NO_TRIANGLES = np.zeros((0, 3, 3))
 _FAR = 1e9
+_RIM = 1e-9  # by which a triangle is larger than it is, so that none slips between two
 _FAST = {"nnan", "nsz", "arcp", "contract"}  # lets min, max and selections vectorise
 _ORIGIN, _UPRIGHT = np.zeros(3), np.eye(3)
 
@@ -34,12 +38,13 @@ def probe_grid(
     window_mm: tuple[float, float] = WINDOW_MM,
     thickness_mm: float = THICKNESS_MM,
     shape: tuple[int, int] = (ROWS, COLS),
+    triangles: np.ndarray = NO_TRIANGLES,
 ) -> np.ndarray:
     """Depth of objects below the resting gel surface.
 
     Args:
         kinds: (n,) shape numbers, MuJoCo's `geom_type` or `CONE`.
-        sizes: (n, 3) m, MuJoCo's `geom_size`.
+        sizes: (n, 3) m, MuJoCo's `geom_size`; of a `MESH` see there.
         positions: (n, 3) m, shape centres in the world, MuJoCo's `geom_xpos`.
         rotations: (n, 3, 3) or (n, 9), shape-to-world, MuJoCo's `geom_xmat`.
         gel_position: (3,) m, gel frame's origin in the world.
@@ -47,6 +52,7 @@ def probe_grid(
         window_mm: width (columns) and height (rows) of the gel window.
         thickness_mm: gel thickness; depth is clipped there, and what lies wholly behind it does not count.
         shape: rows and columns of the grid.
+        triangles: (m, 3, 3) m, corners of all meshes' triangles, each in its shape's frame.
 
     Returns:
         Depth in mm, float32, `shape`: the maximum over objects, zero where nothing touches.
@@ -66,6 +72,7 @@ def probe_grid(
         window_mm[0] * 1e-3,
         window_mm[1] * 1e-3,
         thickness_mm * 1e-3,
+        triangles,
         depth,
     )
     if not known:
@@ -74,7 +81,16 @@ def probe_grid(
 
 
 def probe_grids(
-    kinds, sizes, positions, rotations, gel_positions, gel_rotations, window_mm, thickness_mm, out: np.ndarray
+    kinds,
+    sizes,
+    positions,
+    rotations,
+    gel_positions,
+    gel_rotations,
+    window_mm,
+    thickness_mm,
+    out: np.ndarray,
+    triangles: np.ndarray = NO_TRIANGLES,
 ) -> np.ndarray:
     """`probe_grid` of the same shapes in B states, into the first B grids of `out`, which are returned.
 
@@ -88,6 +104,7 @@ def probe_grids(
         window_mm: as for `probe_grid`.
         thickness_mm: as for `probe_grid`.
         out: float32 (B or more, rows, columns).
+        triangles: as for `probe_grid`.
 
     Raises:
         ValueError: as `probe_grid`.
@@ -103,6 +120,7 @@ def probe_grids(
         window_mm[0] * 1e-3,
         window_mm[1] * 1e-3,
         thickness_mm * 1e-3,
+        triangles,
         out,
     )
     if not known:
@@ -234,15 +252,68 @@ _sweep_box = _sweep(_box)
 _sweep_cone = _sweep(_cone)
 
 
+@njit
+def _sweep_mesh(triangles, c, R, width, height, thickness, depth):
+    """Raises `depth` [mm] where the mesh of these triangles (shape frame) lies deeper."""
+    rows, cols = depth.shape
+    low, high = np.full(depth.shape, _FAR), np.full(depth.shape, -_FAR)
+    at = np.empty((3, 3))  # a triangle's corners: columns and rows from the first grid point, z
+    for t in range(len(triangles)):
+        for k in range(3):
+            x, y, z = triangles[t, k]
+            at[k, 0] = (R[0, 0] * x + R[0, 1] * y + R[0, 2] * z + c[0] + width / 2) * cols / width - 0.5
+            at[k, 1] = (R[1, 0] * x + R[1, 1] * y + R[1, 2] * z + c[1] + height / 2) * rows / height - 0.5
+            at[k, 2] = R[2, 0] * x + R[2, 1] * y + R[2, 2] * z + c[2]
+        j0, j1 = max(math.ceil(at[:, 0].min()), 0), min(math.floor(at[:, 0].max()), cols - 1)
+        i0, i1 = max(math.ceil(at[:, 1].min()), 0), min(math.floor(at[:, 1].max()), rows - 1)
+        u, v = at[1] - at[0], at[2] - at[0]
+        area = u[0] * v[1] - u[1] * v[0]
+        if abs(area) < 1e-9:  # seen edge on
+            continue
+        # barycentric coordinates grow along a row by dp and dq
+        dp, dq, dz = v[1] / area, -u[1] / area, (u[2] * v[1] - u[1] * v[2]) / area
+        for i in range(i0, i1 + 1):
+            x, y = -at[0, 0], i - at[0, 1]
+            p, q = (x * v[1] - y * v[0]) / area, (u[0] * y - u[1] * x) / area
+            first, last = float(j0), float(j1)
+            for value, slope in ((p, dp), (q, dq), (1 - p - q, -dp - dq)):
+                if slope > 0:
+                    first = max(first, math.ceil((-_RIM - value) / slope))
+                elif slope < 0:
+                    last = min(last, math.floor((-_RIM - value) / slope))
+                elif value < -_RIM:
+                    last = -1.0
+            z = at[0, 2] + p * u[2] + q * v[2]
+            if first <= last:
+                for j in range(int(first), int(last) + 1):
+                    low[i, j], high[i, j] = min(low[i, j], z + j * dz), max(high[i, j], z + j * dz)
+    for i in range(rows):
+        for j in range(cols):
+            if high[i, j] > -thickness:
+                depth[i, j] = max(depth[i, j], np.float32(min(-low[i, j], thickness) * 1e3))
+
+
 @njit(cache=True)
-def _probe(kinds, sizes, positions, rotations, gel_position, gel_rotation, width, height, thickness, depth):
+def _probe(
+    kinds,
+    sizes,
+    positions,
+    rotations,
+    gel_position,
+    gel_rotation,
+    width,
+    height,
+    thickness,
+    triangles,
+    depth,
+):
     """Fills `depth` [mm] (rows, columns) with the maximum over shapes, all inputs in metres.
 
     Returns whether every shape was known.
     """
     for k in range(len(kinds)):
         kind, s = kinds[k], sizes[k]
-        if kind != CONE and not (SPHERE <= kind <= BOX):
+        if kind != CONE and not (SPHERE <= kind <= MESH):
             return False
         c = gel_rotation.T @ (positions[k] - gel_position)
         R = gel_rotation.T @ rotations[k]
@@ -250,6 +321,8 @@ def _probe(kinds, sizes, positions, rotations, gel_position, gel_rotation, width
             e0, e1, e2, e3 = 0.0, 0.0, (s[1] if kind == CAPSULE else 0.0), s[0]
         elif kind == CYLINDER or kind == CONE:
             e0, e1, e2, e3 = s[0], s[0], s[1], 0.0
+        elif kind == MESH:
+            e0, e1, e2, e3 = 0.0, 0.0, 0.0, s[2]
         else:
             e0, e1, e2, e3 = s[0], s[1], s[2], 0.0
         ex = abs(R[0, 0]) * e0 + abs(R[0, 1]) * e1 + abs(R[0, 2]) * e2 + e3
@@ -267,6 +340,10 @@ def _probe(kinds, sizes, positions, rotations, gel_position, gel_rotation, width
             _sweep_cylinder(s, c, R, ex, ey, width, height, thickness, depth)
         elif kind == ELLIPSOID:
             _sweep_ellipsoid(s, c, R, ex, ey, width, height, thickness, depth)
+        elif kind == MESH:
+            if abs(c[0]) - ex < width / 2 and abs(c[1]) - ey < height / 2:
+                own = triangles[int(s[0]) : int(s[0] + s[1])]
+                _sweep_mesh(own, c, R, width, height, thickness, depth)
         else:
             _sweep_cone(s, c, R, ex, ey, width, height, thickness, depth)
     return True
@@ -274,11 +351,22 @@ def _probe(kinds, sizes, positions, rotations, gel_position, gel_rotation, width
 
 @njit(cache=True)
 def _probe_all(
-    kinds, sizes, positions, rotations, gel_positions, gel_rotations, width, height, thickness, out
+    kinds,
+    sizes,
+    positions,
+    rotations,
+    gel_positions,
+    gel_rotations,
+    width,
+    height,
+    thickness,
+    triangles,
+    out,
 ):
     for b in range(len(positions)):
         out[b] = 0
         gel = gel_positions[b], gel_rotations[b]
-        if not _probe(kinds, sizes, positions[b], rotations[b], *gel, width, height, thickness, out[b]):
+        window = width, height, thickness
+        if not _probe(kinds, sizes, positions[b], rotations[b], *gel, *window, triangles, out[b]):
             return False
     return True

@@ -7,7 +7,7 @@ import numpy as np
 from pneutac_sim.gel.contact import ContactArea, contact_area
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.optics import Renderer
-from pneutac_sim.gel.probe import COLS, ROWS, probe_grid
+from pneutac_sim.gel.probe import COLS, NO_TRIANGLES, ROWS, probe_grid
 from pneutac_sim.gel.surface import surface
 from pneutac_sim.twin import Twin
 
@@ -44,6 +44,7 @@ class TactileSensor:
         surface: as given; it takes several grids (B, 80, 59) at once where `areas` is called.
         draw: takes a surface's displacement, (80, 59) mm, to an image, uint8 (H, W, 3): light on every pixel
             (`gel.optics`), or in its place such as `splat.gel.SplatSensor.image`.
+        triangles: of the meshes that it may touch, see `probe_grid`.
     """
 
     def __init__(
@@ -61,6 +62,7 @@ class TactileSensor:
             m.rest_image, m.weight, m.coefficients, self._cell_mm, (ROWS, COLS), m.further
         )
         self.draw = self._renderer.image
+        self.triangles = NO_TRIANGLES
 
     def probe(
         self, kinds, sizes, positions, rotations, gel_position=np.zeros(3), gel_rotation=np.eye(3)
@@ -75,6 +77,7 @@ class TactileSensor:
             gel_rotation,
             self.model.window_mm,
             self.model.thickness_mm,
+            triangles=self.triangles,
         )
 
     def displacement(self, depth_mm: np.ndarray) -> np.ndarray:

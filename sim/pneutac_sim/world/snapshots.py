@@ -55,5 +55,6 @@ class Snapshots:
             gel.window_mm,
             gel.thickness_mm,
             self._grids,
+            touch.sensor.triangles,
         )
         return touch.sensor.areas(depth), depth

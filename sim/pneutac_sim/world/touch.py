@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.gel.probe import KINDS
+from pneutac_sim.gel.probe import KINDS, MESH
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.world.scene import OBJECT_GROUP
 
@@ -20,7 +20,8 @@ class Touch:
         pixels: last count s of pixels in contact.
         area: s / N.
         network: the gel's, a `GelSurrogate`, or None.
-        felt, kinds, sizes: ids (n,), shapes (n,) and sizes (n, 3) of the geoms that the gel can feel.
+        felt, kinds, sizes: of the geoms that the gel can feel: ids (n,), and for `probe_grid` shapes (n,) and
+            sizes (n, 3).
         in_range: whether the last contact was one that the gel's network was trained for.
     """
 
@@ -45,13 +46,18 @@ class Touch:
         self._gel = model.site("gel").id
         self.felt = np.flatnonzero(model.geom_group == OBJECT_GROUP)
         self.kinds = model.geom_type[self.felt]
-        self.sizes = model.geom_size[self.felt]
+        self.sizes, sensor.triangles = _shapes(model, self.felt)
         unknown = [model.geom(g).name or "without a name" for g in self.felt[~np.isin(self.kinds, KINDS)]]
         if unknown:
             raise InputError(
-                f"The gel cannot feel the shape of geom {', '.join(unknown)}; meshes are only seen: give it"
-                ' class="decor", and class="object" to boxes, cylinders, capsules, spheres or ellipsoids'
-                " where it is touched."
+                f"The gel cannot feel the shape of geom {', '.join(unknown)}; give it"
+                ' class="decor", and class="object" to boxes, cylinders, capsules, spheres, ellipsoids or'
+                " meshes where it is touched."
+            )
+        if self._full is not None and len(sensor.triangles):
+            raise InputError(
+                "The gel of fidelity=mpm feels no meshes; choose another fidelity, or build the objects of"
+                " boxes, cylinders, capsules, spheres and ellipsoids."
             )
 
     @property
@@ -90,6 +96,20 @@ class Touch:
         else:
             contact = self.sensor.contact_from_depth(self.depth_mm)
         self.pixels, self.area = contact.pixels, contact.area
+
+
+def _shapes(model: mujoco.MjModel, geoms: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Sizes (n, 3) of geoms and the triangles (m, 3, 3) of those that are meshes, for `probe_grid`."""
+    sizes, found, count = model.geom_size[geoms], [np.zeros((0, 3, 3))], 0
+    for k, g in enumerate(geoms):
+        if model.geom_type[g] == MESH:
+            mesh = model.mesh(model.geom_dataid[g])
+            vertices = model.mesh_vert[mesh.vertadr[0] :][: mesh.vertnum[0]]
+            found.append(vertices[model.mesh_face[mesh.faceadr[0] :][: mesh.facenum[0]]].astype(float))
+            reach = np.linalg.norm(found[-1], axis=2).max()
+            sizes[k] = count, len(found[-1]), reach
+            count += len(found[-1])
+    return sizes, np.concatenate(found)
 
 
 def imprint_m(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray | None:

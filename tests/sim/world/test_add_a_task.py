@@ -18,6 +18,7 @@ from lerobot_pneutac.verbs.augment import AugmentConfig, DatasetRef
 from lerobot_robot_pneutac.env import PneutacEnvConfig
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
+from lerobot_robot_pneutac.standin.world import StandinWorld
 from lerobot_robot_pneutac.teleoperators.config_pneutac_scripted import PneutacScriptedConfig
 from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
 from pneutac_benchmarks.policy.main import BenchmarkPolicyConfig
@@ -172,7 +173,7 @@ def test_without_an_expert_or_with_a_mesh_to_feel_it_says_what_to_do(install, tm
         PpoEnv("doorbell")
 
 
-def test_a_mesh_is_seen_but_not_felt(install, tmp_path):
+def test_a_mesh_is_felt_unless_it_is_decor(install, tmp_path):
     mesh = tmp_path / "cube.obj"
     corners = [f"v {x} {y} {z}" for x in (0, 0.1) for y in (0, 0.1) for z in (0, 0.1)]
     faces = ["f 1 2 4 3", "f 5 7 8 6", "f 1 5 6 2", "f 3 4 8 7", "f 1 3 7 5", "f 2 6 8 4"]
@@ -181,9 +182,17 @@ def test_a_mesh_is_seen_but_not_felt(install, tmp_path):
     code = block("python").replace('<body name="doorbell">', f'<body name="doorbell">{geom}')
     code += f'    def assets(self):\n        return \'<mesh name="post" file="{mesh}"/>\'\n'
     install(code, {"doorbell": "pneutac_doorbell:DoorbellTask"})
-    assert World("doorbell", touch="none").model.nmesh == 1
+    assert len(World("doorbell").touch.sensor.triangles) == 0
     module = tmp_path / "pneutac_doorbell.py"
     module.write_text(code.replace('class="decor" type="mesh"', 'class="object" type="mesh"'))
     sys.modules.pop("pneutac_doorbell")
-    with pytest.raises(InputError, match="cannot feel the shape of geom post; meshes are only seen"):
+    world = World("doorbell")
+    assert len(world.touch.sensor.triangles) == 12
+    with pytest.raises(InputError, match="stand-in's gel feels no meshes"):
+        StandinWorld("doorbell")
+    module.write_text(
+        code.replace('class="decor" type="mesh" mesh="post"', 'class="object" type="plane" size=".1 .1 .1"')
+    )
+    sys.modules.pop("pneutac_doorbell")
+    with pytest.raises(InputError, match="cannot feel the shape of geom post"):
         World("doorbell")
