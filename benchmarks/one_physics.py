@@ -22,7 +22,10 @@ from pneutac_sim.surrogate.programs import KINDS, joint_targets
 from pneutac_sim.surrogate.swing import Swing, released
 from pneutac_sim.twin import Twin, Value
 from pneutac_sim.world.soft_finger import GEL_STIFFNESS, sensor
-from pneutac_sim.world.world import DT, World
+from pneutac_sim.world.station import Station
+from pneutac_sim.world.world import World
+
+DT = Station().dt_s
 
 HERE = Path(__file__).parent
 PRESSURES_KPA, FORCES_N = (0.0, 7.5, 15.0), (0.1, 0.3, 0.6)

@@ -90,8 +90,8 @@ NO_CHANGE: dict[str, str] = {
     "search.py: without = {t: self.score(m) for t, m in zip(terms, models, strict=True)}": "one model a term",
     "planner.py: batch = mean + spread * self._noise(c.samples, len(warm)) -> "
     "batch = mean - spread * self._noise(c.samples, len(warm))": _SYMMETRIC,
-    "planner.py: noise[:, t] = MEMORY * noise[:, t - 1] + np.sqrt(1 - MEMORY**2) * noise[:, t] -> "
-    "noise[:, t] = MEMORY * noise[:, t - 1] - np.sqrt(1 - MEMORY**2) * noise[:, t]": _SYMMETRIC,
+    "planner.py: noise[:, t] = memory * noise[:, t - 1] + np.sqrt(1 - memory**2) * noise[:, t] -> "
+    "noise[:, t] = memory * noise[:, t - 1] - np.sqrt(1 - memory**2) * noise[:, t]": _SYMMETRIC,
     "optics.py: @njit(cache=True)": "the compiled code is the same",
     "optics.py: _NO_SHADOW = np.zeros((1, 1), np.float32)": "no value of it is read",
     "optics.py: top = np.float32(0.0)": _QUICKER,

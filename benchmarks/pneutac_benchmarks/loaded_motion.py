@@ -17,9 +17,12 @@ from pneutac_sim.surrogate import programs
 from pneutac_sim.surrogate.finger import SurrogateFinger
 from pneutac_sim.surrogate.swing import DAMPING, STIFFNESS, carry
 from pneutac_sim.twin import Twin, Value
-from pneutac_sim.world.scene import SUBSTEPS, TIMESTEP
+from pneutac_sim.world.scene import PHYSICS_HZ, SUBSTEPS
 from pneutac_sim.world.soft_finger import sensor
-from pneutac_sim.world.world import DT, World
+from pneutac_sim.world.station import Station
+from pneutac_sim.world.world import World
+
+DT = Station().dt_s
 
 FORCE_N, LOADED = (0.2, 0.6), 0.75  # of a load, and how often there is one
 SETTLE_S, SETTLE_PER_S = 0.4, 80.0
@@ -97,10 +100,10 @@ def by_material_points(world: World, body: SurrogateFinger, drawn: list[Program]
     simulate(solver, still, SETTLE_S, SETTLE_S / 20, damping=SETTLE_PER_S, particles=False)
 
     def loads(time_s: float) -> Loads:
-        return Loads(q_cmd=targets[:, min(round(time_s / TIMESTEP), targets.shape[1] - 1)])
+        return Loads(q_cmd=targets[:, min(round(time_s * PHYSICS_HZ), targets.shape[1] - 1)])
 
     moved_s = DT * (len(drawn[0].pressure_kpa) - 1)
-    run = simulate(solver, loads, moved_s, TIMESTEP, particles=False)
+    run = simulate(solver, loads, moved_s, 1 / PHYSICS_HZ, particles=False)
     seconds = (time.process_time() - began) / (len(drawn) * (SETTLE_S + moved_s))
     return run.q[::SUBSTEPS].transpose(1, 0, 2).astype(float), seconds
 

@@ -1,5 +1,6 @@
 """`pneutac VERB`: one command, one module a verb, options in LeRobot's own style (draccus)."""
 
+import difflib
 import importlib
 import importlib.metadata
 import os
@@ -60,7 +61,9 @@ def _dispatch(argv: list[str]) -> None:
         print(f"pneutac {importlib.metadata.version('lerobot_robot_pneutac')}")
         return
     if verb not in VERBS:
-        sys.exit(f"pneutac: '{verb}' is not a verb; the verbs are {', '.join(VERBS)}.")
+        near = difflib.get_close_matches(verb, VERBS, n=1)
+        hint = f"is '{near[0]}' meant?" if near else f"the verbs are {', '.join(VERBS)}."
+        sys.exit(f"pneutac: '{verb}' is not a verb; {hint}")
     sys.argv = [f"pneutac {verb}", *argv[1:]]  # the usage lines name the program so
     try:
         _module(verb).main(argv[1:])

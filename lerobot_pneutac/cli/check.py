@@ -1,7 +1,6 @@
 """`pneutac check PATH ...`: everything that a later verb would refuse in a dataset, a recording or a twin."""
 
 import sys
-from pathlib import Path
 
 from rich.console import Console
 from rich.markup import escape
@@ -9,13 +8,15 @@ from rich.markup import escape
 from lerobot_pneutac.verbs.check import check_path
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin
+from pneutac_sim.world.station import Station
 
-USAGE = """usage: pneutac check PATH [PATH ...] [--twin=PATH]
+USAGE = """usage: pneutac check PATH [PATH ...] [--twin=PATH] [--station=FILE]
 
 Tells in seconds what a later verb would refuse, all faults at once, and exits with 1 where there is one.
 
-  PATH         folder of a twin, a bench recording, or a LeRobotDataset of demonstrations; or a station.yaml
-  --twin=PATH  twin for which demonstrations or a station are looked at (default the built-in one)"""
+  PATH            folder of a twin, a bench recording or a LeRobotDataset of demonstrations, or a station.yaml
+  --twin=PATH     twin for which demonstrations or a station are looked at (default the built-in one)
+  --station=FILE  station.yaml in which demonstrations were recorded (default the paper's)"""
 
 
 def main(argv: list[str]) -> None:
@@ -23,14 +24,16 @@ def main(argv: list[str]) -> None:
     if not argv or {"-h", "--help"} & set(argv):
         print(USAGE)
         return
-    options = [a for a in argv if a.startswith("-")]
-    wrong = [a for a in options if not a.startswith("--twin=")]
+    options = dict(a.split("=", 1) for a in argv if a.startswith("--") and "=" in a)
+    wrong = [a for a in argv if a.startswith("-") and a.split("=")[0] not in ("--twin", "--station")]
+    wrong += [a for a in ("--twin", "--station") if a in argv]
     if wrong:
-        raise InputError(f"There is no option {wrong[0]}; the option is --twin=PATH.")
-    twin = Twin.load(Path(options[-1].removeprefix("--twin="))) if options else None
+        raise InputError(f"There is no option {wrong[0]}; the options are --twin=PATH and --station=FILE.")
+    twin = Twin.load(options["--twin"]) if "--twin" in options else None
+    station = Station.load(options["--station"]) if "--station" in options else None
     console, faulty = Console(), False
     for path in (a for a in argv if not a.startswith("-")):
-        found = check_path(path, twin)
+        found = check_path(path, twin, station)
         faulty = faulty or bool(found.faults)
         said = f"[red]{len(found.faults)} to mend[/]" if found.faults else "[green]good[/]"
         console.print(f"{escape(path)} ({found.kind}): {said}", highlight=False, soft_wrap=True)

@@ -17,7 +17,7 @@ from pneutac_sim.world.varied import Variation, VariedWorld
 from pneutac_sim.world.world import World
 
 GRID = (10, 8)  # cells of the actor's probe grid, rows and columns
-STEPS = 200  # control steps of an episode; fewer than of a trial, for more starts
+EPISODE_S = 40 / 3  # shorter than a trial, for more starts
 JOINT_RANGE_RAD, JOINT_RATE_RAD_S = 0.6, 0.4  # what a joint moves about home, and how fast, in these tasks
 FRICTION, BEND_GAIN = (0.8, 1.25), (0.93, 1.07)  # ranges of randomisation, factors
 _LIMIT = 20.0  # observations are clipped there; none comes near it in a trial that goes well
@@ -87,7 +87,7 @@ class PpoEnv(gymnasium.Env):
         task: str = "switch",
         twin: Twin | None = None,
         randomise: bool = True,
-        length: int = STEPS,
+        length: int | None = None,
         conditions: Conditions | None = None,
         station: Station | None = None,
     ):
@@ -97,7 +97,7 @@ class PpoEnv(gymnasium.Env):
             task: `switch`, `egg` or `card`.
             twin: the finger with its gel; default the built-in one.
             randomise: whether friction and bend change with every episode.
-            length: control steps after which a trial is cut off.
+            length: control steps after which a trial is cut off; where left out, those of `EPISODE_S`.
             conditions: of the world, see `World`.
             station: likewise.
 
@@ -106,7 +106,7 @@ class PpoEnv(gymnasium.Env):
         """
         self.world = VariedWorld(task, twin, "probe", "probe", conditions, station=station)
         self.view = TaskView(self.world)
-        self.randomise, self._length = randomise, length
+        self.randomise, self._length = randomise, length or self.world.station.steps(EPISODE_S)
         self.action_space = spaces.Box(-1.0, 1.0, (len(ACTION_NAMES),), np.float32)
         size = self.view.size + 2  # with friction and bend gain
         self.observation_space = spaces.Dict(

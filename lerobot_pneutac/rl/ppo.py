@@ -23,7 +23,7 @@ from lerobot_pneutac.rl.checkpoint import CHECKPOINT, Keeper
 from lerobot_pneutac.rl.env import PpoEnv
 from lerobot_pneutac.rl.reward import WEIGHTS
 from pneutac_sim.errors import InputError, check_least
-from pneutac_sim.features import PANDA_JOINTS
+from pneutac_sim.features import CONTROL_HZ, PANDA_JOINTS
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.station import Station
@@ -41,7 +41,7 @@ class PpoSettings:
         batch: samples of a gradient step.
         epochs: passes over the steps of an update.
         learning_rate: of Adam.
-        discount: of the reward, per step.
+        discount: of the reward, per 1/15 s.
         trace: lambda of the generalised advantage estimate.
         clip: how far a probability ratio may move in one update.
         entropy: weight of the entropy bonus.
@@ -120,7 +120,9 @@ def make_worlds(task: str, twin: Twin | None, envs: int, parallel: bool, **optio
     return VecMonitor(worlds)
 
 
-def make_ppo(worlds: VecEnv, seed: int, device: str, settings: PpoSettings) -> PPO:
+def make_ppo(
+    worlds: VecEnv, seed: int, device: str, settings: PpoSettings, control_hz: int = CONTROL_HZ
+) -> PPO:
     """The optimiser with new networks."""
     per_world = max(settings.update_steps // worlds.num_envs, 2)
     return PPO(
@@ -130,7 +132,7 @@ def make_ppo(worlds: VecEnv, seed: int, device: str, settings: PpoSettings) -> P
         batch_size=min(settings.batch, per_world * worlds.num_envs),
         n_epochs=settings.epochs,
         learning_rate=settings.learning_rate,
-        gamma=settings.discount,
+        gamma=settings.discount ** (CONTROL_HZ / control_hz),
         gae_lambda=settings.trace,
         clip_range=settings.clip,
         ent_coef=settings.entropy,
@@ -182,7 +184,7 @@ def train_ppo(
     run = json.loads(json.dumps(run | {"weights": WEIGHTS, "options": told}))
     worlds = make_worlds(task, twin, compute.envs, compute.parallel, **options)
     try:
-        model = make_ppo(worlds, seed, compute.device, settings)
+        model = make_ppo(worlds, seed, compute.device, settings, env.world.station.control_hz)
         keeper = Keeper(out, run, lambda text, done: progress(text, min(done, steps), steps))
         if (out / CHECKPOINT).exists():
             keeper.resume(model)

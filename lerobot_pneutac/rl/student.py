@@ -9,12 +9,12 @@ from lerobot.utils.constants import ACTION, OBS_STR
 from lerobot.utils.feature_utils import combine_feature_dicts, hw_to_dataset_features
 
 from lerobot_pneutac.rl.actor import Actor
-from lerobot_pneutac.rl.env import STEPS, actor_observation, to_action
+from lerobot_pneutac.rl.env import EPISODE_S, actor_observation, to_action
 from lerobot_pneutac.rl.options import StudentRef
 from pneutac_datasets.demonstrations.episodes import Episode, save_episode
 from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError, check_least
-from pneutac_sim.features import ACTION_NAMES, CONTROL_HZ, IMAGE_NAME, state_names
+from pneutac_sim.features import ACTION_NAMES, IMAGE_NAME, state_names
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.conditions import Conditions
@@ -114,7 +114,8 @@ def _new_dataset(student: StudentRef, world: World) -> LeRobotDataset:
         hw_to_dataset_features(dict.fromkeys(ACTION_NAMES, float), ACTION, student.video),
         hw_to_dataset_features(observed, OBS_STR, student.video),
     )
-    return create_dataset(student.repo_id, student.root, CONTROL_HZ, features, ROBOT, student.video, STEPS)
+    fps, steps = world.station.control_hz, world.station.steps(EPISODE_S)
+    return create_dataset(student.repo_id, student.root, fps, features, ROBOT, student.video, steps)
 
 
 def roll_out(actor: Actor, world: World, rng: np.random.Generator, noise: float) -> Episode:
@@ -122,11 +123,12 @@ def roll_out(actor: Actor, world: World, rng: np.random.Generator, noise: float)
     observed = world.reset(int(rng.integers(2**31)))
     previous, kpa = np.zeros(len(ACTION_NAMES)), world.pressure_range_kpa
     states, actions, images = [], [], []
-    while len(states) < STEPS and not (world.success or world.failure):
+    while len(states) < world.station.steps(EPISODE_S) and not (world.success or world.failure):
         mean = actor.act(actor_observation(world, observed.state, previous))
         states.append(observed.state)
         actions.append(to_action(mean, kpa).astype(np.float32))
         images.append(observed.tactile)
         previous = np.clip(mean + noise * rng.standard_normal(len(mean)), -1, 1)
         observed = world.step(to_action(previous, kpa))
-    return Episode(np.array(states), np.array(actions), np.array(images), world.task.description, CONTROL_HZ)
+    recorded = np.array(states), np.array(actions), np.array(images)
+    return Episode(*recorded, world.task.description, world.station.control_hz)

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import CONTROL_HZ, IMAGE_NAME, task_names
+from pneutac_sim.features import IMAGE_NAME, task_names
 
 HEIGHT_PX = 280
 SPEED_M_S = 0.05  # of a button that is held
@@ -62,14 +62,14 @@ class WorldPage:
             env = PneutacEnv(self._task.value, twin=self._studio.session.twin)
             observation, info = env.reset(seed=int(time.time()) % 10_000)
             expert = ScriptedExpert(env.world, np.random.default_rng())
-            done, steps = False, 0
+            done, shown_s = False, 0.0
             while not (done or stop.is_set()):
                 began = time.monotonic()
                 action = expert.action() if self._player.value == PLAYERS[0] else self.action()
                 observation, _, done, _, info = env.step(action)
-                steps += 1
-                self._show(env.render(), observation["pixels"][IMAGE_NAME], steps, info, done)
-                stop.wait(max(0.0, 1 / CONTROL_HZ - (time.monotonic() - began)))
+                shown_s += env.world.dt_s
+                self._show(env.render(), observation["pixels"][IMAGE_NAME], shown_s, info, done)
+                stop.wait(max(0.0, env.world.dt_s - (time.monotonic() - began)))
             env.close()
         except InputError as e:
             self.readout.content = f"> {e}"
@@ -82,7 +82,7 @@ class WorldPage:
                 velocity[axis] += sign * SPEED_M_S
         return np.append(velocity, self._pressure.value)
 
-    def _show(self, scene: np.ndarray, touch: np.ndarray, steps: int, info: dict, done: bool) -> None:
+    def _show(self, scene: np.ndarray, touch: np.ndarray, time_s: float, info: dict, done: bool) -> None:
         small = [
             cv2.resize(
                 v, (round(HEIGHT_PX * v.shape[1] / v.shape[0]), HEIGHT_PX), interpolation=cv2.INTER_AREA
@@ -94,7 +94,7 @@ class WorldPage:
         )
         self._picture.visible = True
         end = " **Done.**" if info["is_success"] else f" **{info['failure']}**" if done else ""
-        self.readout.content = f"{self._task.value}, {steps / CONTROL_HZ:.1f} s of the task.{end}"
+        self.readout.content = f"{self._task.value}, {time_s:.1f} s of the task.{end}"
 
     def close(self) -> None:
         """Ends the task."""

@@ -52,8 +52,8 @@ class AugmentConfig:
             for material points with formulas.
         conditions: values that the twin's effects ask for, such as {temperature_c: 28}; every demonstration
             draws from a range [low, high].
-        station: file `station.yaml` of arm, workspace and mount in which they were recorded; where
-            left out, the paper's.
+        station: file `station.yaml` of arm, workspace, mount and control rate in which they were recorded;
+            where left out, the paper's.
         planner: horizon, samples and weights of the planner.
         attempts: number of variants tried for one demonstration before giving up.
         check_mpm: number of the new demonstrations that are carried out once more by material points; how far
@@ -186,10 +186,10 @@ def augment(config: AugmentConfig, progress: Progress = no_progress) -> Augmenta
     from pneutac_datasets.demonstrations.episodes import POINTS, further_features
     from pneutac_sim.gel.sensor import TactileSensor
 
-    sensor = None
+    sensor, station = None, Station.load(config.station) if config.station else Station()
     if config.method == "tactile":
         twin = Twin.load(config.twin) if config.twin else Twin.builtin()
-        faults = demonstration_faults(config.dataset.root, twin)
+        faults = demonstration_faults(config.dataset.root, twin, station.control_hz)
         if faults:
             raise InputError(" ".join(faults))
         sensor = TactileSensor(twin)
@@ -198,7 +198,6 @@ def augment(config: AugmentConfig, progress: Progress = no_progress) -> Augmenta
     if config.method == "naive":
         summary = augment_without_simulator(meta, *new, config.seed, progress)
     else:
-        station = Station.load(config.station) if config.station else Station()
         _check_arm(meta, station)
         base_m = np.array(station.base_m)  # demonstrations tell places in the arm's frame
         further = further_features(meta)

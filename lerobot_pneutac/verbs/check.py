@@ -39,12 +39,13 @@ class Checked:
     notes: list[str]
 
 
-def check_path(path: str | Path, twin: Twin | None = None) -> Checked:
+def check_path(path: str | Path, twin: Twin | None = None, station: Station | None = None) -> Checked:
     """Looks at a folder, whatever it holds, or at a `station.yaml`.
 
     Args:
         path: of a twin, a bench recording or a LeRobotDataset, or the file of a station.
         twin: on which demonstrations are augmented, or that works in the station; default the built-in one.
+        station: in which demonstrations were recorded; default the paper's.
 
     Raises:
         InputError: there is no such folder.
@@ -58,7 +59,7 @@ def check_path(path: str | Path, twin: Twin | None = None) -> Checked:
     if (path / "twin.yaml").is_file():
         return Checked(path, "twin", *_twin(path))
     if not (path / "recording.json").is_file() and is_demonstrations(path):
-        faults = demonstration_faults(path, twin or Twin.builtin())
+        faults = demonstration_faults(path, twin or Twin.builtin(), (station or Station()).control_hz)
         return Checked(path, "demonstrations", faults, demonstration_notes(path))
     return Checked(path, "bench recording", *recording_faults(path))
 

@@ -14,6 +14,7 @@ from lerobot_robot_pneutac.options import (
     check_cameras,
     check_choice,
     check_conditions,
+    check_finger,
     check_gl,
     check_networks,
     check_range,
@@ -21,13 +22,12 @@ from lerobot_robot_pneutac.options import (
     check_twin_folder,
     refuse_if,
     standin_sensor,
-    station_joints,
+    station_of,
     tactile_shape,
 )
 from pneutac_sim.features import (
     ACTION_NAMES,
     CAMERA_SHAPE,
-    CONTROL_HZ,
     FIDELITIES,
     IMAGE_NAME,
     IMAGE_SHAPE,
@@ -47,8 +47,8 @@ class PneutacTaskConfig(EnvConfig):
 
     Attributes:
         task: `switch`, `egg` or `card`, or of another package.
-        fps: control rate, Hz; the world has one only.
-        episode_length: control steps after which a trial counts as failed.
+        fps: control rate, Hz; where left out, the station's, and there is no other.
+        episode_length: control steps after which a trial counts as failed; where left out, those of 20 s.
         cameras: scene cameras beside the tactile image, such as [front,wrist].
         observation_height: rows of their pictures, px.
         observation_width: columns of their pictures, px.
@@ -57,8 +57,8 @@ class PneutacTaskConfig(EnvConfig):
     """
 
     task: str | None = "switch"
-    fps: int = CONTROL_HZ
-    episode_length: int = TRIAL_S * CONTROL_HZ
+    fps: int = 0
+    episode_length: int | None = None
     cameras: list[str] = field(default_factory=list)
     observation_height: int = CAMERA_SHAPE[0]
     observation_width: int = CAMERA_SHAPE[1]
@@ -83,11 +83,7 @@ class PneutacTaskConfig(EnvConfig):
         if self.task is not None or not isinstance(self, HubEnvConfig):
             check_choice("env.task", self.task, task_names())
         refuse_if(
-            self.fps != CONTROL_HZ,
-            f"--env.fps is {self.fps}; the simulated robot is controlled at {CONTROL_HZ} Hz.",
-        )
-        refuse_if(
-            self.episode_length < 1,
+            self.episode_length is not None and self.episode_length < 1,
             f"--env.episode_length is {self.episode_length}; it must be at least 1 step.",
         )
         check_cameras("env.cameras", self._sizes)
@@ -112,11 +108,19 @@ class PneutacTaskConfig(EnvConfig):
         shape = tactile_shape("env.twin", twin)
         self.features[f"pixels/{IMAGE_NAME}"] = PolicyFeature(FeatureType.VISUAL, shape)
 
-    def _set_joints(self, station: Path | None) -> None:
-        """Tells the size of the state, that of the station's arm."""
-        check_station("env.station", station)
-        size = (len(state_names(station_joints(station))),)
+    def _set_station(self, file: Path | None) -> None:
+        """Tells the size of the state, that of the station's arm, and the control rate."""
+        check_station("env.station", file)
+        station = station_of(file)
+        size = (len(state_names(station.joints)),)
         self.features["agent_pos"] = PolicyFeature(FeatureType.STATE, size)
+        self.fps = self.fps or station.control_hz
+        refuse_if(
+            self.fps != station.control_hz,
+            f"--env.fps is {self.fps}; the simulated robot is controlled at {station.control_hz} Hz, as"
+            " control_hz of its station says.",
+        )
+        self.episode_length = self.episode_length or station.steps(TRIAL_S)
 
     @property
     def _sizes(self) -> dict[str, tuple[int, int]]:
@@ -124,9 +128,7 @@ class PneutacTaskConfig(EnvConfig):
 
 
 def _station(file: Path | None) -> dict:
-    from pneutac_sim.world.station import Station
-
-    return {} if file is None else {"station": Station.load(file)}
+    return {} if file is None else {"station": station_of(file)}
 
 
 @EnvConfig.register_subclass("pneutac")
@@ -144,7 +146,7 @@ class PneutacEnvConfig(PneutacTaskConfig):
             Gaussians of the gel and of the twin's body, over MuJoCo's scene (needs OpenGL).
         pressure_range_kpa: pressures of the action, such as [0, 20]; default those that the twin was measured
             over, beyond which it is extrapolated.
-        station: file `station.yaml` of arm, workspace and mount; default the paper's.
+        station: file `station.yaml` of arm, workspace, mount and control rate; default the paper's.
     """
 
     twin: Path | None = None
@@ -157,9 +159,10 @@ class PneutacEnvConfig(PneutacTaskConfig):
     def __post_init__(self):
         super().__post_init__()
         check_range("env.pressure_range_kpa", self.pressure_range_kpa)
-        self._set_joints(self.station)
+        self._set_station(self.station)
         check_choice("env.fidelity", self.fidelity, FIDELITIES)
         check_twin_folder("env.twin", self.twin)
+        check_finger("env.twin", self.twin)
         check_conditions("env.conditions", self.twin, self.conditions)
         check_networks("env.twin", self.twin, self.fidelity)
         self._set_tactile(self.twin)
@@ -198,6 +201,9 @@ class PneutacHubConfig(PneutacTaskConfig, HubEnvConfig):
     def __post_init__(self):
         super().__post_init__()
         refuse_if(
+            self.fps != 0, f"--env.fps is {self.fps}; the repo's env.py says the rate, so leave it out."
+        )
+        refuse_if(
             not self.hub_path,
             "--env.hub_path is missing; give the repo of an env.py, such as you/pneutac-switch.",
         )
@@ -211,7 +217,7 @@ class PneutacStandinConfig(PneutacTaskConfig):
     Attributes:
         twin: folder of the twin that was calibrated on it; as on the real robot, its gel's contact threshold
             says which pixels are in contact, and its images have their size; nothing else comes from it.
-        station: file `station.yaml` of arm, workspace and mount; default the paper's.
+        station: file `station.yaml` of arm, workspace, mount and control rate; default the paper's.
     """
 
     twin: Path | None = None
@@ -221,7 +227,7 @@ class PneutacStandinConfig(PneutacTaskConfig):
         super().__post_init__()
         check_twin_folder("env.twin", self.twin)
         self._set_tactile(self.twin)
-        self._set_joints(self.station)
+        self._set_station(self.station)
 
     @property
     def package_name(self) -> str:

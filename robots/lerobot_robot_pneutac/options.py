@@ -10,6 +10,7 @@ from pneutac_sim.twin import checked_range
 
 if TYPE_CHECKING:
     from pneutac_sim.gel.model import GelModel
+    from pneutac_sim.world.station import Station
 
 
 def refuse_if(wrong: bool, sentence: str) -> None:
@@ -27,6 +28,17 @@ def check_twin_folder(option: str, folder: Path | None) -> None:
     """Refuses a folder without a twin; None is none."""
     missing = folder is not None and not (Path(folder) / "twin.yaml").is_file()
     refuse_if(missing, f"--{option} is '{folder}', which holds no twin.yaml; give a twin's folder.")
+
+
+def check_finger(option: str, twin: Path | None) -> None:
+    """Refuses a twin that is damaged or of no finger; None is the built-in one."""
+    from pneutac_sim.twin import Twin
+
+    try:
+        device = Twin.load(twin).device if twin else "finger"
+    except InputError as e:
+        raise DecodingError((), f"--{option}: {e}") from e
+    refuse_if(device != "finger", f"--{option} is '{twin}', the twin of a {device}; give that of a finger.")
 
 
 def pressure_range(option: str, twin: Path | None) -> tuple[float, float]:
@@ -94,11 +106,15 @@ def check_station(option: str, file: Path | None) -> None:
         refuse_if(True, f"--{option}: {e}")
 
 
-def station_joints(file: Path | None) -> int:
-    """Joints of a station's arm; the paper's where there is no file."""
+def station_of(file: Path | None) -> "Station":
+    """The station of a file; the paper's where there is none.
+
+    Raises:
+        InputError: it is no station.yaml.
+    """
     from pneutac_sim.world.station import Station
 
-    return (Station.load(file) if file is not None else Station()).joints
+    return Station.load(file) if file is not None else Station()
 
 
 def check_gl(option: str) -> None:

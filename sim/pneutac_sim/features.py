@@ -2,7 +2,7 @@
 
 Units: joint angles rad, joint rates rad/s, positions m, contact area a fraction of the image (s/N),
 contact pixels log(1 + s), pressure kPa. Actions: end-effector velocity in m/s with orientation held, and
-pressure set-point in kPa. The paper's displacement per step is `velocity / CONTROL_HZ`.
+pressure set-point in kPa. The displacement per step is velocity / control rate, 15 Hz in the paper.
 """
 
 from collections.abc import Iterable
@@ -11,7 +11,8 @@ from importlib.metadata import entry_points
 
 import numpy as np
 
-CONTROL_HZ = 15
+CONTROL_HZ = 15  # the paper's; a `Station` may have another
+RATES_HZ = (5, 60)  # lowest and highest: hardware stops 0.25 s after a command, images come at 60 Hz at most
 TRIAL_S = 20  # after which a trial has failed
 DEMONSTRATION_S = 14  # of an episode of lerobot-record, where it is not told; a search of all lanes takes 15
 TASK_NAMES = ("switch", "egg", "card")

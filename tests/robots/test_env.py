@@ -8,6 +8,7 @@ from lerobot.envs.utils import env_to_policy_features, preprocess_observation
 from sensors import wide_twin
 
 from lerobot_robot_pneutac.env import PneutacEnvConfig, PneutacStandinConfig
+from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.standin.world import StandinWorld
 from pneutac_sim.features import PIXELS
 from pneutac_sim.gel.model import GelModel
@@ -84,6 +85,13 @@ def test_scene_cameras_come_under_lerobots_names(config):
 def test_bad_options_are_named(options, said):
     with pytest.raises(DecodingError, match=said):
         PneutacEnvConfig(**options)
+
+
+@pytest.mark.parametrize("config", [PneutacEnvConfig, PneutacSimConfig])
+def test_a_gels_twin_is_no_fingers(config, tmp_path):
+    replace(Twin.builtin(), device="gel").save(tmp_path)
+    with pytest.raises(DecodingError, match="twin is .*, the twin of a gel; give that of a finger"):
+        config(twin=tmp_path)
 
 
 def test_a_twin_folder_reaches_the_world(tmp_path):

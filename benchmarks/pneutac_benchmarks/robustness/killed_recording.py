@@ -37,7 +37,7 @@ def record(root: Path, video: bool, resume: bool, saved) -> None:
     from lerobot.datasets import LeRobotDataset
 
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
-    Keeper().connect()  # as a robot that connects
+    Keeper(15).connect()  # as a robot that connects
     features = {
         "observation.state": {"dtype": "float32", "shape": (len(STATE_NAMES),), "names": list(STATE_NAMES)},
         "action": {"dtype": "float32", "shape": (len(ACTION_NAMES),), "names": list(ACTION_NAMES)},

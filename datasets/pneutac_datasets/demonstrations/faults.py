@@ -3,6 +3,7 @@
 import difflib
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet as parquet
@@ -34,12 +35,13 @@ def is_demonstrations(folder: str | Path) -> bool:
     return file.is_file() and {STATE, ACTION} & set(_info(file).get("features", {})) != set()
 
 
-def demonstration_faults(folder: str | Path, twin: Twin) -> list[str]:
+def demonstration_faults(folder: str | Path, twin: Twin, control_hz: int = CONTROL_HZ) -> list[str]:
     """One sentence for each fault of recorded demonstrations.
 
     Args:
         folder: root of the LeRobotDataset.
         twin: on which they are to be augmented.
+        control_hz: of the station.
     """
     folder = Path(folder)
     file = folder / "meta" / "info.json"
@@ -47,11 +49,8 @@ def demonstration_faults(folder: str | Path, twin: Twin) -> list[str]:
         return [f"'{folder}' holds no LeRobotDataset (no meta/info.json)."]
     info = _info(file)
     found = _of_features(info.get("features", {}), file, GelModel.from_twin(twin).rest_image.shape)
-    if info.get("fps") != CONTROL_HZ:
-        found.append(
-            f"{file}: {info.get('fps')} fps; the world runs at {CONTROL_HZ}, so record with"
-            f" --dataset.fps={CONTROL_HZ}."
-        )
+    if info.get("fps") != control_hz:
+        found.append(f"{file}: {wrong_rate(info.get('fps'), control_hz)}")
     parts = sorted((folder / "data").glob("**/*.parquet"))
     if not parts:
         return [*found, f"{folder / 'data'} holds no .parquet file; record at least two demonstrations."]
@@ -68,6 +67,14 @@ def demonstration_faults(folder: str | Path, twin: Twin) -> list[str]:
     return found + _of_episodes(
         {int(e): (state[episode == e], action[episode == e]) for e in episodes},
         twin.pressure_range_kpa,
+    )
+
+
+def wrong_rate(fps: Any, control_hz: int) -> str:
+    """What is said of demonstrations at another rate than the station's."""
+    return (
+        f"{fps} fps, but the station's control rate is {control_hz} Hz; give the station.yaml that they were"
+        f" recorded in by --station=, or record with --dataset.fps={control_hz}."
     )
 
 

@@ -2,9 +2,10 @@
 
     python -m pneutac_datasets.demonstrations.pool --out=outputs/small outputs/demos outputs/augmented
 
-The policy sees the mean of 4 x 4 pixels. Reading and converting whole images is most of what lerobot-train
-does for so small a network; a dataset of the means, as 8-bit PNG, says the same but for their rounding. It
-also holds the previous action, an input of the policy, for `--policy.previous_action_in_data=true`.
+The policy sees means over 80 x 60 cells, 4 x 4 pixels each of a DIGIT's. Reading and converting whole images
+is most of what lerobot-train does for so small a network; a dataset of the means, as 8-bit PNG, says the same
+but for their rounding. It also holds the previous action, an input of the policy, for
+`--policy.previous_action_in_data=true`.
 """
 
 import argparse
@@ -12,10 +13,12 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import torch
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
 from lerobot.utils.constants import ACTION
 
-from lerobot_robot_pneutac.policy.configuration_pneutac_bc import POOL, POOLED_SHAPE, PREVIOUS_ACTION
+from lerobot_robot_pneutac.policy.configuration_pneutac_bc import POOLED_FROM, PREVIOUS_ACTION
+from lerobot_robot_pneutac.policy.tactile_encoder import grid, pool
 from pneutac_datasets.demonstrations.episodes import (
     TACTILE,
     Episode,
@@ -25,14 +28,14 @@ from pneutac_datasets.demonstrations.episodes import (
 )
 from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import IMAGE_SHAPE, PRESSURE
+from pneutac_sim.features import PRESSURE
 from pneutac_sim.progress import Progress, no_progress
 
 
 def pool_demonstrations(
     sources: list[Path], out: str | Path, repo_id: str, progress: Progress = no_progress
 ) -> Path:
-    """Writes the demonstrations of several datasets as one whose tactile images are 80 x 60.
+    """Writes the demonstrations of several datasets as one whose images are 80 x 60, lying ones 60 x 80.
 
     Args:
         sources: folders of LeRobotDatasets of this robot, of equal frame rate.
@@ -44,13 +47,14 @@ def pool_demonstrations(
         `out`.
 
     Raises:
-        InputError: a source is no such dataset, frame rates differ, or `out` exists.
+        InputError: a source is no such dataset, frame rates or sizes differ, or `out` exists.
     """
     for root in sources:
         if not (Path(root) / "meta" / "info.json").is_file():
             raise InputError(f"'{root}' holds no LeRobotDataset (no meta/info.json).")
     metas = [LeRobotDatasetMetadata(f"local/{Path(root).name}", root) for root in sources]
     features = demonstration_features(metas[0])
+    whole = tuple(features[TACTILE]["shape"])
     for meta in metas[1:]:
         demonstration_features(meta)
         if meta.fps != metas[0].fps:
@@ -58,12 +62,16 @@ def pool_demonstrations(
                 f"'{meta.root}' has {meta.fps} frames per second and '{metas[0].root}' has {metas[0].fps}; "
                 "give datasets of equal rate."
             )
-    if tuple(features[TACTILE]["shape"]) != IMAGE_SHAPE:
-        raise InputError(
-            f"'{metas[0].root}': the images '{TACTILE}' are {tuple(features[TACTILE]['shape'])}; only"
-            f" {IMAGE_SHAPE} are made smaller."
-        )
-    features[TACTILE] = {**features[TACTILE], "dtype": "image", "shape": POOLED_SHAPE}
+        if tuple(meta.features[TACTILE]["shape"]) != whole:
+            raise InputError(
+                f"'{meta.root}' has images of {tuple(meta.features[TACTILE]['shape'])} and '{metas[0].root}'"
+                f" of {whole}; give datasets of one sensor."
+            )
+    small = (*grid(*whole[:2]), whole[2])
+    if small[0] >= whole[0]:
+        raise InputError(f"'{metas[0].root}' has images of {whole} already; train on it as it is.")
+    info = {**(features[TACTILE].get("info") or {}), POOLED_FROM: list(whole[:2])}
+    features[TACTILE] = {**features[TACTILE], "dtype": "image", "shape": small, "info": info}
     features[PREVIOUS_ACTION] = dict(features[ACTION])
     total, done = sum(meta.total_episodes for meta in metas), 0
     new = create_dataset(repo_id, out, metas[0].fps, features, metas[0].robot_type, False, 1)
@@ -73,9 +81,7 @@ def pool_demonstrations(
                 source = LeRobotDataset(meta.repo_id, root=meta.root)
                 for index in range(meta.total_episodes):
                     episode = load_episode(source, index)
-                    n, (h, w, c) = len(episode), POOLED_SHAPE
-                    means = episode.images.reshape(n, h, POOL, w, POOL, c).mean((2, 4))
-                    episode.images = means.round().astype(np.uint8)
+                    episode.images = np.concatenate([_means(image) for image in episode.images])
                     episode.state, episode.action = (
                         x.astype(np.float32) for x in (episode.state, episode.action)
                     )
@@ -85,6 +91,12 @@ def pool_demonstrations(
         finally:
             new.finalize()
     return Path(out)
+
+
+def _means(image: np.ndarray) -> np.ndarray:
+    """An image (H, W, 3) as the network sees it (1, 80, 60, 3), uint8."""
+    means = pool(torch.from_numpy(image).permute(2, 0, 1)[None].float())
+    return means.permute(0, 2, 3, 1).round().byte().numpy()
 
 
 def previous_actions(episode: Episode) -> np.ndarray:

@@ -16,7 +16,7 @@ from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
 from pneutac_datasets.demonstrations.episodes import POINTS, points_feature
 from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import CONTROL_HZ, POINTS_KEY
+from pneutac_sim.features import POINTS_KEY
 from pneutac_sim.progress import Progress, no_progress
 
 
@@ -36,7 +36,7 @@ def record_episodes(
 
     Args:
         robot: the simulated robot; one that is not connected is connected for the recording only.
-        teleop: its teleoperator, likewise; its `episode_steps` is an episode's longest.
+        teleop: its teleoperator, likewise; its `steps` are an episode's longest.
         repo_id: name of the dataset.
         root: folder of the dataset, which must not exist.
         episodes: number of demonstrations.
@@ -56,8 +56,8 @@ def record_episodes(
     )
     if robot.config.tactile_points:
         features[POINTS] = points_feature(gel_of(robot.config.twin).window_mm)
-    length = teleop.config.episode_steps
-    dataset = create_dataset(repo_id, root, CONTROL_HZ, features, robot.name, use_videos, length)
+    length = teleop.steps(robot)
+    dataset = create_dataset(repo_id, root, robot.config.control_hz, features, robot.name, use_videos, length)
     ours = [device for device in (teleop, robot) if not device.is_connected]
     for device in ours:
         device.connect()
@@ -87,7 +87,7 @@ def _record_episode(robot: PneutacSim, teleop: PneutacScripted, dataset: LeRobot
     teleop.begin()
     scalars_and_images = {key: feature for key, feature in dataset.features.items() if key != POINTS}
     felt = False
-    for _ in range(teleop.config.episode_steps):
+    for _ in range(teleop.steps(robot)):
         observation = robot.get_observation()
         felt = felt or observation["contact_area.pos"] > 0
         action = teleop.get_action()

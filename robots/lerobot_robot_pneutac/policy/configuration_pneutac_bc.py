@@ -13,7 +13,6 @@ from lerobot_robot_pneutac.options import refuse_if
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import (
     ACTION_NAMES,
-    CONTROL_HZ,
     IMAGE_NAME,
     IMAGE_SHAPE,
     STATE_NAMES,
@@ -21,8 +20,10 @@ from pneutac_sim.features import (
     state_names_like,
 )
 
-POOL = 4  # the network sees the mean of 4 x 4 pixels; a dataset may hold these means instead of images
-POOLED_SHAPE = (IMAGE_SHAPE[0] // POOL, IMAGE_SHAPE[1] // POOL, IMAGE_SHAPE[2])
+# The network sees means over the cells of such a grid, lying where the image does, 4 x 4 pixels of a DIGIT's.
+# A dataset may hold these means instead of images, and then says of what size these were.
+POOLED_SHAPE = (80, 60, 3)
+POOLED_FROM = "pooled_from"  # rows and columns, in the feature's `info`
 MOST_STEPS = 10**9  # LeRobot fits the fall of the learning rate into the steps that there are
 TACTILE = f"{OBS_IMAGES}.{IMAGE_NAME}"
 PREVIOUS_ACTION = "observation.previous_action"
@@ -38,7 +39,8 @@ class PneutacBCConfig(PreTrainedConfig):
 
     Attributes:
         use_tactile: false leaves out the tactile image and both contact scalars.
-        control_hz: rate of the data and of the robot; turns velocities into displacements per step.
+        control_hz: rate of the data and of the robot, which turns velocities into displacements per step;
+            where left out, the first dataset's.
         previous_action_dropout: share of training samples in which the previous action is hidden (replaced by
             holding still), lest the policy copies its last action instead of looking.
         previous_action_in_data: whether the dataset itself holds the previous action, as
@@ -56,7 +58,7 @@ class PneutacBCConfig(PreTrainedConfig):
     """
 
     use_tactile: bool = True
-    control_hz: int = CONTROL_HZ
+    control_hz: int | None = None
     previous_action_dropout: float = 0.3
     previous_action_in_data: bool = False
     pressure_noise_kpa: float = 0.75
@@ -82,7 +84,10 @@ class PneutacBCConfig(PreTrainedConfig):
         refuse_if(
             not self.optimizer_lr > 0, f"--policy.optimizer_lr is {self.optimizer_lr}; it must be positive."
         )
-        refuse_if(self.control_hz <= 0, f"--policy.control_hz is {self.control_hz}; it must be positive.")
+        refuse_if(
+            self.control_hz is not None and self.control_hz <= 0,
+            f"--policy.control_hz is {self.control_hz}; it must be positive.",
+        )
         refuse_if(
             any(mode is not NormalizationMode.IDENTITY for mode in self.normalization_mapping.values()),
             "--policy.normalization_mapping must be IDENTITY throughout; pneutac_bc scales by itself.",
@@ -126,8 +131,6 @@ class PneutacBCConfig(PreTrainedConfig):
             _need_shape(inputs, OBS_STATE, (len(STATE_NAMES),))
         _need_shape(outputs, ACTION, (len(ACTION_NAMES),))
         if self.use_tactile:
-            if TACTILE in inputs:  # a dataset may hold means; robots give all pixels
-                inputs[TACTILE] = replace(inputs[TACTILE], shape=_whole(tuple(inputs[TACTILE].shape)))
             if len(self.image_shape) != 3 or self.image_shape[0] != IMAGE_SHAPE[2]:
                 _need_shape(inputs, TACTILE, (IMAGE_SHAPE[2], *IMAGE_SHAPE[:2]))
         # Other cameras, and without touch this one too, are not looked at; robots need not have them.
@@ -146,7 +149,7 @@ class PneutacBCConfig(PreTrainedConfig):
 
     def check_size(self, shape: tuple[int, ...], where: str) -> None:
         """Raises InputError where tactile images (3, H, W) of a file or dataset are of another size."""
-        if self.image_shape and _whole(shape) != _whole(self.image_shape):
+        if self.image_shape and shape != self.image_shape:
             raise InputError(
                 f"{where}: the tactile images are {shape[2]} x {shape[1]} px and this policy takes"
                 f" {self.image_shape[2]} x {self.image_shape[1]}; give the camera that width and height, or"
@@ -156,12 +159,15 @@ class PneutacBCConfig(PreTrainedConfig):
     def check_dataset(self, meta) -> None:
         """Raises InputError where a dataset cannot train this policy.
 
+        What the policy does not know yet it takes from the dataset: its rate, and the size of whole images.
+
         Args:
             meta: LeRobotDatasetMetadata.
         """
         where = f"Dataset '{meta.repo_id}'"
         if meta.total_episodes == 0:
             raise InputError(f"{where} has no episodes; record at least one.")
+        self.control_hz = self.control_hz or meta.fps
         if meta.fps != self.control_hz:
             raise InputError(
                 f"{where} has {meta.fps} frames per second and the policy's control_hz is {self.control_hz};"
@@ -198,13 +204,20 @@ class PneutacBCConfig(PreTrainedConfig):
                 raise InputError(
                     f"{where}: '{TACTILE}' has the shape {found}; pneutac_bc needs RGB such as {IMAGE_SHAPE}."
                 )
-            self.check_size((found[2], *found[:2]), where)
+            whole, stored = whole_shape(meta.features[TACTILE]), (found[2], *found[:2])
+            if self.image_shape == stored != whole:  # robots give all pixels
+                self.input_features = dict(self.input_features or {})
+                self.input_features[TACTILE] = replace(self.input_features[TACTILE], shape=whole)
+            self.check_size(whole, where)
 
 
-def _whole(shape: tuple[int, ...]) -> tuple[int, ...]:
-    """Shape (3, H, W) of the images of which a dataset holds means, or its own."""
-    full, pooled = ((s[2], *s[:2]) for s in (IMAGE_SHAPE, POOLED_SHAPE))
-    return full if shape == pooled else shape
+def whole_shape(feature: dict) -> tuple[int, int, int]:
+    """Shape (3, H, W) of the tactile images of which a dataset's feature holds means, or its own."""
+    rows, columns, channels = feature["shape"]
+    if (rows, columns, channels) == POOLED_SHAPE:  # before 0.2 a DIGIT's, without a word
+        rows, columns, _ = IMAGE_SHAPE
+    rows, columns = (feature.get("info") or {}).get(POOLED_FROM, (rows, columns))
+    return channels, rows, columns
 
 
 def _where_not_finite(meta, key: str) -> str:

@@ -20,7 +20,7 @@ from lerobot_robot_pneutac.policy.rest_image import check_same_sensor, rest_imag
 from lerobot_robot_pneutac.policy.scaling import Scaling
 from lerobot_robot_pneutac.policy.tactile_encoder import DIFFERENCE_SCALE, EMBEDDING, TactileEncoder
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import ACTION_NAMES, AREA, PIXELS, PRESSURE, state_names
+from pneutac_sim.features import ACTION_NAMES, AREA, CONTROL_HZ, PIXELS, PRESSURE, state_names
 
 HIDDEN = 256
 REST = "encoder.rest_image"
@@ -54,6 +54,7 @@ class PneutacBCPolicy(PreTrainedPolicy):
         self._dataset_rest = self._demonstrations = None
         if dataset_meta is not None:
             config.check_dataset(dataset_meta)
+        config.control_hz = config.control_hz or CONTROL_HZ
         config.validate_features()
         if dataset_meta is not None:
             self._demonstrations = Demonstrations.of(dataset_meta)

@@ -6,7 +6,7 @@ from lerobot.datasets import LeRobotDataset
 from torch import Tensor
 from torch.nn import functional as F
 
-from lerobot_robot_pneutac.policy.configuration_pneutac_bc import POOL, POOLED_SHAPE, TACTILE
+from lerobot_robot_pneutac.policy.configuration_pneutac_bc import TACTILE, whole_shape
 from pneutac_sim.errors import InputError
 
 MAX_EPISODES = 16
@@ -42,9 +42,9 @@ def rest_image_of(*metas) -> torch.Tensor:
             frames += _first_images(meta, (chosen[inside] - before).tolist())
         before += meta.total_episodes
     rest = torch.stack(frames).float().quantile(0.5, dim=0)
-    if tuple(rest.shape[1:]) == POOLED_SHAPE[:2]:  # each mean stands for its pixels, and pools to itself
-        rest = rest.repeat_interleave(POOL, 1).repeat_interleave(POOL, 2)
-    return rest
+    whole = whole_shape(metas[0].features[TACTILE])[1:]
+    # Each mean stands for its pixels, and pools to itself.
+    return rest if tuple(rest.shape[1:]) == whole else F.interpolate(rest[None], whole)[0]
 
 
 def _first_images(meta, episodes: list[int]) -> list[Tensor]:

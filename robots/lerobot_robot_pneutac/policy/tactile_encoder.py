@@ -14,6 +14,20 @@ DARK = 8 / 255  # a pixel darker than this tells nothing of the light
 DRIFT = 0.5, 2.0  # of brightness; beyond these a camera is covered, which must not look like no touch
 
 
+def grid(rows: int, columns: int) -> tuple[int, int]:
+    """Rows and columns of the means of an image of that size."""
+    across, along = sorted(POOLED_SHAPE[:2])
+    return (along, across) if rows >= columns else (across, along)
+
+
+def pool(image: Tensor) -> Tensor:
+    """Means of images (B, 3, H, W) over the cells of `grid`, 4 x 4 pixels of a DIGIT's."""
+    (h, w), small = image.shape[2:], grid(*image.shape[2:])
+    if h % small[0] == 0 and w % small[1] == 0:
+        return F.avg_pool2d(image, (h // small[0], w // small[1]))
+    return F.adaptive_avg_pool2d(image, small)
+
+
 class TactileEncoder(nn.Module):
     """|image - rest| at 80 x 60, through three strided convolutions to a 64-D embedding; lying at 60 x 80.
 
@@ -29,8 +43,7 @@ class TactileEncoder(nn.Module):
         """An encoder of images of a shape (3, H, W)."""
         super().__init__()
         c, h, w = shape
-        small = POOLED_SHAPE[:2]
-        self._small = small if h >= w else small[::-1]
+        self._small = grid(h, w)
         self.register_buffer("rest_image", torch.full((c, h, w), torch.nan))
         self.layers = nn.Sequential(
             nn.Conv2d(c, 16, 5, stride=2, padding=2),
@@ -68,14 +81,7 @@ class TactileEncoder(nn.Module):
             raise InputError(
                 "The policy has no rest image: train it on a dataset with tactile images or load its weights."
             )
-        seen = image if pooled else self._pool(image)
-        rest = self._pool(self.rest_image[None])
+        seen = image if pooled else pool(image)
+        rest = pool(self.rest_image[None])
         gain = (seen / rest.clamp_min(DARK)).flatten(2).median(2).values.clamp(*DRIFT)[..., None, None]
         return (seen - gain * rest) / DIFFERENCE_SCALE
-
-    def _pool(self, image: Tensor) -> Tensor:
-        """Means of (B, 3, H, W) over cells, 4 x 4 pixels of a DIGIT's."""
-        (h, w), (rows, columns) = image.shape[2:], self._small
-        if h % rows == 0 and w % columns == 0:
-            return F.avg_pool2d(image, (h // rows, w // columns))
-        return F.adaptive_avg_pool2d(image, self._small)

@@ -5,7 +5,6 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from pneutac_sim.features import CONTROL_HZ
 from pneutac_sim.finger.control import BendController
 from pneutac_sim.twin import Twin
 
@@ -18,13 +17,14 @@ class BendCommands:
     Args:
         twin: of the finger, calibrated.
         conditions: what its effects ask for.
+        dt_s: duration of a control step.
 
     Raises:
         InputError: as `BendController`.
     """
 
-    def __init__(self, twin: Twin, conditions: Mapping[str, float]):
-        self._control = BendController(twin, 1 / CONTROL_HZ, conditions)
+    def __init__(self, twin: Twin, conditions: Mapping[str, float], dt_s: float):
+        self._control = BendController(twin, dt_s, conditions)
         self._told = False
 
     def pressure_kpa(self, bend_rad: float) -> float:

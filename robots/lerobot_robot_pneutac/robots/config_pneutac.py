@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from draccus.utils import DecodingError
 from lerobot.cameras import CameraConfig
@@ -15,9 +16,13 @@ from lerobot_robot_pneutac.options import (
     contact_threshold,
     pressure_range,
     refuse_if,
+    station_of,
 )
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import IMAGE_NAME, state_names
+
+if TYPE_CHECKING:
+    from pneutac_sim.world.station import Station
 
 
 @dataclass(kw_only=True)
@@ -62,7 +67,8 @@ class PneutacConfig(RobotConfig):
         bend: actions command the finger's bend, `bend.pos` in rad, in place of the pressure; the twin finds
             the pressure for it.
         conditions: what the twin's effects ask for, such as {temperature_c: 22}, for `bend`.
-        station: file `station.yaml`, whose workspace is the box of `limits` where these give none.
+        station: file `station.yaml`, whose workspace is the box of `limits` where these give none, and whose
+            control rate LeRobot's `--fps` and `--dataset.fps` are to be.
     """
 
     arm: ArmConfig | None = None
@@ -101,17 +107,23 @@ class PneutacConfig(RobotConfig):
         self._check_contact()
         self.limits = self.limits.of_twin(pressure_range("robot.twin", self.twin))
         check_station("robot.station", self.station)
+        self._where = station_of(self.station)
         if self.station is not None and (self.limits.low_m, self.limits.high_m) == (
             Limits.low_m,
             Limits.high_m,
         ):
-            low_m, high_m = _box_m(self.station, self.twin)
+            low_m, high_m = _box_m(self._where, self.twin)
             self.limits.low_m, self.limits.high_m = low_m, high_m
 
     @property
     def joints(self) -> int:
         """Joints of the arm."""
         return self.arm.joints
+
+    @property
+    def control_hz(self) -> int:
+        """Control rate of the station; the paper's where there is none."""
+        return self._where.control_hz
 
     def threshold_levels(self) -> float:
         """The contact threshold, 8-bit levels; raises InputError where the twin's folder is damaged."""
@@ -137,12 +149,10 @@ class PneutacConfig(RobotConfig):
             raise DecodingError((), f"--robot.twin: {e}") from e
 
 
-def _box_m(station: Path, twin: Path | None) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def _box_m(where: "Station", twin: Path | None) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Corners (3,) of a station's workspace in the arm's frame, with the finger of a twin."""
     from pneutac_sim.twin import Twin
-    from pneutac_sim.world.station import Station
 
-    where = Station.load(station)
     corners = where.box_m((Twin.load(twin) if twin else Twin.builtin()).length_mm)
     low_m, high_m = (tuple((corner - where.base_m).tolist()) for corner in corners)
     return low_m, high_m

@@ -10,14 +10,15 @@ from lerobot_robot_pneutac.options import (
     check_cameras,
     check_choice,
     check_conditions,
+    check_finger,
     check_networks,
     check_range,
     check_station,
     check_twin_folder,
     refuse_if,
-    station_joints,
+    station_of,
 )
-from pneutac_sim.features import CONTROL_HZ, FIDELITIES, RENDERS, task_names
+from pneutac_sim.features import FIDELITIES, RENDERS, task_names
 
 
 @RobotConfig.register_subclass("pneutac_sim")
@@ -37,14 +38,14 @@ class PneutacSimConfig(RobotConfig):
         render: what draws the touch: `mesh`, light on every pixel; `splats`, the Gaussians of the gel.
         pressure_range_kpa: pressures that can be commanded, such as [0, 20]; default those that the twin was
             measured over, beyond which it is extrapolated.
-        station: file `station.yaml` of arm, workspace and mount; default the paper's.
+        station: file `station.yaml` of arm, workspace, mount and control rate; default the paper's.
         standin: act on the stand-in for reality, which has a finger and a gel of its own.
         spread: number of random starts that the demonstrations are to stand for: each episode begins at that
             one of them which leaves the others nearest to a start that was done, as a person would spread a
             few demonstrations; 0 takes random starts as they come.
         bend: actions command the finger's bend, `bend.pos` in rad, in place of the pressure; the twin finds
             the pressure for it. On the stand-in it takes the twin that was calibrated to it.
-        cameras: scene cameras, such as {front: {type: pneutac_scene, width: 320, height: 240, fps: 15}}.
+        cameras: scene cameras, such as {front: {type: pneutac_scene, width: 320, height: 240}}.
         tactile_points: the observation has touch as data too, `tactile.points`: displacement and force on a
             grid. lerobot-record 0.6 has no place for it and leaves it out; `record_episodes` writes it.
         randomise_look: light, colours and texture of the scene are drawn anew in every episode.
@@ -68,14 +69,21 @@ class PneutacSimConfig(RobotConfig):
     @property
     def joints(self) -> int:
         """Joints of the station's arm."""
-        return station_joints(self.station)
+        return self._where.joints
+
+    @property
+    def control_hz(self) -> int:
+        """Control rate of the station."""
+        return self._where.control_hz
 
     def __post_init__(self):
         super().__post_init__()
         check_choice("robot.task", self.task, task_names())
         check_choice("robot.fidelity", self.fidelity, FIDELITIES)
         check_twin_folder("robot.twin", self.twin)
-        check_conditions("robot.conditions", self.twin, self.conditions)
+        if not self.standin or self.bend:  # of the stand-in's twin the sensor alone counts
+            check_finger("robot.twin", self.twin)
+            check_conditions("robot.conditions", self.twin, self.conditions)
         if not self.standin:  # which has no networks
             check_networks("robot.twin", self.twin, self.fidelity)
         check_choice("robot.render", self.render, RENDERS)
@@ -84,15 +92,16 @@ class PneutacSimConfig(RobotConfig):
             self.bend and self.standin and self.twin is None,
             "--robot.bend=true on the stand-in needs --robot.twin, the twin that was calibrated to it.",
         )
+        check_station("robot.station", self.station)
+        self._where = station_of(self.station)
         for name, camera in self.cameras.items():
             refuse_if(
-                (camera.type, camera.fps) != ("pneutac_scene", CONTROL_HZ),
+                camera.type != "pneutac_scene" or camera.fps not in (0, self.control_hz),
                 f"--robot.cameras: '{name}' is of type {camera.type} at {camera.fps} fps; the simulated robot"
-                f" has cameras of type pneutac_scene at {CONTROL_HZ} fps.",
+                f" has cameras of type pneutac_scene at {self.control_hz} fps.",
             )
         check_cameras("robot.cameras", self.sizes)
         check_range("robot.pressure_range_kpa", self.pressure_range_kpa)
-        check_station("robot.station", self.station)
         refuse_if(
             self.standin
             and (self.fidelity, self.conditions, self.render, self.pressure_range_kpa)

@@ -22,10 +22,15 @@ logger = logging.getLogger(__name__)
 
 
 class Keeper(logging.Handler):
-    """Adds each episode's pace to the dataset that LeRobot records here, and writes its `info.json` whole."""
+    """Adds each episode's pace to the dataset that LeRobot records here, and writes its `info.json` whole.
 
-    def __init__(self):
+    Args:
+        control_hz: of the robot, at which the dataset is to be recorded.
+    """
+
+    def __init__(self, control_hz: int):
         super().__init__(logging.INFO)
+        self._control_hz = control_hz
         self._times_s: list[float] | None = None
 
     def connect(self) -> None:
@@ -63,6 +68,12 @@ class Keeper(logging.Handler):
             self._keep(fpath.parent, data["total_episodes"] - 1, data["fps"], self._times_s[:frames])
         if frames:
             self._times_s = None
+            if data["fps"] != self._control_hz:
+                logger.warning(
+                    "The dataset has %s frames per second and the robot's control rate is %d Hz; record at"
+                    " --dataset.fps=%d, or give a station.yaml with control_hz: %s.",
+                    *(data["fps"], self._control_hz, self._control_hz, data["fps"]),
+                )
 
     def _keep(self, meta: Path, episode: int, fps: float, times_s: list[float]) -> None:
         pace = Pace.of(times_s, fps)

@@ -25,7 +25,6 @@ from pneutac_sim.features import (
     ACTION_HIGH,
     ACTION_LOW,
     ACTION_NAMES,
-    CONTROL_HZ,
     IMAGE_NAME,
 )
 from pneutac_sim.twin import Twin
@@ -53,7 +52,7 @@ class Pneutac(BaseRobot):
         super().__init__(config)
         self.config = config
         self.guard: Guard | None = None
-        self._keeper = Keeper()
+        self._keeper = Keeper(config.control_hz)
         self._arm = config.arm.make()
         self._pressure = config.pressure.make()
         self.cameras = make_cameras_from_configs({IMAGE_NAME: config.digit} | config.cameras)
@@ -87,7 +86,8 @@ class Pneutac(BaseRobot):
             raise DeviceAlreadyConnectedError(f"{self} is already connected.")
         self._keeper.connect()
         if self.config.bend:
-            self._bend = BendCommands(Twin.load(self.config.twin), self.config.conditions)
+            dt_s = 1 / self.config.control_hz
+            self._bend = BendCommands(Twin.load(self.config.twin), self.config.conditions, dt_s)
         try:
             self._pressure.connect()
             self._pressure.vent()
@@ -151,7 +151,7 @@ class Pneutac(BaseRobot):
         if names == BEND_NAMES:
             values[3] = self._bend.pressure_kpa(values[3])
         if names == POSE_NAMES:
-            velocity = (values[:3] - guard.look()[0].flange_m) * CONTROL_HZ
+            velocity = (values[:3] - guard.look()[0].flange_m) * self.config.control_hz
             # Far away is no fault of a pose, infinitely far is.
             near = np.clip(velocity, ACTION_LOW[:3], ACTION_HIGH[:3])
             values[:3] = np.where(np.isfinite(velocity), near, velocity)

@@ -2,11 +2,12 @@
 
 import logging
 from typing import Any
+from weakref import WeakSet
 
 import numpy as np
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
-from lerobot_robot_pneutac.options import standin_sensor, tactile_shape
+from lerobot_robot_pneutac.options import standin_sensor, station_of, tactile_shape
 from lerobot_robot_pneutac.robots.base_robot import (
     BEND_NAMES,
     POSE_NAMES,
@@ -21,7 +22,6 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.features import (
     ACTION_NAMES,
     AREA,
-    CONTROL_HZ,
     EE,
     IMAGE_NAME,
     POINTS_KEY,
@@ -38,10 +38,11 @@ HOME_RADIUS_M = 0.010
 logger = logging.getLogger(__name__)
 
 _connected: list["PneutacSim"] = []
+_made: WeakSet["PneutacSim"] = WeakSet()
 
 
 class PneutacSim(BaseRobot):
-    """A simulated robot that moves on by one control step (1/15 s) with every action that it is sent.
+    """A simulated robot that moves on by one control step of its station with every action that it is sent.
 
     An action is a dict of `features.ACTION_NAMES`, with `--robot.bend=true` with `bend.pos` in place of the
     pressure, clipped to its limits. Two more dicts are taken:
@@ -64,11 +65,12 @@ class PneutacSim(BaseRobot):
     def __init__(self, config: PneutacSimConfig):
         super().__init__(config)
         self.config = config
+        _made.add(self)
         self.cameras = {IMAGE_NAME: None, **config.cameras}
         self._image_shape = tactile_shape("robot.twin", config.twin)
         self.world = None
         self.successes: list[bool] = []
-        self._keeper = Keeper()
+        self._keeper = Keeper(config.control_hz)
 
     @property
     def image_shape(self) -> tuple[int, int, int]:
@@ -159,7 +161,7 @@ class PneutacSim(BaseRobot):
         self._moved, self._touched, self._frames = False, 0, 0
         if self.config.bend:
             twin = Twin.load(self.config.twin) if self.config.twin else Twin.builtin()
-            self._bend = BendCommands(twin, getattr(self.world, "conditions", {}))
+            self._bend = BendCommands(twin, getattr(self.world, "conditions", {}), self.world.dt_s)
 
     def _starts(self) -> SpreadStarts | None:
         """Random starts to choose from, by the places of flange (half of the weight) and objects."""
@@ -187,12 +189,21 @@ class PneutacSim(BaseRobot):
             if self._moved:
                 self.reset()
             return
-        velocity = (pose[:3] - self._observation.state[EE]) * CONTROL_HZ
+        velocity = (pose[:3] - self._observation.state[EE]) / self.world.dt_s
         self._step(np.clip(np.append(velocity, pose[3]), *action_limits(self.world.pressure_range_kpa)))
 
     def _need_world(self) -> None:
         if not self.is_connected:
             raise DeviceNotConnectedError(f"{self} is not connected; call connect() first.")
+
+
+def need_simulated_robot() -> None:
+    """Raises InputError where this process has no simulated robot, connected or not yet."""
+    if not _made:
+        raise InputError(
+            "pneutac_scripted sees the simulated world, and there is no simulated robot here; use"
+            " --robot.type=pneutac_sim, or another --teleop.type such as pneutac_keyboard."
+        )
 
 
 def connected_robot() -> PneutacSim:
@@ -206,9 +217,7 @@ def connected_robot() -> PneutacSim:
 
 
 def _world(config: PneutacSimConfig):
-    from pneutac_sim.world.station import Station
-
-    station = Station.load(config.station) if config.station else None
+    station = station_of(config.station)
     if config.standin:
         from lerobot_robot_pneutac.standin.world import StandinWorld
 

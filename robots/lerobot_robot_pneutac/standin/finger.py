@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from pneutac_sim.features import MAX_PRESSURE_KPA
-from pneutac_sim.world.scene import SUBSTEPS, Finger
+from pneutac_sim.world.scene import PHYSICS_HZ, Finger
 from pneutac_truths.online import OnlineRod
 from pneutac_truths.rod import Rod
 
@@ -103,7 +103,7 @@ def mjcf(mount_m: float = MOUNT_M) -> Finger:
 
 def clamped() -> mujoco.MjModel:
     """The finger alone, hanging from a clamp on the bench."""
-    timestep = 1 / (15 * SUBSTEPS)
+    timestep = 1 / PHYSICS_HZ
     return mujoco.MjModel.from_xml_string(
         f'<mujoco><compiler angle="radian"/><option timestep="{timestep!r}" integrator="implicitfast"/>'
         f"<default>{_DEFAULTS}</default><asset>{_MATERIALS}</asset>"

@@ -61,12 +61,13 @@ class GelTouch:
         brightness: tuple[float, float, float] = (1.0, 1.0, 1.0),
         image_shape: tuple[int, int, int] = IMAGE_SHAPE,
         window_mm: tuple[float, float] = WINDOW_MM,
+        dt_s: float = 1 / CONTROL_HZ,
     ):
         """The touch of a world; see `StandinWorld`."""
         check_choice("touch", mode, MODES)
         self.gel, self._mode, self._threshold = new_gel(image_shape, window_mm), mode, threshold_levels
         self.rest_image = self.gel.rest_image
-        self._camera = CameraNoise(self.rest_image.shape, brightness)
+        self._camera = CameraNoise(self.rest_image.shape, brightness, dt_s)
         self._site = model.site("gel").id
         shaped = model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE
         self._felt = np.flatnonzero((model.geom_group == OBJECT_GROUP) & shaped)
@@ -119,9 +120,14 @@ def contact_pixels(image: np.ndarray, rest_image: np.ndarray, threshold_levels: 
 class CameraNoise:
     """Noise of every pixel, and a slow drift of each channel's brightness about that of the rest image."""
 
-    def __init__(self, shape: tuple[int, int, int], brightness: tuple[float, float, float] = (1.0, 1.0, 1.0)):
-        """For images of a shape (H, W, 3), whose colours are brighter by these factors."""
-        self._brightness = np.array(brightness)
+    def __init__(
+        self,
+        shape: tuple[int, int, int],
+        brightness: tuple[float, float, float] = (1.0, 1.0, 1.0),
+        dt_s: float = 1 / CONTROL_HZ,
+    ):
+        """For images of a shape (H, W, 3), `dt_s` apart, whose colours are brighter by these factors."""
+        self._brightness, self._keep = np.array(brightness), np.exp(-dt_s / DRIFT_S)
         self._shape, self._size = shape, int(np.prod(shape))
         # Drawing noise anew takes longer than a whole control step; stretches of a longer one are as good.
         noise = NOISE_LEVELS * np.random.default_rng(0).standard_normal(3 * self._size, np.float32)
@@ -134,7 +140,7 @@ class CameraNoise:
 
     def photograph(self, image: np.ndarray) -> np.ndarray:
         """The image (H, W, 3) uint8 as the camera gives it one control step later than the last."""
-        keep = np.exp(-1 / (CONTROL_HZ * DRIFT_S))
+        keep = self._keep
         self._drift = keep * self._drift + DRIFT_SHARE * np.sqrt(1 - keep**2) * self._rng.standard_normal(3)
         table = np.arange(256)[:, None] * (1 + self._drift) * self._brightness
         bright = cv2.LUT(image, table.clip(0, 255).round().astype(np.uint8)[None])

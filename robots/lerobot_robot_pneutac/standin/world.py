@@ -16,7 +16,6 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.features import (
     ACTION_HIGH,
     ACTION_LOW,
-    CONTROL_HZ,
     IMAGE_SHAPE,
     PAPER_RANGE_KPA,
     state_limits,
@@ -30,9 +29,7 @@ from pneutac_sim.world.tasks import make_task
 from pneutac_sim.world.tasks.base import HOME_JITTER_M
 from pneutac_sim.world.view import View
 
-DT = 1 / CONTROL_HZ
 LATE_COMMANDS = 1  # control steps
-SETTLE_STEPS = 8  # control steps at rest before an episode
 OBJECT_MASS = 1.15  # factor
 TOUCH_N = 0.02  # less is no contact
 CONTACT_THRESHOLD = 12.0  # levels, where no twin gives a calibrated one
@@ -70,7 +67,7 @@ class StandinWorld:
 
     Attributes:
         task: the task; `task.description` is the instruction.
-        station, arm, workspace_m: as of `World`.
+        station, arm, workspace_m, dt_s: as of `World`.
         clipped: number of commands that were clipped to limits since the reset.
         command: action (4,) that was sent last, after clipping; it acts some control steps
             later, see `Physics`.
@@ -111,11 +108,18 @@ class StandinWorld:
         """
         self.task, self._physics = make_task(task), physics or Physics()
         self.station = station or Station()
+        self.dt_s = self.station.dt_s
         self.arm, self.workspace_m = self.station.make_arm(), self.station.box_m(LENGTH_MM + TIP_MM)
         self._lift_m = self.workspace_m[0] - self.station.workspace_low_m
         self._late = self._physics.late_commands + self.station.late_commands
         self.model = mujoco.MjModel.from_xml_string(
-            scene.build(self.task, mjcf(1e-3 * self.station.mount_mm), self.arm.body, self.arm.servos)
+            scene.build(
+                self.task,
+                mjcf(1e-3 * self.station.mount_mm),
+                self.arm.body,
+                self.arm.servos,
+                self.station.control_hz,
+            )
         )
         self.data = mujoco.MjData(self.model)
         objects = np.unique(self.model.geom_bodyid[self.model.geom_group == scene.OBJECT_GROUP])
@@ -124,7 +128,7 @@ class StandinWorld:
         self.model.geom_friction[self.model.geom("pad").id, 0] *= self._physics.friction
         mujoco.mj_setConst(self.model, self.data)
         self.touch = GelTouch(
-            self.model, touch, contact_threshold, self._physics.brightness, image_shape, window_mm
+            self.model, touch, contact_threshold, self._physics.brightness, image_shape, window_mm, self.dt_s
         )
         rows, columns, _ = self.tactile_shape
         joints = (self.arm.low_rad, self.arm.high_rad, self.arm.speed_rad_s)
@@ -164,7 +168,7 @@ class StandinWorld:
         self._finger.rest()
         self.clipped, self.command = 0, np.zeros(4)
         self._waiting = deque([np.zeros(4)] * self._late)
-        for _ in range(SETTLE_STEPS):
+        for _ in range(self.station.steps(scene.SETTLE_S)):
             self._advance(self._joints, 0.0)
         self.data.time = 0.0
         self._shown = self._felt()
@@ -173,7 +177,7 @@ class StandinWorld:
         return self._observe()
 
     def step(self, action: np.ndarray) -> Observation:
-        """Advances one control step of 1 / CONTROL_HZ s.
+        """Advances one control step, `dt_s`.
 
         Args:
             action: (4,) as `features.ACTION_NAMES`: flange velocity m/s in the world frame, pressure kPa.
@@ -188,7 +192,7 @@ class StandinWorld:
         self.clipped += int(np.any(np.abs(self.command - given) > 1e-6))
         self._waiting.append(self.command)
         *velocity, pressure = self._waiting.popleft()
-        wanted = self.target_m + np.array(velocity) * DT
+        wanted = self.target_m + np.array(velocity) * self.dt_s
         target = np.clip(wanted, *self.workspace_m)
         self.clipped += int(np.any(target != wanted))
         joints = self._ik.solve(target - self.arm.base_m)
@@ -199,7 +203,7 @@ class StandinWorld:
         self._shown = self._felt()
         self._advance(joints, pressure)
         scene.check_physics(self.data)
-        self.task.update(self.model, self.data, DT)
+        self.task.update(self.model, self.data, self.dt_s)
         self.touch.sense(self.data)
         return self._observe()
 
@@ -210,7 +214,7 @@ class StandinWorld:
         def servo(share: float) -> None:
             self.data.ctrl[self._arm] = before + share * (joints - before)
 
-        self._finger.advance(pressure_kpa, DT, servo)
+        self._finger.advance(pressure_kpa, self.dt_s, servo)
         mujoco.mj_kinematics(self.model, self.data)
         self._joints = joints
 

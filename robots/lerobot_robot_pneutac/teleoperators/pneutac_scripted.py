@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
-from lerobot_robot_pneutac.robots.pneutac_sim import connected_robot
+from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim, connected_robot, need_simulated_robot
 from lerobot_robot_pneutac.teleoperators.base_teleop import BaseTeleop
 from lerobot_robot_pneutac.teleoperators.config_pneutac_scripted import PneutacScriptedConfig
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import ACTION_NAMES, CONTROL_HZ, action_limits
+from pneutac_sim.features import ACTION_NAMES, DEMONSTRATION_S, action_limits
 
 clock = time.perf_counter
 
@@ -37,7 +37,12 @@ class PneutacScripted(BaseTeleop):
         return self._rng is not None
 
     def connect(self, calibrate: bool = True) -> None:
-        """Gets ready; the robot may be connected later, but before the first `get_action`."""
+        """Gets ready; the robot may be connected later, but before the first `get_action`.
+
+        Raises:
+            InputError: there is no simulated robot.
+        """
+        need_simulated_robot()
         if self.is_connected:
             raise DeviceAlreadyConnectedError(f"{self} is already connected.")
         self._rng = np.random.default_rng(self.config.seed)
@@ -55,29 +60,33 @@ class PneutacScripted(BaseTeleop):
         """
         if not self.is_connected:
             raise DeviceNotConnectedError(f"{self} is not connected; call connect() first.")
-        c = self.config
-        self._advance()
+        robot = connected_robot()
+        steps, control_hz = self.steps(robot), robot.config.control_hz
+        self._advance(steps, control_hz)
         if self._tick == 0:
             from pneutac_sim.world.expert import ScriptedExpert
 
-            robot = connected_robot()
             if robot.config.bend:
                 raise InputError("pneutac_scripted gives pressures; leave --robot.bend out.")
             self._expert = ScriptedExpert(robot.world, self._rng)
         # Waiting is with the pressure off and the arm at rest.
-        action = self._expert.action() if self._tick < c.episode_steps else np.zeros(len(ACTION_NAMES))
-        limits = action_limits(connected_robot().world.pressure_range_kpa)
+        action = self._expert.action() if self._tick < steps else np.zeros(len(ACTION_NAMES))
+        limits = action_limits(robot.world.pressure_range_kpa)
         values = np.clip(action, *limits).tolist()
         result: dict[str, Any] = dict(zip(ACTION_NAMES, values, strict=True))
-        if not self._was_reset and self._tick >= c.episode_steps - 1 + (c.reset_steps + 1) // 2:
+        if not self._was_reset and self._tick >= steps - 1 + (self.config.reset_steps + 1) // 2:
             result["reset"] = self._was_reset = True
         return result
 
-    def _advance(self) -> None:
-        now, cycle = clock(), self.config.episode_steps + self.config.reset_steps
+    def steps(self, robot: PneutacSim) -> int:
+        """Ticks of a demonstration on a robot."""
+        return self.config.episode_steps or DEMONSTRATION_S * robot.config.control_hz
+
+    def _advance(self, steps: int, control_hz: int) -> None:
+        now, cycle = clock(), steps + self.config.reset_steps
         if self._tick is not None:
             # Without a waiting time nothing separates the episodes but the count itself.
-            due = int((now - self._start_s) * CONTROL_HZ) if self.config.reset_steps else 0
+            due = int((now - self._start_s) * control_hz) if self.config.reset_steps else 0
             self._tick = max(self._tick + 1, due)
         if self._tick is None or self._tick >= cycle:
             self._tick, self._start_s, self._was_reset = 0, now, False

@@ -13,7 +13,7 @@ from pneutac_sim.features import MAX_PRESSURE_KPA, action_limits
 from pneutac_sim.world.experts import EXPERTS
 from pneutac_sim.world.experts.motion import Habits, Wish
 from pneutac_sim.world.tasks.base import Task
-from pneutac_sim.world.world import DT, World
+from pneutac_sim.world.world import World
 
 ACCELERATION = 0.8  # m/s2, how fast a hand changes the velocity
 
@@ -41,10 +41,10 @@ class ScriptedExpert:
         if not self._world.success:
             wish, pressure = self._expert(self._world, self._habits, self._pressure)
         change = wish - self._velocity
-        limit = ACCELERATION * DT
+        limit = ACCELERATION * self._world.dt_s
         self._velocity += change * min(1.0, limit / max(np.linalg.norm(change), 1e-9))
         # Only inflating takes care: the valve vents, and fills to the pressure of the search, at once.
-        ramp = max(self._pressure + self._habits.ramp_kpa_s * DT, self._habits.low_kpa)
+        ramp = max(self._pressure + self._habits.ramp_kpa_s * self._world.dt_s, self._habits.low_kpa)
         self._pressure = min(pressure, ramp)
         noise = self._rng.normal(0, self._habits.tremor, 3) if np.any(wish) else 0.0
         action = np.append(self._velocity + noise, self._scale * self._pressure)

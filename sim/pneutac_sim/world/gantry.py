@@ -24,7 +24,6 @@ from pneutac_sim.world.soft_finger import Springs, mjcf
 from pneutac_sim.world.substeps import Substeps
 from pneutac_sim.world.touch import Touch
 from pneutac_sim.world.varied import VariedWorld, _Staged
-from pneutac_sim.world.world import DT, RAMP
 
 
 class Gantry(VariedWorld):
@@ -52,7 +51,13 @@ class Gantry(VariedWorld):
         super().__init__(world.task.name, world.twin, "area", "probe", world.conditions, **limits)
         task = self.task.inner
         spec = mujoco.MjSpec.from_string(
-            scene.build(task, mjcf(self.twin, self.station.mount_mm), slides.body, slides.actuators)
+            scene.build(
+                task,
+                mjcf(self.twin, self.station.mount_mm),
+                slides.body,
+                slides.actuators,
+                self.station.control_hz,
+            )
         )
         spec.compiler.discardvisual = True  # nobody looks at it
         self.model = spec.compile()
@@ -196,9 +201,9 @@ class Gantry(VariedWorld):
         saved = self.target_m, self._joints, self.spine_target_rad, self._drive, self._rate, self._pipeline
         self._pipeline, target = self._pipeline.copy(), self.target_m
         for t, action in enumerate(acting):
-            target = np.clip(target + action[:3] * DT, *self.workspace_m)
-            self._advance(target, self._pipeline.step(action[3], DT))
-            self.task.update(self.model, self.data, DT)
+            target = np.clip(target + action[:3] * self.dt_s, *self.workspace_m)
+            self._advance(target, self._pipeline.step(action[3], self.dt_s))
+            self.task.update(self.model, self.data, self.dt_s)
             self._snapshots.take(row + t, self.data)
         self.target_m, self._joints, self.spine_target_rad, self._drive, self._rate, self._pipeline = saved
 
@@ -210,18 +215,18 @@ class Gantry(VariedWorld):
         D = self._springs.set(K)
         target = np.repeat(self.target_m[None, None], S, 0).repeat(H + 1, 1)
         for t in range(H):
-            target[:, t + 1] = np.clip(target[:, t] + acting[:, t, :3] * DT, *self.workspace_m)
-        ctrl = np.empty((S, H, scene.SUBSTEPS, self.model.nu))
+            target[:, t + 1] = np.clip(target[:, t] + acting[:, t, :3] * self.dt_s, *self.workspace_m)
+        ctrl = np.empty((S, H, self._substeps, self.model.nu))
         ctrl[:] = self.data.ctrl
-        ctrl[..., self._arm] = target[:, :-1, None] + RAMP * np.diff(target, axis=1)[:, :, None]
+        ctrl[..., self._arm] = target[:, :-1, None] + self._ramp * np.diff(target, axis=1)[:, :, None]
         for s in range(S):
             pipeline, drive, rate = self._pipeline.copy(), self._drive, self._rate
             for t in range(H):
-                before, drive = drive, self._bend(pipeline.step(acting[s, t, 3], DT))
-                torques, rate = self._follower.torques(before, rate, drive, K, D, scene.SUBSTEPS)
+                before, drive = drive, self._bend(pipeline.step(acting[s, t, 3], self.dt_s))
+                torques, rate = self._follower.torques(before, rate, drive, K, D, self._substeps)
                 ctrl[s, t, :, self._spine] = torques + rest
-        ctrl = ctrl.reshape(S, H * scene.SUBSTEPS, -1)
-        return self._physics.ahead(ctrl)[:, scene.SUBSTEPS - 1 :: scene.SUBSTEPS]
+        ctrl = ctrl.reshape(S, H * self._substeps, -1)
+        return self._physics.ahead(ctrl)[:, self._substeps - 1 :: self._substeps]
 
     def _look(self, states: np.ndarray) -> None:
         """Takes snapshots of states (S, H, n)."""

@@ -1,5 +1,6 @@
 """The MJCF of a whole world: arm, finger, task and what makes it pleasant to look at."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -9,8 +10,9 @@ from pneutac_sim.features import CONTROL_HZ
 from pneutac_sim.world import cameras, panda
 from pneutac_sim.world.tasks import Task
 
-SUBSTEPS = 50  # 1.33 ms
-TIMESTEP = 1 / (CONTROL_HZ * SUBSTEPS)
+SETTLE_S = 0.53  # at rest before an episode
+PHYSICS_HZ = 750  # steps of 1.33 ms, at which everything here was found stable
+SUBSTEPS = PHYSICS_HZ // CONTROL_HZ  # of a control step of the paper's
 
 # Geom groups: 0 decor, 1 arm and finger as seen, 2 task objects (seen and felt), 3 finger's collision shapes.
 OBJECT_GROUP = 2
@@ -74,17 +76,24 @@ _VISUAL = """
 </visual>"""
 
 
+def substeps(control_hz: int) -> int:
+    """Physics steps of a control step; a step divides it, and is no longer than 1 / `PHYSICS_HZ`."""
+    return math.ceil(PHYSICS_HZ / control_hz)
+
+
 def build(
     task: Task,
     finger: Finger,
     arm: Callable[[str], str] = panda.body,
     servos: Callable[[], str] = panda.actuators,
+    control_hz: int = CONTROL_HZ,
 ) -> str:
-    """MJCF of the world with `task` and a finger, carried by an arm with its servos."""
+    """MJCF of the world with `task` and a finger, carried by an arm with its servos, for a control rate."""
+    timestep = 1 / (control_hz * substeps(control_hz))
     return f"""
 <mujoco model="pneutac_{task.name}">
   <compiler angle="radian"/>
-  <option timestep="{TIMESTEP!r}" integrator="implicitfast" iterations="20"/>
+  <option timestep="{timestep!r}" integrator="implicitfast" iterations="20"/>
   {_VISUAL}
   <default>{_DEFAULTS}{finger.defaults}</default>
   <asset>{_ASSETS}{finger.materials}{task.assets()}</asset>

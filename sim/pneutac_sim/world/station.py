@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from pneutac_sim.errors import InputError, shown
-from pneutac_sim.features import CONTROL_HZ, PAPER_LENGTH_MM
+from pneutac_sim.features import CONTROL_HZ, PAPER_LENGTH_MM, RATES_HZ
 from pneutac_sim.files import read_yaml
 from pneutac_sim.world.arms import ARMS, ArmFile, joints_of, make_arm, read_arm
 from pneutac_sim.world.arms.chain import Chain
@@ -36,7 +36,7 @@ class Station:
         mount_mm: from the flange to the finger's base.
         home_m: where the flange starts (x, y, z) in place of the task's own start.
         latency_s: by which commands act late, in whole control steps.
-        control_hz: control rate; the world has one only.
+        control_hz: control rate, a whole number of Hz; demonstrations are recorded at it.
     """
 
     workspace_low_m: tuple[float, float, float] = (0.30, -0.20, 0.18)
@@ -69,10 +69,11 @@ class Station:
             right = isinstance(value, int | float) and not isinstance(value, bool)
             if not (right and low <= value <= high):
                 raise InputError(f"{name} is {shown(value)}; give {low} to {high} {unit}.")
-        if self.control_hz != CONTROL_HZ:
+        low, high = RATES_HZ
+        whole = isinstance(self.control_hz, int) and not isinstance(self.control_hz, bool)
+        if not (whole and low <= self.control_hz <= high):
             raise InputError(
-                f"control_hz is {shown(self.control_hz)}; the world and its policies run at {CONTROL_HZ} Hz,"
-                f" so record at --dataset.fps={CONTROL_HZ} and leave it out."
+                f"control_hz is {shown(self.control_hz)}; give a whole number from {low} to {high} Hz."
             )
         if self.home_m is not None and not (
             np.less_equal(self.workspace_low_m, self.home_m).all()
@@ -86,7 +87,16 @@ class Station:
     @property
     def late_commands(self) -> int:
         """Control steps by which commands act late."""
-        return round(self.latency_s * CONTROL_HZ)
+        return self.steps(self.latency_s)
+
+    @property
+    def dt_s(self) -> float:
+        """Duration of a control step."""
+        return 1 / self.control_hz
+
+    def steps(self, seconds: float) -> int:
+        """Control steps that come nearest to a duration."""
+        return round(seconds * self.control_hz)
 
     def box_m(self, length_mm: float) -> tuple[np.ndarray, np.ndarray]:
         """Corners (3,) of the flange's box with a finger of that length."""

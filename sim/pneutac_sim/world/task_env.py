@@ -9,7 +9,6 @@ from gymnasium import spaces
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import (
-    CONTROL_HZ,
     IMAGE_NAME,
     POINTS_KEY,
     POINTS_SIZE,
@@ -36,7 +35,7 @@ class TaskEnv(gymnasium.Env):
         task_description: the instruction.
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": CONTROL_HZ}
+    metadata = {"render_modes": ["rgb_array"]}
 
     def __init__(
         self,
@@ -65,6 +64,7 @@ class TaskEnv(gymnasium.Env):
             InputError: as `SceneCameras`, or points without touch.
         """
         self.world, self._begun = world, False
+        self.metadata = self.metadata | {"render_fps": world.station.control_hz}
         self.task, self.task_description = world.task.name, world.task.description
         self.render_mode = render_mode
         self._render_size = (render_width, render_height)

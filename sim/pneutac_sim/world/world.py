@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from pneutac_sim.errors import InputError, check_choice
-from pneutac_sim.features import CONTROL_HZ, FIDELITIES, RENDERS, action_limits
+from pneutac_sim.features import FIDELITIES, RENDERS, action_limits
 from pneutac_sim.finger.online import PressurePipeline
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.twin import Twin, checked_range
@@ -31,10 +31,6 @@ from pneutac_sim.world.tasks import make_task
 from pneutac_sim.world.tasks.base import HOME_JITTER_M
 from pneutac_sim.world.touch import Touch
 
-DT = 1 / CONTROL_HZ
-RAMP = np.linspace(0, 1, scene.SUBSTEPS + 1)[1:, None]  # share of a control step at the end of each substep
-SETTLE_STEPS = 8  # control steps at rest before an episode
-
 logger = logging.getLogger(__name__)
 
 
@@ -46,6 +42,7 @@ class World(Senses):
         sensor: the gel's tactile sensor.
         conditions: what the twin's effects are given in this episode, such as `temperature_c`.
         time_s: simulated time since the reset.
+        dt_s: duration of a control step.
         pressure_range_kpa: lowest and highest pressure that can be commanded, kPa.
         action_limits: lowest and highest action (4,).
         station: where the finger works.
@@ -116,12 +113,21 @@ class World(Senses):
         self.workspace_m = self.station.box_m(self.twin.length_mm)
         self._lift_m = self.workspace_m[0] - self.station.workspace_low_m
         self.arm = self.station.make_arm()
+        self.dt_s, self._substeps = self.station.dt_s, scene.substeps(self.station.control_hz)
+        # Share of a control step at the end of each substep.
+        self._ramp = np.linspace(0, 1, self._substeps + 1)[1:, None]
         self._base_m = self.arm.base_m  # of the frame in which the arm is told where to go
         self._conditions = conditions_for(self.twin, conditions)
         self._pipeline = PressurePipeline(self.twin, draw(self._conditions, np.random.default_rng(0)))
         self.finger, gel = deforming(self.twin, fidelity, touch)
         self.model = mujoco.MjModel.from_xml_string(
-            scene.build(self.task, mjcf(self.twin, self.station.mount_mm), self.arm.body, self.arm.servos)
+            scene.build(
+                self.task,
+                mjcf(self.twin, self.station.mount_mm),
+                self.arm.body,
+                self.arm.servos,
+                self.station.control_hz,
+            )
         )
         self.data = mujoco.MjData(self.model)
         self.sensor = TactileSensor(self.twin)
@@ -179,14 +185,14 @@ class World(Senses):
         self._drive, self._rate = self._bend(self.spine_target_rad), np.zeros(len(self.spine_target_rad))
         self.data.qpos[self._spine] = self._drive
         if self._pipeline.moves:
-            self._placing.set(self.model, self._placing.find(self._pipeline, self._drive, DT))
+            self._placing.set(self.model, self._placing.find(self._pipeline, self._drive, self.dt_s))
         self.clipped = self.out_of_range = 0
         self.command = np.zeros(4)
         self._sent = deque([self.command] * self._late_commands)
-        for _ in range(SETTLE_STEPS):
+        for _ in range(self.station.steps(scene.SETTLE_S)):
             self._advance(self._joints, self.spine_target_rad)
         self.data.time = 0.0
-        self._measure(DT)
+        self._measure(self.dt_s)
         self.touch.sense(self.data)
         return self._observe()
 
@@ -199,13 +205,13 @@ class World(Senses):
     def _late_commands(self) -> int:
         """Control steps by which commands act late: the station's and, as demonstrations told, the twin's."""
         known = self.twin.parameters.get("command_latency_s")
-        return self.station.late_commands + (round(known.value * CONTROL_HZ) if known else 0)
+        return self.station.late_commands + (self.station.steps(known.value) if known else 0)
 
     def _draw_conditions(self) -> dict[str, float]:
         return draw(self._conditions, self._rng)
 
     def step(self, action: np.ndarray) -> Observation:
-        """Advances one control step of 1 / CONTROL_HZ s.
+        """Advances one control step, `dt_s`.
 
         Args:
             action: (4,) as `features.ACTION_NAMES`: flange velocity m/s in the world frame, pressure kPa.
@@ -218,7 +224,7 @@ class World(Senses):
         self.command = self._clip(action)
         self._sent.append(self.command)
         *velocity, pressure = self._sent.popleft()
-        wanted = self.target_m + np.array(velocity) * DT
+        wanted = self.target_m + np.array(velocity) * self.dt_s
         target = np.clip(wanted, *self.workspace_m)
         self.clipped += int(np.any(target != wanted))
         joints = self._ik.solve(target - self._base_m)
@@ -226,10 +232,10 @@ class World(Senses):
             self.clipped, target, joints = self.clipped + 1, self.target_m, self._joints
             self._ik.reset(joints)
         self.target_m = target
-        self._advance(joints, self._pipeline.step(pressure, DT))
+        self._advance(joints, self._pipeline.step(pressure, self.dt_s))
         scene.check_physics(self.data)
-        self.task.update(self.model, self.data, DT)
-        self._measure(DT)
+        self.task.update(self.model, self.data, self.dt_s)
+        self._measure(self.dt_s)
         self.touch.sense(self.data)
         self.out_of_range += not (self.touch.in_range and (self.finger is None or self.finger.in_range))
         return self._observe()
@@ -263,18 +269,18 @@ class World(Senses):
         drive, before = self._bend(spine), self._drive
         K, rest = self._resist(before)
         D = self._springs.set(K)
-        ctrl = np.tile(self.data.ctrl, (scene.SUBSTEPS, 1))
-        ctrl[:, self._arm] = self._joints + RAMP * (joints - self._joints)
-        torques, self._rate = self._follower.torques(before, self._rate, drive, K, D, scene.SUBSTEPS)
+        ctrl = np.tile(self.data.ctrl, (self._substeps, 1))
+        ctrl[:, self._arm] = self._joints + self._ramp * (joints - self._joints)
+        torques, self._rate = self._follower.torques(before, self._rate, drive, K, D, self._substeps)
         ctrl[:, self._spine] = torques + rest
         goal = self._placing.poses
         if self._pipeline.moves:
-            goal = self._placing.find(self._pipeline, self.spine_rad + drive - before, DT)
+            goal = self._placing.find(self._pipeline, self.spine_rad + drive - before, self.dt_s)
         if self._placing.stays(goal):
             self._placing.set(self.model, goal)
             self._physics.run(ctrl)
         else:
-            for row, pose in zip(ctrl, self._placing.between(goal, RAMP), strict=True):
+            for row, pose in zip(ctrl, self._placing.between(goal, self._ramp), strict=True):
                 self.data.ctrl[:] = row
                 self._placing.set(self.model, pose)
                 mujoco.mj_step(self.model, self.data)

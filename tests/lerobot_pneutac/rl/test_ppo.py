@@ -183,7 +183,7 @@ def test_a_students_dataset_has_the_features_of_recorded_demonstrations(tmp_path
     from pneutac_sim.features import ACTION_HIGH, ACTION_LOW
     from pneutac_sim.world.world import World
 
-    monkeypatch.setattr(ppo_student, "STEPS", 6)
+    monkeypatch.setattr(ppo_student, "EPISODE_S", 0.4)
     ended = iter([False, True] * 20)  # of the first trial no demonstration is made
     outcome = []
     monkeypatch.setattr(World, "success", property(lambda w: bool(outcome and outcome[-1])))
@@ -232,7 +232,7 @@ def test_a_student_of_another_task_or_of_a_failing_actor_is_refused(tmp_path, mo
         record("egg", episodes=0)
     with pytest.raises(InputError, match="noise is 2"):
         record("egg", noise=2.0)
-    monkeypatch.setattr(ppo_student, "STEPS", 2)
+    monkeypatch.setattr(ppo_student, "EPISODE_S", 2 / 15)
     with pytest.raises(InputError, match="succeeded in 0 of 20 trials"):
         record("egg")
 

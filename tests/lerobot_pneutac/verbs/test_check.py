@@ -48,7 +48,7 @@ def test_all_faults_of_demonstrations_are_told_at_once(tmp_path):
     names = ["joint_1.pose" if n == "joint_1.pos" else n for n in STATE_NAMES]
     spoilt = demonstrations(tmp_path / "a", names=names, fps=30)
     text = " ".join(demonstration_faults(spoilt, Twin.builtin()))
-    assert "30 fps; the world runs at 15" in text
+    assert "30 fps, but the station's control rate is 15 Hz" in text
     assert "lacks 'joint_1.pos' (there is 'joint_1.pose')" in text
     spoilt = demonstrations(tmp_path / "b", (12.0, 40.0, 12.0, np.nan), (0.1, 0.1, 0.0, 0.1))
     text = " ".join(demonstration_faults(spoilt, Twin.builtin()))

@@ -167,7 +167,7 @@ def test_variation_moves_the_object_and_scales_the_bend():
 
 def test_following_leads_back_to_the_path():
     actions = np.zeros((60, 4))
-    led = follow(actions, np.array([0.01, 0.0, 0.0]), np.zeros(3))
+    led = follow(actions, np.array([0.01, 0.0, 0.0]), np.zeros(3), 1 / 15)
     assert led[:, 0].sum() / 15 == pytest.approx(-0.01, rel=0.02)
     assert not led[:, 1:].any()
 

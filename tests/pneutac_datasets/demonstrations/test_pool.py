@@ -20,18 +20,18 @@ from pneutac_sim.features import ACTION_NAMES, IMAGE_SHAPE, STATE_NAMES
 FRAMES = 4
 
 
-def write(root, seed, fps=15):
+def write(root, seed, fps=15, shape=IMAGE_SHAPE):
     """Two demonstrations of random states and smooth random images."""
     features = {
         OBS_STATE: {"dtype": "float32", "shape": (len(STATE_NAMES),), "names": list(STATE_NAMES)},
         ACTION: {"dtype": "float32", "shape": (len(ACTION_NAMES),), "names": list(ACTION_NAMES)},
-        TACTILE: {"dtype": "image", "shape": IMAGE_SHAPE, "names": ["height", "width", "channels"]},
+        TACTILE: {"dtype": "image", "shape": shape, "names": ["height", "width", "channels"]},
     }
     rng = np.random.default_rng(seed)
     dataset = create_dataset(f"local/{root.name}", root, fps, features, "pneutac", False, FRAMES)
     for _ in range(2):
         for _ in range(FRAMES):
-            image = rng.integers(40, 200, IMAGE_SHAPE, dtype=np.uint8)
+            image = rng.integers(40, 200, shape, dtype=np.uint8)
             state, action = (
                 rng.normal(size=n).astype(np.float32) for n in (len(STATE_NAMES), len(ACTION_NAMES))
             )
@@ -41,10 +41,12 @@ def write(root, seed, fps=15):
     return root
 
 
-@pytest.fixture(scope="module")
-def pooled(tmp_path_factory):
+@pytest.fixture(
+    scope="module", params=[IMAGE_SHAPE, (120, 160, 3), (170, 123, 3)], ids=["digit", "lying", "odd"]
+)
+def pooled(tmp_path_factory, request):
     folder = tmp_path_factory.mktemp("pool")
-    sources = [write(folder / "a", 1), write(folder / "b", 2)]
+    sources = [write(folder / name, seed, shape=request.param) for name, seed in (("a", 1), ("b", 2))]
     return sources, pool_demonstrations(sources, folder / "small", "local/small")
 
 
@@ -52,15 +54,16 @@ def test_states_actions_and_means_are_those_of_the_sources_in_order(pooled):
     sources, out = pooled
     small = LeRobotDataset("local/small", root=out)
     whole = [f for s in sources for f in LeRobotDataset(f"local/{s.name}", root=s)]
+    assert sorted(small[0][TACTILE].shape) == [3, 60, 80]
     assert small.num_episodes == 4 and len(small) == len(whole)
     for a, b in zip(small, whole, strict=True):
         assert torch.equal(a[OBS_STATE], b[OBS_STATE]) and torch.equal(a[ACTION], b[ACTION])
-        means = torch.nn.functional.avg_pool2d(b[TACTILE], 4)
+        means = torch.nn.functional.adaptive_avg_pool2d(b[TACTILE], a[TACTILE].shape[1:])
         assert (a[TACTILE] - means).abs().max() < 0.51 / 255  # rounded to 8 bit, no more
 
 
 def test_one_row_a_sample_says_what_three_do(pooled):
-    _, out = pooled
+    sources, out = pooled
     meta = LeRobotDatasetMetadata("local/small", out)
     features = dataset_to_policy_features(meta.features)
     losses = {}
@@ -75,6 +78,9 @@ def test_one_row_a_sample_says_what_three_do(pooled):
         assert config.action_delta_indices == (None if whole else [-1, 0])
         torch.manual_seed(0)
         policy = PneutacBCPolicy(config, dataset_meta=meta).eval()
+        assert policy.config.image_shape == tuple(
+            LeRobotDataset("local/a", root=sources[0])[0][TACTILE].shape
+        )
         assert "observation.previous_action" not in policy.config.input_features
         data = LeRobotDataset("local/small", root=out, delta_timestamps=times)
         losses[whole] = policy(default_collate([data[i] for i in range(len(data))]))[0].item()
@@ -84,10 +90,10 @@ def test_one_row_a_sample_says_what_three_do(pooled):
 def test_the_encoder_feels_the_same(pooled):
     sources, out = pooled
     encoders = []
+    shape = LeRobotDataset(f"local/{sources[0].name}", root=sources[0])[0][TACTILE].shape
     for root in (sources[0], out):
-        encoder = TactileEncoder()
+        encoder = TactileEncoder(tuple(shape))
         encoder.rest_image.copy_(rest_image_of(LeRobotDatasetMetadata(f"local/{root.name}", root)))
-        assert encoder.rest_image.shape == (3, 320, 240)
         encoders.append(encoder)
     encoders[1].rest_image.copy_(encoders[0].rest_image)
     whole = LeRobotDataset(f"local/{sources[0].name}", root=sources[0])[1][TACTILE][None]
@@ -102,5 +108,11 @@ def test_bad_input_is_named(pooled, tmp_path):
         pool_demonstrations([tmp_path / "none"], tmp_path / "x", "local/x")
     with pytest.raises(InputError, match="frames per second"):
         pool_demonstrations([sources[0], write(tmp_path / "slow", 3, fps=10)], tmp_path / "y", "local/y")
+    smaller = write(tmp_path / "smaller", 3, shape=(90, 70, 3))
+    with pytest.raises(InputError, match="give datasets of one sensor"):
+        pool_demonstrations([sources[0], smaller], tmp_path / "z", "local/z")
+    small = write(tmp_path / "small", 3, shape=(80, 60, 3))
+    with pytest.raises(InputError, match="already"):
+        pool_demonstrations([small], tmp_path / "z", "local/z")
     with pytest.raises(SystemExit, match="exists"):
         main(["--out", str(sources[1]), str(sources[0])])

@@ -120,7 +120,9 @@ def test_features_that_do_not_fit_are_named():
 
 def test_datasets_that_do_not_fit_are_named(tmp_path):
     with pytest.raises(InputError, match="30 frames per second"):
-        make_policy(PneutacBCConfig(device="cpu"), write_dataset(tmp_path / "fast", [100], fps=30))
+        make_policy(
+            PneutacBCConfig(device="cpu", control_hz=15), write_dataset(tmp_path / "fast", [100], fps=30)
+        )
     swapped = [STATE_NAMES[1], STATE_NAMES[0], *STATE_NAMES[2:]]
     with pytest.raises(InputError, match=r"'observation.state' has the names \['joint_2.pos', 'joint_1.pos'"):
         make_policy(PneutacBCConfig(device="cpu"), write_dataset(tmp_path / "a", [100], state_names=swapped))

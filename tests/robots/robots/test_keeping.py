@@ -15,7 +15,7 @@ SECONDS = "lerobot_robot_pneutac.robots.keeping.time.perf_counter"
 def keeper(monkeypatch):
     monkeypatch.setattr(io_utils, "write_json", io_utils.write_json)
     monkeypatch.setattr(logging.getLogger(), "level", logging.INFO)
-    keeper = Keeper()
+    keeper = Keeper(15)
     keeper.connect()
     yield keeper
     keeper.disconnect()

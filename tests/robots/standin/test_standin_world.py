@@ -8,12 +8,14 @@ import pytest
 import lerobot_robot_pneutac.standin  # noqa: F401
 from lerobot_robot_pneutac.standin.finger import DOME_MM, GEL_KPA, PARTS, gel_force_n, new_rod
 from lerobot_robot_pneutac.standin.gel import NOISE_LEVELS, contact_pixels
-from lerobot_robot_pneutac.standin.world import CONTACT_THRESHOLD, DT, LATE_COMMANDS, StandinWorld
+from lerobot_robot_pneutac.standin.world import CONTACT_THRESHOLD, LATE_COMMANDS, StandinWorld
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import EE, STATE_NAMES
 from pneutac_sim.gel.contact import contact_area
 from pneutac_sim.world.expert import ScriptedExpert
 from pneutac_sim.world.station import Station
+
+DT = Station().dt_s
 
 OURS = ("effects", "finger", "gel", "mpm", "splat", "surrogate")
 

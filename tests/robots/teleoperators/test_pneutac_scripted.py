@@ -1,8 +1,11 @@
+from weakref import WeakSet
+
 import numpy as np
 import pytest
 from draccus.utils import DecodingError
 from lerobot.utils.errors import DeviceNotConnectedError
 
+from lerobot_robot_pneutac.robots import pneutac_sim
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
 from lerobot_robot_pneutac.teleoperators import pneutac_scripted
@@ -104,6 +107,12 @@ def test_needs_a_simulated_robot_in_the_process(pair):
     teleop.disconnect()
     with pytest.raises(DeviceNotConnectedError):
         teleop.get_action()
+
+
+def test_a_robot_that_is_not_simulated_is_refused_before_it_is_connected(tmp_path, monkeypatch):
+    monkeypatch.setattr(pneutac_sim, "_made", WeakSet())
+    with pytest.raises(InputError, match="there is no simulated robot here; use --robot.type=pneutac_sim"):
+        PneutacScripted(PneutacScriptedConfig(id="s", calibration_dir=tmp_path)).connect()
 
 
 def test_bad_options_are_named():

@@ -5,7 +5,10 @@ import pytest
 
 from pneutac_sim.surrogate.swing import Swing, released
 from pneutac_sim.world.soft_finger import sensor
-from pneutac_sim.world.world import DT, World
+from pneutac_sim.world.station import Station
+from pneutac_sim.world.world import World
+
+DT = Station().dt_s
 
 
 @pytest.mark.parametrize("step_s, seconds", [(0.002, 0.5), (DT, 2.0)])

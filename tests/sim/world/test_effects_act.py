@@ -20,7 +20,7 @@ from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.twin import Twin, Value
 from pneutac_sim.world.gantry import Gantry
 from pneutac_sim.world.varied import VariedWorld
-from pneutac_sim.world.world import DT, World
+from pneutac_sim.world.world import World
 
 RISE_KPA = 5.0 * (1 - np.cos(np.pi * np.arange(91) / 90))  # in 6 s
 SWEEP_KPA = np.concatenate([RISE_KPA, np.full(15, 10.0), RISE_KPA[::-1]])
@@ -141,7 +141,7 @@ def sweep(world: World, program=SWEEP_KPA) -> tuple[np.ndarray, np.ndarray]:
 def bench(twin: Twin, conditions: dict, program=SWEEP_KPA) -> np.ndarray:
     """Markers (n, 5) of the pipeline over the same."""
     n = len(program)
-    samples = {"trial": np.zeros(n, int), "time_s": DT * np.arange(n), "pressure_cmd_kpa": program}
+    samples = {"trial": np.zeros(n, int), "time_s": np.arange(n) / 15, "pressure_cmd_kpa": program}
     samples |= {name: np.full(n, value) for name, value in conditions.items()}
     inputs = Inputs.from_samples(samples, "finger", twin.length_mm, source="command", start="held")
     model = Pipeline.of(twin, inputs)

@@ -6,7 +6,7 @@ import pytest
 
 from pneutac_sim.twin import Twin, Value
 from pneutac_sim.world.following import Follower
-from pneutac_sim.world.scene import TIMESTEP
+from pneutac_sim.world.scene import PHYSICS_HZ
 from pneutac_sim.world.soft_finger import DIGIT_MASS, Springs, body, mjcf
 
 JOINTS = 4
@@ -18,7 +18,7 @@ def model():
     finger = mjcf(Twin.builtin())
     materials = '<material name="arm_dark"/>'
     return mujoco.MjModel.from_xml_string(
-        f'<mujoco><compiler angle="radian"/><option timestep="{TIMESTEP!r}" integrator="implicitfast"'
+        f'<mujoco><compiler angle="radian"/><option timestep="{1 / PHYSICS_HZ!r}" integrator="implicitfast"'
         f' gravity="0 0 0"/><default>{finger.defaults}</default><asset>{finger.materials}{materials}</asset>'
         f"<worldbody>{finger.body}</worldbody><actuator>{finger.actuators}</actuator>{finger.tendons}</mujoco>"
     )

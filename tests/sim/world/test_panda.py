@@ -7,7 +7,10 @@ from scipy.spatial.transform import Rotation
 
 from pneutac_sim.features import JOINT_HIGH, JOINT_LOW
 from pneutac_sim.world import panda
-from pneutac_sim.world.world import DT, World
+from pneutac_sim.world.station import Station
+from pneutac_sim.world.world import World
+
+DT = Station().dt_s
 
 
 def simulated_flange(q):

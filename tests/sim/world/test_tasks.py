@@ -7,9 +7,12 @@ import pytest
 from pneutac_sim.features import TASK_NAMES
 from pneutac_sim.twin import Twin
 from pneutac_sim.world import scene, soft_finger
+from pneutac_sim.world.station import Station
 from pneutac_sim.world.tasks import TASKS
 from pneutac_sim.world.tasks.card import CardTask
-from pneutac_sim.world.world import DT, World
+from pneutac_sim.world.world import World
+
+DT = Station().dt_s
 
 # Which point of the task's body starts at random, metres in its frame, and its mean place.
 MIDDLES = {"switch": (-0.029, 0.511), "egg": (-0.05, 0.53), "card": (0.0, 0.56)}

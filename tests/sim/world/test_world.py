@@ -8,9 +8,12 @@ from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, N_PIXELS, STATE_NAMES,
 from pneutac_sim.world import drawing, scene
 from pneutac_sim.world.expert import ScriptedExpert
 from pneutac_sim.world.panda import WORKSPACE_HIGH
+from pneutac_sim.world.station import Station
 from pneutac_sim.world.tasks import TASKS
 from pneutac_sim.world.view import CAMERA
-from pneutac_sim.world.world import DT, World
+from pneutac_sim.world.world import World
+
+DT = Station().dt_s
 
 
 @pytest.fixture(scope="module")
@@ -119,8 +122,12 @@ def test_unknown_task_and_touch_list_what_there_is():
         World("switch", touch="smell")
 
 
-def test_time_step_divides_the_control_step():
-    assert scene.TIMESTEP * scene.SUBSTEPS == pytest.approx(DT, rel=1e-12)
+@pytest.mark.parametrize("control_hz", [5, 15, 20, 60])
+def test_time_step_divides_the_control_step_and_is_no_longer_than_the_papers(control_hz):
+    world = World("switch", touch="none", station=Station(control_hz=control_hz))
+    step = world.model.opt.timestep
+    assert step * scene.substeps(control_hz) == pytest.approx(1 / control_hz, rel=1e-12)
+    assert 0.9 / 750 < step <= 1 / 750 + 1e-12
 
 
 def press(world):

@@ -8,8 +8,11 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.finger.kinematics import forward_kinematics, joint_command
 from pneutac_sim.twin import PAPER_FINGER, Twin, Value
 from pneutac_sim.world import soft_finger
+from pneutac_sim.world.station import Station
 from pneutac_sim.world.tasks.base import contact_force
-from pneutac_sim.world.world import DT, World
+from pneutac_sim.world.world import World
+
+DT = Station().dt_s
 
 
 def hold(world, pressure_kpa, steps=45):

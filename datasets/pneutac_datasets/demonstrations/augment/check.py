@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from pneutac_datasets.demonstrations.augment.episode import Attempt, AugmentSetup
-from pneutac_datasets.demonstrations.augment.reference import EXTRA_STEPS
+from pneutac_datasets.demonstrations.augment.reference import EXTRA_STEPS, frames_at
 from pneutac_datasets.demonstrations.augment.work import Work
 from pneutac_sim.files import write_json
 from pneutac_sim.progress import Progress
@@ -90,7 +90,7 @@ def agreement(world: VariedWorld, episode: int, attempt: Attempt, step=lambda: N
         if areas[t] > 0 or planned[t] > 0:
             errors.append(np.mean((world.touch.image.astype(float) - attempt.images[t]) ** 2))
         world.step(action)
-    for _ in range(EXTRA_STEPS):
+    for _ in range(frames_at(world.station.control_hz, EXTRA_STEPS)):
         if world.success or world.failure:
             break
         world.step(attempt.action[-1])

@@ -10,7 +10,8 @@ import numpy as np
 
 from pneutac_datasets.demonstrations.augment.reference import FIRM, Reference
 
-EARLY = 16  # control steps by which a touch may go before the demonstrated one
+# Frames of the paper's rate, see `reference.frames_at`.
+EARLY = 16  # by which a touch may go before the demonstrated one
 LATE_TOUCH, LATE_RELEASE = 8, 30  # and after it: who goes on for long has missed the object
 GONE = 2  # frames without touch after which it is over
 BUMP = 6  # frames; shorter contacts need not come
@@ -31,7 +32,7 @@ class Course:
 
     def __init__(self, reference: Reference, aside_m: float):
         self._contacts = list(reference.contacts)
-        self._reference, self._aside_m = reference, aside_m
+        self._reference, self._aside_m, self._frames = reference, aside_m, reference.frames
         self._waited = self._lost = 0
         self._largest = 0.0
         self.frame, self.offset_m, self.in_contact = -1, np.zeros(3), False
@@ -55,14 +56,14 @@ class Course:
 
     def _stay_in_contact(self, area: float) -> bool:
         """Ends a contact when the touch is gone, up to `EARLY` frames too soon; False if it is too late."""
-        end = self._contacts[0][1]
+        end, gone = self._contacts[0][1], self._frames(GONE)
         self._largest = max(self._largest, area)
         self._lost = 0 if area >= FIRM * self._largest or self._lasts else self._lost + 1
-        if self._lost >= GONE and end - self.frame <= EARLY:
+        if self._lost >= gone and end - self.frame <= self._frames(EARLY):
             self.frame = end
-        elif self.frame == end and self._lost < GONE:
+        elif self.frame == end and self._lost < gone:
             self._waited += 1
-            if self._waited > LATE_RELEASE:
+            if self._waited > self._frames(LATE_RELEASE):
                 return False
             self.frame = end - 1
             self.offset_m = self.offset_m + self.onward_m
@@ -89,12 +90,11 @@ class Course:
         elif self.frame == first:
             self._waited += 1
             self.frame = first - 1
-            return self._waited <= LATE_TOUCH
+            return self._waited <= self._frames(LATE_TOUCH)
         return True
 
-    @staticmethod
-    def _is_bump(contact: tuple[int, int]) -> bool:
-        return contact[1] - contact[0] < BUMP
+    def _is_bump(self, contact: tuple[int, int]) -> bool:
+        return contact[1] - contact[0] < self._frames(BUMP)
 
     @property
     def _lasts(self) -> bool:

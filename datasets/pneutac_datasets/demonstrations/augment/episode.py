@@ -13,7 +13,7 @@ from pneutac_datasets.demonstrations.augment.reference import EXTRA_STEPS, Refer
 from pneutac_datasets.demonstrations.augment.scene import Scene, command_latency, find_scene, follow
 from pneutac_datasets.demonstrations.episodes import POINTS
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import ACTION_NAMES, AREA, CONTROL_HZ, MAX_PRESSURE_KPA
+from pneutac_sim.features import ACTION_NAMES, AREA, MAX_PRESSURE_KPA
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.conditions import Conditions, draw
 from pneutac_sim.world.gantry import Gantry
@@ -30,7 +30,7 @@ BEND_GAIN = 0.04  # of the factor on pressure to bend
 ASIDE_M = 0.005  # of the object's place along y, at most: the way there stays, and a gel is 16 mm wide
 LATE = 1  # control steps by which touch is shown too late, at most
 START_M = 0.004  # standard deviation of the start; its height stays, by which many a contact is met at all
-SHORTEST = 8  # control steps; what is done sooner was done by where the object stood
+SHORTEST = 8  # control steps of the paper's rate; what is done sooner was done by where the object stood
 IN_THE_WAY = "the object stood where the hand starts"
 TRIES = 10  # variants of one reference before another one gets its turn
 
@@ -252,7 +252,7 @@ class Generator:
             missed = missed and not self.world.touch.area > 0
             self.seconds["execution"] += time.perf_counter() - began
         reason = self.world.failure
-        if not reason and self.world.success and len(actions) < SHORTEST:
+        if not reason and self.world.success and len(actions) < r.frames(SHORTEST):
             reason = IN_THE_WAY
         elif not reason and missed:
             reason = "it did not touch the object"
@@ -276,10 +276,11 @@ class Generator:
 
     def _plan(self, r: Reference, variant: Variant, rng: np.random.Generator):
         """Yields the next action (4,) for what is, until it is over."""
-        planner = CemPlanner(self.gantry, self.setup.planner, rng)
-        r = r.prolonged(EXTRA_STEPS)
+        config = self.setup.planner.at(r.control_hz)
+        planner = CemPlanner(self.gantry, config, rng, r.control_hz)
+        r = r.prolonged(r.frames(EXTRA_STEPS))
         demonstrated, course = self._warm(r, variant), Course(r, variant.shift_m[1])
-        steps = np.arange(self.setup.planner.horizon)
+        steps = np.arange(config.horizon)
         action, queue = np.zeros(4), []
         while course.advance(self.world.touch.area, self.world.flange_m) and course.frame < len(r):
             t = course.frame
@@ -287,10 +288,10 @@ class Generator:
                 frames = np.minimum(t + steps, course.last)
                 warm = demonstrated[frames].copy()
                 if not course.waiting:
-                    warm = follow(warm, self.world.flange_m, r.flange_m[t] + course.offset_m)
+                    warm = follow(warm, self.world.flange_m, r.flange_m[t] + course.offset_m, self.world.dt_s)
                 queue = [warm[0]]
                 if course.in_contact:
-                    warm[t + steps > course.last, :3] = course.onward_m * CONTROL_HZ
+                    warm[t + steps > course.last, :3] = course.onward_m * r.control_hz
                     ahead = t + 1 + steps
                     beyond = np.maximum(ahead - course.last, 0)[:, None] * course.onward_m
                     ahead = np.minimum(ahead, course.last)
@@ -298,7 +299,7 @@ class Generator:
                     self.gantry.mirror(self.world)
                     warm = planner.plan(warm, action, course.area_goal(t + 1 + steps), goal)
                     self._costs.append(planner.cost)
-                    queue = list(warm[: self.setup.planner.replan])
+                    queue = list(warm[: config.replan])
             action = np.clip(queue.pop(0), *self.world.action_limits)
             yield action
 

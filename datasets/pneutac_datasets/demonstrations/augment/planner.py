@@ -8,21 +8,22 @@ moves mean and spread to the best of them. The cost is the paper's (eq. mpc-impl
 with contact area c (a fraction of the image), flange position x (m), and action a in units of its limits.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pneutac_datasets.demonstrations.augment.reference import frames_at
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import ACTION_HIGH, MAX_PRESSURE_KPA
+from pneutac_sim.features import ACTION_HIGH, CONTROL_HZ, MAX_PRESSURE_KPA
 from pneutac_sim.world.gantry import Gantry
 
 SMALLEST_SPREAD = 0.1  # of the first spread, so that later iterations still look around
-MEMORY = 0.7  # correlation of the jitter from one step to the next: hands do not shake at 15 Hz
+MEMORY = 0.7  # correlation of the jitter over 1/15 s: hands do not shake so fast
 
 
 @dataclass(frozen=True)
 class PlannerConfig:
-    """Options of the planner.
+    """Options of the planner; control steps are of 1/15 s, and at another rate as many as last as long.
 
     Attributes:
         horizon: number of control steps that a plan looks ahead, H.
@@ -61,6 +62,15 @@ class PlannerConfig:
         for name in ("area_weight", "position_weight", "smoothness_weight", "jitter_m_s", "jitter_kpa"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
                 raise InputError(f"{name} is {getattr(self, name)}; it must be a number from 0 on.")
+
+    def at(self, control_hz: int) -> "PlannerConfig":
+        """The same for a control rate: as many seconds, and a change of the action by as much a second."""
+        return replace(
+            self,
+            horizon=max(2, frames_at(control_hz, self.horizon)),
+            replan=frames_at(control_hz, self.replan),
+            smoothness_weight=self.smoothness_weight * (control_hz / CONTROL_HZ) ** 2,
+        )
 
 
 def demonstration_cost(
@@ -102,16 +112,19 @@ class CemPlanner:
 
     Args:
         gantry: the reduced world; `Gantry.mirror` sets where a plan starts.
-        config: options.
+        config: options, for its control rate.
         rng: decides the jitter.
+        control_hz: this rate.
 
     Attributes:
         cost: of the last plan.
     """
 
-    def __init__(self, gantry: Gantry, config: PlannerConfig, rng: np.random.Generator):
+    def __init__(
+        self, gantry: Gantry, config: PlannerConfig, rng: np.random.Generator, control_hz: int = CONTROL_HZ
+    ):
         self._gantry, self._config, self._rng = gantry, config, rng
-        self._rest = np.empty((0, 4))
+        self._rest, self._memory = np.empty((0, 4)), MEMORY ** (CONTROL_HZ / control_hz)
         self.cost = 0.0
 
     def plan(
@@ -153,7 +166,7 @@ class CemPlanner:
 
     def _noise(self, samples: int, steps: int) -> np.ndarray:
         """Unit normal noise (samples, steps, 4), correlated in time."""
-        noise = self._rng.standard_normal((samples, steps, 4))
+        noise, memory = self._rng.standard_normal((samples, steps, 4)), self._memory
         for t in range(1, steps):
-            noise[:, t] = MEMORY * noise[:, t - 1] + np.sqrt(1 - MEMORY**2) * noise[:, t]
+            noise[:, t] = memory * noise[:, t - 1] + np.sqrt(1 - memory**2) * noise[:, t]
         return noise

@@ -8,12 +8,18 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.features import CONTROL_HZ
 from pneutac_sim.gel.sensor import TactileSensor, centre_mm
 
+# Frames are of the paper's rate; at another they are as many as last as long, see `frames_at`.
 EXTRA_STEPS = 15  # frames by which a demonstration goes on where the task is about to be done
 MARGIN = 4  # frames before the first and after the last contact that still count as contact phase
 FIRM = 0.15  # of a contact's largest area; what is smaller, and comes last, only brushes
 VENTED = 0.5  # of the highest pressure commanded in a contact; who commands less lets go
 REST_FRAMES, LEAST_PIXELS = 8, 50  # images that make the one at rest; an imprint's smallest size
 LOSS = 8  # frames without touch that still belong to a contact
+
+
+def frames_at(control_hz: int, paper: int) -> int:
+    """Frames of a rate that last as long as so many of the paper's, at least one."""
+    return max(1, round(paper * control_hz / CONTROL_HZ))
 
 
 @dataclass
@@ -28,6 +34,7 @@ class Reference:
         task: the instruction.
         centre_mm: (T, 2) middle of the imprint across and along the finger, from the middle of the image;
             NaN without touch. None where the images were not read.
+        control_hz: rate of its frames.
     """
 
     source: int
@@ -36,6 +43,7 @@ class Reference:
     action: np.ndarray
     task: str
     centre_mm: np.ndarray | None = None
+    control_hz: int = CONTROL_HZ
 
     def __post_init__(self):
         for name in ("flange_m", "area", "action"):
@@ -47,10 +55,14 @@ class Reference:
     def __len__(self) -> int:
         return len(self.action)
 
+    def frames(self, paper: int) -> int:
+        """Its frames that last as long as so many of the paper's, see `frames_at`."""
+        return frames_at(self.control_hz, paper)
+
     def prolonged(self, steps: int) -> "Reference":
         """The same, going on by `steps` frames as it ended: what follows a success that comes later."""
         last = self.action[-1]
-        ahead = np.arange(1, steps + 1)[:, None] * last[:3] / CONTROL_HZ
+        ahead = np.arange(1, steps + 1)[:, None] * last[:3] / self.control_hz
         nowhere = np.full((steps, 2), np.nan)
         return replace(
             self,
@@ -81,7 +93,7 @@ class Reference:
         """
         frames = np.flatnonzero(self.area > 0)
         found = []
-        for part in np.split(frames, np.flatnonzero(np.diff(frames) > LOSS) + 1):
+        for part in np.split(frames, np.flatnonzero(np.diff(frames) > self.frames(LOSS)) + 1):
             if len(part):
                 firm = self.area[part] >= FIRM * self.area[part].max()
                 pressure = np.abs(self.action[part[0] : part[np.flatnonzero(firm)[-1]] + 1, 3])
@@ -93,7 +105,8 @@ class Reference:
     def contact_phase(self) -> tuple[int, int]:
         """First frame of the contact phase and the one after its last."""
         last = int(np.flatnonzero(self.area > 0)[-1])
-        return max(0, self.onset - MARGIN), min(len(self), last + MARGIN + 1)
+        margin = self.frames(MARGIN)
+        return max(0, self.onset - margin), min(len(self), last + margin + 1)
 
 
 def imprint_centres_mm(images: np.ndarray, area: np.ndarray, sensor: TactileSensor) -> np.ndarray:

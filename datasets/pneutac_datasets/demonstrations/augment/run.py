@@ -37,10 +37,11 @@ from pneutac_datasets.demonstrations.episodes import (
     load_episode,
     save_episode,
 )
+from pneutac_datasets.demonstrations.faults import wrong_rate
 from pneutac_datasets.demonstrations.naive import augment_naive
 from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import AREA, CONTROL_HZ, EE
+from pneutac_sim.features import AREA, EE
 from pneutac_sim.files import write_text
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.progress import Progress, no_progress
@@ -50,7 +51,7 @@ PROVENANCE = "provenance.jsonl"  # in the dataset's folder `meta`
 
 
 def read_references(
-    root: str | Path, repo_id: str, sensor: TactileSensor | None = None
+    root: str | Path, repo_id: str, sensor: TactileSensor | None = None, control_hz: int | None = None
 ) -> tuple[LeRobotDatasetMetadata, list[Reference]]:
     """The recorded demonstrations, without their images.
 
@@ -58,6 +59,7 @@ def read_references(
         root: folder of the dataset.
         repo_id: its name.
         sensor: of the twin; with it the images are read, for the middles of the imprints.
+        control_hz: of the station; where left out, the dataset's own.
 
     Raises:
         InputError: there is no dataset, its features or rate are not those of the robot, or an episode is
@@ -67,11 +69,8 @@ def read_references(
         raise InputError(f"'{root}' holds no LeRobotDataset (no meta/info.json).")
     meta = LeRobotDatasetMetadata(repo_id, root)
     demonstration_features(meta)
-    if meta.fps != CONTROL_HZ:
-        raise InputError(
-            f"Dataset '{repo_id}' has {meta.fps} fps; the world runs at {CONTROL_HZ}, so record with"
-            f" --dataset.fps={CONTROL_HZ}."
-        )
+    if control_hz is not None and meta.fps != control_hz:
+        raise InputError(f"Dataset '{repo_id}': {wrong_rate(meta.fps, control_hz)}")
     dataset = LeRobotDataset(repo_id, root, video_backend="pyav")
     table = dataset.hf_dataset.with_format("numpy")
     state, action = (np.stack(table[k]).astype(float) for k in (OBS_STATE, ACTION))
@@ -80,7 +79,7 @@ def read_references(
         row = meta.episodes[i]
         rows = slice(row["dataset_from_index"], row["dataset_to_index"])
         s = state[rows]
-        r = Reference(i, s[:, EE], s[:, AREA], action[rows], row["tasks"][0])
+        r = Reference(i, s[:, EE], s[:, AREA], action[rows], row["tasks"][0], control_hz=meta.fps)
         if sensor is not None:
             r.centre_mm = imprint_centres_mm(load_episode(dataset, i).images, r.area, sensor)
         references.append(r)
@@ -201,7 +200,7 @@ def _write(
     features = demonstration_features(meta)
     use_videos = features[TACTILE]["dtype"] == "video"
     features |= further_features(meta)
-    longest = max(map(len, references)) + EXTRA_STEPS
+    longest = max(len(r) + r.frames(EXTRA_STEPS) for r in references)
     provenance, seconds = [], {"writing": 0.0}
     with quiet_encoders():
         out = create_dataset(repo_id, part, meta.fps, features, meta.robot_type, use_videos, longest)

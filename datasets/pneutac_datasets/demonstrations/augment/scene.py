@@ -12,17 +12,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pneutac_datasets.demonstrations.augment.reference import EXTRA_STEPS, FIRM, Reference
+from pneutac_datasets.demonstrations.augment.reference import EXTRA_STEPS, FIRM, Reference, frames_at
 from pneutac_sim.features import MAX_SPEED_M_S
 from pneutac_sim.gel.sensor import centre_mm
 from pneutac_sim.world.gantry import Gantry
 from pneutac_sim.world.varied import Variation, VariedWorld
-from pneutac_sim.world.world import DT
 
 REACH_M = 0.08  # how far the object is moved at most
 YIELDING_M = 0.03  # how far the finger may give way before its gel feels what its edge has touched
 FEEDBACK_HZ = 2.0  # rate at which the path returns to the demonstrated one
 AWAY_M = (0.0, 0.0, -5.0)  # out of everything's way
+# Frames and control steps are of the paper's rate, see `reference.frames_at`.
 LANE_STEPS = 30  # where the gel passed longer before the recorded onset it met nothing
 UNSEEN_STEPS = 8  # so much before the recorded onset the gel may have met an object, too softly to be seen
 EARLY_STEPS = 5  # a firm touch that comes so much before the recorded one is that of an object elsewhere
@@ -62,16 +62,17 @@ class Scene:
         return self.area_rmse + self.centre_rmse_mm / CENTRE_MM
 
 
-def follow(action: np.ndarray, flange_m: np.ndarray, goal_m: np.ndarray) -> np.ndarray:
+def follow(action: np.ndarray, flange_m: np.ndarray, goal_m: np.ndarray, dt_s: float) -> np.ndarray:
     """The demonstrated actions (H, 4), led back to the demonstrated path from where the flange is.
 
     Args:
         action: (H, 4) demonstrated actions.
         flange_m: (3,) where the flange is.
         goal_m: (3,) where the demonstration was.
+        dt_s: duration of a control step.
     """
     out = np.array(action, float)
-    fade = (1 - FEEDBACK_HZ * DT) ** np.arange(len(out))
+    fade = (1 - FEEDBACK_HZ * dt_s) ** np.arange(len(out))
     out[:, :3] += FEEDBACK_HZ * fade[:, None] * (goal_m - flange_m)
     out[:, :3] = np.clip(out[:, :3], -MAX_SPEED_M_S, MAX_SPEED_M_S)
     return out
@@ -85,10 +86,10 @@ def command_latency(world: VariedWorld, gantry: Gantry, references: list[Referen
         gantry: its gantry.
         references: the demonstrations.
     """
-    errors = np.zeros(MOST_LATE + 1)
+    errors = np.zeros(frames_at(world.station.control_hz, MOST_LATE) + 1)
     for late in range(len(errors)):
         for r in references:
-            actions = np.clip(r.action[: min(r.onset, FREE_FRAMES)], *world.action_limits)
+            actions = np.clip(r.action[: min(r.onset, r.frames(FREE_FRAMES))], *world.action_limits)
             world.variation = Variation(tuple(r.flange_m[0]), AWAY_M, late_commands=late)
             world.reset(0)
             gantry.mirror(world)
@@ -111,19 +112,20 @@ def find_scene(
         late: control steps by which commands acted too late.
     """
     rng = np.random.default_rng([seed, reference.source, 7])
-    replays = _Replays(world, gantry, reference.prolonged(EXTRA_STEPS), late)
+    replays = _Replays(world, gantry, reference.prolonged(reference.frames(EXTRA_STEPS)), late)
     way = replays.free_way(int(rng.integers(2**31)))
     # Objects stand on the table, so they are moved on it, the way that the gel looks.
     forward = way[-1][1].reshape(3, 3)[:, 2] * (1, 1, 0)
     forward /= max(np.linalg.norm(forward), 1e-9)
     across = np.array([-forward[1], forward[0], 0.0])
 
+    unseen, lane = reference.frames(UNSEEN_STEPS), reference.frames(LANE_STEPS)
     scenes = []
     for scene_seed in rng.integers(2**31, size=DRAWS * candidates).tolist():
         gantry.stage(scene_seed, (0.0, 0.0, 0.0))
-        reached = (_touching_distance(gantry, gel, forward) for gel in way[: -UNSEEN_STEPS - 1 : -1])
+        reached = (_touching_distance(gantry, gel, forward) for gel in way[: -unseen - 1 : -1])
         far = next((d for d in reached if d is not None), None)
-        if far is None or any(_felt(gantry, gel, far * forward) for gel in way[:-LANE_STEPS]):
+        if far is None or any(_felt(gantry, gel, far * forward) for gel in way[:-lane]):
             continue
         scenes.append(replays.reduced(scene_seed, (far - YIELDING_M * rng.uniform()) * forward))
         if len(scenes) == candidates:
@@ -172,7 +174,7 @@ class _Replays:
         self._world, self._gantry, self._reference, self._late = world, gantry, reference, late
         self.onset = max(reference.onset, 1)
         self.felt = float(np.sqrt(np.mean(reference.area[slice(*reference.contact_phase)] ** 2)))
-        self._begin = max(self.onset - LANE_STEPS, 0)
+        self._begin = max(self.onset - reference.frames(LANE_STEPS), 0)
 
     def free_way(self, seed: int) -> list[tuple[np.ndarray, np.ndarray]]:
         """Positions (3,) and rotations (9,) of the gel up to the onset.
@@ -197,7 +199,7 @@ class _Replays:
         g.stage(seed, shift)
         if g.blocked:
             return Scene(seed, tuple(shift.tolist()), False, 1.0, FAR_MM)
-        _, area = g.rollout(follow(r.action[begin:], g.flange_m, r.flange_m[begin]))
+        _, area = g.rollout(follow(r.action[begin:], g.flange_m, r.flange_m[begin], g.dt_s))
         area = np.append(np.zeros(begin), area)
         centres = np.vstack([np.full((begin, 2), np.nan), g.centre_mm])
         return self._scene(seed, shift, g.success and not g.failure, area, centres)
@@ -223,7 +225,7 @@ class _Replays:
 
     def _step(self, t: int) -> None:
         r, world = self._reference, self._world
-        world.step(follow(r.action[t][None], world.flange_m, r.flange_m[t])[0])
+        world.step(follow(r.action[t][None], world.flange_m, r.flange_m[t], world.dt_s)[0])
 
     def _scene(
         self, seed: int, shift: np.ndarray, done: bool, area: np.ndarray, centres: np.ndarray
@@ -231,11 +233,12 @@ class _Replays:
         """What came of a replay that felt `area` (T,) about `centres` (T, 2) mm."""
         recorded = self._reference.area
         first, end = self._reference.contact_phase
-        early = area[: max(self.onset - EARLY_STEPS, 0)].max(initial=0.0) > FIRM * recorded.max()
+        frames = self._reference.frames
+        early = area[: max(self.onset - frames(EARLY_STEPS), 0)].max(initial=0.0) > FIRM * recorded.max()
         rmse = float(np.sqrt(np.mean((area[first : end - 1] - recorded[first + 1 : end]) ** 2)))
         away = 0.0
         if self._reference.centre_mm is not None:
-            felt = slice(self.onset, self.onset + CENTRES)
+            felt = slice(self.onset, self.onset + frames(CENTRES))
             there = self._reference.centre_mm[felt]
             apart = np.linalg.norm(centres[self.onset - 1 :][: len(there)] - there, axis=1)
             apart = np.where(np.isnan(apart), FAR_MM, apart)[np.isfinite(there[:, 0])]

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import AREA, EE, PRESSURE, task_names
+from pneutac_sim.features import AREA, CONTROL_HZ, EE, PRESSURE, task_names
 from pneutac_sim.twin import Twin
 
 if TYPE_CHECKING:
@@ -177,6 +177,11 @@ def _refuse(folder: Path, twin: Twin) -> None:
         raise InputError(
             f"{folder / 'meta' / 'info.json'}: robot_type is '{robot}'; give demonstrations of a "
             f"'{ROBOT}' robot."
+        )
+    if info.get("fps") != CONTROL_HZ:
+        raise InputError(
+            f"{folder / 'meta' / 'info.json'}: {info.get('fps')} fps; as measurements demonstrations are"
+            f" taken at {CONTROL_HZ} only, and on the paper's station."
         )
     faults = demonstration_faults(folder, twin)
     if faults:

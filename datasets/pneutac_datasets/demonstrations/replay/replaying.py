@@ -14,7 +14,6 @@ from pneutac_datasets.demonstrations.episodes import Episode
 from pneutac_sim.features import CONTROL_HZ, EE, MAX_SPEED_M_S
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.varied import Variation, VariedWorld
-from pneutac_sim.world.world import DT
 
 AWAY_M = (0.0, 0.0, -5.0)  # out of everything's way
 SMOOTH = 5  # frames
@@ -104,7 +103,7 @@ class ReplayWorld(VariedWorld):
         self.reset(place.seed)
         rows, images = [self._row(path[0])], [self.touch.image]
         for t in range(len(path) - 1):
-            speed = (path[t + 1] - path[t]) / DT + FEEDBACK_HZ * (path[t] - self.flange_m)
+            speed = (path[t + 1] - path[t]) / self.dt_s + FEEDBACK_HZ * (path[t] - self.flange_m)
             action = np.append(np.clip(speed, -MAX_SPEED_M_S, MAX_SPEED_M_S), pressure[t])
             self.step(np.clip(action, *self.action_limits))
             rows.append(self._row(path[t + 1]))

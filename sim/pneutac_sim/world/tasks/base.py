@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -13,6 +14,7 @@ if TYPE_CHECKING:
     from pneutac_sim.world.experts.motion import Habits, Wish
     from pneutac_sim.world.world import World
 
+BUMP_S = 1 / 15  # a force that lasts no longer is no press
 HOME_JITTER_M = 0.004  # half width of the random start of the flange about a task's home
 
 
@@ -106,6 +108,11 @@ def place(model: mujoco.MjModel, body: str, position, yaw: float, pivot_m: float
     b, c, s = model.body(body), np.cos(yaw), np.sin(yaw)
     b.pos[:] = np.add(position, (pivot_m * (1 - c), -pivot_m * s, 0.0))
     b.quat[:] = np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)
+
+
+def lately(forces: tuple[float, ...], force: float, dt: float) -> tuple[float, ...]:
+    """The forces (N) of the last `BUMP_S` and the present one; the least of them was there all the time."""
+    return (*forces, force)[-math.ceil(BUMP_S / dt - 1e-6) - 1 :]
 
 
 def contact_force(model: mujoco.MjModel, data: mujoco.MjData, prefix: str | tuple[str, ...]) -> float:

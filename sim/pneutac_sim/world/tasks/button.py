@@ -5,7 +5,7 @@ from typing import override
 
 import numpy as np
 
-from pneutac_sim.world.tasks.base import Goal, Task, contact_force, place
+from pneutac_sim.world.tasks.base import Goal, Task, contact_force, lately, place
 
 POSITION_M = (0.53, 0.0, 0.0)
 HIGH_M = 0.12  # of its middle above the table
@@ -60,8 +60,8 @@ class ButtonTask(Task):
 
     @override
     def update(self, model, data, dt):
-        self._force = (self._force[1], contact_force(model, data, "button"))
-        if self._force[1] >= self.press_n:
+        self._force = lately(self._force, contact_force(model, data, "button"), dt)
+        if self._force[-1] >= self.press_n:
             self._held_s += dt
         else:
             self.pressed += self.held

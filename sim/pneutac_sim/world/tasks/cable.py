@@ -5,7 +5,7 @@ from typing import override
 
 import numpy as np
 
-from pneutac_sim.world.tasks.base import Goal, Task, contact_force, place
+from pneutac_sim.world.tasks.base import Goal, Task, contact_force, lately, place
 
 POSITION_M = (0.53, 0.0, 0.0)
 START_M = (-0.045, 0.125)  # y and height of the clip at the near end
@@ -68,7 +68,7 @@ class CableTask(Task):
 
     @override
     def update(self, model, data, dt):
-        self._force = (self._force[1], contact_force(model, data, ("cable", "plug")))
+        self._force = lately(self._force, contact_force(model, data, ("cable", "plug")), dt)
         parts = [contact_force(model, data, f"cable_{n}") > 0 for n in range(PARTS)]
         if any(parts):
             self.followed = max(self.followed, (1 + int(np.flatnonzero(parts)[-1])) / (PARTS + 1))

@@ -5,7 +5,7 @@ from typing import override
 
 import numpy as np
 
-from pneutac_sim.world.tasks.base import Task, contact_force, place
+from pneutac_sim.world.tasks.base import Task, contact_force, lately, place
 
 POSITION_M = (0.58, 0.0, 0.0)
 TRAY_M = 0.10  # height of the tray under the carton
@@ -105,8 +105,8 @@ class EggTask(Task):
 
     @override
     def update(self, model, data, dt):
-        self._force = (self._force[1], contact_force(model, data, "carton"))
-        self._wall = (self._wall[1], contact_force(model, data, "carton_base"))
+        self._force = lately(self._force, contact_force(model, data, "carton"), dt)
+        self._wall = lately(self._wall, contact_force(model, data, "carton_base"), dt)
 
     @override
     def success(self):

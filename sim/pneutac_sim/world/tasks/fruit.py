@@ -5,7 +5,7 @@ from typing import override
 
 import numpy as np
 
-from pneutac_sim.world.tasks.base import Goal, Task, contact_force, place
+from pneutac_sim.world.tasks.base import Goal, Task, contact_force, lately, place
 
 POSITION_M = (0.53, 0.0, 0.0)
 STAND_M = 0.10  # height of what it stands on
@@ -81,8 +81,8 @@ class FruitTask(Task):
 
     @override
     def update(self, model, data, dt):
-        self._force = (self._force[1], contact_force(model, data, "fruit"))
-        model.dof_frictionloss[self._dof] = self.wall_friction * self._force[1]  # what presses it on the wall
+        self._force = lately(self._force, contact_force(model, data, "fruit"), dt)
+        model.dof_frictionloss[self._dof] = self.wall_friction * self._force[-1]  # what presses it against it
         self._held_s = self._held_s + dt if self.lifted_m > self.lift_m else 0.0
 
     @override

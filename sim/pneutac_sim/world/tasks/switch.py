@@ -5,7 +5,7 @@ from typing import override
 
 import numpy as np
 
-from pneutac_sim.world.tasks.base import Task, contact_force, place
+from pneutac_sim.world.tasks.base import Task, contact_force, lately, place
 
 LEVER_M = 0.045  # hinge to bar
 HINGE_M = 0.085  # hinge above the table
@@ -86,7 +86,7 @@ class SwitchTask(Task):
     @override
     def update(self, model, data, dt):
         force = contact_force(model, data, ("switch", "bar"))
-        self._force = (self._force[1], force)
+        self._force = lately(self._force, force, dt)
         resting = self.lever_rad > 0.75 * self.well_rad and abs(self._lever.qvel[0]) < 0.5
         self._rested_s = self._rested_s + dt if resting else 0.0
 
