@@ -1,8 +1,11 @@
 """In words: how sure the make of a sensor is, what its presses told, and which press to add."""
 
+from collections.abc import Sequence
+
 from pneutac_sim.gel.channel import ERROR_LEVELS
 from pneutac_sim.gel.fit import GelFit
 from pneutac_sim.gel.layout import LIKE
+from pneutac_sim.gel.photograph import PressPhotograph
 from pneutac_sim.gel.told import Told
 
 ENOUGH_LEVELS = ERROR_LEVELS / 4  # what is open beside the model's own error, which no press removes
@@ -47,6 +50,16 @@ def told_sentences(told: Told, make: str) -> list[str]:
     )
     if told.deeper:
         out.append("Contacts deeper than the presses are extrapolated.")
+    return out
+
+
+def moved_sentences(stated: Sequence[PressPhotograph], fit: GelFit) -> list[str]:
+    """Where the presses whose place was uncertain were found to be."""
+    out = []
+    for k, (p, found) in enumerate(zip(stated, fit.presses, strict=True), 1):
+        if p.sd:
+            moves = [f"{n} {getattr(found, n):.3g} (stated {getattr(p.press, n):.3g})" for n in p.sd]
+            out.append(f"Within what its row leaves open, calibration press {k} has {', '.join(moves)}.")
     return out
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lerobot_pneutac.reports.gel_picture import picture_grid
-from lerobot_pneutac.reports.gel_told import make_sentence, told_sentences
+from lerobot_pneutac.reports.gel_told import make_sentence, moved_sentences, told_sentences
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.study.gel_model import at_bound, predict
 from lerobot_pneutac.study.pasted import Pasted
@@ -114,7 +114,8 @@ class GelCalibration(Calibration):
         rows, columns = self.gel.rest_image.shape[:2]
         if (rows, columns) != self.data.rest.shape[:2]:
             first.append(f"The twin's images are {columns} x {rows} px, made of the photographs'.")
-        return [*filter(None, first), *told_sentences(self.told, self.fit.make)]
+        moved = moved_sentences([s.photograph for s in self.data.presses], self.fit)
+        return [*filter(None, first), *moved, *told_sentences(self.told, self.fit.make)]
 
     def save_prior(self, name: str) -> Path:
         """Keeps the sensor's lights as those of a make, for later calibrations; returns the file.
@@ -157,6 +158,7 @@ class GelCalibration(Calibration):
             "make_by": ("rest image" if self.fit.by_rest else "light") if self.fit.make else "",
             "untold": list(self.told.untold),
             "next_press": _described(self.told.add) | {"where": self.told.where, "deeper": self.told.deeper},
+            "presses": [_described(press) for press in self.fit.presses],
             "open_levels": {"now": self.told.open_levels, "with_next_press": self.told.then_levels},
             "image": image,
             "methods": methods,

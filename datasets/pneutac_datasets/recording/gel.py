@@ -20,6 +20,13 @@ from pneutac_sim.gel.probe import THICKNESS_MM
 MIRROR_SAMPLES = 4  # photographs from which a mirrored axis can be told
 AGREE_MM = 0.5  # by which a contact's place in pixels and in millimetres may differ
 WINDOW_MM = (3.0, 200.0)  # smallest and largest width of a gel's image
+KNOWN = "known_depth"  # role of rows whose presses hold
+UNCERTAIN = {
+    "place_sd_mm": ("x_mm", "y_mm"),
+    "depth_sd_mm": ("depth_mm",),
+    "yaw_sd_rad": ("yaw_rad",),
+    "tilt_sd_rad": ("tilt_x_rad", "tilt_y_rad"),
+}
 ASSUMED_RADIUS_MM = 3.0  # of a ball that the recording does not tell: the scale of the light takes it up
 
 
@@ -37,6 +44,7 @@ class GelSample:
         x_px: column of the contact centre.
         y_px: row of the contact centre.
         radius_px: contact radius.
+        sd: what is uncertain of the press, see `PressPhotograph`.
     """
 
     name: str
@@ -48,11 +56,12 @@ class GelSample:
     x_px: float
     y_px: float
     radius_px: float
+    sd: dict[str, float] = field(default_factory=dict)
 
     @property
     def photograph(self) -> PressPhotograph:
         """What a fit needs of it."""
-        return PressPhotograph(self.press, self.image, self.rest, self.clock)
+        return PressPhotograph(self.press, self.image, self.rest, self.clock, self.sd)
 
 
 @dataclass
@@ -219,7 +228,19 @@ def _sample(
     if radius_px is None:
         radius_px = press.contact_radius_mm * gel.px_per_mm
     role = str(row.get("role", ""))
-    return GelSample(str(row["image"]), role, image, rest, float(clock), press, x_px, y_px, radius_px)
+    sd = {} if role == KNOWN else _deviations(row, where)
+    return GelSample(str(row["image"]), role, image, rest, float(clock), press, x_px, y_px, radius_px, sd)
+
+
+def _deviations(row: pd.Series, where: str) -> dict[str, float]:
+    """Attribute of the press to the standard deviation that the row states; what it does not state holds."""
+    out = {}
+    for column, attributes in UNCERTAIN.items():
+        value = _number(row, column)
+        if value is not None and not 0 <= value < math.inf:
+            raise InputError(f"{where}: {column} is {value:g}; give a standard deviation, or leave it empty.")
+        out |= dict.fromkeys(attributes, value) if value else {}
+    return out
 
 
 def _number(row: pd.Series, *names: str) -> float | None:

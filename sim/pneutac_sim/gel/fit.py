@@ -32,7 +32,7 @@ from pneutac_sim.gel.photograph import (
     to_grid,
 )
 from pneutac_sim.gel.probe import COLS, ROWS, THICKNESS_MM
-from pneutac_sim.gel.session import estimate_gains, refine_contacts
+from pneutac_sim.gel.session import estimate_gains, refine_contacts, refine_press
 from pneutac_sim.gel.surface import DECAY_MM, surface
 
 DECAY_RANGE_MM = (0.3, 4.0)  # from a skin-thin layer to nearly Hertz' half-space on a 16 mm window
@@ -41,7 +41,7 @@ DEPTH_SCALE_SD = 0.2  # of the logarithm: stated depths are mostly estimates
 # One photograph shows noise and compression, but not how far the light drifts until the next.
 MIN_THRESHOLD_LEVELS = 6.0
 SHADOW = "shadow"
-CONTACT_ROUNDS = 4  # of light and contacts in turn, where an effect changes the contacts
+CONTACT_ROUNDS = 4  # of light and contacts in turn, where an effect changes these or presses are uncertain
 
 # A make's light is kept even at several times the cost: what a single pair says against it is mostly the
 # model's own error, and on two real DIGITs keeping it predicts other images better.
@@ -62,6 +62,7 @@ class GelFit:
         likeness: correlation of the rest image with the likest make's; None where no make was looked for.
         by_rest: whether the rest image told the make; else the directions of the light did, less surely.
         channels: as solved, red, green and blue.
+        presses: where the photographs' presses were found to be, within what is uncertain of them.
     """
 
     gel: GelModel
@@ -72,6 +73,7 @@ class GelFit:
     likeness: float | None = None
     by_rest: bool = False
     channels: list[Channel] = field(default_factory=list, repr=False)
+    presses: list[Press] = field(default_factory=list, repr=False)
 
 
 def fit_gel(
@@ -153,7 +155,7 @@ def fit_photographs(
 
     Args:
         gel: gives size, scale and thickness.
-        photographs: checked pairs of images.
+        photographs: checked pairs of images; what is uncertain of their presses is found with the light.
         effects: of the sensor, to fit.
         makes: sensors whose lights are known.
         near: a fit with almost the same effects; the search stays around its mechanics.
@@ -164,14 +166,21 @@ def fit_photographs(
     gel = replace(gel, effects=estimate_gains(gel, chosen, photographs))
     of_contacts = [e for e in chosen if e.stage == "gel"]
     gel.effects |= {e.name: {p.name: p.neutral for p in e.parameters} for e in of_contacts}
-    for left in reversed(range(CONTACT_ROUNDS if of_contacts else 1)):
+    stated = [p.press for p in photographs]
+    uncertain = pressed is None and any(p.sd for p in photographs)
+    for left in reversed(range(CONTACT_ROUNDS if of_contacts or uncertain else 1)):
         problem = _Problem(gel, photographs, chosen, pressed)
         best = problem.best(makes, near, quick=quick or left > 0)
         if left:
-            gel.effects |= refine_contacts(
-                best.gel, of_contacts, photographs, problem.masks, problem.seen, problem.rests
-            )
-            near = best.gel
+            near, told = best.gel, (problem.masks, problem.seen, problem.rests)
+            if of_contacts:
+                gel.effects |= refine_contacts(near, of_contacts, photographs, *told)
+            if uncertain:
+                each = zip(photographs, stated, *told, strict=True)
+                photographs = [
+                    replace(p, press=refine_press(near, p, *rest)) if p.sd else p for p, *rest in each
+                ]
+    best.presses = [p.press for p in photographs]
     quiet = [(p.image - p.rest.astype(np.float32), ~p.near(gel.px_per_mm)) for p in photographs]
     levels = [quiet_threshold(difference, far) for difference, far in quiet if far.any()]
     if levels:

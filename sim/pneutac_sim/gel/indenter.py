@@ -25,9 +25,11 @@ class Press:
             reaches from its centre, which is filled in.
         x_mm: position of the contact centre along image columns, from the window's centre.
         y_mm: along image rows.
-        depth_mm: how deep the lowest point lies below the resting surface.
+        depth_mm: how deep the lowest point lies below the resting surface, before it leans.
         yaw_rad: turn about z, from x towards y.
         figure: of `outline` and `mesh`, none of the others.
+        tilt_x_rad: how far it leans about the contact's centre, deeper at larger x; small.
+        tilt_y_rad: the same, deeper at larger y.
     """
 
     indenter: str
@@ -37,6 +39,8 @@ class Press:
     depth_mm: float
     yaw_rad: float = 0.0
     figure: AnyFigure | None = None
+    tilt_x_rad: float = 0.0
+    tilt_y_rad: float = 0.0
 
     def __post_init__(self):
         check_choice("indenter", self.indenter, INDENTERS + FIGURES)
@@ -66,6 +70,12 @@ class Press:
             "cone": min(d, s),
         }[self.indenter]
 
+    @property
+    def turn(self) -> Rotation:
+        """From the upright indenter's frame to the gel's, about the contact's centre."""
+        lean = Rotation.from_rotvec([-self.tilt_y_rad, self.tilt_x_rad, 0.0])
+        return lean * Rotation.from_euler("z", self.yaw_rad)
+
     def depths(
         self,
         window_mm: tuple[float, float] = WINDOW_MM,
@@ -81,7 +91,8 @@ class Press:
         )
         c, s = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
         x, y = np.meshgrid(x, y)
-        below = self.depth_mm - self.figure.height_mm(c * x + s * y, c * y - s * x)
+        lean = np.tan(self.tilt_x_rad) * x + np.tan(self.tilt_y_rad) * y
+        below = self.depth_mm + lean - self.figure.height_mm(c * x + s * y, c * y - s * x)
         return below.clip(0, thickness_mm).astype(np.float32)
 
     def shapes(self) -> tuple:
@@ -103,6 +114,5 @@ class Press:
             kind, size, low = BOX, (s / 2, s / 2, s / 2), s / 2
             if self.indenter == "edge":
                 tilt, low = Rotation.from_euler("x", np.pi / 4), s / np.sqrt(2)
-        rotation = Rotation.from_euler("z", self.yaw_rad) * tilt
-        position = np.array([self.x_mm, self.y_mm, low - self.depth_mm])
-        return [kind], [np.array(size) * 1e-3], [position * 1e-3], [rotation.as_matrix()]
+        position = np.array([self.x_mm, self.y_mm, -self.depth_mm]) + self.turn.apply([0.0, 0.0, low])
+        return [kind], [np.array(size) * 1e-3], [position * 1e-3], [(self.turn * tilt).as_matrix()]

@@ -6,7 +6,7 @@ session's other photographs, which is right where both are alike, and n / (n + 1
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -33,12 +33,14 @@ class PressPhotograph:
         image: uint8 (H, W, 3).
         rest: the image without contact of the same session, uint8 (H, W, 3).
         clock: when in the session, from 0 to 1.
+        sd: attributes of the press to the standard deviation with which they are stated; all others hold.
     """
 
     press: Press
     image: np.ndarray
     rest: np.ndarray
     clock: float = 0.0
+    sd: dict[str, float] = field(default_factory=dict)
 
     def near(self, px_per_mm: float, radii: float = NEAR_RADII) -> np.ndarray:
         """Pixels (H, W) within so many contact radii of the press."""

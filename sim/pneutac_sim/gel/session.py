@@ -7,6 +7,7 @@ import numpy as np
 
 from pneutac_sim.effects.sensor_effect import Quiet, SensorEffect
 from pneutac_sim.gel.channel import ERROR_LEVELS, INDEPENDENT
+from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.optics import light
 from pneutac_sim.gel.photograph import PressPhotograph, press_depth, registered, to_grid
@@ -14,6 +15,10 @@ from pneutac_sim.gel.probe import COLS, ROWS
 from pneutac_sim.gel.surface import surface
 
 FAR_ENOUGH = 0.1  # share of a photograph that must lie away from its contact to tell of its light
+# By which a press is moved to see what changes: about half a cell, since an indenter with a sharp edge covers
+# whole cells alone.
+MOVED_MM, DEEPER_MM = 0.1, 0.02
+SHALLOWEST_MM = 0.02  # to which a press may be corrected
 STEP = 1e-3  # of a parameter's range, where its effect does not say how far to move it
 
 
@@ -85,6 +90,53 @@ def refine_contacts(
         b.append(scale * (difference - base[j])[mask].ravel())
     x = now + np.linalg.lstsq(np.concatenate(A), np.concatenate(b), rcond=None)[0]
     return {e.name: e.inside(v) for e, v in zip(effects, values(x).values(), strict=True)}
+
+
+def refine_press(
+    gel: GelModel,
+    photograph: PressPhotograph,
+    stated: Press,
+    mask: np.ndarray,
+    seen: np.ndarray,
+    rest: np.ndarray,
+) -> Press:
+    """One Gauss-Newton step of what is uncertain of a press, all else as it is.
+
+    Minimises |(predicted - seen) / error|^2 + |(x - stated) / sd|^2; the step is halved until it does.
+
+    Args:
+        gel: fitted with the press where it is thought now.
+        photograph: of the press there, with the deviations of what is uncertain.
+        stated: the press as the recording has it.
+        mask: (80, 59), where image and prediction are compared.
+        seen: (80, 59, 3), what the contact changes, levels.
+        rest: (80, 59, 3), rest image.
+    """
+    cell = gel.window_mm[0] / COLS, gel.window_mm[1] / ROWS
+    now, names, sd = photograph.press, list(photograph.sd), np.array(list(photograph.sd.values()))
+    weight, scale = gel.weight_on(rest), np.sqrt(INDEPENDENT / max(mask.sum(), 1)) / ERROR_LEVELS
+
+    def moved(by: np.ndarray) -> Press:
+        values = {n: getattr(now, n) + b for n, b in zip(names, by.tolist(), strict=True)}
+        return replace(now, **values | {"depth_mm": max(values.get("depth_mm", now.depth_mm), SHALLOWEST_MM)})
+
+    def residual(press: Press) -> np.ndarray:
+        u = surface(gel.imprint(press_depth(registered(press, gel), gel)), cell, gel.decay_mm)
+        s = light(gel.surface(u, cell), cell, gel.coefficients, gel.further).transpose(1, 2, 0)
+        off = np.array([getattr(press, n) - getattr(stated, n) for n in names]) / sd
+        return np.concatenate([scale * (s * weight - seen)[mask].ravel(), off])
+
+    turned = MOVED_MM / max(now.contact_radius_mm, MOVED_MM)
+    steps = {"x_mm": MOVED_MM, "y_mm": MOVED_MM, "depth_mm": DEEPER_MM, "yaw_rad": turned}
+    units = np.diag([steps.get(n, DEEPER_MM / MOVED_MM * turned) for n in names])
+    slopes = [(residual(moved(h)) - residual(moved(-h))) / (2 * h.max()) for h in units]
+    here = residual(now)
+    step = np.linalg.lstsq(np.stack(slopes, -1), -here, rcond=None)[0]
+    for share in (1.0, 0.5, 0.25):
+        there = residual(moved(share * step))
+        if there @ there < here @ here:
+            return moved(share * step)
+    return now
 
 
 def _steps(effect: SensorEffect, reach_mm: float) -> np.ndarray:

@@ -227,8 +227,8 @@ def press_loads(press: Press) -> Loads:
         return Loads(
             indenter="mesh",
             size_m=np.full(3, half_edge_m(press.figure)),
-            position_m=tip + centre_m(press.figure),
-            rotation=Rotation.from_euler("z", press.yaw_rad).as_matrix(),
+            position_m=tip + press.turn.apply(centre_m(press.figure)),
+            rotation=press.turn.as_matrix(),
         )
     shape, size, turn = {
         "sphere": ("sphere", (s, s, s), 0.0),
@@ -241,7 +241,7 @@ def press_loads(press: Press) -> Loads:
         indenter=shape,
         size_m=np.array(size),
         position_m=tip,
-        rotation=Rotation.from_euler("z", press.yaw_rad + turn).as_matrix(),
+        rotation=(press.turn * Rotation.from_euler("z", turn)).as_matrix(),
     )
 
 

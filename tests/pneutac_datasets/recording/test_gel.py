@@ -42,6 +42,19 @@ def clocks(data):
     return [s.clock for s in data.samples]
 
 
+# ---------------------------------------------------------------- uncertain presses
+
+
+def test_a_row_says_what_of_its_press_is_uncertain(write):
+    sd = {"place_sd_mm": [0.3, 0.3, ""], "tilt_sd_rad": 0.02, "depth_sd_mm": 0}
+    data = write(sd | {"role": ["calibration", "known_depth", ""]})
+    lean = {"tilt_x_rad": 0.02, "tilt_y_rad": 0.02}
+    assert [s.photograph.sd for s in data.samples] == [{"x_mm": 0.3, "y_mm": 0.3} | lean, {}, lean]
+    says = "row 2: depth_sd_mm is -1; give a standard deviation, or leave it empty"
+    with pytest.raises(InputError, match=says):
+        write({"depth_sd_mm": [0.1, -1.0, 0.1]})
+
+
 # ---------------------------------------------------------------- rest images
 
 

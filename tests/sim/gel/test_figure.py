@@ -24,6 +24,18 @@ def test_a_square_outline_is_a_cube_on_its_face():
         assert punch.contact_radius_mm == pytest.approx(plain.contact_radius_mm)
 
 
+def test_a_leaning_punch_is_deeper_on_the_side_that_it_leans_to():
+    lean = {"tilt_x_rad": 0.04, "tilt_y_rad": -0.03}
+    cube = Press("cube", 4.0, 1.0, -2.0, 0.5, 0.6, **lean).depths()
+    punch = Press("outline", 0.0, 1.0, -2.0, 0.5, 0.6, SQUARE, **lean).depths()
+    upright = Press("cube", 4.0, 1.0, -2.0, 0.5, 0.6).depths()
+    x, y = np.meshgrid((np.arange(59) + 0.5) * 12 / 59 - 7, (np.arange(80) + 0.5) * 16 / 80 - 6)
+    wanted = np.where(upright > 0, 0.5 + np.tan(0.04) * x - np.tan(0.03) * y, 0)
+    assert np.ptp(wanted[upright > 0]) > 0.15
+    np.testing.assert_allclose(punch, wanted, atol=1e-6)
+    assert np.median(np.abs(cube - punch)[upright > 0]) < 1e-3 and ((cube > 0) != (punch > 0)).mean() < 0.002
+
+
 def test_a_mesh_of_a_ball_is_a_ball():
     ball = Figure(trimesh.creation.icosphere(4, 3.0).triangles + [0.0, 0.0, 40.0])
     plain, mesh = Press("sphere", 3.0, -1.0, 2.0, 0.8), Press("mesh", 0.0, -1.0, 2.0, 0.8, 0.3, ball)

@@ -1,5 +1,7 @@
 """Calibration to several photographs: what one cannot tell, and what the session adds."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,7 @@ from pneutac_sim.effects.sensor_effect import CHANNELS
 from pneutac_sim.gel.fit import fit_photographs
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.metrics import rmse
-from pneutac_sim.gel.photograph import Predictor
+from pneutac_sim.gel.photograph import Predictor, PressPhotograph
 
 DRIFT = {"gain_red": 1.04, "gain_green": 0.97, "gain_blue": 1.02}
 DRIFT |= {"drift_red": -0.08, "drift_green": 0.05, "drift_blue": 0.1}
@@ -35,6 +37,20 @@ def test_several_places_pin_how_far_the_lights_are_and_how_they_spread(bent, ses
     assert distances[1][:2].max() < 0.1, "lights no farther than two windows are found"
     exponents = [off(f["rest_colour"], bent.effects["rest_colour"]).mean() for f in (one, many)]
     assert exponents[1] < 0.7 * exponents[0]
+
+
+def test_an_uncertain_press_is_found_in_its_image_and_the_others_hold(linear, session, photograph):
+    true = Press("cube", 4.0, -1.0, 0.5, 0.6, 0.4, tilt_x_rad=-0.03, tilt_y_rad=0.02)
+    wrong = {"x_mm": 0.3, "y_mm": -0.2, "depth_mm": 0.08, "yaw_rad": 0.08}
+    wrong |= {"tilt_x_rad": 0.03, "tilt_y_rad": -0.02}
+    stated = replace(true, **{k: getattr(true, k) + v for k, v in wrong.items()})
+    sd = {"x_mm": 0.2, "y_mm": 0.2, "depth_mm": 0.1, "yaw_rad": 0.1, "tilt_x_rad": 0.04, "tilt_y_rad": 0.04}
+    cube = PressPhotograph(stated, photograph(linear, true, 2), linear.rest_image, 0.0, sd)
+    balls = session(linear, 3)
+    found = fit_photographs(linear, [*balls, cube], []).presses
+    assert found[:3] == [p.press for p in balls]
+    left = {k: abs(getattr(found[3], k) - getattr(true, k)) / abs(v) for k, v in wrong.items()}
+    assert max(left.values()) < 0.4, left
 
 
 def test_a_drift_of_the_light_is_recovered_and_taken_out_of_the_gel(linear, session, photograph):
