@@ -17,12 +17,16 @@ class StudioConfig:
     Attributes:
         twin: folder of the twin; nothing is written to it unless a button that says so is pressed.
         recording: folder of a bench recording of the same finger, arm or gel.
+        policy: folder of a trained policy, or its name on the Hub, for the world page.
+        demonstrations: folder of a LeRobotDataset, or its name on the Hub, likewise.
         host: address to listen on; any but this machine's own asks for the token that is printed.
         port: to listen on; 0 for any that is free.
     """
 
     twin: Path
     recording: Path | None = None
+    policy: str = ""
+    demonstrations: str = ""
     host: str = "127.0.0.1"
     port: int = 8080
 
@@ -42,11 +46,12 @@ def main(argv: list[str]) -> None:
         raise InputError(
             "The studio needs the package viser; `pip install 'lerobot_robot_pneutac[studio]'`."
         ) from e
-    from lerobot_pneutac.studio.session import Session
-
-    studio = Studio(Session(cfg.twin, cfg.recording), cfg.host, cfg.port)
+    studio = Studio(cfg.host, cfg.port)
     console.print(f"The studio is open at {studio.address} (Ctrl+C ends it)", soft_wrap=True, highlight=False)
     try:
+        from lerobot_pneutac.studio.session import Session
+
+        studio.show(Session(cfg.twin, cfg.recording, cfg.policy, cfg.demonstrations))
         threading.Event().wait()
     finally:
         studio.close()

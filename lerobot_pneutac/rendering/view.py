@@ -1,5 +1,6 @@
 """A finger or an arm by splats from any side: in the twin's looks, or coloured by stretch without them."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,7 @@ from pneutac_sim.mpm.body import Body
 from pneutac_sim.splat.body import ARRAYS, looks_from_twin
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.follow import blank_looks, carried
+from pneutac_sim.splat.gaussians import Gaussians
 from pneutac_sim.splat.rasteriser import rasterise
 from pneutac_sim.splat.stretch import strain, stretch_colours
 from pneutac_sim.twin import Twin
@@ -47,17 +49,35 @@ def view_painter(twin: Twin, body: Body, view: RenderView, spines: np.ndarray) -
     """
     points = spines.reshape(-1, 3)
     camera = view_camera(view, (points.min(0) + points.max(0)) / 2, 1e-3 * twin.length_mm)
-    own = all(array in twin.arrays for array in ARRAYS)
-    looks = looks_from_twin(twin) if own else blank_looks(body)
+    looks_of = body_looks(twin, body)
 
     def paint(pose: Pose) -> tuple[np.ndarray, dict]:
-        now = carried(looks, body, pose.positions, pose.gradients)
-        if not own:
-            now = replace(now, colours=stretch_colours(strain(pose.gradients)) / 255)
+        now = looks_of(pose.positions, pose.gradients)
         seen = rasterise(now, camera, np.array(draw.PAPER) / 255)
         image = draw.blank(WIDTH, HEIGHT + CAPTION)
         image[:HEIGHT] = (255 * seen.image.clip(0, 1)).round()
         draw.write(image, caption(pose), 16, HEIGHT + CAPTION - 18, 0.55)
         return image, {}
 
-    return paint, "The body in its own looks, by Gaussian splats on the particles." if own else STRETCH
+    own = "The body in its own looks, by Gaussian splats on the particles."
+    return paint, own if has_looks(twin) else STRETCH
+
+
+def has_looks(twin: Twin) -> bool:
+    """Whether a photograph gave the twin its looks."""
+    return all(array in twin.arrays for array in ARRAYS)
+
+
+def body_looks(twin: Twin, body: Body) -> Callable[[np.ndarray, np.ndarray], Gaussians]:
+    """What gives the Gaussians of a body for its particles' positions (P, 3), m, and gradients (P, 3, 3).
+
+    They are in the twin's looks, or coloured by stretch where it has none.
+    """
+    own = has_looks(twin)
+    looks = looks_from_twin(twin) if own else blank_looks(body)
+
+    def now(positions: np.ndarray, gradients: np.ndarray) -> Gaussians:
+        moved = carried(looks, body, positions, gradients)
+        return moved if own else replace(moved, colours=stretch_colours(strain(gradients)) / 255)
+
+    return now

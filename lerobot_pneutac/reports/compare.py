@@ -4,13 +4,13 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from lerobot_pneutac.reports.colours import FLOOR, HELDOUT, MEASURED, MODEL, TRAIN
 from lerobot_pneutac.reports.compare_sentence import inside_band
 from lerobot_pneutac.reports.page import Report
 from pneutac_datasets.recording.axes import numbers, unit_of
 from pneutac_sim.finger.quantities import root_mean
 
 BAND = "rgba(11, 110, 153, 0.3)"
-MEASURED, MODEL, TRAIN, HELDOUT, FLOOR = "#1b2430", "#d1495b", "#9bb1c4", "#0b6e99", "#e0a100"
 POINTS = 1500  # a line: more cannot be seen on a screen
 
 

@@ -50,14 +50,15 @@ def film_frames(c: "DemonstrationComparison", number: int) -> list[np.ndarray]:
     """Of an episode: the gel as recorded and as replayed side by side, uint8 (H, W, 3) each."""
     recorded, replayed = c.demonstrations.episodes[number].images, c.replayed[number].images
     assert replayed is not None
-    height = round(WIDTH * recorded.shape[1] / recorded.shape[2])
-    out = []
-    for a, b in zip(recorded, replayed, strict=True):
-        apart = np.clip(128 + GAIN * (a.astype(int) - b), 0, 255).astype(np.uint8)
-        out.append(
-            np.hstack([cv2.resize(x, (WIDTH, height), interpolation=cv2.INTER_AREA) for x in (a, b, apart)])
-        )
-    return out
+    return [beside(a, b) for a, b in zip(recorded, replayed, strict=True)]
+
+
+def beside(recorded: np.ndarray, replayed: np.ndarray) -> np.ndarray:
+    """Two images of the gel and their difference, `GAIN` times as large, side by side: uint8 (H, W, 3)."""
+    height = round(WIDTH * recorded.shape[0] / recorded.shape[1])
+    apart = np.clip(128 + GAIN * (recorded.astype(int) - replayed), 0, 255).astype(np.uint8)
+    three = (recorded, replayed, apart)
+    return np.hstack([cv2.resize(x, (WIDTH, height), interpolation=cv2.INTER_AREA) for x in three])
 
 
 def _curves(c: "DemonstrationComparison", number: int):

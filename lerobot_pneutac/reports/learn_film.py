@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 from PIL import Image, ImageDraw, ImageFont
 
-from lerobot_pneutac.reports.compare import HELDOUT, MEASURED, MODEL
+from lerobot_pneutac.reports.colours import HELDOUT, MEASURED, MODEL
 
 FORESEEN = "foreseen.csv"  # in a round's folder: what was foreseen of its program, and measured
 FASTER, FRAMES_HZ = 10.0, 10.0

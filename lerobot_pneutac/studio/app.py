@@ -1,5 +1,7 @@
 """The studio: a viewer in the browser, its pages, and the door in front of it."""
 
+from __future__ import annotations
+
 import contextlib
 import io
 import secrets
@@ -7,28 +9,29 @@ import socket
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import viser
 
 from lerobot_pneutac.studio.colours import BRAND
 from lerobot_pneutac.studio.gate import LOCAL, Gate
-from lerobot_pneutac.studio.session import Session
 from pneutac_sim.errors import InputError
-from pneutac_sim.finger.inputs import CHAMBERS
+
+if TYPE_CHECKING:
+    from lerobot_pneutac.studio.session import Session
 
 PANEL_PX = 500
 
 
 class Studio:
-    """One open studio.
+    """One open studio; it answers at once, and `show` fills it while the browser still loads the page.
 
     Args:
-        session: what it shows.
         host: to listen on.
         port: to listen on; 0 for any that is free.
 
     Attributes:
-        session: see there.
+        session: what it shows.
         server: the viewer.
         pages: by their titles.
         driver: page that moves the body in the picture.
@@ -38,8 +41,10 @@ class Studio:
         InputError: the address cannot be had.
     """
 
-    def __init__(self, session: Session, host: str = "127.0.0.1", port: int = 8080):
-        self.session, self.driver = session, ""
+    session: Session
+
+    def __init__(self, host: str = "127.0.0.1", port: int = 8080):
+        self.driver = ""
         self._token = "" if host in LOCAL else secrets.token_urlsafe(16)
         with contextlib.redirect_stdout(io.StringIO()):  # it prints its own address, which is not the door's
             self.server = viser.ViserServer("127.0.0.1", 0, verbose=False)
@@ -55,16 +60,20 @@ class Studio:
         gui.configure_theme(show_logo=False, show_share_button=False, brand_color=BRAND)
         gui.main_panel.dock_right()
         gui.main_panel.set_width(PANEL_PX)
-        self.title = gui.add_markdown("")
+        self.title = gui.add_markdown("The twin is opened ...")
         self.said = gui.add_markdown("", visible=False)
         self.pages: dict = {}
-        self.pages = self._pages()
-        session.when_changed(self._name)
-        self._name()
 
-    def _pages(self) -> dict[str, object]:
-        """The pages that twin and recording have something to show on."""
-        tabs, pages = self.server.gui.add_tab_group(), {}
+    def show(self, session: Session) -> None:
+        """Makes the pages that twin and recording have something to show on."""
+        self.session = session
+        self._name()
+        session.when_changed(self._name)
+        self._add_pages(self.server.gui.add_tab_group(), self.pages)
+
+    def _add_pages(self, tabs, pages: dict) -> None:
+        from pneutac_sim.finger.inputs import CHAMBERS  # with the compiler of its equations
+
         twin = self.session.twin
         if twin.device in CHAMBERS:
             from lerobot_pneutac.studio.device_page import DevicePage
@@ -76,20 +85,17 @@ class Studio:
 
             with tabs.add_tab("Touch", viser.Icon.FINGERPRINT):
                 pages["Touch"] = GelPage(self)
-        recording = self.session.recording
-        if recording is not None:
-            self._add_recorded(tabs, pages)
+        if self.session.recording is not None:
+            self._add_recorded(tabs, pages, self.session.recording.device in CHAMBERS)
         if twin.device == "finger":
             from lerobot_pneutac.studio.world_page import WorldPage
 
             with tabs.add_tab("World", viser.Icon.WORLD):
                 pages["World"] = WorldPage(self)
-        return pages
 
-    def _add_recorded(self, tabs, pages: dict) -> None:
-        """The pages that weigh the twin against its recording."""
-        recording = self.session.recording
-        if recording.device in CHAMBERS:
+    def _add_recorded(self, tabs, pages: dict, body: bool) -> None:
+        """The pages that weigh the twin against its recording, of a body or of a gel."""
+        if body:
             from lerobot_pneutac.studio.measurement_page import MeasurementPage
 
             with tabs.add_tab("Measurement", viser.Icon.CHART_LINE):

@@ -5,6 +5,7 @@ import viser
 
 from lerobot_pneutac.studio.colours import BASE, JOINTS, MEASURED, SKIN, SPINE, TRAIL, rgb
 from lerobot_pneutac.studio.live import Shape, Skin
+from lerobot_pneutac.studio.solid import Solid
 from pneutac_sim.twin import Twin
 
 UNIT = 0.01  # of the scene, in mm^-1: a decimetre
@@ -76,11 +77,19 @@ class BodyScene:
             if len(self._path) > 1:
                 self._trail.points = _segments(np.array(self._path))
 
-    def show_solid(self, points_mm: np.ndarray, colours: np.ndarray) -> None:
-        """Material points (P, 3) with their colours in place of the skin, until `hide_solid`."""
+    def show_solid(self, solid: Solid, splats: bool) -> None:
+        """A body of material points, or of its Gaussians, in place of the skin, until `hide_solid`."""
+        self.hide_solid()
         self._skin.visible = False
+        if splats:
+            g, metre = solid.splats, 1e3 * UNIT
+            self._solid = self._server.scene.add_gaussian_splats(
+                "/material points", metre * g.means, metre**2 * g.covariances(), g.colours,
+                g.opacities[:, None],
+            )  # fmt: skip
+            return
         self._solid = self._server.scene.add_point_cloud(
-            "/material points", (UNIT * points_mm).astype(np.float32), colours, point_size=0.02,
+            "/material points", (UNIT * solid.points_mm).astype(np.float32), solid.colours, point_size=0.02,
             point_shape="circle", precision="float32",
         )  # fmt: skip
 

@@ -1,6 +1,6 @@
 """Colours of the studio: those of the reports, told apart by the colour-blind, on light and on dark."""
 
-from lerobot_pneutac.reports.compare import FLOOR, HELDOUT, MODEL
+from lerobot_pneutac.reports.colours import FLOOR, HELDOUT, MODEL
 
 MEASURED = "#7a8794"  # the reports' is near black, which a dark page swallows
 BRAND = (11, 110, 153)

@@ -11,7 +11,7 @@ from lerobot_pneutac.studio.body_scene import UNIT, BodyScene
 from lerobot_pneutac.studio.effects_panel import EffectsPanel
 from lerobot_pneutac.studio.live import LiveBody, Shape
 from lerobot_pneutac.studio.plots import Lines
-from lerobot_pneutac.studio.solid import solve
+from lerobot_pneutac.studio.solid_panel import SolidPanel
 from pneutac_sim.effects.registry import body_effects, get_effect, of_body, of_sensor
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger.inputs import CHAMBERS
@@ -50,13 +50,13 @@ class DevicePage:
         self._chart = Lines(self._gui, "time, s", (("bend, °", "#d1495b"), ("pressure, kPa", "#0b6e99")), 190)
         self._pressures = self._pressure_sliders(twin)
         self._loads(twin)
-        self.solved = self._gui.add_markdown("")
         with self._gui.add_folder("Time and material", expand_by_default=False):
             self._speed = self._gui.add_dropdown("speed of time", tuple(SPEEDS))
             rested = self._gui.add_button("Let it rest at this pressure", icon="bed")
-            solid = self._gui.add_button("Solve by material points", icon="grid-dots")
+            self.solid = SolidPanel(
+                studio, self.scene, self._drive, lambda: (self._twin, self.pressed_kpa, self.conditions())
+            )
         rested.on_click(studio.safely(self._rest))
-        solid.on_click(studio.safely(self.solve))
         self._folder, self._panel = None, None
         self._series: deque = deque(maxlen=int(CHART_S * CHART_A_S))
         self.busy_s = 0.0
@@ -83,8 +83,7 @@ class DevicePage:
         return sliders
 
     def _drive(self, _=None) -> None:
-        self.scene.hide_solid()
-        self.solved.content = ""
+        self.solid.hide()
         if self._studio.driver != self.title:
             self._studio.driver, self._poke.visible = self.title, True
             self.scene.forget_path()
@@ -212,27 +211,6 @@ class DevicePage:
             self._body.rest(self.pressure_kpa)
         self.scene.forget_path()
         self._drive()
-
-    def solve(self) -> None:
-        """The free body at rest at this pressure, by its material points; shown until something moves."""
-
-        def work(_) -> None:
-            try:
-                found = solve(self._twin, self.pressed_kpa, self.conditions())
-            except InputError as e:
-                self.solved.content = ""
-                self._studio.say(str(e))
-                return
-            self.scene.show_solid(found.points_mm, found.colours)
-            x, y, z = found.tip_mm
-            self.solved.content = (
-                f"{len(found.points_mm)} material points: tip at x {x:.1f}, y {y:.1f}, z {z:.1f} mm, "
-                f"stretched by {100 * found.most_strain:.1f} % at most"
-            )
-
-        self._drive()
-        self._studio.session.begin("solving by material points", work, lambda *_: None)
-        self.solved.content = "Solving by material points ..."
 
     def step(self, dt_s: float) -> Shape:
         """The body goes on for `dt_s` seconds."""

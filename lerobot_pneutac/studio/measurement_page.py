@@ -1,22 +1,20 @@
 """The measurement page of a finger or an arm: the recording in time, beside what the twin makes of it."""
 
 import threading
-import time
 
 import numpy as np
 
 from lerobot_pneutac.reports.compare import by_condition
 from lerobot_pneutac.studio.colours import FLOOR, HELDOUT, MEASURED, MODEL
 from lerobot_pneutac.studio.live import shape_of
+from lerobot_pneutac.studio.player import Player
 from lerobot_pneutac.studio.plots import Lines
 from lerobot_pneutac.verbs.compare import compare
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import Pipeline
 
-FRAMES_A_S = 20
 MOST_POINTS = 500  # of a line: more cannot be told apart in the panel
 WINDOWS = {"10 s": 10.0, "30 s": 30.0, "2 min": 120.0, "all": np.inf}
-SPEEDS = {"1 x": 1.0, "0.2 x": 0.2, "5 x": 5.0, "20 x": 20.0}
 TIPS = ("tip_x_mm", "tip_y_mm", "tip_z_mm")
 
 
@@ -34,19 +32,16 @@ class MeasurementPage:
         self._studio, self._gui, self._scene = studio, studio.server.gui, scene
         gui = self._gui
         self.readout = gui.add_markdown("The twin is run on the recording ...")
-        self._time = gui.add_slider("time, s", 0.0, 1.0, 0.01, 0.0)
-        self._playing = gui.add_checkbox("Play", False)
-        self._speed = gui.add_dropdown("speed", tuple(SPEEDS))
+        self.player = Player(gui, self._scrubbed)
         self._window = gui.add_dropdown("shown about it", tuple(WINDOWS), initial_value="30 s")
         self._photograph = gui.add_image(np.zeros((2, 2, 3), np.uint8), label="photographed", visible=False)
         self._charts, self._beside = [], gui.add_folder("In time")
         self._places = gui.add_folder("Worst passages")
         self._conditions = gui.add_folder("Error against conditions", expand_by_default=False)
-        self._rows, self._lock, self._stop = [], threading.RLock(), threading.Event()
-        self._time.on_update(self._scrubbed)
+        self._rows, self._lock = [], threading.RLock()
         self._window.on_update(lambda _: self._draw())
         studio.session.when_changed(self._load)
-        self._thread = threading.Thread(target=self._run, daemon=True, name="measurement page")
+        self._thread = threading.Thread(target=self._load, daemon=True, name="measurement page")
         self._thread.start()
 
     # ---------------------------------------------------------------- what is shown
@@ -86,8 +81,7 @@ class MeasurementPage:
     def _lay_out(self, c) -> None:
         """Charts, worst passages and conditions of a comparison."""
         gui = self._gui
-        self._time.max = float(self._t[-1])
-        self._time.value = float(min(self._time.value, self._t[-1]))
+        self.player.reaches(float(self._t[-1]))
         if not self._charts:
             name, _, unit = c.columns[self._main].rpartition("_")
             with self._beside:
@@ -125,35 +119,23 @@ class MeasurementPage:
         """Shows the beginning of a passage as `compare` names it."""
         rows = self._c.recording.trials()[passage["trial"]]
         own = self._c.recording.column("time_s")[rows]
-        self._time.value = float(self._t[rows][0] + passage["from_s"] - own[0])
         self._scene.forget_path()
-        self._scrubbed()
+        self.player.now_s = float(self._t[rows][0] + passage["from_s"] - own[0])
 
     # ---------------------------------------------------------------- in time
 
-    def _scrubbed(self, _=None) -> None:
+    def _scrubbed(self) -> None:
         if self._studio.driver != self.title:
             self._studio.driver = self.title
             self._scene.forget_path()
         self._draw()
-
-    def _run(self) -> None:
-        self._load()
-        last = time.monotonic()
-        while not self._stop.wait(1 / FRAMES_A_S):
-            now = time.monotonic()
-            dt, last = now - last, now
-            if self._playing.value and hasattr(self, "_c"):
-                t = self._time.value + dt * SPEEDS[self._speed.value]
-                self._time.value = float(t if t <= self._t[-1] else 0.0)
-                self._scrubbed()
 
     def _draw(self) -> None:
         with self._lock:
             if not hasattr(self, "_c"):
                 return
             c, t = self._c, self._t
-            i = int(np.clip(np.searchsorted(t, self._time.value), 0, len(t) - 1))
+            i = int(np.clip(np.searchsorted(t, self.player.now_s), 0, len(t) - 1))
             if self._studio.driver == self.title:
                 tip = None if self._tip is None else self._tip[i]
                 self._scene.show(shape_of(self._run_of.joints[i], self._run_of.markers[i], c.twin), tip)
@@ -189,5 +171,5 @@ class MeasurementPage:
 
     def close(self) -> None:
         """Stops it."""
-        self._stop.set()
+        self.player.close()
         self._thread.join(timeout=2.0)

@@ -3,18 +3,22 @@
 It lives in the server, so that any number of browsers see the same and none takes anything with it.
 """
 
+from __future__ import annotations
+
 import threading
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from lerobot_pneutac.study.pair import same_body, same_device
-from lerobot_pneutac.verbs.add import Addition
-from lerobot_pneutac.verbs.comparison import Comparison
-from lerobot_pneutac.verbs.diagnosis import Diagnosis
-from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.progress import Progress
 from pneutac_sim.twin import Twin
+
+if TYPE_CHECKING:
+    from lerobot_pneutac.verbs.add import Addition
+    from lerobot_pneutac.verbs.comparison import Comparison
+    from lerobot_pneutac.verbs.diagnosis import Diagnosis
+    from pneutac_datasets.recording.recording import Recording
 
 
 class Session:
@@ -23,6 +27,8 @@ class Session:
     Args:
         twin: folder of it.
         recording: folder of a recording of the same device; None for none.
+        policy: folder of a trained policy, or its name on the Hub, to begin with; may be empty.
+        demonstrations: of a LeRobotDataset, likewise.
 
     Attributes:
         folder: of the twin.
@@ -38,10 +44,17 @@ class Session:
         InputError: there is no twin, or the two do not go together.
     """
 
-    def __init__(self, twin: Path, recording: Path | None):
+    def __init__(
+        self, twin: Path, recording: Path | None, policy: str | Path = "", demonstrations: str | Path = ""
+    ):
+        self.policy, self.demonstrations = str(policy), str(demonstrations)
         self.folder, self.twin, self.version = twin, Twin.load(twin), None
         self.recording = None
         if recording is not None:
+            # pandas and all that weighs a twin, a second and a half; the picture does not wait for it else
+            from lerobot_pneutac.study.pair import same_body, same_device
+            from pneutac_datasets.recording.recording import Recording
+
             loaded = Recording.load(recording)
             same_device(self.twin, loaded, twin, "open")
             same_body(self.twin, loaded, "open")

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pneutac_sim.splat.gaussians import Gaussians
 from pneutac_sim.splat.stretch import MOST_STRAIN, strain, stretch_colours
 from pneutac_sim.twin import Twin
 
@@ -18,12 +19,14 @@ class Solid:
     Attributes:
         points_mm: (P, 3).
         colours: (P, 3) uint8, by how far each is stretched.
+        splats: the body's Gaussians, in the twin's own looks where it has any.
         most_strain: largest principal strain, a share.
         tip_mm: (3,) where the spine ends.
     """
 
     points_mm: np.ndarray
     colours: np.ndarray
+    splats: Gaussians
     most_strain: float
     tip_mm: np.ndarray
 
@@ -34,6 +37,7 @@ def solve(twin: Twin, pressure_kpa: np.ndarray, conditions: Mapping[str, float])
     Raises:
         InputError: an effect of the twin moves the tip alone, which material points do not follow.
     """
+    from lerobot_pneutac.rendering.view import body_looks
     from pneutac_sim.mpm import devices  # brings the compiler of kernels, which takes a second
     from pneutac_sim.mpm.loads import Loads
     from pneutac_sim.mpm.solve import solve_equilibrium
@@ -45,6 +49,7 @@ def solve(twin: Twin, pressure_kpa: np.ndarray, conditions: Mapping[str, float])
     return Solid(
         points_mm=1e3 * rest.positions[0],
         colours=stretch_colours(stretched, MOST_STRAIN).astype(np.uint8),
+        splats=body_looks(twin, solver.body)(rest.positions[0], rest.gradients[0]),
         most_strain=float(stretched.max()),
         tip_mm=1e3 * devices.spine_points(solver, rest.q)[0, -1],
     )

@@ -1,19 +1,25 @@
-"""The world page: a task in simulation with this twin's finger, by an expert or by hand, touch beside."""
+"""The world page: a task in simulation with this twin's finger, by an expert, a policy or by hand."""
 
 import threading
 import time
+from collections.abc import Callable
 
 import cv2
 import numpy as np
 
+from lerobot_pneutac.studio.episode_panel import EpisodePanel
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import IMAGE_NAME, task_names
+from pneutac_sim.features import IMAGE_NAME, TRIAL_S, task_names
 
 HEIGHT_PX = 280
-SPEED_M_S = 0.05  # of a button that is held
-HELD_S = 0.25  # after which a button that was held counts as let go
+SPEED_M_S = 0.05  # of a button or key that is held
+HELD_S = 0.25  # after which one that was held counts as let go
 MOVES = {"forward": (0, 1), "back": (0, -1), "left": (1, 1), "right": (1, -1), "up": (2, 1), "down": (2, -1)}
-PLAYERS = ("the scripted expert", "by hand")
+# As of the teleoperator `pneutac_keyboard`, but that W, A, S and D turn the viewer's picture.
+KEYS = {"T": "forward", "G": "back", "F": "left", "H": "right", "I": "up", "K": "down"}
+PRESSURE_KEYS = {"L": 1, "J": -1}
+PRESSURE_STEP = 0.02  # of the range, a time that a key is sent
+EXPERT, POLICY, HAND = PLAYERS = ("the scripted expert", "a policy", "by hand")
 
 
 class WorldPage:
@@ -31,24 +37,47 @@ class WorldPage:
         self._picture = gui.add_image(np.zeros((2, 2, 3), np.uint8), label="scene and touch", visible=False)
         self._task = gui.add_dropdown("task", tuple(task_names()))
         self._player = gui.add_dropdown("moved by", PLAYERS)
-        gui.add_button("Begin anew", icon="player-play").on_click(studio.safely(self.begin))
+        self._policy = gui.add_text("policy", studio.session.policy, visible=False,
+                                    hint="folder of its weights, or its name on the Hub")  # fmt: skip
+        begin = gui.add_button("Begin anew", icon="player-play")
+        begin.on_click(studio.safely(self.begin))
         low, high = studio.session.twin.pressure_range_kpa
         self._held: dict[str, float] = {}
-        hand = gui.add_folder("By hand")
+        hand = gui.add_folder("By hand", visible=False)
         with hand:
+            gui.add_markdown("Hold a button, or its key; L and J change the pressure.")
             self._pressure = gui.add_slider("pressure, kPa", float(low), float(high), 0.1, 0.0)
-        for name in MOVES:
+        for key, name in KEYS.items():
             with hand:
-                button = gui.add_button(f"Hold to move {name}")
+                button = gui.add_button(f"{name} ({key})")
             button.on_hold(lambda _, n=name: self._hold(n), callback_hz=10.0)
+            command = gui.add_command(
+                f"Move {name}", hotkey=key, description="World, by hand: while it is held"
+            )
+            command.on_trigger(lambda _, n=name: self._hold(n))
+        for key, sign in PRESSURE_KEYS.items():
+            command = gui.add_command("Inflate" if sign > 0 else "Let air out", hotkey=key)
+            command.on_trigger(lambda _, s=sign: self._press(s))
+
+        def chosen(_) -> None:
+            self._policy.visible, hand.visible = self._player.value == POLICY, self._player.value == HAND
+
+        self._player.on_update(chosen)
         self._stop, self._thread = threading.Event(), None
+        self.episodes = EpisodePanel(studio)
 
     def _hold(self, name: str) -> None:
         self._held[name] = time.monotonic()
 
+    def _press(self, sign: int) -> None:
+        low, high = self._pressure.min, self._pressure.max
+        self._pressure.value = float(
+            np.clip(self._pressure.value + sign * PRESSURE_STEP * (high - low), low, high)
+        )
+
     def begin(self) -> None:
         """Another start of the task; the one before ends."""
-        self.close()
+        self.close_world()
         self._stop = threading.Event()
         self.readout.content = f"The world of the task '{self._task.value}' is made ..."
         self._thread = threading.Thread(target=self._run, args=(self._stop,), daemon=True, name="world page")
@@ -56,26 +85,38 @@ class WorldPage:
 
     def _run(self, stop: threading.Event) -> None:
         from pneutac_sim.world.env import PneutacEnv  # MuJoCo, and networks where the twin has them
-        from pneutac_sim.world.expert import ScriptedExpert
 
         try:
             env = PneutacEnv(self._task.value, twin=self._studio.session.twin)
             observation, info = env.reset(seed=int(time.time()) % 10_000)
-            expert = ScriptedExpert(env.world, np.random.default_rng())
-            done, shown_s = False, 0.0
+            move, by_hand = self._mover(env), self._player.value == HAND
+            shown_s, done = 0.0, False
             while not (done or stop.is_set()):
                 began = time.monotonic()
-                action = expert.action() if self._player.value == PLAYERS[0] else self.action()
-                observation, _, done, _, info = env.step(action)
+                observation, _, done, _, info = env.step(move(observation))
                 shown_s += env.world.dt_s
+                done = done or (shown_s >= TRIAL_S and not by_hand)
                 self._show(env.render(), observation["pixels"][IMAGE_NAME], shown_s, info, done)
                 stop.wait(max(0.0, env.world.dt_s - (time.monotonic() - began)))
             env.close()
         except InputError as e:
             self.readout.content = f"> {e}"
 
+    def _mover(self, env) -> Callable[[dict], np.ndarray]:
+        """What gives the next action for an observation."""
+        if self._player.value == HAND:
+            return lambda _: self.action()
+        if self._player.value == POLICY:
+            from lerobot_pneutac.studio.policy_player import PolicyPlayer  # torch
+
+            return PolicyPlayer(self._policy.value.strip(), env.task_description).action
+        from pneutac_sim.world.expert import ScriptedExpert
+
+        expert = ScriptedExpert(env.world, np.random.default_rng())
+        return lambda _: expert.action()
+
     def action(self) -> np.ndarray:
-        """(4,) of the buttons that are held and of the slider, as `features.ACTION_NAMES`."""
+        """(4,) of the buttons or keys that are held and of the slider, as `features.ACTION_NAMES`."""
         velocity = np.zeros(3)
         for name, (axis, sign) in MOVES.items():
             if time.monotonic() - self._held.get(name, -np.inf) < HELD_S:
@@ -93,11 +134,16 @@ class WorldPage:
             [small[0], np.full((HEIGHT_PX, 6, 3), 255, np.uint8), small[1]], 1
         )
         self._picture.visible = True
-        end = " **Done.**" if info["is_success"] else f" **{info['failure']}**" if done else ""
-        self.readout.content = f"{self._task.value}, {time_s:.1f} s of the task.{end}"
+        end = "**Done.**" if info["is_success"] else f"**{info['failure'] or 'Time is up.'}**" if done else ""
+        self.readout.content = f"{self._task.value}, {time_s:.1f} s of the task. {end}"
 
-    def close(self) -> None:
+    def close_world(self) -> None:
         """Ends the task."""
         self._stop.set()
         if self._thread is not None:
             self._thread.join(timeout=5.0)
+
+    def close(self) -> None:
+        """Ends all."""
+        self.close_world()
+        self.episodes.close()

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
-from scipy.optimize import lsq_linear
 
 _LARGEST_STEP = 0.3  # of a parameter's whole range
 # A pull towards the start worth this share of the residual's scale over a parameter's whole range. It decides
@@ -95,6 +94,8 @@ def _bounded_step(A: np.ndarray, g: np.ndarray, v: np.ndarray) -> np.ndarray:
     free = -solve_triangular(R, solve_triangular(R, g, trans="T"))
     if ((free >= low) & (free <= high)).all():
         return free
+    from scipy.optimize import lsq_linear  # half a second to start, which whoever only predicts does not wait
+
     room = high > low
     return lsq_linear(
         R, -solve_triangular(R, g, trans="T"), bounds=(low, np.where(room, high, low + 1e-12)), method="bvls"

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from itertools import combinations_with_replacement
 
 import numpy as np
-from scipy.optimize import brentq
 
 from pneutac_sim.effects.body_effect import kernel
 from pneutac_sim.errors import InputError
@@ -149,6 +148,8 @@ def share_of_controller(whole: float, body: np.ndarray, levers: np.ndarray) -> f
 
     if softness(least) <= 0:
         return 0.0
+    from scipy.optimize import brentq  # half a second to start, for devices with a soft body alone
+
     return float(brentq(softness, least, whole + max(0.0, -values.min()) + least))
 
 

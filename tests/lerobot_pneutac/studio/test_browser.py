@@ -97,6 +97,12 @@ class Page:
             assert file.stat().st_size < 150_000
 
 
+def opened(twin: Path, recording: Path | None = None) -> Studio:
+    studio = Studio(port=0)
+    studio.show(Session(twin, recording))
+    return studio
+
+
 def twin_of(recording: Path, folder: Path) -> Path:
     """A calibrated twin of it, which lacks what the recording hides."""
     for verb in ("new", "calibrate"):
@@ -111,7 +117,7 @@ def twin_of(recording: Path, folder: Path) -> Path:
 def test_the_slider_bends_the_finger_for_all_who_look(browser, tmp_path):
     twin = Twin.builtin().save(tmp_path / "finger")
     untouched = {f: f.read_bytes() for f in twin.rglob("*") if f.is_file()}
-    studio = Studio(Session(twin, None), port=0)
+    studio = opened(twin)
     try:
         one = Page(browser, studio.address, 800, 400)  # drawn without a graphics card
         expect(one.page.get_by_text("Bend ").first).to_be_visible()
@@ -138,7 +144,7 @@ def test_the_slider_bends_the_finger_for_all_who_look(browser, tmp_path):
 @pytest.mark.nightly
 def test_a_newcomer_finds_and_adds_what_is_missing(browser, tmp_path):
     recording = shutil.copytree(GOLDEN / "finger_creep", tmp_path / "bench")
-    studio = Studio(Session(twin_of(recording, tmp_path / "finger"), recording), port=0)
+    studio = opened(twin_of(recording, tmp_path / "finger"), recording)
     try:
         seen = Page(browser, studio.address)
         page = seen.page
@@ -223,7 +229,7 @@ def test_a_server_that_was_killed_is_found_again(browser, tmp_path):
 @pytest.mark.nightly
 def test_a_gel_is_pressed_and_its_recording_shown(browser, tmp_path):
     recording = shutil.copytree(GOLDEN / "gel_presses", tmp_path / "presses")
-    studio = Studio(Session(twin_of(recording, tmp_path / "gel"), recording), port=0)
+    studio = opened(twin_of(recording, tmp_path / "gel"), recording)
     try:
         seen = Page(browser, studio.address)
         contact = seen.page.get_by_text("Contact ").first

@@ -6,9 +6,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from lerobot.configs import FeatureType, PolicyFeature
+from lerobot.utils.constants import ACTION, OBS_STATE
 
 from lerobot_pneutac.studio.app import Studio
 from lerobot_pneutac.studio.session import Session
+from lerobot_robot_pneutac.policy.configuration_pneutac_bc import PneutacBCConfig
+from lerobot_robot_pneutac.policy.modeling_pneutac_bc import PneutacBCPolicy
+from lerobot_robot_pneutac.policy.processor_pneutac_bc import make_pneutac_bc_pre_post_processors
+from pneutac_datasets.demonstrations.replay.placing import find_place
+from pneutac_datasets.demonstrations.replay.reading import load_demonstrations
+from pneutac_datasets.demonstrations.replay.replaying import ReplayWorld as EpisodeWorld
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.twin import Twin, Value
 
@@ -20,12 +28,20 @@ def opened():
     studios = []
 
     def open_one(*session):
-        studios.append(Studio(Session(*session), port=0))
+        studios.append(Studio(port=0))
+        studios[-1].show(Session(*session))
         return studios[-1]
 
     yield open_one
     for studio in studios:
         studio.close()
+
+
+def until(met, seconds=60):
+    end = time.monotonic() + seconds
+    while not met():
+        assert time.monotonic() < end
+        time.sleep(0.05)
 
 
 def test_every_effect_bends_the_finger_or_leaves_it_and_none_breaks_the_page(opened, tmp_path):
@@ -56,10 +72,7 @@ def test_an_arm_opens_and_its_worst_passage_is_jumped_to(opened, tmp_path):
     twin.parameters = {"gain_rad_per_kpa": Value(0.01), "joint_stiffness_nm_per_rad": Value(1.0)}
     studio = opened(twin.save(tmp_path / "arm"), recording)
     page = studio.pages["Measurement"]
-    for _ in range(200):
-        if page.readout.content.startswith("**Off by"):
-            break
-        time.sleep(0.05)
+    until(lambda: page.readout.content.startswith("**Off by"))
     worst = studio.session.comparison.worst[0]
     page.jump(worst)
     assert f"in trial {worst['trial']} at {worst['from_s']:.2f} s" in page.readout.content
@@ -73,8 +86,42 @@ def test_a_world_is_played_by_the_expert_and_moved_by_hand(opened, tmp_path):
     page._pressure.value = 5.0
     np.testing.assert_allclose(page.action(), [0, 0, 0.05, 5.0])
     page.begin()
-    for _ in range(600):
-        if "s of the task" in page.readout.content:
-            break
-        time.sleep(0.05)
+    until(lambda: "s of the task" in page.readout.content)
     assert page.readout.content.startswith("switch, ") and np.ptp(page._picture.image) > 100
+
+
+@pytest.mark.nightly
+def test_a_policy_moves_the_world_and_what_is_none_is_told(opened, tmp_path):
+    state, action = PolicyFeature(FeatureType.STATE, (20,)), PolicyFeature(FeatureType.ACTION, (4,))
+    features = {"input_features": {OBS_STATE: state}, "output_features": {ACTION: action}}
+    policy = PneutacBCPolicy(PneutacBCConfig(device="cpu", use_tactile=False, **features))
+    for part in (policy, *make_pneutac_bc_pre_post_processors(policy.config)):
+        part.save_pretrained(tmp_path / "policy")
+    page = opened(Twin.builtin().save(tmp_path / "finger"), None, tmp_path / "policy").pages["World"]
+    page._player.value = "a policy"
+    page.begin()
+    until(lambda: " s of the task" in page.readout.content)
+    page._policy.value = str(tmp_path)
+    page.begin()
+    until(lambda: "there is no config.json" in page.readout.content)
+
+
+@pytest.mark.nightly
+def test_an_episode_is_replayed_as_the_commands_replay_it(opened, tmp_path):
+    demos = GOLDEN / "demos"
+    studio = opened(Twin.builtin().save(tmp_path / "finger"), None, "", demos)
+    panel = studio.pages["World"].episodes
+    panel.replay()
+    until(lambda: "stood in front of the robot" in panel.readout.content)
+    panel._task.value = "switch"
+    panel.replay()
+    until(lambda: panel.readout.content.startswith(("**Off by", ">")))
+    assert panel.readout.content.startswith("**Off by"), panel.readout.content
+    twin, given = Twin.builtin(), load_demonstrations(demos, "switch")
+    compared = EpisodeWorld(given.task, twin, "image").replay(
+        given.episodes[0], find_place(EpisodeWorld(given.task, twin), given.episodes[0]), keep=True
+    )
+    np.testing.assert_array_equal(panel._replayed.images, compared.images)
+    panel._number.value = 99
+    panel.replay()
+    until(lambda: "has no episode 99" in panel.readout.content)

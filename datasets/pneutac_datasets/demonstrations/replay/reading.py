@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -82,16 +83,19 @@ def is_dataset(name: str | Path) -> bool:
     return is_demonstrations(path) or on_hub
 
 
-def load_demonstrations(name: str | Path, task: str = "", twin: Twin | None = None) -> Demonstrations:
+def load_demonstrations(
+    name: str | Path, task: str = "", twin: Twin | None = None, only: Sequence[int] | None = None
+) -> Demonstrations:
     """Reads a dataset of episodes.
 
     Args:
         name: its folder, or its name on the Hub.
         task: in front of the robot; left out, the one whose description is the dataset's instruction.
         twin: whose sensor and range of pressures they have; left out, the built-in one.
+        only: numbers of the episodes that are read; left out, all.
 
     Raises:
-        InputError: it is no dataset of this robot, or its episodes cannot serve as measurements.
+        InputError: it is no dataset of this robot, has no such episode, or they cannot serve as measurements.
     """
     from huggingface_hub.errors import HfHubHTTPError
     from lerobot.datasets import LeRobotDataset
@@ -109,7 +113,10 @@ def load_demonstrations(name: str | Path, task: str = "", twin: Twin | None = No
             ) from e
     _refuse(folder, twin or Twin.builtin())
     dataset = LeRobotDataset(f"local/{folder.name}", folder, video_backend="pyav", return_uint8=True)
-    episodes = [load_episode(dataset, i) for i in range(dataset.meta.total_episodes)]
+    count = dataset.meta.total_episodes
+    if missing := [i for i in only or () if not 0 <= i < count]:
+        raise InputError(f"{name} has no episode {missing[0]}; it has {count}, the first is 0.")
+    episodes = [load_episode(dataset, i) for i in (range(count) if only is None else only)]
     return checked(Demonstrations(Path(name), task or _task_of(episodes[0].task, folder), episodes))
 
 
