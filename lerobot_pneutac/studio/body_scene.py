@@ -10,6 +10,7 @@ from pneutac_sim.twin import Twin
 
 UNIT = 0.01  # of the scene, in mm^-1: a decimetre
 TRAIL_POINTS = 200
+NARROW = 0.6  # width over height of a picture into which the body fits
 
 
 class BodyScene:
@@ -30,6 +31,7 @@ class BodyScene:
         server.initial_camera.look_at = (0.5 * size, 0.0, 0.25 * size)
         server.initial_camera.up = (-1.0, 0.0, 0.0)
         server.initial_camera.fov = np.radians(45)
+        server.on_client_connect(_keep_in_view)
         width = UNIT * float(np.ptp(skin.vertices_mm[:, 2]))
         scene.add_box("/base", color=BASE, dimensions=(0.4 * width, 1.5 * width, 1.5 * width),
                       position=(-0.2 * width, 0.0, 0.0))  # fmt: skip
@@ -103,6 +105,19 @@ class BodyScene:
         """The tip's path begins anew."""
         self._path = []
         self._trail.points = np.zeros((1, 2, 3), np.float32)
+
+
+def _keep_in_view(client: viser.ClientHandle) -> None:
+    """Moves the camera of a browser away where its picture is narrower than the body with its arrows."""
+    farther = 1.0
+
+    def changed(camera: viser.CameraHandle) -> None:
+        nonlocal farther
+        by, farther = max(1.0, NARROW / camera.aspect) / farther, max(1.0, NARROW / camera.aspect)
+        if abs(by - 1) > 0.02:
+            camera.position = camera.look_at + (camera.position - camera.look_at) * by
+
+    client.camera.on_update(changed)
 
 
 def _segments(points: np.ndarray) -> np.ndarray:

@@ -33,13 +33,15 @@ class EpisodePanel:
                 label="touch: recorded, the twin's, the difference",
                 visible=False,
             )
-            self._player = Player(gui, self._show)
+            self._beside = gui.add_folder("In time", visible=False)
             lines = (("recorded", MEASURED), ("twin", MODEL))
             commanded = (*lines, ("commanded", FLOOR))
-            self._charts = [
-                Lines(gui, "time, s", lines, 130, "contact area, %", FLOOR),
-                Lines(gui, "time, s", commanded, 130, "pressure, kPa"),
-            ]
+            with self._beside:
+                self._player = Player(gui, self._show)
+                self._charts = [
+                    Lines(gui, "time, s", lines, 160, "contact area, %", FLOOR),
+                    Lines(gui, "time, s", commanded, 160, "pressure, kPa"),
+                ]
         replay.on_click(studio.safely(self.replay))
         studio.session.when_changed(self._forget)
 
@@ -81,6 +83,7 @@ class EpisodePanel:
             return
         i = min(round(self._player.now_s * e.fps), len(e) - 1)
         self._picture.image, self._picture.visible = beside(e.images[i], r.images[i]), True
+        self._beside.visible = True
         t, areas = np.arange(len(e)) / e.fps, (100 * e.state[:, AREA], 100 * r.area)
         self._charts[0].show(t, *areas, now=t[i])
         off = float(np.sqrt(np.mean((r.images[i].astype(np.float32) - e.images[i]) ** 2)))
@@ -94,7 +97,8 @@ class EpisodePanel:
     def _forget(self) -> None:
         """Another twin is looked at."""
         if self._episode is not None:
-            self._episode, self._picture.visible = None, False
+            self._episode = None
+            self._picture.visible = self._beside.visible = False
             self.readout.content = "Another version of the twin is looked at; replay it anew."
 
     def close(self) -> None:

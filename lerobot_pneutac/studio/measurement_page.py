@@ -7,6 +7,7 @@ import numpy as np
 from lerobot_pneutac.reports.compare import by_condition
 from lerobot_pneutac.studio.colours import FLOOR, HELDOUT, MEASURED, MODEL
 from lerobot_pneutac.studio.live import shape_of
+from lerobot_pneutac.studio.photograph_panel import PhotographPanel
 from lerobot_pneutac.studio.player import Player
 from lerobot_pneutac.studio.plots import Lines
 from lerobot_pneutac.verbs.compare import compare
@@ -34,13 +35,14 @@ class MeasurementPage:
         self.readout = gui.add_markdown("The twin is run on the recording ...")
         self.player = Player(gui, self._scrubbed)
         self._window = gui.add_dropdown("shown about it", tuple(WINDOWS), initial_value="30 s")
-        self._photograph = gui.add_image(np.zeros((2, 2, 3), np.uint8), label="photographed", visible=False)
+        session = studio.session
+        self._photograph = PhotographPanel(gui, session.needs_recording(), session.twin)
         self._charts, self._beside = [], gui.add_folder("In time")
         self._places = gui.add_folder("Worst passages")
         self._conditions = gui.add_folder("Error against conditions", expand_by_default=False)
         self._rows, self._lock = [], threading.RLock()
         self._window.on_update(lambda _: self._draw())
-        studio.session.when_changed(self._load)
+        session.when_changed(self._load)
         self._thread = threading.Thread(target=self._load, daemon=True, name="measurement page")
         self._thread.start()
 
@@ -94,8 +96,8 @@ class MeasurementPage:
                 lines = tuple(zip([f"{n}, kPa" for n in commands], colours, strict=False))
                 self._charts = [
                     Lines(gui, "time, s", (("measured", MEASURED), ("model", MODEL)), 170, said, FLOOR),
-                    Lines(gui, "time, s", (("error", MODEL), ("noise", FLOOR)), 130, f"error, {c.unit}"),
-                    Lines(gui, "time, s", lines, 130, "command, kPa"),
+                    Lines(gui, "time, s", (("error", MODEL), ("noise", FLOOR)), 140, f"error, {c.unit}"),
+                    Lines(gui, "time, s", lines, 150, "command, kPa"),
                 ]
         for handle in self._rows:
             handle.remove()
@@ -136,9 +138,9 @@ class MeasurementPage:
                 return
             c, t = self._c, self._t
             i = int(np.clip(np.searchsorted(t, self.player.now_s), 0, len(t) - 1))
+            shape = shape_of(self._run_of.joints[i], self._run_of.markers[i], c.twin)
             if self._studio.driver == self.title:
-                tip = None if self._tip is None else self._tip[i]
-                self._scene.show(shape_of(self._run_of.joints[i], self._run_of.markers[i], c.twin), tip)
+                self._scene.show(shape, None if self._tip is None else self._tip[i])
             half = WINDOWS[self._window.value] / 2
             at = np.flatnonzero(np.abs(t - t[i]) <= half) if np.isfinite(half) else np.arange(len(t))
             every = max(1, len(at) // MOST_POINTS)
@@ -150,7 +152,7 @@ class MeasurementPage:
             self._charts[2].show(x, *self._pressure[at].T)
             drawn = f"  \nDrawn: one sample of {every}." if every > 1 else ""
             self.readout.content = self._told(i) + drawn
-            self._show_photograph(i)
+            self._photograph.show(i, shape)
 
     def _told(self, i: int) -> str:
         c = self._c
@@ -162,12 +164,6 @@ class MeasurementPage:
             f"{name}: measured {c.measured[i, self._main]:.2f}, model {c.model[i, self._main]:.2f}; "
             f"command {' / '.join(f'{p:.1f}' for p in self._pressure[i])} kPa"
         )
-
-    def _show_photograph(self, i: int) -> None:
-        recording = self._c.recording
-        value = recording.samples["image"].iloc[i] if recording.has("image") else ""
-        if isinstance(value, str) and value:
-            self._photograph.image, self._photograph.visible = recording.image(value), True
 
     def close(self) -> None:
         """Stops it."""

@@ -40,7 +40,13 @@ class Lines:
         data = (np.array([0.0, 1.0]), *(np.full(2, np.nan) for _ in series[1:]))
         scales = {"x": {"time": False}} | {s: {"auto": True} for s in names}
         self._plot = gui.add_uplot(
-            data, tuple(series), scales=scales, axes=tuple(axes), height=height, legend={"show": True}
+            data,
+            tuple(series),
+            scales=scales,
+            axes=tuple(axes),
+            height=height,
+            legend={"show": True},
+            padding=(10, 24, 0, 0),
         )
 
     def show(self, x: np.ndarray, *lines: np.ndarray, now: float | None = None) -> None:
