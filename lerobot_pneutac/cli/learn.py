@@ -5,18 +5,16 @@ from pathlib import Path
 
 from rich.console import Console
 
+from lerobot_pneutac.cli.bench import check_bench, make_bench
 from lerobot_pneutac.cli.options import parse_options
 from lerobot_pneutac.cli.progress import progress_bar
 from lerobot_pneutac.cli.show import show, write
 from lerobot_pneutac.diagnosis.hands import Hands, named
-from lerobot_pneutac.verbs.benches import Bench, MeasuredBench, StandinBench
 from lerobot_pneutac.verbs.learn import learn
 from lerobot_pneutac.verbs.learning import Round
 from lerobot_robot_pneutac.hardware.parts import HardwareFault
 from pneutac_sim.errors import InputError, check_least
 from pneutac_sim.twin import Twin
-
-BENCHES = ("standin", "measure")
 
 
 @dataclass
@@ -52,10 +50,7 @@ class LearnConfig:
     jobs: int = 0
 
     def __post_init__(self):
-        if self.bench not in BENCHES:
-            raise InputError(f"bench={self.bench} must be one of {', '.join(BENCHES)}.")
-        if (self.bench == "measure") != (self.measure is not None):
-            raise InputError("bench=measure and measure=FILE.yaml, the options of your bench, go together.")
+        check_bench(self.bench, self.measure)
         check_least(5, program_s=self.program_s)
         check_least(1, payload_g=self.payload_g)
 
@@ -64,7 +59,7 @@ def main(argv: list[str]) -> None:
     """Runs the verb."""
     cfg, console = parse_options(LearnConfig, argv), Console()
     twin = Twin.load(cfg.twin)
-    bench, usual = _bench(cfg)
+    bench, usual = make_bench(cfg.measure, cfg.out, cfg.seed)
 
     def ask(sentence: str) -> None:
         if cfg.measure is None:
@@ -94,16 +89,3 @@ def main(argv: list[str]) -> None:
         raise InputError(f"{e} Finished rounds are kept; the same command goes on after them.") from e
     show(result, console)
     write(result, cfg.out, "learn", argv, console)
-
-
-def _bench(cfg: LearnConfig) -> tuple[Bench, dict[str, float]]:
-    """The bench, and the conditions on it while no hand changes them."""
-    if cfg.measure is None:
-        from pneutac_datasets.generate.standin import HANGING
-
-        return StandinBench(cfg.seed), dict(HANGING)
-    from lerobot_pneutac.measuring.options import MeasureConfig
-
-    options = [f"--config_path={cfg.measure}", f"--out={cfg.out / 'round'}"]
-    measure = parse_options(MeasureConfig, options)
-    return MeasuredBench(measure), measure.conditions

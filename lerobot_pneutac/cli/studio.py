@@ -6,6 +6,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from lerobot_pneutac.cli.bench import check_bench, make_bench
 from lerobot_pneutac.cli.options import parse_options
 from pneutac_sim.errors import InputError
 
@@ -19,6 +20,9 @@ class StudioConfig:
         recording: folder of a bench recording of the same finger, arm or gel.
         policy: folder of a trained policy, or its name on the Hub, for the world page.
         demonstrations: folder of a LeRobotDataset, or its name on the Hub, likewise.
+        bench: where the next experiment is driven, by a button that says so: `none`, `standin`, the finger
+            that stands in for a real one, or `measure`, your bench.
+        measure: YAML file with the options of `pneutac measure` for your bench, without `program` and `out`.
         host: address to listen on; any but this machine's own asks for the token that is printed.
         port: to listen on; 0 for any that is free.
     """
@@ -27,12 +31,16 @@ class StudioConfig:
     recording: Path | None = None
     policy: str = ""
     demonstrations: str = ""
+    bench: str = "none"
+    measure: Path | None = None
     host: str = "127.0.0.1"
     port: int = 8080
 
     def __post_init__(self):
         if not 0 <= self.port < 65536:
             raise InputError(f"port={self.port} must be between 0 and 65535.")
+        if self.bench != "none" or self.measure is not None:
+            check_bench(self.bench, self.measure)
 
 
 def main(argv: list[str]) -> None:
@@ -51,7 +59,8 @@ def main(argv: list[str]) -> None:
     try:
         from lerobot_pneutac.studio.session import Session
 
-        studio.show(Session(cfg.twin, cfg.recording, cfg.policy, cfg.demonstrations))
+        bench = None if cfg.bench == "none" else make_bench(cfg.measure, Path("outputs/studio"), 0)[0]
+        studio.show(Session(cfg.twin, cfg.recording, cfg.policy, cfg.demonstrations, bench))
         threading.Event().wait()
     finally:
         studio.close()

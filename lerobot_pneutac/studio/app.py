@@ -115,7 +115,8 @@ class Studio:
         last = s.twin.history[-1] if s.twin.history else None
         version = f"version {last['version']} ({last['change']})" if last else "as it was made"
         looked = "" if s.version is None else ", **an earlier version; nothing is written**"
-        recording = f"  \nRecording `{Path(s.recording.folder).name}`" if s.recording else ""
+        more = f" and {s.measured} measured here" if s.measured else ""
+        recording = f"  \nRecording `{Path(s.recording.folder).name}`{more}" if s.recording else ""
         self.title.content = f"Twin `{s.folder.name}`: {s.twin.device}, {version}{looked}{recording}"
 
     def say(self, text: str) -> None:

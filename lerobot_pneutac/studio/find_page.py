@@ -1,14 +1,12 @@
 """The page that finds what is missing: compare, diagnose, try, keep, go back, the next experiment."""
 
-import tempfile
 from pathlib import Path
 
 from lerobot_pneutac.reports.diagnosis import ladder, reductions
-from lerobot_pneutac.reports.page import cell
+from lerobot_pneutac.studio.experiment_panel import ExperimentPanel
+from lerobot_pneutac.studio.tables import table
 from lerobot_pneutac.verbs.add import add
-from lerobot_pneutac.verbs.benches import save_program
 from lerobot_pneutac.verbs.compare import compare
-from lerobot_pneutac.verbs.design import design
 from lerobot_pneutac.verbs.diagnose import diagnose
 from pneutac_sim.errors import InputError
 
@@ -50,10 +48,7 @@ class FindPage:
         self._keep = gui.add_button("4. Keep it", visible=False, color="green")
         self._keep.on_click(safely(self.keep))
         with gui.add_folder("Next experiment", expand_by_default=False):
-            gui.add_button("Which program tells most?", hint="pneutac design").on_click(safely(self.design))
-            self.experiment = gui.add_markdown("")
-            self._download = gui.add_button("Download program.csv", visible=False, icon="download")
-            self._download.on_click(self._send)
+            self.experiment = ExperimentPanel(studio, self._work)
         with gui.add_folder("History of the twin", expand_by_default=False):
             self.history = gui.add_markdown("")
             self._version = gui.add_dropdown("look at version", (NEWEST,))
@@ -64,7 +59,6 @@ class FindPage:
             self._out = gui.add_text("folder", "outputs/studio")
             write = gui.add_button("Write the diagnosis there", hint="as pneutac diagnose --out=FOLDER does")
             write.on_click(safely(self.write))
-        self._program = b""
         studio.session.when_changed(self._changed)
         self._changed()
 
@@ -148,25 +142,6 @@ class FindPage:
         self._tell_error()
         self.before_after.content = f"Kept as version {kept.twin.history[-1]['version']}. {kept.sentence}"
         self.before_after.visible = True
-
-    def design(self) -> None:
-        """The program for the bench that tells most."""
-        session = self._studio.session
-        recording = session.needs_recording()
-        if session.diagnosis is None:
-            raise InputError("Diagnose first; the next experiment follows from what is in the running.")
-
-        def work(show) -> None:
-            show("choosing among programs", 0, 1)
-            found = design(session.twin, recording, session.diagnosis)
-            c = found.best
-            with tempfile.TemporaryDirectory() as folder:
-                save_program(Path(folder) / "program.csv", c.time_s, c.pressure_kpa, c.kind)
-                self._program = (Path(folder) / "program.csv").read_bytes()
-            self.experiment.content = f"{found.sentence}\n\n{table(found.rows())}"
-            self._download.visible = True
-
-        self._work("choosing the next experiment", work)
 
     def back(self) -> None:
         """Writes the version that is looked at as the newest."""
@@ -263,17 +238,5 @@ class FindPage:
             figure.remove()
         self._figures = []
 
-    def _send(self, event) -> None:
-        if event.client is not None:
-            event.client.send_file_download("program.csv", self._program)
-
     def close(self) -> None:
         """Nothing of it goes on by itself."""
-
-
-def table(rows: list[dict]) -> str:
-    """Rows of one kind as Markdown; empty where there are none."""
-    if not rows:
-        return ""
-    head = "| " + " | ".join(map(str, rows[0])) + " |\n|" + "---|" * len(rows[0])
-    return "\n".join([head, *("| " + " | ".join(cell(v) for v in row.values()) + " |" for row in rows)])

@@ -47,7 +47,7 @@ class PhotographPanel:
 
     def show(self, sample: int, shape: Shape) -> None:
         """The photograph of a sample, if it has one, and the outline of the model's body on it."""
-        if not self._columns:
+        if not self._columns or sample >= len(self._recording):  # what a bench measured since is not there
             return
         column = self._chosen.value
         file = self._recording.samples[column].iloc[sample]

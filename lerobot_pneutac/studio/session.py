@@ -16,6 +16,7 @@ from pneutac_sim.twin import Twin
 
 if TYPE_CHECKING:
     from lerobot_pneutac.verbs.add import Addition
+    from lerobot_pneutac.verbs.benches import Bench
     from lerobot_pneutac.verbs.comparison import Comparison
     from lerobot_pneutac.verbs.diagnosis import Diagnosis
     from pneutac_datasets.recording.recording import Recording
@@ -29,6 +30,7 @@ class Session:
         recording: folder of a recording of the same device; None for none.
         policy: folder of a trained policy, or its name on the Hub, to begin with; may be empty.
         demonstrations: of a LeRobotDataset, likewise.
+        bench: that programs may be driven at; None for none.
 
     Attributes:
         folder: of the twin.
@@ -38,6 +40,7 @@ class Session:
         comparison: of twin and recording, once it was made.
         diagnosis: likewise.
         addition: the last one.
+        measured: programs that were driven at the bench.
         working: what is being done; empty where nothing is.
 
     Raises:
@@ -45,8 +48,14 @@ class Session:
     """
 
     def __init__(
-        self, twin: Path, recording: Path | None, policy: str | Path = "", demonstrations: str | Path = ""
+        self,
+        twin: Path,
+        recording: Path | None,
+        policy: str | Path = "",
+        demonstrations: str | Path = "",
+        bench: Bench | None = None,
     ):
+        self.bench, self.measured = bench, 0
         self.policy, self.demonstrations = str(policy), str(demonstrations)
         self.folder, self.twin, self.version = twin, Twin.load(twin), None
         self.recording = None
@@ -85,6 +94,11 @@ class Session:
         self.comparison = self.diagnosis = None
         for tell in self._told:
             tell()
+
+    def measure(self, recording: Recording) -> None:
+        """From now on the twin is weighed against this recording, of which a bench measured the last part."""
+        self.recording, self.measured = recording, self.measured + 1
+        self.look_at(self.version)
 
     def keep(self) -> int:
         """Writes the version that is looked at as the newest; returns its number.

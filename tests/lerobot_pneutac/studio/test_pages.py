@@ -3,6 +3,7 @@
 import shutil
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -65,18 +66,57 @@ def test_a_load_whose_effect_is_off_is_told(opened, tmp_path):
     assert "`payload`, which is off" in studio.said.content
 
 
-def test_an_arm_opens_and_its_worst_passage_is_jumped_to(opened, tmp_path):
-    recording = shutil.copytree(GOLDEN / "arm_creep", tmp_path / "bench")
+def arm(recording: Path, folder: Path) -> Path:
     told = Recording.load(recording)
     twin = Twin("arm", told.length_mm, told.spine_joint_positions_mm)
     twin.parameters = {"gain_rad_per_kpa": Value(0.01), "joint_stiffness_nm_per_rad": Value(1.0)}
-    studio = opened(twin.save(tmp_path / "arm"), recording)
+    return twin.save(folder)
+
+
+def test_an_arm_opens_and_its_worst_passage_is_jumped_to(opened, tmp_path):
+    recording = shutil.copytree(GOLDEN / "arm_creep", tmp_path / "bench")
+    studio = opened(arm(recording, tmp_path / "arm"), recording)
     page = studio.pages["Measurement"]
     until(lambda: page.readout.content.startswith("**Off by"))
     worst = studio.session.comparison.worst[0]
     page.jump(worst)
     assert f"in trial {worst['trial']} at {worst['from_s']:.2f} s" in page.readout.content
     assert len(studio.pages["Device"]._pressures) == 3
+
+
+class Bench:
+    """Answers every program with the recording that it has."""
+
+    pause_s = 12.0
+
+    def follow(self, program, out, number):
+        assert program.read_text().startswith("time_s,pressure_cmd_kpa,program")
+        return Recording.load(shutil.copytree(GOLDEN / "arm_creep", out))
+
+
+def test_what_the_bench_measures_is_weighed_from_then_on_and_only_the_button_writes(opened, tmp_path):
+    recording = shutil.copytree(GOLDEN / "arm_creep", tmp_path / "bench")
+    studio = opened(arm(recording, tmp_path / "arm"), recording, "", "", Bench())
+    before, panel = studio.session.recording, studio.pages["Find it"].experiment
+    studio.safely(panel.drive)()
+    assert "Choose a program first" in studio.said.content
+    program = SimpleNamespace(name="steps", seconds=2.0, kind="steps", conditions={})
+    program.time_s, program.pressure_kpa = np.array([0.0, 1.0]), np.array([0.0, 5.0])
+    panel._design, panel._out.value = SimpleNamespace(best=program), str(tmp_path / "next")
+    assert not (tmp_path / "next").exists()
+    panel.drive()
+    until(lambda: "weighed with the recording" in studio.said.content)
+    both = studio.session.recording
+    assert (
+        len(both) == 2 * len(before)
+        and both.folder == before.folder
+        and len(Recording.load(recording)) == len(before)
+    )
+    assert both.meta["trials"][str(len(before.trials()))] == {"start": "continues", "pause_s": 12.0}
+    assert "and 1 measured here" in studio.title.content
+    until(lambda: not studio.session.working)
+    studio.safely(panel.drive)()
+    assert "is not empty; give a new one" in studio.said.content
 
 
 @pytest.mark.slow

@@ -12,7 +12,8 @@ from doc_blocks import blocks
 from pressure_rig import build, connected, terminal
 
 from lerobot_pneutac import design, learn
-from lerobot_pneutac.cli.learn import LearnConfig, _bench, main
+from lerobot_pneutac.cli.bench import make_bench
+from lerobot_pneutac.cli.learn import main
 from lerobot_pneutac.diagnosis.design import Limits, choices
 from lerobot_pneutac.diagnosis.experiment import predict
 from lerobot_pneutac.diagnosis.hands import Hands, instructions
@@ -199,12 +200,11 @@ def test_options_that_do_not_fit_are_refused(tmp_path, options, sentence):
 def test_the_options_of_a_bench_come_from_a_file_as_the_page_shows_it(tmp_path):
     (shown,) = (b.text for b in blocks("docs/how_to/ask_the_bench.md") if b.kind == "yaml")
     (tmp_path / "bench.yaml").write_text(shown)
-    options = {"twin": tmp_path, "out": tmp_path / "out", "bench": "measure"}
-    bench, usual = _bench(LearnConfig(**options, measure=tmp_path / "bench.yaml"))
+    bench, usual = make_bench(tmp_path / "bench.yaml", tmp_path / "out", 0)
     assert bench.range_kpa == (0.0, 15.0) and bench.hz == 20.0 and bench.pause_s is None
     (tmp_path / "bench.yaml").write_text(shown.replace("max_kpa", "maximum_kpa"))
     with pytest.raises(InputError, match="maximum_kpa"):
-        _bench(LearnConfig(**options, measure=tmp_path / "bench.yaml"))
+        make_bench(tmp_path / "bench.yaml", tmp_path / "out", 0)
 
 
 @pytest.mark.nightly
