@@ -55,7 +55,7 @@ def main(argv: list[str]) -> None:
             "The studio needs the package viser; `pip install 'lerobot_robot_pneutac[studio]'`."
         ) from e
     studio = Studio(cfg.host, cfg.port)
-    console.print(f"The studio is open at {studio.address} (Ctrl+C ends it)", soft_wrap=True, highlight=False)
+    console.print(f"The studio opens at {studio.address} (Ctrl+C ends it)", soft_wrap=True, highlight=False)
     try:
         from lerobot_pneutac.studio.session import Session
 

@@ -51,7 +51,7 @@ class Studio:
         try:
             self._gate = Gate(host, port, self.server.get_port(), self._token)
         except InputError:
-            self.server.stop()
+            self._stop_server()
             raise
         shown = socket.gethostname() if host in ("0.0.0.0", "::") else host
         self.address = f"http://{shown}:{self._gate.port}/" + (f"?token={self._token}" if self._token else "")
@@ -141,5 +141,8 @@ class Studio:
         for page in self.pages.values():
             page.close()
         self._gate.close()
+        self._stop_server()
+
+    def _stop_server(self) -> None:
         with contextlib.redirect_stdout(io.StringIO()):
             self.server.stop()

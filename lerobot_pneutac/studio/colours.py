@@ -1,19 +1,20 @@
 """Colours of the studio: those of the reports, told apart by the colour-blind, on light and on dark."""
 
-from lerobot_pneutac.reports.colours import FLOOR, HELDOUT, MODEL
+from lerobot_pneutac.reports.colours import FLOOR, MODEL
 
 MEASURED = "#7a8794"  # the reports' is near black, which a dark page swallows
-BRAND = (11, 110, 153)
+PRESSURE = "#2389bd"  # as that of the reports, lighter, for lines on dark
+BRAND = (18, 137, 190)  # seen at 4 : 1 on light and on dark
 SKIN, BASE = (120, 170, 200), (90, 100, 112)
 SPINE, JOINTS, TRAIL = (27, 36, 48), (255, 214, 102), (209, 73, 91)
 __all__ = [
     "BASE",
     "BRAND",
     "FLOOR",
-    "HELDOUT",
     "JOINTS",
     "MEASURED",
     "MODEL",
+    "PRESSURE",
     "SKIN",
     "SPINE",
     "TRAIL",

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from lerobot_pneutac.studio.body_scene import UNIT, BodyScene
+from lerobot_pneutac.studio.colours import MODEL, PRESSURE
 from lerobot_pneutac.studio.effects_panel import EffectsPanel
 from lerobot_pneutac.studio.live import LiveBody, Shape
 from lerobot_pneutac.studio.plots import Lines
@@ -47,7 +48,7 @@ class DevicePage:
         self.scene = BodyScene(studio.server, twin)
         self._arm = CHAMBERS[twin.device] > 1
         self.readout = self._gui.add_markdown("")
-        self._chart = Lines(self._gui, "time, s", (("bend, °", "#d1495b"), ("pressure, kPa", "#0b6e99")), 190)
+        self._chart = Lines(self._gui, "time, s", (("bend, °", MODEL), ("pressure, kPa", PRESSURE)), 190)
         self._pressures = self._pressure_sliders(twin)
         self._loads(twin)
         with self._gui.add_folder("Time and material", expand_by_default=False):

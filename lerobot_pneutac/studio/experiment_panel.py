@@ -7,7 +7,6 @@ from pathlib import Path
 from lerobot_pneutac.studio.tables import table
 from lerobot_pneutac.verbs.benches import save_program
 from lerobot_pneutac.verbs.design import Design, design
-from lerobot_robot_pneutac.hardware.parts import HardwareFault
 from pneutac_datasets.recording.joined import joined
 from pneutac_sim.errors import InputError
 
@@ -62,6 +61,8 @@ class ExperimentPanel:
         best, bench, before = self._design.best, session.bench, session.needs_recording()
 
         def work(show) -> None:
+            from lerobot_robot_pneutac.hardware.parts import HardwareFault  # LeRobot, which takes seconds
+
             show(f"{best.name}, {best.seconds:.0f} s", 0, 1)
             out.mkdir(parents=True, exist_ok=True)
             save_program(out / "program.csv", best.time_s, best.pressure_kpa, best.kind, best.conditions)

@@ -119,6 +119,11 @@ def _bound(host: str, port: int) -> socket.socket:
     """A listening socket."""
     try:
         family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
+    except socket.gaierror as e:
+        raise InputError(
+            f"host={host} is no address of this machine; omit it, or give --host=0.0.0.0 to let others in."
+        ) from e
+    try:
         return socket.create_server((host, port), family=family)
     except (OSError, OverflowError) as e:
         raise InputError(

@@ -5,7 +5,7 @@ import threading
 import numpy as np
 
 from lerobot_pneutac.reports.compare import by_condition
-from lerobot_pneutac.studio.colours import FLOOR, HELDOUT, MEASURED, MODEL
+from lerobot_pneutac.studio.colours import FLOOR, MEASURED, MODEL, PRESSURE
 from lerobot_pneutac.studio.live import shape_of
 from lerobot_pneutac.studio.photograph_panel import PhotographPanel
 from lerobot_pneutac.studio.player import Player
@@ -92,7 +92,7 @@ class MeasurementPage:
                     n.replace("pressure_cmd_", "").replace("_kpa", "") for n in c.recording.pressure_columns
                 ]
                 commands = [f"command {n}".removesuffix(" kpa").removesuffix(" pressure") for n in chambers]
-                colours = (HELDOUT, FLOOR, MODEL)
+                colours = (PRESSURE, FLOOR, MODEL)
                 lines = tuple(zip([f"{n}, kPa" for n in commands], colours, strict=False))
                 self._charts = [
                     Lines(gui, "time, s", (("measured", MEASURED), ("model", MODEL)), 170, said, FLOOR),

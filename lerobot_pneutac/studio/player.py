@@ -1,5 +1,6 @@
 """Play, scrub and speed: a moment of something that has been recorded."""
 
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -42,6 +43,7 @@ class Player:
 
     def reaches(self, end_s: float) -> None:
         """There is something to show, from 0 on."""
+        end_s = math.floor(100 * end_s) / 100  # as the slider steps
         self._time.max, self._ready = end_s, True
         self._time.value = min(self._time.value, end_s)
 

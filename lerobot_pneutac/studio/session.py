@@ -62,8 +62,14 @@ class Session:
         if recording is not None:
             # pandas and all that weighs a twin, a second and a half; the picture does not wait for it else
             from lerobot_pneutac.study.pair import same_body, same_device
+            from pneutac_datasets.demonstrations.faults import is_demonstrations
             from pneutac_datasets.recording.recording import Recording
 
+            if is_demonstrations(recording):
+                raise InputError(
+                    f"recording={recording} is a dataset of demonstrations; give it by --demonstrations= "
+                    "and a bench recording here."
+                )
             loaded = Recording.load(recording)
             same_device(self.twin, loaded, twin, "open")
             same_body(self.twin, loaded, "open")

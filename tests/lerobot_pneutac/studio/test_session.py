@@ -1,6 +1,7 @@
 """The studio's session: versions to look at and to go back to, one work at a time, twins of other devices."""
 
 import threading
+from pathlib import Path
 
 import pytest
 
@@ -8,6 +9,8 @@ from lerobot_pneutac.studio.session import Session
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin
+
+GOLDEN = Path(__file__).parents[2] / "golden" / "recordings"
 
 
 @pytest.fixture
@@ -56,6 +59,8 @@ def test_what_does_not_go_together_is_refused(folder, tmp_path):
         Session(tmp_path / "nothing", None)
     with pytest.raises(InputError, match="--recording=DIR"):
         Session(folder, None).needs_recording()
+    with pytest.raises(InputError, match="give it by --demonstrations="):
+        Session(folder, GOLDEN / "demos")
     arm = tmp_path / "arm"
     arm.mkdir()
     (arm / "recording.json").write_text('{"device": "arm", "length_mm": 180, "samples": "samples.csv"}')
