@@ -57,9 +57,9 @@ class MeasurementPage:
             self.readout.content = f"> {e}"
             return
         session.comparison = comparison
-        with self._lock:
+        with self._lock:  # the twin may be another before the first one is laid out
             self._read(comparison)
-        self._lay_out(comparison)
+            self._lay_out(comparison)
         self._draw()
 
     def _read(self, c) -> None:

@@ -55,7 +55,9 @@ class DemoResult(Result):
             f"pneutac diagnose --twin={self.out}/twin --recording={self.out}/bench/finger --out=outputs/rest",
             f"pneutac render --twin={self.out}/twin --pressure_kpa=[0,15] --out=outputs/render",
             "python -m pneutac_datasets.generate --effect=hysteresis --seed=7 --out=outputs/hysteresis",
-            f"pneutac studio --twin={self.out}/before --recording={self.out}/bench/finger",
+            f"pneutac studio --twin={self.out}/before --recording={self.out}/bench/finger "
+            f"--demonstrations={self.out}/demonstrations "
+            f"--policy={self.out}/train/checkpoints/last/pretrained_model",
         ]
 
     def subject(self) -> tuple[Twin, Path]:

@@ -6,6 +6,7 @@ PNEUTAC_SCREENSHOTS=docs/pictures writes the pictures and the film there.
 import io
 import os
 import re
+import shlex
 import shutil
 import signal
 import socket
@@ -20,6 +21,8 @@ from playwright.sync_api import expect, sync_playwright
 
 from lerobot_pneutac.studio.app import Studio
 from lerobot_pneutac.studio.session import Session
+from lerobot_pneutac.verbs.demo import Demo, DemoConfig
+from lerobot_pneutac.verbs.demo_result import DemoResult
 from pneutac_sim.twin import Twin
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
@@ -79,6 +82,17 @@ class Page:
             more = {"append_images": images[1:], "duration": list(ms), "loop": 0, "method": 6}
             images[0].save(file, save_all=True, quality=55, **more)
             assert file.stat().st_size < 1_000_000
+
+    def open(self, tab: str):
+        self.page.get_by_role("tab", name=tab).click()
+
+    def button(self, name: str):
+        return self.page.get_by_role("button", name=name)
+
+    def heldout_mm(self) -> float:
+        shown = self.page.get_by_text("Held-out error").first
+        expect(shown).to_be_visible(timeout=60_000)
+        return float(re.search(r"error ([0-9.]+) mm", shown.inner_text())[1])
 
     def tidy(self):
         """That this machine has no graphics card is of no interest in a picture."""
@@ -148,7 +162,6 @@ def test_a_newcomer_finds_and_adds_what_is_missing(browser, tmp_path):
     try:
         seen = Page(browser, studio.address)
         page = seen.page
-        button = lambda name: page.get_by_role("button", name=name)  # noqa: E731
         expect(page.get_by_text("Bend ").first).to_be_visible()
         seen.tidy()
         for kpa in (0, 3, 6, 9, 12, 9, 10):
@@ -156,39 +169,34 @@ def test_a_newcomer_finds_and_adds_what_is_missing(browser, tmp_path):
             seen.frame(250, wait_ms=250)
         page.get_by_text("Effects of the twin").wait_for()
         seen.picture("device")
-        page.get_by_role("tab", name="Measurement").click()
+        seen.open("Measurement")
         expect(page.get_by_text("Off by ").first).to_be_visible()
         page.locator("button", has_text="mm: trial").first.click()
         page.get_by_text("Off by ").first.scroll_into_view_if_needed()
         seen.picture("measurement")
-        page.get_by_label("Play").check()
+        page.get_by_label("Play").first.check()
         seen.frame(300, times=8, wait_ms=250)
-        page.get_by_label("Play").uncheck()
-        page.get_by_role("tab", name="Find it").click()
-        button("1. Compare").click()
-        shown = page.get_by_text("Held-out error").first
-        expect(shown).to_be_visible()
-        before = float(re.search(r"error ([0-9.]+) mm", shown.inner_text())[1])
+        page.get_by_label("Play").first.uncheck()
+        seen.open("Find it")
+        seen.button("1. Compare").click()
+        before = seen.heldout_mm()
         seen.frame(1500)
-        button("2. Diagnose").click()
+        seen.button("2. Diagnose").click()
         expect(page.get_by_text("tried", exact=True)).to_be_visible(timeout=120_000)
         seen.frame(400, times=4, wait_ms=300)
         page.reload()  # in the middle of the work, which goes on
-        page.get_by_role("tab", name="Find it").click()
+        seen.open("Find it")
         expect(page.get_by_text("Your finger creeps").first).to_be_visible(timeout=300_000)
         seen.picture("found")
         seen.frame(3500)
-        button("3. Try it").click()
-        expect(button("4. Keep it")).to_be_visible(timeout=120_000)
+        seen.button("3. Try it").click()
+        expect(seen.button("4. Keep it")).to_be_visible(timeout=120_000)
         assert "creep" not in str(Twin.load(tmp_path / "finger").history)
-        button("4. Keep it").scroll_into_view_if_needed()
+        seen.button("4. Keep it").scroll_into_view_if_needed()
         seen.frame(2500)
-        button("4. Keep it").click()
+        seen.button("4. Keep it").click()
         expect(page.get_by_text("Kept as version 1").first).to_be_visible(timeout=60_000)
-        after = float(
-            re.search(r"error ([0-9.]+) mm", page.get_by_text("Held-out error").first.inner_text())[1]
-        )
-        assert after < 0.5 * before
+        assert seen.heldout_mm() < 0.5 * before
         assert Twin.load(tmp_path / "finger").history[-1]["change"].startswith("added ")
         page.get_by_text("Held-out error").first.scroll_into_view_if_needed()
         page.get_by_text("History of the twin").click()
@@ -196,6 +204,86 @@ def test_a_newcomer_finds_and_adds_what_is_missing(browser, tmp_path):
         seen.film("studio")
         assert not seen.errors and not seen.foreign
         page.close()
+    finally:
+        studio.close()
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(1800)  # a bench session of three minutes, measured on the stand-in
+def test_what_the_demo_leaves_is_opened_by_its_last_line_and_mended(browser, tmp_path):
+    demo = Demo(DemoConfig(tmp_path / "demo"), print, lambda *_: None)
+    demo._bench(), demo._calibrate()
+    before = shutil.copytree(demo.twin, tmp_path / "demo" / "before")
+    line = shlex.split(DemoResult(demo.cfg.out, demo.state).next_commands[-1])
+    command = [sys.executable, "-m", "lerobot_pneutac.cli", *line[1:], "--port=0"]
+    server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    try:
+        seen = Page(browser, re.search(r"http\S+", server.stdout.readline())[0])
+        expect(seen.page.get_by_text("Bend ").first).to_be_visible(timeout=60_000)
+        for tab in ("Touch", "Measurement", "World", "Find it"):
+            seen.open(tab)
+        seen.button("1. Compare").click()
+        error = seen.heldout_mm()
+        seen.button("2. Diagnose").click()
+        expect(seen.page.get_by_text("How sure.").first).to_be_visible(timeout=600_000)
+        seen.button("3. Try it").click()
+        expect(seen.button("4. Keep it")).to_be_visible(timeout=300_000)
+        assert len(Twin.load(before).history) == len(Twin.load(demo.twin).history)
+        seen.button("4. Keep it").click()
+        expect(seen.page.get_by_text("Kept as version").first).to_be_visible(timeout=60_000)
+        assert seen.heldout_mm() < 0.6 * error
+        assert Twin.load(before).effects and not seen.errors and not seen.foreign
+        seen.page.close()
+    finally:
+        server.kill()
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("size", [(1280, 720), (1024, 768), (768, 1024)])
+def test_on_a_tablet_nothing_is_cut_off(browser, tmp_path, size):
+    studio = opened(Twin.builtin().save(tmp_path / "finger"))
+    try:
+        seen = Page(browser, studio.address, *size)
+        expect(seen.page.get_by_text("Bend ").first).to_be_visible(timeout=60_000)
+        seen.tidy()
+        for tab in ("World", "Device"):
+            seen.open(tab)
+            seen.page.wait_for_timeout(500)
+            wide = seen.page.evaluate("document.documentElement.scrollWidth")
+            shown = [v.bounding_box() for v in seen.page.get_by_role("tabpanel").all() if v.is_visible()]
+            assert wide <= size[0] and all(0 <= v["x"] and v["x"] + v["width"] <= size[0] + 1 for v in shown)
+        seen.page.get_by_role("tab", name="Device").press("ArrowRight")  # by the keyboard alone
+        assert seen.page.get_by_role("tab", name="World").get_attribute("aria-selected") == "true"
+        seen.page.close()
+    finally:
+        studio.close()
+
+
+@pytest.mark.nightly
+def test_a_world_is_moved_by_keys_and_an_episode_replayed(browser, tmp_path):
+    studio = Studio(port=0)
+    studio.show(Session(Twin.builtin().save(tmp_path / "finger"), None, "", GOLDEN / "demos"))
+    try:
+        seen, world = Page(browser, studio.address), studio.pages["World"]
+        expect(seen.page.get_by_text("Bend ").first).to_be_visible(timeout=60_000)
+        seen.open("World")
+        world._player.value, world._task.value = "by hand", "switch"
+        seen.button("Begin anew").click()
+        expect(seen.page.get_by_text(" s of the task").first).to_be_visible(timeout=60_000)
+        seen.page.keyboard.press("l")
+        seen.page.keyboard.down("i")
+        seen.page.wait_for_timeout(100)
+        assert world.action()[2] > 0 and world.action()[3] == pytest.approx(0.3)
+        seen.page.keyboard.up("i")
+        world.close_world()
+        world.episodes._task.value = "switch"
+        seen.button("Replay it").click()
+        expect(seen.page.get_by_text("Off by ").first).to_be_visible(timeout=120_000)
+        world.episodes._player.now_s = 2.5
+        seen.button("Replay it").scroll_into_view_if_needed()
+        seen.picture("world", 256)
+        assert not seen.errors and not seen.foreign
+        seen.page.close()
     finally:
         studio.close()
 
