@@ -139,7 +139,7 @@ def test_a_dataset_of_another_robot_or_rate_is_refused_before_any_work(tmp_path)
         "action": {"names": list(ACTION_NAMES)},
         "observation.images.tactile": {"shape": list(IMAGE_SHAPE)},
     }
-    with pytest.raises(InputError, match="30 fps; the world runs at 15"):
+    with pytest.raises(InputError, match="30 fps; as measurements demonstrations are taken at 15 only"):
         load_demonstrations(described(fps=30, features=features))
     blind = {k: v for k, v in features.items() if "tactile" not in k}
     with pytest.raises(InputError, match="feature 'observation.images.tactile' is missing"):
