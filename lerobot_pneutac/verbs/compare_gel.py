@@ -14,6 +14,7 @@ from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.fit import slope_light
+from pneutac_sim.gel.inverse import TouchReader
 from pneutac_sim.gel.layout import Layout, Orientation, recognise
 from pneutac_sim.gel.metrics import ImageScores, disc
 from pneutac_sim.gel.model import GelModel
@@ -32,6 +33,7 @@ class GelComparison(Comparison):
         predicted: of each, uint8 (H, W, 3).
         scores: of each.
         rest_scores: of the rest image alone.
+        touch: of each, what `TouchReader` reads from the photograph beside what its row states.
         folder: of the recording.
         twin: that was compared.
     """
@@ -40,6 +42,7 @@ class GelComparison(Comparison):
     predicted: list[np.ndarray]
     scores: list[ImageScores]
     rest_scores: list[ImageScores]
+    touch: list[dict]
     folder: Path
     twin: Twin
 
@@ -108,6 +111,16 @@ class GelComparison(Comparison):
         ]
 
     @property
+    def touch_error(self) -> dict | None:
+        """Root mean square error of depth and median distance of place, read from held-out images, mm."""
+        rows = [self.touch[i] for i in self._heldout if self.touch[i]["depth_mm"] > 0]
+        if not rows:
+            return None
+        depth = [row["depth_mm"] - row["stated_mm"] for row in rows]
+        off = float(np.median([row["off_mm"] for row in rows]))
+        return {"depth_mm": float(np.sqrt(np.mean(np.square(depth)))), "place_mm": off, "n": len(rows)}
+
+    @property
     def sentence(self) -> str:
         """What a newcomer should take away."""
         image = self.image
@@ -136,6 +149,7 @@ class GelComparison(Comparison):
             "image": self.image,
             "by": self.by,
             "worst": self.worst,
+            "touch": self.touch_error,
             "history": self.history,
             "checks": list(self.findings),
             "sentence": self.sentence,
@@ -159,6 +173,14 @@ class GelComparison(Comparison):
         for name, rows in self.by.items():
             page.table(rows, f"By {name}.")
         page.table(self.worst, "Worst images.")
+        if self.touch_error:
+            depth, place, n = self.touch_error.values()
+            page.heading("Touch read back from the images")
+            page.text(
+                f"On {n} of the images that are not calibration the depth is off by {depth:.2f} mm and the "
+                f"contact's centre by {place:.2f} mm (root mean square, median)."
+            )
+            page.table(self.touch, "By image; 0 mm deep where no contact was found.")
         return page
 
 
@@ -185,9 +207,21 @@ def compare_gel(twin: Twin, recording: Recording) -> GelComparison:
         predicted=predicted,
         scores=scores_of(data, predicted),
         rest_scores=scores_of(data, rest),
+        touch=read_back(gel, data),
         folder=Path(recording.folder),
         twin=twin,
     )
+
+
+def read_back(gel: GelModel, data: GelRecording) -> list[dict]:
+    """Depth, area and place that each photograph tells, beside the stated depth and place."""
+    reader, out = TouchReader(gel), []
+    for s in data.samples:
+        touch = reader.read(s.image, s.rest)
+        row = {"image": s.name, "stated_mm": s.press.depth_mm, "depth_mm": touch.depth_mm}
+        off = float(np.linalg.norm(touch.centre_mm - (s.press.x_mm, s.press.y_mm)))
+        out.append(row | {"off_mm": off if touch.depth_mm else None, "area_mm2": touch.area_mm2})
+    return out
 
 
 def turned(gel: GelModel, data: GelRecording) -> list[str]:

@@ -11,6 +11,7 @@ from pneutac_sim.features import IMAGE_NAME
 from pneutac_sim.gel.inverse import TouchReader
 from pneutac_sim.twin import Twin
 
+AREA, PIXELS = "contact_area.pos", "contact_pixels.pos"
 NAMES = ("touch_depth_mm", "touch_force_n", "touch_area_mm2", "touch_x_mm", "touch_y_mm")
 
 
@@ -22,6 +23,8 @@ class TouchProcessorStep(ObservationProcessorStep):
     Attributes:
         twin: folder of a twin with a calibrated gel.
         image: name of the tactile image in the observation, uint8 (H, W, 3).
+        contact_area: whether `contact_area.pos` and `contact_pixels.pos` become those of the contact that is
+            read, in place of all pixels that have changed; train and run a policy with the same.
 
     Raises:
         InputError: there is no such twin, or it has no gel.
@@ -29,6 +32,7 @@ class TouchProcessorStep(ObservationProcessorStep):
 
     twin: str
     image: str = IMAGE_NAME
+    contact_area: bool = False
     _reader: TouchReader = field(init=False, repr=False)
 
     def __post_init__(self):
@@ -41,14 +45,19 @@ class TouchProcessorStep(ObservationProcessorStep):
         """The observation and what its image tells."""
         if self.image not in observation:
             raise InputError(f"The observation has no image '{self.image}'; name the tactile one.")
-        touch = self._reader.read(np.asarray(observation[self.image]))
+        image = np.asarray(observation[self.image])
+        touch = self._reader.read(image)
         x, y = np.nan_to_num(touch.centre_mm)
         values = touch.depth_mm, touch.force_n, touch.area_mm2, float(x), float(y)
-        return observation | dict(zip(NAMES, values, strict=True))
+        out = observation | dict(zip(NAMES, values, strict=True))
+        if self.contact_area:
+            share, pixels = touch.contact.mean(), image.shape[0] * image.shape[1]
+            out |= {AREA: float(share), PIXELS: float(np.log1p(share * pixels))}
+        return out
 
     def get_config(self) -> dict:
         """What it is made from."""
-        return {"twin": str(self.twin), "image": self.image}
+        return {"twin": str(self.twin), "image": self.image, "contact_area": self.contact_area}
 
     def transform_features(self, features):
         """The features and `NAMES`."""

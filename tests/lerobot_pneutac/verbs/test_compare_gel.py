@@ -49,6 +49,9 @@ def test_a_twin_agrees_with_the_recording_that_it_was_calibrated_to(bench, tmp_p
     assert result["checks"] == []
     assert result["image"]["n"] == 3 and result["image"]["rmse"] < 0.8 * result["image"]["rest_rmse"]
     assert {row["value"]: row["n"] for row in result["by"]["role"]} == {"calibration": 1, "heldout": 3}
+    assert (
+        result["touch"]["n"] == 3 and result["touch"]["depth_mm"] < 0.25 and result["touch"]["place_mm"] < 0.2
+    )
     assert [h["change"] for h in result["history"]] == ["calibrated gel"]
     assert (tmp_path / "report.html").is_file() and (tmp_path / "tactile.png").is_file()
 
