@@ -18,7 +18,7 @@ from lerobot_pneutac.verbs.augment import AugmentConfig, DatasetRef
 from lerobot_robot_pneutac.env import PneutacEnvConfig
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
-from lerobot_robot_pneutac.standin.world import StandinWorld
+from lerobot_robot_pneutac.standin.gel import GelTouch
 from lerobot_robot_pneutac.teleoperators.config_pneutac_scripted import PneutacScriptedConfig
 from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
 from pneutac_benchmarks.policy.main import BenchmarkPolicyConfig
@@ -189,7 +189,7 @@ def test_a_mesh_is_felt_unless_it_is_decor(install, tmp_path):
     world = World("doorbell")
     assert len(world.touch.sensor.triangles) == 12
     with pytest.raises(InputError, match="stand-in's gel feels no meshes"):
-        StandinWorld("doorbell")
+        GelTouch(world.model, "none", 12.0)
     module.write_text(
         code.replace('class="decor" type="mesh" mesh="post"', 'class="object" type="plane" size=".1 .1 .1"')
     )
