@@ -9,7 +9,7 @@ from lerobot.utils.constants import OBS_STATE
 
 from lerobot_pneutac.reports.page import Report
 from pneutac_datasets.demonstrations.augment.reference import Reference, onset_sigma_m
-from pneutac_sim.features import AREA, CONTROL_HZ, EE
+from pneutac_sim.features import AREA, EE
 
 SHOWN = 4  # recorded demonstrations whose touch is drawn
 
@@ -107,11 +107,11 @@ def _touch(states: list[np.ndarray], sources: list[int], references: list[Refere
     figure, colours = go.Figure(), ("#0b6e99", "#c2410c", "#15803d", "#7e22ce")
     for state, source in zip(states, sources, strict=True):
         if source < SHOWN:
-            t = np.arange(len(state)) / CONTROL_HZ
+            t = np.arange(len(state)) / references[source].control_hz
             line = {"color": colours[source], "width": 0.7}
             figure.add_scatter(x=t, y=state[:, AREA], mode="lines", line=line, showlegend=False)
     for r in references[:SHOWN]:
-        t, line = np.arange(len(r)) / CONTROL_HZ, {"color": colours[r.source], "width": 3}
+        t, line = np.arange(len(r)) / r.control_hz, {"color": colours[r.source], "width": 3}
         figure.add_scatter(x=t, y=r.area, mode="lines", line=line, name=f"demonstration {r.source}")
     figure.update_layout(xaxis_title="time (s)", yaxis_title="contact area (share of the image)")
     return figure
