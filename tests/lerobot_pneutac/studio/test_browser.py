@@ -106,8 +106,10 @@ class Page:
             self.tidy()
             self.page.wait_for_timeout(600)
             self.page.screenshot(path=file)
-            how = Image.Dither.FLOYDSTEINBERG if colours > 128 else Image.Dither.NONE  # of photographs
-            small = Image.open(file).convert("RGB").quantize(colours, dither=how)
+            whole = Image.open(file).convert("RGB")
+            small = whole.quantize(colours)
+            if colours > 128:  # with photographs, which would be seen in steps
+                small = whole.quantize(palette=small, dither=Image.Dither.FLOYDSTEINBERG)
             small.save(file, optimize=True)
             assert file.stat().st_size < 150_000
 
@@ -328,7 +330,7 @@ def test_a_gel_is_pressed_and_its_recording_shown(browser, tmp_path):
         area = lambda: float(re.search(r"Contact ([0-9.]+)", contact.inner_text())[1])  # noqa: E731
         small, touch = area(), studio.pages["Touch"]
         touch._depth.value = 1.2
-        seen.page.wait_for_timeout(1000)
+        expect(seen.page.get_by_text("deepest 1.20 mm").first).to_be_visible()
         assert area() > 1.2 * small
         seen.picture("gel", 256)
         seen.page.get_by_role("tab", name="Measurement").click()
