@@ -60,15 +60,14 @@ class Session:
         self.folder, self.twin, self.version = twin, Twin.load(twin), None
         self.recording = None
         if recording is not None:
-            # pandas and all that weighs a twin, a second and a half; the picture does not wait for it else
+            # pandas and what fits recordings; without one the picture does not wait for them
             from lerobot_pneutac.study.pair import same_body, same_device
-            from pneutac_datasets.demonstrations.faults import is_demonstrations
             from pneutac_datasets.recording.recording import Recording
 
-            if is_demonstrations(recording):
+            if (recording / "meta" / "info.json").is_file():
                 raise InputError(
-                    f"recording={recording} is a dataset of demonstrations; give it by --demonstrations= "
-                    "and a bench recording here."
+                    f"recording={recording} is a LeRobotDataset; give it by "
+                    "--demonstrations=, and a bench recording here."
                 )
             loaded = Recording.load(recording)
             same_device(self.twin, loaded, twin, "open")
