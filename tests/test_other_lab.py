@@ -125,10 +125,12 @@ def test_a_finger_of_60_kpa_an_arm_a_sensor_and_a_doorbell_go_from_the_bench_to_
         "--dataset.no_stamp=true --dataset.fps=15 --dataset.reset_time_s=1 --dataset.video=false"
         " --dataset.push_to_hub=false --play_sounds=false"
     )
+    record = f"lerobot-record {robot} --teleop.type=pneutac_scripted --teleop.reset_steps=15 {kept}"
+    record += " --dataset.episode_time_s=10 --teleop.episode_steps=150 --dataset.single_task=ring"
+    run(f"{record} --dataset.repo_id=local/bell --dataset.root=demos --dataset.num_episodes=2")
     run(
-        f"lerobot-record {robot} --teleop.type=pneutac_scripted --teleop.reset_steps=15"
-        " --dataset.repo_id=local/bell --dataset.root=demos --dataset.single_task=ring"
-        f" --dataset.num_episodes=2 --dataset.episode_time_s=14 {kept}"
+        f"{record} --dataset.repo_id=local/bells --dataset.root=further --dataset.num_episodes=8"
+        " --robot.seed=1 --teleop.seed=1"
     )
     stats = json.loads((tmp_path / "demos" / "meta" / "stats.json").read_text())
     assert 15 < stats["action"]["max"][3] <= 60
@@ -143,19 +145,23 @@ def test_a_finger_of_60_kpa_an_arm_a_sensor_and_a_doorbell_go_from_the_bench_to_
     assert facts(tmp_path / "more")["total_episodes"] == 2
     run(
         "lerobot-edit-dataset --new_repo_id=local/all --new_root=all --operation.type=merge"
-        " --operation.repo_ids=['local/bell','local/more'] --operation.roots=['demos','more']"
+        " --operation.repo_ids=['local/bell','local/bells','local/more']"
+        " --operation.roots=['demos','further','more']"
     )
+    run("python -m pneutac_datasets.demonstrations.pool --out=small all")
     run(
-        "lerobot-train --policy.type=pneutac_bc --policy.device=cpu --dataset.repo_id=local/all"
-        " --dataset.root=all --output_dir=policy --steps=200 --batch_size=16 --num_workers=0"
-        " --save_freq=0 --env_eval_freq=0 --wandb.enable=false"
+        "lerobot-train --policy.type=pneutac_bc --policy.device=cpu --policy.previous_action_in_data=true"
+        " --dataset.repo_id=local/small --dataset.root=small --output_dir=policy --steps=800 --batch_size=32"
+        " --num_workers=0 --save_freq=0 --env_eval_freq=0 --wandb.enable=false"
     )
     policy = "--policy.path=policy/checkpoints/last/pretrained_model"
     run(
         f"lerobot-eval {policy} --policy.device=cpu --env.type=pneutac --env.{finger.format('--env')}"
-        " --env.episode_length=60 --eval.n_episodes=2 --eval.batch_size=2 --output_dir=eval"
+        " --eval.n_episodes=10 --eval.batch_size=2 --output_dir=eval"
     )
-    assert json.loads((tmp_path / "eval" / "eval_info.json").read_text())["overall"]["n_episodes"] == 2
+    overall = json.loads((tmp_path / "eval" / "eval_info.json").read_text())["overall"]
+    assert overall["n_episodes"] == 10
+    assert overall["pc_success"] >= 60
     run(
         f"lerobot-rollout {policy} --strategy.type=episodic --device=cpu --fps=15 --task=ring {robot}"
         " --dataset.repo_id=local/rollout_bell --dataset.root=rollout --dataset.num_episodes=1"
