@@ -101,6 +101,7 @@ def facts(root: Path) -> dict:
 
 
 @pytest.mark.nightly
+@pytest.mark.timeout(2400)  # busy cores; the augmentation takes most of it
 def test_a_finger_of_60_kpa_an_arm_a_sensor_and_a_doorbell_go_from_the_bench_to_a_policy(tmp_path):
     env = os.environ | {"PYTHONPATH": str(package(tmp_path / "site")), "OMP_NUM_THREADS": "1"}
     env |= {"HF_HOME": str(tmp_path / "hf"), "HF_HUB_OFFLINE": "1"}
