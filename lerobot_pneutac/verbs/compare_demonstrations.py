@@ -22,6 +22,7 @@ from pneutac_sim.twin import Twin
 PHASES = ("free", "onset", "pressed", "release")
 NEAR = 4  # frames about the first and after the last touch that are its onset and release
 DEPTHS_MM = (0.0, 0.3, 0.6, 0.9, 1.2)
+FELT_MM = 0.05  # by which a replay's gel is pressed in where it touches; its images show it later
 LATE_S = 0.02  # beside the twin's own latency: more is told
 
 
@@ -130,7 +131,7 @@ class DemonstrationComparison(Comparison):
     def _touches(self, i: int) -> dict:
         """When an episode first touches, as recorded and as replayed, and how far its images differ."""
         e, r = self.demonstrations.episodes[i], self.replayed[i]
-        felt = np.flatnonzero(r.area > 0)
+        felt = np.flatnonzero(r.press_mm > FELT_MM)
         first = (e.contact() or (0, 0))[0]
         phase, images = phases(e), r.images
         shown = (

@@ -12,6 +12,7 @@ from lerobot_pneutac.reports.gel_picture import picture_grid
 from lerobot_pneutac.reports.gel_told import make_sentence, moved_sentences, told_sentences
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.study.gel_model import at_bound, predict
+from lerobot_pneutac.study.gel_modulus import Modulus, keep_modulus, modulus_sentence
 from lerobot_pneutac.study.pasted import Pasted
 from lerobot_pneutac.verbs.calibration import Calibration
 from lerobot_pneutac.verbs.gel_effects import EFFECTS, STANDARD, wanted
@@ -49,6 +50,7 @@ class GelCalibration(Calibration):
         scores: method to the score of every image.
         notes: of `recording.json`.
         standard: whether nobody chose the effects.
+        modulus: of the gel, by the presses that tell their force; None where none does.
         material: of the material points whose surfaces the light was fitted to; empty for the closed form.
     """
 
@@ -60,6 +62,7 @@ class GelCalibration(Calibration):
     scores: dict[str, list[ImageScores]]
     notes: str = ""
     standard: bool = False
+    modulus: Modulus | None = None
     material: str = ""
 
     def _noted(self) -> dict:
@@ -114,6 +117,7 @@ class GelCalibration(Calibration):
         rows, columns = self.gel.rest_image.shape[:2]
         if (rows, columns) != self.data.rest.shape[:2]:
             first.append(f"The twin's images are {columns} x {rows} px, made of the photographs'.")
+        first.append(modulus_sentence(self.modulus, self.twin))
         moved = moved_sentences([s.photograph for s in self.data.presses], self.fit)
         return [*filter(None, first), *moved, *told_sentences(self.told, self.fit.make)]
 
@@ -241,9 +245,10 @@ def calibrate_gel(
     seen = [x.rmse for x, s in zip(scores[OURS], data.samples, strict=True) if s.role == "calibration"]
     new = twin.copy()
     gel.into_twin(new)
+    modulus = keep_modulus(new, data)
     return GelCalibration(
         twin=new,
-        parameters=_parameters(gel),
+        parameters=_parameters(gel) | (modulus.parameter() if modulus else {}),
         error={
             "train": float(np.sqrt(np.mean(np.square(seen)))),
             "heldout": float(np.sqrt(np.mean(np.square(unseen)))) if unseen else None,
@@ -263,6 +268,7 @@ def calibrate_gel(
         scores=scores,
         notes=recording.meta.get("notes", ""),
         standard=names is None,
+        modulus=modulus,
         material=_material(twin) if through_mpm else "",
     )
 

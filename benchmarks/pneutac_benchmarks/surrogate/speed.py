@@ -112,7 +112,8 @@ def press_on(world: World) -> np.ndarray:
     normal = world.data.site_xmat[gel].reshape(3, 3)[:, 2]
     to = world.data.geom_xpos[world.model.geom("bar").id] - world.gel_m
     if world.touch.pixels:
-        along = 8.0 * (DEPTH_M - 1e-3 * float(world.touch.depth_mm.max()))
+        # The finger gives way fifty times as much as the gel: a millimetre of the flange is hardly felt.
+        along = 40.0 * (DEPTH_M - 1e-3 * float(world.touch.depth_mm.max()))
     else:
         along = 1.5 * float(normal @ to)
     velocity = along * normal + 1.5 * (to - normal * (normal @ to))

@@ -22,6 +22,7 @@ MARKER_NOISE_MM = 0.3
 SETTLE_S, TURNED_S = 1.0, 4.0  # a finger that has been turned or loaded swings longer
 HANGING = {"gravity_x": 1.0, "gravity_y": 0.0, "gravity_z": 0.0}  # in the base's frame
 PRESSES = 16
+SCALE_SHARE, SCALE_NOISE_N = 0.01, 0.003  # errors of the scale under the gel
 
 
 def write_finger(folder: str | Path, seed: int = 0, minutes: float = 6.0, hz: float = 20.0) -> Recording:
@@ -136,14 +137,14 @@ def _measured(
 def write_gel(folder: str | Path, seed: int = 0) -> Recording:
     """Writes a rest image and `PRESSES` presses by balls into the stand-in's gel, the first to calibrate by.
 
-    A depth is from the first touch on.
+    A depth is from the first touch on, the force that of a scale under the gel.
 
     Args:
         folder: where the recording goes.
         seed: decides places, depths, noise and drift of the light.
     """
     folder, rng = Path(folder), np.random.default_rng([seed, 4])
-    gel = new_gel()
+    gel, scale = new_gel(), np.random.default_rng([seed, 6])
     camera = CameraNoise(gel.rest_image.shape)
     camera.begin(rng)
     (folder / "images").mkdir(parents=True, exist_ok=True)
@@ -155,8 +156,9 @@ def write_gel(folder: str | Path, seed: int = 0) -> Recording:
         at = np.array([press.x_mm, press.y_mm, press.size_mm])
         first = (reach_below(*ball, at, np.eye(3), gel.xs_mm, gel.ys_mm) + gel.rest_mm).max()  # below 0
         at[2] -= press.depth_mm - first
-        displacement, _ = gel.press(*ball, at, np.eye(3))
+        displacement, force = gel.press(*ball, at, np.eye(3))
         Image.fromarray(camera.photograph(gel.image(displacement))).save(folder / name)
-        rows.append(press_row(i, name, press))
+        read_n = scale.normal(force, np.hypot(SCALE_SHARE * force, SCALE_NOISE_N))
+        rows.append(press_row(i, name, press) | {"force_n": read_n})
     px_per_mm = gel.rest_image.shape[1] / WINDOW_MM[0]
     return write_session(folder, rows, px_per_mm, "Generated: the stand-in for reality.")

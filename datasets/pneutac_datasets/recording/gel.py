@@ -19,6 +19,7 @@ from pneutac_sim.gel.probe import THICKNESS_MM
 
 MIRROR_SAMPLES = 4  # photographs from which a mirrored axis can be told
 AGREE_MM = 0.5  # by which a contact's place in pixels and in millimetres may differ
+MOST_N = 100.0  # on a gel of a fingertip
 WINDOW_MM = (3.0, 200.0)  # smallest and largest width of a gel's image
 KNOWN = "known_depth"  # role of rows whose presses hold
 UNCERTAIN = {
@@ -45,6 +46,7 @@ class GelSample:
         y_px: row of the contact centre.
         radius_px: contact radius.
         sd: what is uncertain of the press, see `PressPhotograph`.
+        force_n: on the indenter, along the gel's view; None where the row does not tell.
     """
 
     name: str
@@ -57,6 +59,7 @@ class GelSample:
     y_px: float
     radius_px: float
     sd: dict[str, float] = field(default_factory=dict)
+    force_n: float | None = None
 
     @property
     def photograph(self) -> PressPhotograph:
@@ -229,7 +232,22 @@ def _sample(
         radius_px = press.contact_radius_mm * gel.px_per_mm
     role = str(row.get("role", ""))
     sd = {} if role == KNOWN else _deviations(row, where)
-    return GelSample(str(row["image"]), role, image, rest, float(clock), press, x_px, y_px, radius_px, sd)
+    force_n = _number(row, "force_n")
+    if force_n is not None and not 0 < force_n < MOST_N:
+        raise InputError(f"{where}: force_n is {force_n:g}; give newton, above 0 and below {MOST_N:g}.")
+    return GelSample(
+        str(row["image"]),
+        role,
+        image,
+        rest,
+        float(clock),
+        press,
+        x_px,
+        y_px,
+        radius_px,
+        sd,
+        force_n,
+    )
 
 
 def _deviations(row: pd.Series, where: str) -> dict[str, float]:

@@ -10,7 +10,16 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from lerobot_robot_pneutac.standin.finger import CREEP, LENGTH_MM, ORIFICE, TIP_MM, RodBody, mjcf, new_rod
+from lerobot_robot_pneutac.standin.finger import (
+    CREEP,
+    LENGTH_MM,
+    ORIFICE,
+    TIP_MM,
+    RodBody,
+    gel_force_n,
+    mjcf,
+    new_rod,
+)
 from lerobot_robot_pneutac.standin.gel import WINDOW_MM, GelTouch
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import (
@@ -255,6 +264,11 @@ class StandinWorld:
     def press_mm(self) -> float:
         """How far the gel's face is pressed in as the camera shows it, a control step late, mm."""
         return self._shown[0]
+
+    @property
+    def press_n(self) -> float:
+        """Force on the gel, N, by that imprint."""
+        return gel_force_n(self._shown[0])
 
     @property
     def imprint_m(self) -> np.ndarray | None:

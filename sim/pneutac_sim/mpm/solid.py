@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pneutac_sim.errors import InputError
+from pneutac_sim.gel.force import MATERIAL
 from pneutac_sim.mpm.body import Body, Material
 from pneutac_sim.mpm.lattice import filled_body
 from pneutac_sim.mpm.shapes import WIDTH_MM, arm_mesh, finger_mesh
@@ -12,14 +13,13 @@ from pneutac_sim.mpm.user_mesh import stored_mesh
 from pneutac_sim.twin import PAPER_FINGER, Twin
 
 # What a twin's parameters are where it does not tell. Moduli of the finger: the paper's calibrated ones;
-# density: Agilus30's data sheet; gel: Ecoflex 00-31 with a coat of paint, about 0.1 MPa.
+# density: Agilus30's data sheet; the gel's are in `gel.force`.
 DEFAULTS = {
     "youngs_modulus_mpa": PAPER_FINGER["youngs_modulus_mpa"],
     "poissons_ratio": PAPER_FINGER["poissons_ratio"],
     "density_kg_m3": 1145.0,
     "spine_damping_nms_per_rad": 0.01,
-    "gel_youngs_modulus_mpa": 0.1,
-    "gel_poissons_ratio": 0.46,
+    **MATERIAL,
     "gel_density_kg_m3": 1070.0,
 }
 # The controller is stiff against the body (0.07 to 0.29 N m/rad a joint of the finger), which takes back

@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 
+from pneutac_sim.gel.force import MATERIAL, MODULUS
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.mpm import devices
 from pneutac_sim.mpm.user_mesh import FACES, VERTICES
@@ -19,7 +20,7 @@ BODY = (
     "spine_stiffness_nm_per_rad",
     "spine_damping_nms_per_rad",
 )
-GEL = ("gel_youngs_modulus_mpa", "gel_poissons_ratio", "gel_density_kg_m3")
+GEL = ("gel_poissons_ratio", "gel_density_kg_m3")
 
 
 def fingerprint(twin: Twin, modulus_mpa: float | None = None) -> str:
@@ -47,11 +48,15 @@ def fingerprint(twin: Twin, modulus_mpa: float | None = None) -> str:
 
 
 def gel_fingerprint(twin: Twin) -> str:
-    """SHA-256 of what the perception network of a gel depends on: material, window and thickness."""
+    """SHA-256 of what the perception network of a gel depends on: material, window and thickness.
+
+    Its modulus scales all forces and moves nothing: the default is hashed in its place, as networks of
+    earlier versions have it.
+    """
     gel = GelModel.from_twin(twin)
     what = {
         "model": MODEL,
-        "body": {n: devices.parameter(twin, n) for n in GEL},
+        "body": {n: devices.parameter(twin, n) for n in GEL} | {MODULUS: MATERIAL[MODULUS]},
         "window_mm": list(gel.window_mm),
         "thickness_mm": gel.thickness_mm,
     }

@@ -17,6 +17,7 @@ from pneutac_sim.gel.sensor import TactileSensor, centre_mm
 from pneutac_sim.world import scene, slides
 from pneutac_sim.world.following import Follower
 from pneutac_sim.world.observation import Observation
+from pneutac_sim.world.pad import Pad
 from pneutac_sim.world.pairs import Pairs
 from pneutac_sim.world.placing import Placing
 from pneutac_sim.world.snapshots import Snapshots
@@ -29,9 +30,10 @@ from pneutac_sim.world.varied import VariedWorld, _Staged
 class Gantry(VariedWorld):
     """The reduced world of a world: starts where that one is, and tries sequences of actions.
 
-    The finger has the stiffness of the world's own where it was mirrored, held while the gantry looks ahead.
-    The gel is the world's own too where a network is; where the world's are material points, it is the
-    formula, and how far the world's area is from it is held.
+    The finger has the stiffness of the world's own where it was mirrored, held while the gantry looks ahead;
+    the gel's face has the spring for what lies before it in each control step. The gel is the world's own too
+    where a network is; where the world's are material points, it is the formula, and how far the world's
+    area is from it is held.
 
     Attributes:
         centre_mm: (H, 2) middles of the imprints in the last `rollout`, see `gel.sensor.centre_mm`.
@@ -71,6 +73,7 @@ class Gantry(VariedWorld):
         n = self._spine.stop - self._spine.start
         self._physics = Substeps(self.model, self.data)
         self._snapshots = Snapshots(self.touch, self._flange)
+        self._pad = Pad(self.model, self.twin, self.sensor.triangles)
         damping, whole = "joint_damping_nms_per_rad", "joint_stiffness_nm_per_rad"
         self._springs = Springs(self.model, n, self.twin.parameter(damping), self.twin.parameter(whole))
         self._follower = Follower(self.model, n)
@@ -154,10 +157,7 @@ class Gantry(VariedWorld):
         return flange, area
 
     def rollouts(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """As `rollout`, for several sequences of actions, each from the mirrored state.
-
-        Where nothing changes the physics between control steps, neither the task (`Task.watches`) nor an
-        effect that moves the tip, all are one call of MuJoCo. What they touch is felt together.
+        """As `rollout`, for several sequences of actions, each from the mirrored state; felt together.
 
         Args:
             actions: (S, H, 4).
@@ -168,12 +168,8 @@ class Gantry(VariedWorld):
         S, H = actions.shape[:2]
         self._make_room(S * H)
         began = time.perf_counter()
-        acting = self._acting(actions)
-        if self.task.watches and not self._pipeline.moves:
-            self._look(self._ahead(acting))
-        else:
-            for s, sequence in enumerate(acting):
-                self._follow(sequence, s * H)
+        for s, sequence in enumerate(self._acting(actions)):
+            self._follow(sequence, s * H)
         moved = time.perf_counter()
         flange, area, _ = self._feel(S * H)
         self._count(S * H, moved - began, time.perf_counter() - moved)
@@ -194,6 +190,7 @@ class Gantry(VariedWorld):
         self.model.dof_frictionloss[:] = self._friction
         vars(self.task.inner).update(_memory(self._memory))
         self._placing.set(self.model, self._poses)
+        mujoco.mj_kinematics(self.model, self.data)
 
     def _follow(self, acting: np.ndarray, row: int) -> None:
         """One sequence (H, 4), control step by control step, into the snapshots from `row` on."""
@@ -206,33 +203,6 @@ class Gantry(VariedWorld):
             self.task.update(self.model, self.data, self.dt_s)
             self._snapshots.take(row + t, self.data)
         self.target_m, self._joints, self.spine_target_rad, self._drive, self._rate, self._pipeline = saved
-
-    def _ahead(self, acting: np.ndarray) -> np.ndarray:
-        """States (S, H, n) after every control step of sequences (S, H, 4), all in one call."""
-        self._restart()
-        S, H = acting.shape[:2]
-        K, rest = self._resist(self._drive)
-        D = self._springs.set(K)
-        target = np.repeat(self.target_m[None, None], S, 0).repeat(H + 1, 1)
-        for t in range(H):
-            target[:, t + 1] = np.clip(target[:, t] + acting[:, t, :3] * self.dt_s, *self.workspace_m)
-        ctrl = np.empty((S, H, self._substeps, self.model.nu))
-        ctrl[:] = self.data.ctrl
-        ctrl[..., self._arm] = target[:, :-1, None] + self._ramp * np.diff(target, axis=1)[:, :, None]
-        for s in range(S):
-            pipeline, drive, rate = self._pipeline.copy(), self._drive, self._rate
-            for t in range(H):
-                before, drive = drive, self._bend(pipeline.step(acting[s, t, 3], self.dt_s))
-                torques, rate = self._follower.torques(before, rate, drive, K, D, self._substeps)
-                ctrl[s, t, :, self._spine] = torques + rest
-        ctrl = ctrl.reshape(S, H * self._substeps, -1)
-        return self._physics.ahead(ctrl)[:, self._substeps - 1 :: self._substeps]
-
-    def _look(self, states: np.ndarray) -> None:
-        """Takes snapshots of states (S, H, n)."""
-        for row, state in enumerate(states.reshape(-1, states.shape[-1])):
-            self._physics.show(state)
-            self._snapshots.take(row, self.data)
 
     def _feel(self, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Flange positions (count, 3), contact areas (count,) and probe grids of the snapshots."""

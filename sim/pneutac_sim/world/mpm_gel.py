@@ -13,6 +13,7 @@ from pneutac_sim.mpm import devices
 from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import MpmDiverged, solve_equilibrium
 from pneutac_sim.twin import Twin
+from pneutac_sim.world.soft_finger import GEL_FRICTION
 
 SAMPLES = 49  # of the cube, along each edge
 CENTRE_M = 0.004  # of the cube, above the gel's face
@@ -25,6 +26,10 @@ class MpmGel:
     Args:
         twin: a finger's with a gel, or a gel's.
         device: see `pneutac_sim.mpm.runtime.start`.
+
+    Attributes:
+        friction: Coulomb's coefficient between objects and gel.
+        force_n: (3,) on the gel at the last rest, gel frame.
     """
 
     def __init__(self, twin: Twin, device: str = "auto"):
@@ -37,6 +42,7 @@ class MpmGel:
         self.solver = devices.gel(twin, device=device, table=table)
         line = np.linspace(-self._half, self._half, SAMPLES)
         self._points = np.stack(np.meshgrid(line, line, line, indexing="ij"), -1) + [0.0, 0.0, CENTRE_M]
+        self.friction, self.force_n = GEL_FRICTION, np.zeros(3)
         self._deep = 0.0  # of the objects in the resting gel at the last rest, m
 
     def release(self) -> None:
@@ -73,9 +79,10 @@ class MpmGel:
         try:
             for b in back:
                 at = np.array([0.0, 0.0, CENTRE_M + less + b])
-                loads = Loads(indenter="mesh", size_m=np.full(3, self._half), position_m=at)
-                solve_equilibrium(self.solver, loads, warm=warm)
-                warm = True
+                size = np.full(3, self._half)
+                loads = Loads(indenter="mesh", size_m=size, position_m=at, friction=self.friction)
+                rest = solve_equilibrium(self.solver, loads, warm=warm)
+                self.force_n, warm = rest.contact_force[0].astype(float), True
         except MpmDiverged as e:
             self._deep = 0.0
             raise InputError(f"{e.finding}; move slower, or press less deep than {1e3 * deep:.2g} mm.") from e

@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 
 from pneutac_sim.finger.online import PressurePipeline
+from pneutac_sim.world.pad import Pad
 from pneutac_sim.world.placing import Placing
 from pneutac_sim.world.touch import imprint_m
 
@@ -15,6 +16,7 @@ class Senses:
     data: mujoco.MjData
     _pipeline: PressurePipeline
     _placing: Placing
+    _pad: Pad
     _spine: slice
     _read: np.ndarray
     _flange: int
@@ -33,8 +35,13 @@ class Senses:
 
     @property
     def press_mm(self) -> float:
-        """How far the gel's surface is pressed in, mm; the force on it is GEL_STIFFNESS times this."""
+        """How far the gel's surface is pressed in, mm."""
         return -1e3 * float(self.data.joint("pad").qpos[0])
+
+    @property
+    def press_n(self) -> float:
+        """Force on the gel, N: that of its own material, see `gel.force`."""
+        return self._pad.spring.force(1e-3 * self.press_mm)
 
     @property
     def imprint_m(self) -> np.ndarray | None:

@@ -14,20 +14,19 @@ import numpy as np
 
 from pneutac_sim.mpm.solid import Links, bending_body
 from pneutac_sim.twin import Twin
+from pneutac_sim.world.pad import MASS_KG
 from pneutac_sim.world.scene import Finger
 
 # DIGIT: housing 27 x 20 x 18 mm, about 20 g with its gel (Lambeta et al. 2020); metres, kg.
 DIGIT_SIZE = (0.027, 0.020, 0.018)
-DIGIT_MASS = 0.014  # without the gel
+DIGIT_MASS = 0.020 - MASS_KG  # without the plate that is the face of its gel
 GEL_ALONG_M = 0.015  # middle of the gel window beyond the finger's length
 GEL_ABOVE_M = 0.011  # resting gel surface above the neutral axis
 
-# Gel pad: the gel's contact surface as one rigid plate on a spring, so that the force is spring x imprint.
+# Gel pad: the gel's contact surface as one rigid plate on the spring of `world.pad`.
 PAD_HALF_M = (0.0065, 0.0085, 0.001)  # gel frame x, y, z; a little more than the window that the camera sees
-GEL_STIFFNESS = 1000.0  # N/m: 1 N makes an imprint of 1 mm in 2.5 mm of Ecoflex 00-31
-GEL_DAMPING = 4.0  # N s/m
-GEL_TRAVEL_M = 0.0025
-PAD_MASS = 0.006
+GEL_FRICTION = 1.0
+GEL_TRAVEL_M, GEL_SLACK_M = 0.0025, 0.0001  # in, and out: nothing pulls it
 
 DEFAULTS = (
     '<default class="finger"><geom contype="1" conaffinity="2" group="3" friction=".5"'
@@ -81,7 +80,7 @@ def body(twin: Twin, mount_m: float) -> str:
 def sensor(twin: Twin) -> Links:
     """DIGIT and gel pad as two lumps in the frame of the straight finger, which the last link carries."""
     boxes = np.array([DIGIT_SIZE, 2 * np.array([PAD_HALF_M[1], PAD_HALF_M[0], PAD_HALF_M[2]])])
-    mass, tip = np.array([DIGIT_MASS, PAD_MASS]), 1e-3 * twin.length_mm
+    mass, tip = np.array([DIGIT_MASS, MASS_KG]), 1e-3 * twin.length_mm
     centre = np.array([[DIGIT_SIZE[0] / 2, 0.0, 0.0], [GEL_ALONG_M, 0.0, GEL_ABOVE_M - PAD_HALF_M[2]]])
     squares = mass[:, None] / 12 * np.square(boxes)
     inertia = [np.diag(each.sum() - each) for each in squares]
@@ -193,10 +192,10 @@ def _digit() -> str:
         f'<geom class="skin" type="box" pos="{a} 0 {z}" size="{a} {b} {c}" material="digit"/>'
         f'<site name="gel" pos="{x} 0 {GEL_ABOVE_M}" {axes} size=".001" group="5"/>'
         f'<body name="pad" pos="{x} 0 {GEL_ABOVE_M}" {axes} gravcomp="1">'
-        f'<joint name="pad" type="slide" axis="0 0 1" stiffness="{GEL_STIFFNESS}" damping="{GEL_DAMPING}"'
-        f' limited="true" range="{-GEL_TRAVEL_M} {GEL_TRAVEL_M}"/>'
-        f'<geom name="pad" class="finger" type="box" pos="0 0 {-pz}" size="{px} {py} {pz}" mass="{PAD_MASS}"'
-        ' friction="1" priority="1" solref=".004 1" solimp=".95 .97 .001"/>'
+        f'<joint name="pad" type="slide" axis="0 0 1" limited="true"'
+        f' range="{-GEL_TRAVEL_M} {GEL_SLACK_M}"/>'
+        f'<geom name="pad" class="finger" type="box" pos="0 0 {-pz}" size="{px} {py} {pz}" mass="{MASS_KG}"'
+        f' friction="{GEL_FRICTION}" priority="1" solref=".004 1" solimp=".995 .998 .001"/>'
         f'<geom class="skin" type="box" pos="0 0 {-pz * 1.6}" size="{px} {py} {pz * 1.6}" material="gel"/>'
         f"</body>"
     )

@@ -1,4 +1,4 @@
-"""Physics substeps, of a control step or of whole sequences, in one call."""
+"""Physics substeps of a control step in one call."""
 
 import mujoco
 import numpy as np
@@ -22,7 +22,6 @@ class Substeps:
         self._model, self._data = model, data
         self._rollout = Rollout(nthread=0)
         self._state = np.empty((1, mujoco.mj_stateSize(model, _FULL)))
-        self._states = np.empty((0, 0, 0))
 
     def run(self, ctrl: np.ndarray) -> None:
         """A substep for each row of controls (S, nu), under the forces that are applied in the data."""
@@ -43,28 +42,3 @@ class Substeps:
             nstep=len(ctrl),
             skip_checks=True,
         )
-
-    def ahead(self, ctrl: np.ndarray) -> np.ndarray:
-        """States (B, S, n) after each substep of sequences of controls (B, S, nu) from the present state.
-
-        No forces act from outside; the data are left anywhere. The states are overwritten by the next call.
-        """
-        model, data = self._model, self._data
-        mujoco.mj_getState(model, data, self._state[0], _FULL)
-        shape = (*ctrl.shape[:2], self._state.shape[1])
-        if self._states.shape != shape:
-            self._states = np.empty(shape)
-        self._rollout.rollout(
-            model,
-            data,
-            self._state,
-            ctrl,
-            initial_warmstart=data.qacc_warmstart[None].copy(),
-            state=self._states,
-        )
-        return self._states
-
-    def show(self, state: np.ndarray) -> None:
-        """Puts a state (n,) of `ahead` into the data, with its kinematics."""
-        mujoco.mj_setState(self._model, self._data, state, _FULL)
-        mujoco.mj_kinematics(self._model, self._data)

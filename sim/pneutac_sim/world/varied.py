@@ -95,7 +95,7 @@ class _Staged(Task):
 
     def __init__(self, task: Task, model):
         self.inner, self.variation = task, Variation()
-        self.name, self.description, self.watches = task.name, task.description, task.watches
+        self.name, self.description = task.name, task.description
         roots = (model.body(b) for b in range(1, model.nbody) if model.body_parentid[b] == 0)
         self._roots = [b.id for b in roots if b.name not in ("panda", "arm", "gantry")]
         self._pad = model.geom("pad").id

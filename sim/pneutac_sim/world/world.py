@@ -22,6 +22,7 @@ from pneutac_sim.world.deforming import deforming
 from pneutac_sim.world.drawn import drawn
 from pneutac_sim.world.following import Follower
 from pneutac_sim.world.observation import Observation
+from pneutac_sim.world.pad import Pad
 from pneutac_sim.world.placing import Placing
 from pneutac_sim.world.senses import Senses
 from pneutac_sim.world.soft_finger import Springs, mjcf
@@ -143,6 +144,7 @@ class World(Senses):
         joints = self.arm.joints
         self._arm, self._spine = slice(0, joints), slice(joints, joints + n)
         self._physics = Substeps(self.model, self.data)
+        self._pad = Pad(self.model, self.twin, self.sensor.triangles)
         whole = self.twin.parameter("joint_stiffness_nm_per_rad")
         self._springs = Springs(self.model, n, self.twin.parameter("joint_damping_nms_per_rad"), whole)
         self._follower = Follower(self.model, n)
@@ -189,6 +191,7 @@ class World(Senses):
         self.clipped = self.out_of_range = 0
         self.command = np.zeros(4)
         self._sent = deque([self.command] * self._late_commands)
+        mujoco.mj_kinematics(self.model, self.data)
         for _ in range(self.station.steps(scene.SETTLE_S)):
             self._advance(self._joints, self.spine_target_rad)
         self.data.time = 0.0
@@ -269,6 +272,7 @@ class World(Senses):
         drive, before = self._bend(spine), self._drive
         K, rest = self._resist(before)
         D = self._springs.set(K)
+        self._feel_objects()
         ctrl = np.tile(self.data.ctrl, (self._substeps, 1))
         ctrl[:, self._arm] = self._joints + self._ramp * (joints - self._joints)
         torques, self._rate = self._follower.torques(before, self._rate, drive, K, D, self._substeps)
@@ -286,6 +290,10 @@ class World(Senses):
                 mujoco.mj_step(self.model, self.data)
         mujoco.mj_kinematics(self.model, self.data)
         self._joints, self.spine_target_rad, self._drive = joints, spine, drive
+
+    def _feel_objects(self) -> None:
+        """Gives the gel's face the spring for what lies under it or before it."""
+        self._pad.feel(self.touch.objects(self.data))
 
     def _resist(self, drive: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Stiffness K (N, N) in N m/rad and the torque (N,) beyond it, about the present joint angles.

@@ -6,6 +6,7 @@ import pytest
 
 from pneutac_sim.twin import Twin, Value
 from pneutac_sim.world.following import Follower
+from pneutac_sim.world.pad import MASS_KG
 from pneutac_sim.world.scene import PHYSICS_HZ
 from pneutac_sim.world.soft_finger import DIGIT_MASS, Springs, body, mjcf
 
@@ -58,6 +59,6 @@ def test_a_denser_body_is_heavier():
     masses = []
     for each in (Twin.builtin(), twin):
         parts = [p.split('"')[0] for p in body(each, 0.02).split(' mass="')[1:]]
-        masses.append(sum(float(p) for p in parts if 0 < float(p) < 0.1 and p != "0.006"))
+        masses.append(sum(float(p) for p in parts if 0 < float(p) < 0.1 and p != str(MASS_KG)))
     assert masses[1] - DIGIT_MASS == pytest.approx(2 * (masses[0] - DIGIT_MASS), rel=1e-6)
     assert 0.040 < masses[0] - DIGIT_MASS < 0.046, "of about 37 cm3 of Agilus30"

@@ -44,7 +44,6 @@ def tilted() -> Twin:
     ],
 )
 def test_many_sequences_are_each_by_itself(task, fidelity, tilts):
-    """In one call of MuJoCo, or one by one where the task or an effect acts between control steps."""
     world, action = in_contact(task, tilted() if tilts else None, fidelity=fidelity)
     gantry = Gantry(world)
     gantry.mirror(world)

@@ -6,6 +6,8 @@ import pytest
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger.kinematics import forward_kinematics, joint_command
+from pneutac_sim.gel.force import GelForce
+from pneutac_sim.gel.probe import probe_grid
 from pneutac_sim.twin import PAPER_FINGER, Twin, Value
 from pneutac_sim.world import soft_finger
 from pneutac_sim.world.station import Station
@@ -92,9 +94,9 @@ def test_weight_acts_where_the_twin_has_gravity(world):
     np.testing.assert_allclose(heavy / light, 2.0, rtol=0.1)
 
 
-def press_on_a_fixed_bar(push_m):
+def press_on_a_fixed_bar(push_m, twin=None):
     """Drives the gel into the bar of a locked switch by `push_m`; returns N, mm, mm and the world."""
-    world = World("switch", touch="area")
+    world = World("switch", twin, touch="area")
     world.reset(0)
     hold(world, 5.0)
     model, data = world.model, world.data
@@ -116,12 +118,34 @@ def press_on_a_fixed_bar(push_m):
 
 
 @pytest.mark.parametrize("push_m", [0.01, 0.02])
-def test_imprint_is_force_over_gel_stiffness(push_m):
-    force, imprint_mm, press_mm, _ = press_on_a_fixed_bar(push_m)
+def test_object_finger_and_gel_feel_the_force_of_the_gels_material(push_m):
+    force, imprint_mm, press_mm, world = press_on_a_fixed_bar(push_m)
     assert 0.1 < force < 2.0
-    assert press_mm == pytest.approx(1e3 * force / soft_finger.GEL_STIFFNESS, rel=0.05)
-    # what the probe grid sees is the same imprint, plus the solver's softness of a few hundredths of a mm
-    assert imprint_mm == pytest.approx(press_mm, rel=0.15, abs=0.03)
+    assert world.press_n == pytest.approx(force, rel=0.05)
+    law = GelForce.of(world.twin)
+    objects = world.touch.objects(world.data)
+    grid = probe_grid(*objects, window_mm=law.window_mm, thickness_mm=law.thickness_mm)
+    assert law.force(grid) == pytest.approx(force, rel=0.10)
+    # What the probe grid sees is the pad's imprint, plus the solver's softness of a few hundredths of a mm.
+    assert imprint_mm == pytest.approx(press_mm, rel=0.05, abs=0.03)
+    # The finger's springs bear the force: it acts where the bar is, along the gel's normal.
+    bar, gel = world.data.geom("bar").xpos, world.data.site("gel").xmat.reshape(3, 3)
+    arms = bar - world.data.xanchor[[world.model.joint(f"spine_{n + 1}").id for n in range(4)]]
+    torque = -np.cross(arms, -force * gel[:, 2])[:, 1]  # hinges turn about world -y
+    spring = PAPER_FINGER["joint_stiffness_nm_per_rad"] * (world.spine_rad - world.spine_target_rad)
+    np.testing.assert_allclose(spring, torque, rtol=0.03)
+
+
+@pytest.mark.parametrize("modulus_mpa", [0.005, 2.0])
+def test_any_gel_comes_to_rest(modulus_mpa):
+    twin = Twin.builtin()
+    twin.parameters["gel_youngs_modulus_mpa"] = Value(modulus_mpa)
+    force, _, press_mm, world = press_on_a_fixed_bar(0.02, twin)
+    assert 0.02 < force < 3.0
+    assert world.press_n == pytest.approx(force, rel=0.1)
+    assert abs(world.data.joint("pad").qvel[0]) < 2e-3
+    stiffer = press_on_a_fixed_bar(0.02)
+    assert (press_mm > stiffer[2]) == (modulus_mpa < 0.1)
 
 
 def test_harder_push_makes_a_deeper_imprint_and_larger_contact_area():

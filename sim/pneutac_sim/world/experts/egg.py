@@ -9,9 +9,9 @@ from pneutac_sim.world.world import World
 EDGE_M = EggTask().edge_m
 # Lanes are less apart than gel and tab are wide; the wall is touched below the lid's edge.
 LANES = Lanes(height_m=EDGE_M - 0.02, rise_m=0.030, middles_m=EggTask.starts_m, back_m=0.425)
-# A flat wall shows nothing but the gel's edge, and only when it is pressed harder than a bar.
-SHOWN_MM, PRESS_MM = 0.45, 0.65  # imprints of the wall: the least that a camera shows; before it slides up
-SLIDE_MM = 0.45  # while it slides up, lightly, lest it misses the tab
+# A wall meets a corner of the gel, which yields to little: it is pressed by force.
+SLIDES_N, PRESS_N = 0.35, 0.5  # on the wall: from which it goes up; while it begins to
+SLIDE_N = 0.7  # while it slides up, lest it slips past the tab
 PAST_M = 0.012  # gel above the lid's edge when it has slid past it, and past the tab
 
 
@@ -23,7 +23,8 @@ def open_carton(world: World, habits: Habits, pressure: float) -> Wish:
         return LANES.withdraw(world, past), 0.0
     if touching(world) or z > EDGE_M - 0.008:
         sliding = z > EDGE_M - 0.016
-        ahead = np.clip(0.15 * ((SLIDE_MM if sliding else PRESS_MM) - world.press_mm), -0.01, 0.02)
-        up = 0.06 * (sliding or world.press_mm > SHOWN_MM)
-        return habits.speed * np.array([ahead, 0.0, up]), habits.low_kpa
-    return LANES.ahead(world, habits, 0.08), habits.low_kpa
+        missing = (SLIDE_N if sliding else PRESS_N) - world.press_n
+        ahead = np.clip(0.15 * missing, -0.01, 0.025)
+        up = 0.06 * (sliding or world.press_n > SLIDES_N)
+        return habits.speed * np.array([ahead, 0.0, up]) + LANES.keep(world), habits.low_kpa
+    return LANES.ahead(world, habits, 0.07), habits.low_kpa

@@ -10,7 +10,7 @@ import numpy as np
 
 from pneutac_sim.world.world import World
 
-TOUCH_MM = 0.25  # imprint that a camera shows as a touch, about 0.25 N
+TOUCH = 0.25  # mm of imprint, or N, that count as a touch, see `pressed`
 VENTED_KPA, SEARCH_KPA = 1.5, 4.5  # below the first it withdraws, from there to the second it searches
 FAST_M_S = 0.095
 WRAP_M = 0.08  # how much farther up after the last lane
@@ -69,7 +69,7 @@ class Lanes:
 
     def ahead(self, world: World, habits: Habits, speed: float) -> np.ndarray:
         """Velocity (3,) along the lane, at the height of the search."""
-        return go_ahead(world, habits, self.height_m, speed) + self._keep(world)
+        return go_ahead(world, habits, self.height_m, speed) + self.keep(world)
 
     def withdraw(self, world: World, end: bool) -> np.ndarray:
         """Velocity (3,) back to the near side: from the end of a lane above everything, else straight.
@@ -92,13 +92,13 @@ class Lanes:
             return FAST_M_S * np.array([0.0, aside, -1.0]) / np.hypot(1.0, aside)
         if end and rise < self.rise_m + WRAP_M * (y > last - width / 2):
             return np.array([0.0, 0.0, FAST_M_S])
-        return np.array([-FAST_M_S, 0.0, 0.0]) + self._keep(world)
+        return np.array([-FAST_M_S, 0.0, 0.0]) + self.keep(world)
 
     def begins(self, world: World) -> bool:
         """Whether it is where a lane begins."""
         return world.flange_m[0] < self.back_m and world.gel_m[2] < self.height_m + NEAR_M
 
-    def _keep(self, world: World) -> np.ndarray:
+    def keep(self, world: World) -> np.ndarray:
         """Velocity (3,) to the middle of the nearest lane."""
         away = np.subtract(self.middles_m, world.flange_m[1])
         return np.array([0.0, KEEP_HZ * away[np.argmin(np.abs(away))], 0.0])
@@ -112,4 +112,12 @@ def go_ahead(world: World, habits: Habits, height_m: float, speed: float) -> np.
 
 def touching(world: World) -> bool:
     """Whether the gel shows a touch."""
-    return world.press_mm > TOUCH_MM
+    return pressed(world) > TOUCH
+
+
+def pressed(world: World) -> float:
+    """How hard the gel is pressed: its imprint in mm or the force on it in N, whichever is more.
+
+    An edge makes a deep imprint with little force, a face hardly any with much; a person goes by both.
+    """
+    return max(world.press_mm, world.press_n)

@@ -45,8 +45,6 @@ class Task:
         description: the instruction in plain words, as stored with demonstrations.
         home_m: flange position (3,) at the start of an episode, metres.
         starts_m: displacements from there along y, one of which a random start has.
-        watches: whether `update` only looks, and changes nothing in the model and its data: plans are then
-            tried without it.
         goal: what `pneutac ppo` is told of it, with an object whose outermost body has the task's name; None
             where it cannot be learnt so.
     """
@@ -55,7 +53,6 @@ class Task:
     description: str
     home_m: tuple[float, float, float]
     starts_m: tuple[float, ...] = (0.0,)
-    watches: bool = False
     goal: Goal | None = None
 
     def assets(self) -> str:

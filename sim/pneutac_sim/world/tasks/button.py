@@ -28,7 +28,6 @@ class ButtonTask(Task):
     name = "button"
     description = "Press the call button twice and hold it."
     home_m = (0.40, 0.0, 0.255)
-    watches = True
     goal = Goal(lambda task: task.pressed / task.presses, "button", (-1, 0, 0), depth_mm=0.9)
 
     presses: int = 2

@@ -11,7 +11,7 @@ POSITION_M = (0.53, 0.0, 0.0)
 START_M = (-0.045, 0.125)  # y and height of the clip at the near end
 PARTS, PART_M = 4, 0.024
 REACHED_S = 0.2
-TOUCH_MM, PRESS_MM = 0.15, 0.5  # imprints: the least that the expert feels, and the one that it keeps
+TOUCH_N, PRESS_N = 0.15, 0.5  # forces: the least that the expert feels, and the one that it keeps
 
 
 @dataclass
@@ -29,7 +29,6 @@ class CableTask(Task):
     name = "cable"
     description = "Follow the cable to its plug."
     home_m = (0.405, START_M[0], 0.262)
-    watches = True
     goal = Goal(lambda task: task.followed, "plug", (0, 0, 1), depth_mm=0.6)
 
     turn_rad: float = 0.45
@@ -87,10 +86,10 @@ class CableTask(Task):
     @override
     def expert(self, world, habits, pressure_kpa):
         at = world.imprint_m
-        if world.press_mm < TOUCH_MM or at is None:
+        if world.press_n < TOUCH_N or at is None:
             up = np.clip(30 * (START_M[1] + habits.offset_m - world.gel_m[2]), -1, 1)
             lost = world.flange_m[1] > START_M[0] + 0.012  # it has followed, and now gropes ahead
             return habits.speed * np.array([0.03, 0.0, 0.0 if lost else 0.03 * up]), habits.low_kpa
-        ahead = np.clip(0.1 * (PRESS_MM - world.press_mm), -0.02, 0.02)
+        ahead = np.clip(0.1 * (PRESS_N - world.press_n), -0.02, 0.02)
         # The imprint of a cable above the middle asks for the hand to rise, at once.
         return habits.speed * np.array([ahead, 0.022, -5.0 * at[1]]), habits.low_kpa

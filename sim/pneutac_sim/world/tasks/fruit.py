@@ -12,7 +12,8 @@ STAND_M = 0.10  # height of what it stands on
 ROUND_M, BACK_M = 0.013, 0.012  # radius of its front, and from its middle to its flat back
 HIGH_M, WIDE_M = 0.018, 0.014  # half its height and half its width
 HOLD_S = 0.3
-TOUCH_MM, HELD_MM = 0.1, 0.8  # imprints: the least that the expert feels, and the one with which it holds
+TOUCH_N, HELD_N = 0.1, 0.8  # forces: the least that the expert feels, and the one with which it holds
+HELD_MM = 0.2  # the imprint that it makes
 BELOW_M = 0.002  # the gel meets the fruit below its middle, for it creeps up on it
 
 
@@ -103,8 +104,8 @@ class FruitTask(Task):
     @override
     def expert(self, world, habits, pressure_kpa):
         up = STAND_M + HIGH_M - BELOW_M + habits.offset_m - world.gel_m[2]
-        if world.press_mm < TOUCH_MM:
+        if world.press_n < TOUCH_N:
             return 0.05 * habits.speed * np.array([1.0, 0.0, np.clip(30 * up, -1, 1)]), habits.low_kpa
-        ahead = np.clip(0.15 * (HELD_MM - world.press_mm), -0.02, 0.015)  # holds it by what it feels
-        rise = 0.02 if world.press_mm > 0.75 * HELD_MM else np.clip(3 * up, -0.02, 0.02)
+        ahead = np.clip(0.15 * (HELD_N - world.press_n), -0.02, 0.015)  # holds it by what it feels
+        rise = 0.02 if world.press_n > 0.75 * HELD_N else np.clip(3 * up, -0.02, 0.02)
         return habits.speed * np.array([ahead, 0.0, rise]), habits.low_kpa

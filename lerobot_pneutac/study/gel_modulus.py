@@ -1,0 +1,100 @@
+"""Young's modulus of a gel from presses whose force was measured, by the law of `pneutac_sim.gel.force`.
+
+At every imprint the law's force is proportional to the modulus, so that each press tells one; the gel's is
+their geometric mean, as errors of depth and of the law are relative ones.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from pneutac_datasets.recording.gel import GelRecording, GelSample
+from pneutac_sim.errors import InputError
+from pneutac_sim.gel.force import MATERIAL, MODULUS, MODULUS_MPA, GelForce
+from pneutac_sim.twin import Twin, Value
+
+
+@dataclass(frozen=True)
+class Modulus:
+    """What presses tell of a gel's modulus.
+
+    Attributes:
+        value_mpa: the modulus.
+        ci95: its 95 % interval, by Student's t over presses; None of one press.
+        presses: how many tell it.
+        off: relative error of the law's forces on them, root mean square.
+        heldout: the same of presses that were not fitted; None where there are none.
+    """
+
+    value_mpa: float
+    ci95: tuple[float, float] | None
+    presses: int
+    off: float
+    heldout: float | None
+
+    def parameter(self) -> dict[str, dict]:
+        """As a parameter of a calibration."""
+        return {MODULUS: {"value": self.value_mpa, "ci95": self.ci95, "unit": "MPa"}}
+
+
+def keep_modulus(twin: Twin, data: GelRecording) -> Modulus | None:
+    """Fits the modulus to the rows of role `calibration` that have `force_n`, and writes it into the twin.
+
+    Args:
+        twin: with the gel; changed.
+        data: its recording.
+
+    Returns:
+        The modulus; None, with the twin as it was, where no row tells its force.
+
+    Raises:
+        InputError: the forces are not those of a rubber.
+    """
+    forced = [s for s in data.samples if s.force_n is not None]
+    if not any(s.role == "calibration" for s in forced):
+        return None
+    soft = twin.copy()
+    soft.parameters[MODULUS] = Value(MATERIAL[MODULUS])
+    law = GelForce.of(soft)
+    told = {
+        r: np.log([_over(law, s) for s in forced if (s.role == "calibration") == r]) for r in (True, False)
+    }
+    mean, n = told[True].mean(), len(told[True])
+    value = MATERIAL[MODULUS] * math.exp(mean)
+    if not MODULUS_MPA[0] <= value <= MODULUS_MPA[1]:
+        raise InputError(
+            f"By force_n the gel's modulus would be {value:.2g} MPa, and a gel's lies between "
+            f"{MODULUS_MPA[0]:g} and {MODULUS_MPA[1]:g}; give force_n in newton and depth_mm in millimetres."
+        )
+    ci95 = None
+    if n > 1:
+        half = stats.t.ppf(0.975, n - 1) * told[True].std(ddof=1) / math.sqrt(n)
+        ci95 = value * math.exp(-half), value * math.exp(half)
+    twin.parameters[MODULUS] = Value(value, ci95)
+    off, heldout = (float(np.sqrt(np.mean((t - mean) ** 2))) if len(t) else None for t in told.values())
+    return Modulus(value, ci95, n, off or 0.0, heldout)
+
+
+def _over(law: GelForce, s: GelSample) -> float:
+    """The measured force over the law's."""
+    assert s.force_n is not None
+    return s.force_n / law.force(s.press.depths(law.window_mm, law.thickness_mm))
+
+
+def modulus_sentence(modulus: Modulus | None, twin: Twin) -> str:
+    """How stiff the gel is and how that is known."""
+    if modulus is None:
+        known = twin.parameters.get(MODULUS)
+        value = known.value if known else MATERIAL[MODULUS]
+        kept = "keeps its modulus of" if known else "is assumed to have a modulus of"
+        return f"No press tells its force (column force_n), so the gel {kept} {value:.2g} MPa."
+    of = f"{modulus.presses} presses" if modulus.presses > 1 else "one press"
+    between = " ({:.2g} to {:.2g})".format(*modulus.ci95) if modulus.ci95 else ""
+    off = (
+        ""
+        if modulus.heldout is None
+        else f"; the forces of the others are off by {100 * modulus.heldout:.0f} %"
+    )
+    return f"The force of {of} gives the gel a modulus of {modulus.value_mpa:.2g} MPa{between}{off}."
