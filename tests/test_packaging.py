@@ -155,6 +155,7 @@ def test_installed_wheel_is_discovered_by_lerobot(wheel, tmp_path):
     assert "pneutac_sim" in execute("python", "-m", "lerobot.scripts.lerobot_record", "--help")
 
 
+@pytest.mark.nightly
 def test_bench_verbs_run_from_the_wheel_without_taichi_torch_and_lerobot(wheel, tmp_path):
     """From `new` to `add`, on a recording of two minutes."""
     execute, _ = clean_environment(wheel, tmp_path, without=("lerobot", "quadrants", "taichi", "torch"))

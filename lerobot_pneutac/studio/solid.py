@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.splat.gaussians import Gaussians
 from pneutac_sim.splat.stretch import MOST_STRAIN, strain, stretch_colours
 from pneutac_sim.twin import Twin
@@ -31,8 +32,13 @@ class Solid:
     tip_mm: np.ndarray
 
 
-def solve(twin: Twin, pressure_kpa: np.ndarray, conditions: Mapping[str, float]) -> Solid:
-    """Brings the body to rest at pressures (chambers,) held for long.
+def solve(
+    twin: Twin,
+    pressure_kpa: np.ndarray,
+    conditions: Mapping[str, float],
+    progress: Progress = no_progress,
+) -> Solid:
+    """Brings the body to rest at pressures (chambers,) held for long; `progress` as of `solve_equilibrium`.
 
     Raises:
         InputError: an effect of the twin moves the tip alone, which material points do not follow.
@@ -44,7 +50,7 @@ def solve(twin: Twin, pressure_kpa: np.ndarray, conditions: Mapping[str, float])
 
     q = devices.joint_targets(twin, pressure_kpa[None], conditions=conditions)
     solver = devices.BODIES[twin.device](twin, particles=PARTICLES, device="cpu")
-    rest = solve_equilibrium(solver, Loads(q_cmd=q))
+    rest = solve_equilibrium(solver, Loads(q_cmd=q), progress=progress)
     stretched = strain(rest.gradients[0])
     return Solid(
         points_mm=1e3 * rest.positions[0],

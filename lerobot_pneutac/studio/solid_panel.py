@@ -7,6 +7,7 @@ import numpy as np
 from lerobot_pneutac.studio.body_scene import BodyScene
 from lerobot_pneutac.studio.solid import Solid, solve
 from pneutac_sim.errors import InputError
+from pneutac_sim.progress import Progress
 from pneutac_sim.twin import Twin
 
 DRAWN = POINTS, SPLATS = "points, coloured by stretch", "splats, in its own looks where it has any"
@@ -41,9 +42,12 @@ class SolidPanel:
     def solve(self) -> None:
         """The free body at rest at this pressure, without the poke."""
 
-        def work(_) -> None:
+        def show(text: str, done: int, total: int) -> None:
+            self.told.content = f"Solving by material points: {done} of {total} ({text})"
+
+        def work(progress: Progress) -> None:
             try:
-                self._solid = found = solve(*self._now())
+                self._solid = found = solve(*self._now(), progress)
             except InputError as e:
                 self.told.visible = False
                 self._studio.say(str(e))
@@ -56,7 +60,7 @@ class SolidPanel:
             )
 
         self._begin()
-        self._studio.session.begin("solving by material points", work, lambda *_: None)
+        self._studio.session.begin("solving by material points", work, show)
         self.told.content, self.told.visible = "Solving by material points ...", True
 
     def _draw(self) -> None:

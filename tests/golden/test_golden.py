@@ -175,7 +175,12 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("name", CASES)
+LONG = ("augment", "gel")  # half a minute each
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.nightly) if n in LONG else n for n in CASES]
+)
 def test_results_are_as_they_were(name, tmp_path, monkeypatch):
     case = CASES[name]
     for given in case.given:

@@ -37,6 +37,7 @@ def let_go(period_s: float, damping: float, seconds: float, elements: int = 20, 
     return np.array(tip), np.array(energy)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_without_damping_it_swings_at_the_cantilevers_frequency_and_keeps_its_energy():
     """Lowest mode 1.8751^2 / (2 pi) sqrt(EI / m L^3); `stiffness_of` is built to give the period."""

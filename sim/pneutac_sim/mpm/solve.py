@@ -9,6 +9,7 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.mpm.lagrangian_kernels import LEAST_J
 from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.total_lagrangian import TotalLagrangian
+from pneutac_sim.progress import Progress, no_progress
 
 CHUNK = {"cpu": 25, "cuda": 50}  # substeps between two looks at the residual
 SLOWEST = 12  # times slower than the guess may the slowest motion be; a rate too low lets all swing on
@@ -60,6 +61,7 @@ def solve_equilibrium(
     tolerance: float = 1e-2,
     max_substeps: int = 20_000,
     warm: bool = False,
+    progress: Progress = no_progress,
 ) -> Equilibrium:
     """Lets bodies come to rest under loads by damped stepping, near critical damping of the slowest motion.
 
@@ -69,6 +71,8 @@ def solve_equilibrium(
         tolerance: of the unbalanced forces over those from outside.
         max_substeps: after so many the search is given up.
         warm: go on from the present state (a neighbouring pressure, say) instead of from rest.
+        progress: is told how many of a hundred parts of the way the unbalanced forces have fallen, on a
+            logarithmic scale, since they die away exponentially.
 
     Raises:
         MpmDiverged: no equilibrium was found; says which body and what to change.
@@ -76,7 +80,7 @@ def solve_equilibrium(
     _begin(solver, loads, warm)
     solver.heavy_edges(True)
     try:
-        residual, substeps = _settle(solver, loads, tolerance, max_substeps)
+        residual, substeps = _settle(solver, loads, tolerance, max_substeps, progress)
     finally:
         solver.heavy_edges(False)
     positions, gradients = _particles(solver)
@@ -107,7 +111,7 @@ def _begin(solver: TotalLagrangian, loads: Loads, warm: bool) -> None:
 
 
 def _settle(
-    solver: TotalLagrangian, loads: Loads, tolerance: float, max_substeps: int
+    solver: TotalLagrangian, loads: Loads, tolerance: float, max_substeps: int, progress: Progress
 ) -> tuple[np.ndarray, int]:
     """Dynamic relaxation: x'' + 2 w x' = f / m dies away fastest where w is the slowest motion's frequency.
 
@@ -126,12 +130,17 @@ def _settle(
         solver.step(RAMP)
         taken += RAMP
         solver.apply(loads, damping=2 * rate, contact_rate=2 * rate)
+    begun, told = 0.0, 0
     while True:
         solver.step(chunk)
         m = solver.measure()
         taken += chunk
         _finite(solver, m["residual"], taken)
         residual = m["residual"] / np.maximum(m["scale"], solver.least_force())
+        now = max(float(residual.max()), tolerance)
+        begun = begun or now
+        told = max(told, round(100 * np.log(begun / now) / max(np.log(begun / tolerance), 1e-9)))
+        progress(f"unbalanced forces are {now:.2g} of the loads, {tolerance:.2g} is at rest", told, 100)
         # A motion slower than the guess shows once the fast ones have died away; where hardly anything
         # moves any more, what shows is rounding.
         moves = (m["rate"] > 0) & (residual >= tolerance)

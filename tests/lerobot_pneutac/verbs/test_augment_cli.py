@@ -145,6 +145,7 @@ def command(recorded, out) -> list[str]:
     return [sys.executable, "-c", code, *options(recorded, out, "--episodes=3", "--seed=5")]
 
 
+@pytest.mark.nightly
 def test_killed_and_resumed_equals_uninterrupted(recorded, made, tmp_path):
     out = tmp_path / "again"
     work = tmp_path / "again.work"
@@ -190,7 +191,7 @@ def test_bad_input_is_named(recorded, made, tmp_path):
     features = LeRobotDatasetMetadata("local/demos", recorded).features
     ours = {k: features[k] for k in (OBS_STATE, ACTION, TACTILE)}
     for name, fps, chosen, match in (
-        ("fast", 30, ours, "30 fps; the world runs at 15"),
+        ("fast", 30, ours, "30 fps, but the station's control rate is 15 Hz"),
         ("blind", 15, {k: ours[k] for k in (OBS_STATE, ACTION)}, "'observation.images.tactile' is missing"),
     ):
         dataset = create_dataset("local/demos", tmp_path / name, fps, chosen, "pneutac", False, 2)

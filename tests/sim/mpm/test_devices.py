@@ -122,6 +122,7 @@ def worlds():
     return World("switch", touch="none"), World("switch", touch="none", fidelity="mpm")
 
 
+@pytest.mark.nightly
 def test_two_seconds_in_the_world_agree_with_the_skeleton(worlds):
     """In free space: what the body takes back of the bend is in the calibrated targets already."""
     skeleton, full = worlds
@@ -146,6 +147,7 @@ def torques(world, body, force):
     return np.einsum("ni,ni->n", data.xaxis[joints], np.cross(lever, force))
 
 
+@pytest.mark.nightly
 def test_a_force_at_the_tip_turns_the_joints_as_far_as_their_stiffness_says(worlds):
     """By hand: the joints turn by the torques about them over the stiffness of chamber and body."""
     deflections = []

@@ -125,7 +125,12 @@ BEND = Loads(q_cmd=np.array([[0.3, 0.25, 0.2]]), gravity=np.array([0, 0, -9.81])
 @pytest.fixture(scope="module")
 def bent():
     solver = arm(RUBBER, stiffness_nm_per_rad=0.5)
-    return solver, solve_equilibrium(solver, BEND, tolerance=1e-3)
+    parts = []
+    rest = solve_equilibrium(
+        solver, BEND, tolerance=1e-3, progress=lambda _, done, of: parts.append((done, of))
+    )
+    assert parts == sorted(parts) and parts[-1] == (100, 100)  # how far the search has come is told
+    return solver, rest
 
 
 def test_torques_balance_at_rest(bent):

@@ -131,9 +131,10 @@ def test_a_network_serves_its_twin_alone(network):
     same.effects |= {"camera_misalignment": {}, "valve_lag": {"tau_fill_s": Value(0.3)}}
     same.parameters["gain_rad_per_kpa"] = Value(0.02)
     assert fingerprint(same) == fingerprint(twin)
-    softer = twin.copy()
-    softer.parameters["gel_youngs_modulus_mpa"] = Value(0.2)
-    assert gel_fingerprint(softer) != gel_fingerprint(twin)
+    stiffer, stickier = twin.copy(), twin.copy()
+    stiffer.parameters["gel_youngs_modulus_mpa"] = Value(0.2)  # scales forces and moves nothing
+    stickier.parameters["gel_poissons_ratio"] = Value(0.4)
+    assert gel_fingerprint(stiffer) == gel_fingerprint(twin) != gel_fingerprint(stickier)
 
 
 def test_another_modulus_scales_the_torque_of_the_body(network, tmp_path):
@@ -240,6 +241,7 @@ def test_training_beats_no_network_on_other_motions(collection):
     assert e.velocity_deg_s < 1.1 * e.bare_velocity_deg_s
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_the_network_resists_as_the_full_body_does(tmp_path):
     from pneutac_sim.world.mpm_finger import MpmFinger
