@@ -296,11 +296,11 @@ def test_an_object_that_stands_where_the_hand_starts_gives_no_demonstration():
     generator = Generator(setup, touch="area")
     scene = generator.scene(0)
     assert scene.works
-    for ahead, in_the_way in ((0.0, False), (-0.06, True)):
+    for ahead, words in ((0.0, None), (-0.06, augment_episode.IN_THE_WAY)):
         variant = Variant(0, (ahead, 0.0, 0.0), 1.0, 0.0, 1.0)
         trial = generator.carry_out(variant, scene, np.random.default_rng(0))
-        assert (trial.reason == augment_episode.IN_THE_WAY) == in_the_way
-        assert (len(trial.action) > 10) != in_the_way
+        assert trial.reason == words
+        assert (len(trial.action) > 10) == (words is None)
 
 
 @pytest.mark.parametrize(("steps", "short"), [(augment_episode.SHORTEST - 1, True), (30, False)])
