@@ -16,7 +16,7 @@ demo: .venv/ready
 check: lint
 	$(PYTEST) -m "not slow and not nightly"
 
-# Everything that CI runs: at most 12 minutes on two cores.
+# Everything that CI runs: at most 15 minutes on two cores.
 test: .venv/ready
 	$(PYTEST)
 

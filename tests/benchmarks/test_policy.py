@@ -134,6 +134,7 @@ def test_units_of_other_options_are_refused(tmp_path):
         finished(tmp_path, unit)
 
 
+@pytest.mark.nightly
 def test_a_unit_that_fails_costs_none_but_those_that_need_it(tmp_path):
     broken = Unit("switch/0/student", "student", {}, ())
     needing = Unit("switch/0/student_frames", "frames", {}, (broken.name,))

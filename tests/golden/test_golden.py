@@ -175,7 +175,7 @@ CASES = {
 }
 
 
-LONG = ("augment", "gel")  # half a minute each
+LONG = ("augment", "finger", "gel")  # half a minute each
 
 
 @pytest.mark.parametrize(

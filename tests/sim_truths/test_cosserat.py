@@ -57,6 +57,7 @@ def test_without_damping_it_swings_at_the_cantilevers_frequency_and_keeps_its_en
     assert 2 * found[30] - found[15] == pytest.approx(exact, rel=0.005)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_damping_is_the_lowest_modes_ratio():
     period, ratio = 0.25, 0.1

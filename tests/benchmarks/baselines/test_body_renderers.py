@@ -12,7 +12,7 @@ from pneutac_benchmarks.baselines.textured_mesh import TexturedMesh
 from pneutac_sim.errors import InputError
 from pneutac_sim.splat.camera import Camera
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.nightly]
 
 FITS = {
     "mesh": TexturedMesh.fit,

@@ -161,6 +161,7 @@ def test_bad_options_are_refused(tmp_path, options, match):
     assert not (tmp_path / "a").exists()
 
 
+@pytest.mark.nightly
 def test_returns_rise_where_coming_near_is_all_there_is_to_learn(tmp_path):
     quick = PpoSettings(hidden=(32, 32), update_steps=512, batch=128, learning_rate=2e-3, discount=0.9)
     options = {"length": 10, "randomise": False}

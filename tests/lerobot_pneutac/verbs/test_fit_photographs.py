@@ -124,6 +124,7 @@ def test_a_finger_is_calibrated_and_told(calibrated):
     assert (out / "best.png").is_file()
 
 
+@pytest.mark.nightly
 def test_markers_are_never_fitted(drawn, calibrated, tmp_path):
     moved = altered(drawn, tmp_path / "moved", **{f"tip_{a}_mm": 0.0 for a in "xyz"})
     cfg = config(tmp_path, moved)

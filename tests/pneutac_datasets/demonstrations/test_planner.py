@@ -290,6 +290,7 @@ def test_who_plans_and_touches_does_the_task_and_who_replays_blindly_may_not(swi
     assert np.median(apart) < 0.55
 
 
+@pytest.mark.nightly
 def test_an_object_that_stands_where_the_hand_starts_gives_no_demonstration():
     """A carton in the finger opens at once; kept, it would be a demonstration of a frame."""
     setup = AugmentSetup(demonstrations("egg", 2), "egg", None, "probe", PlannerConfig(), 1, candidates=24)
