@@ -8,7 +8,11 @@ from pneutac_sim.effects.laws import family, is_law
 
 
 def lead(study: EffectStudy, outcome: Outcome) -> str:
-    """The one sentence (or two) at the top."""
+    """The one sentence (or two) at the top, and what the recording does not tell apart from what is named."""
+    return f"{_lead(study, outcome)} {study.alike(outcome.selected)}".rstrip()
+
+
+def _lead(study: EffectStudy, outcome: Outcome) -> str:
     device, unit, evidence = study.recording.device, study.unit, outcome.evidence
     noise, after = f"{study.noise.value:.3g} {unit}", f"{study.errors(outcome.after)['heldout']:.3g} {unit}"
     if outcome.verdict == "adequate" and not evidence.is_noise:

@@ -152,6 +152,10 @@ class EffectStudy(Study, ABC):
         """How much an effect moves the device, a sentence; empty where it cannot be told."""
         return ""
 
+    def alike(self, effects: Sequence[str]) -> str:
+        """What this kind of recording cannot tell effects from, a sentence; empty where there is nothing."""
+        return ""
+
     def experiment(self, model: FittedModel, effect: str) -> str:
         """What to record to see an effect apart from its rivals."""
         return get_effect(effect).experiment

@@ -14,8 +14,14 @@ from pneutac_sim.twin import Twin
 UNIT = "mm at the tip"
 OF_AIR = ("dead_time", "valve_lag", "valve_slew", "leak")
 OF_BODY = ("creep", "power_law_memory(p)", "hysteresis", "stiffening", "friction")
+UNSEEN = ("another friction of the gel", "another stiffness of the finger", "another weight of the object")
 LEAST = 5  # demonstrations from which anything can be told
 MORE = "Record ten demonstrations or more that press and hold, at two pressures."
+
+
+def of_air(effect: str) -> bool:
+    """Whether arm and gauge tell an effect; of the others touch does."""
+    return effect == LATE or get_effect(effect).of_air
 
 
 class DemonstrationWords(EffectStudy):
@@ -75,6 +81,16 @@ class DemonstrationWords(EffectStudy):
             kind = family(effect).replace("_", " ")
             return f"Your finger's {kind} differs from the twin's ({effect}: {changes})."
         return super().describe(model, effect)
+
+    def alike(self, effects: Sequence[str]) -> str:
+        """What is told by touch alone may be the contact's instead, of which no model is fitted."""
+        kinds = dict.fromkeys(family(e).replace("_", " ") for e in effects if not of_air(e))
+        if not kinds:
+            return ""
+        return (
+            f"Touch does not tell {' and '.join(kinds)} apart from {', '.join(UNSEEN[:-1])} or {UNSEEN[-1]}; "
+            "a bench recording of the finger does."
+        )
 
     def experiment(self, model: FittedModel, effect: str) -> str:
         """What to record to see an effect apart from its rivals."""

@@ -29,11 +29,11 @@ from lerobot_pneutac.study.demonstration_model import (
     Trial,
 )
 from lerobot_pneutac.study.demonstration_space import DemonstrationSpace
-from lerobot_pneutac.study.demonstration_words import OF_AIR, OF_BODY, UNIT, DemonstrationWords
+from lerobot_pneutac.study.demonstration_words import OF_AIR, OF_BODY, UNIT, DemonstrationWords, of_air
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_datasets.recording.noise import NoiseFloor
 from pneutac_sim.effects.laws import family, is_law, law
-from pneutac_sim.effects.registry import body_effects, get_effect, of_body
+from pneutac_sim.effects.registry import body_effects, of_body
 from pneutac_sim.features import CONTROL_HZ
 from pneutac_sim.finger.quantities import rms
 from pneutac_sim.progress import Progress, no_progress
@@ -143,9 +143,9 @@ class DemonstrationStudy(DemonstrationWords):
             steps.done()
             self._errors = [self._bare_air.crossed(fold) + self._bare_touch.crossed(fold)]
             return self.fitted(self._bare_air, self._bare_touch, self.fitter)
-        air = self._with(self.fitter, [e for e in asked if self._of_air(e)], AIR, self._bare_air)
+        air = self._with(self.fitter, [e for e in asked if of_air(e)], AIR, self._bare_air)
         fitter = self.world_of(self.fitter.twin_with(air, {})) if air.form.effects else self.fitter
-        touch = self._with(fitter, [e for e in asked if not self._of_air(e)], TOUCH, fitter.base(TOUCH))
+        touch = self._with(fitter, [e for e in asked if not of_air(e)], TOUCH, fitter.base(TOUCH))
         self._errors.append(air.crossed(fold) + touch.crossed(fold))
         steps.done()
         return self.fitted(air, touch, fitter)
@@ -160,10 +160,6 @@ class DemonstrationStudy(DemonstrationWords):
         for e in effects:
             values |= fitter.start(e)
         return fitter.fit(Trial(Form(tuple(effects)), values), columns, 60)
-
-    @staticmethod
-    def _of_air(effect: str) -> bool:
-        return effect == LATE or get_effect(effect).of_air
 
     def errors(self, model: FittedModel) -> dict[str, float]:
         """Root mean square errors, beside the usual ones of arm and gauge and of touch, of all episodes."""
@@ -205,7 +201,7 @@ class DemonstrationStudy(DemonstrationWords):
     def _stage(
         self, jobs: int, steps: Steps, fitter: Fitter, base: DemonstrationModel, columns: slice
     ) -> Found:
-        candidates = [e for e in self.candidates if self._of_air(e) == (columns == AIR)]
+        candidates = [e for e in self.candidates if of_air(e) == (columns == AIR)]
         candidates = [] if self.too_little() else candidates
         noise = self.noise.by_column
         floor = np.hypot(noise["flange"], noise["pressure.pos"]) if columns == AIR else noise["imprint"]

@@ -21,6 +21,7 @@ def told(selected=(LAW,), after=0.45, **evidence):
         errors=lambda model: {"heldout": model}, reduction=lambda a, b: (0.92, (0.88, 0.95)),
         describe=lambda model, name: law(name).describe(constants, "finger"),
         size=lambda model, name: "That moves its tip by up to 1.8 mm.",
+        alike=lambda effects: "It may be a load." if effects else "",
         experiment=lambda model, name: "Step and hold.", too_little=lambda: "Too short.",
         more_data="Record longer.", repeat="Do it twice.", nothing_left="Nothing.",
         unknown_where="moves your {device}", untested=[SimpleNamespace(name="gravity")],
@@ -37,6 +38,7 @@ def test_what_is_found_is_told_without_its_equation():
     assert text.startswith("Your finger creeps (it goes on bending while the pressure is held).")
     assert "by up to 1.8 mm" in text and "from 0.8 mm to 0.45 mm" in text and "0.43 mm" in text
     assert "[" not in text and "weight" not in text and "lag(p)" not in text
+    assert text.endswith("It may be a load.") and "a load" not in lead(*told(selected=(), after=0.43))
     assert "It also shows hysteresis." in lead(*told(selected=(LAW, "play(p)", "lag(p^2)")))
 
 

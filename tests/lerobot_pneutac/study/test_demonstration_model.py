@@ -5,6 +5,7 @@ import pytest
 
 from lerobot_pneutac.study.demonstration_data import MORE_RAD, EpisodeData, inputs_of
 from lerobot_pneutac.study.demonstration_model import AIR, LATE, TOUCH, Fitter, Form, Trial
+from lerobot_pneutac.study.demonstrations import DemonstrationStudy
 from pneutac_datasets.demonstrations.replay.replaying import Place
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.features import CONTROL_HZ
@@ -99,3 +100,11 @@ def test_the_lateness_of_touch_is_found(twin):
         e.imprint = np.append(np.zeros(2), e.imprint)[: len(e)]
     assert f.base(TOUCH).values["touch_late"] == pytest.approx(2, abs=0.3)
     assert f.lateness([e.contact for e in f.episodes]) == pytest.approx(2, abs=0.3)
+
+
+def test_what_touch_alone_told_is_not_told_apart_from_the_contact():
+    study = object.__new__(DemonstrationStudy)
+    told = study.alike([LATE, "power_law_memory(p)", "creep", "hysteresis"])
+    assert told.startswith("Touch does not tell creep and hysteresis apart from another friction of the gel,")
+    assert "weight of the object" in told
+    assert study.alike([LATE, "valve_slew"]) == study.alike([]) == ""
