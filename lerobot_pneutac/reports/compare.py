@@ -12,6 +12,8 @@ from pneutac_sim.finger.quantities import root_mean
 
 BAND = "rgba(11, 110, 153, 0.3)"
 POINTS = 1500  # a line: more cannot be seen on a screen
+GAP = np.array([np.nan])  # between the parts of a line
+EACH, ALL = 60, 30_000  # of a trial at least, but where the least of all trials together is more than that
 
 
 def comparison_page(c) -> Report:
@@ -71,6 +73,16 @@ def _thin(index: np.ndarray, value: np.ndarray, count: int = POINTS) -> np.ndarr
     return index[np.unique(keep)]
 
 
+def _share(part: np.ndarray, whole: int, parts: int) -> int:
+    """Points for a part of a line of `whole` samples in so many parts."""
+    return max(3, min(EACH, ALL // parts), POINTS * len(part) // whole)
+
+
+def _line(parts: list[np.ndarray], digits: int) -> np.ndarray:
+    """Parts of a line one after the other, rounded."""
+    return np.concatenate(parts or [GAP]).round(digits)
+
+
 def _session_time(c) -> tuple[np.ndarray, dict[int, float]]:
     """Time with the trials laid end to end (n,), and where each trial starts."""
     t, at, shift = np.zeros(len(c.recording)), 0.0, {}
@@ -96,12 +108,14 @@ def _add_band(figure: go.Figure, c, i: int, t: np.ndarray, centre: np.ndarray) -
     """The band of column `i` about `centre` (n,), a closed shape for each held-out stretch."""
     x, y = [], []
     low, high = centre - c.band.half[:, i], centre + c.band.half[:, i]
-    for part in _heldout(c):
-        part = _thin(part, centre[part], max(60, POINTS * len(part) // len(t)))
-        x += [*t[part].round(3), *t[part[::-1]].round(3), None]
-        y += [*high[part].round(4), *low[part[::-1]].round(4), None]
+    parts = _heldout(c)
+    for part in parts:
+        part = _thin(part, centre[part], _share(part, len(t), len(parts)))
+        x += [t[part], t[part[::-1]], GAP]
+        y += [high[part], low[part[::-1]], GAP]
     figure.add_scatter(
-        x=x, y=y, name="95 % band, held out", legendgroup="band", showlegend=i == 0, mode="lines",
+        x=_line(x, 3), y=_line(y, 4),
+        name="95 % band, held out", legendgroup="band", showlegend=i == 0, mode="lines",
         fill="toself", fillcolor=BAND, line={"width": 0}, hoverinfo="skip", row=i + 1, col=1,
     )  # fmt: skip
 
@@ -113,12 +127,14 @@ def in_band(c) -> go.Figure:
     for i, name in enumerate(c.columns[: c.counted]):
         left = c.measured[:, i] - c.model[:, i]
         x, y = [], []
-        for part in _heldout(c):
-            part = _thin(part, left[part], max(60, POINTS * len(part) // len(t)))
-            x += [*t[part].round(3), None]
-            y += [*left[part].round(4), None]
+        parts = _heldout(c)
+        for part in parts:
+            part = _thin(part, left[part], _share(part, len(t), len(parts)))
+            x += [t[part], GAP]
+            y += [left[part], GAP]
         figure.add_scatter(
-            x=x, y=y, name="measured minus modelled", legendgroup="left", showlegend=i == 0, mode="lines",
+            x=_line(x, 3), y=_line(y, 4),
+            name="measured minus modelled", legendgroup="left", showlegend=i == 0, mode="lines",
             line={"color": MEASURED, "width": 1}, row=i + 1, col=1,
         )  # fmt: skip
         _add_band(figure, c, i, t, np.zeros(len(t)))
@@ -133,6 +149,7 @@ def over_time(c) -> go.Figure:
         row_heights=[1.0] * c.counted + [0.6],
     )  # fmt: skip
     t, shift = _session_time(c)
+    trials = c.recording.trials().values()
     for i in range(c.counted if c.band is not None else 0):
         _add_band(figure, c, i, t, c.model[:, i])
     for i, name in enumerate(c.columns[: c.counted]):
@@ -141,13 +158,14 @@ def over_time(c) -> go.Figure:
             (c.model[:, i], MODEL, "model"),
         ):
             x, y = [], []
-            for rows in c.recording.trials().values():
+            for rows in trials:
                 index = np.arange(rows.start, rows.stop)
-                index = _thin(index, values[index], max(60, POINTS * len(index) // len(t)))
-                x += [*t[index].round(3), None]
-                y += [*values[index].round(4), None]
+                index = _thin(index, values[index], _share(index, len(t), len(trials)))
+                x += [t[index], GAP]
+                y += [values[index], GAP]
             figure.add_scatter(
-                x=x, y=y, name=label, legendgroup=label, showlegend=i == 0, mode="lines",
+                x=_line(x, 3), y=_line(y, 4),
+                name=label, legendgroup=label, showlegend=i == 0, mode="lines",
                 line={"color": colour, "width": 1.2}, row=i + 1, col=1,
             )  # fmt: skip
         figure.update_yaxes(title_text=_title(name), row=i + 1, col=1)

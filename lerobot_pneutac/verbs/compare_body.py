@@ -128,11 +128,10 @@ class BodyComparison(Comparison):
     @cached_property
     def worst(self) -> list[dict]:
         """The worst passages of about `PASSAGE_S`, at least two samples each, some time apart."""
-        passages = [p for trial in self.recording.trials() for p in self._worst_of(trial)]
+        passages = [p for t, rows in self.recording.trials().items() for p in self._worst_of(t, rows)]
         return sorted(passages, key=lambda p: -p["error"])[:PASSAGES]
 
-    def _worst_of(self, trial: int) -> list[dict]:
-        rows = self.recording.trials()[trial]
+    def _worst_of(self, trial: int, rows: slice) -> list[dict]:
         t, e = self.recording.column("time_s")[rows], self.squared[rows]
         begin, sums = np.arange(len(t)), np.r_[0.0, np.cumsum(e)]
         end = np.maximum(np.searchsorted(t, t + PASSAGE_S, side="right"), np.minimum(begin + 2, len(t)))

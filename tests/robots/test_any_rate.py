@@ -2,12 +2,13 @@
 
 import json
 import logging
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 from draccus.utils import DecodingError
-from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
+from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata, io_utils
 from lerobot.policies import make_policy
 from lerobot.utils.constants import OBS_STATE
 
@@ -18,7 +19,6 @@ from lerobot_robot_pneutac.cameras.config_pneutac_scene import PneutacSceneConfi
 from lerobot_robot_pneutac.env import PneutacEnvConfig, PneutacStandinConfig
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import PneutacBCConfig
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
-from lerobot_robot_pneutac.robots.keeping import Keeper
 from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
 from lerobot_robot_pneutac.standin.world import StandinWorld
 from lerobot_robot_pneutac.teleoperators.config_pneutac_scripted import PneutacScriptedConfig
@@ -102,12 +102,24 @@ def test_configs_take_the_stations_rate_and_no_other(station):
         PneutacSimConfig(fidelity="probe", station=station, cameras={"front": PneutacSceneConfig(fps=15)})
 
 
-def test_a_dataset_of_another_rate_than_the_robots_is_told_while_it_is_recorded(tmp_path, caplog):
-    keeper = Keeper(30)
-    info = {"total_frames": 20, "total_episodes": 1, "fps": 15}
+def test_a_dataset_of_another_rate_than_the_robots_is_refused_before_it_is_begun(tmp_path, monkeypatch):
+    monkeypatch.setattr(io_utils, "write_json", io_utils.write_json)
+    robot = PneutacSim(PneutacSimConfig(id="t", fidelity="probe"))
+    begin = partial(LeRobotDataset.create, "local/a", features={}, root=tmp_path / "a", use_videos=False)
+    with pytest.raises(InputError, match="has 30 frames per second .* record at --dataset.fps=15, or"):
+        begin(fps=30, robot_type=robot.name)
+    begin(fps=30, robot_type="another")  # nothing was left in its way
+    LeRobotDataset.create("local/b", 15, {}, tmp_path / "b", robot.name, use_videos=False)
+
+
+def test_a_dataset_of_another_rate_that_is_gone_on_with_is_told(tmp_path, caplog, monkeypatch):
+    monkeypatch.setattr(io_utils, "write_json", io_utils.write_json)
+    robot = PneutacSim(PneutacSimConfig(id="t", fidelity="probe"))
+    info = {"total_frames": 20, "total_episodes": 1, "fps": 30, "robot_type": robot.name}
+    (tmp_path / "info.json").write_text("{}")
     with caplog.at_level(logging.WARNING):
-        keeper._write_json(info, tmp_path / "info.json")
-    assert "record at --dataset.fps=30" in caplog.text
+        io_utils.write_json(info, tmp_path / "info.json")
+    assert "record at --dataset.fps=15" in caplog.text
     assert json.loads((tmp_path / "info.json").read_text()) == info
 
 

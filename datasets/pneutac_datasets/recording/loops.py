@@ -60,9 +60,11 @@ def closed_loop(recording: Recording) -> list[Finding]:
     """
     columns, _ = headline(recording)
     gains = {"before": [0.0, 0], "same": [0.0, 0]}
+    command = recording.samples[recording.pressure_columns].to_numpy(float)
+    pose = recording.samples[columns].to_numpy(float)
     for rows in recording.trials().values() if columns else ():
-        u = recording.samples[recording.pressure_columns].to_numpy(float)[rows]
-        y = recording.samples[columns].to_numpy(float)[rows]
+        u = command[rows]
+        y = pose[rows]
         at = 1 + np.flatnonzero(np.abs(np.diff(u, axis=0)).max(1, initial=0) > 0)
         if len(at) < 200:
             continue
@@ -139,7 +141,9 @@ def late_command(recording: Recording) -> list[Finding]:
     gauges = {c: [m] for m, c in measured_pressures(recording).items()}
     for name in recording.pressure_columns:
         seen = gauges.get(name) or headline(recording)[0]
-        leads = [lead for rows in recording.trials().values() for lead in _leads(recording, name, seen, rows)]
+        reach = np.ptp(recording.column(name))
+        trials = recording.trials().values()
+        leads = [lead for rows in trials for lead in _leads(recording, name, seen, rows, reach)]
         ahead = [lead for lead in leads if lead > 0]
         if len(leads) >= 5 and len(ahead) >= 0.8 * len(leads):
             late, shown = int(np.median(ahead)), f"in {len(ahead)} of {len(leads)} steps"
@@ -157,12 +161,12 @@ def late_command(recording: Recording) -> list[Finding]:
     return found
 
 
-def _leads(recording: Recording, name: str, seen: list[str], rows: slice) -> list[int]:
-    """By how many rows the device went ahead of each step of a command out of a rest of all pressures."""
+def _leads(recording: Recording, name: str, seen: list[str], rows: slice, reach: float) -> list[int]:
+    """By how many rows the device went ahead of each step of a command, of such a range, out of a rest."""
     u = recording.column(name)[rows].astype(float)
-    y = recording.samples[seen].to_numpy(float)[rows]
-    reach = np.ptp(recording.column(name))
-    others = recording.samples[[c for c in recording.pressure_columns if c != name]].to_numpy(float)[rows]
+    y = recording.samples.iloc[rows][seen].to_numpy(float)
+    other = [c for c in recording.pressure_columns if c != name]
+    others = recording.samples.iloc[rows][other].to_numpy(float)
     moves = np.abs(np.diff(np.c_[u, others], axis=0, prepend=np.c_[u, others][:1])).max(1)
     out = []
     for i in np.flatnonzero(moves > 0.002 * reach):

@@ -58,7 +58,8 @@ def align_mounts(
         return recording, []
     bench = Bench(recording, columns, train)
     alike = order[: order.index(apart[0])]  # later ones may be of any mount
-    others = [t for t in bench.trials if t not in alike and _same(recording, alike[0], t)]
+    begun = _begun(recording)
+    others = [t for t in bench.trials if t not in alike and _same(begun, alike[0], t)]
     moved: dict[int, Motion] = {}
     sentences = []
     for session in _runs(sweeps, order, apart, far):
@@ -91,21 +92,29 @@ def _sweeps(recording: Recording, columns: list[str], train: np.ndarray) -> dict
     lowest, reach = p.min(0), np.ptp(p, axis=0).max()
     y = recording.samples[columns].to_numpy(float)
     found: dict[int, np.ndarray] = {}
+    begun = _begun(recording)
     for trial, at in recording.trials().items() if columns else ():
         rows = np.arange(at.start, at.stop)[train[at]]
         if len(rows) < 2 or not np.ptp(p[rows], axis=0).max() > SWEEP * reach > 0:
             continue
-        if _same(recording, next(iter(found), trial), trial):
+        if _same(begun, next(iter(found), trial), trial):
             design = np.c_[np.ones(len(rows)), p[rows] - lowest]
             found[trial] = np.linalg.lstsq(design, y[rows], rcond=None)[0]
     return found
 
 
-def _same(recording: Recording, a: int, b: int) -> bool:
+def _begun(recording: Recording) -> dict[int, np.ndarray]:
+    """Trial to the conditions under which it began, in units of what still counts as equal."""
+    names = [c for c in CONDITIONS if recording.has(c)]
+    tolerances = np.array([CONDITIONS[c] for c in names])
+    trials = recording.trials()
+    rows = recording.samples[names].iloc[[at.start for at in trials.values()]].to_numpy(float)
+    return dict(zip(trials, rows / tolerances, strict=True))
+
+
+def _same(begun: dict[int, np.ndarray], a: int, b: int) -> bool:
     """Whether two trials began under equal conditions."""
-    s, trials = recording.samples, recording.trials()
-    a, b = trials[a].start, trials[b].start
-    return all(abs(s[c].iloc[a] - s[c].iloc[b]) <= tol for c, tol in CONDITIONS.items() if c in s)
+    return bool((np.abs(begun[a] - begun[b]) <= 1 + 1e-12).all())
 
 
 def _apart(a: np.ndarray, b: np.ndarray, far: float) -> bool:

@@ -145,9 +145,10 @@ def _detrended(x: np.ndarray, window: int) -> np.ndarray:
 def at_rest_mask(recording: Recording) -> np.ndarray:
     """Mask (n,): the commanded pressure has not moved for `HOLD_S` before this sample."""
     out = np.zeros(len(recording), bool)
+    command = recording.samples[recording.pressure_columns].to_numpy(float)
     for rows in recording.trials().values():
         t = recording.column("time_s")[rows]
-        p = recording.samples[recording.pressure_columns].to_numpy(float)[rows]
+        p = command[rows]
         moved = np.r_[True, np.abs(np.diff(p, axis=0)).max(1) > 1e-3 * max(float(np.ptp(p)), 1e-9)]
         last = t[np.maximum.accumulate(np.where(moved, np.arange(len(t)), 0))]
         out[rows] = t - last >= HOLD_S

@@ -24,10 +24,12 @@ def jumps(recording: Recording) -> list[Finding]:
     # other chambers move the marker too
     pressures = [c for c in recording.samples if c.endswith("_kpa")]
     slips: list[int] = []
+    pose = recording.samples[columns].to_numpy(float)
+    pressure = recording.samples[pressures].to_numpy(float)
     for rows in recording.trials().values() if columns else ():
-        y = recording.samples[columns].to_numpy(float)[rows]
+        y = pose[rows]
         t = recording.column("time_s")[rows]
-        p = recording.samples[pressures].to_numpy(float)[rows]
+        p = pressure[rows]
         if len(t) < 10:
             continue
         stale = np.r_[False, (np.diff(y, axis=0) == 0).all(1)]
@@ -132,9 +134,11 @@ def frozen(recording: Recording) -> list[Finding]:
     columns = [c for c in recording.observations if not c.startswith("image")]
     p_span = np.ptp(recording.samples[recording.pressure_columns].to_numpy(float), axis=0).max()
     repeated = 0
+    pose = recording.samples[columns].to_numpy(float)
+    pressure = recording.samples[recording.pressure_columns].to_numpy(float)
     for rows in recording.trials().values() if columns else ():
-        y = recording.samples[columns].to_numpy(float)[rows]
-        p = recording.samples[recording.pressure_columns].to_numpy(float)[rows]
+        y = pose[rows]
+        p = pressure[rows]
         t = recording.column("time_s")[rows]
         same = np.r_[False, (np.diff(y, axis=0) == 0).all(1)]
         repeated += int(same.sum())
@@ -157,8 +161,9 @@ def stale(recording: Recording) -> list[Finding]:
     """Rows that repeat the pose of the row before to the last digit, also while it moves."""
     columns = [c for c in recording.observations if not c.startswith("image")]
     repeats, moving = np.zeros(len(recording), bool), np.zeros(len(recording), bool)
+    pose = recording.samples[columns].to_numpy(float)
     for rows in recording.trials().values() if columns else ():
-        y = recording.samples[columns].to_numpy(float)[rows]
+        y = pose[rows]
         repeats[rows] = np.r_[False, (np.diff(y, axis=0) == 0).all(1)]
         moving[rows] = is_moving(y)
     share = repeats[moving].mean() if moving.any() else 0.0

@@ -2,15 +2,20 @@
 
 LeRobot 0.6 gives a robot no hook for episodes, stores frame / fps as a frame's time, and observes a robot in
 the pause between episodes as within them. What it announces in the log, and how many frames it counts, tell
-which observations are an episode's: the first ones after the last announcement.
+which observations are an episode's: the first ones after the last announcement. It makes the robot, then the
+dataset, and connects the robot last: so a dataset of another rate is refused when its `info.json` is begun.
 """
 
+import contextlib
 import json
 import logging
 import sys
 import time
 from pathlib import Path
 from typing import override
+from weakref import ref
+
+from lerobot.robots import Robot
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import whole
@@ -24,21 +29,30 @@ logger = logging.getLogger(__name__)
 class Keeper(logging.Handler):
     """Adds each episode's pace to the dataset that LeRobot records here, and writes its `info.json` whole.
 
+    While the robot lives, a new dataset of its type has its rate, or is refused.
+
     Args:
         control_hz: of the robot, at which the dataset is to be recorded.
+        robot: by whose `name` LeRobot knows it in a dataset.
     """
 
-    def __init__(self, control_hz: int):
+    def __init__(self, control_hz: int, robot: Robot):
         super().__init__(logging.INFO)
-        self._control_hz = control_hz
+        self._control_hz, self._robot = control_hz, ref(robot)
         self._times_s: list[float] | None = None
+        self._take_over()
 
     def connect(self) -> None:
         """From now on episodes are noticed."""
+        if self._take_over():
+            logging.getLogger().addHandler(self)
+
+    def _take_over(self) -> bool:
+        """Whether LeRobot's datasets are in use here; they are written by this from now on."""
         io_utils = sys.modules.get("lerobot.datasets.io_utils")
         if io_utils is not None:
             io_utils.write_json = self._write_json
-            logging.getLogger().addHandler(self)
+        return io_utils is not None
 
     def disconnect(self) -> None:
         """Nothing is noticed any more."""
@@ -59,8 +73,18 @@ class Keeper(logging.Handler):
 
         A kill meanwhile loses the features' names and the frame rate, which nothing else tells. `pneutac
         repair` finds all the rest.
+
+        Raises:
+            InputError: a dataset of this robot is begun at another rate.
         """
         fpath = Path(fpath)
+        begun = fpath.name == "info.json" and not fpath.exists()
+        robot = self._robot()
+        ours = begun and robot is not None and data.get("robot_type") == robot.name
+        if ours and data["fps"] != self._control_hz:
+            with contextlib.suppress(OSError):
+                fpath.parent.parent.rmdir()  # LeRobot has made it, and would refuse it next time
+            raise InputError(self._other_rate(data["fps"]))
         frames = data.get("total_frames", 0) - _frames(fpath) if fpath.name == "info.json" else 0
         with whole(fpath) as part:
             part.write_text(json.dumps(data, indent=4, ensure_ascii=False), encoding="utf-8")
@@ -69,11 +93,13 @@ class Keeper(logging.Handler):
         if frames:
             self._times_s = None
             if data["fps"] != self._control_hz:
-                logger.warning(
-                    "The dataset has %s frames per second and the robot's control rate is %d Hz; record at"
-                    " --dataset.fps=%d, or give a station.yaml with control_hz: %s.",
-                    *(data["fps"], self._control_hz, self._control_hz, data["fps"]),
-                )
+                logger.warning("%s", self._other_rate(data["fps"]))
+
+    def _other_rate(self, fps: float) -> str:
+        return (
+            f"The dataset has {fps} frames per second and the robot's control rate is {self._control_hz} Hz;"
+            f" record at --dataset.fps={self._control_hz}, or give a station.yaml with control_hz: {fps}."
+        )
 
     def _keep(self, meta: Path, episode: int, fps: float, times_s: list[float]) -> None:
         pace = Pace.of(times_s, fps)

@@ -52,7 +52,7 @@ class Pneutac(BaseRobot):
         super().__init__(config)
         self.config = config
         self.guard: Guard | None = None
-        self._keeper = Keeper(config.control_hz)
+        self._keeper = Keeper(config.control_hz, self)
         self._arm = config.arm.make()
         self._pressure = config.pressure.make()
         self.cameras = make_cameras_from_configs({IMAGE_NAME: config.digit} | config.cameras)

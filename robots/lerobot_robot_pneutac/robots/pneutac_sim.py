@@ -70,7 +70,7 @@ class PneutacSim(BaseRobot):
         self._image_shape = tactile_shape("robot.twin", config.twin)
         self.world = None
         self.successes: list[bool] = []
-        self._keeper = Keeper(config.control_hz)
+        self._keeper = Keeper(config.control_hz, self)
 
     @property
     def image_shape(self) -> tuple[int, int, int]:

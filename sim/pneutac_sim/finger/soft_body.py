@@ -18,7 +18,7 @@ import numpy as np
 from pneutac_sim.effects.body_effect import kernel
 from pneutac_sim.errors import InputError
 
-ITERATIONS, TOLERANCE_RAD = 60, 1e-6
+ITERATIONS, TOLERANCE_RAD = 20, 1e-6
 LARGEST_STEP_RAD = 0.5  # keeps a near-singular step from throwing the spine about
 LEAST_SHARE = 1e-3  # of the whole stiffness, that is left to the controller at least
 
@@ -107,25 +107,30 @@ def _resist(q, powers, weights, f, B):
     """Torque into f (N,) and stiffness into B (N, N), both per modulus."""
     n = len(q)
     f[:], B[:] = 0.0, 0.0
+    to_the = np.ones((n, powers.max() + 1))
+    for p in range(1, to_the.shape[1]):
+        to_the[:, p] = to_the[:, p - 1] * q
     for t in range(len(weights)):
         for i in range(n):
-            if powers[t, i] == 0:
+            p = powers[t, i]
+            if p == 0:
                 continue
-            for j in range(-1, i + 1):  # -1: the first derivative
-                value = weights[t] * powers[t, i]
+            others = weights[t] * p
+            for k in range(n):
+                if k != i:
+                    others *= to_the[k, powers[t, k]]
+            f[i] -= others * to_the[i, p - 1]
+            if p > 1:
+                B[i, i] += others * (p - 1) * to_the[i, p - 2]
+            for j in range(i):
+                if powers[t, j] == 0:
+                    continue
+                value = weights[t] * p * to_the[i, p - 1] * powers[t, j] * to_the[j, powers[t, j] - 1]
                 for k in range(n):
-                    power = powers[t, k] - (k == i) - (k == j)
-                    if k == j:
-                        value *= powers[t, k] - (k == i)
-                    for _ in range(power):
-                        value *= q[k]
-                if j < 0:
-                    f[i] -= value
-                else:
-                    B[i, j] += value
-    for i in range(n):
-        for j in range(i):
-            B[j, i] = B[i, j]
+                    if k != i and k != j:  # noqa: PLR1714
+                        value *= to_the[k, powers[t, k]]
+                B[i, j] += value
+                B[j, i] = B[i, j]
 
 
 def share_of_controller(whole: float, body: np.ndarray, levers: np.ndarray) -> float:

@@ -5,6 +5,7 @@ import re
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from generated import once
 
@@ -226,3 +227,19 @@ def test_a_rate_is_told_in_words():
     said = [phrase(axis, i) for i in range(4)]
     assert said[0] == "while the pressure is held" and said[3] == "when the pressure moves fast"
     assert len(set(said)) == 4 and not any("kPa" in s for s in said)
+
+
+def test_a_recording_is_cut_into_trials_as_often_however_many_it_has(tmp_path, monkeypatch):
+    """Else the time grows with the square of a recording's length."""
+    calls, real = [], Recording.trials
+    monkeypatch.setattr(Recording, "trials", lambda self: calls.append(1) or real(self))
+    counts = []
+    for trials in (8, 32):
+        trial, time_s = np.repeat(np.arange(trials), 40), np.tile(np.arange(40) / 10, trials)
+        kpa = 6 - 6 * np.cos(time_s + trial)
+        table = {"trial": trial, "time_s": time_s, "pressure_cmd_kpa": kpa, "bend_angle_rad": 0.02 * kpa}
+        recording = Recording(tmp_path, {"length_mm": 110.0}, pd.DataFrame(table), "finger")
+        calls.clear()
+        compare_body(Twin.builtin(), recording).report(tmp_path / str(trials))
+        counts.append(len(calls))
+    assert counts[0] == counts[1] < 100

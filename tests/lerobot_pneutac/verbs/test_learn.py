@@ -2,14 +2,13 @@
 
 import json
 import shutil
-import time
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
 from doc_blocks import blocks
-from pressure_rig import build, connected, terminal
+from pressure_rig import SimulatedTime, build, converse
 
 from lerobot_pneutac import design, learn
 from lerobot_pneutac.cli.bench import make_bench
@@ -22,8 +21,8 @@ from lerobot_pneutac.verbs.benches import StandinBench, save_program
 from lerobot_pneutac.verbs.contenders import load_contenders, save_contenders
 from lerobot_pneutac.verbs.foreseen import not_as_asked
 from lerobot_pneutac.verbs.learn import Rounds
-from lerobot_robot_pneutac.hardware.parts import HardwareFault
-from lerobot_robot_pneutac.hardware.pneutac_serial import PneutacSerial
+from lerobot_robot_pneutac.hardware.pneutac_serial import PneutacExchange
+from lerobot_robot_pneutac.hardware.serial_pressure import Command
 from lerobot_robot_pneutac.standin.finger import new_rod
 from pneutac_datasets.recording.joined import joined
 from pneutac_datasets.recording.recording import Recording
@@ -218,49 +217,43 @@ def test_on_the_stand_in_what_was_found_foresees_the_next_program(tmp_path):
 
 
 class FirmwareBench:
-    """The stand-in's rod on the chamber of the controller's own firmware, in real time over a serial line."""
+    """The stand-in's rod on the chamber of the controller's own firmware, on one simulated clock."""
 
     range_kpa, hz, pause_s = (0.0, 15.0), 20.0, None
 
-    def __init__(self, link):
-        self._link = str(link)
-        rod = new_rod()
-        rod.step(5.0, 0.05)  # compiles, for which a controller does not wait
-        rod.tip_mm()
+    def __init__(self, program):
+        self._program = program
 
     def follow(self, program, out, number):
-        with connected(PneutacSerial(self._link, max_kpa=15)) as controller:
-            rows = self._rows(controller, pd.read_csv(program), np.random.default_rng(number))
-        time.sleep(1.0)
+        rig, exchange = SimulatedTime(self._program), PneutacExchange(15.0)
+        try:
+            converse(rig, exchange, 1000)  # the session opens
+            rows = self._rows(rig, exchange, pd.read_csv(program), np.random.default_rng(number))
+        finally:
+            rig.close()
         meta = {"device": "finger", "length_mm": 110.0, "noise": {"tip_x_mm": 0.2, "tip_z_mm": 0.2}}
         meta["trials"] = {"0": {"start": "rested"}}
         Recording(out, meta, pd.DataFrame(rows), "finger").write(out)
         return Recording.load(out)
 
-    def _rows(self, controller, table, noise):
-        rows, rod, start_s = [], new_rod(), time.monotonic()
-        for t, command in zip(table["time_s"], table["pressure_cmd_kpa"], strict=True):
-            time.sleep(max(0.0, start_s + t - time.monotonic()))
-            controller.set_pressure(command)
-            kpa, now_s = controller.pressure(), time.monotonic() - start_s
+    def _rows(self, rig, exchange, table, noise):
+        rows, rod, start_ms, sent = [], new_rod(), rig.now_ms, Command(None, 0)
+        for t, command_kpa in zip(table["time_s"], table["pressure_cmd_kpa"], strict=True):
+            converse(rig, exchange, start_ms + round(1000 * t) - rig.now_ms, sent)
+            assert exchange.fault is None
+            sent = Command(command_kpa, sent.number + 1)
+            kpa, now_s = exchange.measured_kpa, (rig.now_ms - start_ms) / 1000
             rod.step(kpa, now_s - (rows[-1]["time_s"] if rows else 0.0))
             x, _, z = rod.tip_mm() + 0.2 * noise.standard_normal(3)
-            row = {"trial": 0, "time_s": now_s, "program": "p", "pressure_cmd_kpa": command}
+            row = {"trial": 0, "time_s": now_s, "program": "p", "pressure_cmd_kpa": command_kpa}
             rows.append(row | {"pressure_kpa": kpa, "tip_x_mm": x, "tip_z_mm": z})
         return rows
 
 
 @pytest.mark.nightly
 def test_the_loop_runs_on_the_pressure_controllers_own_firmware(tmp_path):
-    link = tmp_path / "rig"
-    with terminal(build(tmp_path), link):
-        bench, learnt, faults = FirmwareBench(link), None, 0
-        while learnt is None:
-            try:
-                learnt = learn(Twin(length_mm=110.0), bench, tmp_path / "out", budget_s=30.0, program_s=6.0)
-            except HardwareFault:  # a busy computer reads too late: the same call goes on, as a person would
-                faults += 1
-                assert faults < 10
+    bench = FirmwareBench(build(tmp_path))
+    learnt = learn(Twin(length_mm=110.0), bench, tmp_path / "out", budget_s=30.0, program_s=6.0)
     last = learnt.last
     assert len(learnt.rounds) >= 2 and last.predicted_error < 0.5 * last.bare_error
     assert 0 < last.error < 0.2 * last.bare_error  # programs of 6 s at 20 Hz; the noise is not reached

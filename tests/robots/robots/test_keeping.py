@@ -11,11 +11,17 @@ from pneutac_sim.pace import PACE_FILE, Pace, pace_notes, read_pace
 SECONDS = "lerobot_robot_pneutac.robots.keeping.time.perf_counter"
 
 
+class Lone:
+    """A robot that nobody holds."""
+
+    name = "pneutac"
+
+
 @pytest.fixture
 def keeper(monkeypatch):
     monkeypatch.setattr(io_utils, "write_json", io_utils.write_json)
     monkeypatch.setattr(logging.getLogger(), "level", logging.INFO)
-    keeper = Keeper(15)
+    keeper = Keeper(15, Lone())
     keeper.connect()
     yield keeper
     keeper.disconnect()

@@ -64,7 +64,7 @@ def thickness_factor(chi, nu):
 
 def test_hertz_force_and_radius_on_a_thick_slab():
     """At 6 mm the slab's finite thickness adds 13 to 24 % to Hertz' force; the rest agrees within 3 %."""
-    solver, radius = slab((40, 40, 20)), 6e-3
+    solver, radius = slab((32, 32, 20)), 6e-3
     depths, forces = (0.1e-3, 0.2e-3, 0.3e-3), []
     for depth in depths:
         e = solve_equilibrium(solver, press(depth, radius, friction=0.0), tolerance=1e-3)
@@ -90,10 +90,10 @@ def test_contact_radius_of_real_photographs():
         radius, depth = float(r["indenter_radius_mm"]), float(r["depth_mm"])
         seen = float(r["contact_radius_px"]) / 16.875  # px/mm of this sensor
         assert seen == pytest.approx(np.sqrt(radius * depth), rel=0.05)
-    solver = slab((36, 36, 16))
+    solver = slab((28, 28, 16))
     for r in [r for r in rows if float(r["depth_mm"]) == 0.5]:
         radius, depth = 1e-3 * float(r["indenter_radius_mm"]), 1e-3 * float(r["depth_mm"])
-        solve_equilibrium(solver, press(depth, radius, friction=0.0))
+        solve_equilibrium(solver, press(depth, radius, friction=0.0), tolerance=1e-3)
         seen = 1e-3 * float(r["contact_radius_px"]) / 16.875
         assert contact_radius(solver) == pytest.approx(seen, rel=0.1)
 
