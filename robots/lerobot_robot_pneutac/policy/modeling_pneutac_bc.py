@@ -11,7 +11,6 @@ from huggingface_hub import ModelCard
 from lerobot.policies.pretrained import PreTrainedPolicy
 from lerobot.utils.constants import ACTION, OBS_STATE
 from safetensors import safe_open
-from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import PREVIOUS_ACTION, TACTILE, PneutacBCConfig
@@ -24,7 +23,6 @@ from pneutac_sim.features import ACTION_NAMES, AREA, CONTROL_HZ, PIXELS, PRESSUR
 
 HIDDEN = 256
 REST = "encoder.rest_image"
-BEFORE_0_2 = ("_action_centre", "_action_high", "_action_low", "_action_scale")  # not in older files
 
 
 class PneutacBCPolicy(PreTrainedPolicy):
@@ -92,17 +90,12 @@ class PneutacBCPolicy(PreTrainedPolicy):
             if model.encoder is not None and REST in file.keys():
                 model.config.check_size(tuple(file.get_slice(REST).get_shape()), str(model_file))
             other = sorted(set(file.keys()) ^ set(model.state_dict()))
-        if other == sorted(BEFORE_0_2):  # their actions were those of the paper's finger
-            paper = Scaling.paper(model.config.joints).tensors()
-            weights = load_file(model_file, device=map_location) | {n: paper[n] for n in BEFORE_0_2}
-            model.load_state_dict(weights, strict=strict)
-        elif other:
+        if other:
             raise InputError(
                 f"'{model_file}' does not hold the weights of this policy (differs in {', '.join(other)});"
                 " its use_tactile was another, or another version trained it: train anew."
             )
-        else:
-            model = super()._load_as_safetensor(model, model_file, map_location, strict)
+        model = super()._load_as_safetensor(model, model_file, map_location, strict)
         if model._dataset_scaling is not None:
             model._reach(model._dataset_scaling)
         if model._dataset_rest is not None:

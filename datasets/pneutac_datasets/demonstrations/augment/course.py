@@ -1,9 +1,10 @@
 """Which frame of a demonstration comes next in a new scene, and where it lies there.
 
 Before a touch nobody knows where the object is, so the demonstrated way is gone as it was, until the touch
-comes: earlier, later, or more to one side of the gel. In contact the demonstrated way lies where the object
-is, so that it leads to the side as someone who feels where the touch is would go, and lasts until the touch
-is gone: whoever let go by the clock would teach that to let go is not a matter of touch.
+comes: earlier, later, or more to one side of the gel. In contact the demonstrated way goes on from there, led
+aside by as much as the demonstrations answer a touch elsewhere on the gel; along directions in which they do
+not, it lies where the object is. It lasts until the touch is gone: whoever let go by the clock would teach
+that to let go is not a matter of touch.
 """
 
 import numpy as np
@@ -23,25 +24,29 @@ class Course:
     Args:
         reference: the demonstration.
         aside_m: how far to the side, along y, the object stands from where it stood.
+        reaction_hz: (3, 2), see `reference.reaction_hz`.
 
     Attributes:
         frame: of the reference.
         offset_m: (3,) displacement of the reference's path now.
         in_contact: whether this frame belongs to a contact that has come.
+        answer_m_s: (3,) velocity to be added as the touch is elsewhere on the gel than it was.
     """
 
-    def __init__(self, reference: Reference, aside_m: float):
-        self._contacts = list(reference.contacts)
+    def __init__(self, reference: Reference, aside_m: float, reaction_hz: np.ndarray):
+        self._contacts, self._reaction_hz = list(reference.contacts), reaction_hz
         self._reference, self._aside_m, self._frames = reference, aside_m, reference.frames
         self._waited = self._lost = 0
         self._largest = 0.0
         self.frame, self.offset_m, self.in_contact = -1, np.zeros(3), False
+        self.answer_m_s = np.zeros(3)
 
-    def advance(self, area: float, flange_m: np.ndarray) -> bool:
+    def advance(self, area: float, centre_mm: np.ndarray, flange_m: np.ndarray) -> bool:
         """Goes on to the next frame.
 
         Args:
             area: contact area that the gel feels.
+            centre_mm: (2,) middle of the imprint; NaN without touch.
             flange_m: (3,) where the flange is.
 
         Returns:
@@ -50,9 +55,19 @@ class Course:
         self.frame += 1
         if self.in_contact and not self._stay_in_contact(area):
             return False
-        if not self.in_contact:
-            return self._search(area > 0, flange_m)
-        return True
+        goes_on = self.in_contact or self._search(area > 0, flange_m)
+        self._answer(centre_mm)
+        return goes_on
+
+    def _answer(self, centre_mm: np.ndarray) -> None:
+        """Leads the way aside as the demonstrations do where the touch is elsewhere than it was."""
+        r = self._reference
+        self.answer_m_s = np.zeros(3)
+        if self.in_contact and r.centre_mm is not None:
+            elsewhere = 1e-3 * (centre_mm - r.centre_mm[self.frame])
+            if np.isfinite(elsewhere).all():
+                self.answer_m_s = self._reaction_hz @ elsewhere
+        self.offset_m = self.offset_m + self.answer_m_s / r.control_hz
 
     def _stay_in_contact(self, area: float) -> bool:
         """Ends a contact when the touch is gone, up to `EARLY` frames too soon; False if it is too late."""
@@ -84,7 +99,8 @@ class Course:
         if touched:
             self.frame, self.in_contact, self._waited, self._largest = first, True, 0, 0.0
             self.offset_m = flange_m - self._reference.flange_m[first]
-            self.offset_m[1] = self._aside_m
+            if not self._reaction_hz[1].any():
+                self.offset_m[1] = self._aside_m
         elif self.frame == first and self._is_bump(self._contacts[0]):
             del self._contacts[0]
         elif self.frame == first:

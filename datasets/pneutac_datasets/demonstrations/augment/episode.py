@@ -9,11 +9,17 @@ from lerobot.utils.constants import OBS_IMAGES
 
 from pneutac_datasets.demonstrations.augment.course import Course
 from pneutac_datasets.demonstrations.augment.planner import CemPlanner, PlannerConfig
-from pneutac_datasets.demonstrations.augment.reference import EXTRA_STEPS, Reference, onset_sigma_m
-from pneutac_datasets.demonstrations.augment.scene import Scene, command_latency, find_scene, follow
+from pneutac_datasets.demonstrations.augment.reference import (
+    EXTRA_STEPS,
+    Reference,
+    onset_sigma_m,
+    reaction_hz,
+)
+from pneutac_datasets.demonstrations.augment.scene import FEEDBACK_HZ, Scene, command_latency, find_scene, follow
 from pneutac_datasets.demonstrations.episodes import POINTS
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_NAMES, AREA, MAX_PRESSURE_KPA
+from pneutac_sim.gel.sensor import centre_mm
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.conditions import Conditions, draw
 from pneutac_sim.world.gantry import Gantry
@@ -166,7 +172,7 @@ class Generator:
         self.world = VariedWorld(s.task, twin, self.touch, s.fidelity, s.conditions, station=s.where)
         self._scene = SceneCameras(self.world, s.cameras)
         self.gantry = Gantry(self.world)
-        self.sigma_m = onset_sigma_m(s.references)
+        self.sigma_m, self.reaction_hz = onset_sigma_m(s.references), reaction_hz(s.references)
         self.late_commands = command_latency(self.world, self.gantry, s.references)
 
     def scene(self, source: int) -> Scene:
@@ -279,10 +285,11 @@ class Generator:
         config = self.setup.planner.at(r.control_hz)
         planner = CemPlanner(self.gantry, config, rng, r.control_hz)
         r = r.prolonged(r.frames(EXTRA_STEPS))
-        demonstrated, course = self._warm(r, variant), Course(r, variant.shift_m[1])
-        steps = np.arange(config.horizon)
+        demonstrated, course = self._warm(r, variant), Course(r, variant.shift_m[1], self.reaction_hz)
+        steps, world = np.arange(config.horizon), self.world
+        fades = (1 - FEEDBACK_HZ * world.dt_s) ** steps[:, None]
         action, queue = np.zeros(4), []
-        while course.advance(self.world.touch.area, self.world.flange_m) and course.frame < len(r):
+        while course.advance(world.touch.area, self._centre_mm(), world.flange_m) and course.frame < len(r):
             t = course.frame
             if not (course.in_contact and queue):
                 frames = np.minimum(t + steps, course.last)
@@ -292,16 +299,25 @@ class Generator:
                 queue = [warm[0]]
                 if course.in_contact:
                     warm[t + steps > course.last, :3] = course.onward_m * r.control_hz
+                    answer = course.answer_m_s * fades
+                    warm[:, :3] += answer
                     ahead = t + 1 + steps
                     beyond = np.maximum(ahead - course.last, 0)[:, None] * course.onward_m
                     ahead = np.minimum(ahead, course.last)
-                    goal = r.flange_m[ahead] + course.offset_m + beyond
+                    goal = r.flange_m[ahead] + course.offset_m + beyond + np.cumsum(answer, 0) / r.control_hz
                     self.gantry.mirror(self.world)
                     warm = planner.plan(warm, action, course.area_goal(t + 1 + steps), goal)
                     self._costs.append(planner.cost)
                     queue = list(warm[: config.replan])
             action = np.clip(queue.pop(0), *self.world.action_limits)
             yield action
+
+    def _centre_mm(self) -> np.ndarray:
+        """(2,) middle of the imprint; NaN without touch."""
+        touch = self.world.touch
+        if not touch.area > 0:
+            return np.full(2, np.nan)
+        return centre_mm(touch.depth_mm, self.world.sensor.model.window_mm)
 
     def _warm(self, r: Reference, variant: Variant) -> np.ndarray:
         """The reference's actions (T, 4) with jittered peak pressure and friction feed-forward."""

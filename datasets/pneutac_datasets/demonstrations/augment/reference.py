@@ -15,6 +15,9 @@ FIRM = 0.15  # of a contact's largest area; what is smaller, and comes last, onl
 VENTED = 0.5  # of the highest pressure commanded in a contact; who commands less lets go
 REST_FRAMES, LEAST_PIXELS = 8, 50  # images that make the one at rest; an imprint's smallest size
 LOSS = 8  # frames without touch that still belong to a contact
+LEAST_SEEN = 30  # frames from which a reaction is told
+STARTLED = 3  # first frames of a contact, in which a hand has not answered yet
+ANSWERS = 0.5  # share of a velocity's variance that the imprint's middle must explain to be what it answers
 
 
 def frames_at(control_hz: int, paper: int) -> int:
@@ -125,6 +128,30 @@ def imprint_centres_mm(images: np.ndarray, area: np.ndarray, sensor: TactileSens
         if pressed.sum() >= LEAST_PIXELS:
             centres[t] = centre_mm(pressed, sensor.model.window_mm)
     return centres
+
+
+def reaction_hz(references: list[Reference]) -> np.ndarray:
+    """How demonstrations answer where the touch is on the gel: (3, 2), 1/s.
+
+    The change of the velocity (3,) with the middle (2,) of the imprint, by least squares over all frames in
+    contact. A row is zero where it explains less than `ANSWERS`, as in a task whose touch asks for no such thing.
+    """
+    centres, velocities = [np.empty((0, 2))], [np.empty((0, 3))]
+    for r in references:
+        if r.centre_mm is None:
+            continue
+        for first, end in r.contacts:
+            seen = np.arange(first + r.frames(STARTLED), end)
+            seen = seen[np.isfinite(r.centre_mm[seen, 0])]
+            centres.append(1e-3 * r.centre_mm[seen])
+            velocities.append(r.action[seen, :3])
+    centre, velocity = np.concatenate(centres), np.concatenate(velocities)
+    if len(centre) < LEAST_SEEN:
+        return np.zeros((3, 2))
+    centre, velocity = centre - centre.mean(0), velocity - velocity.mean(0)
+    gain = np.linalg.lstsq(centre, velocity, rcond=None)[0].T
+    left = np.sum((velocity - centre @ gain.T) ** 2, 0)
+    return np.where((left < (1 - ANSWERS) * np.sum(velocity**2, 0))[:, None], gain, 0.0)
 
 
 def onset_sigma_m(references: list[Reference]) -> np.ndarray:

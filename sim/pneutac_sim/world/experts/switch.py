@@ -9,6 +9,7 @@ from pneutac_sim.world.world import World
 # Lanes are nearer to each other than gel and bar together are wide, so that the bar is never between two.
 LANES = Lanes(height_m=0.118, rise_m=0.04, middles_m=SwitchTask.starts_m, back_m=0.415)
 END_M = 0.512  # flange where the gel is behind the farthest bar
+CENTRE_ACROSS_HZ, CENTRE_ALONG_HZ = 6.0, 3.0  # how fast it centres the imprint; the bar is lost to the side
 
 
 def flip_switch(world: World, habits: Habits, pressure: float) -> Wish:
@@ -29,4 +30,5 @@ def _push(world: World, habits: Habits, pressure: float) -> Wish:
     at = world.imprint_m
     across, along = (0.0, 0.0) if at is None else at
     ahead = 0.03 - 0.012 * full
-    return habits.speed * np.array([ahead, -3.0 * across, -3.0 * along]), habits.high_kpa
+    aside = np.array([CENTRE_ACROSS_HZ * across, CENTRE_ALONG_HZ * along])
+    return habits.speed * np.array([ahead, *-aside]), habits.high_kpa
