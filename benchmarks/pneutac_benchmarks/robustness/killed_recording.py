@@ -27,6 +27,10 @@ def episode_length(episode: int) -> int:
     return 8 + episode % 5
 
 
+class _Robot:
+    name = "pneutac"
+
+
 def grey(episode: int) -> int:
     """Grey level of all its images, other than its neighbours'."""
     return 20 + 37 * episode % 200
@@ -37,7 +41,8 @@ def record(root: Path, video: bool, resume: bool, saved) -> None:
     from lerobot.datasets import LeRobotDataset
 
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
-    Keeper(15).connect()  # as a robot that connects
+    robot = _Robot()
+    Keeper(15, robot).connect()  # as a robot that connects
     features = {
         "observation.state": {"dtype": "float32", "shape": (len(STATE_NAMES),), "names": list(STATE_NAMES)},
         "action": {"dtype": "float32", "shape": (len(ACTION_NAMES),), "names": list(ACTION_NAMES)},

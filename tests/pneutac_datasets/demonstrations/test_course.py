@@ -1,12 +1,15 @@
 """The course of a demonstration through a new scene follows the touch, not the clock."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from pneutac_datasets.demonstrations.augment.course import EARLY, LATE_RELEASE, LATE_TOUCH, Course
-from pneutac_datasets.demonstrations.augment.reference import Reference
+from pneutac_datasets.demonstrations.augment.reference import Reference, reaction_hz
 
 FIRST, END, LENGTH = 40, 70, 90
+NOTHING, NOWHERE = np.zeros((3, 2)), np.full(2, np.nan)
 
 
 @pytest.fixture
@@ -22,14 +25,14 @@ def go(course, touched, steps, flange_m=(0.0, 0.0, 0.0)):
     """Frames of so many steps; the last is None where a touch has not come."""
     frames = []
     for _ in range(steps):
-        frames.append(course.frame if course.advance(touched, np.array(flange_m)) else None)
+        frames.append(course.frame if course.advance(touched, NOWHERE, np.array(flange_m)) else None)
         if frames[-1] is None:
             break
     return frames
 
 
 def test_a_touch_as_demonstrated_leads_through_it_frame_by_frame(reference):
-    course = Course(reference, 0.0)
+    course = Course(reference, 0.0, NOTHING)
     assert go(course, False, FIRST)[-1] == FIRST - 1
     frames = go(course, True, END - FIRST, reference.flange_m[FIRST])
     assert frames == list(range(FIRST, END)) and course.in_contact
@@ -38,7 +41,7 @@ def test_a_touch_as_demonstrated_leads_through_it_frame_by_frame(reference):
 
 @pytest.mark.parametrize("step", [3, 25, FIRST - 1])
 def test_an_early_touch_begins_the_contact_where_it_came(reference, step):
-    course = Course(reference, 0.004)
+    course = Course(reference, 0.004, NOTHING)
     go(course, False, step)
     assert not course.offset_m.any()  # the way there stays
     there = np.array([0.01, 0.001, 0.002])
@@ -49,22 +52,22 @@ def test_an_early_touch_begins_the_contact_where_it_came(reference, step):
 
 
 def test_who_waits_too_long_has_missed_the_object(reference):
-    course = Course(reference, 0.0)
+    course = Course(reference, 0.0, NOTHING)
     frames = go(course, False, LENGTH)
     assert frames[-1] is None and course.waiting
     assert len(frames) == FIRST + LATE_TOUCH + 1
-    late = Course(reference, 0.0)
+    late = Course(reference, 0.0, NOTHING)
     go(late, False, FIRST + LATE_TOUCH)
     assert go(late, True, 1)[0] == FIRST
 
 
 def test_a_contact_ends_when_the_touch_is_gone(reference):
-    course = Course(reference, 0.0)
+    course = Course(reference, 0.0, NOTHING)
     go(course, False, FIRST)
     go(course, True, END - FIRST - EARLY + 1, reference.flange_m[FIRST])
     assert go(course, False, 2)[-1] == END  # gone for two frames: released early
     assert not course.in_contact
-    held = Course(reference, 0.0)
+    held = Course(reference, 0.0, NOTHING)
     go(held, False, FIRST)
     frames = go(held, True, END - FIRST + LATE_RELEASE - 1, reference.flange_m[FIRST])
     assert max(frames) == END - 1 and held.in_contact  # it is still felt, so it goes on
@@ -73,11 +76,11 @@ def test_a_contact_ends_when_the_touch_is_gone(reference):
 
 
 def test_a_brush_after_a_firm_touch_is_no_touch(reference):
-    course = Course(reference, 0.0)
+    course = Course(reference, 0.0, NOTHING)
     go(course, 0.0, FIRST)
     go(course, 0.1, END - FIRST - 2, reference.flange_m[FIRST])
     assert go(course, 0.01, 3)[-1] >= END and not course.in_contact
-    felt = Course(reference, 0.0)
+    felt = Course(reference, 0.0, NOTHING)
     go(felt, 0.0, FIRST)
     go(felt, 0.1, END - FIRST - 2, reference.flange_m[FIRST])
     assert go(felt, 0.04, 3)[-1] < END and felt.in_contact  # less than it was, and a touch
@@ -85,7 +88,7 @@ def test_a_brush_after_a_firm_touch_is_no_touch(reference):
 
 def test_a_demonstration_that_ends_in_contact_is_not_over_when_the_touch_flickers(reference):
     reference.area[END:] = 0.1
-    course = Course(reference, 0.0)
+    course = Course(reference, 0.0, NOTHING)
     go(course, False, FIRST)
     go(course, True, LENGTH - FIRST - 8, reference.flange_m[FIRST])
     frames = go(course, False, 8 + LATE_RELEASE - 1)
@@ -98,12 +101,12 @@ def test_touch_is_asked_for_until_the_demonstration_let_go(reference):
     """Asked for beyond that, a plan would cling to what gives way at last, and press what lies behind it."""
     reference.area[END - 2 : END] = 0.2, 0.3
     frames = np.arange(END - 2, END + 2)
-    course = Course(reference, 0.0)
+    course = Course(reference, 0.0, NOTHING)
     go(course, False, FIRST)
     go(course, True, 1, reference.flange_m[FIRST])
     np.testing.assert_array_equal(course.area_goal(frames), [0.2, 0.3, np.nan, np.nan])
     reference.area[END:] = 0.1
-    lasting = Course(reference, 0.0)
+    lasting = Course(reference, 0.0, NOTHING)
     go(lasting, False, FIRST)
     go(lasting, True, 1, reference.flange_m[FIRST])
     np.testing.assert_array_equal(lasting.area_goal(np.arange(LENGTH - 1, LENGTH + 2)), [0.1] * 3)
@@ -112,9 +115,9 @@ def test_touch_is_asked_for_until_the_demonstration_let_go(reference):
 def test_a_short_bump_need_not_come_and_is_no_contact(reference):
     reference.area[20:22] = 0.05
     assert len(reference.contacts) == 2
-    course = Course(reference, 0.0)
+    course = Course(reference, 0.0, NOTHING)
     assert None not in go(course, False, FIRST)
-    bumped = Course(reference, 0.0)
+    bumped = Course(reference, 0.0, NOTHING)
     go(bumped, False, 15)
     assert go(bumped, True, 1) == [FIRST]
 
@@ -128,3 +131,29 @@ def test_a_contact_ends_where_the_air_is_let_out():
     assert r.contacts == [(FIRST, END)]
     action[END - 4 :, 3] = 0.0
     assert r.contacts == [(FIRST, END - 4)]
+
+
+def test_a_touch_elsewhere_is_answered_as_demonstrations_answer_it(reference):
+    """Hands that go back to the middle at 3 per second, with tremor: told from the recordings, and done."""
+    rng = np.random.default_rng(0)
+    recorded = []
+    for _ in range(5):
+        centre = np.full((LENGTH, 2), np.nan)
+        centre[FIRST:END] = rng.normal(0, 3, (END - FIRST, 2))
+        action = np.zeros((LENGTH, 4))
+        action[:, :3] = rng.normal(0, 0.003, (LENGTH, 3))
+        action[FIRST:END, 1] -= 3e-3 * centre[FIRST:END, 0]
+        recorded.append(replace(reference, centre_mm=centre, action=action))
+    gain = reaction_hz(recorded)
+    np.testing.assert_allclose(gain[1], [-3, 0], atol=0.3)
+    assert not gain[[0, 2]].any()  # tremor is no answer
+    assert not reaction_hz([reference]).any()
+
+    course = Course(recorded[0], 0.004, gain)
+    go(course, False, FIRST)
+    there = recorded[0].centre_mm[FIRST]
+    course.advance(0.1, there + (2.0, 0.0), reference.flange_m[FIRST])
+    assert course.answer[1] == pytest.approx(-6e-3, rel=0.1)
+    np.testing.assert_allclose(course.offset_m, [0, course.answer[1] / 15, 0])  # not where the object stands
+    course.advance(0.1, recorded[0].centre_mm[FIRST + 1], reference.flange_m[FIRST])
+    assert not course.answer.any()

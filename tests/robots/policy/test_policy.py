@@ -389,16 +389,6 @@ def test_a_checkpoint_keeps_its_scale(tmp_path, monkeypatch):
     assert not torch.equal(make_ready_policy()._state_scale, trained._state_scale)
 
 
-def test_a_checkpoint_from_before_pressures_had_a_range_of_their_own_acts_as_it_did(tmp_path):
-    trained, batch = make_ready_policy(), make_batch()
-    trained.save_pretrained(tmp_path)
-    file = tmp_path / "model.safetensors"
-    save_file({k: v for k, v in load_file(file).items() if not k.startswith("_action_")}, file)
-    assert torch.equal(
-        PneutacBCPolicy.from_pretrained(tmp_path).select_action(batch), trained.select_action(batch)
-    )
-
-
 def test_a_dataset_of_another_finger_scales_and_limits_the_pressure():
     rows = {"min": np.full(20, 0.2), "max": np.full(20, 0.6)}
     stats = {"observation.state": rows, "action": {"min": [-0.1, 0, 0, -30.0], "max": [0.1, 0, 0, 60.0]}}

@@ -30,16 +30,17 @@ class Course:
         frame: of the reference.
         offset_m: (3,) displacement of the reference's path now.
         in_contact: whether this frame belongs to a contact that has come.
-        answer_m_s: (3,) velocity to be added as the touch is elsewhere on the gel than it was.
+        answer: (4,) to be added to the action, as the touch is elsewhere on the gel than it was.
     """
 
     def __init__(self, reference: Reference, aside_m: float, reaction_hz: np.ndarray):
         self._contacts, self._reaction_hz = list(reference.contacts), reaction_hz
+        self._centre_mm = _since_touched(reference)
         self._reference, self._aside_m, self._frames = reference, aside_m, reference.frames
         self._waited = self._lost = 0
         self._largest = 0.0
         self.frame, self.offset_m, self.in_contact = -1, np.zeros(3), False
-        self.answer_m_s = np.zeros(3)
+        self.answer = np.zeros(4)
 
     def advance(self, area: float, centre_mm: np.ndarray, flange_m: np.ndarray) -> bool:
         """Goes on to the next frame.
@@ -61,13 +62,11 @@ class Course:
 
     def _answer(self, centre_mm: np.ndarray) -> None:
         """Leads the way aside as the demonstrations do where the touch is elsewhere than it was."""
-        r = self._reference
-        self.answer_m_s = np.zeros(3)
-        if self.in_contact and r.centre_mm is not None:
-            elsewhere = 1e-3 * (centre_mm - r.centre_mm[self.frame])
-            if np.isfinite(elsewhere).all():
-                self.answer_m_s = self._reaction_hz @ elsewhere
-        self.offset_m = self.offset_m + self.answer_m_s / r.control_hz
+        self.answer = np.zeros(4)
+        elsewhere = 1e-3 * (centre_mm - self._centre_mm[min(self.frame, len(self._centre_mm) - 1)])
+        if self.in_contact and np.isfinite(elsewhere).all():
+            self.answer[:3] = self._reaction_hz @ elsewhere
+        self.offset_m = self.offset_m + self.answer[:3] / self._reference.control_hz
 
     def _stay_in_contact(self, area: float) -> bool:
         """Ends a contact when the touch is gone, up to `EARLY` frames too soon; False if it is too late."""
@@ -141,3 +140,15 @@ class Course:
     def waiting(self) -> bool:
         """Whether a touch, or its end, is overdue."""
         return self._waited > 0
+
+
+def _since_touched(reference: Reference) -> np.ndarray:
+    """Middles of the imprints (T, 2), mm; the first that is seen also where a contact begins too softly."""
+    if reference.centre_mm is None:
+        return np.full((len(reference), 2), np.nan)
+    centre = reference.centre_mm.copy()
+    for first, end in reference.contacts:
+        seen = np.flatnonzero(np.isfinite(centre[first:end, 0]))
+        if len(seen):
+            centre[first : first + seen[0]] = centre[first + seen[0]]
+    return centre

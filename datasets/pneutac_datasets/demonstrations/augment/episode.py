@@ -15,7 +15,13 @@ from pneutac_datasets.demonstrations.augment.reference import (
     onset_sigma_m,
     reaction_hz,
 )
-from pneutac_datasets.demonstrations.augment.scene import FEEDBACK_HZ, Scene, command_latency, find_scene, follow
+from pneutac_datasets.demonstrations.augment.scene import (
+    FEEDBACK_HZ,
+    Scene,
+    command_latency,
+    find_scene,
+    follow,
+)
 from pneutac_datasets.demonstrations.episodes import POINTS
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_NAMES, AREA, MAX_PRESSURE_KPA
@@ -299,17 +305,19 @@ class Generator:
                 queue = [warm[0]]
                 if course.in_contact:
                     warm[t + steps > course.last, :3] = course.onward_m * r.control_hz
-                    answer = course.answer_m_s * fades
-                    warm[:, :3] += answer
+                    answer = course.answer * fades
+                    warm += answer
                     ahead = t + 1 + steps
                     beyond = np.maximum(ahead - course.last, 0)[:, None] * course.onward_m
                     ahead = np.minimum(ahead, course.last)
-                    goal = r.flange_m[ahead] + course.offset_m + beyond + np.cumsum(answer, 0) / r.control_hz
-                    self.gantry.mirror(self.world)
+                    goal = r.flange_m[ahead] + course.offset_m + beyond
+                    goal += np.cumsum(answer[:, :3], 0) / r.control_hz
+                    self.gantry.mirror(world)
                     warm = planner.plan(warm, action, course.area_goal(t + 1 + steps), goal)
                     self._costs.append(planner.cost)
+                    warm = warm - answer  # is to what is felt in each step, not when the plan was made
                     queue = list(warm[: config.replan])
-            action = np.clip(queue.pop(0), *self.world.action_limits)
+            action = np.clip(queue.pop(0) + course.answer, *world.action_limits)
             yield action
 
     def _centre_mm(self) -> np.ndarray:

@@ -134,7 +134,7 @@ def reaction_hz(references: list[Reference]) -> np.ndarray:
     """How demonstrations answer where the touch is on the gel: (3, 2), 1/s.
 
     The change of the velocity (3,) with the middle (2,) of the imprint, by least squares over all frames in
-    contact. A row is zero where it explains less than `ANSWERS`, as in a task whose touch asks for no such thing.
+    contact. A row is zero where it explains less than `ANSWERS`, as in a task that asks for no such thing.
     """
     centres, velocities = [np.empty((0, 2))], [np.empty((0, 3))]
     for r in references:

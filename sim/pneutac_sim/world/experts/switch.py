@@ -9,7 +9,7 @@ from pneutac_sim.world.world import World
 # Lanes are nearer to each other than gel and bar together are wide, so that the bar is never between two.
 LANES = Lanes(height_m=0.118, rise_m=0.04, middles_m=SwitchTask.starts_m, back_m=0.415)
 END_M = 0.512  # flange where the gel is behind the farthest bar
-CENTRE_ACROSS_HZ, CENTRE_ALONG_HZ = 6.0, 3.0  # how fast it centres the imprint; the bar is lost to the side
+CENTRE_ACROSS_HZ, CENTRE_ALONG_HZ = 4.5, 3.0  # how fast it centres the imprint; the bar is lost to the side
 
 
 def flip_switch(world: World, habits: Habits, pressure: float) -> Wish:
