@@ -23,6 +23,7 @@ from pneutac_sim.gel.probe import NO_TRIANGLES, probe_grid
 CELLS = 80  # that carry pressure, about
 FINE = 3  # depths a cell along each edge
 ASPECTS = 4, 2, 1  # of a cell
+MOST = 96  # cells along an edge: a few points far apart would ask for finer ones
 LOOK = (40, 30)  # rows and columns of the first look, which finds where and how large the contact is
 REACH_MM = 8.0  # how far before the face an object is seen
 LEAST_MM, DEEPEST_MM, FURTHER = 0.3, 2.0, 1.25  # depths at which a spring is fitted, and the second's ratio
@@ -112,7 +113,7 @@ def _place(touched: np.ndarray, window_mm) -> tuple[np.ndarray, np.ndarray, np.n
     n, c, s, low_u, high_u, low_v, high_v = _box(touched, cell_x, cell_y)
     extent = np.array([high_u - low_u, high_v - low_v])
     aspect = next(a for a in ASPECTS if extent[0] > a * a * extent[1] / 2 or a == 1)
-    size = math.sqrt(n * cell_x * cell_y / (CELLS * aspect))
+    size = max(math.sqrt(n * cell_x * cell_y / (CELLS * aspect)), *(extent / (aspect, 1) / MOST))
     turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     return turn, 0.5 * np.array([low_u + high_u, low_v + high_v]), extent, size, aspect
 
@@ -142,7 +143,7 @@ def _box(touched, cell_x, cell_y):
 
 
 @functools.cache
-def _near(aspect: int, count: int = 128) -> np.ndarray:
+def _near(aspect: int, count: int = MOST + 1) -> np.ndarray:
     """Mean of 1 / r over a cell `aspect` long and 1 wide, from the middles of cells beside it (Love 1929)."""
     x, y = np.indices((count, count)) * np.array([aspect, 1.0])[:, None, None]
     w, h = aspect / 2, 0.5

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from pneutac_sim.gel.force import GelForce
 from pneutac_sim.gel.indenter import Press
-from pneutac_sim.gel.probe import probe_grid
+from pneutac_sim.gel.probe import SPHERE, probe_grid
 from pneutac_sim.gel.spring import GelSpring, Spring
 from pneutac_sim.twin import Twin
 
@@ -55,6 +55,18 @@ def test_what_is_near_has_a_spring_and_what_is_far_none(springs):
     near = before_the_face(2.0)
     assert near.force(3e-4) == pytest.approx(touching.force(3e-4), rel=0.02)
     assert before_the_face(20.0) is None
+
+
+def test_points_far_apart_are_borne_as_each_alone(springs):
+    """Three tips near corners of the window, each under a few cells of the first look."""
+    at = 1e-3 * np.array([[-5.5, -6.5, 0.0], [5.5, -6.5, 0.0], [-5.0, 7.0, 0.0]])
+
+    def force(positions):
+        n = len(positions)
+        shapes = [SPHERE] * n, [(0.0003, 0, 0)] * n, positions, [np.eye(3)] * n
+        return springs.of(*shapes, *HERE).force(0.3e-3)
+
+    assert force(at) == pytest.approx(sum(force(p[None]) for p in at), rel=0.15)
 
 
 def test_turned_together_object_and_gel_have_the_same_spring(springs):
