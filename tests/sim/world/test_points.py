@@ -28,7 +28,8 @@ def test_forces_sum_to_the_one_of_the_gels_spring(pressed):
     total = tactile_points(pressed)[..., 3:].sum((0, 1))
     np.testing.assert_allclose(total, contact_force_n(pressed.model, pressed.data), rtol=1e-5)
     assert total[2] == pytest.approx(-pressed.press_n, rel=0.05)
-    assert np.abs(total[:2]).max() < GEL_FRICTION * abs(total[2])
+    # It slides: Coulomb's limit, but for the round bar's normal, which is not quite the gel's.
+    assert np.abs(total[:2]).max() < 1.01 * GEL_FRICTION * abs(total[2])
 
 
 def test_they_are_where_the_gel_is_pressed(pressed):
