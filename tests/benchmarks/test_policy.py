@@ -36,7 +36,7 @@ def test_plan_has_each_policy_and_shares_what_they_share():
     names = [u.name for u in units]
     assert len(set(names)) == len(names)
     cells = 3 * 3  # tasks and seeds
-    counts = {"record": 2, "augment": 1, "naive": 1, "ppo": 1, "student": 1, "train": 6, "evaluate": 6}
+    counts = {"record": 2, "augment": 1, "naive": 1, "ppo": 1, "student": 1, "train": 7, "evaluate": 7}
     assert {k: len(by_kind(units, k)) for k in counts} == {k: cells * n for k, n in counts.items()}
     for i, unit in enumerate(units):  # what is needed comes first
         assert set(unit.needs) <= set(names[:i])

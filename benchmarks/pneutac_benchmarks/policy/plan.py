@@ -41,6 +41,7 @@ class Condition:
 
 CONDITIONS = {
     "sim_real": Condition("augmented on the twin, then real", "augmented", "real"),
+    "mixed": Condition("augmented on the twin, and real counted twice, at once", None, "mixed"),
     "real": Condition("real", None, "real"),
     "n_aug": Condition("augmented without a simulator, then real", "naive", "real"),
     "real_20": Condition("twice as many real", None, "real_20"),
@@ -59,6 +60,7 @@ FRAMES = {
     "real": ("real",),
     "real_20": ("real", "more"),
     "augmented": ("augmented",),
+    "mixed": ("real", "real", "augmented"),
     "naive": ("naive",),
     "student": ("student",),
     "augmented_before": ("augmented_before",),

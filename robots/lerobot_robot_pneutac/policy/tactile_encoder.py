@@ -84,5 +84,7 @@ class TactileEncoder(nn.Module):
             )
         seen = image if pooled else pool(image)
         rest = pool(self.rest_image[None])
-        gain = (seen / rest.clamp_min(DARK)).flatten(2).median(2).values.clamp(*DRIFT)[..., None, None]
+        # Every fourth pixel tells the median as well; of all of them it is a quarter of a training step.
+        ratio = seen[..., ::2, ::2] / rest[..., ::2, ::2].clamp_min(DARK)
+        gain = ratio.flatten(2).median(2).values.clamp(*DRIFT)[..., None, None]
         return (seen - gain * rest) / DIFFERENCE_SCALE

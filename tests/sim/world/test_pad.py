@@ -44,3 +44,18 @@ def test_where_nothing_is_near_what_was_pressed_before_does_not_matter(world):
     assert pad.spring == free[0]
     assert np.array_equal(world.model.dof_armature, free[1])
     assert np.array_equal(world.model.dof_damping, free[2])
+
+
+def test_a_face_that_is_dragged_off_stays_on_the_sensor():
+    """Cards that rub along the gel's side with some 10 N each once tore it off, which ended an augmentation."""
+    world = World("switch", touch="none")
+    world.reset(0)
+    pad = world.model.joint("pad")
+    world.data.qfrc_applied[pad.dofadr[0]] = 40.0
+    for _ in range(15):
+        world.step([0, 0, 0, 0])  # would raise where the physics diverges
+    assert 0.5e-3 < world.data.qpos[pad.qposadr[0]] < 2.1e-3
+    world.data.qfrc_applied[:] = 0.0
+    for _ in range(15):
+        world.step([0, 0, 0, 0])
+    assert world.data.qpos[pad.qposadr[0]] < 0.2e-3
