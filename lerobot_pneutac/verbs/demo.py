@@ -49,7 +49,7 @@ class DemoConfig:
     demonstrations: int = 10
     augmented: int = 12
     steps: int = 5000
-    batch_size: int = 64
+    batch_size: int = 32
     trials: int = 40
     seed: int = 1
     fresh: bool = False
