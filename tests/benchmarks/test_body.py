@@ -61,6 +61,7 @@ def test_means_leave_out_the_photograph_that_was_trained_on():
     assert line["back"] == 30 and line["back_sem"] == 0
 
 
+@pytest.mark.nightly
 def test_run_writes_table_pictures_and_result(tmp_path, monkeypatch):
     class Flat:
         """The trained photograph's silhouette in its mean colour, wherever the finger is."""

@@ -192,7 +192,7 @@ def _digit() -> str:
         f'<geom class="skin" type="box" pos="{a} 0 {z}" size="{a} {b} {c}" material="digit"/>'
         f'<site name="gel" pos="{x} 0 {GEL_ABOVE_M}" {axes} size=".001" group="5"/>'
         f'<body name="pad" pos="{x} 0 {GEL_ABOVE_M}" {axes} gravcomp="1">'
-        # Stops that are hard after 2 mm: an edge that rubs along the gel's side would drag the face farther off,
+        # Stops, hard after 2 mm: an edge that rubs along the gel's side would drag the face farther off,
         # where its spring is not stable.
         f'<joint name="pad" type="slide" axis="0 0 1" limited="true"'
         f' range="{-GEL_TRAVEL_M} {GEL_SLACK_M}" solimplimit=".9 .9999 .002"/>'

@@ -69,6 +69,7 @@ def press(n, depth):
     return out
 
 
+@pytest.mark.nightly
 def test_a_sphere_indents_alike():
     force, profile = [], []
     for n in (1, 2):

@@ -47,7 +47,7 @@ def test_where_nothing_is_near_what_was_pressed_before_does_not_matter(world):
 
 
 def test_a_face_that_is_dragged_off_stays_on_the_sensor():
-    """Cards that rub along the gel's side with some 10 N each once tore it off, which ended an augmentation."""
+    """Cards that rub along the gel's side, some 10 N each, once tore it off and ended an augmentation."""
     world = World("switch", touch="none")
     world.reset(0)
     pad = world.model.joint("pad")
