@@ -37,7 +37,7 @@ class EpisodeData:
         commanded_m: (T, 3) where the flange goes in the twin's world when commands act at once.
         imprint: (T,) strength measured, levels.
         area: (T,) contact area measured.
-        press_mm: (T, len(MORE_RAD)) imprint depth in the twin's world.
+        press_n: (T, len(MORE_RAD)) force on the gel in the twin's world.
         contact: (T,) frames in which touch is compared.
     """
 
@@ -48,7 +48,7 @@ class EpisodeData:
     commanded_m: np.ndarray
     imprint: np.ndarray
     area: np.ndarray
-    press_mm: np.ndarray
+    press_n: np.ndarray
     contact: np.ndarray
 
     def __len__(self) -> int:
@@ -76,7 +76,7 @@ def episode_data(twin: Twin, given: Demonstrations, progress: Progress = no_prog
                 world.commanded(e),
                 strengths(e.images, rest_image(e)),
                 e.state[:, -3],
-                _steady(np.stack([world.replay(e, place, m).press_mm for m in MORE_RAD], 1)),
+                _steady(np.stack([world.replay(e, place, m).press_n for m in MORE_RAD], 1)),
                 (frames >= first - BEFORE) & (frames <= last + AFTER),
             )
         )
@@ -84,9 +84,9 @@ def episode_data(twin: Twin, given: Demonstrations, progress: Progress = no_prog
     return out
 
 
-def _steady(press_mm: np.ndarray) -> np.ndarray:
-    """Depths (T, k) without the chatter of a rigid contact, whose period is `CHATTER` frames."""
-    return uniform_filter1d(press_mm, CHATTER, axis=0, mode="nearest")
+def _steady(press_n: np.ndarray) -> np.ndarray:
+    """Forces (T, k) without the chatter of a rigid contact, whose period is `CHATTER` frames."""
+    return uniform_filter1d(press_n, CHATTER, axis=0, mode="nearest")
 
 
 def inputs_of(episodes: list[EpisodeData], latency_s: float, twin: Twin) -> Inputs:

@@ -3,7 +3,7 @@
 All errors are in mm at the finger's tip: the flange's own; a pressure's by the bend that it makes in the
 twin; a touch's by the bend that would make it. What belongs to an episode and not to the finger is fitted
 beside it, from that episode alone: by how much its object stands elsewhere, as a bend, and how strong its
-imprints show where it pressed. Touch is shown `touch_late` frames late, and grows as a power of the depth,
+imprints show where it pressed. Touch is shown `touch_late` frames late, and grows as a power of the force,
 alike in all.
 """
 

@@ -36,7 +36,7 @@ def made(twin, truth, seed, latency_s=0.0):
         Place(0, (0, 0, 0)), command, empty, late, path, empty, empty, np.zeros((n, len(MORE_RAD))), t > 2.4
     )
     bent = bends(twin, e).markers[:, 3]
-    e.press_mm = (
+    e.press_n = (
         np.maximum(0.2 + 3 * (bent - bent[40])[:, None] + np.array(MORE_RAD) * SLOPE, 0) * (t > 2.5)[:, None]
     )
     shift = int(round(latency_s * CONTROL_HZ))
@@ -89,7 +89,7 @@ def test_what_an_episode_has_of_its_own_is_no_effect(twin):
     f = fitter(twin, [made(twin, twin, seed) for seed in range(2)])
     e = f.episodes[0]
     e.imprint = 0.4 * e.imprint
-    e.press_mm = np.maximum(e.press_mm + 0.03 * SLOPE * (e.press_mm > 0), 0)
+    e.press_n = np.maximum(e.press_n + 0.03 * SLOPE * (e.press_n > 0), 0)
     base = f.base(TOUCH)
     assert np.sqrt((base.residual**2).mean()) < 0.3
 

@@ -44,6 +44,7 @@ class Replayed:
         flange_m: (T, 3) where the flange went.
         area: (T,) contact areas; 0 where the world has no images.
         press_mm: (T,) how far the gel's face is pressed in.
+        press_n: (T,) force on it.
         pressure_kpa: (T,) in the chamber.
         gel_m: (T, 3) middle of the gel's face, in the recorded flange's place.
         gel_axes: (T, 9) its rotation.
@@ -54,6 +55,7 @@ class Replayed:
     flange_m: np.ndarray
     area: np.ndarray
     press_mm: np.ndarray
+    press_n: np.ndarray
     pressure_kpa: np.ndarray
     gel_m: np.ndarray
     gel_axes: np.ndarray
@@ -109,9 +111,9 @@ class ReplayWorld(VariedWorld):
             rows.append(self._row(path[t + 1]))
             if keep:
                 images.append(self.touch.image)
-        flange, area, press, inside, gel, axes = (np.array(c) for c in zip(*rows, strict=True))
+        columns = [np.array(c) for c in zip(*rows, strict=True)]
         kept = np.stack(images) if keep else None
-        return Replayed(flange, area, press, inside, gel, axes, kept, bool(self.success and not self.failure))
+        return Replayed(*columns, kept, bool(self.success and not self.failure))
 
     def commanded(self, episode: Episode) -> np.ndarray:
         """Where the flange goes, (T, 3) m, when the commands act at once and nothing is in its way."""
@@ -127,7 +129,8 @@ class ReplayWorld(VariedWorld):
     def _row(self, recorded_m: np.ndarray) -> tuple:
         at = self.gel_m + recorded_m - self.flange_m
         axes = self.data.site("gel").xmat.copy()
-        return self.flange_m, self.touch.area, self.press_mm, self.pressure_kpa, at, axes
+        touch = self.touch.area, self.press_mm, self.press_n
+        return self.flange_m, *touch, self.pressure_kpa, at, axes
 
 
 def smooth(path: np.ndarray) -> np.ndarray:
