@@ -10,6 +10,7 @@ from lerobot.utils.constants import OBS_STATE
 from lerobot_pneutac.reports.page import Report
 from pneutac_datasets.demonstrations.augment.reference import Reference, onset_sigma_m
 from pneutac_sim.features import AREA, EE
+from pneutac_sim.gel.contact import without_specks
 
 SHOWN = 4  # recorded demonstrations whose touch is drawn
 
@@ -118,7 +119,8 @@ def _touch(states: list[np.ndarray], sources: list[int], references: list[Refere
 
 
 def _paths(states: list[np.ndarray], references: list[Reference]) -> go.Figure:
-    new = [s[np.flatnonzero(s[:, AREA] > 0)[0], EE] for s in states if (s[:, AREA] > 0).any()]
+    felt = [(s, np.flatnonzero(without_specks(s[:, AREA]))) for s in states]
+    new = [s[frames[0], EE] for s, frames in felt if len(frames)]
     old = [r.flange_m[r.onset] for r in references]
     figure = go.Figure()
     for name, points, size in (("new", new, 6), ("recorded", old, 12)):

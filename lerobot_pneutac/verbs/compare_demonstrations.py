@@ -15,6 +15,7 @@ from pneutac_datasets.demonstrations.replay.imprint import LightDrift, light_dri
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_datasets.demonstrations.replay.replaying import Replayed, ReplayWorld
 from pneutac_sim.features import AREA, CONTROL_HZ
+from pneutac_sim.gel.contact import without_specks
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
@@ -225,7 +226,7 @@ class DemonstrationComparison(Comparison):
 
 def phases(episode: Episode) -> np.ndarray:
     """(T,) phase of each frame of an episode, an index of `PHASES`."""
-    touched = episode.state[:, AREA] > 0
+    touched = without_specks(episode.state[:, AREA]) > 0
     first, last = episode.contact() or (len(episode), len(episode))
     frames = np.arange(len(episode))
     out = np.zeros(len(episode), int)

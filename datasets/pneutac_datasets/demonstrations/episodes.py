@@ -19,6 +19,7 @@ from pneutac_sim.features import (
     joint_count,
     state_names_like,
 )
+from pneutac_sim.gel.contact import without_specks
 from pneutac_sim.world.cameras import SCENE_CAMERAS
 from pneutac_sim.world.points import points_info
 
@@ -81,8 +82,8 @@ class Episode:
         return self.images.shape[1] * self.images.shape[2]
 
     def contact(self) -> tuple[int, int] | None:
-        """First and last frame in contact, or None."""
-        frames = np.flatnonzero(self.state[:, AREA] > 0)
+        """First and last frame in contact, specks of noise apart, or None."""
+        frames = np.flatnonzero(without_specks(self.state[:, AREA]))
         return (int(frames[0]), int(frames[-1])) if len(frames) else None
 
 

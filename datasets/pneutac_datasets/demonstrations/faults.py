@@ -17,6 +17,7 @@ from pneutac_sim.features import (
     POINTS_KEY,
     state_names_like,
 )
+from pneutac_sim.gel.contact import without_specks
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.pace import pace_notes
 from pneutac_sim.twin import Twin
@@ -133,7 +134,7 @@ def _of_episodes(
             broken.append(number)
         elif len(action) < 2:
             short.append(number)
-        elif not (state[:, AREA] > 0).any():
+        elif not without_specks(state[:, AREA]).any():
             untouched.append(number)
         elif action[:, 3].min() < low - slack or action[:, 3].max() > high + slack:
             beyond.append(number)

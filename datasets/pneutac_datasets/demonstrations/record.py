@@ -17,6 +17,7 @@ from pneutac_datasets.demonstrations.episodes import POINTS, points_feature
 from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import POINTS_KEY
+from pneutac_sim.gel.contact import SPECKS
 from pneutac_sim.progress import Progress, no_progress
 
 
@@ -89,7 +90,7 @@ def _record_episode(robot: PneutacSim, teleop: PneutacScripted, dataset: LeRobot
     felt = False
     for _ in range(teleop.steps(robot)):
         observation = robot.get_observation()
-        felt = felt or observation["contact_area.pos"] > 0
+        felt = felt or observation["contact_area.pos"] >= SPECKS
         action = teleop.get_action()
         points = {POINTS: observation[POINTS_KEY]} if POINTS_KEY in observation else {}
         dataset.add_frame(

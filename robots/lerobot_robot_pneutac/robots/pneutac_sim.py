@@ -27,6 +27,7 @@ from pneutac_sim.features import (
     POINTS_KEY,
     action_limits,
 )
+from pneutac_sim.gel.contact import SPECKS
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.look import SceneCameras
 from pneutac_sim.world.points import tactile_points
@@ -176,7 +177,7 @@ class PneutacSim(BaseRobot):
         self._observation = self.world.step(action)
         self._moved = True
         self._frames += 1
-        self._touched += bool(self._observation.state[AREA] > 0)
+        self._touched += bool(self._observation.state[AREA] >= SPECKS)
         if self.config.bend:
             self._bend.sent(float(self.world.command[3]))
 

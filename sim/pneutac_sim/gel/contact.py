@@ -12,6 +12,7 @@ from numba import njit
 
 THRESHOLD_LEVELS = 12.0
 QUIET_SHARE = 0.999  # share of pixels without contact that stay below the threshold
+SPECKS = 50 / (240 * 320)  # share of an image's pixels that a camera's noise alone may bring above it, by far
 
 
 class ContactArea(NamedTuple):
@@ -54,6 +55,11 @@ def contact_area(
     sum_limit = int(3 * threshold_levels)
     pixels = _count(np.ascontiguousarray(image), np.ascontiguousarray(rest_image), sum_limit)
     return ContactArea.of(pixels, image.shape[0] * image.shape[1])
+
+
+def without_specks(area: np.ndarray) -> np.ndarray:
+    """Contact areas (T,) as shares of the image; 0 where noise alone may have made them."""
+    return np.where(np.asarray(area) < SPECKS, 0.0, area)
 
 
 @njit(cache=True)

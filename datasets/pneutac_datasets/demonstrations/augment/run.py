@@ -43,6 +43,7 @@ from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import AREA, EE
 from pneutac_sim.files import write_text
+from pneutac_sim.gel.contact import without_specks
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.worker import process_pool
@@ -79,7 +80,8 @@ def read_references(
         row = meta.episodes[i]
         rows = slice(row["dataset_from_index"], row["dataset_to_index"])
         s = state[rows]
-        r = Reference(i, s[:, EE], s[:, AREA], action[rows], row["tasks"][0], control_hz=meta.fps)
+        area = without_specks(s[:, AREA])
+        r = Reference(i, s[:, EE], area, action[rows], row["tasks"][0], control_hz=meta.fps)
         if sensor is not None:
             r.centre_mm = imprint_centres_mm(load_episode(dataset, i).images, r.area, sensor)
         references.append(r)

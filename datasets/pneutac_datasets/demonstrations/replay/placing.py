@@ -11,10 +11,11 @@ from pneutac_datasets.demonstrations.episodes import Episode
 from pneutac_datasets.demonstrations.replay.replaying import Place, ReplayWorld
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import AREA
+from pneutac_sim.gel.contact import without_specks
 from pneutac_sim.gel.sensor import centre_mm
 from pneutac_sim.world.varied import Variation
 
-DRAWS = 8
+DRAWS, ENOUGH = 128, 8  # starts drawn at most, and those in reach of which the nearest is taken
 REACH_M, STEP_M = 0.08, 0.001  # how far objects are moved along the gel's view, in steps
 CENTRES = 12  # frames from the onset on whose imprints are taken
 SHALLOW_MM = 0.15  # depth of the first touch that a camera shows
@@ -36,27 +37,31 @@ def find_place(world: ReplayWorld, episode: Episode, seed: int = 0) -> Place:
         raise InputError("The episode never touches anything, so nothing tells where its objects stood.")
     onset = contact[0]
     free = world.replay(episode)
-    middle = imprint_centres_mm(episode.images, episode.state[:, AREA], world.sensor)
-    seen = np.nanmedian(middle[onset : onset + CENTRES], axis=0) if np.isfinite(middle).any() else None
+    middle = imprint_centres_mm(episode.images, without_specks(episode.state[:, AREA]), world.sensor)
+    shown = middle[onset : onset + CENTRES]
+    seen = np.nanmedian(shown, axis=0) if np.isfinite(shown).any() else None
     gel = free.gel_m[onset], free.gel_axes[onset]
     x, y, z = gel[1].reshape(3, 3).T  # across and along the finger, and the gel's view
+    forward = z * (1, 1, 0) / max(np.hypot(*z[:2]), 1e-9)
     found = []
     for start in np.random.default_rng([seed, 11]).integers(2**31, size=DRAWS).tolist():
         world.variation = Variation(tuple(episode.state[0, -6:-3]), (0.0, 0.0, 0.0))
         world.reset(start)
         shift = np.zeros(3)
-        for _ in range(2):  # once to the gel, then beside it
-            far = _touching(world, gel, shift, z)
+        for view in (forward, z):  # once on the table to the gel, then beside it
+            far = _touching(world, gel, shift, view)
             if far is None:
                 break
-            shift = shift + far * z
-            if seen is not None and np.isfinite(seen).all():
+            shift = shift + far * view
+            if seen is not None:
                 there = centre_mm(_depth(world, gel, shift), world.sensor.model.window_mm)
                 shift = shift + 1e-3 * ((seen[0] - there[0]) * x + (seen[1] - there[1]) * y)
         else:
             far = _touching(world, gel, shift, z)
             if far is not None:
                 found.append((float(np.linalg.norm(shift)), start, tuple((shift + far * z).tolist())))
+        if len(found) == ENOUGH:
+            break
     if not found:
         raise InputError(
             f"No object of the task '{world.task.name}' comes into the gel's reach at the first touch, frame "
