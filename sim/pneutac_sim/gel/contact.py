@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from scipy.ndimage import label, maximum
 
 THRESHOLD_LEVELS = 12.0
 QUIET_SHARE = 0.999  # share of pixels without contact that stay below the threshold
@@ -58,8 +59,13 @@ def contact_area(
 
 
 def without_specks(area: np.ndarray) -> np.ndarray:
-    """Contact areas (T,) as shares of the image; 0 where noise alone may have made them."""
-    return np.where(np.asarray(area) < SPECKS, 0.0, area)
+    """Contact areas (T,) of a film as shares of the image, without those that noise alone may have made.
+
+    A touch begins with single pixels too, but it grows: a stretch of frames stays where it reaches `SPECKS`.
+    """
+    stretch, count = label(np.asarray(area) > 0)
+    grown = maximum(area, stretch, np.arange(count + 1)) >= SPECKS
+    return np.where((stretch > 0) & grown[stretch], area, 0.0)
 
 
 @njit(cache=True)

@@ -42,17 +42,16 @@ def find_place(world: ReplayWorld, episode: Episode, seed: int = 0) -> Place:
     seen = np.nanmedian(shown, axis=0) if np.isfinite(shown).any() else None
     gel = free.gel_m[onset], free.gel_axes[onset]
     x, y, z = gel[1].reshape(3, 3).T  # across and along the finger, and the gel's view
-    forward = z * (1, 1, 0) / max(np.hypot(*z[:2]), 1e-9)
     found = []
     for start in np.random.default_rng([seed, 11]).integers(2**31, size=DRAWS).tolist():
         world.variation = Variation(tuple(episode.state[0, -6:-3]), (0.0, 0.0, 0.0))
         world.reset(start)
         shift = np.zeros(3)
-        for view in (forward, z):  # once on the table to the gel, then beside it
-            far = _touching(world, gel, shift, view)
+        for _ in range(2):  # once to the gel, then beside it
+            far = _touching(world, gel, shift, z)
             if far is None:
                 break
-            shift = shift + far * view
+            shift = shift + far * z
             if seen is not None:
                 there = centre_mm(_depth(world, gel, shift), world.sensor.model.window_mm)
                 shift = shift + 1e-3 * ((seen[0] - there[0]) * x + (seen[1] - there[1]) * y)
