@@ -205,8 +205,10 @@ def add(
         InputError: there is no such effect, the devices differ, or there are too few rows to fit at all.
     """
     if isinstance(effect, Diagnosis):
-        o = effect.outcome
-        return _whole(effect.study, twin, o.selected, o.before, o.after)
+        o, study = effect.outcome, effect.study
+        # Anew, as the twin itself would have it: a search may predict from what it computed before.
+        after = replace(o.after, residual=study.residual(o.after.twin))
+        return _whole(study, twin, o.selected, o.before, after)
     if isinstance(effect, Path):
         return _written(twin, same_body(twin, recording, "add to"), effect)
     effects = [effect] if isinstance(effect, str) else list(effect)
