@@ -10,8 +10,8 @@ import numpy as np
 
 from lerobot_pneutac.diagnosis.programs import HZ, Program, pressure_span, table
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.effects import laws
 from pneutac_sim.effects import memories as by
+from pneutac_sim.effects.law_table import TABLE, Row
 
 MOST_S = 600.0
 MOST_HZ = 100.0
@@ -32,7 +32,7 @@ def law_program(recording: Recording, name: str, constants: Mapping[str, float])
     Returns:
         None for what is no law of the drive.
     """
-    row = laws.table().get(name.partition(" #")[0])
+    row = TABLE.get(name.partition(" #")[0])
     if row is None:
         return None
     low, top = pressure_span(recording)
@@ -56,7 +56,7 @@ def law_programs(recording: Recording, effects: Mapping[str, Mapping[str, float]
     return [p for p in made if p is not None]
 
 
-def _shape(row: laws.Row) -> Callable[..., tuple[str, Knots, float]]:
+def _shape(row: Row) -> Callable[..., tuple[str, Knots, float]]:
     if row.input == by.CONDITION:
         return _soak
     if row.memory == by.LAG and row.input in (by.SPEED, by.WORK):

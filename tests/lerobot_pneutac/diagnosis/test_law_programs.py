@@ -10,7 +10,8 @@ from lerobot_pneutac.diagnosis.experiment import predict, separations
 from lerobot_pneutac.diagnosis.law_programs import law_program
 from lerobot_pneutac.measuring.programs import read_program
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.effects.laws import law, starts, table
+from pneutac_sim.effects.law_table import TABLE
+from pneutac_sim.effects.laws import law, starts
 from pneutac_sim.finger import BodyData, fit
 from pneutac_sim.twin import Twin, Value
 
@@ -64,7 +65,7 @@ def seen(twin: Twin, recording: Recording) -> np.ndarray:
     return predict(twin, BodyData.of(recording, twin, source="command"))[0]
 
 
-@pytest.mark.parametrize("name", list(table()))
+@pytest.mark.parametrize("name", list(TABLE))
 def test_each_law_shows_in_its_own_program(name):
     twin = with_law(name)
     recording = planned(name, twin)
@@ -82,7 +83,7 @@ def test_neighbours_have_other_programs_and_each_tells_them_apart(one, other):
     assert own.advice != rival.advice
     p, q = (x.samples["pressure_cmd_kpa"].to_numpy() for x in (own, rival))
     same = len(p) == len(q) and np.allclose(p, q)
-    assert same == (table()[one].memory == table()[other].memory)  # else by what one looks at
+    assert same == (TABLE[one].memory == TABLE[other].memory)  # else by what one looks at
     loops = bench(LOOPS.samples["pressure_cmd_kpa"].to_numpy())
     loops.samples[["tip_x_mm", "tip_z_mm"]] = seen(twin, loops)
     start = with_law(other, 0.01)

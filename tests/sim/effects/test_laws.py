@@ -8,7 +8,8 @@ from scipy.integrate import quad, solve_ivp
 from scipy.signal import lfilter
 
 from pneutac_sim.effects import get_effect, in_order
-from pneutac_sim.effects.laws import REFERENCE_C, family, is_law, law, law_names, starts, table
+from pneutac_sim.effects.law_table import TABLE
+from pneutac_sim.effects.laws import REFERENCE_C, family, is_law, law, law_names, starts
 from pneutac_sim.effects.memories import TIMES_S
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import Inputs, Pipeline, PressurePipeline
@@ -353,7 +354,7 @@ def test_two_calls_with_the_state_equal_one(name):
     assert not np.allclose(whole, x)
 
 
-@pytest.mark.parametrize("name", table())
+@pytest.mark.parametrize("name", TABLE)
 def test_no_law_reads_beyond_its_own_constants(name):
     effect, x, c, values = case(name)
     out, dt = np.array(x), np.full(len(x), DT)
@@ -387,7 +388,7 @@ def test_what_has_rested_stays_at_rest(name):
 
 
 @pytest.mark.parametrize(
-    "name", [n for n, r in table().items() if r.family in ("creep", "ringing", "leak", "rate")]
+    "name", [n for n, r in TABLE.items() if r.family in ("creep", "ringing", "leak", "rate")]
 )
 def test_a_long_rest_wipes_out_what_fades(name):
     effect, x, c, values = case(name)
@@ -399,7 +400,7 @@ def test_a_long_rest_wipes_out_what_fades(name):
 
 
 def test_the_other_chambers_do_not_matter():
-    for name, row in table().items():
+    for name, row in TABLE.items():
         effect, x, c, values = case(name)
         both = effect.apply(x, np.full(len(x), DT), values, c)
         alone = effect.apply(x[:, 1], np.full(len(x), DT), values, c)
@@ -407,7 +408,7 @@ def test_the_other_chambers_do_not_matter():
 
 
 def test_a_law_of_no_weight_changes_nothing():
-    for name in table():
+    for name in TABLE:
         effect, x, c, values = case(name)
         np.testing.assert_array_equal(
             effect.apply(x, np.full(len(x), DT), values | {"weight": 0.0}, c), x, err_msg=name
@@ -419,7 +420,7 @@ def test_every_law_tells_what_it_is():
         effect, _, _, values = case(name)
         text = effect.describe(values, "arm")
         assert text.endswith(".") and "{" not in text and effect.experiment.endswith(".") and family(name)
-        assert all(len(s) == len(row.constants) for s in starts(name)) if (row := table().get(name)) else True
+        assert all(len(s) == len(row.constants) for s in starts(name)) if (row := TABLE.get(name)) else True
 
 
 # ---------------------------------------------------------------- laws of a twin
