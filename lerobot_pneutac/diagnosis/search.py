@@ -61,6 +61,19 @@ class Space(Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class Trial:
+    """A form of a model to be fitted, with where to start.
+
+    Attributes:
+        form: structure; its `effects` are names.
+        values: starting values by name.
+    """
+
+    form: Any
+    values: dict[str, float]
+
+
 @dataclass
 class Scored:
     """A fitted model with its worth.
@@ -145,7 +158,7 @@ class Search:
             found.path.append(best)
             found.rivals.append([d for d in done if d is not taken])
             beam = [best, *(d for d in done if d is not taken)][:BEAM]
-        found.final = self._pruned(best, found)
+        found.final = self.pruned(best, found)
         return found
 
     def _begin(self) -> list[Scored]:
@@ -196,7 +209,7 @@ class Search:
         drop, low, _ = self.judge.drop(before.crossed, after.crossed)
         return bool(low > 0 and drop > least)
 
-    def _pruned(self, best: Scored, found: Found) -> Scored:
+    def pruned(self, best: Scored, found: Found) -> Scored:
         """Takes away what is not needed, one after the other."""
         while True:
             terms = self.space.removable(best.model)

@@ -292,17 +292,14 @@ class BodyFitter:
         theta = pipeline.theta(self.twin_with(form.joints), self.data(form.reading).inputs.pressure_range_kpa)
         return np.array([values.get(n, t) for n, t in zip(pipeline.names, theta, strict=True)])
 
-    def fit(
-        self, form: Form, values: dict[str, float], steps: int = 8, every: int = 1, hold: bool = False
-    ) -> BodyModel:
+    def fit(self, form: Form, values: dict[str, float], steps: int = 8, every: int = 1) -> BodyModel:
         """Fits all parameters of a form.
 
         Args:
             form: structure.
             values: where to start, by name.
-            steps: most Gauss-Newton steps.
+            steps: most Gauss-Newton steps; 0 takes the values as they are.
             every: uses one row in so many.
-            hold: True to take the values as they are.
         """
         data, pipeline = self.data(form.reading), self.pipeline(form)
         p = data.inputs.pressure_range_kpa
@@ -319,7 +316,7 @@ class BodyFitter:
             v, centre = problem.begin(v), np.r_[centre, np.full(more, 0.5)]
             spread = np.r_[spread, np.full(more, 0.5 / TRIAL_RANGE)]
         r = problem.residual(v)
-        if not hold:
+        if steps:
             for part in (steps // 2, steps - steps // 2):
                 weight = np.diag(np.mean(r**2) * ALIKE / spread**2)
                 v = minimise(problem.residual, problem.jacobian, v, part, 1e-4, (centre, weight)).v

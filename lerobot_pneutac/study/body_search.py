@@ -10,9 +10,9 @@ from scipy.ndimage import gaussian_filter1d
 
 from lerobot_pneutac.diagnosis.black_box import share_left
 from lerobot_pneutac.diagnosis.bootstrap import Resampler
-from lerobot_pneutac.diagnosis.search import Found, Scored, Search, best_of_each
+from lerobot_pneutac.diagnosis.search import Found, Scored, Search, Trial, best_of_each
 from lerobot_pneutac.diagnosis.votes import chosen_in, deal_folds
-from lerobot_pneutac.study.body_model import BodyFitter, BodyModel, Form, Reading
+from lerobot_pneutac.study.body_model import BodyFitter, BodyModel, Reading
 from lerobot_pneutac.study.body_space import LINES, BodySpace
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.laws import family, law
@@ -203,7 +203,7 @@ class BodySearch:
         floor2 = self.study.noise.value**2
         form = replace(final.model.form, own=False, trials=space.trials)
         values = {k: v for k, v in final.model.values.items() if not k.startswith(("bend_", "curl"))}
-        plain = search.fits([_trial(form, values), _trial(form, values | space.fitter.rough(form))], 12)
+        plain = search.fits([Trial(form, values), Trial(form, values | space.fitter.rough(form))], 12)
         kept = final
         if plain:
             room = max(found.base.value - floor2, 0.0)
@@ -212,7 +212,7 @@ class BodySearch:
                 kept = plain[0]
         removable = [e for e in space.base if e not in own and (not kept.model.form.own or e in NAMED)]
         space.kept = tuple(e for e in space.base if e not in removable)
-        return search._pruned(kept, found)
+        return search.pruned(kept, found)
 
     # ---------------------------------------------------------------- what it means
 
@@ -256,7 +256,7 @@ NAMED = (
     "gravity",
     "payload",
     "elongation",
-)  # parts of the base that are effects of their own where they show
+)  # parts of the base that count as effects where they show
 
 
 def base_effects(study: "BodyStudy") -> tuple[str, ...]:
@@ -318,9 +318,3 @@ def left_to_black_box(study: "BodyStudy", residual: np.ndarray) -> float:
 def _lines(own: tuple[str, ...], excluded: Iterable[str]) -> tuple[tuple[str, ...], ...]:
     """Lines of which nothing is in the twin already, or excluded."""
     return ((), *(line for line in LINES if line and not set(line) & {*own, *excluded}))
-
-
-def _trial(form: Form, values: dict[str, float]):
-    from lerobot_pneutac.study.body_space import Trial
-
-    return Trial(0.0, form, values)

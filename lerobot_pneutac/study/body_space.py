@@ -1,11 +1,12 @@
 """What a search may try on a body: bases and lines to begin with, terms to add, and how trials begin."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 from scipy.optimize import minimize
 
+from lerobot_pneutac.diagnosis.search import Trial
 from lerobot_pneutac.study.body_model import BodyFitter, BodyModel, Form, Reading
 from pneutac_sim.effects.laws import is_law, starts
 from pneutac_sim.effects.registry import get_effect
@@ -23,21 +24,6 @@ LINES = (
 )
 AWAY, TRIES = 0.03, 40  # of the air's parameters: first move, share of the range; and evaluations each
 PAUSES_S = (0.0, 2.0, 4.0, 6.0, 9.0, 15.0, 30.0, 100.0)
-
-
-@dataclass(frozen=True)
-class Trial:
-    """A form to be fitted, with where to start.
-
-    Attributes:
-        promise: mean square error that the screening expects to be left.
-        form: structure.
-        values: starting values by name.
-    """
-
-    promise: float
-    form: Form
-    values: dict[str, float]
 
 
 class BodySpace:
@@ -72,9 +58,9 @@ class BodySpace:
         out = []
         for n in self.joints:
             form = Form(self.base, self.reading, n, trials=self.trials)
-            out.append(Trial(0.0, form, {}))
+            out.append(Trial(form, {}))
             if self.reading.target == "pose":
-                out.append(Trial(0.0, form, self.fitter.rough(form)))
+                out.append(Trial(form, self.fitter.rough(form)))
         return out
 
     def with_lines(self, model: BodyModel) -> list[Trial]:
@@ -89,7 +75,7 @@ class BodySpace:
                 form = replace(model.form, effects=(*line, *model.form.effects), reading=reading)
                 told = {k: v for k, v in self.told.items() if k.rpartition(".")[0] in line}
                 for start in (*_line_starts(line), *((told,) if told else ())):
-                    out.append(Trial(0.0, form, model.values | start))
+                    out.append(Trial(form, model.values | start))
         return out
 
     # ---------------------------------------------------------------- growing
@@ -106,7 +92,6 @@ class BodySpace:
         size0, size = (columns**2).sum(0) + 1e-300, (N**2).sum(0)
         ok = size > 1e-5 * size0
         dot = N.T @ r
-        now = float((model.residual**2).sum()) / len(model.residual)
         gain = np.zeros(len(atoms))
         for a, cols in enumerate(groups):
             cols = [c for c in cols if ok[c]]
@@ -115,15 +100,14 @@ class BodySpace:
             elif cols:
                 G = N[:, cols].T @ N[:, cols]
                 gain[a] = dot[cols] @ np.linalg.lstsq(G, dot[cols], rcond=1e-6)[0]
-        gain /= len(model.residual)
         order = [a for a in np.argsort(-gain) if gain[a] > 0]
-        out, seen = [], {}
+        weight, out, seen = dot / np.maximum(size, 1e-300), [], {}
         for a in order:
-            name, values = atoms[a]
+            name = atoms[a][0]
             if seen.get(name, 0) >= (2 if is_law(name) else 1):
                 continue
             seen[name] = seen.get(name, 0) + 1
-            out.append(self._added(model, [a], atoms, dot, size, groups, now - gain[a]))
+            out.append(self._added(model, [atoms[a]], [weight[groups[a][0]]]))
             if len(out) >= most:
                 break
         if pairs:
@@ -136,28 +120,20 @@ class BodySpace:
                     continue
                 both = (G[y, y] * p[x] ** 2 - 2 * G[x, y] * p[x] * p[y] + G[x, x] * p[y] ** 2) / det
                 c = ((G[y, y] * p[x] - G[x, y] * p[y]) / det, (G[x, x] * p[y] - G[x, y] * p[x]) / det)
-                found.append((both, top[x], top[y], c))
-            for both, x, y, c in sorted(found, key=lambda f: -f[0])[:pairs]:
-                out.append(
-                    self._added(model, [x, y], atoms, dot, size, groups, now - both / len(model.residual), c)
-                )
+                found.append((both, [atoms[top[x]], atoms[top[y]]], c))
+            for _, pair, c in sorted(found, key=lambda f: -f[0])[:pairs]:
+                out.append(self._added(model, pair, c))
         return out
 
-    def _added(self, model, which, atoms, dot, size, groups, promise, weights=None) -> Trial:
+    def _added(self, model: BodyModel, atoms, weights) -> Trial:
         form, values = model.form, model.values
-        for k, a in enumerate(which):
-            name, start = atoms[a]
+        for (name, start), weight in zip(atoms, weights, strict=True):
             form = form.plus(name)
             new = form.effects[-1]
             values = values | {f"{new}.{n}": v for n, v in start.items()}
-            if (
-                is_law(name)
-                and f"{name}.weight"
-                and "weight" in {p.name for p in get_effect(name).parameters}
-            ):
-                c = weights[k] if weights else dot[groups[a][0]] / max(size[groups[a][0]], 1e-300)
-                values[f"{new}.weight"] = float(np.clip(c, -1.0, 1.0))
-        return Trial(promise, form, values)
+            if is_law(name) and "weight" in {p.name for p in get_effect(name).parameters}:
+                values[f"{new}.weight"] = float(np.clip(weight, -1.0, 1.0))
+        return Trial(form, values)
 
     def _columns(self, model: BodyModel):
         """Atoms as (name, start values), their columns (N D, C), and which columns are each atom's."""
@@ -246,24 +222,25 @@ class BodySpace:
         except np.linalg.LinAlgError:
             return None
         if every > 1:
-            model = self.fitter.fit(model.form, model.values, 0, 1, hold=True)
+            model = self.fitter.fit(model.form, model.values, 0)
         return model if np.isfinite(model.residual).all() and np.isfinite(model.jacobian).all() else None
 
     def trial(self, form: Form, values: dict[str, float], name: str, start: tuple[float, ...]) -> Trial:
         """A form whose last effect starts with these constants, see `laws.starts`."""
         effect = get_effect(name)
         begin = self._start_values(effect, start) if start else {}
-        return Trial(0.0, form, values | {f"{form.effects[-1]}.{k}": v for k, v in begin.items()})
+        return Trial(form, values | {f"{form.effects[-1]}.{k}": v for k, v in begin.items()})
 
     def again(self, model: BodyModel) -> Trial:
         """The model's form, started where it is."""
-        return Trial(0.0, model.form, model.values)
+        return Trial(model.form, model.values)
 
     def settle_line(self, model: BodyModel) -> BodyModel:
         """Finds the instants of steps, then fits well."""
         for _ in range(5):
             before = (model.residual**2).mean()
-            model = self.again_whole(self.with_instants(model, 2))
+            moved = self.with_instants(model, 2)
+            model = self.fitter.fit(moved.form, moved.values, 0)  # judged on all rows of the search
             if (model.residual**2).mean() > 0.97 * before:
                 break
         return self.fitter.fit(model.form, model.values, 8)
@@ -302,19 +279,19 @@ class BodySpace:
             },
         ).x
         values = dict(zip(model.pipeline.names, map(float, theta(best)), strict=True))
-        moved = self.with_instants(self.fitter.fit(model.form, values, 0, hold=True), 1)
+        moved = self.with_instants(self.fitter.fit(model.form, values, 0), 1)
         return self.fitter.fit(moved.form, moved.values, 8)
-
-    def again_whole(self, model: BodyModel) -> BodyModel:
-        """The same parameters, judged on all rows of the search."""
-        return self.fitter.fit(model.form, model.values, 0, hold=True)
 
     def settle(self, model: BodyModel) -> BodyModel:
         """Tries how trials may begin, then the instants of steps."""
         best, now = model, float((model.residual**2).mean())
         if any(e.remembers for e in model.pipeline.chain):
-            for form in self.starts_of_trials(model):
-                tried = self.fit(Trial(0.0, form, best.values), 3, 2)
+            reading = model.form.reading
+            for start in ("held", "vented", *PAUSES_S):
+                if start == reading.start:
+                    continue
+                form = replace(model.form, reading=replace(reading, start=start))
+                tried = self.fit(Trial(form, best.values), 3, 2)
                 if tried is not None and (tried.residual**2).mean() < 0.995 * now:
                     best, now = tried, float((tried.residual**2).mean())
         best = self.with_instants(best, 1)
@@ -330,12 +307,6 @@ class BodySpace:
         return self.settle_line(left) if get_effect(effect).stage == "pneumatics" else left
 
     # ---------------------------------------------------------------- how it was recorded
-
-    def starts_of_trials(self, model: BodyModel) -> list[Form]:
-        """The form with trials that begin otherwise."""
-        known = ("held", "vented", *PAUSES_S)
-        reading = model.form.reading
-        return [replace(model.form, reading=replace(reading, start=s)) for s in known if s != reading.start]
 
     def with_instants(self, model: BodyModel, every: int) -> BodyModel:
         """The model with the instant of each step of the command, within its sample, re-fitted once."""

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import least_squares
 
+from lerobot_pneutac.diagnosis.search import Trial
 from lerobot_pneutac.study.demonstration_data import EpisodeData, inputs_of
 from lerobot_pneutac.study.demonstration_touch import TYPICAL, imprint_per_rad, touch
 from pneutac_sim.effects.effect import Parameter
@@ -46,14 +47,6 @@ class Form:
     def plus(self, effect: str) -> "Form":
         """With one effect more."""
         return Form((*self.effects, effect))
-
-
-@dataclass
-class Trial:
-    """A form to be fitted from some values; see `Fitter.values`."""
-
-    form: Form
-    values: dict[str, float]
 
 
 @dataclass

@@ -2,7 +2,8 @@
 
 from collections.abc import Sequence
 
-from lerobot_pneutac.study.demonstration_model import DemonstrationModel, Fitter, Form, Trial
+from lerobot_pneutac.diagnosis.search import Trial
+from lerobot_pneutac.study.demonstration_model import DemonstrationModel, Fitter, Form
 
 
 class DemonstrationSpace:

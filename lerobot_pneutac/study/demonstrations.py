@@ -14,7 +14,7 @@ from lerobot_pneutac.diagnosis.bootstrap import Resampler
 from lerobot_pneutac.diagnosis.model import FittedModel
 from lerobot_pneutac.diagnosis.parts import Parts
 from lerobot_pneutac.diagnosis.result import Outcome, Rival, Tested
-from lerobot_pneutac.diagnosis.search import Found, Search
+from lerobot_pneutac.diagnosis.search import Found, Search, Trial
 from lerobot_pneutac.diagnosis.steps import Steps
 from lerobot_pneutac.diagnosis.verdict import Evidence, decide
 from lerobot_pneutac.diagnosis.votes import chosen_in
@@ -26,7 +26,6 @@ from lerobot_pneutac.study.demonstration_model import (
     DemonstrationModel,
     Fitter,
     Form,
-    Trial,
 )
 from lerobot_pneutac.study.demonstration_space import DemonstrationSpace
 from lerobot_pneutac.study.demonstration_words import OF_AIR, OF_BODY, UNIT, DemonstrationWords, of_air

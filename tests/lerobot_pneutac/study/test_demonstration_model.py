@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from lerobot_pneutac.diagnosis.search import Trial
 from lerobot_pneutac.study.demonstration_data import MORE_RAD, EpisodeData, inputs_of
-from lerobot_pneutac.study.demonstration_model import AIR, LATE, TOUCH, Fitter, Form, Trial
+from lerobot_pneutac.study.demonstration_model import AIR, LATE, TOUCH, Fitter, Form
 from lerobot_pneutac.study.demonstrations import DemonstrationStudy
 from pneutac_datasets.demonstrations.replay.replaying import Place
 from pneutac_sim.effects.registry import get_effect
