@@ -79,7 +79,6 @@ class Outcome:
         selected: effects found, the most important first.
         tested: all candidates, the best first, then effects of the twin.
         rivals: rivals of each selected effect.
-        correlated: pairs of effects whose parameters the data cannot tell apart (correlation above 0.95).
         evidence: numbers behind the verdict.
         verdict: one of five.
         twin: the final model.
@@ -95,7 +94,6 @@ class Outcome:
     selected: list[str]
     tested: list[Tested]
     rivals: list[Rival]
-    correlated: list[tuple[str, str, float]]
     evidence: Evidence
     verdict: str
     twin: Twin

@@ -1,14 +1,18 @@
-"""How stable a finding is: the last choice of each round, made again on other splits of the same blocks."""
+"""How stable a finding is: other splits of the same blocks, and other terms that would have done as well."""
 
 from collections import Counter
 from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from lerobot_pneutac.diagnosis.search import Found, chosen
+from lerobot_pneutac.diagnosis.model import FittedModel
+from lerobot_pneutac.diagnosis.result import Rival
+from lerobot_pneutac.diagnosis.search import Found, Scored, chosen
 
 VOTES = 7
 KEPT = 0.75  # of the blocks, in each vote
+AS_GOOD = 0.02  # of the avoidable mean square error: models that differ by less are rivals
+MOST_RIVALS = 3
 
 
 def deal_folds(unit: np.ndarray, folds: int, seed: int) -> np.ndarray:
@@ -48,6 +52,35 @@ def chosen_in(
                 break
         count.update(terms)
     return {t: count[t] / votes for t in found.final.model.form.effects}
+
+
+def rivals(
+    found: Found,
+    floor: float,
+    terms: Sequence[str],
+    kind: Callable[[str], str],
+    fitted: Callable[[Scored], FittedModel],
+) -> list[Rival]:
+    """Models as good where a term was accepted, with one of another kind in its place; the first few.
+
+    Args:
+        found: by a search.
+        floor: noise.
+        terms: that count as found.
+        kind: of a term.
+        fitted: a model of the search on all samples.
+    """
+    out = []
+    for taken, others, before in zip(found.path[1:], found.rivals, found.path, strict=False):
+        room = max(before.value - floor**2, 0.0)
+        new = [e for e in taken.model.form.effects if e not in before.model.form.effects]
+        for s in others:
+            instead = [e for e in s.model.form.effects if e not in taken.model.form.effects]
+            as_good = s.value - taken.value < AS_GOOD * room and len(new) == len(instead) == 1
+            if as_good and new[0] in terms and kind(instead[0]) != kind(new[0]) and len(out) < MOST_RIVALS:
+                share = s.value / max(taken.value, 1e-30) - 1
+                out.append(Rival(new[0], instead[0], share, fitted(s), fitted(taken)))
+    return out
 
 
 def _winner(scored: Sequence, fold: np.ndarray, floor: float):

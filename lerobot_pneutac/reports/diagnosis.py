@@ -88,10 +88,6 @@ def _rivals(page: Report, o: Outcome) -> None:
         ],
         "Effects that explain the test part as well, as far as can be told.",
     )
-    page.table(
-        [{"effect": a, "and": b, "correlation of parameters": c} for a, b, c in o.correlated],
-        "Second look: with both switched on, the recording can hardly share the answer between them.",
-    )
 
 
 def _parameters(page: Report, study: EffectStudy, o: Outcome) -> None:

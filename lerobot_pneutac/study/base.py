@@ -18,7 +18,12 @@ from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger.quantities import root_mean
-from pneutac_sim.twin import Twin
+from pneutac_sim.twin import Twin, Value
+
+
+def with_unit(value: Value, unit: str) -> dict:
+    """A parameter as results have it."""
+    return {"value": value.value, "ci95": list(value.ci95) if value.ci95 else None, "unit": unit}
 
 
 class Study:
@@ -108,9 +113,11 @@ class EffectStudy(Study, ABC):
     def twin_of(self, model: FittedModel) -> Twin:
         """The twin as it is to be written."""
 
-    @abstractmethod
     def parameters(self, model: FittedModel, effect: str) -> dict[str, dict]:
         """Parameters of one effect: name to `value`, `ci95` and `unit`."""
+        units = {p.name: p.unit for p in get_effect(effect).parameters}
+        values = model.twin.effects.get(effect, {})
+        return {k: with_unit(v, units.get(k, "")) for k, v in values.items()}
 
     @abstractmethod
     def at_bound(self, model: FittedModel, effects: Sequence[str]) -> list[str]:

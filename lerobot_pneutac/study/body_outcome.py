@@ -9,9 +9,10 @@ import numpy as np
 
 from lerobot_pneutac.diagnosis.experiment import predict
 from lerobot_pneutac.diagnosis.model import FittedModel
-from lerobot_pneutac.diagnosis.result import Contender, Outcome, Rival, Tested
+from lerobot_pneutac.diagnosis.result import Contender, Outcome, Tested
 from lerobot_pneutac.diagnosis.search import Scored
 from lerobot_pneutac.diagnosis.verdict import Evidence, decide
+from lerobot_pneutac.diagnosis.votes import rivals
 from lerobot_pneutac.study.body_model import BodyModel
 from lerobot_pneutac.study.body_search import BodySearch, Searched, left_to_black_box
 from lerobot_pneutac.study.reading import read
@@ -46,8 +47,7 @@ def body_outcome(
         ladder=ladder,
         selected=done.terms,
         tested=_tested(study, search, done, before),
-        rivals=_rivals(study, done),
-        correlated=[],
+        rivals=rivals(done.found, study.noise.value, done.terms, family, lambda s: study.fitted(s.model)),
         evidence=evidence,
         verdict=decide(evidence),
         twin=after.twin,
@@ -96,7 +96,7 @@ def _contenders(
     if done is None:
         return [Contender(study.fitted(start.model).twin, (), 1.0)]
     known = {*done.space.base, *study.own}
-    others = [s for rivals in reversed(done.found.rivals) for s in sorted(rivals, key=lambda s: s.value)]
+    others = [s for weighed in reversed(done.found.rivals) for s in sorted(weighed, key=lambda s: s.value)]
     scored = _differing([done.model], [*reversed(done.found.path), *others], known)[: 1 + MOST_OTHERS]
     scored = _differing(scored, done.without.values(), known)
     errors = np.stack([search.judge.mse(s.crossed) for s in [*scored, start]])
@@ -161,28 +161,10 @@ def _tested(study: "BodyStudy", search: BodySearch, done: Searched, before: Fitt
             model = study.fitted(fits[0].model) if fits else None
         if model is None:
             continue
-        share, interval = study.test.reduction(ground.squared, model.squared, study.noise.value)
+        share, interval = study.reduction(ground, model)
         errors = {"heldout": float(np.sqrt(study.test.value(model.squared)))}
         out.append(Tested(name, errors, share, interval, study.parameters(model, model.effects[-1]), how))
     return out
-
-
-def _rivals(study: "BodyStudy", done: Searched) -> list[Rival]:
-    """Models that were as good where a term was accepted, with another in its place."""
-    out = []
-    for taken, others, before in zip(done.found.path[1:], done.found.rivals, done.found.path, strict=False):
-        room = max(before.value - study.noise.value**2, 0.0)
-        new = [e for e in taken.model.form.effects if e not in before.model.form.effects]
-        for s in others:
-            instead = [e for e in s.model.form.effects if e not in taken.model.form.effects]
-            as_good = s.value - taken.value < 0.02 * room
-            if as_good and len(new) == 1 and len(instead) == 1 and new[0] in done.terms:
-                if family(instead[0]) != family(new[0]):
-                    share = s.value / max(taken.value, 1e-30) - 1
-                    out.append(
-                        Rival(new[0], instead[0], share, study.fitted(s.model), study.fitted(taken.model))
-                    )
-    return out[:3]
 
 
 def _evidence(study: "BodyStudy", before: FittedModel, after: FittedModel, done: Searched) -> Evidence:

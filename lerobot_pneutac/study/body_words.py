@@ -14,7 +14,6 @@ from lerobot_pneutac.study import gauge
 from lerobot_pneutac.study.base import EffectStudy
 from lerobot_pneutac.study.pair import LONGER
 from lerobot_pneutac.study.reading import read
-from pneutac_sim.effects.registry import get_effect
 
 REPEAT = "Run the same program twice, an hour apart: what comes back is the device, what does not is the lab."
 
@@ -30,14 +29,6 @@ class BodyWords(EffectStudy):
     unknown_where = "moves your {device}"
     more_data, repeat = LONGER, REPEAT
     nothing_left = "Nothing needs to be recorded; go to higher pressure to find where the twin ends."
-
-    def parameters(self, model: FittedModel, effect: str) -> dict[str, dict]:
-        """Parameters of one effect with interval and unit."""
-        units = {p.name: p.unit for p in get_effect(effect).parameters}
-        return {
-            k: {"value": v.value, "ci95": list(v.ci95) if v.ci95 else None, "unit": units.get(k, "")}
-            for k, v in model.twin.effects.get(effect, {}).items()
-        }
 
     def size(self, model: FittedModel, effect: str) -> str:
         """What the effect does to the prediction that another gain and offset could not."""

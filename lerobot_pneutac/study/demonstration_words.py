@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from lerobot_pneutac.diagnosis.model import FittedModel
 from lerobot_pneutac.diagnosis.result import Outcome
-from lerobot_pneutac.study.base import EffectStudy
+from lerobot_pneutac.study.base import EffectStudy, with_unit
 from lerobot_pneutac.study.demonstration_model import LATE, Fitter, latency_s
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_sim.effects.laws import family
@@ -50,17 +50,11 @@ class DemonstrationWords(EffectStudy):
         return f"Demonstrations do not tell of '{effect}'; give one of {known}."
 
     def parameters(self, model: FittedModel, effect: str) -> dict[str, dict]:
-        """Parameters of one effect with interval and unit."""
-        if effect == LATE:
-            known = model.twin.parameters.get("command_latency_s")
-            values, units = ({"latency_s": known} if known else {}), {"latency_s": "s"}
-        else:
-            values = model.twin.effects.get(effect, {})
-            units = {p.name: p.unit for p in get_effect(effect).parameters}
-        return {
-            k: {"value": v.value, "ci95": list(v.ci95) if v.ci95 else None, "unit": units.get(k, "")}
-            for k, v in values.items()
-        }
+        """The latency of late commands; of others as ever."""
+        if effect != LATE:
+            return super().parameters(model, effect)
+        known = model.twin.parameters.get("command_latency_s")
+        return {"latency_s": with_unit(known, "s")} if known else {}
 
     def at_bound(self, model: FittedModel, effects: Sequence[str]) -> list[str]:
         """Parameters stopped by a bound."""

@@ -13,11 +13,11 @@ from lerobot_pneutac.diagnosis.black_box import share_left
 from lerobot_pneutac.diagnosis.bootstrap import Resampler
 from lerobot_pneutac.diagnosis.model import FittedModel
 from lerobot_pneutac.diagnosis.parts import Parts
-from lerobot_pneutac.diagnosis.result import Outcome, Rival, Tested
+from lerobot_pneutac.diagnosis.result import Outcome, Tested
 from lerobot_pneutac.diagnosis.search import Found, Search, Trial
 from lerobot_pneutac.diagnosis.steps import Steps
 from lerobot_pneutac.diagnosis.verdict import Evidence, decide
-from lerobot_pneutac.diagnosis.votes import chosen_in
+from lerobot_pneutac.diagnosis.votes import chosen_in, rivals
 from lerobot_pneutac.study.demonstration_data import episode_data
 from lerobot_pneutac.study.demonstration_model import (
     AIR,
@@ -248,8 +248,13 @@ class DemonstrationStudy(DemonstrationWords):
             ladder=ladder,
             selected=selected,
             tested=tested,
-            rivals=self._rivals(touch, selected, air.final.model, fitter),
-            correlated=[],
+            rivals=rivals(
+                touch,
+                self.noise.by_column["imprint"],
+                selected,
+                family,
+                lambda s: self.fitted(air.final.model, s.model, fitter),
+            ),
             evidence=evidence,
             verdict=decide(evidence),
             twin=after.twin,
@@ -319,25 +324,10 @@ class DemonstrationStudy(DemonstrationWords):
                 model.residual = np.concatenate([ground[:, AIR], before.residual[:, TOUCH]], 1)
             else:
                 model, how = self.fitted(behind[0], s.model, behind[1]), "touch"
-            share, interval = self.test.reduction(before.squared, model.squared, self.noise.value)
+            share, interval = self.reduction(before, model)
             errors = {"heldout": float(np.sqrt(self.test.value(model.squared)))}
             out.append(Tested(name, errors, share, interval, self.parameters(model, name), how))
         return out
-
-    def _rivals(
-        self, found: Found, selected: list[str], air: DemonstrationModel, fitter: Fitter
-    ) -> list[Rival]:
-        out = []
-        for taken, others, before in zip(found.path[1:], found.rivals, found.path, strict=False):
-            room = max(before.value - self.noise.by_column["imprint"] ** 2, 0.0)
-            new = [e for e in taken.model.form.effects if e not in before.model.form.effects]
-            for s in others:
-                other = [e for e in s.model.form.effects if e not in taken.model.form.effects]
-                as_good = s.value - taken.value < 0.02 * room and len(new) == len(other) == 1
-                if as_good and new[0] in selected and family(other[0]) != family(new[0]):
-                    fits = [self.fitted(air, m.model, fitter) for m in (s, taken)]
-                    out.append(Rival(new[0], other[0], s.value / max(taken.value, 1e-30) - 1, *fits))
-        return out[:3]
 
 
 def _bends(effect: str) -> bool:

@@ -11,7 +11,7 @@ from lerobot_pneutac.diagnosis.result import Outcome, Rival, Tested
 from lerobot_pneutac.diagnosis.search import Found, Scored, Search
 from lerobot_pneutac.diagnosis.steps import Steps
 from lerobot_pneutac.diagnosis.verdict import MOST, Evidence, decide, too_few
-from lerobot_pneutac.diagnosis.votes import chosen_in
+from lerobot_pneutac.diagnosis.votes import AS_GOOD, chosen_in
 from lerobot_pneutac.study import gel_maps
 from lerobot_pneutac.study.base import EffectStudy
 from lerobot_pneutac.study.gel_model import at_bound, for_twin, seen_by
@@ -26,8 +26,6 @@ from pneutac_sim.finger.quantities import root_mean
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.pair import check_pair
 from pneutac_sim.twin import Twin
-
-AS_GOOD = 0.02  # of the avoidable mean square error: models that differ by less are rivals
 
 
 class GelStudy(EffectStudy):
@@ -111,7 +109,6 @@ class GelStudy(EffectStudy):
             selected=selected,
             tested=self._tested(base, alone, taken),
             rivals=self._rivals(found),
-            correlated=[],
             evidence=evidence,
             verdict=verdict,
             twin=self.twin_of(final),

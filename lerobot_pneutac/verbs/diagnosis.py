@@ -171,7 +171,6 @@ class Diagnosis(Result):
             "ladder": [{"change": label, **study.errors(model)} for label, model in o.ladder],
             "effects": [_tested(t, study) for t in o.tested] + [_untested(u) for u in study.untested],
             "indistinguishable": [[r.effect, r.rival] for r in o.rivals],
-            "correlated": [{"effects": [a, b], "correlation": c} for a, b, c in o.correlated],
             "chosen_in": {e: o.chosen_in.get(e, 1.0) for e in o.selected},
             "at_bound": o.evidence.at_bound,
             "error_over_noise": {k: getattr(o.evidence, k) for k in ("before", "after")},

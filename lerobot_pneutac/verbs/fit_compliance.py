@@ -10,6 +10,7 @@ from importlib.util import find_spec
 
 import numpy as np
 
+from lerobot_pneutac.study.base import with_unit
 from lerobot_pneutac.verbs.measured_range import measured_range
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.gravity import STANDARD_GRAVITY
@@ -128,7 +129,7 @@ def _found(twin: Twin, found: PipelineFit, body: SoftBody) -> Compliance:
             twin, f"The loads leave the stiffness anywhere from {shown}, so {_NEITHER}; {advice(twin)}."
         )
     new.parameters[WHOLE] = whole
-    rows = {WHOLE: _row(whole, "N m/rad", "")}
+    rows = {WHOLE: with_unit(whole, "N m/rad") | {"note": ""}}
     remark = "Loaded poses tell a whole stiffness of {:.3g} to {:.3g} N m/rad a joint".format(*whole.ci95)
     # a body of the modulus E alone would be as stiff as joints of E times this
     alone = body.alone(1e-3 * (twin.length_mm - np.asarray(twin.spine_joint_positions_mm)))
@@ -136,12 +137,14 @@ def _found(twin: Twin, found: PipelineFit, body: SoftBody) -> Compliance:
     low, high = (whole.value * s / alone for s in share.ci95 or (0.0, 1.0))
     if BODY_SHARE not in found.at_bound and high < WIDEST * low:
         new.parameters[MODULUS] = Value(whole.value * share.value / alone, (low, high))
-        rows[MODULUS] = _row(new.parameters[MODULUS], "MPa", "")
+        rows[MODULUS] = with_unit(new.parameters[MODULUS], "MPa") | {"note": ""}
         remark += f", and a modulus of {low:.3g} to {high:.3g} MPa; the rest is the chamber's."
         return Compliance(new, rows, remark, found.evaluations)
     value = twin.parameters.get(MODULUS, Value(PAPER_FINGER[MODULUS])).value
     range_mpa = f"{max(low, 0.0):.2g} to {high:.2g} MPa"
-    rows[MODULUS] = _row(Value(value), "MPa", f"held: these loads leave it anywhere from {range_mpa}")
+    rows[MODULUS] = with_unit(Value(value), "MPa") | {
+        "note": f"held: these loads leave it anywhere from {range_mpa}"
+    }
     remark += (
         f"; the soft body's share of it is not told from the chamber's, its modulus may be {range_mpa}: "
         f"measure the joints too (q_1_rad ...); {advice(twin)}."
@@ -151,12 +154,3 @@ def _found(twin: Twin, found: PipelineFit, body: SoftBody) -> Compliance:
         remark += f" Until then it is {new.parameters[MODULUS].value:.2g} MPa, which those loads allow."
         rows[MODULUS]["value"] = new.parameters[MODULUS].value
     return Compliance(new, rows, remark, found.evaluations)
-
-
-def _row(value: Value, unit: str, note: str) -> dict:
-    return {
-        "value": value.value,
-        "ci95": list(value.ci95) if value.ci95 else None,
-        "unit": unit,
-        "note": note,
-    }
