@@ -43,26 +43,21 @@ class Parts:
         return not np.array_equal(self.validation, self.test)
 
 
-def deal(recording: Recording, seed: int, choose: bool = True) -> Parts:
+def deal(recording: Recording, seed: int) -> Parts:
     """Splits by whole blocks of time, stratified by condition.
 
     Args:
         recording: cleaned.
         seed: decides which block goes where.
-        choose: True where a choice is made among many; else the training part is that of the recording's
-            usual split in two, and the rest is shared by validation and test.
     """
     block = recording.blocks()
     if len(np.unique(block)) < FEW_BLOCKS:
         train, test = recording.split(seed=seed)
         validation = test
-    elif choose:
+    else:
         block = _refine(recording, block)
         part = blocks.assign(recording.samples, block, seed, FRACTIONS)
         train, validation, test = (part == i for i in range(3))
-    else:
-        train, heldout = recording.split(seed=seed)
-        validation, test = _halves(recording, block, heldout, seed)
     pieces = 1
     for part in (validation, test):
         pieces = max(pieces, min(4, -(-UNITS // max(1, len(np.unique(block[part]))))))
@@ -70,19 +65,6 @@ def deal(recording: Recording, seed: int, choose: bool = True) -> Parts:
     stratum = blocks.strata(recording.samples, block)[block]
     first = np.unique(unit, return_index=True)[1]
     return Parts(train, validation, test, unit, stratum[first])
-
-
-def _halves(recording: Recording, block: np.ndarray, heldout: np.ndarray, seed: int) -> list[np.ndarray]:
-    """Two masks (n,) that share the held-out samples by whole blocks, each with every condition."""
-    rest = recording.keep(heldout)
-    own = np.unique(block[heldout], return_inverse=True)[1]
-    stratum = blocks.strata(rest.samples, own)
-    alone = np.bincount(stratum)[stratum] < 2
-    half = blocks.assign(rest.samples, _cut(own, np.where(alone, 2, 1)), seed, (0.5, 0.5))
-    out = [np.zeros(len(heldout), bool) for _ in range(2)]
-    for i in range(2):
-        out[i][np.flatnonzero(heldout)[half == i]] = True
-    return out
 
 
 def _refine(recording: Recording, block: np.ndarray) -> np.ndarray:

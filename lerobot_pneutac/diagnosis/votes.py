@@ -22,9 +22,7 @@ def deal_folds(unit: np.ndarray, folds: int, seed: int) -> np.ndarray:
     return (order % folds)[index]
 
 
-def chosen_in(
-    found: Found, unit: np.ndarray, floor: float, kind: Callable[[str], str], votes: int = VOTES
-) -> dict[str, float]:
+def chosen_in(found: Found, unit: np.ndarray, floor: float, kind: Callable[[str], str]) -> dict[str, float]:
     """Share of the votes in which each term of the final model, or another of its kind, came.
 
     Each vote leaves out a quarter of the blocks and deals the others anew into five folds; at each acceptance
@@ -35,11 +33,10 @@ def chosen_in(
         unit: (N,) block of each row.
         floor: noise.
         kind: of a term.
-        votes: number of splits.
     """
     count: Counter[str] = Counter()
     index = np.unique(unit, return_inverse=True)[1]
-    for seed in range(votes):
+    for seed in range(VOTES):
         rng = np.random.default_rng([seed, 9])
         keep = rng.permutation(index.max() + 1) < KEPT * (index.max() + 1)
         fold = np.where(keep[index], deal_folds(unit, 5, seed), -1)
@@ -51,7 +48,7 @@ def chosen_in(
                 terms = {t for t in terms if kind(t) in kinds}
                 break
         count.update(terms)
-    return {t: count[t] / votes for t in found.final.model.form.effects}
+    return {t: count[t] / VOTES for t in found.final.model.form.effects}
 
 
 def rivals(

@@ -72,7 +72,7 @@ def _losses(training: dict):
     return figure.update_layout(**axes)
 
 
-def demonstration_strip(root: Path, frames: int = 8) -> np.ndarray:
+def demonstration_strip(root: Path) -> np.ndarray:
     """Tactile images of the first episode around its strongest contact, side by side, uint8 (H, W, 3)."""
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
@@ -81,6 +81,6 @@ def demonstration_strip(root: Path, frames: int = 8) -> np.ndarray:
     states = dataset.hf_dataset["observation.state"]
     area = np.array([float(s[names.index("contact_area.pos")]) for s in states])
     peak = int(area.argmax())
-    picks = np.clip(np.linspace(peak - 20, peak + 20, frames).astype(int), 0, len(dataset) - 1)
+    picks = np.clip(np.linspace(peak - 20, peak + 20, 8).astype(int), 0, len(dataset) - 1)
     images = [dataset[int(i)]["observation.images.tactile"].numpy() for i in picks]
     return (np.concatenate([i.transpose(1, 2, 0) for i in images], axis=1) * 255).round().astype(np.uint8)

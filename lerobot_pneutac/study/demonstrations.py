@@ -88,11 +88,11 @@ class DemonstrationStudy(DemonstrationWords):
         self.noise = self._noise()
         self.findings = [*recording.warnings]
 
-    def world_of(self, twin: Twin, progress: Progress = no_progress) -> Fitter:
+    def world_of(self, twin: Twin) -> Fitter:
         """Fits models to the episodes that are learnt from, as replayed in the world of a twin."""
         if twin is self.twin:
             return self.fitter
-        return Fitter(twin, episode_data(twin, self.recording, progress), self.parts.train)
+        return Fitter(twin, episode_data(twin, self.recording), self.parts.train)
 
     def _noise(self) -> NoiseFloor:
         """What differs from frame to frame; or what the twin left before, where that is known and more."""

@@ -28,6 +28,8 @@ LEAST_FORCE_N = 0.02  # by which loads must differ
 TURNED = 0.1  # change of a component of gravity from which on the finger's own weight counts
 WIDEST = 1.5  # upper over lower end of an interval, beyond which a number was not told
 
+PARTICLES = 4000  # of the soft body, about
+
 
 @dataclass(frozen=True)
 class Compliance:
@@ -46,9 +48,7 @@ class Compliance:
     evaluations: int
 
 
-def fit_compliance(
-    twin: Twin, recording: Recording, train: np.ndarray, seed: int = 0, particles: int = 4000
-) -> Compliance:
+def fit_compliance(twin: Twin, recording: Recording, train: np.ndarray, seed: int = 0) -> Compliance:
     """Fits the joints' whole stiffness and the soft body's modulus where known loads bend the finger.
 
     Args:
@@ -56,7 +56,6 @@ def fit_compliance(
         recording: of the same device.
         train: (n,) samples to fit.
         seed: of the starting points.
-        particles: of the soft body, about.
     """
     if twin.device != "finger":
         return _held(twin, "An arm's modulus and stiffness are not told by loaded poses; they are held.")
@@ -78,7 +77,7 @@ def fit_compliance(
     from pneutac_sim.mpm.solve import MpmDiverged
 
     try:
-        body = measure(start, bending_range(start), particles)
+        body = measure(start, bending_range(start), PARTICLES)
     except (InputError, MpmDiverged) as e:
         return _held(twin, f"No soft body can be put round this spine ({e}), so {_NEITHER}.")
     data = BodyData.of(known, start)

@@ -29,19 +29,15 @@ from pneutac_datasets.demonstrations.episodes import (
 from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import PRESSURE
-from pneutac_sim.progress import Progress, no_progress
 
 
-def pool_demonstrations(
-    sources: list[Path], out: str | Path, repo_id: str, progress: Progress = no_progress
-) -> Path:
+def pool_demonstrations(sources: list[Path], out: str | Path, repo_id: str) -> Path:
     """Writes the demonstrations of several datasets as one whose images are 80 x 60, lying ones 60 x 80.
 
     Args:
         sources: folders of LeRobotDatasets of this robot, of equal frame rate.
         out: folder of the new dataset, which must not exist.
         repo_id: its name.
-        progress: is called with a text, and how many of how many demonstrations are written.
 
     Returns:
         `out`.
@@ -73,7 +69,6 @@ def pool_demonstrations(
     info = {**(features[TACTILE].get("info") or {}), POOLED_FROM: list(whole[:2])}
     features[TACTILE] = {**features[TACTILE], "dtype": "image", "shape": small, "info": info}
     features[PREVIOUS_ACTION] = dict(features[ACTION])
-    total, done = sum(meta.total_episodes for meta in metas), 0
     new = create_dataset(repo_id, out, metas[0].fps, features, metas[0].robot_type, False, 1)
     with quiet_encoders():
         try:
@@ -86,8 +81,6 @@ def pool_demonstrations(
                         x.astype(np.float32) for x in (episode.state, episode.action)
                     )
                     save_episode(new, episode, {PREVIOUS_ACTION: previous_actions(episode)})
-                    done += 1
-                    progress("demonstrations with small images", done, total)
         finally:
             new.finalize()
     return Path(out)

@@ -8,22 +8,21 @@ import numpy as np
 import trimesh
 from numba import njit
 
-STATIONS = 64
+STATIONS = 64  # sections, evenly spread
 
 
-def neutral_axis(mesh: trimesh.Trimesh, stations: int = STATIONS) -> tuple[np.ndarray, ...]:
+def neutral_axis(mesh: trimesh.Trimesh) -> tuple[np.ndarray, ...]:
     """Area centroids of cross-sections, by Green's theorem over each section's outline.
 
     Args:
         mesh: closed, its normals outward, x along the device.
-        stations: how many sections, evenly spread.
 
     Returns:
         x (S,), centroids in y and z (S, 2) and areas (S,), in the mesh's unit.
     """
     low, high = mesh.bounds[:, 0]
     # A little off the round numbers at which a mesh has its vertices.
-    places = low + (high - low) * (np.arange(stations) + 0.5137) / stations
+    places = low + (high - low) * (np.arange(STATIONS) + 0.5137) / STATIONS
     x, centres, areas = [], [], []
     for place in places:
         lines, faces = trimesh.intersections.mesh_plane(mesh, (1, 0, 0), (place, 0, 0), return_faces=True)

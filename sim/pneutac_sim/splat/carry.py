@@ -16,14 +16,13 @@ class Carrier:
     Args:
         points: (K, 3) m, in the frame of `rest`.
         rest: (P, 3) particles before, m.
-        near: particles that a point follows.
     """
 
-    def __init__(self, points: np.ndarray, rest: np.ndarray, near: int = NEAR):
-        d, self._index = cKDTree(rest).query(points, k=near)
+    def __init__(self, points: np.ndarray, rest: np.ndarray):
+        d, self._index = cKDTree(rest).query(points, k=NEAR)
         w = (1 - (d / (1.05 * d[:, -1:] + 1e-12)) ** 2) ** 2
         self._weights = w / w.sum(1, keepdims=True)
-        self._offset = points[:, None] - rest[self._index]  # (K, near, 3)
+        self._offset = points[:, None] - rest[self._index]  # (K, NEAR, 3)
 
     def __call__(self, positions: np.ndarray, gradients: np.ndarray) -> np.ndarray:
         """(..., K, 3) m where the points are.
@@ -37,8 +36,6 @@ class Carrier:
         return np.einsum("kn,...kni->...ki", self._weights, mapped)
 
 
-def carry(
-    points: np.ndarray, rest: np.ndarray, positions: np.ndarray, gradients: np.ndarray, near: int = NEAR
-) -> np.ndarray:
+def carry(points: np.ndarray, rest: np.ndarray, positions: np.ndarray, gradients: np.ndarray) -> np.ndarray:
     """`Carrier` for once: (..., K, 3) m."""
-    return Carrier(points, rest, near)(positions, gradients)
+    return Carrier(points, rest)(positions, gradients)

@@ -37,7 +37,6 @@ from pneutac_datasets.demonstrations.episodes import (
     load_episode,
     save_episode,
 )
-from pneutac_datasets.demonstrations.faults import wrong_rate
 from pneutac_datasets.demonstrations.naive import augment_naive
 from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError
@@ -52,7 +51,7 @@ PROVENANCE = "provenance.jsonl"  # in the dataset's folder `meta`
 
 
 def read_references(
-    root: str | Path, repo_id: str, sensor: TactileSensor | None = None, control_hz: int | None = None
+    root: str | Path, repo_id: str, sensor: TactileSensor | None = None
 ) -> tuple[LeRobotDatasetMetadata, list[Reference]]:
     """The recorded demonstrations, without their images.
 
@@ -60,18 +59,15 @@ def read_references(
         root: folder of the dataset.
         repo_id: its name.
         sensor: of the twin; with it the images are read, for the middles of the imprints.
-        control_hz: of the station; where left out, the dataset's own.
 
     Raises:
-        InputError: there is no dataset, its features or rate are not those of the robot, or an episode is
+        InputError: there is no dataset, its features are not those of the robot, or an episode is
             not finite.
     """
     if not (Path(root) / "meta" / "info.json").is_file():
         raise InputError(f"'{root}' holds no LeRobotDataset (no meta/info.json).")
     meta = LeRobotDatasetMetadata(repo_id, root)
     demonstration_features(meta)
-    if control_hz is not None and meta.fps != control_hz:
-        raise InputError(f"Dataset '{repo_id}': {wrong_rate(meta.fps, control_hz)}")
     dataset = LeRobotDataset(repo_id, root, video_backend="pyav")
     table = dataset.hf_dataset.with_format("numpy")
     state, action = (np.stack(table[k]).astype(float) for k in (OBS_STATE, ACTION))
