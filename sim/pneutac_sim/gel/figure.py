@@ -153,21 +153,22 @@ class Figure:
         return out.reshape(np.shape(x_mm))
 
     def distance_mm(self, points_mm: np.ndarray) -> np.ndarray:
-        """(n,) signed distance to points (n, 3), negative above the lower side.
-
-        To the triangle of the nearest of many spots on them.
-        """
-        corners = self.triangles_mm.reshape(-1, 3)
-        mesh = trimesh.Trimesh(corners, np.arange(len(corners)).reshape(-1, 3), process=False)
-        spots, faces = trimesh.sample.sample_surface(mesh, SPOTS, seed=0)
-        nearest = faces[cKDTree(spots).query(points_mm)[1]]
-        closest = trimesh.triangles.closest_point(self.triangles_mm[nearest], points_mm)
-        far = np.linalg.norm(points_mm - closest, axis=1)
+        """(n,) signed distance to points (n, 3), negative above the lower side."""
+        far = surface_distance(self.triangles_mm, points_mm)
         inside = points_mm[:, 2] > self.height_mm(points_mm[:, 0], points_mm[:, 1])
         return np.where(inside, -far, far)
 
 
 AnyFigure = Outline | Figure
+
+
+def surface_distance(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """(n,) mm from triangles (m, 3, 3) to points (n, 3), to that of the nearest of many spots on them."""
+    corners = np.arange(3 * len(triangles)).reshape(-1, 3)
+    mesh = trimesh.Trimesh(triangles.reshape(-1, 3), corners, process=False)
+    spots, faces = trimesh.sample.sample_surface(mesh, SPOTS, seed=0)
+    nearest = faces[cKDTree(spots).query(points)[1]]
+    return np.linalg.norm(points - trimesh.triangles.closest_point(triangles[nearest], points), axis=1)
 
 
 def _check_centred(corners: np.ndarray, what: str) -> None:

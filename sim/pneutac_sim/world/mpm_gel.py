@@ -8,9 +8,11 @@ driven in by several.
 import numpy as np
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.gel.probe import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
+from pneutac_sim.gel.figure import surface_distance
+from pneutac_sim.gel.probe import BOX, CAPSULE, CYLINDER, ELLIPSOID, MESH, NO_TRIANGLES, SPHERE
 from pneutac_sim.mpm import devices
 from pneutac_sim.mpm.loads import Loads
+from pneutac_sim.mpm.sections import lattice_inside
 from pneutac_sim.mpm.solve import MpmDiverged, solve_equilibrium
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.soft_finger import GEL_FRICTION
@@ -49,17 +51,34 @@ class MpmGel:
         """Nothing touches: the next contact starts from the resting gel."""
         self._deep = 0.0
 
-    def show(self, kinds, sizes, positions, rotations, gel_position, gel_rotation) -> None:
-        """Sets the objects; arguments as in `gel.probe.probe_grid`."""
+    def show(
+        self, kinds, sizes, positions, rotations, gel_position, gel_rotation, triangles=NO_TRIANGLES
+    ) -> None:
+        """Sets the objects; arguments as in `gel.probe.probe_grid`, meshes closed."""
         R = np.asarray(gel_rotation).reshape(3, 3)
         points = self._points.reshape(-1, 3) @ R.T + gel_position
         nearest = np.full(len(points), 1.0)
         reach = np.sqrt(3) * self._half
         for kind, size, at, turn in zip(kinds, sizes, positions, rotations, strict=True):
-            if np.linalg.norm(at - gel_position) < reach + np.linalg.norm(size) + abs(CENTRE_M):
-                local = (points - at) @ np.asarray(turn).reshape(3, 3)
-                nearest = np.minimum(nearest, signed_distance(int(kind), size, local))
+            reaches = size[2] if kind == MESH else np.linalg.norm(size)
+            if np.linalg.norm(at - gel_position) > reach + reaches + abs(CENTRE_M):
+                continue
+            turn = np.asarray(turn).reshape(3, 3)
+            if kind == MESH:
+                first, count = int(size[0]), int(size[1])
+                placed = (triangles[first : first + count] @ turn.T + at - gel_position) @ R
+                distance = self._to_mesh(placed)
+            else:
+                distance = signed_distance(int(kind), size, (points - at) @ turn)
+            nearest = np.minimum(nearest, distance)
         self._table = nearest
+
+    def _to_mesh(self, triangles: np.ndarray) -> np.ndarray:
+        """(n,) m from a closed mesh (m, 3, 3) to the points of the cube, negative inside, gel frame."""
+        h = 2 * self._half / (SAMPLES - 1)
+        inside = lattice_inside(triangles, self._points[0, 0, 0] - h / 2, np.full(3, SAMPLES), h).ravel()
+        far = 1e-3 * surface_distance(1e3 * triangles, 1e3 * self._points.reshape(-1, 3))
+        return np.where(inside, -far, far)
 
     def displacement(self, depth_mm: np.ndarray) -> np.ndarray:
         """Displacement of the gel's face under the objects shown last, mm, float32 (80, 59).

@@ -2,6 +2,7 @@
 
 import mujoco
 import numpy as np
+import trimesh
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.probe import KINDS, MESH
@@ -54,11 +55,13 @@ class Touch:
                 ' class="decor", and class="object" to boxes, cylinders, capsules, spheres, ellipsoids or'
                 " meshes where it is touched."
             )
-        if self._full is not None and len(sensor.triangles):
-            raise InputError(
-                "The gel of fidelity=mpm feels no meshes; choose another fidelity, or build the objects of"
-                " boxes, cylinders, capsules, spheres and ellipsoids."
-            )
+        for g, kind, size in zip(self.felt, self.kinds, self.sizes, strict=True):
+            if self._full is not None and kind == MESH and not _closed(sensor.triangles, size):
+                raise InputError(
+                    "The gel of fidelity=mpm feels closed meshes alone, and that of geom"
+                    f" {model.geom(g).name or 'without a name'} is open; close it, or choose another"
+                    " fidelity."
+                )
 
     @property
     def displacement_mm(self) -> np.ndarray:
@@ -86,7 +89,8 @@ class Touch:
         if self._mode == "probe":
             return
         if self._full is not None:
-            self._full.show(*objects) if self.depth_mm.any() else self._full.release()
+            shown = self.depth_mm.any()
+            self._full.show(*objects, self.sensor.triangles) if shown else self._full.release()
         if self.network is not None:
             imprint = self.sensor.model.imprint(self.depth_mm)
             self.in_range = not bool(self.network.out_of_range(imprint))
@@ -110,6 +114,13 @@ def _shapes(model: mujoco.MjModel, geoms: np.ndarray) -> tuple[np.ndarray, np.nd
             sizes[k] = count, len(found[-1]), reach
             count += len(found[-1])
     return sizes, np.concatenate(found)
+
+
+def _closed(triangles: np.ndarray, size: np.ndarray) -> bool:
+    """Whether the mesh of a size of `_shapes` has an inside."""
+    first, count = int(size[0]), int(size[1])
+    corners = triangles[first : first + count].reshape(-1, 3)
+    return trimesh.Trimesh(corners, np.arange(3 * count).reshape(-1, 3)).is_watertight
 
 
 def imprint_m(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray | None:

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.indenter import Press
@@ -193,3 +195,8 @@ def test_the_full_gel_feels_a_ball_as_the_material_points_under_an_indenter_do()
     solve_equilibrium(solver, devices.press_loads(Press("sphere", 4.0, 1.0, 2.0, depth)))
     wanted = devices.surface_displacement(solver, (12.0, 16.0))[0]
     assert np.abs(moved - wanted).mean() < 0.005 and np.abs(moved - wanted).max() < 0.06
+    gel.release()
+    triangles = trimesh.creation.icosphere(4, 4e-3).triangles
+    turned = Rotation.from_rotvec([0.3, 0.1, 0.2]).as_matrix()
+    gel.show([7], [(0, len(triangles), 4e-3)], ball[2], [turned], np.zeros(3), np.eye(3), triangles)
+    assert np.abs(gel.displacement(probe_grid(*placed)) - moved).max() < 0.02

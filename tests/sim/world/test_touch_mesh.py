@@ -59,5 +59,11 @@ def test_a_hollow_mesh_is_felt_with_its_hollow(tmp_path):
     ring = "type='mesh' mesh='ring'", asset, "0 0 0.0035"
     depth = touched(*ring).depth_mm
     assert depth[40, 29] == 0 and depth[40, 29 + 15] == pytest.approx(0.5, abs=1e-5)
-    with pytest.raises(InputError, match="fidelity=mpm feels no meshes"):
-        touched(*ring, gel=SimpleNamespace(displacement=None))
+
+
+def test_the_full_gel_refuses_an_open_mesh(tmp_path):
+    mesh = trimesh.creation.box((4, 4, 4))
+    trimesh.Trimesh(mesh.vertices, mesh.faces[:-1]).export(tmp_path / "open.stl")
+    asset = f"<mesh name='open' file='{tmp_path / 'open.stl'}' scale='.001 .001 .001' inertia='shell'/>"
+    with pytest.raises(InputError, match="geom lid is open; close it"):
+        touched("name='lid' type='mesh' mesh='open'", asset, gel=SimpleNamespace(displacement=None))
