@@ -138,7 +138,7 @@ class BodyStudy(BodyWords):
         form = Form(tuple(self.own), reading, len(self.twin.spine_joint_positions_mm), own)
         space = BodySpace(fitter, self.own, [form.joints], [], ((),), form.reading)
         models = [fitter.fit(form, v, 12) for v in ({}, fitter.rough(form))]
-        found = min((search._score(space.settle_line(m)) for m in models), key=lambda s: s.value)
+        found = min((search.score(space.settle_line(m)) for m in models), key=lambda s: s.value)
         return self._slipped(search, found) or found
 
     def _slipped(self, search: BodySearch, found: Scored) -> Scored | None:
@@ -215,11 +215,11 @@ class BodyStudy(BodyWords):
             for name in new:
                 form = form.plus(name)
                 fits = [space.trial(form, values, name, s) for s in starts(name)]
-                best = search._search(space, self.noise.value).fits(fits, 8)
+                best = search.engine(space).fits(fits, 8)
                 if best:
                     values = best[0].model.values
             models = [space.settle(s.model) for s in best[:1]]
-            found += [search._score(space.settle_line(m)) for m in models]
+            found += [search.score(space.settle_line(m)) for m in models]
         plain, rich = found[0], found[-1]
         drop, low, _ = search.judge.drop(plain.crossed, rich.crossed)
         best = rich if low > 0 and drop > 0.03 * self.noise.value**2 else plain

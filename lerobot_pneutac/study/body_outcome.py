@@ -155,7 +155,7 @@ def _tested(study: "BodyStudy", search: BodySearch, done: Searched, before: Fitt
         model = first.get(name)
         if model is None and name in done.importance and name in done.space.candidates:
             form = done.found.base.model.form.plus(name.partition(" #")[0])
-            fits = search._search(done.space, study.noise.value).fits(
+            fits = search.engine(done.space).fits(
                 [done.space.trial(form, done.found.base.model.values, name, s) for s in starts(name)], 8
             )
             model = study.fitted(fits[0].model) if fits else None

@@ -17,6 +17,7 @@ from lerobot_pneutac.study.body_space import LINES, BodySpace
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.laws import family, law
 from pneutac_sim.effects.registry import get_effect
+from pneutac_sim.finger.data import BodyData
 
 if TYPE_CHECKING:
     from lerobot_pneutac.study.body import BodyStudy
@@ -95,9 +96,10 @@ class BodySearch:
 
     # ---------------------------------------------------------------- stages
 
-    def _search(self, space: BodySpace, floor: float, unit: str = "") -> Search:
-        tell = lambda text: self.tell(f"{text} {unit or self.study.unit}")  # noqa: E731
-        return Search(space, self.judge, self.fold, floor, self.run, tell)
+    def engine(self, space: BodySpace, floor: float | None = None, unit: str = "") -> Search:
+        """Searches a space; by the study's noise and unit where no others are given."""
+        floor, unit = self.study.noise.value if floor is None else floor, unit or self.study.unit
+        return Search(space, self.judge, self.fold, floor, self.run, lambda text: self.tell(f"{text} {unit}"))
 
     def _air(self) -> Found:
         """What lies between command and measured pressure."""
@@ -108,8 +110,8 @@ class BodySearch:
         joints = len(study.twin.spine_joint_positions_mm)
         reading = Reading(target="pressure", start=study.start)
         space = BodySpace(fitter, own, [joints], candidates, _lines(own, study.excluded), reading)
-        found = self._search(space, study.air_noise, "kPa").find()
-        settled = self._score(space.settle_air(found.final.model))
+        found = self.engine(space, study.air_noise, "kPa").find()
+        settled = self.score(space.settle_air(found.final.model))
         found.final = min(found.final, settled, key=lambda s: s.value)
         return found
 
@@ -143,11 +145,11 @@ class BodySearch:
             values = {k: v for k, v in air.final.model.values.items() if k.rpartition(".")[0] in told}
             lines = (*lines, told) if told and told not in lines else lines
         space = BodySpace(fitter, base, joints, candidates, lines, reading, values)
-        found = self._search(space, study.noise.value).find()
+        found = self.engine(space).find()
         space.trials = self._trials_differ(space, found)
         if space.trials:
             self.tell("each trial seems to have a zero of its own; the search begins anew beside that")
-            beside = self._search(space, study.noise.value).find()
+            beside = self.engine(space).find()
             # Zeros of trials also swallow what differs from trial to trial for a reason, such as a payload:
             # only trials that were left out tell.
             fold = fitter.trial[self.rows]
@@ -162,14 +164,14 @@ class BodySearch:
         """
         best = model
         for air in (model, *self._relined(space, model)):
-            settled = self._score(space.settle_air(air.model))
+            settled = self.score(space.settle_air(air.model))
             best = min(best, air, settled, key=lambda s: s.value)
         drop, low, _ = self.judge.drop(model.crossed, best.crossed)
         return best if best.model.form == model.model.form or low > 0 else model
 
     def _relined(self, space: BodySpace, model: Scored) -> list[Scored]:
         """The two best models with another line, where the error is not at the noise."""
-        search = self._search(space, self.study.noise.value)
+        search = self.engine(space)
         if model.value < ADEQUATE**2 * search.floor2:
             return []
         of_lines = {e for line in space.lines for e in line}
@@ -180,7 +182,7 @@ class BodySearch:
         line = lambda s: {*s.model.form.effects} & of_lines  # noqa: E731
         others = [s for s in best_of_each(quick, 1) if line(s) != line(model)][:4]
         front = self.run(lambda s: space.settle_line(s.model), others)
-        return sorted(map(self._score, front), key=lambda s: s.value)[:2]
+        return sorted(map(self.score, front), key=lambda s: s.value)[:2]
 
     def _trials_differ(self, space: BodySpace, found: Found) -> tuple[float, ...]:
         """Widths of what trials have of their own if that explains a good part of what a search leaves.
@@ -191,14 +193,14 @@ class BodySearch:
         if now.value < NEAR**2 * floor2 or self.study.recording.samples["trial"].nunique() < 4:
             return ()
         form, values = now.model.form, now.model.values
-        tried = [self._score(space.fitter.fit(replace(form, trials=w), values, 8)) for w in TRIAL_WIDTHS]
+        tried = [self.score(space.fitter.fit(replace(form, trials=w), values, 8)) for w in TRIAL_WIDTHS]
         beside = min(tried, key=lambda s: s.value)
         drop, low, _ = self.judge.drop(now.crossed, beside.crossed)
         return beside.model.form.trials if low > 0 and drop > 0.3 * (now.value - floor2) else ()
 
     def _simplified(self, space: BodySpace, found: Found, own: tuple[str, ...]) -> Scored:
         """The final model with the paper's base, and without parts of the base, where that is as good."""
-        search = self._search(space, self.study.noise.value)
+        search = self.engine(space)
         final = found.final
         floor2 = self.study.noise.value**2
         form = replace(final.model.form, own=False, trials=space.trials)
@@ -222,7 +224,7 @@ class BodySearch:
         own = set(study.own)
         parts_of_base = set() if not model.model.form.own else {e for e in space.base if e not in NAMED}
         terms = [e for e in model.model.form.effects if e not in own and e not in parts_of_base]
-        without = dict(self.run(lambda t: (t, self._score(space.without(model.model, t))), terms))
+        without = dict(self.run(lambda t: (t, self.score(space.without(model.model, t))), terms))
         done.without = without
         done.importance = {t: s.value - model.value for t, s in without.items()}
         if done.air is not None and done.driven:
@@ -237,7 +239,8 @@ class BodySearch:
         done.forward = self._holds_forward(done)
         return done
 
-    def _score(self, model: BodyModel) -> Scored:
+    def score(self, model: BodyModel) -> Scored:
+        """A model with its worth."""
         crossed = model.crossed(self.fold)
         return Scored(model, crossed, self.judge.value(crossed))
 
@@ -277,15 +280,8 @@ def base_effects(study: "BodyStudy") -> tuple[str, ...]:
     return tuple(e for e in out if e not in study.excluded)
 
 
-def labels(terms: Iterable[str]) -> dict[str, str]:
-    """Term to what the library calls such physics."""
-    return {t: family(t) for t in terms}
-
-
 def features(study: "BodyStudy") -> np.ndarray:
     """(n, f) causal signals of the command and the conditions, for a black box."""
-    from pneutac_sim.finger.data import BodyData
-
     data = BodyData.of(study.recording, study.twin, source="command", start=study.start)
     u, dt = data.inputs.pressure_kpa / data.inputs.pressure_range_kpa, data.inputs.dt_s
     columns = [u]

@@ -278,7 +278,7 @@ class BodySpace:
                 "fatol": 1e-4 * steps.least(model.theta),
             },
         ).x
-        values = dict(zip(model.pipeline.names, map(float, theta(best)), strict=True))
+        values = replace(model, theta=theta(best)).values
         moved = self.with_instants(self.fitter.fit(model.form, values, 0), 1)
         return self.fitter.fit(moved.form, moved.values, 8)
 

@@ -1,6 +1,7 @@
 import numpy as np
 
-from lerobot_pneutac.study.body_model import BodyFitter, Form, Reading, rate
+from lerobot_pneutac.study.body_model import BodyFitter, Form, Reading
+from lerobot_pneutac.study.body_trials import rate
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.twin import Twin
 from pneutac_truths import generate, write

@@ -9,7 +9,6 @@ from pneutac_datasets.recording.sources.tracks import Source
 from pneutac_sim.errors import InputError
 
 TIME = "time_s"
-AXES = ("x", "y", "z")
 
 
 def read_mat(file: Path, time: str = TIME) -> Source:
