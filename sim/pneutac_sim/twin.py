@@ -19,7 +19,7 @@ from safetensors.numpy import load_file, save
 
 from pneutac_sim.errors import InputError, shown
 from pneutac_sim.features import PAPER_LENGTH_MM, PAPER_RANGE_KPA
-from pneutac_sim.files import inside, locked, read_yaml, whole, write_json
+from pneutac_sim.files import inside, locked, read_yaml, whole, write_json, write_text
 
 DEVICES = ("finger", "arm", "gel")
 FORMAT = "pneutac-twin/1"
@@ -134,11 +134,9 @@ class Twin:
         text = yaml.dump(content, Dumper=_Dumper, sort_keys=False)
         if number is not None:
             folder = path / "history" / f"{number:03d}"
-            with whole(folder / "twin.yaml") as part:
-                part.write_text(text)
+            write_text(folder / "twin.yaml", text)
             write_json(folder / "change.json", self.history[-1])
-        with whole(path / "twin.yaml") as part:
-            part.write_text(text)
+        write_text(path / "twin.yaml", text)
 
     def save_version(self, path: str | Path, change: str, recording: str, errors: dict) -> Path:
         """Appends a history entry and writes the twin as the next version of the folder `path`.
@@ -187,11 +185,11 @@ class Twin:
         told, faults = _told(d)
         if faults:
             raise InputError(f"{file}: {faults[0]}")
-        twin = cls(**told)
-        twin.folder = folder = Path(path)
-        files = {name: Path(path) / f"{name}.safetensors" for name in NETWORKS}
+        twin, folder = cls(**told), Path(path)
+        twin.folder = folder
+        files = {name: folder / f"{name}.safetensors" for name in NETWORKS}
         twin.networks = {name: file for name, file in files.items() if file.is_file()}
-        arrays = Path(path) / d.get("arrays", "arrays.safetensors")  # a twin before 0.2 does not name it
+        arrays = folder / d.get("arrays", "arrays.safetensors")  # a twin before 0.2 does not name it
         if arrays.name != d.get("arrays", arrays.name):
             raise InputError(f"{file}: field 'arrays' is '{d['arrays']}'; it must be a file's name.")
         for linked in (file, arrays, folder / "history", *twin.networks.values()):

@@ -19,10 +19,6 @@ FLANGE_M = 0.107
 # Flange straight down, elbow up; the start of every inverse kinematics.
 HOME_JOINTS = np.array([0.0, -np.pi / 4, 0.0, -3 * np.pi / 4, 0.0, np.pi / 2, np.pi / 4])
 
-# Where the flange may be sent at the paper's station, metres in the arm's base frame: in reach, flange down.
-WORKSPACE_LOW = np.array([0.30, -0.20, 0.18])
-WORKSPACE_HIGH = np.array([0.66, 0.20, 0.55])
-
 # Joint servo: stiffness (N m/rad) and reflected motor inertia (kg m2). Damping is SERVO_LAG_S x stiffness:
 # near critical at home, and the same lag in every joint keeps the orientation held while the arm moves.
 SERVO_STIFFNESS = (12000, 12000, 8000, 8000, 3000, 3000, 2000)

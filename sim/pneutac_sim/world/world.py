@@ -272,7 +272,7 @@ class World(Senses):
         drive, before = self._bend(spine), self._drive
         K, rest = self._resist(before)
         D = self._springs.set(K)
-        self._feel_objects()
+        self._pad.feel(self.touch.objects(self.data))
         ctrl = np.tile(self.data.ctrl, (self._substeps, 1))
         ctrl[:, self._arm] = self._joints + self._ramp * (joints - self._joints)
         torques, self._rate = self._follower.torques(before, self._rate, drive, K, D, self._substeps)
@@ -290,10 +290,6 @@ class World(Senses):
                 mujoco.mj_step(self.model, self.data)
         mujoco.mj_kinematics(self.model, self.data)
         self._joints, self.spine_target_rad, self._drive = joints, spine, drive
-
-    def _feel_objects(self) -> None:
-        """Gives the gel's face the spring for what lies under it or before it."""
-        self._pad.feel(self.touch.objects(self.data))
 
     def _resist(self, drive: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Stiffness K (N, N) in N m/rad and the torque (N,) beyond it, about the present joint angles.

@@ -7,7 +7,6 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, N_PIXELS, STATE_NAMES, TASK_NAMES
 from pneutac_sim.world import drawing, scene
 from pneutac_sim.world.expert import ScriptedExpert
-from pneutac_sim.world.panda import WORKSPACE_HIGH
 from pneutac_sim.world.station import Station
 from pneutac_sim.world.tasks import TASKS
 from pneutac_sim.world.view import CAMERA
@@ -99,7 +98,7 @@ def test_limits_clip_and_count(world):
     assert world.clipped == 3 and world.command[0] == pytest.approx(0.1)
     for _ in range(90):
         world.step([0, 0, 0.1, 0])
-    assert world.flange_m[2] <= WORKSPACE_HIGH[2] + 2e-3
+    assert world.flange_m[2] <= world.station.workspace_high_m[2] + 2e-3
     assert world.clipped > 3
 
 
