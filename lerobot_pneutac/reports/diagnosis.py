@@ -5,7 +5,7 @@ import plotly.graph_objects as go
 
 from lerobot_pneutac.diagnosis.experiment import Separation
 from lerobot_pneutac.diagnosis.result import Outcome
-from lerobot_pneutac.reports.page import Report
+from lerobot_pneutac.reports.page import Report, span
 from lerobot_pneutac.reports.sentences import percent
 from lerobot_pneutac.study.base import EffectStudy
 
@@ -101,7 +101,7 @@ def _parameters(page: Report, study: EffectStudy, o: Outcome) -> None:
                 "effect": e,
                 "parameter": k,
                 "value": p["value"],
-                "95 % interval": "{:.4g} to {:.4g}".format(*p["ci95"]) if p["ci95"] else "held",
+                "95 % interval": span(p["ci95"], "held"),
                 "unit": p["unit"] or "(a ratio)",
             }
             for e, parameters in fitted.items()

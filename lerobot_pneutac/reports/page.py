@@ -155,5 +155,10 @@ def cell(x, none: str = "-") -> str:
     return str(x)
 
 
+def span(ci95, unknown: str = "") -> str:
+    """An interval, `0.12 to 0.34`; `unknown` where there is none."""
+    return "{:.4g} to {:.4g}".format(*ci95) if ci95 else unknown
+
+
 def _base64(data: bytes) -> str:
     return base64.b64encode(data).decode()

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from lerobot_pneutac.diagnosis.model import FittedModel
 from lerobot_pneutac.diagnosis.steps import Steps
-from lerobot_pneutac.reports.page import Report
+from lerobot_pneutac.reports.page import Report, span
 from lerobot_pneutac.reports.sentences import percent
 from lerobot_pneutac.study.base import EffectStudy
 from lerobot_pneutac.study.by_device import study_of
@@ -97,9 +97,8 @@ class Addition(Result):
         rows = []
         for name, e in (("before", self.before), (f"with {self.effect}", self.after)):
             if e is not None:
-                interval = "{:.4g} to {:.4g}".format(*e["heldout_ci95"])
                 row = {f"error, {self.unit} (noise {self.noise_floor:.3g})": name, "train": e["train"]}
-                row |= {"test": e["heldout"], "95 % interval": interval}
+                row |= {"test": e["heldout"], "95 % interval": span(e["heldout_ci95"])}
                 rows.append(row | ({"contact": e["heldout_contact"]} if "heldout_contact" in e else {}))
         return rows
 
@@ -153,7 +152,7 @@ class Addition(Result):
                 {
                     "parameter": k,
                     "value": v["value"],
-                    "95 % interval": "{:.4g} to {:.4g}".format(*v["ci95"]) if v["ci95"] else "held",
+                    "95 % interval": span(v["ci95"], "held"),
                     "unit": v["unit"] or "(a ratio)",
                 }
                 for k, v in (self.parameters or {}).items()

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
 
+from lerobot_pneutac.reports.page import span
 from lerobot_pneutac.verbs.result import Result, command_on
 from pneutac_sim.twin import Twin
 
@@ -63,6 +64,19 @@ class Calibration(Result):
     def next_command(self) -> str:
         """To see where it still fails."""
         return command_on("compare", self.twin, self.recording)
+
+    def rows(self) -> list[dict]:
+        """One row a parameter."""
+        return [
+            {
+                "parameter": name,
+                "value": p["value"],
+                "95 % interval": span(p["ci95"]),
+                "unit": p["unit"],
+                "note": p["note"],
+            }
+            for name, p in self.parameters.items()
+        ]
 
     def to_dict(self) -> dict:
         """The content of `result.json`."""

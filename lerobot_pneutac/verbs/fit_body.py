@@ -59,19 +59,6 @@ class BodyCalibration(Calibration):
             + ("." if heldout is None else f", and by {heldout:.3g} {self.unit} where it was not.")
         )
 
-    def rows(self) -> list[dict]:
-        """One row a parameter."""
-        return [
-            {
-                "parameter": name,
-                "value": p["value"],
-                "95 % interval": "" if p["ci95"] is None else "{:.4g} to {:.4g}".format(*p["ci95"]),
-                "unit": p["unit"],
-                "note": p["note"],
-            }
-            for name, p in self.parameters.items()
-        ]
-
     def remarks(self) -> list[str]:
         """The errors and what they cost."""
         heldout = self.error["heldout"]

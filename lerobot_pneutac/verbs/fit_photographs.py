@@ -105,19 +105,6 @@ class PhotoCalibration(Calibration):
             text += f"; there its tip misses the marker, which was not fitted, by {tip['heldout']:.2g} mm"
         return text + "."
 
-    def rows(self) -> list[dict]:
-        """One row a parameter."""
-        return [
-            {
-                "parameter": name,
-                "value": p["value"],
-                "95 % interval": "{:.4g} to {:.4g}".format(*p["ci95"]),
-                "unit": p["unit"],
-                "note": p["note"],
-            }
-            for name, p in self.parameters.items()
-        ]
-
     def remarks(self) -> list[str]:
         """Overlap, tip error and what they cost."""
         iou, tip = self.iou, self.tip_mm

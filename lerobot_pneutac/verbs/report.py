@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from lerobot_pneutac.reports.page import Report
+from lerobot_pneutac.reports.page import Report, span
 from lerobot_pneutac.verbs.result import Result
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.twin import Twin, Value
@@ -80,8 +80,7 @@ class TwinReport(Result):
 
 
 def _row(of: str, name: str, value: Value) -> dict:
-    known = "" if value.ci95 is None else "{:.4g} to {:.4g}".format(*value.ci95)
-    return {"of": of, "parameter": name, "value": value.value, "95 % interval": known}
+    return {"of": of, "parameter": name, "value": value.value, "95 % interval": span(value.ci95)}
 
 
 def report(twin: Twin) -> TwinReport:
