@@ -7,7 +7,7 @@ imprints show where it pressed. Touch is shown `touch_late` frames late, and gro
 alike in all.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 
 from lerobot_pneutac.diagnosis.search import Trial
 from lerobot_pneutac.study.demonstration_data import EpisodeData, inputs_of
-from lerobot_pneutac.study.demonstration_touch import TYPICAL, imprint_per_rad, touch
+from lerobot_pneutac.study.demonstration_touch import TYPICAL, imprint_per_rad, stiffness_n_per_rad, touch
 from pneutac_sim.effects.effect import Parameter
 from pneutac_sim.features import CONTROL_HZ
 from pneutac_sim.finger import Pipeline
@@ -31,6 +31,8 @@ TOUCH_LATE = Parameter("touch_late", "frames", default=1.0, lower=0.0, upper=6.0
 ARM, AIR, TOUCH = slice(0, 3), slice(0, 4), slice(4, 5)
 START = {"growth": GROWTH.default, "touch_late": TOUCH_LATE.default}
 STEP = 1e-3
+TRUST = 0.3  # of the range of what is free: no step is longer
+SHARES = (1.0, 0.5, 0.25, 0.1)
 BEGIN = 4  # frames
 
 
@@ -62,6 +64,7 @@ class DemonstrationModel:
         unit: of what the Jacobian is by: name to its lower and upper bound, of the logarithm of those that
             are `logarithmic`.
         logarithmic: names.
+        residual_at: (n, k) of it so far from what was found, (P,) in units of the range.
     """
 
     form: Form
@@ -71,6 +74,7 @@ class DemonstrationModel:
     at_bound: list[str]
     unit: dict[str, tuple[float, float]]
     logarithmic: frozenset[str] = frozenset()
+    residual_at: Callable[[np.ndarray], np.ndarray] = lambda step: np.empty(0)  # noqa: E731
 
     @property
     def cost(self) -> int:
@@ -78,13 +82,21 @@ class DemonstrationModel:
         return self.jacobian.shape[2] + len(self.form.effects)
 
     def crossed(self, fold: np.ndarray) -> np.ndarray:
-        """(n,) squared errors, each by a fit without its own fold, one Gauss-Newton step away."""
+        """(n,) squared errors, each by a fit without its own fold, one Gauss-Newton step away.
+
+        A step that leads too far, as where the rest hardly tells, is shortened until it helps the rest.
+        """
+        squared = (self.residual**2).sum(1)
         if not self.jacobian.shape[2]:
-            return (self.residual**2).sum(1)
-        out, steps = np.zeros(len(fold)), self._steps(fold)
-        for k, step in zip(np.unique(fold), steps, strict=True):
+            return squared
+        out = squared.copy()
+        for k, step in zip(np.unique(fold), self._steps(fold), strict=True):
             mine = fold == k
-            out[mine] = ((self.residual[mine] + self.jacobian[mine] @ step) ** 2).sum(1)
+            for share in SHARES:
+                there = (self.residual_at(share * step) ** 2).sum(1)
+                if there[~mine].sum() <= squared[~mine].sum():
+                    out[mine] = there[mine]
+                    break
         return out
 
     def _steps(self, fold: np.ndarray) -> np.ndarray:
@@ -95,7 +107,7 @@ class DemonstrationModel:
             H = rest.T @ rest
             ridge = 1e-6 * np.trace(H) / max(len(H), 1) + 1e-12
             step = -np.linalg.solve(H + ridge * np.eye(len(H)), rest.T @ r[fold != k].ravel())
-            out.append(np.clip(step, -0.3, 0.3))
+            out.append(np.clip(step, -TRUST, TRUST))
         return np.array(out)
 
     def intervals(self, fold: np.ndarray) -> dict[str, tuple[float, float]]:
@@ -126,7 +138,7 @@ class Fitter:
         self.twin, self.episodes, self.rows = twin, episodes, rows
         self.known_s = latency_s(twin)
         self.ends = np.cumsum([0, *map(len, episodes)])
-        self.slopes = [imprint_per_rad(e) for e in episodes]
+        self.slope = imprint_per_rad(episodes, stiffness_n_per_rad(twin))
         self._bent = self._run(twin, (), {}).markers[:, 3]
         tip = self._run(twin, (), {}).markers[:, [0, 2]]
         reach = np.ptp(self._bent) or 1.0
@@ -194,7 +206,7 @@ class Fitter:
         latency = values.get(f"{LATE}.latency_s", self.known_s) * CONTROL_HZ
         more, residual = run.markers[:, 3] - self._bent, np.zeros((self.ends[-1], 5))
         imprint = np.zeros(self.ends[-1])
-        for e, slope, a, b in zip(self.episodes, self.slopes, self.ends, self.ends[1:], strict=False):
+        for e, a, b in zip(self.episodes, self.ends, self.ends[1:], strict=False):
             frames = np.arange(len(e))
             path = np.stack([np.interp(frames - latency, frames, c) for c in e.commanded_m.T], 1)
             residual[a:b, :3] = 1e3 * (moved(e.flange_m) - moved(path))
@@ -202,7 +214,9 @@ class Fitter:
             if columns in (AIR, ARM):
                 continue
             imprint[a:b] = touch(e, more[a:b], values["growth"], values["touch_late"])
-            residual[a:b, 4] = np.where(e.contact, (e.imprint - imprint[a:b]) / slope, 0.0) * self.mm_per_rad
+            residual[a:b, 4] = (
+                np.where(e.contact, (e.imprint - imprint[a:b]) / self.slope, 0.0) * self.mm_per_rad
+            )
         return residual, {"pressure_kpa": run.pressure_kpa[:, 0], "imprint": imprint}
 
     def fit(self, trial: Trial, columns: slice, steps: int = 12) -> DemonstrationModel:
@@ -221,11 +235,16 @@ class Fitter:
         def residual(v: np.ndarray) -> np.ndarray:
             return self.predict(trial.form, free(v), columns)[0][self.rows, columns].ravel()
 
+        def slopes(v: np.ndarray) -> np.ndarray:  # by steps of the range, not of what may be nearly 0
+            steps = np.where(v < 0.5, STEP, -STEP)
+            here = residual(v)
+            return np.stack([residual(v + d) - here for d in np.diag(steps)], 1) / steps
+
         found = least_squares(
             residual,
             np.clip(start, 1e-4, 1 - 1e-4),
+            slopes,
             bounds=(0, 1),
-            diff_step=STEP,
             x_scale=0.1,
             max_nfev=steps,
             loss="linear",
@@ -237,7 +256,13 @@ class Fitter:
         kept = free(found.x)
         log = frozenset(n for n, s in zip(names, specs, strict=True) if s.log)
         unit = {n: (a, b) for n, a, b, m in zip(names, low, high, moving, strict=True) if m}
-        return DemonstrationModel(trial.form, kept, r, J[:, :, moving], edge, unit, log)
+
+        def residual_at(step: np.ndarray) -> np.ndarray:
+            there = found.x.copy()
+            there[moving] = np.clip(there[moving] + step, 0, 1)
+            return residual(there).reshape(r.shape)
+
+        return DemonstrationModel(trial.form, kept, r, J[:, :, moving], edge, unit, log, residual_at)
 
     def base(self, columns: slice) -> DemonstrationModel:
         """The twin as it is."""

@@ -98,12 +98,12 @@ class DemonstrationStudy(DemonstrationWords):
         """What differs from frame to frame; or what the twin left before, where that is known and more."""
         f = self.fitter
         columns: dict[str, list[np.ndarray]] = {"flange": [], "pressure.pos": [], "imprint": []}
-        for e, slope in zip(f.episodes, f.slopes, strict=True):
+        for e in f.episodes:
             jumps = np.diff(e.flange_m, 3, axis=0)  # third differences, of which motion has little
             columns["flange"].append(1e3 * np.sqrt(3) * jumps.ravel())
             columns["pressure.pos"].append(f.mm_per_kpa * np.diff(e.pressure_kpa, 3))
             strong = e.imprint > 0.5 * e.imprint.max()
-            columns["imprint"].append(f.mm_per_rad * np.diff(e.imprint[strong], 3) / slope)
+            columns["imprint"].append(f.mm_per_rad * np.diff(e.imprint[strong], 3) / f.slope)
         sizes = {
             k: float(MAD * np.median(np.abs(np.concatenate(v))) / np.sqrt(20)) for k, v in columns.items()
         }
@@ -266,12 +266,12 @@ class DemonstrationStudy(DemonstrationWords):
         return self.test.value(after.squared) < self.test.value(before.squared)
 
     def _worth(self, found: Found, base: DemonstrationModel, fitter: Fitter, columns: slice) -> bool:
-        """Whether what a stage found lowers the error of the held-out episodes too."""
+        """Whether what a stage found lowers the error of the held-out episodes too, by more than by chance."""
         squared = (
             (fitter.predict(m.form, m.values)[0][:, columns] ** 2).sum(1) for m in (base, found.final.model)
         )
         before, after = map(self.test.value, squared)
-        return bool(found.final.model.form.effects) and after < before
+        return bool(found.final.model.form.effects) and before - after > WORTH_OF_LEFT * after
 
     def _least(self, columns: slice, left: float) -> float:
         """Fall of the mean square error below which a term does not count, where `left` is left with it."""

@@ -198,10 +198,11 @@ def _refuse(folder: Path, twin: Twin) -> None:
 def _task_of(instruction: str, folder: Path) -> str:
     from pneutac_sim.world.tasks import make_task
 
-    for name in task_names():
-        if make_task(name).description == instruction:
-            return name
+    said = instruction.lower().rstrip(".").split()
+    named = [n for n in task_names() if make_task(n).description == instruction or n in said]
+    if len(named) == 1:
+        return named[0]
     raise InputError(
-        f"{folder}: the instruction '{instruction}' is no task's own; say with task= which of "
+        f"{folder}: the instruction '{instruction}' names no task; say with task= which of "
         f"{', '.join(task_names())} stood in front of the robot."
     )
