@@ -266,7 +266,7 @@ class DemonstrationStudy(DemonstrationWords):
         return self.test.value(after.squared) < self.test.value(before.squared)
 
     def _worth(self, found: Found, base: DemonstrationModel, fitter: Fitter, columns: slice) -> bool:
-        """Whether what a stage found lowers the error of the held-out episodes too, by more than by chance."""
+        """Whether what a stage found lowers the error of the held-out episodes too, by a good part."""
         squared = (
             (fitter.predict(m.form, m.values)[0][:, columns] ** 2).sum(1) for m in (base, found.final.model)
         )
