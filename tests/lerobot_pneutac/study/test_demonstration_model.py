@@ -6,6 +6,7 @@ import pytest
 from lerobot_pneutac.diagnosis.search import Trial
 from lerobot_pneutac.study.demonstration_data import MORE_RAD, EpisodeData, inputs_of
 from lerobot_pneutac.study.demonstration_model import AIR, LATE, TOUCH, Fitter, Form
+from lerobot_pneutac.study.demonstration_touch import imprint_per_rad, stiffness_n_per_rad
 from lerobot_pneutac.study.demonstrations import DemonstrationStudy
 from pneutac_datasets.demonstrations.replay.replaying import Place
 from pneutac_sim.effects.registry import get_effect
@@ -101,6 +102,30 @@ def test_the_lateness_of_touch_is_found(twin):
         e.imprint = np.append(np.zeros(2), e.imprint)[: len(e)]
     assert f.base(TOUCH).values["touch_late"] == pytest.approx(2, abs=0.3)
     assert f.lateness([e.contact for e in f.episodes]) == pytest.approx(2, abs=0.3)
+
+
+def test_errors_across_episodes_are_those_of_fits_without_each(twin):
+    """One of them alone tells by which power imprints grow: a step without it must not lead anywhere."""
+    episodes = [made(twin, twin, seed) for seed in range(4)]
+    for e in episodes[1:]:
+        e.press_n = 0.4 * e.press_n
+        e.imprint = 0.1 * e.imprint + 0.02 * np.sin(np.arange(len(e)))
+    f, fold = fitter(twin, episodes), np.repeat(np.arange(4), 150)
+    crossed = f.base(TOUCH).crossed(fold)
+    for k in range(4):
+        part = Fitter(twin, episodes, fold != k).base(TOUCH)
+        true = (f.predict(part.form, part.values)[0][fold == k, 4] ** 2).mean()
+        assert crossed[fold == k].mean() == pytest.approx(true, rel=0.2)
+
+
+def test_an_object_that_gives_way_does_not_make_a_small_touch_a_large_error(twin):
+    stands, gives_way = ([made(twin, twin, seed) for seed in range(2)] for _ in range(2))
+    for e in gives_way:  # more bend does not press harder
+        e.press_n = np.repeat(e.press_n[:, [MORE_RAD.index(0.0)]], len(MORE_RAD), 1)
+    stiff = stiffness_n_per_rad(twin)
+    assert 1 < stiff < 2 < SLOPE
+    one, other = (imprint_per_rad(episodes, stiff) for episodes in (stands, gives_way))
+    assert other == pytest.approx(one * stiff / SLOPE, rel=0.1)
 
 
 def test_what_touch_alone_told_is_not_told_apart_from_the_contact():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -90,7 +91,7 @@ def load_demonstrations(
 
     Args:
         name: its folder, or its name on the Hub.
-        task: in front of the robot; left out, the one whose description is the dataset's instruction.
+        task: in front of the robot; left out, the one that the dataset's instruction names.
         twin: whose sensor and range of pressures they have; left out, the built-in one.
         only: numbers of the episodes that are read; left out, all.
 
@@ -117,7 +118,7 @@ def load_demonstrations(
     if missing := [i for i in only or () if not 0 <= i < count]:
         raise InputError(f"{name} has no episode {missing[0]}; it has {count}, the first is 0.")
     episodes = [load_episode(dataset, i) for i in (range(count) if only is None else only)]
-    return checked(Demonstrations(Path(name), task or _task_of(episodes[0].task, folder), episodes))
+    return checked(Demonstrations(Path(name), task or task_of(episodes[0].task, folder), episodes))
 
 
 def checked(given: Demonstrations) -> Demonstrations:
@@ -195,11 +196,17 @@ def _refuse(folder: Path, twin: Twin) -> None:
         raise InputError(faults[0])
 
 
-def _task_of(instruction: str, folder: Path) -> str:
+def task_of(instruction: str, folder: Path) -> str:
+    """The task whose own instruction this is, or the only one that it names.
+
+    Raises:
+        InputError: it is none's.
+    """
     from pneutac_sim.world.tasks import make_task
 
-    said = instruction.lower().rstrip(".").split()
-    named = [n for n in task_names() if make_task(n).description == instruction or n in said]
+    words = set(re.findall(r"\w+", instruction.lower()))
+    own = [n for n in task_names() if make_task(n).description == instruction]
+    named = own or [n for n in task_names() if n in words]
     if len(named) == 1:
         return named[0]
     raise InputError(

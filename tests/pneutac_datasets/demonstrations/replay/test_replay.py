@@ -16,6 +16,7 @@ from pneutac_datasets.demonstrations.replay.reading import (
     checked,
     is_dataset,
     load_demonstrations,
+    task_of,
 )
 from pneutac_datasets.demonstrations.replay.replaying import ReplayWorld, late
 from pneutac_sim.errors import InputError
@@ -135,6 +136,14 @@ def test_what_cannot_serve_is_refused(episode):
         checked(given(replace(episode, state=jumps)))
     with pytest.raises(InputError, match="There is no task 'tea'"):
         checked(replace(given(episode), task="tea"))
+
+
+def test_the_task_is_the_one_that_the_instruction_names():
+    told = {"Flip the toggle switch.": "switch", "flip the switch": "switch", "Push the Button.": "button"}
+    assert {t: task_of(t, Path("demos")) for t in told} == told
+    for t in ("press", "push the button, not the switch"):
+        with pytest.raises(InputError, match="names no task; say with task= which of switch, egg,"):
+            task_of(t, Path("demos"))
 
 
 def test_a_folder_that_is_not_there_is_no_name_on_the_hub(tmp_path):
