@@ -281,7 +281,10 @@ class Fitter:
         for late in tried:
             r = part.predict(Form(), whole | {"touch_late": float(late)}, TOUCH)[0][part.rows, TOUCH]
             errors.append(float((r**2).sum()))
-        return float(tried[int(np.argmin(errors))])
+        best = tried[int(np.argmin(errors))]
+        near = np.abs(tried - best) <= 1.0  # between frames errors are a little jagged: a parabola is not
+        curve, slope, _ = np.polyfit(tried[near] - best, np.array(errors)[near], 2)
+        return float(np.clip(best - slope / (2 * curve), 0.0, MOST_LATE)) if curve > 0 else float(best)
 
     def twin_with(self, model: DemonstrationModel, ci95: Mapping[str, tuple[float, float]]) -> Twin:
         """The twin with a model's effects and their intervals."""
