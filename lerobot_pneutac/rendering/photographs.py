@@ -25,7 +25,7 @@ from pneutac_sim.photo_fit.objective import SOLID, MaskedPhotograph
 from pneutac_sim.splat.body import looks_from_twin
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.follow import carried
-from pneutac_sim.splat.rasteriser import rasterise
+from pneutac_sim.splat.render import rasterise
 from pneutac_sim.twin import Twin
 
 HEIGHT, GAP, CAPTION = 400, 8, 40  # px of a panel, between panels, and below

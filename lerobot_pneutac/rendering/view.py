@@ -13,7 +13,7 @@ from pneutac_sim.splat.body import ARRAYS, looks_from_twin
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.follow import blank_looks, carried
 from pneutac_sim.splat.gaussians import Gaussians
-from pneutac_sim.splat.rasteriser import rasterise
+from pneutac_sim.splat.render import rasterise
 from pneutac_sim.splat.stretch import strain, stretch_colours
 from pneutac_sim.twin import Twin
 

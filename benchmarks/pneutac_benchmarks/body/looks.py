@@ -24,7 +24,7 @@ from pneutac_datasets.recording.photographs import read_camera, read_photograph
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.splat.body import fit_body_looks
 from pneutac_sim.splat.follow import carried
-from pneutac_sim.splat.rasteriser import rasterise
+from pneutac_sim.splat.render import rasterise
 from pneutac_sim.twin import Twin, Value
 
 VIEWS = ("front", "back")

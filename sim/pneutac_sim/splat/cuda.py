@@ -4,47 +4,63 @@ import importlib.util
 
 import numpy as np
 
-from pneutac_sim.errors import InputError
 from pneutac_sim.splat.camera import Camera
-from pneutac_sim.splat.gaussians import Gaussians
 from pneutac_sim.splat.kernels import BLUR_PX2, LEAST_ALPHA, NEAR_M, TILE
+from pneutac_sim.splat.rasteriser import Rendering, numbers
 
 
-def rasterise(gaussians: Gaussians, camera: Camera, background: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Renders Gaussians as one camera sees them; gsplat compiles its kernels at the first call (minutes).
+class CudaSplats:
+    """Gaussians on a CUDA device, ready for any colours; gsplat compiles its kernels first (minutes).
 
     Args:
-        gaussians: what to render.
         camera: from where.
-        background: (3,) float32, 0 to 1.
-
-    Returns:
-        Image (H, W, 3) and coverage (H, W), float32.
+        means: (n, 3) m.
+        covariances: (n, 3, 3) m^2, symmetric.
+        opacities: (n,) 0 to 1.
 
     Raises:
-        InputError: gsplat or a CUDA device is missing.
+        InputError: a shape is wrong or a number not finite.
     """
-    require()
+
+    def __init__(self, camera: Camera, means, covariances, opacities):
+        self.camera, self.means = camera, numbers("means", means, (-1, 3))
+        n = len(self.means)
+        self._means = _sent(self.means)
+        self._covariances = _sent(numbers("covariances", covariances, (n, 3, 3)))
+        self._opacities = _sent(numbers("opacities", opacities, (n,)))
+
+    def render(self, colours, background=(0.0, 0.0, 0.0)) -> Rendering:
+        """The picture with colours (n, 3) on a background (3,).
+
+        Raises:
+            InputError: a shape is wrong or a number not finite.
+        """
+        import torch
+
+        colours = _sent(numbers("colours", colours, self.means.shape))
+        behind = _sent(numbers("background", background, (3,)))
+        gaussians = self._means, self._covariances, colours, self._opacities
+        with torch.no_grad():
+            image, alpha = rasterise_tensors(*gaussians, self.camera, behind)
+        return Rendering(image.cpu().numpy(), alpha.cpu().numpy())
+
+
+def _sent(array: np.ndarray):
     import torch
 
-    arrays = (gaussians.means, gaussians.covariances(), gaussians.colours, gaussians.opacities, background)
-    means, covariances, colours, opacities, behind = (torch.from_numpy(a).cuda() for a in arrays)
-    with torch.no_grad():
-        image, alpha = rasterise_tensors(means, covariances, colours, opacities, camera, behind)
-    return image.cpu().numpy(), alpha.cpu().numpy()
+    return torch.from_numpy(array).cuda()
 
 
-def require() -> None:
-    """Raises InputError where gsplat or a CUDA device is missing."""
+def missing() -> str:
+    """What to do where gsplat or a CUDA device is missing; empty where both are there."""
     install = "uv pip install -e '.[cuda]' in PneuTac's folder"
     if importlib.util.find_spec("gsplat") is None:
-        raise InputError(f"Rendering on CUDA needs the package gsplat; install it with: {install}")
+        return f"Rendering on CUDA needs the package gsplat; install it with: {install}"
     import torch
 
     if not torch.cuda.is_available():
-        raise InputError(
-            f"Rendering on CUDA needs a CUDA device, which PyTorch does not find; see: {install}"
-        )
+        return f"Rendering on CUDA needs a CUDA device, which PyTorch does not find; see: {install}"
+    return ""
 
 
 def rasterise_tensors(means, covariances, colours, opacities, camera: Camera, background):

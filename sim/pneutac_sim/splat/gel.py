@@ -17,7 +17,9 @@ from pneutac_sim.gel.optics import light
 from pneutac_sim.gel.probe import COLS, ROWS
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.colours import fit_looks
+from pneutac_sim.splat.cuda import CudaSplats
 from pneutac_sim.splat.rasteriser import Splats, numbers
+from pneutac_sim.splat.render import on
 
 CAMERA_MM = 22.0  # a DIGIT's camera before its gel surface
 LAYERS = 13
@@ -44,13 +46,15 @@ class SplatSensor:
             to the rest image where None (seconds).
         increment: from a displacement (80, 59) in mm to what contact adds to the picture, (H, W, 3) levels;
             the model's own light where None.
+        device: that draws: `cpu`, `cuda`, or `auto` for CUDA where gsplat and a device are there; looks are
+            fitted on the CPU.
 
     Attributes:
         camera: the gel's camera, in the gel's frame.
         looks: colours and opacities.
 
     Raises:
-        InputError: `layers` or `looks` do not fit.
+        InputError: `layers` or `looks` do not fit, there is no such device, or CUDA or gsplat is missing.
     """
 
     def __init__(
@@ -60,10 +64,11 @@ class SplatSensor:
         distortion: tuple[float, ...] = (),
         looks: tuple[np.ndarray, np.ndarray] | None = None,
         increment: Callable[[np.ndarray], np.ndarray] | None = None,
+        device: str = "cpu",
     ):
         if isinstance(layers, bool) or not isinstance(layers, int) or layers < 2:
             raise InputError(f"A gel of splats has {layers!r} layers; it needs 2 or more.")
-        self.model = model
+        self.model, self._on = model, on(device)
         self.increment = increment or self._light
         self._model_weight, self._coefficients = model.weight, model.coefficients
         self._further = model.further
@@ -84,7 +89,7 @@ class SplatSensor:
             splats = Splats(self.camera, self._means, self._covariances, start)
             looks = fit_looks(splats, rest, self._background, iterations=ITERATIONS)
         self.looks = numbers("gel colours", looks[0], (n, 3)), numbers("gel opacities", looks[1], (n,))
-        splats = Splats(self.camera, self._means, self._covariances, self.looks[1])
+        splats = self._on(self.camera, self._means, self._covariances, self.looks[1])
         self._residual = rest - splats.render(self.looks[0], self._background).image
 
     @property
@@ -123,7 +128,7 @@ class SplatSensor:
         _levels(seen.image, self._residual, seen.alpha, increment, out)
         return out
 
-    def splats(self, displacement_mm: np.ndarray) -> Splats:
+    def splats(self, displacement_mm: np.ndarray) -> Splats | CudaSplats:
         """The gel's Gaussians under a displacement, ready to render.
 
         Raises:
@@ -133,9 +138,9 @@ class SplatSensor:
         means = self._means.copy()
         moved = means.reshape(-1, ROWS * COLS, 3)
         moved[..., 2] -= np.float32(1e-3) * self._fraction.reshape(-1, ROWS * COLS) * u.ravel()
-        return Splats(self.camera, means, self._covariances, self.looks[1])
+        return self._on(self.camera, means, self._covariances, self.looks[1])
 
-    def take(self, splats: Splats, picture: np.ndarray) -> np.ndarray:
+    def take(self, splats: Splats | CudaSplats, picture: np.ndarray) -> np.ndarray:
         """A picture (H, W, 3) float32 where each Gaussian is seen, (n, 3)."""
         spots = self.camera.project(splats.means)[0].astype(np.float32)
         out = np.empty((len(spots), 3), np.float32)

@@ -1,4 +1,4 @@
-"""Renders Gaussians on the CPU: `rasterise` for one picture, `Splats` for many colours of one geometry."""
+"""Renders Gaussians on the CPU: many colours of one geometry."""
 
 import gc
 from threading import Thread
@@ -10,7 +10,6 @@ from numba import config
 from pneutac_sim.errors import InputError
 from pneutac_sim.splat import compositing, kernels
 from pneutac_sim.splat.camera import Camera
-from pneutac_sim.splat.gaussians import Gaussians
 
 MOST_THREADS = 8  # starting more costs longer than they save on a picture of a few milliseconds
 
@@ -25,30 +24,6 @@ class Rendering(NamedTuple):
 
     image: np.ndarray
     alpha: np.ndarray
-
-
-def rasterise(
-    gaussians: Gaussians, camera: Camera, background=(0.0, 0.0, 0.0), device: str = "cpu"
-) -> Rendering:
-    """Renders Gaussians as one camera sees them.
-
-    Args:
-        gaussians: what to render.
-        camera: from where.
-        background: (3,) 0 to 1.
-        device: `cpu` or `cuda`.
-
-    Raises:
-        InputError: an input is malformed or not finite, or CUDA or gsplat is missing.
-    """
-    if device == "cuda":
-        from pneutac_sim.splat import cuda
-
-        return Rendering(*cuda.rasterise(gaussians, camera, numbers("background", background, (3,))))
-    if device != "cpu":
-        raise InputError(f"A rasteriser's device is 'cpu' or 'cuda', not {device!r}.")
-    splats = Splats(camera, gaussians.means, gaussians.covariances(), gaussians.opacities)
-    return splats.render(gaussians.colours, background)
 
 
 class Splats:

@@ -19,8 +19,8 @@ def drawn(render: str, model: mujoco.MjModel, twin: Twin, sensor: TactileSensor 
     if render == "mesh":
         return View(model)
     from pneutac_sim.splat.gel import SplatSensor  # numba takes a second to start
-    from pneutac_sim.world.splats import SplatView
+    from pneutac_sim.world.splats import DEVICE, SplatView
 
     if sensor is not None:
-        sensor.draw = SplatSensor(sensor.model).image
+        sensor.draw = SplatSensor(sensor.model, device=DEVICE).image
     return SplatView(model, twin)

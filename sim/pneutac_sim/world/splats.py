@@ -11,7 +11,7 @@ from pneutac_sim.splat.body import ARRAYS, looks_from_twin
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.follow import blank_looks
 from pneutac_sim.splat.gaussians import Gaussians
-from pneutac_sim.splat.rasteriser import Splats
+from pneutac_sim.splat.render import on
 from pneutac_sim.splat.stretch import strain, stretch_colours
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.scene import SEEN_GROUPS
@@ -24,6 +24,7 @@ DETAIL = 2  # Gaussians along the edge of a particle, where no photograph says m
 AMBIENT, DIFFUSE, TO_LIGHT = 0.75, 0.4, np.array([0.4, -0.6, 0.7])
 LEAST = 1e-3  # coverage of a pixel that has a depth
 EDGE_M = 1e-3  # over which splats go in front of what they touch
+DEVICE = "auto"  # that draws a world's splats
 APART_M = 1e-4  # by which a pixel of the skin is nearer than what is behind it
 
 
@@ -36,7 +37,7 @@ class SplatView(View):
 
     def __init__(self, model: mujoco.MjModel, twin: Twin):
         super().__init__(model)
-        self._finger = SplatFinger(model, twin)
+        self._finger = SplatFinger(model, twin, DEVICE)
         skin = np.isin(model.geom_bodyid, self._finger.links[:-1]) & np.isin(model.geom_group, SEEN_GROUPS)
         model.geom_group[skin] = SKIN_GROUP
 
@@ -73,12 +74,14 @@ class SplatFinger:
     Args:
         model: of a scene with a finger.
         twin: in its looks where it has them from photographs, else coloured by stretch and lit.
+        device: that draws: `cpu`, `cuda`, or `auto` for CUDA where gsplat and a device are there.
 
     Attributes:
         links: (N + 2,) ids of base, links and sensor.
     """
 
-    def __init__(self, model: mujoco.MjModel, twin: Twin):
+    def __init__(self, model: mujoco.MjModel, twin: Twin, device: str = "cpu"):
+        self._on = on(device)
         joints, length = 1e-3 * np.asarray(twin.spine_joint_positions_mm), 1e-3 * twin.length_mm
         names = ["finger", *(f"spine_{n + 1}" for n in range(len(joints))), "sensor"]
         self.links = np.array([model.body(name).id for name in names])
@@ -115,7 +118,7 @@ class SplatFinger:
         """Image (H, W, 3), 0 to 1 on black, coverage (H, W) and mean depth (H, W) in m, inf beside it."""
         now = self.at(data)
         depth = camera.project(now.means)[1]
-        splats = Splats(camera, now.means, now.covariances(), now.opacities)
+        splats = self._on(camera, now.means, now.covariances(), now.opacities)
         seen, deep = splats.render(now.colours), splats.render(np.repeat(depth[:, None], 3, 1))
         alpha = seen.alpha.astype(float)
         mean = deep.image[..., 0] / np.maximum(alpha, LEAST)

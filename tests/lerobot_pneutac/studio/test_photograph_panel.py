@@ -7,7 +7,7 @@ from lerobot_pneutac.studio.photograph_panel import silhouette
 from pneutac_sim.mpm.solid import bending_body
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.follow import blank_looks
-from pneutac_sim.splat.rasteriser import rasterise
+from pneutac_sim.splat.render import rasterise
 from pneutac_sim.twin import Twin
 
 

@@ -19,7 +19,7 @@ from pneutac_sim.mpm.solve import solve_equilibrium
 from pneutac_sim.splat.body import looks_into_twin
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.follow import blank_looks, carried
-from pneutac_sim.splat.rasteriser import rasterise
+from pneutac_sim.splat.render import rasterise
 from pneutac_sim.twin import Twin, Value
 
 pytestmark = pytest.mark.slow

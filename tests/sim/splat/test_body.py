@@ -13,7 +13,8 @@ from pneutac_sim.mpm.solve import solve_equilibrium
 from pneutac_sim.splat.body import fit_body_looks, looks_from_twin, looks_into_twin
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.follow import carried
-from pneutac_sim.splat.rasteriser import Splats, rasterise
+from pneutac_sim.splat.rasteriser import Splats
+from pneutac_sim.splat.render import rasterise
 from pneutac_sim.twin import Twin
 
 pytestmark = pytest.mark.slow

@@ -6,9 +6,17 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from pneutac_sim.errors import InputError
+from pneutac_sim.gel.indenter import Press
+from pneutac_sim.gel.model import GelModel
+from pneutac_sim.gel.photograph import press_depth
+from pneutac_sim.gel.surface import surface
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.gaussians import Gaussians
-from pneutac_sim.splat.rasteriser import Splats, rasterise
+from pneutac_sim.splat.gel import SplatSensor
+from pneutac_sim.splat.rasteriser import Splats
+from pneutac_sim.splat.render import on, rasterise
+from pneutac_sim.world.splats import SplatFinger, camera_of
+from pneutac_sim.world.world import World
 
 ABLE = importlib.util.find_spec("gsplat") is not None and torch.cuda.is_available()
 needs_cuda = pytest.mark.skipif(not ABLE, reason="needs gsplat and a CUDA device")
@@ -59,7 +67,27 @@ def test_cuda_gradients_agree_with_the_cpu():
         assert np.linalg.norm(mine - theirs) < 2e-3 * np.linalg.norm(theirs)
 
 
+@needs_cuda
+def test_a_touch_and_a_finger_are_drawn_on_cuda_as_on_the_cpu():
+    model = GelModel.builtin()
+    here = SplatSensor(model)
+    there = SplatSensor(model, looks=here.looks, device="cuda")
+    u = surface(press_depth(Press("sphere", 3.0, 0.5, 1.0, 0.9), model))
+    assert np.abs(here.image(u).astype(int) - here.image(0 * u)).max() > 30
+    off = np.abs(here.image(u).astype(int) - there.image(u))
+    assert np.quantile(off, 0.999) <= 1 and off.max() < 6
+    world = World("switch", fidelity="probe")
+    world.reset(0)
+    camera = camera_of(world.model, world.data, 320, 240)
+    pictures = [SplatFinger(world.model, world.twin, d).picture(world.data, camera) for d in ("cpu", "auto")]
+    seen = pictures[0][1] > 0.5
+    assert seen.sum() > 500
+    for ours, theirs in zip(*pictures, strict=True):
+        assert np.quantile(np.abs(ours[seen] - theirs[seen]), 0.999) < 1e-3
+
+
 @pytest.mark.skipif(ABLE, reason="gsplat and a CUDA device are there")
 def test_without_cuda_the_remedy_is_named():
     with pytest.raises(InputError, match=r"uv pip install -e .\.\[cuda\]"):
         rasterise(scene(5), view(()), device="cuda")
+    assert on("auto") is Splats
