@@ -38,6 +38,11 @@ class Parts:
         return ~self.train
 
     @property
+    def learnt(self) -> np.ndarray:
+        """(n,) mask of what a search may learn from: all but the test part, where there is one of its own."""
+        return ~self.test if self.has_test else self.train
+
+    @property
     def has_test(self) -> bool:
         """Whether a part was left untouched by the choice of effects."""
         return not np.array_equal(self.validation, self.test)

@@ -10,7 +10,7 @@ PICTURES = 6  # held-out images in the picture grid
 
 def picture_grid(data: GelRecording, ours: list[np.ndarray], first: GelSample) -> np.ndarray:
     """Rows recorded, ours, error (grey is none, four times exaggerated); columns rest, first, held-out."""
-    heldout = [i for i, s in enumerate(data.samples) if s.role != "calibration"]
+    heldout = data.heldout
     spaced = np.linspace(0, len(heldout) - 1, PICTURES).astype(int)
     picks = [heldout[i] for i in np.unique(spaced)] if heldout else []
     columns = [_column(data.rest, data.rest)]

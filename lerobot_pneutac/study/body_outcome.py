@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -201,8 +200,7 @@ def _cancelling(study: "BodyStudy", model: FittedModel, terms: Sequence[str]) ->
     seen, out = predict(model.twin, data)[0], []
     travel = np.linalg.norm(np.ptp(data.measured[:, : data.counted], axis=0))
     for law in filter(is_law, terms):
-        others = {k: v for k, v in model.twin.effects.items() if k != law}
-        moved = seen - predict(replace(model.twin, effects=others), data)[0]
+        moved = seen - predict(model.twin.without(law), data)[0]
         if np.linalg.norm(moved, axis=1).max() > travel:
             out.append(law)
     return out

@@ -72,9 +72,7 @@ class BodySearch:
 
     def __init__(self, study: "BodyStudy", run: Callable, tell: Callable[[str], None]):
         self.study, self.run, self.tell = study, run, tell
-        learn = (
-            np.flatnonzero(~study.parts.test) if study.parts.has_test else np.flatnonzero(study.parts.train)
-        )
+        learn = np.flatnonzero(study.parts.learnt)
         self.rows = learn[:: max(1, len(learn) // MOST_ROWS)]
         self.unit = study.parts.unit[self.rows]
         self.fold = deal_folds(self.unit, 5, study.seed)
@@ -306,9 +304,8 @@ def features(study: "BodyStudy") -> np.ndarray:
 
 def left_to_black_box(study: "BodyStudy", residual: np.ndarray) -> float:
     """Share of what a model leaves that a black box removes on test blocks."""
-    test = study.parts.test
-    learn = ~test if study.parts.has_test else study.parts.train
-    return share_left(residual, features(study), learn, test, study.noise.value)
+    parts = study.parts
+    return share_left(residual, features(study), parts.learnt, parts.test, study.noise.value)
 
 
 def _lines(own: tuple[str, ...], excluded: Iterable[str]) -> tuple[tuple[str, ...], ...]:

@@ -1,7 +1,6 @@
 """What a study of a finger or an arm tells beside its numbers: parameters, sizes, caveats, experiments."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -33,8 +32,7 @@ class BodyWords(EffectStudy):
     def size(self, model: FittedModel, effect: str) -> str:
         """What the effect does to the prediction that another gain and offset could not."""
         data = read(self.recording, model.twin)
-        others = {k: v for k, v in model.twin.effects.items() if k != effect}
-        seen, plain = (predict(t, data)[0] for t in (model.twin, replace(model.twin, effects=others)))
+        seen, plain = (predict(t, data)[0] for t in (model.twin, model.twin.without(effect)))
         ground = np.concatenate([plain, np.ones((len(plain), 1))], axis=1)
         left = seen - ground @ np.linalg.lstsq(ground, seen, rcond=None)[0]
         what = {"mm": "tip", "rad": "bend", "1/m": "curvature"}[self.unit]

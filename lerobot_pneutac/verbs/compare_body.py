@@ -265,8 +265,7 @@ def train_mask(twin: Twin, recording: Recording, seed: int = 0) -> np.ndarray:
     for entry in reversed(twin.history):
         if entry.get("seed") is not None and Path(entry.get("recording") or "").resolve() == here:
             if str(entry.get("change", "")).startswith("added"):  # it learns from all but its test part
-                parts = deal(recording, int(entry["seed"]))
-                return ~parts.test if parts.has_test else parts.train
+                return deal(recording, int(entry["seed"])).learnt
             return recording.split(int(entry["seed"]))[0]
     return recording.split(seed)[0]
 

@@ -9,7 +9,7 @@ from lerobot_pneutac.reports.gel_picture import picture_grid
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.study.gel_model import predict, seen_by
 from lerobot_pneutac.verbs.comparison import Comparison
-from lerobot_pneutac.verbs.fit_gel import scores_of
+from lerobot_pneutac.verbs.fit_gel import errors_of, scores_of
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
@@ -63,25 +63,20 @@ class GelComparison(Comparison):
         return tuple(self.data.warnings)
 
     @property
-    def _heldout(self) -> list[int]:
-        return [i for i, s in enumerate(self.data.samples) if s.role != "calibration"]
-
-    @property
     def error(self) -> dict[str, float | None]:
         """Root mean square error over the calibration's images and over all others."""
-        train = np.array([s.role == "calibration" for s in self.data.samples])
-        return {"train": _rms(self.scores, train), "heldout": _rms(self.scores, ~train)}
+        return errors_of(self.scores, self.data)
 
     @property
     def image(self) -> dict | None:
         """Mean scores over images whose role is not calibration."""
-        if not self._heldout:
+        if not self.data.heldout:
             return None
-        mean = ImageScores.mean([self.scores[i] for i in self._heldout])
-        rest = ImageScores.mean([self.rest_scores[i] for i in self._heldout])
+        mean = ImageScores.mean([self.scores[i] for i in self.data.heldout])
+        rest = ImageScores.mean([self.rest_scores[i] for i in self.data.heldout])
         # two equal pictures have an infinite PSNR, which JSON cannot hold; 8-bit rounding ends at 59 dB
         psnr = {"psnr": min(mean.psnr, 99.0)}
-        return vars(mean) | psnr | {"rest_rmse": rest.rmse, "n": len(self._heldout)}
+        return vars(mean) | psnr | {"rest_rmse": rest.rmse, "n": len(self.data.heldout)}
 
     @property
     def noise_floor(self) -> float:
@@ -91,7 +86,7 @@ class GelComparison(Comparison):
     @property
     def by(self) -> dict[str, list[dict]]:
         """Error by role, and of held-out images by indenter."""
-        samples, unseen = self.data.samples, self._heldout
+        samples, unseen = self.data.samples, self.data.heldout
         return {
             "role": _by(self.scores, [s.role or "others" for s in samples]),
             "indenter": _by([self.scores[i] for i in unseen], [samples[i].press.indenter for i in unseen]),
@@ -113,7 +108,7 @@ class GelComparison(Comparison):
     @property
     def touch_error(self) -> dict | None:
         """Root mean square error of depth and median distance of place, read from held-out images, mm."""
-        rows = [self.touch[i] for i in self._heldout if self.touch[i]["depth_mm"] > 0]
+        rows = [self.touch[i] for i in self.data.heldout if self.touch[i]["depth_mm"] > 0]
         if not rows:
             return None
         depth = [row["depth_mm"] - row["stated_mm"] for row in rows]
@@ -240,12 +235,6 @@ def turned(gel: GelModel, data: GelRecording) -> list[str]:
         f"against the twin the recording's images are {orientation}; turn them, or calibrate a twin of "
         "their own."
     ]
-
-
-def _rms(scores: list[ImageScores], mask: np.ndarray) -> float | None:
-    """Root mean square over the chosen images."""
-    chosen = [s.rmse**2 for s, m in zip(scores, mask, strict=True) if m]
-    return float(np.sqrt(np.mean(chosen))) if chosen else None
 
 
 def _by(scores: list[ImageScores], labels: list[str]) -> list[dict]:

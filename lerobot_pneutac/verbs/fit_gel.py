@@ -15,6 +15,7 @@ from lerobot_pneutac.study.gel_model import at_bound, predict
 from lerobot_pneutac.study.gel_modulus import Modulus, keep_modulus, modulus_sentence
 from lerobot_pneutac.study.pasted import Pasted
 from lerobot_pneutac.verbs.calibration import Calibration
+from lerobot_pneutac.verbs.comparison import rms_of
 from lerobot_pneutac.verbs.gel_effects import EFFECTS, STANDARD, wanted
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.recording import Recording
@@ -75,22 +76,18 @@ class GelCalibration(Calibration):
         n = len(self.data.presses)
         return "A tactile sensor from two images" if n == 1 else f"A tactile sensor from {n} presses"
 
-    @property
-    def heldout(self) -> list[int]:
-        """Numbers of the images that the fit has not seen."""
-        return [i for i, s in enumerate(self.data.samples) if s.role != "calibration"]
-
     def mean(self, method: str) -> ImageScores | None:
         """Mean over held-out images; None where there are none."""
-        return ImageScores.mean([self.scores[method][i] for i in self.heldout]) if self.heldout else None
+        picked = [self.scores[method][i] for i in self.data.heldout]
+        return ImageScores.mean(picked) if picked else None
 
     @property
     def sentence(self) -> str:
         """The error on held-out images."""
-        if not self.heldout:
+        if not self.data.heldout:
             return ""
         return (
-            f"On {len(self.heldout)} images that the fit has not seen, the error is "
+            f"On {len(self.data.heldout)} images that the fit has not seen, the error is "
             f"{self.mean(OURS).rmse:.2f} levels; the rest image alone has {self.mean(REST).rmse:.2f}."
         )
 
@@ -136,14 +133,14 @@ class GelCalibration(Calibration):
         n = len(self.data.presses)
         what = "one rest and one indentation image" if n == 1 else f"{n} indentation images"
         out.append(f"Fitted to {what} in {self.seconds:.1f} s{self._now()}.")
-        if self.heldout and self.mean(OURS).rmse > self.mean(REST).rmse:
+        if self.data.heldout and self.mean(OURS).rmse > self.mean(REST).rmse:
             out.append(
                 "[yellow]note:[/] on held-out images the model is worse than the rest image alone: check "
                 "where and how deep the rows say that the indenter pressed."
             )
         names = at_bound(self.gel, list(self.gel.effects))
         out += [f"[yellow]note:[/] {name} lies at its bound." for name in names]
-        if not self.heldout:
+        if not self.data.heldout:
             out.append(
                 "[yellow]note:[/] there is no held-out image, so nothing tells how well this generalises."
             )
@@ -151,10 +148,10 @@ class GelCalibration(Calibration):
 
     def to_dict(self) -> dict:
         """The content of `result.json`."""
-        methods = {name: _finite(self.mean(name)) for name in self.scores} if self.heldout else {}
+        methods = {name: _finite(self.mean(name)) for name in self.scores} if self.data.heldout else {}
         image = None
-        if self.heldout:
-            image = methods[OURS] | {"rest_rmse": methods[REST]["rmse"], "n": len(self.heldout)}
+        if self.data.heldout:
+            image = methods[OURS] | {"rest_rmse": methods[REST]["rmse"], "n": len(self.data.heldout)}
         return super().to_dict() | {
             "make": self.fit.make,
             "orientation": str(self.fit.orientation) if self.fit.make else "",
@@ -241,18 +238,13 @@ def calibrate_gel(
         progress(f"material points under all {len(data.samples)} presses", 0, 1)
         images[MPM] = predict(fit.gel, data, points.surface)
     scores = {name: scores_of(data, predicted) for name, predicted in images.items()}
-    unseen = [x.rmse for x, s in zip(scores[OURS], data.samples, strict=True) if s.role != "calibration"]
-    seen = [x.rmse for x, s in zip(scores[OURS], data.samples, strict=True) if s.role == "calibration"]
     new = twin.copy()
     gel.into_twin(new)
     modulus = keep_modulus(new, data)
     return GelCalibration(
         twin=new,
         parameters=_parameters(gel) | (modulus.parameter() if modulus else {}),
-        error={
-            "train": float(np.sqrt(np.mean(np.square(seen)))),
-            "heldout": float(np.sqrt(np.mean(np.square(unseen)))) if unseen else None,
-        },
+        error=errors_of(scores[OURS], data),
         unit="levels",
         evaluations=fit.evaluations,
         seconds=seconds,
@@ -310,6 +302,13 @@ def scores_of(data: GelRecording, predicted: list[np.ndarray]) -> list[ImageScor
         score(p, s.image, s.rest, s.x_px, s.y_px, s.radius_px)
         for p, s in zip(predicted, data.samples, strict=True)
     ]
+
+
+def errors_of(scores: list[ImageScores], data: GelRecording) -> dict[str, float | None]:
+    """Root mean square error over the calibration's images and over all others."""
+    squared = np.array([s.rmse**2 for s in scores])
+    unseen = np.isin(np.arange(len(squared)), data.heldout)
+    return {"train": rms_of(squared[~unseen]), "heldout": rms_of(squared[unseen])}
 
 
 def _finite(scores: ImageScores) -> dict:

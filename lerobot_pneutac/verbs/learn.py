@@ -149,7 +149,7 @@ class Rounds:
             lacking = [i for i, c in enumerate(contenders[:-1]) if family(e) not in _families(c)]
             if not lacking:
                 rest = tuple(t for t in best.terms if t != e)
-                contenders.insert(-1, Contender(_without(best.twin, e), rest, DOUBT))
+                contenders.insert(-1, Contender(best.twin.without(e), rest, DOUBT))
                 continue
             likely = max(lacking, key=lambda i: contenders[i].probability)
             contenders[likely].probability = max(contenders[likely].probability, DOUBT)
@@ -243,7 +243,7 @@ class Rounds:
 
         def lacking(effect: str) -> float:
             """The least error without the effect's kind of physics, of it dropped or of another contender."""
-            dropped = error_of(_without(best, effect), everything, rows, favour=True)
+            dropped = error_of(best.without(effect), everything, rows, favour=True)
             others = [
                 error
                 for error, c in zip(errors, contenders, strict=True)
@@ -285,10 +285,6 @@ class Rounds:
 
 def _families(contender: Contender) -> set[str]:
     return {family(e) for e in contender.terms}
-
-
-def _without(twin: Twin, effect: str) -> Twin:
-    return replace(twin, effects={k: v for k, v in twin.effects.items() if k != effect})
 
 
 def _body(twin: Twin) -> tuple:

@@ -9,7 +9,7 @@ import hashlib
 import math
 import shutil
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -226,6 +226,10 @@ class Twin:
     def copy(self) -> "Twin":
         """A deep copy."""
         return copy.deepcopy(self)
+
+    def without(self, effect: str) -> "Twin":
+        """The twin with one effect switched off."""
+        return replace(self, effects={k: v for k, v in self.effects.items() if k != effect})
 
     def push_to_hub(self, repo_id: str, **kwargs) -> str:
         """Uploads a saved copy of this twin to the Hugging Face Hub; returns the commit's address."""

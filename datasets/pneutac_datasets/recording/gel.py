@@ -134,6 +134,11 @@ class GelRecording:
         return found
 
     @property
+    def heldout(self) -> list[int]:
+        """Numbers of the samples of other roles, which no fit of a calibration sees."""
+        return [i for i, s in enumerate(self.samples) if s.role != "calibration"]
+
+    @property
     def calibration(self) -> GelSample:
         """The first sample to fit to."""
         return self.presses[0]
