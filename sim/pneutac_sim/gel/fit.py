@@ -14,12 +14,14 @@ from scipy.optimize import minimize, minimize_scalar
 
 from pneutac_sim.effects.registry import in_order, of_sensor, sensor_effects
 from pneutac_sim.effects.sensor_effect import SensorEffect
-from pneutac_sim.gel.channel import Channel, effects_of, priors
+from pneutac_sim.gel.channel import ERROR_LEVELS, INDEPENDENT, Channel, effects_of, priors
 from pneutac_sim.gel.contact import quiet_threshold
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.layout import DIGIT, Layout, Orientation, recognise, recognise_rest
+from pneutac_sim.gel.metrics import CONTACT_DISC
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.optics import gradient
+from pneutac_sim.gel.optics import light as light_of
 from pneutac_sim.gel.pair import check_pair
 from pneutac_sim.gel.photograph import (
     Pressed,
@@ -32,6 +34,7 @@ from pneutac_sim.gel.photograph import (
     to_grid,
 )
 from pneutac_sim.gel.probe import COLS, ROWS, THICKNESS_MM
+from pneutac_sim.gel.residual import Leftover, ResidualField, learn
 from pneutac_sim.gel.session import estimate_gains, refine_contacts, refine_press
 from pneutac_sim.gel.surface import DECAY_MM, surface
 
@@ -41,6 +44,7 @@ DEPTH_SCALE_SD = 0.2  # of the logarithm: stated depths are mostly estimates
 # One photograph shows noise and compression, but not how far the light drifts until the next.
 MIN_THRESHOLD_LEVELS = 6.0
 SHADOW = "shadow"
+FIELD_PRESSES = 5  # from which on what the model leaves over is learnt; three tell too little of one another
 CONTACT_ROUNDS = 4  # of light and contacts in turn, where an effect changes these or presses are uncertain
 
 # A make's light is kept even at several times the cost: what a single pair says against it is mostly the
@@ -134,7 +138,28 @@ def fit_presses(
     if effects is None and not fit.make and len(presses) == 1:
         names = [e for e in names if e != SHADOW]
         fit = fit_photographs(gel, presses, names, makes, pressed=pressed)
+    if names and pressed is None and len(presses) >= FIELD_PRESSES:
+        fit.gel.residual = _residual(fit, presses, names, makes)
     return fit
+
+
+def _residual(
+    fit: GelFit, photographs: Sequence[PressPhotograph], effects: Sequence[str], makes: Sequence[Layout]
+) -> ResidualField | None:
+    """The residual field of all presses, where fields of all but one, the light fitted anew, help with that one.
+
+    It is kept where the mean gain in the contact is above its standard error.
+    """
+    photographs = [replace(p, press=q, sd={}) for p, q in zip(photographs, fit.presses, strict=True)]
+    gains = []
+    for i in range(len(photographs)):
+        others = photographs[:i] + photographs[i + 1 :]
+        gel = fit_photographs(fit.gel, others, effects, makes, near=fit.gel, quick=True).gel
+        *known, one = _Problem(gel, [*others, photographs[i]], []).leftovers()
+        gains.append(one.rmse() - one.rmse(learn(known, INDEPENDENT, ERROR_LEVELS)))
+    if np.mean(gains) <= np.std(gains, ddof=1) / np.sqrt(len(gains)):
+        return None
+    return learn(_Problem(fit.gel, photographs, []).leftovers(), INDEPENDENT, ERROR_LEVELS)
 
 
 def standard_effects() -> list[str]:
@@ -239,6 +264,19 @@ class _Problem:
             return sum(float(np.square(u - v)[m].sum()) for u, v, m in both)
 
         return float(np.exp(minimize_scalar(off, bounds=np.log(DECAY_RANGE_MM), method="bounded").x))
+
+    def leftovers(self) -> list[Leftover]:
+        """What the gel, as it is, leaves over of each photograph."""
+        gel, out = self.gel, []
+        each = zip(self.photographs, self.masks, self.seen, self.rests, strict=True)
+        surfaces = self.surfaces(gel.decay_mm, gel.depth_scale)
+        for u, (p, near, seen, rest) in zip(surfaces, each, strict=True):
+            weight = gel.weight_on(rest)
+            s = light_of(u, self.cell, gel.coefficients, gel.further).transpose(1, 2, 0)
+            contact = to_grid(p.near(gel.px_per_mm, CONTACT_DISC)) > 0.5
+            args = u, self.cell, gel.coefficients, weight, seen - weight * s, near, contact
+            out.append(Leftover.of(*args))
+        return out
 
     def linear(self) -> np.ndarray:
         """L (3, 2) of the paper's model, with the depth term, by linear least squares."""

@@ -15,10 +15,13 @@ from pneutac_sim.features import IMAGE_SHAPE
 from pneutac_sim.gel import builtin, optics
 from pneutac_sim.gel.contact import THRESHOLD_LEVELS
 from pneutac_sim.gel.probe import THICKNESS_MM
+from pneutac_sim.gel.residual import ResidualField
 from pneutac_sim.gel.surface import DECAY_MM
 from pneutac_sim.twin import Twin, Value
 
 LEAST_PX = 32  # a side of the image
+OWN_PLACE = ("rest_image", "effects", "residual")  # in a twin, not among the gel's numbers
+RESIDUAL = ("residual_centres", "residual_weights")
 
 
 @dataclass
@@ -38,6 +41,7 @@ class GelModel:
             surface, up to 1; the skin over a gel bridges the edge of a contact.
         effects: of the sensor, name to parameters; without any this is the paper's linear model.
         threshold_levels: difference to the rest image above which a pixel counts as contact.
+        residual: what several presses showed beside the model, or None.
     """
 
     rest_image: np.ndarray
@@ -49,6 +53,7 @@ class GelModel:
     depth_scale: float = 1.0
     threshold_levels: float = THRESHOLD_LEVELS
     effects: dict[str, dict[str, float]] = field(default_factory=dict)
+    residual: ResidualField | None = None
 
     def __post_init__(self):
         image = self.rest_image
@@ -128,9 +133,13 @@ class GelModel:
     @property
     def further(self) -> list[optics.Further]:
         """What effects outside the compiled light make of it, see `optics.light`."""
-        return [
+        out = [
             further_light(e, lambda k, e=e, v=v: e.channel_values(v, k)) for e, v in self.acting if e.light
         ]
+        residual, coefficients = self.residual, self.coefficients
+        if residual is not None:
+            out.append(lambda k, s, u, cell_mm: s + residual.light(k, u, cell_mm, coefficients[k]))
+        return out
 
     def surface(self, displacement_mm: np.ndarray, cell_mm: tuple[float, float]) -> np.ndarray:
         """The displacement (rows, columns) in mm as effects of the gel change it."""
@@ -188,22 +197,27 @@ class GelModel:
                 raise InputError(
                     f"The twin is of a gel, on which its effect '{name}' does not act; take it out."
                 )
-        known = [f.name for f in fields(cls) if f.name not in ("rest_image", "effects")]
+        known = [f.name for f in fields(cls) if f.name not in OWN_PLACE]
         for name in [*twin.gel, "light", "depth_light"]:
             if name not in known or name not in twin.gel:
                 what = "lacks" if name in known else "has an unknown field"
                 raise InputError(f"The twin's gel {what} '{name}'; it has {', '.join(known)}.")
         effects = {n: {k: v.value for k, v in twin.effects[n].items()} for n in of_sensor(twin.effects)}
-        return cls(rest_image=twin.arrays["rest_image"], **twin.gel, effects=effects)
+        arrays = [twin.arrays[name] for name in RESIDUAL if name in twin.arrays]
+        residual = ResidualField(*arrays) if len(arrays) == len(RESIDUAL) else None
+        return cls(twin.arrays["rest_image"], **twin.gel, effects=effects, residual=residual)
 
     def into_twin(self, twin: Twin) -> None:
         """Writes this gel into a twin (of a gel, or of a finger that carries one)."""
-        own = {k: v for k, v in asdict(self).items() if k not in ("rest_image", "effects")}
+        own = {k: v for k, v in asdict(self).items() if k not in OWN_PLACE}
         before = of_sensor(twin.effects)
         twin.effects = {k: v for k, v in twin.effects.items() if k not in before}
         twin.effects |= {n: {k: Value(float(v)) for k, v in e.items()} for n, e in self.effects.items()}
         twin.gel = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in own.items()}
+        twin.arrays = {k: v for k, v in twin.arrays.items() if k not in RESIDUAL}
         twin.arrays["rest_image"] = self.rest_image.copy()
+        if self.residual is not None:
+            twin.arrays |= zip(RESIDUAL, (self.residual.centres, self.residual.weights), strict=True)
 
 
 def further_light(effect: SensorEffect, values: Callable[[int], dict[str, float]]) -> optics.Further:

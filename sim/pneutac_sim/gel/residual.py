@@ -1,0 +1,139 @@
+"""The residual field: what a gel's model leaves over, learnt from several presses.
+
+It adds to the light s of a channel
+
+    a(u) sum_j c_j k(z, z_j),   a = min(1, u / A),   k = exp(-|z - z_j|^2 / 2),
+
+with z the slopes, the displacement u, u blurred, the height of the shadow over it and the place, each over a
+length of its own. The c_j make least the squared error over the presses, each of which counts as so many
+independent pixels, plus c^T K c / B^2, B the field's standard deviation: far from all that was seen nothing is
+added.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from pneutac_sim.effects.shadow import SLOPE as ELEVATION
+from pneutac_sim.effects.shadow import cast
+from pneutac_sim.errors import InputError
+
+SLOPE, DEPTH_MM, SHADOW_MM, PLACE_MM = 0.5, 0.6, 0.3, 8.0  # over which the field changes
+BLUR_MM = 1.0
+MOVED_MM = 0.05  # A: a surface that moves less has less of the field
+CENTRES, STRENGTH_LEVELS = 64, 4.0
+FEATURES = 7
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualField:
+    """Levels to add to the light of each channel, before the weight w.
+
+    Attributes:
+        centres: z_j of red, green and blue, (3, n, 7) float32.
+        weights: c_j, (3, n) levels, float32.
+
+    Raises:
+        InputError: they are no such numbers.
+    """
+
+    centres: np.ndarray
+    weights: np.ndarray
+
+    def __post_init__(self):
+        shapes = np.shape(self.centres), np.shape(self.weights)
+        n = shapes[1][-1] if shapes[1] else 0
+        finite = n and np.isfinite(self.centres).all() and np.isfinite(self.weights).all()
+        if shapes != ((3, n, FEATURES), (3, n)) or not finite:
+            raise InputError(
+                f"The gel's residual field must be finite numbers of shapes (3, n, {FEATURES}) and (3, n); "
+                f"got {shapes[0]} and {shapes[1]}; calibrate the gel anew."
+            )
+
+    def light(self, k: int, displacement_mm: np.ndarray, cell_mm, row: np.ndarray) -> np.ndarray:
+        """Of channel k with coefficients `row` (12,) of `optics.light`: levels, float32 (rows, columns)."""
+        u = np.ascontiguousarray(displacement_mm, np.float32)
+        out, moved = np.zeros_like(u), u > 1e-3
+        if moved.any():
+            z = features(u, cell_mm, row)[moved]
+            out[moved] = _share(u[moved]) * (_kernel(z, self.centres[k]) @ self.weights[k])
+        return out
+
+
+@dataclass
+class Leftover:
+    """What a model leaves over of one photograph.
+
+    Attributes:
+        features: z of each channel, (3, n, 7), of n cells near the contact.
+        factor: a w of each channel, (3, n).
+        levels: (3, n).
+        in_contact: which cells lie in the contact, (n,) bool.
+    """
+
+    features: np.ndarray
+    factor: np.ndarray
+    levels: np.ndarray
+    in_contact: np.ndarray
+
+    @classmethod
+    def of(cls, u, cell_mm, coefficients, weight, levels, near, in_contact) -> "Leftover":
+        """From grids: u (rows, columns) mm, weight and levels (rows, columns, 3), two bool."""
+        z = np.stack([features(u, cell_mm, row)[near] for row in coefficients])
+        return cls(z, (_share(u)[..., None] * weight)[near].T, levels[near].T, in_contact[near])
+
+    def rmse(self, residual: ResidualField | None = None) -> float:
+        """In the contact, levels, with a field or as it is."""
+        left = self.levels.copy()
+        if residual is not None:
+            for k, (z, factor) in enumerate(zip(self.features, self.factor, strict=True)):
+                left[k] -= factor * (_kernel(z, residual.centres[k]) @ residual.weights[k])
+        return float(np.sqrt(np.square(left[:, self.in_contact]).mean()))
+
+
+def learn(seen: Sequence[Leftover], independent: float, error_levels: float) -> ResidualField:
+    """The field of some photographs, each worth so many independent pixels of such an error."""
+    worth = np.concatenate([np.full(s.levels.shape[1], 1 / s.levels.shape[1]) for s in seen])
+    worth *= independent / error_levels**2
+    centres, weights = [], []
+    for k in range(3):
+        z, factor, left = (
+            np.concatenate([a[k] for a in each])
+            for each in ([s.features for s in seen], [s.factor for s in seen], [s.levels for s in seen])
+        )
+        chosen = np.random.default_rng(0).choice(
+            len(z), min(CENTRES, len(z)), p=factor**2 / np.square(factor).sum(), replace=False
+        )
+        A, K = factor[:, None] * _kernel(z, z[chosen]), _kernel(z[chosen], z[chosen])
+        damping = (K + 1e-4 * np.eye(len(K))) / STRENGTH_LEVELS**2
+        centres.append(z[chosen])
+        weights.append(np.linalg.solve(A.T @ (worth[:, None] * A) + damping, A.T @ (worth * left)))
+    return ResidualField(np.array(centres, np.float32), np.array(weights, np.float32))
+
+
+def features(displacement_mm: np.ndarray, cell_mm, row: np.ndarray) -> np.ndarray:
+    """z (rows, columns, 7) of a channel with coefficients `row`, from the surface in mm; float32."""
+    u = np.ascontiguousarray(displacement_mm, np.float32)
+    gy, gx = np.gradient(u, cell_mm[1], cell_mm[0])
+    y, x = (
+        (np.arange(n) + 0.5 - n / 2) * size / PLACE_MM for n, size in zip(u.shape, cell_mm[::-1], strict=True)
+    )
+    blurred = cv2.GaussianBlur(
+        u, (0, 0), BLUR_MM / cell_mm[0], sigmaY=BLUR_MM / cell_mm[1], borderType=cv2.BORDER_REFLECT
+    )
+    shadow = cast(u, cell_mm[0], cell_mm[1], row) if row[ELEVATION] > 0 else np.zeros_like(u)
+    x, y = np.meshgrid(x, y)
+    z = [gx / SLOPE, gy / SLOPE, u / DEPTH_MM, blurred / DEPTH_MM, shadow / SHADOW_MM, x, y]
+    return np.stack(z, -1).astype(np.float32)
+
+
+def _share(u: np.ndarray) -> np.ndarray:
+    return np.minimum(u / np.float32(MOVED_MM), 1)
+
+
+def _kernel(z: np.ndarray, centres: np.ndarray) -> np.ndarray:
+    """(n, m) k of z (n, 7) and centres (m, 7)."""
+    apart = np.square(z).sum(1)[:, None] + np.square(centres).sum(1) - 2 * z @ centres.T
+    return np.exp(-0.5 * np.maximum(apart, 0))
