@@ -63,6 +63,13 @@ def moved_sentences(stated: Sequence[PressPhotograph], fit: GelFit) -> list[str]
     return out
 
 
+def residual_sentence(fit: GelFit) -> str:
+    """That what the model leaves over was learnt; empty where it was not."""
+    if fit.gel.residual is None:
+        return ""
+    return "What the model leaves over of the presses is learnt too: they predict one another better so."
+
+
 def _grouped(untold: tuple[str, ...]) -> str:
     """`near_light.distance_mm (red, blue), ...` from one entry a colour."""
     colours: dict[str, list[str]] = {}

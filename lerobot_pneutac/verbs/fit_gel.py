@@ -9,7 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lerobot_pneutac.reports.gel_picture import picture_grid
-from lerobot_pneutac.reports.gel_told import make_sentence, moved_sentences, told_sentences
+from lerobot_pneutac.reports.gel_told import (
+    make_sentence,
+    moved_sentences,
+    residual_sentence,
+    told_sentences,
+)
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.study.gel_model import at_bound, predict
 from lerobot_pneutac.study.gel_modulus import Modulus, keep_modulus, modulus_sentence
@@ -116,6 +121,7 @@ class GelCalibration(Calibration):
             first.append(f"The twin's images are {columns} x {rows} px, made of the photographs'.")
         first.append(modulus_sentence(self.modulus, self.twin))
         moved = moved_sentences([s.photograph for s in self.data.presses], self.fit)
+        first.append(residual_sentence(self.fit))
         return [*filter(None, first), *moved, *told_sentences(self.told, self.fit.make)]
 
     def save_prior(self, name: str) -> Path:

@@ -117,6 +117,8 @@ def fit_presses(
 ) -> GelFit:
     """Fits a gel to one press or several, whose lights are the same and whose drifts are each one's own.
 
+    From five presses on what the model leaves over of them is learnt too, see `gel.residual`, if that helps.
+
     Args:
         presses: of one gel; the first one's rest image becomes the gel's.
         px_per_mm: scale of the images.
@@ -146,9 +148,9 @@ def fit_presses(
 def _residual(
     fit: GelFit, photographs: Sequence[PressPhotograph], effects: Sequence[str], makes: Sequence[Layout]
 ) -> ResidualField | None:
-    """The residual field of all presses, where fields of all but one, the light fitted anew, help with that one.
+    """The residual field of all presses, if fields of all but one, the light fitted anew, help with that one.
 
-    It is kept where the mean gain in the contact is above its standard error.
+    None where the mean gain in the contact is not above its standard error.
     """
     photographs = [replace(p, press=q, sd={}) for p, q in zip(photographs, fit.presses, strict=True)]
     gains = []

@@ -4,10 +4,10 @@ It adds to the light s of a channel
 
     a(u) sum_j c_j k(z, z_j),   a = min(1, u / A),   k = exp(-|z - z_j|^2 / 2),
 
-with z the slopes, the displacement u, u blurred, the height of the shadow over it and the place, each over a
-length of its own. The c_j make least the squared error over the presses, each of which counts as so many
-independent pixels, plus c^T K c / B^2, B the field's standard deviation: far from all that was seen nothing is
-added.
+with z the slopes, the displacement u, u blurred, the height of the shadow over it and the place, each over
+a length of its own. The c_j make least the squared error over the presses, each of which counts as so many
+independent pixels, plus c^T K c / B^2, B the field's standard deviation: far from all that was seen nothing
+is added.
 """
 
 from collections.abc import Sequence
@@ -114,7 +114,7 @@ def learn(seen: Sequence[Leftover], independent: float, error_levels: float) -> 
 
 
 def features(displacement_mm: np.ndarray, cell_mm, row: np.ndarray) -> np.ndarray:
-    """z (rows, columns, 7) of a channel with coefficients `row`, from the surface in mm; float32."""
+    """What z is in each cell, float32 (rows, columns, 7), of a surface in mm and a channel's coefficients."""
     u = np.ascontiguousarray(displacement_mm, np.float32)
     gy, gx = np.gradient(u, cell_mm[1], cell_mm[0])
     y, x = (
