@@ -229,7 +229,8 @@ def slid(twin: Twin) -> dict[str, list[float]]:
 def slip_table(slid: dict[str, list[float]]) -> dict:
     """What the page says of slip."""
     return {
-        "ball_off": 100 * (1 - slid["sphere"][-1] / SLIP), "slip": SLIP, "slip_deep": SLIP_DEEP_MM, "slip_step": SLIP_STEP_MM,
+        "ball_off": 100 * (1 - slid["sphere"][-1] / SLIP),
+        "slip": SLIP, "slip_deep": SLIP_DEEP_MM, "slip_step": SLIP_STEP_MM,
         "dragged": " | ".join(f"{x:g} mm" for x in DRAGGED_MM), "dragged_rule": "---|" * len(DRAGGED_MM),
         "slid": "\n".join(
             f"| {n}, {INDENTERS[n]:g} mm | {' | '.join(f'{r:.3f}' for r in ratios)} |"
@@ -418,9 +419,10 @@ material points is dragged along it, {slip_step:g} mm at a time, here with a coe
 {slid}
 
 In the world it is the coefficient, for all of them, and at once: the pad there is flat and does not go along
-sideways. In material points a ball slides from 1.6 mm on, with {ball_off:.0f} % less (goal: 10 %). Faces with sharp
-edges come to no such end: they sink in, and the gel before them is a wall that grows, which the world does not
-have. MuJoCo's pyramid has the coefficient along the gel's axes and lets go of a diagonal pull at 0.71 of it.
+sideways. In material points a ball slides from 1.6 mm on, with {ball_off:.0f} % less (goal: 10 %; 16 % where
+the coefficient is 0.1). Faces with sharp edges come to no such end: they sink in, and the gel before them is
+a wall that grows, which the world does not have. MuJoCo's pyramid has the coefficient along the gel's axes
+and lets go of a diagonal pull at 0.71 of it.
 """
 
 
