@@ -71,10 +71,10 @@ def check(work: Work, setup: AugmentSetup, number: int, progress: Progress) -> N
         write_json(work.check_file(k), asdict(agreement(world, k, attempt, step)))
 
 
-def checking_world(setup: AugmentSetup) -> VariedWorld:
+def checking_world(setup: AugmentSetup, fidelity: str = "mpm") -> VariedWorld:
     """The world in which demonstrations are carried out once more."""
     twin = Twin.load(setup.twin) if setup.twin else None
-    return VariedWorld(setup.task, twin, "image", "mpm", setup.conditions, station=setup.where)
+    return VariedWorld(setup.task, twin, "image", fidelity, setup.conditions, station=setup.where)
 
 
 def agreement(world: VariedWorld, episode: int, attempt: Attempt, step=lambda: None) -> Agreement:
