@@ -32,6 +32,7 @@ def test_a_motion_of_the_network_itself_has_no_error():
     assert bare[0] > 0.05 and bare[1] > 1
 
 
+@pytest.mark.nightly
 def test_the_press_keeps_the_gel_on_the_object_and_splats_draw_it():
     world = World("switch", touch="image", fidelity="probe")
     _approach(world)

@@ -66,7 +66,7 @@ def test_damping_is_the_lowest_modes_ratio():
     assert rate == pytest.approx(-2 * ratio * 2 * np.pi / period, rel=0.1)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_at_rest_it_is_where_the_static_rod_is():
     w = World.start("cosserat", 2, 1, 1.5)
     make.act(w, {})
