@@ -45,6 +45,10 @@ def main() -> None:
         sys.exit(1)
     except KeyboardInterrupt:
         sys.exit(130)
+    except RuntimeError as e:  # an interrupt inside a lock, as of a wait, ends in "release unlocked lock"
+        if not isinstance(e.__context__, KeyboardInterrupt):
+            raise
+        sys.exit(130)
 
 
 def _dispatch(argv: list[str]) -> None:

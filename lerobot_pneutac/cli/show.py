@@ -6,7 +6,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.errors import MarkupError
 from rich.markup import escape
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 from lerobot_pneutac.reports.page import cell
@@ -21,7 +21,7 @@ def show(result, console: Console, sentence: bool = True) -> None:
         console.print(f"\n[bold]{escape(printable(result.sentence))}[/]\n", highlight=False)
     rows = result.rows()
     if rows:
-        table = Table(*map(str, rows[0]), title=result.title)
+        table = Table(*(Column(str(k), overflow="fold") for k in rows[0]), title=result.title)
         for row in rows:
             style = "yellow" if row.get("note", "held") not in ("", "held") else None
             table.add_row(*(Text(printable(cell(row[k], ""))) for k in rows[0]), style=style)

@@ -7,6 +7,7 @@ asked for once and then kept as a cookie.
 
 import asyncio
 import hmac
+import os
 import re
 import socket
 import threading
@@ -126,9 +127,10 @@ def _bound(host: str, port: int) -> socket.socket:
     try:
         return socket.create_server((host, port), family=family)
     except (OSError, OverflowError) as e:
+        why = os.strerror(e.errno) if getattr(e, "errno", None) else e
         raise InputError(
-            f"port={port} of {host} cannot be had ({getattr(e, 'strerror', None) or e}); another studio "
-            "may be open there: close it, or give another with --port=, or --port=0 for any that is free."
+            f"port={port} of {host} cannot be had ({why}); another studio may be open there: close it, or"
+            " give another with --port=, or --port=0 for any that is free."
         ) from e
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lerobot_pneutac.study.pressure_unit import unlike_the_twin
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations, is_dataset, load_demonstrations
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import an, plural
@@ -56,22 +57,7 @@ def same_body[R: Recording | Demonstrations](twin: Twin, recording: R, verb: str
 
 def with_unit_note(twin: Twin, recording: Recording) -> Recording:
     """The recording with a warning where its pressures can hardly be in kPa."""
-    return replace(recording, warnings=recording.warnings + other_unit(twin, recording))
-
-
-def other_unit(twin: Twin, recording: Recording) -> list[str]:
-    """A note where a calibrated twin would roll itself up at the recording's pressures."""
-    gain = twin.parameters.get("gain_rad_per_kpa")
-    if gain is None or gain.ci95 is None:
-        return []
-    top = {c: float(np.abs(recording.column(c)).max()) for c in recording.pressure_columns}
-    name = max(top, key=top.__getitem__)
-    if gain.value * top[name] < 2 * math.pi:
-        return []
-    return [
-        f"Column '{name}' reaches {top[name]:.4g}, which would turn each joint of the calibrated twin more "
-        "than once around; if it is not in kPa, convert it (pascal: divide by 1000)."
-    ]
+    return replace(recording, warnings=recording.warnings + unlike_the_twin(twin, recording))
 
 
 def enough_rows(twin: Twin, recording: Recording, effects: list[str], train: np.ndarray) -> None:

@@ -21,6 +21,8 @@ from pneutac_sim.world.checks import check_networks, out_of_reach
 from pneutac_sim.world.station import Station
 from pneutac_sim.world.station_faults import station_faults
 
+MARKS = "twin.yaml", "recording.json", "meta/info.json"  # what is in a folder that can be looked at
+
 
 @dataclass(frozen=True)
 class Checked:
@@ -48,7 +50,7 @@ def check_path(path: str | Path, twin: Twin | None = None, station: Station | No
         station: in which demonstrations were recorded; default the paper's.
 
     Raises:
-        InputError: there is no such folder.
+        InputError: there is no such folder, or it holds nothing but further ones.
     """
     path = Path(path)
     if path.suffix in (".yaml", ".yml") and path.is_file():
@@ -61,6 +63,9 @@ def check_path(path: str | Path, twin: Twin | None = None, station: Station | No
     if not (path / "recording.json").is_file() and is_demonstrations(path):
         faults = demonstration_faults(path, twin or Twin.builtin(), (station or Station()).control_hz)
         return Checked(path, "demonstrations", faults, demonstration_notes(path))
+    inside = [d.name for d in sorted(path.iterdir()) if any((d / mark).is_file() for mark in MARKS)]
+    if inside and not (path / "recording.json").is_file():
+        raise InputError(f"'{path}' is a folder of folders; give one of them: {', '.join(inside)}.")
     return Checked(path, "bench recording", *recording_faults(path))
 
 

@@ -12,10 +12,10 @@ import numpy as np
 
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.study.pair import enough_rows
+from lerobot_pneutac.study.pressure_unit import pressure_unit_doubts
 from lerobot_pneutac.verbs.calibration import Calibration
 from lerobot_pneutac.verbs.fit_compliance import fit_compliance
 from lerobot_pneutac.verbs.measured_range import range_sentence
-from lerobot_pneutac.verbs.pressure_unit import pressure_unit_doubts
 from pneutac_datasets.recording.checks import check
 from pneutac_datasets.recording.mounts import on_one_mount
 from pneutac_datasets.recording.recording import Recording

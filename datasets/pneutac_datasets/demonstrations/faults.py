@@ -139,7 +139,7 @@ def _of_episodes(
         elif action[:, 3].min() < low - slack or action[:, 3].max() > high + slack:
             beyond.append(number)
     return [
-        f"{'Episode' if len(which) == 1 else 'Episodes'} {', '.join(map(str, which))}: each {fault};"
+        f"{f'Episode {which[0]}' if len(which) == 1 else f'Each of the episodes {which}'} {fault};"
         " leave out with lerobot-edit-dataset --operation.type=delete_episodes"
         f' --operation.episode_indices="{which}".'
         for fault, which in kinds.items()

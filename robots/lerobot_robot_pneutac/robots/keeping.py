@@ -52,6 +52,7 @@ class Keeper(logging.Handler):
         io_utils = sys.modules.get("lerobot.datasets.io_utils")
         if io_utils is not None:
             io_utils.write_json = self._write_json
+            sys.modules["lerobot.datasets.dataset_reader"].load_nested_dataset = _load_episodes
         return io_utils is not None
 
     def disconnect(self) -> None:
@@ -116,6 +117,19 @@ class Keeper(logging.Handler):
                 "Episode %d ran at %.1f Hz and not at %g: its motions are stored as faster than they were.",
                 *(episode, pace.achieved_hz, fps),
             )
+
+
+def _load_episodes(data: Path, features=None, episodes: list[int] | None = None):
+    """In place of LeRobot's, which says of an episode that is not there that "train" has no data.
+
+    Raises:
+        InputError: the dataset has no such episode.
+    """
+    total = json.loads((data.parent / "meta" / "info.json").read_text(encoding="utf-8"))["total_episodes"]
+    if missing := [e for e in episodes or () if not 0 <= e < total]:
+        raise InputError(f"{data.parent} has no episode {missing[0]}; give one of 0 to {total - 1}.")
+    io_utils = sys.modules["lerobot.datasets.io_utils"]
+    return io_utils.load_nested_dataset(data, features=features, episodes=episodes)
 
 
 def _frames(info: Path) -> int:

@@ -64,7 +64,9 @@ def test_other_machines_show_the_token_once(inner):
 
 def test_an_address_in_use_is_one_sentence_and_a_closed_one_is_free(inner):
     gate = Gate("127.0.0.1", 0, inner)
-    with pytest.raises(InputError, match=rf"port={gate.port} .* cannot be had .*--port=0"):
+    with pytest.raises(
+        InputError, match=rf"port={gate.port} .* cannot be had \(Address already in use\); .*--port=0"
+    ):
         Gate("127.0.0.1", gate.port, inner)
     with pytest.raises(InputError, match="host=no.such.host.invalid is no address"):
         Gate("no.such.host.invalid", 0, inner)

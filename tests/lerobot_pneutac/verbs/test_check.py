@@ -52,13 +52,20 @@ def test_all_faults_of_demonstrations_are_told_at_once(tmp_path):
     assert "lacks 'joint_1.pos' (there is 'joint_1.pose')" in text
     spoilt = demonstrations(tmp_path / "b", (12.0, 40.0, 12.0, np.nan), (0.1, 0.1, 0.0, 0.1))
     text = " ".join(demonstration_faults(spoilt, Twin.builtin()))
-    assert "Episode 1: each commands pressures beyond the 0 to 15 kPa" in text
-    assert "Episode 2: each never touches anything" in text
-    assert "Episode 3: each holds numbers that are not finite" in text
+    assert "Episode 1 commands pressures beyond the 0 to 15 kPa" in text
+    assert "Episode 2 never touches anything" in text
+    assert "Episode 3 holds numbers that are not finite" in text
     twin = wide_twin()
     twin.pressure_range_kpa = (0.0, 60.0)
     text = " ".join(demonstration_faults(spoilt, twin))
     assert "beyond" not in text and "(320, 240, 3) and those of the twin's sensor (480, 640, 3)" in text
+
+
+def test_a_folder_of_folders_names_those_that_can_be_looked_at(tmp_path):
+    shutil.copytree(GOLDEN / "finger_creep", tmp_path / "bench")
+    Twin.builtin().save(tmp_path / "finger")
+    with pytest.raises(InputError, match="give one of them: bench, finger"):
+        check_path(tmp_path)
 
 
 def test_a_twin_says_what_the_world_will_ask_for(tmp_path):
@@ -111,7 +118,7 @@ def test_the_command_tells_each_folder_and_ends_with_one_where_there_is_a_fault(
     with pytest.raises(SystemExit) as stopped:
         verb.main([str(tmp_path / "bench"), str(demonstrations(tmp_path / "d", (20.0, 9.0)))])
     assert stopped.value.code == 1
-    assert "fault: Episode 0: each commands pressures beyond" in " ".join(capsys.readouterr().out.split())
+    assert "fault: Episode 0 commands pressures beyond" in " ".join(capsys.readouterr().out.split())
     with pytest.raises(InputError, match="is 'bench' meant"):
         verb.main([str(tmp_path / "bensh")])
     with pytest.raises(InputError, match="There is no option --twins=x"):

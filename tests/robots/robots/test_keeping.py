@@ -1,13 +1,15 @@
 import json
 import logging
+from pathlib import Path
 
 import pytest
-from lerobot.datasets import io_utils
+from lerobot.datasets import LeRobotDataset, dataset_reader, io_utils
 
 from lerobot_robot_pneutac.robots.keeping import Keeper
 from pneutac_sim.errors import InputError
 from pneutac_sim.pace import PACE_FILE, Pace, pace_notes, read_pace
 
+DEMOS = Path(__file__).parents[2] / "golden/recordings/demos"
 SECONDS = "lerobot_robot_pneutac.robots.keeping.time.perf_counter"
 
 
@@ -20,6 +22,7 @@ class Lone:
 @pytest.fixture
 def keeper(monkeypatch):
     monkeypatch.setattr(io_utils, "write_json", io_utils.write_json)
+    monkeypatch.setattr(dataset_reader, "load_nested_dataset", dataset_reader.load_nested_dataset)
     monkeypatch.setattr(logging.getLogger(), "level", logging.INFO)
     keeper = Keeper(15, Lone())
     keeper.connect()
@@ -79,3 +82,11 @@ def test_a_damaged_file_is_told_and_loses_no_episode(keeper, monkeypatch, tmp_pa
     observe(keeper, monkeypatch, [0.0, 0.1])
     save(tmp_path, 1, 2)
     assert "is damaged" in caplog.text
+
+
+def test_an_episode_that_is_not_there_is_named(keeper):
+    """As `lerobot-replay --dataset.episode=99` asks for one, once it has made the robot."""
+    with pytest.raises(InputError, match="demos has no episode 99; give one of 0 to 1"):
+        LeRobotDataset("local/demos", DEMOS, episodes=[99])
+    chosen = LeRobotDataset("local/demos", DEMOS, episodes=[1]).hf_dataset["episode_index"]
+    assert {int(e) for e in chosen} == {1}

@@ -4,9 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from lerobot_pneutac.study.pressure_unit import pressure_unit_doubts, unlike_the_twin
 from lerobot_pneutac.verbs.calibrate import calibrate
 from lerobot_pneutac.verbs.new import new_twin
-from lerobot_pneutac.verbs.pressure_unit import pressure_unit_doubts
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.twin import Twin, Value
 
@@ -35,3 +35,22 @@ def test_a_bench_in_bar_is_asked_about_when_it_is_calibrated():
     assert any(
         "are the pressures in bar? Then multiply the pressure columns by 100" in f for f in result.findings
     )
+
+
+@pytest.mark.parametrize(("kpa", "unit"), [(1.0, None), (6.895, "psi"), (100.0, "bar")])
+def test_a_recording_in_another_unit_than_that_of_its_calibrated_twin_is_asked_about(kpa, unit):
+    """Of 110 mm and four joints, 0.0446 rad a kPa; the tip moves as on an arc that bends by 1 rad."""
+    twin = Twin("finger", 110.0, [13.75, 41.25, 68.75, 96.25])
+    twin.parameters["gain_rad_per_kpa"] = Value(0.0446 / 4, (0.011, 0.0113))
+    bend = np.linspace(0.01, 1.0, 50)
+    samples = pd.DataFrame(
+        {
+            "trial": 0,
+            "time_s": np.arange(50) / 10,
+            "pressure_cmd_kpa": bend / 0.0446 / kpa,
+            "tip_x_mm": 110 * np.sin(bend) / bend,
+            "tip_z_mm": 110 * (1 - np.cos(bend)) / bend,
+        }
+    )
+    found = unlike_the_twin(twin, Recording("bench", {"device": "finger"}, samples, "finger"))
+    assert (f"are the pressures in {unit}?" in found[0]) if unit else not found
