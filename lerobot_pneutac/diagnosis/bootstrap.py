@@ -18,20 +18,17 @@ class Resampler:
         unit: (n,) resampling unit of each sample.
         stratum: (units,) condition of each unit.
         seed: decides the draws.
-        draws: number of draws.
     """
 
-    def __init__(
-        self, mask: np.ndarray, unit: np.ndarray, stratum: np.ndarray, seed: int = 0, draws: int = DRAWS
-    ):
+    def __init__(self, mask: np.ndarray, unit: np.ndarray, stratum: np.ndarray, seed: int):
         self.mask = mask
         used, self._index = np.unique(unit[mask], return_inverse=True)
         self.units = len(used)
         self._size = np.bincount(self._index, minlength=self.units).astype(float)
         rng = np.random.default_rng([seed, 77])
-        weight = np.zeros((draws, self.units))
+        weight = np.zeros((DRAWS, self.units))
         for members in _strata(stratum[used]):
-            weight[:, members] = rng.multinomial(len(members), np.full(len(members), 1 / len(members)), draws)
+            weight[:, members] = rng.multinomial(len(members), np.full(len(members), 1 / len(members)), DRAWS)
         self._weight = weight
         self._total = weight @ self._size
 
@@ -40,7 +37,7 @@ class Resampler:
         return np.bincount(self._index, squared[self.mask], self.units)
 
     def mse(self, squared: np.ndarray) -> np.ndarray:
-        """Mean square error (draws,) under each draw, from squared errors (n,)."""
+        """Mean square error (DRAWS,) under each draw, from squared errors (n,)."""
         return self._weight @ self.sums(squared) / self._total
 
     def value(self, squared: np.ndarray) -> float:

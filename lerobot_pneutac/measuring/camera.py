@@ -195,7 +195,7 @@ def _refined(grey: np.ndarray, found: np.ndarray) -> np.ndarray | None:
     return corners if moved <= max(MOST_MOVED * side, 2.0) else None
 
 
-def fit_edges(grey: np.ndarray, corners: np.ndarray, rounds: int = 3) -> np.ndarray:
+def fit_edges(grey: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """Corners of a dark square on light ground, as intersections of lines fitted to its edges.
 
     Refining single corners shrinks a marker of 40 px by 1 %, which moves it away by as much; whole edges do
@@ -204,13 +204,12 @@ def fit_edges(grey: np.ndarray, corners: np.ndarray, rounds: int = 3) -> np.ndar
     Args:
         grey: float32 (H, W).
         corners: (4, 2) px in order around the square, to a pixel or so.
-        rounds: each starts from the corners of the one before.
 
     Returns:
         (4, 2) px.
     """
     along = np.linspace(0.12, 0.88, 24)[:, None]
-    for _ in range(rounds):
+    for _ in range(3):  # each starts from the corners of the one before
         lines = []
         for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
             edge = (b - a) / np.linalg.norm(b - a)

@@ -24,11 +24,13 @@ class Displacement:
         shape: height and width of the images.
         px_per_mm: their scale.
         thickness_mm: gel thickness.
+
+    Attributes:
         decay_mm: length over which the surface recovers around a contact.
     """
 
-    def __init__(self, shape: tuple[int, int], px_per_mm: float, thickness_mm: float, decay_mm: float = 1.2):
-        self._shape, self._thickness_mm, self.decay_mm = shape, thickness_mm, decay_mm
+    def __init__(self, shape: tuple[int, int], px_per_mm: float, thickness_mm: float):
+        self._shape, self._thickness_mm, self.decay_mm = shape, thickness_mm, 1.2
         self._window_mm = shape[1] / px_per_mm, shape[0] / px_per_mm
 
     @classmethod

@@ -45,14 +45,14 @@ def stlsq(features, target, others, seed: int) -> np.ndarray:
     return B @ _sparse(A, Y, THRESHOLDS[int(np.argmin(errors))] * size)
 
 
-def _sparse(A: np.ndarray, Y: np.ndarray, threshold: np.ndarray, rounds: int = 10) -> np.ndarray:
+def _sparse(A: np.ndarray, Y: np.ndarray, threshold: np.ndarray) -> np.ndarray:
     """(m, k) weights; those below the threshold (k,) of their column are zero."""
     out = np.zeros((A.shape[1], Y.shape[1]))
     gram, right = A.T @ A + 1e-3 * len(A) * np.eye(A.shape[1]), A.T @ Y
     for c in range(Y.shape[1]):
         on = np.ones(A.shape[1], bool)
         w = np.zeros(A.shape[1])
-        for _ in range(rounds):
+        for _ in range(10):
             w[:] = 0.0
             if on.any():
                 w[on] = np.linalg.solve(gram[np.ix_(on, on)], right[on, c])

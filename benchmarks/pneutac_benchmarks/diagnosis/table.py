@@ -76,9 +76,9 @@ def summary(answers: list[dict]) -> list[dict]:
     return rows
 
 
-def wilson(k: int, n: int, z: float = 1.96) -> tuple[float, float]:
-    """Wilson's interval of a share."""
-    p = k / n
+def wilson(k: int, n: int) -> tuple[float, float]:
+    """Wilson's 95 % interval of a share."""
+    p, z = k / n, 1.96
     middle = (p + z * z / (2 * n)) / (1 + z * z / n)
     half = z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n)) / (1 + z * z / n)
     return max(0.0, middle - half), min(1.0, middle + half)

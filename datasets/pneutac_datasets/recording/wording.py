@@ -28,8 +28,7 @@ def shown(value, most: int = 60) -> str:
     return cut(repr(value), most)
 
 
-def listed(names, most: int = 12) -> str:
-    """`a, b, c`, of many names the first and how many more."""
+def listed(names) -> str:
+    """`a, b, c`, of more than twelve names the first and how many more."""
     names = [cut(str(n), 40) for n in names]
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(names[:most]) + more
+    return ", ".join(names[:12]) + (f" and {len(names) - 12} more" if len(names) > 12 else "")

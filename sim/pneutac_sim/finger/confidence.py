@@ -12,6 +12,7 @@ import numpy as np
 from pneutac_sim.finger.quantities import rms
 
 Z95 = 1.959964
+TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -46,12 +47,12 @@ def autocorrelation(residual: np.ndarray, adjacent: np.ndarray) -> float:
     return float(np.clip(together / power, 0.0, 0.9999))
 
 
-def independent(J: np.ndarray, tolerance: float = 1e-3) -> np.ndarray:
+def independent(J: np.ndarray) -> np.ndarray:
     """Which columns of a Jacobian (m, F) add something that the columns before them do not.
 
-    A column counts as dependent when less than `tolerance` of its length is left after projecting out the
+    A column counts as dependent when less than `TOLERANCE` of its length is left after projecting out the
     earlier independent ones; so base parameters, which come first, win over effects. One that is shorter than
-    a tenth of `tolerance` times the longest moves nothing over its whole range (a yaw, seen in the plane).
+    a tenth of `TOLERANCE` times the longest moves nothing over its whole range (a yaw, seen in the plane).
 
     Returns:
         (F,) booleans.
@@ -61,14 +62,14 @@ def independent(J: np.ndarray, tolerance: float = 1e-3) -> np.ndarray:
     keep = np.zeros(J.shape[1], bool)
     basis: list[np.ndarray] = []
     for j in range(J.shape[1]):
-        if length[j] <= 0.1 * tolerance * largest:
+        if length[j] <= 0.1 * TOLERANCE * largest:
             continue
         column = J[:, j] / length[j]
         for _ in range(2):  # twice, as rounding spoils a single pass
             for b in basis:
                 column = column - (b @ column) * b
         left = np.linalg.norm(column)
-        if left > tolerance:
+        if left > TOLERANCE:
             keep[j] = True
             basis.append(column / left)
     return keep

@@ -57,7 +57,6 @@ def search(
     parameters: BodyParameters,
     start: Coarse,
     evaluations: int = EVALUATIONS,
-    population: int = POPULATION,
     seed: int = 0,
     record: SearchRecord = SearchRecord(),
     progress: Callable[[int, np.ndarray, float], None] = lambda done, best, value: None,
@@ -72,22 +71,18 @@ def search(
         parameters: bounds and first steps.
         start: where to begin, and what silhouettes tell about it.
         evaluations: rounded up to whole generations.
-        population: of a generation.
         seed: decides all candidates.
         record: where to keep them.
         progress: called after each generation with the evaluations so far, the best candidate and its value.
 
     Raises:
-        InputError: the population or the number of evaluations makes no sense, or the objective is no number.
+        InputError: there is no whole generation, or the objective is no number.
     """
-    if population < 4 or evaluations < population:
-        raise InputError(
-            f"A search of {evaluations} evaluations by {population} a generation makes no sense; give at "
-            "least 4 a generation and at least one generation."
-        )
+    if evaluations < POPULATION:
+        raise InputError(f"evaluations={evaluations} must be at least one generation, {POPULATION}.")
     axes = first_axes(parameters, start.hessian)
-    strategy = _strategy(len(parameters), population, seed)
-    key = hashlib.sha256(repr((record.key, seed, population, parameters.names)).encode()).hexdigest()
+    strategy = _strategy(len(parameters), seed)
+    key = hashlib.sha256(repr((record.key, seed, POPULATION, parameters.names)).encode()).hexdigest()
     kept = _read(record.file, key)
     tried, values, resumed = [], [], 0
     while len(values) < evaluations:
@@ -96,9 +91,9 @@ def search(
             z[0] = 0.0  # the warm start itself
         wanted = start.x + z @ axes.T  # z ~ N(0, sigma^2 C); beyond a bound a candidate pays
         x = np.clip(wanted, parameters.lower, parameters.upper)
-        old = kept[len(values) : len(values) + population]
-        if len(old) == population and np.allclose([o["x"] for o in old], x, rtol=1e-9, atol=1e-12):
-            found, resumed = np.array([o["objective"] for o in old]), resumed + population
+        old = kept[len(values) : len(values) + POPULATION]
+        if len(old) == POPULATION and np.allclose([o["x"] for o in old], x, rtol=1e-9, atol=1e-12):
+            found, resumed = np.array([o["objective"] for o in old]), resumed + POPULATION
         else:
             kept, found = [], np.asarray(objective(x), float)
         if not np.isfinite(found).all():
@@ -130,7 +125,7 @@ def first_axes(parameters: BodyParameters, hessian: np.ndarray) -> np.ndarray:
     return parameters.step[:, None] * vector / np.sqrt(1 + (FINEST**2 - 1) * share)
 
 
-def _strategy(size: int, population: int, seed: int):
+def _strategy(size: int, seed: int):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # it misses a library for plots
         import cma
@@ -139,7 +134,7 @@ def _strategy(size: int, population: int, seed: int):
         np.zeros(size),
         1.0,
         {
-            "popsize": population,
+            "popsize": POPULATION,
             "seed": np.nan,  # its own generator would be NumPy's global one
             "randn": lambda *shape: rng.standard_normal(shape),
             "verbose": -9,

@@ -4,8 +4,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pneutac_sim.errors import InputError
-from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.rasteriser import Rendering, Splats, numbers
 
 RIDGE = 1e-3  # weight of one colour's prior against one fully covered pixel
@@ -40,12 +38,10 @@ def solve_colours(
     background=(0.0, 0.0, 0.0),
     iterations: int = 30,
     ridge: float = RIDGE,
-    mask: np.ndarray | None = None,
-    clip: bool = True,
 ) -> np.ndarray:
     """Colours that render best as a picture, opacities fixed.
 
-    Minimises |M (W c + (1 - alpha) background - target)|^2 + ridge |c - prior|^2 by conjugate gradients on
+    Minimises |W c + (1 - alpha) background - target|^2 + ridge |c - prior|^2 by conjugate gradients on
     the normal equations, scaled by the weight that each Gaussian has in the picture. The prior is the
     picture's colour at each Gaussian's centre, so that Gaussians hidden behind others get a likely colour.
 
@@ -55,29 +51,26 @@ def solve_colours(
         background: (3,).
         iterations: of conjugate gradients; 5 get most of the way.
         ridge: weight of the prior.
-        mask: M, (H, W), pixels to fit, 0 to 1; all where None.
-        clip: whether to limit colours to 0 to 1 at the end.
 
     Returns:
-        (n, 3) float32.
+        (n, 3) float32, 0 to 1.
 
     Raises:
         InputError: a shape is wrong or a number not finite.
     """
     camera = splats.camera
     target = numbers("target", target, (camera.height, camera.width, 3))
-    weight = _weight(mask, camera)
     pixels = (
         np.floor(camera.project(splats.means)[0]).clip(0, (camera.width - 1, camera.height - 1)).astype(int)
     )
     colours = target[pixels[:, 1], pixels[:, 0]]
 
     def normal(c):
-        return splats.transpose(weight * splats.render(c).image) + ridge * c
+        return splats.transpose(splats.render(c).image) + ridge * c
 
-    # (W^T M W + ridge) c = W^T M (target - (1 - alpha) background) + ridge prior; Jacobi's preconditioner
-    scale = 1 / (splats.transpose(weight * splats.render(np.ones_like(colours)).image) + ridge)
-    residual = splats.transpose(weight * (target - splats.render(colours, background).image))
+    # (W^T W + ridge) c = W^T (target - (1 - alpha) background) + ridge prior; Jacobi's preconditioner
+    scale = 1 / (splats.transpose(splats.render(np.ones_like(colours)).image) + ridge)
+    residual = splats.transpose(target - splats.render(colours, background).image)
     direction = step = scale * residual
     energy = np.sum(residual * step, 0, np.float64)
     for _ in range(iterations):
@@ -90,14 +83,13 @@ def solve_colours(
         step = scale * residual
         energy, before = np.sum(residual * step, 0, np.float64), energy
         direction = step + (energy / np.maximum(before, 1e-30)).astype(np.float32) * direction
-    return np.clip(colours, 0, 1) if clip else colours
+    return np.clip(colours, 0, 1)
 
 
 def fit_looks(
     splats: Splats,
     target: np.ndarray,
     background=(0.0, 0.0, 0.0),
-    mask: np.ndarray | None = None,
     iterations: int = 100,
     coverage: np.ndarray | None = None,
     progress: Callable[[int, float], None] = lambda iteration, rmse: None,
@@ -109,7 +101,6 @@ def fit_looks(
             0.99.
         target: the picture, (H, W, 3), 0 to 1.
         background: (3,).
-        mask: pixels to fit, (H, W), 0 to 1; all where None.
         iterations: of Adam, at the paper's rate on colours and on logits of opacities; 0 for colours alone.
         coverage: wanted coverage, (H, W), 0 to 1, such as a silhouette; free where None.
         progress: called with each iteration and its root mean square error, 0 to 1.
@@ -122,18 +113,17 @@ def fit_looks(
     """
     camera = splats.camera
     target = numbers("target", target, (camera.height, camera.width, 3))
-    weight = _weight(mask, camera)
     if coverage is not None:
         coverage = numbers("coverage", coverage, (camera.height, camera.width))
     opacities = np.clip(splats.opacities, 0.01, 0.99)
     splats = splats.with_opacities(opacities)
-    colours = Adam(solve_colours(splats, target, background, mask=mask))
+    colours = Adam(solve_colours(splats, target, background))
     logits = Adam(np.log(opacities / (1 - opacities)))
     best = (np.inf, colours.values.copy(), opacities)
     for iteration in range(iterations + 1):
         rendering = splats.render(colours.values, background)
-        loss, grad_image, grad_alpha = _difference(rendering, target, coverage, weight)
-        progress(iteration, float(np.sqrt(loss / max(3 * weight.sum(), 1e-12))))
+        loss, grad_image, grad_alpha = _difference(rendering, target, coverage)
+        progress(iteration, float(np.sqrt(loss / target.size)))
         if loss < best[0]:
             best = (loss, colours.values.copy(), opacities)
         if iteration == iterations:
@@ -149,20 +139,11 @@ def fit_looks(
     return best[1:]
 
 
-def _difference(rendering: Rendering, target, coverage, weight):
-    """L = sum w |I - target|^2 + w (alpha - coverage)^2, and half its gradients by I and alpha."""
-    grad_image = weight * (rendering.image - target)
-    loss = float(np.vdot(grad_image, rendering.image - target))
+def _difference(rendering: Rendering, target, coverage):
+    """L = sum |I - target|^2 + (alpha - coverage)^2, and half its gradients by I and alpha."""
+    grad_image = rendering.image - target
+    loss = float(np.vdot(grad_image, grad_image))
     if coverage is None:
         return loss, grad_image, None
-    grad_alpha = weight[..., 0] * (rendering.alpha - coverage)
-    return loss + float(np.vdot(grad_alpha, rendering.alpha - coverage)), grad_image, grad_alpha
-
-
-def _weight(mask, camera: Camera) -> np.ndarray:
-    """Weights of pixels, (H, W, 1) float32."""
-    shape = (camera.height, camera.width)
-    weight = np.ones(shape, np.float32) if mask is None else numbers("mask", mask, shape)
-    if weight.min() < 0 or weight.max() > 1:
-        raise InputError("A mask's values must lie between 0 and 1.")
-    return weight[..., None]
+    grad_alpha = rendering.alpha - coverage
+    return loss + float(np.vdot(grad_alpha, grad_alpha)), grad_image, grad_alpha

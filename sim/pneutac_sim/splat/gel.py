@@ -5,8 +5,6 @@ the gel by a camera below it. The gel is clear and its outer coating is what the
 the inner layers start nearly transparent; colours and opacities are then fitted to the one rest image.
 """
 
-from collections.abc import Callable
-
 import cv2
 import numpy as np
 from numba import njit
@@ -41,11 +39,8 @@ class SplatSensor:
     Args:
         model: the gel's sizes, rest image and light.
         layers: of particles, from the window to the surface, 2 or more.
-        distortion: of the camera's lens, OpenCV's k1, k2, p1, p2, k3.
         looks: colours (n, 3) and opacities (n,) of an earlier sensor with the same model and layers; fitted
             to the rest image where None (seconds).
-        increment: from a displacement (80, 59) in mm to what contact adds to the picture, (H, W, 3) levels;
-            the model's own light where None.
         device: that draws: `cpu`, `cuda`, or `auto` for CUDA where gsplat and a device are there; looks are
             fitted on the CPU.
 
@@ -61,15 +56,12 @@ class SplatSensor:
         self,
         model: GelModel,
         layers: int = LAYERS,
-        distortion: tuple[float, ...] = (),
         looks: tuple[np.ndarray, np.ndarray] | None = None,
-        increment: Callable[[np.ndarray], np.ndarray] | None = None,
         device: str = "cpu",
     ):
         if isinstance(layers, bool) or not isinstance(layers, int) or layers < 2:
             raise InputError(f"A gel of splats has {layers!r} layers; it needs 2 or more.")
         self.model, self._on = model, on(device)
-        self.increment = increment or self._light
         self._model_weight, self._coefficients = model.weight, model.coefficients
         self._further = model.further
         height, width = model.rest_image.shape[:2]
@@ -77,7 +69,7 @@ class SplatSensor:
         view = np.eye(4)
         view[2, 3] = CAMERA_MM * 1e-3
         K = np.array([[focal_px, 0, width / 2], [0, focal_px, height / 2], [0, 0, 1]])
-        self.camera = Camera(K, view, width, height, distortion)
+        self.camera = Camera(K, view, width, height)
         self._means, self._fraction = particles(model, layers)
         n = len(self._means)
         scale = SCALE_CELLS * model.window_mm[0] / COLS * 1e-3
@@ -104,7 +96,7 @@ class SplatSensor:
             InputError: a shape is wrong, a number not finite or a displacement too large.
         """
         displacement_mm = self._checked(displacement_mm)
-        return self.render(displacement_mm, self.increment(displacement_mm))
+        return self.render(displacement_mm, self._light(displacement_mm))
 
     def render(self, displacement_mm: np.ndarray, increment: np.ndarray) -> np.ndarray:
         """Tactile image of a displacement with any light.
@@ -181,36 +173,6 @@ def particles(model: GelModel, layers: int) -> tuple[np.ndarray, np.ndarray]:
     )
     means = np.stack([x, y, z], -1).reshape(-1, 3)
     return (means * 1e-3).astype(np.float32), (1 + means[:, 2] / model.thickness_mm).astype(np.float32)
-
-
-def refine(sensor: SplatSensor, displacement_mm, basis: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Coefficients of a contact's light that render best as one photograph.
-
-    The picture is linear in them, so that the minimum of the paper's photometric loss (Sec. III-B) needs no
-    descent: each basis picture is rendered once on the moved gel, then least squares.
-
-    Args:
-        sensor: the gel.
-        displacement_mm: (80, 59) of the contact.
-        basis: (K, H, W, 3) levels; the light is their sum, weighted by the coefficients.
-        target: the photograph, uint8 (H, W, 3).
-
-    Returns:
-        Coefficients, (K,).
-
-    Raises:
-        InputError: a shape is wrong or a number not finite.
-    """
-    shape = sensor.model.rest_image.shape
-    target = numbers("target", target, shape)
-    splats = sensor.splats(displacement_mm)
-    dark = sensor.render(displacement_mm, np.zeros(shape, np.float32))
-    columns = []
-    for picture in basis:
-        light = numbers("basis", picture, shape)
-        seen = splats.render(sensor.take(splats, light))
-        columns.append((seen.image + (1 - seen.alpha)[..., None] * light).ravel())
-    return np.linalg.lstsq(np.stack(columns, 1), (target - dark).ravel(), rcond=None)[0]
 
 
 @njit(cache=True, nogil=True)

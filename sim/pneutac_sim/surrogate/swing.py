@@ -51,9 +51,7 @@ class Swing:
         return cls(abs(float(rate)) / (2 * np.pi), float(decay / np.hypot(rate, decay)))
 
 
-def released(
-    twin: Twin, controller: float, seconds: float = 0.5, particles: int = 4000, sensor: Links | None = None
-) -> Swing:
+def released(twin: Twin, controller: float, seconds: float = 0.5, sensor: Links | None = None) -> Swing:
     """The first swing of the full body at zero pressure, after a force across its tip.
 
     The law of the material has no losses: what damps it are the chamber, by the twin's
@@ -63,18 +61,17 @@ def released(
         twin: of a finger.
         controller: stiffness K_c of the chamber, N m/rad.
         seconds: of the swing.
-        particles: of the body, about.
         sensor: lumps that the last link carries; None for none.
     """
     at, free = programs.joint_targets(twin, 0.0)[None], twin.copy()
-    held = solve_equilibrium(devices.finger(twin, particles=particles), Loads(q_cmd=at), tolerance=1e-3)
+    held = solve_equilibrium(devices.finger(twin), Loads(q_cmd=at), tolerance=1e-3)
     target = held.q - held.body_torque / controller  # where the chamber would bend the spine without body
     levers = 1e-3 * (twin.length_mm - np.asarray(twin.spine_joint_positions_mm))
     free.parameters |= {
         STIFFNESS: Value(controller),
         DAMPING: Value(twin.parameter("joint_damping_nms_per_rad")),
     }
-    solver = devices.finger(free, particles=particles)
+    solver = devices.finger(free)
     if sensor is not None:
         carry(solver, sensor)
     solver.set_q(held.q)

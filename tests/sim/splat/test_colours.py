@@ -57,21 +57,6 @@ def test_adam_on_opacities_improves_on_the_direct_solution():
     assert 0 <= colours.min() and colours.max() <= 1 and 0.01 <= fitted.min() and fitted.max() <= 0.99
 
 
-def test_only_masked_pixels_count():
-    camera, means, covariances = sheet()
-    target = picture(camera)
-    mask = np.zeros((36, 48))
-    mask[:, :24] = 1
-    spoilt = target.copy()
-    spoilt[:, 24:] = 0.0
-    splats = Splats(camera, means, covariances, np.full(len(means), 0.9))
-    left = np.s_[:, :20]
-    clean = splats.render(solve_colours(splats, target, mask=mask)).image
-    dirty = splats.render(solve_colours(splats, spoilt, mask=mask)).image
-    assert rmse(clean[left], dirty[left]) < 1e-3
-    assert rmse(dirty[left], target[left]) < 0.03
-
-
 @pytest.mark.slow
 def test_coverage_is_fitted_to_a_silhouette():
     camera, means, covariances = sheet()
@@ -109,5 +94,3 @@ def test_bad_targets_are_refused():
         solve_colours(splats, np.full((36, 48, 3), np.nan))
     with pytest.raises(InputError, match="target"):
         solve_colours(splats, np.zeros((48, 36, 3)))
-    with pytest.raises(InputError, match="mask"):
-        solve_colours(splats, np.zeros((36, 48, 3)), mask=np.full((36, 48), 2.0))

@@ -3,9 +3,8 @@ import pytest
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.gel.optics import gradient, upsample
 from pneutac_sim.gel.sensor import TactileSensor
-from pneutac_sim.splat.gel import CAMERA_MM, SplatSensor, particles, refine
+from pneutac_sim.splat.gel import CAMERA_MM, SplatSensor, particles
 
 REST = np.zeros((80, 59), np.float32)
 
@@ -91,45 +90,6 @@ def test_light_is_taken_where_it_falls(sensor):
     assert np.abs(added[20:-20, 140:-20, 0] - 20).mean() < 1.5
     assert np.abs(added[:, :100, 0]).max() <= 1
     assert np.abs(added[..., 1:]).max() <= 1
-
-
-def light_basis(model, u):
-    """Slope in x, slope in y and depth of a surface for each channel, (9, 320, 240, 3)."""
-    cell_mm = model.window_mm[0] / 59, model.window_mm[1] / 80
-    fields = [upsample(f, 320, 240) for f in (*gradient(u, cell_mm), u)]
-    basis = np.zeros((9, 320, 240, 3), np.float32)
-    for k in range(9):
-        basis[k, ..., k // 3] = model.weight[..., k // 3] * fields[k % 3]
-    return basis
-
-
-def test_refine_recovers_the_light_from_a_noisy_photograph(sensor, pixelwise):
-    u = press(pixelwise, 1, -2, 0.6)
-    basis = light_basis(sensor.model, u)
-    known = np.array([20.0, -10, 5, -15, 12, -6, 8, 18, 10])
-    photograph = sensor.render(u, np.tensordot(known, basis, 1))
-    noisy = photograph + np.random.default_rng(0).normal(0, 3, photograph.shape)
-    found = refine(sensor, u, basis, np.uint8(np.clip(np.rint(noisy), 0, 255)))
-    np.testing.assert_allclose(found, known, atol=1.0)
-    assert np.abs(refine(sensor, u, basis, sensor.render(u, 0 * basis[0]))).max() < 0.5, (
-        "no light, none found"
-    )
-
-
-def test_refine_fits_a_picture_of_another_renderer_better_than_anything_near(sensor, pixelwise):
-    """The image plane drew it, so that nothing is exact; the light must still be that of the image plane."""
-    model, u = sensor.model, press(pixelwise, -1, 2, 0.7)
-    basis = light_basis(model, u)
-    photograph = pixelwise._renderer.image(u)
-    found = refine(sensor, u, basis, photograph)
-    own = model.coefficients[:, :3].ravel()
-    assert np.corrcoef(found, own)[0, 1] > 0.95
-    best = rmse(sensor.render(u, np.tensordot(found, basis, 1)), photograph)
-    assert best < 0.5 * rmse(sensor.render(u, 0 * basis[0]), photograph)
-    for k in range(9):
-        for change in (-4.0, 4.0):
-            other = found + change * (np.arange(9) == k)
-            assert rmse(sensor.render(u, np.tensordot(other, basis, 1)), photograph) > best
 
 
 def test_bad_input_is_refused(sensor):

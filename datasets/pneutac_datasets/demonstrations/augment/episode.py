@@ -22,25 +22,20 @@ from pneutac_datasets.demonstrations.augment.scene import (
     find_scene,
     follow,
 )
+from pneutac_datasets.demonstrations.augment.variant import Variant
 from pneutac_datasets.demonstrations.episodes import POINTS
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_NAMES, AREA, MAX_PRESSURE_KPA
 from pneutac_sim.gel.sensor import centre_mm
 from pneutac_sim.twin import Twin
-from pneutac_sim.world.conditions import Conditions, draw
+from pneutac_sim.world.conditions import Conditions
 from pneutac_sim.world.gantry import Gantry
 from pneutac_sim.world.look import SceneCameras
 from pneutac_sim.world.points import tactile_points
 from pneutac_sim.world.station import Station
 from pneutac_sim.world.varied import Variation, VariedWorld
 
-# Domain randomisation: standard deviations.
-FRICTION = 0.15  # of the factor on the gel's friction
 FEED_FORWARD_M_S = 0.01  # velocity added along the motion in contact for a friction factor higher by one
-PEAK_KPA = 0.5  # of the peak pressure of a finger of 0 to 15 kPa; of another in proportion to its range
-BEND_GAIN = 0.04  # of the factor on pressure to bend
-ASIDE_M = 0.005  # of the object's place along y, at most: the way there stays, and a gel is 16 mm wide
-LATE = 1  # control steps by which touch is shown too late, at most
 START_M = 0.004  # standard deviation of the start; its height stays, by which many a contact is met at all
 SHORTEST = 8  # control steps of the paper's rate; what is done sooner was done by where the object stood
 IN_THE_WAY = "the object stood where the hand starts"
@@ -83,57 +78,6 @@ class AugmentSetup:
     def where(self) -> Station:
         """The station."""
         return Station.load(self.station) if self.station else Station()
-
-
-@dataclass(frozen=True)
-class Variant:
-    """One draw of the domain randomisation.
-
-    Attributes:
-        source: index of the reference.
-        shift_m: (3,) displacement of the object and, from the touch on, of the reference trajectory; its
-            height stays, as objects stand on the table. Until the touch the trajectory stays: nothing else
-            tells where the object is.
-        friction: factor on the gel's friction.
-        peak_kpa: added to the peak pressure, and in proportion below it.
-        bend_gain: factor on pressure to bend.
-        late_commands: control steps by which commands act too late, as they did in the demonstrations.
-        late_touch: control steps by which touch is shown too late, which no recording tells.
-        conditions: of the world.
-    """
-
-    source: int
-    shift_m: tuple[float, float, float]
-    friction: float
-    peak_kpa: float
-    bend_gain: float
-    late_commands: int = 0
-    late_touch: int = 0
-    conditions: dict[str, float] = field(default_factory=dict)
-
-    @classmethod
-    def draw(
-        cls,
-        source: int,
-        sigma_m: np.ndarray,
-        late_commands: int,
-        rng: np.random.Generator,
-        conditions: Conditions | None = None,
-    ) -> "Variant":
-        """A variant of a reference; factors stay within two standard deviations."""
-        friction, peak, gain = np.clip(rng.standard_normal(3), -2, 2)
-        sigma_m = np.array([sigma_m[0], min(sigma_m[1], ASIDE_M), 0.0])
-        shift = np.clip(rng.standard_normal(3), -2, 2) * sigma_m
-        return cls(
-            source,
-            tuple(shift.tolist()),
-            float(1 + FRICTION * friction),
-            float(PEAK_KPA * peak),
-            float(1 + BEND_GAIN * gain),
-            late_commands,
-            int(rng.integers(0, LATE + 1)),
-            draw(conditions or {}, rng),
-        )
 
 
 @dataclass

@@ -1,0 +1,65 @@
+"""The domain randomisation of one new demonstration."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from pneutac_sim.world.conditions import Conditions, draw
+
+# Standard deviations.
+FRICTION = 0.15  # of the factor on the gel's friction
+PEAK_KPA = 0.5  # of the peak pressure of a finger of 0 to 15 kPa; of another in proportion to its range
+BEND_GAIN = 0.04  # of the factor on pressure to bend
+ASIDE_M = 0.005  # of the object's place along y, at most: the way there stays, and a gel is 16 mm wide
+LATE = 1  # control steps by which touch is shown too late, at most
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One draw of the domain randomisation.
+
+    Attributes:
+        source: index of the reference.
+        shift_m: (3,) displacement of the object and, from the touch on, of the reference trajectory; its
+            height stays, as objects stand on the table. Until the touch the trajectory stays: nothing else
+            tells where the object is.
+        friction: factor on the gel's friction.
+        peak_kpa: added to the peak pressure, and in proportion below it.
+        bend_gain: factor on pressure to bend.
+        late_commands: control steps by which commands act too late, as they did in the demonstrations.
+        late_touch: control steps by which touch is shown too late, which no recording tells.
+        conditions: of the world.
+    """
+
+    source: int
+    shift_m: tuple[float, float, float]
+    friction: float
+    peak_kpa: float
+    bend_gain: float
+    late_commands: int = 0
+    late_touch: int = 0
+    conditions: dict[str, float] = field(default_factory=dict)
+
+    @classmethod
+    def draw(
+        cls,
+        source: int,
+        sigma_m: np.ndarray,
+        late_commands: int,
+        rng: np.random.Generator,
+        conditions: Conditions | None = None,
+    ) -> "Variant":
+        """A variant of a reference; factors stay within two standard deviations."""
+        friction, peak, gain = np.clip(rng.standard_normal(3), -2, 2)
+        sigma_m = np.array([sigma_m[0], min(sigma_m[1], ASIDE_M), 0.0])
+        shift = np.clip(rng.standard_normal(3), -2, 2) * sigma_m
+        return cls(
+            source,
+            tuple(shift.tolist()),
+            float(1 + FRICTION * friction),
+            float(PEAK_KPA * peak),
+            float(1 + BEND_GAIN * gain),
+            late_commands,
+            int(rng.integers(0, LATE + 1)),
+            draw(conditions or {}, rng),
+        )
