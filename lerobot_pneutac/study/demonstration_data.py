@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
+from scipy.signal import lfilter
 
 from pneutac_datasets.demonstrations.replay.imprint import rest_image, strengths
 from pneutac_datasets.demonstrations.replay.placing import find_place
@@ -21,6 +22,7 @@ from pneutac_sim.twin import Twin
 from pneutac_sim.world.conditions import GRAVITY
 
 MORE_RAD = (-0.10, -0.04, 0.0, 0.04, 0.10, 0.18)  # bends beside the pressure's that are replayed
+LAGS_S = (0.1, 0.3, 1.0, 3.0)  # of the command
 CHATTER = 3  # frames
 BEFORE, AFTER = 6, 8  # frames about the touches in which touch is compared
 
@@ -98,3 +100,14 @@ def inputs_of(episodes: list[EpisodeData], latency_s: float, twin: Twin) -> Inpu
     columns = {name: np.full(n, value) for name, value in GRAVITY.items()}
     columns |= {"session_time_s": np.zeros(n), "length_mm": np.full(n, twin.length_mm)}
     return Inputs(pressure, dt, np.arange(n), columns, False, float(np.abs(pressure).max()))
+
+
+def command_signals(episodes: list[EpisodeData]) -> np.ndarray:
+    """(N, 5 + lags) causal signals of command, contact and arm, a row a frame, for a black box."""
+    out = []
+    for e in episodes:
+        u = e.command_kpa / max(float(np.abs(e.command_kpa).max()), 1e-9)
+        keeps = [np.exp(-1 / (tau * CONTROL_HZ)) for tau in LAGS_S]
+        lagged = [lfilter([1 - keep], [1, -keep], u) for keep in keeps]
+        out.append(np.stack([u, e.contact, *np.gradient(e.flange_m, axis=0).T, *lagged], 1))
+    return np.concatenate(out)

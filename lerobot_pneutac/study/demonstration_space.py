@@ -1,8 +1,8 @@
 """What a search may try on demonstrations: late commands and air, or what moves the body."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
-from lerobot_pneutac.diagnosis.search import Trial
+from lerobot_pneutac.diagnosis.search import Scored, Trial
 from lerobot_pneutac.study.demonstration_model import DemonstrationModel, Fitter, Form
 
 
@@ -63,3 +63,25 @@ class DemonstrationSpace:
         if not form.effects:
             return self.base
         return self.fitter.fit(Trial(form, model.values), self.columns, 40)
+
+    def pruned(
+        self,
+        model: Scored,
+        score: Callable[[DemonstrationModel], Scored],
+        least: Callable[[float], float],
+    ) -> Scored:
+        """Without terms that hardly count, which must not ride on others; the weightiest first.
+
+        Args:
+            model: what a search found.
+            score: of a model.
+            least: rise of the mean square error by which a term counts where so much is left with it.
+        """
+        while terms := model.model.form.effects:
+            without = {e: score(self.without(model.model, e)) for e in terms}
+            weakest = min(without, key=lambda e: without[e].value)
+            if without[weakest].value - model.value > least(model.value):
+                model.model.form = Form(tuple(sorted(terms, key=lambda e: -without[e].value)))
+                return model
+            model = without[weakest]
+        return model

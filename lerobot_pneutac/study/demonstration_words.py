@@ -7,8 +7,8 @@ from lerobot_pneutac.diagnosis.result import Outcome
 from lerobot_pneutac.study.base import EffectStudy, with_unit
 from lerobot_pneutac.study.demonstration_model import LATE, Fitter, latency_s
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
-from pneutac_sim.effects.laws import family
-from pneutac_sim.effects.registry import get_effect
+from pneutac_sim.effects.laws import family, is_law, law
+from pneutac_sim.effects.registry import body_effects, get_effect
 from pneutac_sim.twin import Twin
 
 UNIT = "mm at the tip"
@@ -22,6 +22,17 @@ MORE = "Record ten demonstrations or more that press and hold, at two pressures.
 def of_air(effect: str) -> bool:
     """Whether arm and gauge tell an effect; of the others touch does."""
     return effect == LATE or get_effect(effect).of_air
+
+
+def bends(effect: str) -> bool:
+    """Whether an effect of the twin can be fitted anew to demonstrations: one of air, drive or material."""
+    e = law(effect) if is_law(effect) else body_effects()[effect]
+    return e.stage in ("pneumatics", "drive", "material") and not e.columns and not e.of_markers
+
+
+def stopped(name: str) -> bool:
+    """Whether a bound stops an effect: the weights of a series may well be zero."""
+    return not name.partition(".")[2].startswith(("weight", "delay", "vent_growth", "fill", "band"))
 
 
 class DemonstrationWords(EffectStudy):

@@ -6,6 +6,7 @@ A sample is a frame; whole episodes are learnt from or held out. Errors are thos
 import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from lerobot_pneutac.diagnosis.search import Found, Search, Trial
 from lerobot_pneutac.diagnosis.steps import Steps
 from lerobot_pneutac.diagnosis.verdict import Evidence, decide
 from lerobot_pneutac.diagnosis.votes import chosen_in, rivals
-from lerobot_pneutac.study.demonstration_data import episode_data
+from lerobot_pneutac.study.demonstration_data import command_signals, episode_data
 from lerobot_pneutac.study.demonstration_model import (
     AIR,
     LATE,
@@ -27,13 +28,20 @@ from lerobot_pneutac.study.demonstration_model import (
     Fitter,
     Form,
 )
+from lerobot_pneutac.study.demonstration_noise import frame_noise
 from lerobot_pneutac.study.demonstration_space import DemonstrationSpace
-from lerobot_pneutac.study.demonstration_words import OF_AIR, OF_BODY, UNIT, DemonstrationWords, of_air
+from lerobot_pneutac.study.demonstration_words import (
+    OF_AIR,
+    OF_BODY,
+    UNIT,
+    DemonstrationWords,
+    bends,
+    of_air,
+    stopped,
+)
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
-from pneutac_datasets.recording.noise import NoiseFloor
-from pneutac_sim.effects.laws import family, is_law, law
-from pneutac_sim.effects.registry import body_effects, of_body
-from pneutac_sim.features import CONTROL_HZ
+from pneutac_sim.effects.laws import family
+from pneutac_sim.effects.registry import of_body
 from pneutac_sim.finger.quantities import rms
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
@@ -42,8 +50,6 @@ HELD_OUT = 0.3  # share of the episodes
 # Least fall of the mean square error that counts: of what the twin left of the demonstrations that it was
 # last fitted to, by which others of the same finger may differ; where it was to none, of what is left.
 WORTH, WORTH_OF_LEFT = 0.3, 0.1
-MAD = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
-LAGS_S = (0.1, 0.3, 1.0, 3.0)  # of the command, for the black box
 
 
 class DemonstrationStudy(DemonstrationWords):
@@ -73,7 +79,7 @@ class DemonstrationStudy(DemonstrationWords):
     ):
         self.twin, self.recording, self.seed = twin, recording, seed
         self.own = tuple(of_body(twin.effects))
-        tried = dict.fromkeys((LATE, *OF_AIR, *OF_BODY, *(e for e in self.own if _bends(e))))
+        tried = dict.fromkeys((LATE, *OF_AIR, *OF_BODY, *(e for e in self.own if bends(e))))
         self.candidates = [e for e in tried if not adding or e in adding]
         episodes = episode_data(twin, recording, progress)
         self.owner = np.repeat(np.arange(len(episodes)), list(map(len, episodes)))
@@ -85,7 +91,7 @@ class DemonstrationStudy(DemonstrationWords):
         self._bare_air, self._bare_touch = self.fitter.base(AIR), self.fitter.base(TOUCH)
         self._last = ([{}] + [h for h in twin.history if h.get("unit") == UNIT])[-1]
         self.remainder = self._last.get("heldout_ci95", [None, None])[1]
-        self.noise = self._noise()
+        self.noise = frame_noise(self.fitter, self.remainder)
         self.findings = [*recording.warnings]
 
     def world_of(self, twin: Twin) -> Fitter:
@@ -93,25 +99,6 @@ class DemonstrationStudy(DemonstrationWords):
         if twin is self.twin:
             return self.fitter
         return Fitter(twin, episode_data(twin, self.recording), self.parts.train)
-
-    def _noise(self) -> NoiseFloor:
-        """What differs from frame to frame; or what the twin left before, where that is known and more."""
-        f = self.fitter
-        columns: dict[str, list[np.ndarray]] = {"flange": [], "pressure.pos": [], "imprint": []}
-        for e in f.episodes:
-            jumps = np.diff(e.flange_m, 3, axis=0)  # third differences, of which motion has little
-            columns["flange"].append(1e3 * np.sqrt(3) * jumps.ravel())
-            columns["pressure.pos"].append(f.mm_per_kpa * np.diff(e.pressure_kpa, 3))
-            strong = e.imprint > 0.5 * e.imprint.max()
-            columns["imprint"].append(f.mm_per_rad * np.diff(e.imprint[strong], 3) / f.slope)
-        sizes = {
-            k: float(MAD * np.median(np.abs(np.concatenate(v))) / np.sqrt(20)) for k, v in columns.items()
-        }
-        value = float(np.sqrt(sum(s**2 for s in sizes.values())))
-        if self.remainder is not None and self.remainder > value:
-            how = "what the twin left of the demonstrations that it was last fitted to, at most"
-            return NoiseFloor(self.remainder, None, UNIT, how, sizes, True)
-        return NoiseFloor(value, None, UNIT, "what differs from frame to frame", sizes, False)
 
     # ---------------------------------------------------------------- models
 
@@ -126,7 +113,7 @@ class DemonstrationStudy(DemonstrationWords):
             residual=fitter.predict(touch.form, touch.values)[0],
             count=len(air.unit) + len(touch.unit),
             twin=replayed.twin_with(touch, touch.intervals(fold)),
-            at_bound=[n for n in (*air.at_bound, *touch.at_bound) if _stopped(n)],
+            at_bound=[n for n in (*air.at_bound, *touch.at_bound) if stopped(n)],
         )
 
     def residual(self, twin: Twin) -> np.ndarray:
@@ -141,13 +128,18 @@ class DemonstrationStudy(DemonstrationWords):
         if start is None:
             steps.done()
             self._errors = [self._bare_air.crossed(fold) + self._bare_touch.crossed(fold)]
-            return self.fitted(self._bare_air, self._bare_touch, self.fitter)
+            return self._bare
         air = self._with(self.fitter, [e for e in asked if of_air(e)], AIR, self._bare_air)
         fitter = self.world_of(self.fitter.twin_with(air, {})) if air.form.effects else self.fitter
         touch = self._with(fitter, [e for e in asked if not of_air(e)], TOUCH, fitter.base(TOUCH))
         self._errors.append(air.crossed(fold) + touch.crossed(fold))
         steps.done()
         return self.fitted(air, touch, fitter)
+
+    @cached_property
+    def _bare(self) -> FittedModel:
+        """The twin as it is."""
+        return self.fitted(self._bare_air, self._bare_touch, self.fitter)
 
     @staticmethod
     def _with(
@@ -210,23 +202,13 @@ class DemonstrationStudy(DemonstrationWords):
             tell = lambda text: steps.expect(text, 0)  # noqa: E731
             search = Search(space, self._learnt(), fold, float(floor), pool.map, tell)
             found = search.find()
-            while found.final.model.form.effects:  # a term that hardly counts must not ride on another
-                without = {
-                    e: search.score(space.without(found.final.model, e))
-                    for e in found.final.model.form.effects
-                }
-                weakest = min(without, key=lambda e: without[e].value)
-                if without[weakest].value - found.final.value > self._least(columns, found.final.value):
-                    effects = sorted(without, key=lambda e: -without[e].value)
-                    found.final.model.form = Form(tuple(effects))
-                    break
-                found.final = without[weakest]
+            found.final = space.pruned(found.final, search.score, partial(self._least, columns))
             return found
 
     def _outcome(
         self, air: Found, touch: Found, fitter: Fitter, tested: list[Tested], began: float
     ) -> Outcome:
-        before = self.fitted(self._bare_air, self._bare_touch, self.fitter)
+        before = self._bare
         models, base = [air.final.model, touch.final.model], touch.base.model
         after = self.fitted(models[0], models[1], fitter)
         if not self._lower(before, after):
@@ -283,7 +265,7 @@ class DemonstrationStudy(DemonstrationWords):
         worst, left = self.test.value(before.squared), self.test.value(after.squared)
         room = worst - floor**2
         removed = 1 - max(left - floor**2, 0.0) / room if selected and room > 0 else float(bool(selected))
-        features, train, test = self._features(), self.parts.train, self.parts.test
+        signals, train, test = command_signals(self.fitter.episodes), self.parts.train, self.parts.test
         return Evidence(
             poor=bool(self.too_little()),
             before=float(np.sqrt(worst)) / floor,
@@ -291,28 +273,13 @@ class DemonstrationStudy(DemonstrationWords):
             selected=selected,
             removed=float(np.clip(removed, -1, 1)),
             at_bound=[n for n in after.at_bound if n.rpartition(".")[0] in selected],
-            left_to_black_box=share_left(after.residual, features, train, test, floor),
+            left_to_black_box=share_left(after.residual, signals, train, test, floor),
             agreed=min([chosen[t] for t in selected[:1]], default=1.0),
             noise_known=self.noise.known,
         )
 
-    def _features(self) -> np.ndarray:
-        """(N, f) causal signals of the command and the arm, for a black box."""
-        out = []
-        for e in self.fitter.episodes:
-            u = e.command_kpa / max(float(np.abs(e.command_kpa).max()), 1e-9)
-            columns = [u, e.contact.astype(float), *np.gradient(e.flange_m, axis=0).T]
-            for tau in LAGS_S:
-                keep, x, lagged = np.exp(-1 / (tau * CONTROL_HZ)), 0.0, []
-                for v in u:
-                    x = keep * x + (1 - keep) * v
-                    lagged.append(x)
-                columns.append(np.array(lagged))
-            out.append(np.stack(columns, 1))
-        return np.concatenate(out)
-
     def _tested(self, found: Found, behind: tuple[DemonstrationModel, Fitter] | None) -> list[Tested]:
-        before = self.fitted(self._bare_air, self._bare_touch, self.fitter)
+        before = self._bare
         out, first = [], [*found.path[1:2], *(found.rivals[0] if found.rivals else [])]
         for s in sorted(first, key=lambda s: s.value):
             if len(s.model.form.effects) != 1:
@@ -328,14 +295,3 @@ class DemonstrationStudy(DemonstrationWords):
             errors = {"heldout": float(np.sqrt(self.test.value(model.squared)))}
             out.append(Tested(name, errors, share, interval, self.parameters(model, name), how))
         return out
-
-
-def _bends(effect: str) -> bool:
-    """Whether an effect of the twin can be fitted anew to demonstrations: one of air, drive or material."""
-    e = law(effect) if is_law(effect) else body_effects()[effect]
-    return e.stage in ("pneumatics", "drive", "material") and not e.columns and not e.of_markers
-
-
-def _stopped(name: str) -> bool:
-    """Whether a bound stops an effect: the weights of a series may well be zero."""
-    return not name.partition(".")[2].startswith(("weight", "delay", "vent_growth", "fill", "band"))
