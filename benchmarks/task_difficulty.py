@@ -37,9 +37,9 @@ def demonstrate(world: World, seed: int) -> np.ndarray:
 
 
 def replay(world: World, actions: np.ndarray, seed: int) -> bool:
-    """Plays `actions` (T, 4) on start `seed`, then holds still at the last pressure; whether it succeeded."""
+    """Plays `actions` (T, 4) on start `seed`, then holds still for 2 s; whether it succeeded."""
     world.reset(seed)
-    for i in range(STEPS):
+    for i in range(min(STEPS, len(actions) + 2 * CONTROL_HZ)):
         world.step(actions[i] if i < len(actions) else [0.0, 0.0, 0.0, actions[-1, 3]])
         if world.success or world.failure:
             break

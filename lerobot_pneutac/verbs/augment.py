@@ -177,6 +177,7 @@ def augment(config: AugmentConfig, progress: Progress = no_progress) -> Augmenta
     Raises:
         InputError: a dataset cannot be read or exists, or too few variants succeed.
     """
+    progress("reading the demonstrations", 0, 1)
     from pneutac_datasets.demonstrations.augment.episode import AugmentSetup
     from pneutac_datasets.demonstrations.augment.run import (
         augment_guided,
