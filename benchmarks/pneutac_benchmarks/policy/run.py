@@ -74,8 +74,9 @@ def run_units(
             ready = [u for u in waiting.values() if set(u.needs) <= done.keys()]
             for unit in ready[: jobs - len(running)]:
                 del waiting[unit.name]
-                # One augmentation alone may use all processes' cores; several share them.
-                workers = max(jobs // max(sum(u.kind == "augment" for u in units), 1), 1)
+                # One augmentation alone may use all processes' cores; those that are left share them.
+                left = sum(u.kind == "augment" and u.name not in done for u in units)
+                workers = max(jobs // max(left, 1), 1)
                 running[pool.submit(run_unit, out, unit, workers)] = unit
             show(", ".join(sorted(u.name for u in running.values())))
             if not running:

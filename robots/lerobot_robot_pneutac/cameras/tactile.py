@@ -7,7 +7,7 @@ from lerobot_robot_pneutac.cameras.live import LiveCamera
 from lerobot_robot_pneutac.cameras.rest_image import capture_rest_image
 from lerobot_robot_pneutac.hardware.parts import HardwareFault
 from pneutac_sim.features import IMAGE_NAME, IMAGE_SHAPE
-from pneutac_sim.gel.contact import ContactArea, contact_area
+from pneutac_sim.gel.contact import ContactArea, contact_area, quieted
 
 REST_FRAMES = 15
 
@@ -44,8 +44,8 @@ class Tactile:
         return self._checked(self._live.latest())
 
     def contact(self, image: np.ndarray) -> ContactArea:
-        """Contact of an image against the rest image."""
-        return contact_area(image, self.rest_image, self.threshold_levels)
+        """Contact of an image against the rest image, the noise of single pixels apart."""
+        return contact_area(quieted(image), quieted(self.rest_image), self.threshold_levels)
 
     def _checked(self, image: np.ndarray) -> np.ndarray:
         if image.shape != self.shape or image.dtype != np.uint8:

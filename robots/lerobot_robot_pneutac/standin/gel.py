@@ -112,8 +112,11 @@ class GelTouch:
 
 
 def contact_pixels(image: np.ndarray, rest_image: np.ndarray, threshold_levels: float) -> int:
-    """How many pixels of an image uint8 (H, W, 3) differ from the rest image by more, mean over R, G, B."""
-    change = cv2.absdiff(image, rest_image).reshape(-1, 3)
+    """How many pixels of an image uint8 (H, W, 3) differ from the rest image by more, mean over R, G, B.
+
+    The median of 3 x 3 pixels counts, as on the robot: single pixels of noise are no touch.
+    """
+    change = cv2.absdiff(cv2.medianBlur(image, 3), cv2.medianBlur(rest_image, 3)).reshape(-1, 3)
     return int(np.count_nonzero(change @ np.ones(3, np.uint16) > 3 * threshold_levels))
 
 
