@@ -14,10 +14,13 @@ from lerobot_pneutac.diagnosis.bootstrap import Resampler
 
 MOST_TERMS = 6
 BEAM = 3
+OTHER_LINES = 4  # fitted well, where the line is chosen anew
+ADEQUATE = 1.1  # times the noise: what is nearer needs no other line
 COARSE, FINE = 12, 6  # additions fitted roughly, and then well, in a round
 WORTH_OF_ROOM = 0.04  # of the avoidable mean square error that is left: least fall worth a term
 WORTH_OF_FLOOR = 0.03  # of the noise's mean square
 WORTH_OF_START = 0.005  # of the avoidable mean square error of the start
+LINE_AGAIN = 0.5  # of the avoidable mean square error at which a line was chosen; below, it is chosen anew
 ALIKE = 0.01  # of the avoidable mean square error: models that differ by less are equal; the simpler wins
 
 
@@ -141,8 +144,8 @@ class Search:
         beam = self._begin()
         base = best = beam[0]
         found = Found(base, [base], base)
-        start = base.value - self.floor2
-        while len(found.path) <= MOST_TERMS:
+        start = lined = base.value - self.floor2
+        for _ in range(MOST_TERMS):
             room = best.value - self.floor2
             if room < 0.06 * self.floor2:
                 break
@@ -158,6 +161,10 @@ class Search:
             found.path.append(best)
             found.rivals.append([d for d in done if d is not taken])
             beam = [best, *(d for d in done if d is not taken)][:BEAM]
+            if best.value - self.floor2 < LINE_AGAIN * lined:
+                lined = best.value - self.floor2
+                best = self._line_again(best, found)
+                beam = [best, *(s for s in beam if s is not best)][:BEAM]
         found.final = self.pruned(best, found)
         return found
 
@@ -177,6 +184,29 @@ class Search:
         return [first, *(s for s in done if s is not first)][: BEAM - 1] + (
             [chosen] if chosen is not first and chosen not in done[: BEAM - 1] else []
         )
+
+    def _line_again(self, best: Scored, found: Found) -> Scored:
+        """The model with another line where that is surely better.
+
+        The line was chosen while most of the error was of what has been found since, and may have stood in
+        for it.
+        """
+        others = self.other_lines(best)
+        if not others or not self._surely(best, others[0], WORTH_OF_ROOM * (best.value - self.floor2)):
+            return best
+        self.tell(f"line {' + '.join(others[0].model.form.effects)}: error {others[0].value**0.5:.3g}")
+        found.path.append(others[0])
+        found.rivals.append([best])
+        return others[0]
+
+    def other_lines(self, model: Scored) -> list[Scored]:
+        """The most promising models with another line, fitted well, the best first; none at the noise."""
+        if model.value < ADEQUATE**2 * self.floor2:
+            return []
+        quick, now = self.fits(self.space.with_lines(model.model), 2, 4), set(model.model.form.effects)
+        others = [s for s in best_of_each(quick, 1) if set(s.model.form.effects) != now]
+        front = self.run(lambda s: self.space.settle_line(s.model), others[:OTHER_LINES])
+        return sorted(map(self.score, front), key=lambda s: s.value)
 
     def _round(self, beam: list[Scored]) -> list[Scored]:
         """The best models with one or two terms more, fitted well."""

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from lerobot_pneutac.study.body_trials import ALIKE, TRIAL_RANGE, TrialProblem, of_each_trial
 from pneutac_sim.effects.registry import get_effect
@@ -32,6 +33,7 @@ PRIOR = {
     "gravity.tip_mass_g": 300.0,
 }
 LAW_WEIGHT = 1.0
+FAR = 0.3  # of a parameter's range: how far a fit without a fold may be from the whole one
 
 
 @dataclass(frozen=True)
@@ -99,7 +101,6 @@ class BodyModel:
         residual: (N, D) model - measured at the rows of the search, in the unit of the error.
         jacobian: (N D, F) of it; with further columns for what each trial has of its own.
         weight: (F, F) of the prior, in units of the residual's squares.
-        pull: (F,) weight times the distance from the prior's centre.
         counted: columns that count in the error.
         bounds: of the parameters.
         of_trials: (trials, D + 3) offset of each output, gain, zero and clock of the drive, in their widths.
@@ -113,7 +114,6 @@ class BodyModel:
     residual: np.ndarray
     jacobian: np.ndarray
     weight: np.ndarray
-    pull: np.ndarray
     counted: int
     bounds: Bounds = field(repr=False)
     of_trials: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
@@ -137,28 +137,43 @@ class BodyModel:
     def crossed(self, fold: np.ndarray) -> np.ndarray:
         """(N,) squared errors, each by a fit without its own fold, one Gauss-Newton step from the whole one.
 
+        The whole fit is taken as it stands: what it might still gain is not counted. The step stays within
+        bounds and within `FAR`, where a linear model says something.
+
         Args:
             fold: (N,) number of each row's fold; rows of a negative one stay out and count 0.
         """
-        d = self.residual.shape[1]
+        d, more = self.residual.shape[1], self.jacobian.shape[1] - len(self.v)
         out = np.zeros(len(fold))
-        stuck = (self.v <= 1e-6) | (self.v >= 1 - 1e-6)
-        use = np.flatnonzero(np.r_[~stuck, np.ones(self.jacobian.shape[1] - len(stuck), bool)])
+        low = np.r_[np.maximum(-self.v, -FAR), np.full(more, -FAR)]
+        high = np.r_[np.minimum(1 - self.v, FAR), np.full(more, FAR)]
+        use = np.flatnonzero(np.r_[(self.v > 1e-6) & (self.v < 1 - 1e-6), np.ones(more, bool)])
         if not len(use):
             return np.where(fold >= 0, (self.residual[:, : self.counted] ** 2).sum(axis=1), 0.0)
         J = self.jacobian.reshape(len(fold), d, -1)[:, :, use]
         H = self.normal[np.ix_(use, use)]
-        slope = self.jacobian.T @ self.residual.ravel() + self.pull
+        H = H + 1e-9 * np.trace(H) / len(H) * np.eye(len(H))
         for k in range(fold.max() + 1):
             mine = fold == k
             Jk, rk = J[mine].reshape(-1, len(use)), self.residual[mine]
-            left = H - Jk.T @ Jk
-            step = np.linalg.solve(left + 1e-9 * np.trace(H) / max(len(H), 1) * np.eye(len(H)),
-                                   Jk.T @ rk.ravel() - slope[use])  # fmt: skip
-            step = np.clip(step, -0.3, 0.3)
+            step = _least_within(H - Jk.T @ Jk, Jk.T @ rk.ravel(), low[use], high[use])
             moved = rk + (Jk @ step).reshape(rk.shape)
             out[mine] = (moved[:, : self.counted] ** 2).sum(axis=1)
         return out
+
+
+def _least_within(H: np.ndarray, g: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """The x (F,) within bounds that makes x H x / 2 - g x least.
+
+    To cut single numbers of a poorly determined combination would move the model far.
+    """
+    size, axes = np.linalg.eigh(H)
+    root = np.sqrt(np.maximum(size, 1e-12 * size[-1]))
+    target = axes.T @ g / root
+    x = axes @ (target / root)
+    if ((x >= low) & (x <= high)).all():
+        return x
+    return lsq_linear(root[:, None] * axes.T, target, (low, high), method="bvls").x
 
 
 class BodyFitter:
@@ -259,7 +274,6 @@ class BodyFitter:
             residual=r.reshape(-1, len(data.columns)),
             jacobian=J,
             weight=weight,
-            pull=weight @ (v - centre),
             counted=data.counted,
             bounds=bounds,
         )

@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from lerobot_pneutac.diagnosis.black_box import share_left
 from lerobot_pneutac.diagnosis.bootstrap import Resampler
-from lerobot_pneutac.diagnosis.search import Found, Scored, Search, Trial, best_of_each
+from lerobot_pneutac.diagnosis.search import Found, Scored, Search, Trial
 from lerobot_pneutac.diagnosis.votes import chosen_in, deal_folds
 from lerobot_pneutac.study.body_model import BodyFitter, BodyModel, Reading
 from lerobot_pneutac.study.body_space import LINES, BodySpace
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 MOST_ROWS = 1700  # of the learning part that fits use
 JOINTS = 8  # tried where the twin has fewer
 SMOOTH_SAMPLES = 2.0
-ADEQUATE = 1.1  # times the noise: what is nearer needs no other line
 TRIAL_WIDTHS = ((0.01, 0.02, 0.02, 0.01), (0.04, 0.06, 0.06, 0.02))  # tried, see `Form.trials`
 NEAR = 1.4  # times the noise: what is nearer needs no trials that differ
 
@@ -158,29 +157,14 @@ class BodySearch:
     def _settled(self, space: BodySpace, model: Scored) -> Scored:
         """The model with its air fitted to the moments after steps, or another line if surely better.
 
-        The line was chosen before any term was known.
+        The line was chosen before all terms were known.
         """
         best = model
-        for air in (model, *self._relined(space, model)):
+        for air in (model, *self.engine(space).other_lines(model)[:2]):
             settled = self.score(space.settle_air(air.model))
             best = min(best, air, settled, key=lambda s: s.value)
         drop, low, _ = self.judge.drop(model.crossed, best.crossed)
         return best if best.model.form == model.model.form or low > 0 else model
-
-    def _relined(self, space: BodySpace, model: Scored) -> list[Scored]:
-        """The two best models with another line, where the error is not at the noise."""
-        search = self.engine(space)
-        if model.value < ADEQUATE**2 * search.floor2:
-            return []
-        of_lines = {e for line in space.lines for e in line}
-        bare = replace(
-            model.model.form, effects=tuple(e for e in model.model.form.effects if e not in of_lines)
-        )
-        quick = search.fits(space.with_lines(replace(model.model, form=bare)), 2, 4)
-        line = lambda s: {*s.model.form.effects} & of_lines  # noqa: E731
-        others = [s for s in best_of_each(quick, 1) if line(s) != line(model)][:4]
-        front = self.run(lambda s: space.settle_line(s.model), others)
-        return sorted(map(self.score, front), key=lambda s: s.value)[:2]
 
     def _trials_differ(self, space: BodySpace, found: Found) -> tuple[float, ...]:
         """Widths of what trials have of their own if that explains a good part of what a search leaves.

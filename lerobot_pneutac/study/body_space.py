@@ -64,15 +64,16 @@ class BodySpace:
         return out
 
     def with_lines(self, model: BodyModel) -> list[Trial]:
-        """The model with each line; the command's steps happen between samples."""
-        out = []
+        """The model with each line in place of its own; the command's steps happen between samples."""
+        of_lines, out = {e for line in self.lines for e in line}, []
+        rest = tuple(e for e in model.form.effects if e not in of_lines)
         begins = (model.form.reading.start, "held", *(("vented",) if self._begins_under_pressure else ()))
         for begin in dict.fromkeys(begins):
             for line in self.lines:
                 reading = replace(model.form.reading, start=begin)
                 if line and len(self._steps):
                     reading = replace(reading, switch=0.5)
-                form = replace(model.form, effects=(*line, *model.form.effects), reading=reading)
+                form = replace(model.form, effects=(*line, *rest), reading=reading)
                 told = {k: v for k, v in self.told.items() if k.rpartition(".")[0] in line}
                 for start in (*_line_starts(line), *((told,) if told else ())):
                     out.append(Trial(form, model.values | start))

@@ -46,6 +46,8 @@ def find_slip(
     for i in np.argsort(-size)[:200]:
         if size[i] < LEAST * noise or size[i] < size[max(i - NEAR, 0) : i + NEAR].max():
             continue
+        if not _sudden(residual[max(i - NEAR, first[i]) : min(i + NEAR, last[i] + 1)], min(NEAR, i - first[i])):
+            continue
         step = np.kron((rows >= i)[:, None], np.eye(k))
         step = step - Q @ (Q.T @ step)
         shift, *_ = np.linalg.lstsq(step, r, rcond=None)
@@ -53,3 +55,12 @@ def find_slip(
         if removed > gain and np.linalg.norm(shift - jump[i]) < ALIKE * np.linalg.norm(shift):
             best, gain = (int(i), shift), removed
     return best
+
+
+def _sudden(near: np.ndarray, at: int) -> bool:
+    """Whether samples (m, k) jump at one of them rather than move there: a step fits better than a line."""
+    left = []
+    for shape in (np.arange(len(near)) >= at, np.arange(len(near))):
+        design = np.stack([np.ones(len(near)), shape], axis=1)
+        left.append(((near - design @ np.linalg.lstsq(design, near, rcond=None)[0]) ** 2).sum())
+    return bool(left[0] < left[1])

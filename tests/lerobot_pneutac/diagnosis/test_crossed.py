@@ -1,12 +1,14 @@
 """Errors on folds that a fit did not see, from one fit, against fits without each fold."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.optimize import lsq_linear
 
-from lerobot_pneutac.study.body_model import BodyFitter, BodyModel, Reading
+from lerobot_pneutac.study.body_model import FAR, BodyFitter, BodyModel, Reading
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.twin import Twin
 
@@ -31,7 +33,7 @@ def linear(weight, held=()):
     v = fit(every)
     model = BodyModel(
         form=None, pipeline=None, theta=v, free=np.arange(F), v=v, residual=(A @ v - y).reshape(N, D),
-        jacobian=A, weight=W, pull=W @ (v - centre), counted=1, bounds=SimpleNamespace(),
+        jacobian=A, weight=W, counted=1, bounds=SimpleNamespace(),
     )  # fmt: skip
     return model, fit, A, y
 
@@ -45,6 +47,28 @@ def test_crossed_equals_explicit_refits_of_a_linear_model(weight, held):
         v = fit(np.flatnonzero(np.repeat(fold != k, D)))
         apart = ((A @ v - y).reshape(N, D)[:, 0] ** 2)[fold == k]
         np.testing.assert_allclose(crossed[fold == k], apart, rtol=1e-4, atol=1e-8)
+
+
+def test_of_numbers_that_only_their_sum_tells_none_leaves_its_bounds():
+    """Two columns are nearly alike: without a fold they would go far apart, each to undo the other."""
+    model, _, A, _ = linear(0.0)
+    A[:, 1] = A[:, 0] + 0.002 * A[:, 1]
+    v, noise = np.array([0.4, 0.9, 0.6, 0.5]), 0.2 * np.random.default_rng(1).normal(size=N * D)
+    r = noise - A @ np.linalg.lstsq(A, noise, rcond=None)[0]  # so v is the best of all rows
+    fold = np.arange(N) // 20 % 5
+    crossed = replace(model, v=v, residual=r.reshape(N, D), jacobian=A).crossed(fold)
+    for k in range(5):
+        rows = np.repeat(fold != k, D)
+        within = np.clip([v - FAR, v + FAR], 0, 1)
+        apart = A @ lsq_linear(A[rows], (A @ v - r)[rows], within).x - (A @ v - r)
+        expected = (apart.reshape(N, D)[fold == k, 0] ** 2).mean()
+        np.testing.assert_allclose(crossed[fold == k].mean(), expected, rtol=1e-3)
+
+
+def test_a_fit_that_has_not_come_to_its_end_is_judged_where_it_is():
+    model, _, A, _ = linear(0.0)
+    early = replace(model, residual=model.residual + 0.2 * A[:, 0].reshape(N, D))
+    assert early.crossed(np.arange(N) // 20 % 5).mean() > 0.95 * (early.residual[:, 0] ** 2).mean()
 
 
 def test_rows_of_no_fold_stay_out_and_count_nothing():

@@ -6,6 +6,7 @@ import pytest
 
 from lerobot_pneutac.diagnosis.design import _between, choices, common_programs, first_program
 from lerobot_pneutac.diagnosis.limits import Limits, visited
+from lerobot_pneutac.diagnosis.programs import table
 from lerobot_pneutac.diagnosis.result import Contender
 from pneutac_datasets.recording.joined import joined
 from pneutac_datasets.recording.recording import Recording
@@ -48,6 +49,16 @@ def test_the_program_that_shows_a_lag_ranks_before_those_that_hide_it(tmp_path):
     assert told["steps to 100%, held 2 s"] > 0.65 > 0.4 > told["strokes to 40% in 15 s"]
     assert all(0 <= c.rivals <= np.log(2) + 1e-9 and 0 <= c.new <= 1 for c in ranked)
     assert [c.worth for c in ranked] == sorted((c.worth for c in ranked), reverse=True)
+
+
+def test_what_is_planned_is_sent_when_it_is_due(tmp_path):
+    """A log that tells when commands were sent says nothing of when those of a new program will be."""
+    t, p = first_program(LIMITS)
+    driven = recording(tmp_path, t, p)
+    driven.samples["time_sent_s"] = np.maximum.accumulate(np.where(np.diff(p, prepend=1) != 0, t, 0))
+    planned = table(driven, t, p, {})
+    assert planned["time_sent_s"].tolist() == t.tolist()
+    assert "time_sent_s" not in table(recording(tmp_path, t, p), t, p, {})
 
 
 def test_a_wide_interval_is_worth_narrowing_and_a_known_constant_is_not(tmp_path):

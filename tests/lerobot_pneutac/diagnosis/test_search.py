@@ -168,7 +168,8 @@ class Table:
         return [tuple(b) for b in self.begins]
 
     def with_lines(self, model):
-        return [(*line, *model.effects) for line in self.lines]
+        rest = [e for e in model.effects if e not in "".join(self.lines)]
+        return [(*line, *rest) for line in self.lines]
 
     def grow(self, model, most, pairs):
         self.asked.append((model.effects, most, pairs))
@@ -388,6 +389,20 @@ def test_of_each_line_the_best_two_are_settled_and_the_best_is_kept():
     space = Lines({})
     Search(space, JUDGE, FOLD, FLOOR).find()
     assert space.settled == (2.0, 2.1) and [e for e, _, _ in space.asked] == [("L",), ()]
+
+
+def test_the_line_is_chosen_anew_once_most_of_what_it_was_chosen_by_is_told():
+    """Beside A, line M is better than L and K, which were better alone."""
+    rows = {"": 9.0, "L": 8.0, "K": 8.1, "M": 8.5, "AL": 2.0, "AK": 2.5, "AM": 1.0, "A": 9.0}
+
+    def path(**other):
+        return find(rows | other, lines=["", "K", "L", "M"])[1].path
+
+    _, found = find(rows, lines=["", "K", "L", "M"])
+    assert ["".join(sorted(s.model.effects)) for s in found.path] == ["L", "AL", "AM"]
+    assert found.rivals[-1] == [found.path[1]] and set(found.final.model.effects) == {"A", "M"}
+    assert len(path(AL=5.0, AK=6.0)) == 2, "most of it is still there"
+    assert len(path(AL=1.05**2 * FLOOR**2, AM=FLOOR**2)) == 2, "it is noise"
 
 
 def test_what_does_not_fit_or_is_not_finite_is_left_out():

@@ -39,6 +39,13 @@ def test_what_drifts_remembers_or_comes_back_is_no_slip(world):
     assert find_slip(residual, TRIAL, rows, jacobian, NOISE) is None
 
 
+def test_what_moves_there_over_several_samples_is_no_slip(world):
+    """So do unknown physics: in a trial of a higher pressure the residual goes to another place."""
+    residual, rows, jacobian = world
+    residual += np.outer(np.clip((np.arange(len(residual)) - 2980) / 4, 0, 1), SHIFT)
+    assert find_slip(residual, TRIAL, rows, jacobian, NOISE) is None
+
+
 def test_between_two_trials_it_may_be_a_payload(world):
     residual, rows, jacobian = world
     residual[3000:] += SHIFT
