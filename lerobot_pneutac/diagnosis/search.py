@@ -194,7 +194,7 @@ class Search:
         others = self.other_lines(best)
         if not others or not self._surely(best, others[0], WORTH_OF_ROOM * (best.value - self.floor2)):
             return best
-        self.tell(f"line {' + '.join(others[0].model.form.effects)}: error {others[0].value**0.5:.3g}")
+        self.tell(f"line {' + '.join(others[0].model.form.effects)}: error {others[0].value ** 0.5:.3g}")
         found.path.append(others[0])
         found.rivals.append([best])
         return others[0]

@@ -101,6 +101,7 @@ class BodyModel:
         residual: (N, D) model - measured at the rows of the search, in the unit of the error.
         jacobian: (N D, F) of it; with further columns for what each trial has of its own.
         weight: (F, F) of the prior, in units of the residual's squares.
+        pull: (F,) weight times the distance from the prior's centre.
         counted: columns that count in the error.
         bounds: of the parameters.
         of_trials: (trials, D + 3) offset of each output, gain, zero and clock of the drive, in their widths.
@@ -114,6 +115,7 @@ class BodyModel:
     residual: np.ndarray
     jacobian: np.ndarray
     weight: np.ndarray
+    pull: np.ndarray
     counted: int
     bounds: Bounds = field(repr=False)
     of_trials: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
@@ -137,8 +139,7 @@ class BodyModel:
     def crossed(self, fold: np.ndarray) -> np.ndarray:
         """(N,) squared errors, each by a fit without its own fold, one Gauss-Newton step from the whole one.
 
-        The whole fit is taken as it stands: what it might still gain is not counted. The step stays within
-        bounds and within `FAR`, where a linear model says something.
+        The step stays within bounds and within `FAR`, where a linear model says something.
 
         Args:
             fold: (N,) number of each row's fold; rows of a negative one stay out and count 0.
@@ -153,10 +154,11 @@ class BodyModel:
         J = self.jacobian.reshape(len(fold), d, -1)[:, :, use]
         H = self.normal[np.ix_(use, use)]
         H = H + 1e-9 * np.trace(H) / len(H) * np.eye(len(H))
+        slope = self.jacobian.T @ self.residual.ravel() + self.pull
         for k in range(fold.max() + 1):
             mine = fold == k
             Jk, rk = J[mine].reshape(-1, len(use)), self.residual[mine]
-            step = _least_within(H - Jk.T @ Jk, Jk.T @ rk.ravel(), low[use], high[use])
+            step = _least_within(H - Jk.T @ Jk, Jk.T @ rk.ravel() - slope[use], low[use], high[use])
             moved = rk + (Jk @ step).reshape(rk.shape)
             out[mine] = (moved[:, : self.counted] ** 2).sum(axis=1)
         return out
@@ -274,6 +276,7 @@ class BodyFitter:
             residual=r.reshape(-1, len(data.columns)),
             jacobian=J,
             weight=weight,
+            pull=weight @ (v - centre),
             counted=data.counted,
             bounds=bounds,
         )

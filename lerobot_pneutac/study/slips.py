@@ -46,7 +46,8 @@ def find_slip(
     for i in np.argsort(-size)[:200]:
         if size[i] < LEAST * noise or size[i] < size[max(i - NEAR, 0) : i + NEAR].max():
             continue
-        if not _sudden(residual[max(i - NEAR, first[i]) : min(i + NEAR, last[i] + 1)], min(NEAR, i - first[i])):
+        begin_near, end_near = max(i - NEAR, first[i]), min(i + NEAR, last[i] + 1)
+        if not _sudden(residual[begin_near:end_near], i - begin_near):
             continue
         step = np.kron((rows >= i)[:, None], np.eye(k))
         step = step - Q @ (Q.T @ step)
