@@ -62,6 +62,6 @@ def _sudden(near: np.ndarray, at: int) -> bool:
     """Whether samples (m, k) jump at one of them rather than move there: a step fits better than a line."""
     left = []
     for shape in (np.arange(len(near)) >= at, np.arange(len(near))):
-        design = np.stack([np.ones(len(near)), shape], axis=1)
+        design = np.stack([np.ones(len(near)), shape], axis=1).astype(float)
         left.append(((near - design @ np.linalg.lstsq(design, near, rcond=None)[0]) ** 2).sum())
     return bool(left[0] < left[1])
