@@ -40,6 +40,7 @@ class Addition(Result):
         not_identified: parameters that the recording cannot tell, and why.
         physics: what the effect does to this device, a sentence with the fitted numbers.
         findings: of the data check, one sentence each.
+        objections: of the diagnosis that found it, one phrase each; empty where an effect was named.
         recording: that was used.
         seed: that decided what was held out.
         saved_to: the twin's folder once it was saved.
@@ -62,6 +63,7 @@ class Addition(Result):
     not_identified: dict[str, str] | None = None
     physics: str = ""
     findings: tuple[str, ...] = ()
+    objections: tuple[str, ...] = ()
     saved_to: Path | None = None
 
     def save(self, folder: str | Path) -> "Addition":
@@ -112,8 +114,10 @@ class Addition(Result):
         return command_on("compare" if self.accepted else "diagnose", self.twin, self.recording)
 
     def remarks(self) -> list[str]:
-        """Bounds, and where the twin lies."""
+        """Bounds, what speaks against it, and where the twin lies."""
         out = [f"[yellow]at a bound:[/] {', '.join(self.at_bound)}"] if self.at_bound else []
+        if self.accepted and self.objections:
+            out.append(f"[yellow]the diagnosis objects:[/] {'; '.join(self.objections)}")
         if self.saved_to:
             out.append(f"wrote version {self.twin.history[-1]['version']} of {self.saved_to}")
         return out
@@ -137,6 +141,7 @@ class Addition(Result):
             "at_bound": sorted(self.at_bound),
             "not_identified": self.not_identified,
             "checks": list(self.findings),
+            "objections": list(self.objections),
             **saved,
         }
 
@@ -144,6 +149,8 @@ class Addition(Result):
         """The error before and after, and the parameters."""
         page = Report(self.title)
         page.lead(self.sentence)
+        if self.accepted and self.objections:
+            page.text(f"**The diagnosis objects:** {'; '.join(self.objections)}.")
         if self.before is not None:
             page.figure(self._figure())
             page.table(self.rows())
@@ -207,7 +214,7 @@ def add(
         o, study = effect.outcome, effect.study
         # Anew, as the twin itself would have it: a search may predict from what it computed before.
         after = replace(o.after, residual=study.residual(o.after.twin))
-        return _whole(study, twin, o.selected, o.before, after)
+        return _whole(study, twin, o.selected, o.before, after, o.evidence.objections)
     if isinstance(effect, Path):
         return _written(twin, same_body(twin, recording, "add to"), effect)
     effects = [effect] if isinstance(effect, str) else list(effect)
@@ -233,13 +240,17 @@ def _written(twin: Twin, recording: Recording | Demonstrations, folder: Path) ->
         FittedModel(effects=tuple(t.effects), residual=study.residual(t), count=0, twin=t)
         for t in (written.before, written.found)
     )
-    return _whole(study, twin, written.told["selected"], before, after)
+    told = written.told
+    return _whole(study, twin, told["selected"], before, after, told.get("objections", []))
 
 
-def _whole(study, twin: Twin, selected: list[str], before: FittedModel, after: FittedModel) -> Addition:
+def _whole(
+    study, twin: Twin, selected: list[str], before: FittedModel, after: FittedModel, objections: Sequence[str]
+) -> Addition:
     """All that a diagnosis found, judged on its test blocks."""
     folder = str(study.recording.folder)
     given = {"effect": ", ".join(selected) or "nothing", "recording": folder, "seed": study.seed}
+    given["objections"] = tuple(objections)
     reason = study.too_little() if selected else "Nothing was written: the diagnosis found nothing to add."
     if reason:
         return Addition(accepted=False, reason=reason, twin=twin, findings=tuple(study.findings), **given)

@@ -43,6 +43,26 @@ def test_adding_the_hidden_effect_writes_the_next_version(pair, tmp_path):
         verb.main([f"--twin={twin}", f"--recording={recording}", "--effect=creep"])
 
 
+def test_what_speaks_against_a_diagnosis_is_told_where_its_finding_is_added(pair, tmp_path):
+    _, folder = pair
+    recording = Recording.load(folder)
+    twin = Twin("finger", recording.length_mm, recording.spine_joint_positions_mm)
+    named = add(twin, recording, "creep")
+    twin.save(tmp_path / BEFORE)
+    named.twin.save(tmp_path / FOUND)
+    objection = "fitted to the earlier part, it does not hold in the later one"
+    told = {"verdict": "insufficient_form", "rows": len(recording), "seed": 0, "selected": ["creep"]}
+    for objections in ([objection], []):
+        (tmp_path / "result.json").write_text(json.dumps(told | {"objections": objections}))
+        added = add(twin, recording, tmp_path)
+        assert added.accepted and added.to_dict()["objections"] == objections
+        assert [r for r in added.remarks() if objection in r] == [
+            f"[yellow]the diagnosis objects:[/] {o}" for o in objections
+        ]
+        assert (objection in added.page().fragment()) is bool(objections)
+    assert not named.objections
+
+
 def test_what_the_data_check_found_is_told(pair, tmp_path, capsys):
     r = Recording.load(pair[1])
     r.samples = r.samples.drop(columns=["pressure_kpa"])
