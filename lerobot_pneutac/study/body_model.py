@@ -144,11 +144,11 @@ class BodyModel:
         Args:
             fold: (N,) number of each row's fold; rows of a negative one stay out and count 0.
         """
-        d, more = self.residual.shape[1], self.jacobian.shape[1] - len(self.v)
+        d, of_trials = self.residual.shape[1], np.arange(len(self.v), self.jacobian.shape[1])
         out = np.zeros(len(fold))
-        low = np.r_[np.maximum(-self.v, -FAR), np.full(more, -FAR)]
-        high = np.r_[np.minimum(1 - self.v, FAR), np.full(more, FAR)]
-        use = np.flatnonzero(np.r_[(self.v > 1e-6) & (self.v < 1 - 1e-6), np.ones(more, bool)])
+        moves = np.flatnonzero((self.v > 1e-6) & (self.v < 1 - 1e-6))
+        low, high = np.maximum(-self.v, -FAR)[moves], np.minimum(1 - self.v, FAR)[moves]
+        use = np.r_[moves, of_trials]
         if not len(use):
             return np.where(fold >= 0, (self.residual[:, : self.counted] ** 2).sum(axis=1), 0.0)
         J = self.jacobian.reshape(len(fold), d, -1)[:, :, use]
@@ -158,24 +158,26 @@ class BodyModel:
         for k in range(fold.max() + 1):
             mine = fold == k
             Jk, rk = J[mine].reshape(-1, len(use)), self.residual[mine]
-            step = _least_within(H - Jk.T @ Jk, Jk.T @ rk.ravel() - slope[use], low[use], high[use])
+            step = _least_within(H - Jk.T @ Jk, Jk.T @ rk.ravel() - slope[use], low, high)
             moved = rk + (Jk @ step).reshape(rk.shape)
             out[mine] = (moved[:, : self.counted] ** 2).sum(axis=1)
         return out
 
 
 def _least_within(H: np.ndarray, g: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """The x (F,) within bounds that makes x H x / 2 - g x least.
+    """The x (F,) that makes x H x / 2 - g x least, its first (B,) within bounds (B,).
 
     To cut single numbers of a poorly determined combination would move the model far.
     """
-    size, axes = np.linalg.eigh(H)
-    root = np.sqrt(np.maximum(size, 1e-12 * size[-1]))
-    target = axes.T @ g / root
+    n = len(low)
+    others = np.linalg.solve(H[n:, n:], np.c_[g[n:], H[n:, :n]])  # of no bounds: as the first ones have it
+    size, axes = np.linalg.eigh(H[:n, :n] - H[:n, n:] @ others[:, 1:])
+    root = np.sqrt(np.maximum(size, 1e-12 * size.max(initial=0.0)))
+    target = axes.T @ (g[:n] - H[:n, n:] @ others[:, 0]) / root
     x = axes @ (target / root)
-    if ((x >= low) & (x <= high)).all():
-        return x
-    return lsq_linear(root[:, None] * axes.T, target, (low, high), method="bvls").x
+    if ((x < low) | (x > high)).any():
+        x = lsq_linear(root[:, None] * axes.T, target, (low, high), method="bvls").x
+    return np.r_[x, others[:, 0] - others[:, 1:] @ x]
 
 
 class BodyFitter:
