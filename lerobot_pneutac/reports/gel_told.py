@@ -67,7 +67,7 @@ def residual_sentence(fit: GelFit) -> str:
     """That what the model leaves over was learnt; empty where it was not."""
     if fit.gel.residual is None:
         return ""
-    return "What the model leaves over of the presses is learnt too: they predict one another better so."
+    return "What the model leaves over of the presses is learnt too, as far as they bear one another out."
 
 
 def _grouped(untold: tuple[str, ...]) -> str:

@@ -9,10 +9,10 @@ from scipy.optimize import lsq_linear
 from lerobot_pneutac.study.body_trials import ALIKE, TRIAL_RANGE, TrialProblem, of_each_trial
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.finger.data import BodyData
-from pneutac_sim.finger.least_squares import minimise
 from pneutac_sim.finger.pipeline import Pipeline
 from pneutac_sim.finger.problem import Bounds, Problem
 from pneutac_sim.finger.starts import rough_drive
+from pneutac_sim.least_squares import minimise
 from pneutac_sim.twin import Twin
 
 # Standard deviation of what is not a law, in its own unit, before any data is seen; at full pressure where a

@@ -13,11 +13,11 @@ import numpy as np
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger.confidence import Z95, Confidence, confidence, independent
 from pneutac_sim.finger.data import BodyData
-from pneutac_sim.finger.least_squares import minimise
 from pneutac_sim.finger.pipeline import Pipeline
 from pneutac_sim.finger.problem import Bounds, Problem
 from pneutac_sim.finger.soft_body import SoftBody
 from pneutac_sim.finger.starts import rough_drive, starting_points
+from pneutac_sim.least_squares import minimise
 from pneutac_sim.twin import Twin
 
 _EDGE = 1e-3  # of a parameter's whole range: nearer to its bound it counts as at it

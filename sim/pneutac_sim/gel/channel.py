@@ -1,18 +1,20 @@
 """The least-squares problem of one colour channel, given the gel's surface under each photograph."""
 
+import copy
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from pneutac_sim.effects.sensor_effect import SensorEffect
 from pneutac_sim.gel import optics
 from pneutac_sim.gel.layout import Layout
 from pneutac_sim.gel.model import further_light
+from pneutac_sim.least_squares import minimise
 
 # What the model leaves over is smooth over a contact, so that a photograph counts as so many independent
 # pixels of this error.
 INDEPENDENT, ERROR_LEVELS = 100, 5.0
+DIFFERENCE = 1e-2  # of a prior's deviation, by which an unknown is moved to see what the light does
 
 # Unknowns of a channel beside those of effects: default, prior's deviation, bounds. The light is so many
 # levels per unit slope and comes from a direction.
@@ -103,7 +105,7 @@ class Channel:
                     scale,
                 )
             )
-        self._x, self._jacobian = self._default, np.diag(1 / self._sd)
+        self._x, self._information = self._default, np.diag(1 / self._sd**2)
 
     @property
     def values(self) -> dict[Unknown, float]:
@@ -145,33 +147,41 @@ class Channel:
     def solve(self, surfaces: Sequence[np.ndarray]) -> float:
         """Fits to surfaces (rows, columns) in mm, one a photograph; returns the cost."""
         cropped = [np.ascontiguousarray(u[part[0]]) for u, part in zip(surfaces, self._parts, strict=True)]
+        size = self._upper - self._lower
 
-        def residual(x: np.ndarray) -> np.ndarray:
+        def residual(v: np.ndarray) -> np.ndarray:
+            x = self._lower + size * v
             c, further = self.light(x)
-            out = [((x - self._default) / self._sd)[self._with_prior]]
+            out = []
             for u, (_, centre, mask, seen, log_rest, scale) in zip(cropped, self._parts, strict=True):
                 s = optics.channel(u, self._cell, c - centre, self._k, further)[mask]
                 out.append(scale * (self._weight(x, log_rest) * s - seen))
             return np.concatenate(out)
 
-        start = np.clip(self._x, self._lower + 1e-6, self._upper - 1e-6)
-        step = np.where(self._with_prior, self._sd, 0.3)
-        done = least_squares(
-            residual,
-            start,
-            bounds=(self._lower, self._upper),
-            x_scale=step,
-            diff_step=1e-3,
-            xtol=1e-4,
-            ftol=1e-4,
-        )
-        self._x, self._jacobian = done.x, done.jac
-        return float(done.cost)
+        def jacobian(v: np.ndarray) -> np.ndarray:
+            here = residual(v)
+            steps = np.where(v + step < 1, step, -step)
+            return np.stack([(residual(v + h) - here) / h.sum() for h in np.diag(steps)], -1)
+
+        step = DIFFERENCE * np.where(self._with_prior, self._sd, 0.3) / size
+        prior = (self._default - self._lower) / size, np.diag((size / self._sd) ** 2)
+        found = minimise(residual, jacobian, (self._x - self._lower) / size, tolerance=1e-4, prior=prior)
+        self._x = self._lower + size * found.v
+        J = jacobian(found.v) / size
+        self._information = J.T @ J + np.diag(1 / self._sd**2)
+        return found.cost / 2
+
+    def without(self, i: int, surfaces: Sequence[np.ndarray]) -> "Channel":
+        """This channel fitted anew without photograph i, to the surfaces of all of them."""
+        out = copy.copy(self)
+        out._parts = self._parts[:i] + self._parts[i + 1 :]
+        out.solve([*surfaces[:i], *surfaces[i + 1 :]])
+        return out
 
     @property
     def covariance(self) -> np.ndarray:
-        """Of the unknowns (F, F) about the solution, (J^T J)^-1 with the priors among the residuals."""
-        return np.linalg.pinv(self._jacobian.T @ self._jacobian)
+        """Of the unknowns (F, F) about the solution, (J^T J + 1 / sd^2)^-1."""
+        return np.linalg.pinv(self._information)
 
     def deviations(self) -> dict[Unknown, float]:
         """Unknown to the standard deviation that the photographs and the priors leave it."""

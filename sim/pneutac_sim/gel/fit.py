@@ -34,7 +34,7 @@ from pneutac_sim.gel.photograph import (
     to_grid,
 )
 from pneutac_sim.gel.probe import COLS, ROWS, THICKNESS_MM
-from pneutac_sim.gel.residual import Leftover, ResidualField, learn
+from pneutac_sim.gel.residual import Leftover, ResidualField, learn, trusted_share
 from pneutac_sim.gel.session import estimate_gains, refine_contacts, refine_press
 from pneutac_sim.gel.surface import DECAY_MM, surface
 
@@ -117,7 +117,8 @@ def fit_presses(
 ) -> GelFit:
     """Fits a gel to one press or several, whose lights are the same and whose drifts are each one's own.
 
-    From five presses on what the model leaves over of them is learnt too, see `gel.residual`, if that helps.
+    From five presses on what the model leaves over of them is learnt too, see `gel.residual`, as far as
+    presses bear it out that it was not learnt from.
 
     Args:
         presses: of one gel; the first one's rest image becomes the gel's.
@@ -141,27 +142,28 @@ def fit_presses(
         names = [e for e in names if e != SHADOW]
         fit = fit_photographs(gel, presses, names, makes, pressed=pressed)
     if names and pressed is None and len(presses) >= FIELD_PRESSES:
-        fit.gel.residual = _residual(fit, presses, names, makes)
+        fit.gel.residual = _residual(fit, presses, names)
     return fit
 
 
 def _residual(
-    fit: GelFit, photographs: Sequence[PressPhotograph], effects: Sequence[str], makes: Sequence[Layout]
+    fit: GelFit, photographs: Sequence[PressPhotograph], effects: Sequence[str]
 ) -> ResidualField | None:
-    """The residual field of all presses, if fields of all but one, the light fitted anew, help with that one.
+    """The residual field of all presses, as far as fields of all but one bear out on that one.
 
-    None where the mean gain in the contact is not above its standard error.
+    The light is fitted anew without the one, since it would know it too well.
     """
-    photographs = [replace(p, press=q, sd={}) for p, q in zip(photographs, fit.presses, strict=True)]
-    gains = []
+    photographs = [replace(p, press=q) for p, q in zip(photographs, fit.presses, strict=True)]
+    problem = _Problem(fit.gel, photographs, in_order(of_sensor(effects)))
+    surfaces = problem.surfaces(fit.gel.decay_mm, fit.gel.depth_scale)
+    tried = []
     for i in range(len(photographs)):
-        others = photographs[:i] + photographs[i + 1 :]
-        gel = fit_photographs(fit.gel, others, effects, makes, near=fit.gel, quick=True).gel
-        *known, one = _Problem(gel, [*others, photographs[i]], []).leftovers()
-        gains.append(one.rmse() - one.rmse(learn(known, INDEPENDENT, ERROR_LEVELS)))
-    if np.mean(gains) <= np.std(gains, ddof=1) / np.sqrt(len(gains)):
-        return None
-    return learn(_Problem(fit.gel, photographs, []).leftovers(), INDEPENDENT, ERROR_LEVELS)
+        problem.gel = problem.lit([c.without(i, surfaces) for c in fit.channels])
+        others = problem.leftovers()
+        one = others.pop(i)
+        tried.append((learn(others, INDEPENDENT, ERROR_LEVELS), one))
+    share, problem.gel = trusted_share(tried), fit.gel
+    return learn(problem.leftovers(), INDEPENDENT, ERROR_LEVELS).times(share) if share else None
 
 
 def standard_effects() -> list[str]:
@@ -343,15 +345,11 @@ class _Problem:
         cost = solve(found)
         *decay, scale = np.exp(np.clip(found, low, high))
         decay_mm = decay[0] if decay else self.nearest_decay(scale)
-        rows, g = np.array([c.row for c in channels]), self.gel
-        gel = GelModel(
-            g.rest_image,
-            rows[:, :2],
-            rows[:, 2],
-            g.px_per_mm,
-            g.thickness_mm,
-            float(decay_mm),
-            float(scale),
-            effects=g.effects | effects_of([c.values for c in channels], self.effects),
-        )
+        gel = replace(self.lit(channels), decay_mm=float(decay_mm), depth_scale=float(scale))
         return GelFit(gel, float(cost), self.evaluations, channels=channels)
+
+    def lit(self, channels: Sequence[Channel]) -> GelModel:
+        """The gel with light and effects of these channels."""
+        rows = np.array([c.row for c in channels])
+        effects = self.gel.effects | effects_of([c.values for c in channels], self.effects)
+        return replace(self.gel, light=rows[:, :2], depth_light=rows[:, 2], effects=effects, residual=None)

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields, replace
 
+import cv2
 import numpy as np
 from PIL import Image
 
@@ -14,7 +15,7 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.features import IMAGE_SHAPE
 from pneutac_sim.gel import builtin, optics
 from pneutac_sim.gel.contact import THRESHOLD_LEVELS
-from pneutac_sim.gel.probe import THICKNESS_MM
+from pneutac_sim.gel.probe import COLS, ROWS, THICKNESS_MM
 from pneutac_sim.gel.residual import ResidualField
 from pneutac_sim.gel.surface import DECAY_MM
 from pneutac_sim.twin import Twin, Value
@@ -136,9 +137,10 @@ class GelModel:
         out = [
             further_light(e, lambda k, e=e, v=v: e.channel_values(v, k)) for e, v in self.acting if e.light
         ]
-        residual, coefficients = self.residual, self.coefficients
+        residual, rows = self.residual, self.coefficients
         if residual is not None:
-            out.append(lambda k, s, u, cell_mm: s + residual.light(k, u, cell_mm, coefficients[k]))
+            w = self.weight_on(cv2.resize(self.rest_image, (COLS, ROWS), interpolation=cv2.INTER_AREA))
+            out.append(lambda k, s, u, cell_mm: s + residual.light(k, u, cell_mm, rows[k], w[..., k]))
         return out
 
     def surface(self, displacement_mm: np.ndarray, cell_mm: tuple[float, float]) -> np.ndarray:

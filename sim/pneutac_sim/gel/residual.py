@@ -1,13 +1,14 @@
 """The residual field: what a gel's model leaves over, learnt from several presses.
 
-It adds to the light s of a channel
+It adds to a channel of the image
 
     a(u) sum_j c_j k(z, z_j),   a = min(1, u / A),   k = exp(-|z - z_j|^2 / 2),
 
 with z the slopes, the displacement u, u blurred, the height of the shadow over it and the place, each over
 a length of its own. The c_j make least the squared error over the presses, each of which counts as so many
 independent pixels, plus c^T K c / B^2, B the field's standard deviation: far from all that was seen nothing
-is added.
+is added. The weight w, which rises steeply where a rest image is bright, does not act on it: it would carry
+what was learnt at a dark place many times larger to a bright one.
 """
 
 from collections.abc import Sequence
@@ -20,16 +21,17 @@ from pneutac_sim.effects.shadow import SLOPE as ELEVATION
 from pneutac_sim.effects.shadow import cast
 from pneutac_sim.errors import InputError
 
-SLOPE, DEPTH_MM, SHADOW_MM, PLACE_MM = 0.5, 0.6, 0.3, 8.0  # over which the field changes
+SLOPE, DEPTH_MM, SHADOW_MM, PLACE_MM = 0.35, 0.45, 0.3, 8.0  # over which the field changes
 BLUR_MM = 1.0
 MOVED_MM = 0.05  # A: a surface that moves less has less of the field
-CENTRES, STRENGTH_LEVELS = 64, 4.0
+CENTRES, STRENGTH_LEVELS = 128, 8.0
+LEAST_WEIGHT = 0.1  # where w is less, the field fades with it, since a pixel's w may be far from its cell's
 FEATURES = 7
 
 
 @dataclass(frozen=True, eq=False)
 class ResidualField:
-    """Levels to add to the light of each channel, before the weight w.
+    """Levels to add to each channel of the image.
 
     Attributes:
         centres: z_j of red, green and blue, (3, n, 7) float32.
@@ -52,14 +54,30 @@ class ResidualField:
                 f"got {shapes[0]} and {shapes[1]}; calibrate the gel anew."
             )
 
-    def light(self, k: int, displacement_mm: np.ndarray, cell_mm, row: np.ndarray) -> np.ndarray:
-        """Of channel k with coefficients `row` (12,) of `optics.light`: levels, float32 (rows, columns)."""
+    def light(self, k: int, displacement_mm: np.ndarray, cell_mm, row: np.ndarray, weight) -> np.ndarray:
+        """What to add to the light of channel k, which w is about to multiply.
+
+        Args:
+            k: channel.
+            displacement_mm: (rows, columns).
+            cell_mm: grid spacing.
+            row: its coefficients (12,) of `optics.light`.
+            weight: w there, (rows, columns).
+
+        Returns:
+            Levels, float32 (rows, columns).
+        """
         u = np.ascontiguousarray(displacement_mm, np.float32)
         out, moved = np.zeros_like(u), u > 1e-3
         if moved.any():
             z = features(u, cell_mm, row)[moved]
-            out[moved] = _share(u[moved]) * (_kernel(z, self.centres[k]) @ self.weights[k])
+            added = _share(u[moved]) * (_kernel(z, self.centres[k]) @ self.weights[k])
+            out[moved] = added / np.maximum(weight[moved], LEAST_WEIGHT)
         return out
+
+    def times(self, share: float) -> "ResidualField":
+        """So much of it."""
+        return ResidualField(self.centres, np.float32(share) * self.weights)
 
 
 @dataclass
@@ -68,7 +86,7 @@ class Leftover:
 
     Attributes:
         features: z of each channel, (3, n, 7), of n cells near the contact.
-        factor: a w of each channel, (3, n).
+        factor: what the field is multiplied by in each channel, (3, n): a, less where w is small.
         levels: (3, n).
         in_contact: which cells lie in the contact, (n,) bool.
     """
@@ -82,15 +100,29 @@ class Leftover:
     def of(cls, u, cell_mm, coefficients, weight, levels, near, in_contact) -> "Leftover":
         """From grids: u (rows, columns) mm, weight and levels (rows, columns, 3), two bool."""
         z = np.stack([features(u, cell_mm, row)[near] for row in coefficients])
-        return cls(z, (_share(u)[..., None] * weight)[near].T, levels[near].T, in_contact[near])
+        factor = _share(u)[..., None] * np.minimum(1, weight / LEAST_WEIGHT)
+        return cls(z, factor[near].T, levels[near].T, in_contact[near])
 
-    def rmse(self, residual: ResidualField | None = None) -> float:
-        """In the contact, levels, with a field or as it is."""
-        left = self.levels.copy()
-        if residual is not None:
-            for k, (z, factor) in enumerate(zip(self.features, self.factor, strict=True)):
-                left[k] -= factor * (_kernel(z, residual.centres[k]) @ residual.weights[k])
-        return float(np.sqrt(np.square(left[:, self.in_contact]).mean()))
+    def added(self, residual: ResidualField) -> np.ndarray:
+        """What a field adds there, (3, n) levels."""
+        each = zip(self.features, self.factor, residual.centres, residual.weights, strict=True)
+        return np.stack([factor * (_kernel(z, centres) @ weights) for z, factor, centres, weights in each])
+
+
+def trusted_share(tried: Sequence[tuple[ResidualField, Leftover]]) -> float:
+    """How much of a field to take, 0 to 1, from fields and the press that each was not learnt from.
+
+    That is the factor sum f r / sum f^2 by which the fields f come nearest to what is left over, r, in those
+    presses' contacts, less its standard deviation by the jackknife over presses.
+    """
+    sums = []
+    for residual, one in tried:
+        f, r = one.added(residual)[:, one.in_contact], one.levels[:, one.in_contact]
+        sums.append([(f * r).mean(), (f * f).mean() + 1e-9])
+    whole, n = np.sum(sums, 0), len(sums)
+    share, (top, bottom) = whole[0] / whole[1], (whole - sums).T
+    sd = np.sqrt((n - 1) * np.var(top / bottom))
+    return float(np.clip(share - sd, 0, 1))
 
 
 def learn(seen: Sequence[Leftover], independent: float, error_levels: float) -> ResidualField:
@@ -135,5 +167,7 @@ def _share(u: np.ndarray) -> np.ndarray:
 
 def _kernel(z: np.ndarray, centres: np.ndarray) -> np.ndarray:
     """(n, m) k of z (n, 7) and centres (m, 7)."""
-    apart = np.square(z).sum(1)[:, None] + np.square(centres).sum(1) - 2 * z @ centres.T
-    return np.exp(-0.5 * np.maximum(apart, 0))
+    out = z @ centres.T
+    out -= np.square(z).sum(1)[:, None] / 2
+    out -= np.square(centres).sum(1) / 2
+    return np.exp(np.minimum(out, 0, out=out), out=out)

@@ -6,7 +6,7 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.finger import BodyData, fit
 from pneutac_sim.finger.confidence import autocorrelation, independent
 from pneutac_sim.finger.fit import BY_IMAGES
-from pneutac_sim.finger.least_squares import minimise
+from pneutac_sim.least_squares import minimise
 from pneutac_sim.twin import Twin, Value
 
 

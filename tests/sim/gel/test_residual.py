@@ -11,8 +11,9 @@ from pneutac_sim.gel.fit import fit_presses
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.metrics import rmse
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.gel.photograph import Predictor
-from pneutac_sim.gel.residual import FEATURES, ResidualField, features
+from pneutac_sim.gel.optics import light
+from pneutac_sim.gel.photograph import Predictor, to_grid
+from pneutac_sim.gel.residual import FEATURES, Leftover, ResidualField, features, trusted_share
 from pneutac_sim.twin import Twin
 
 CELL = 12 / 59, 16 / 80
@@ -51,11 +52,43 @@ def test_a_twin_keeps_it_until_another_gel_comes(linear):
 
 def test_where_nothing_moves_or_far_from_all_that_was_seen_it_adds_nothing():
     field, row = wavy(np.random.default_rng(3)), np.zeros(12)
-    u = np.zeros((80, 59), np.float32)
-    assert not field.light(0, u, CELL, row).any()
+    u, weight = np.zeros((2, 80, 59), np.float32) + [[[0]], [[1]]]
+    assert not field.light(0, u, CELL, row, weight).any()
     u[40, 29] = 30.0
-    assert abs(field.light(0, u, CELL, row)[40, 29]) < 1e-6
+    assert abs(field.light(0, u, CELL, row, weight)[40, 29]) < 1e-6
     assert features(u, CELL, row).shape == (80, 59, FEATURES)
+
+
+def test_it_adds_the_same_levels_where_the_rest_image_is_bright_and_where_it_is_dark(linear):
+    field = wavy(np.random.default_rng(4))
+    linear.rest_image[:, :120], linear.rest_image[:, 120:] = 60, 120
+    u = np.full((80, 59), 0.3, np.float32)
+    added = []
+    for exponent in (0.0, 1.5):
+        effects = {"rest_colour": {f"exponent_{c}": exponent for c in CHANNELS}}
+        gel = replace(linear, effects=effects, residual=field)
+        with_it, without = (
+            light(u, CELL, g.coefficients, g.further).transpose(1, 2, 0)
+            for g in (gel, replace(gel, residual=None))
+        )
+        w = gel.weight_on(to_grid(linear.rest_image))
+        added.append(w * (with_it - without))
+    assert np.ptp(w) > 0.5 and np.abs(added[0]).max() > 1
+    np.testing.assert_allclose(added[1], added[0], atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("agreement", "low", "high"), [(1.0, 0.8, 1.0), (0.5, 0.3, 0.5), (0.0, 0, 0.2), (-1.0, 0, 0)]
+)
+def test_as_much_of_it_is_taken_as_presses_bear_out_that_it_was_not_learnt_from(agreement, low, high):
+    rng, tried = np.random.default_rng(5), []
+    for _ in range(5):
+        field, z = wavy(rng), rng.normal(0, 0.7, (3, 300, FEATURES))
+        one = Leftover(z, np.ones((3, 300)), np.zeros((3, 300)), np.ones(300, bool))
+        own = wavy(rng)  # what this press has for itself
+        one.levels = agreement * one.added(field) + 0.2 * one.added(own)
+        tried.append((field, one))
+    assert low <= trusted_share(tried) <= high
 
 
 def test_a_field_of_other_shapes_is_refused():

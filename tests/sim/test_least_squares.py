@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pneutac_sim.finger.least_squares import minimise
+from pneutac_sim.least_squares import minimise
 
 
 @pytest.fixture
