@@ -27,6 +27,7 @@ MOVED_MM = 0.05  # A: a surface that moves less has less of the field
 CENTRES, STRENGTH_LEVELS = 128, 8.0
 LEAST_WEIGHT = 0.1  # where w is less, the field fades with it, since a pixel's w may be far from its cell's
 FEATURES = 7
+ROUNDING_LEVELS = 12**-0.5  # of an 8-bit image: a field far below it is none
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,13 +113,13 @@ class Leftover:
 def trusted_share(tried: Sequence[tuple[ResidualField, Leftover]]) -> float:
     """How much of a field to take, 0 to 1, from fields and the press that each was not learnt from.
 
-    That is the factor sum f r / sum f^2 by which the fields f come nearest to what is left over, r, in those
-    presses' contacts, less its standard deviation by the jackknife over presses.
+    That is the factor sum f r / sum (f^2 + rounding^2) by which the fields f come nearest to what is left,
+    r, in those presses' contacts, less its standard deviation by the jackknife over presses.
     """
     sums = []
     for residual, one in tried:
         f, r = one.added(residual)[:, one.in_contact], one.levels[:, one.in_contact]
-        sums.append([(f * r).mean(), (f * f).mean() + 1e-9])
+        sums.append([(f * r).mean(), (f * f).mean() + ROUNDING_LEVELS**2])
     whole, n = np.sum(sums, 0), len(sums)
     share, (top, bottom) = whole[0] / whole[1], (whole - sums).T
     sd = np.sqrt((n - 1) * np.var(top / bottom))
