@@ -24,7 +24,7 @@ from pneutac_sim.twin import Twin
 PHASES = ("free", "onset", "pressed", "release")
 NEAR = 4  # frames about the first and after the last touch that are its onset and release
 DEPTHS_MM = (0.0, 0.3, 0.6, 0.9, 1.2)
-FELT_MM = 0.05  # by which a replay's gel is pressed in where it touches; its images show it later
+FELT_MM = 0.03  # by which a replay's gel is pressed in where it touches; its images show it later
 LATE_S = 0.02  # beside the twin's own latency: more is told
 
 

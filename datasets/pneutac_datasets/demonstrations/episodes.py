@@ -64,17 +64,30 @@ class Episode:
 
         Images and contact are those of the nearest frame, so that they belong together.
         """
-        frames = np.arange(len(self))
-        nearest = np.round(times).astype(int)
-        state, action = (
-            np.stack([np.interp(times, frames, column) for column in x.T], 1)
-            for x in (self.state, self.action)
-        )
+        state, action = self._seen(times), _between(self.action, times)
         pace = np.gradient(times)[:, None]  # the velocities follow the pace
         state[:, self.rates] *= pace
         action[:, :3] *= pace
-        state[:, [AREA, PIXELS]] = self.state[nearest][:, [AREA, PIXELS]]
-        return replace(self, state=state, action=action, images=self.images[nearest])
+        return replace(self, state=state, action=action, images=self.images[_nearest(times)])
+
+    def resampled(self, fps: int) -> "Episode":
+        """The same at another rate: what was seen then, and commands that add up to the same.
+
+        A command holds for its frame, so that one of longer frames is the mean of those that it spans.
+        """
+        if fps == self.fps:
+            return self
+        times = np.arange(0, len(self) - 1 + 1e-9, self.fps / fps)
+        held = np.cumsum(np.vstack([np.zeros(self.action.shape[1]), self.action]), 0)
+        ends = np.append(times, min(times[-1] + self.fps / fps, len(self)))
+        action = np.diff(_between(held, ends), axis=0) / np.diff(ends)[:, None]
+        return Episode(self._seen(times), action, self.images[_nearest(times)], self.task, fps)
+
+    def _seen(self, times: np.ndarray) -> np.ndarray:
+        """State at fractional frame numbers; contact is that of the nearest frame's image."""
+        state, contact = _between(self.state, times), [AREA, PIXELS]
+        state[:, contact] = self.state[_nearest(times)][:, contact]
+        return state
 
     @property
     def pixels(self) -> int:
@@ -85,6 +98,15 @@ class Episode:
         """First and last frame in contact, specks of noise apart, or None."""
         frames = np.flatnonzero(without_specks(self.state[:, AREA]))
         return (int(frames[0]), int(frames[-1])) if len(frames) else None
+
+
+def _between(rows: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Rows (T, k) at fractional row numbers (T',): (T', k)."""
+    return np.stack([np.interp(times, np.arange(len(rows)), column) for column in rows.T], 1)
+
+
+def _nearest(times: np.ndarray) -> np.ndarray:
+    return np.round(times).astype(int)
 
 
 def demonstration_features(meta: LeRobotDatasetMetadata) -> dict:

@@ -126,19 +126,16 @@ def _of_episodes(
         "holds numbers that are not finite": [],
         "has one frame only": [],
         "never touches anything (contact_area.pos is 0 throughout)": [],
-        "touches something in its first frame (a pressed gel, or another light than in the rest image)": [],
         f"commands pressures beyond the {low:g} to {high:g} kPa that the twin was measured over": [],
     }
-    broken, short, untouched, pressed, beyond = kinds.values()
+    broken, short, untouched, beyond = kinds.values()
     for number, (state, action) in episodes.items():
         if not (np.isfinite(state).all() and np.isfinite(action).all()):
             broken.append(number)
         elif len(action) < 2:
             short.append(number)
-        elif not (area := without_specks(state[:, AREA])).any():
+        elif not without_specks(state[:, AREA]).any():
             untouched.append(number)
-        elif area[0] > 0:
-            pressed.append(number)
         elif action[:, 3].min() < low - slack or action[:, 3].max() > high + slack:
             beyond.append(number)
     return [

@@ -96,6 +96,10 @@ def test_sigma_is_that_of_the_contact_onsets():
     untouched.area[:] = 0
     with pytest.raises(InputError, match="Episode 3 never touches"):
         onset_sigma_m([untouched, untouched])
+    pressed = synthetic(4, points[0])
+    pressed.area[:] = 0.1
+    with pytest.raises(InputError, match="Episode 4 touches something in its first frame"):
+        onset_sigma_m([pressed, pressed])
 
 
 def test_bad_numbers_are_named():

@@ -77,13 +77,17 @@ class Reference:
 
     @property
     def onset(self) -> int:
-        """First frame in contact; raises InputError where there is none."""
+        """First frame in contact; raises InputError where there is none, or none before it."""
         frames = np.flatnonzero(self.area > 0)
-        if not len(frames):
+        if not len(frames) or frames[0] == 0:
+            fault = (
+                "touches something in its first frame (pressed, or in another light than the rest image)"
+                if len(frames)
+                else "never touches anything (contact_area.pos is 0 throughout)"
+            )
             raise InputError(
-                f"Episode {self.source} never touches anything (contact_area.pos is 0 throughout); leave"
-                " it out with lerobot-edit-dataset --operation.type=delete_episodes"
-                f' --operation.episode_indices="[{self.source}]".'
+                f"Episode {self.source} {fault}; leave it out with lerobot-edit-dataset"
+                f' --operation.type=delete_episodes --operation.episode_indices="[{self.source}]".'
             )
         return int(frames[0])
 

@@ -33,7 +33,7 @@ class Demonstrations:
     Attributes:
         folder: of the dataset, or its name on the Hub.
         task: in front of the robot, such as `switch`.
-        episodes: as recorded.
+        episodes: as recorded, at the rate of 15 Hz at which they are replayed.
         device: of what they are measurements.
         warnings: what a reader should know.
     """
@@ -87,7 +87,7 @@ def is_dataset(name: str | Path) -> bool:
 def load_demonstrations(
     name: str | Path, task: str = "", twin: Twin | None = None, only: Sequence[int] | None = None
 ) -> Demonstrations:
-    """Reads a dataset of episodes.
+    """Reads a dataset of episodes of any rate.
 
     Args:
         name: its folder, or its name on the Hub.
@@ -117,7 +117,8 @@ def load_demonstrations(
     count = dataset.meta.total_episodes
     if missing := [i for i in only or () if not 0 <= i < count]:
         raise InputError(f"{name} has no episode {missing[0]}; it has {count}, the first is 0.")
-    episodes = [load_episode(dataset, i) for i in (range(count) if only is None else only)]
+    numbers = range(count) if only is None else only
+    episodes = [load_episode(dataset, i).resampled(CONTROL_HZ) for i in numbers]
     return checked(Demonstrations(Path(name), task or task_of(episodes[0].task, folder), episodes))
 
 
@@ -142,8 +143,8 @@ def checked(given: Demonstrations) -> Demonstrations:
         if step_m.max() > JUMP_M:
             raise InputError(
                 f"{given.folder}: in episode {i} the flange jumps by {1e3 * step_m.max():.0f} mm at "
-                f"frame {int(step_m.argmax())}, as where frames were lost or the scene was started afresh; "
-                "leave it out with lerobot-edit-dataset."
+                f"{step_m.argmax() / CONTROL_HZ:.1f} s, as where frames were lost or the scene was started "
+                "afresh; leave it out with lerobot-edit-dataset."
             )
         if np.ptp(e.action[:, 3]) > LEAST_KPA and np.ptp(e.state[:, PRESSURE]) < 1e-6:
             raise InputError(
@@ -186,12 +187,7 @@ def _refuse(folder: Path, twin: Twin) -> None:
             f"{folder / 'meta' / 'info.json'}: robot_type is '{robot}'; give demonstrations of a "
             f"'{ROBOT}' robot."
         )
-    if info.get("fps") != CONTROL_HZ:
-        raise InputError(
-            f"{folder / 'meta' / 'info.json'}: {info.get('fps')} fps; as measurements demonstrations are"
-            f" taken at {CONTROL_HZ} only, and on the paper's station."
-        )
-    faults = demonstration_faults(folder, twin)
+    faults = demonstration_faults(folder, twin, info.get("fps"))
     if faults:
         raise InputError(faults[0])
 
