@@ -25,6 +25,7 @@ class AddConfig:
         effect: names of the effects or laws to switch on, joined by commas.
         diagnosis: folder that `pneutac diagnose` wrote; all that it found is switched on. Also `--from`.
         task: of demonstrations: what stood in front of the robot, where their instruction does not tell.
+        station: of demonstrations: `station.yaml` of the arm and its place, where they are not the paper's.
         out: folder for `result.json` and `report.html`.
         seed: seed of the choice of what is held out, and of the bootstrap.
     """
@@ -34,6 +35,7 @@ class AddConfig:
     effect: str = ""
     diagnosis: Path | None = None
     task: str = ""
+    station: Path | None = None
     out: Path | None = None
     seed: int = 0
 
@@ -52,7 +54,7 @@ def main(argv: list[str]) -> None:
     effects = [e.strip() for e in cfg.effect.split(",")] if cfg.effect else []
     for e in effects:
         get_effect(e)
-    twin, recording = load_pair(cfg.twin, cfg.recording, "add to", cfg.task)
+    twin, recording = load_pair(cfg.twin, cfg.recording, "add to", cfg.task, cfg.station)
     with progress_bar(console) as progress:
         result = add(twin, recording, cfg.diagnosis or effects, seed=cfg.seed, progress=progress)
     if result.accepted:

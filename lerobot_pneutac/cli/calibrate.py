@@ -25,6 +25,7 @@ class CalibrateConfig:
             generated images. Of a LeRobotDataset of demonstrations, or its name on the Hub, the gel's light
             at rest is taken.
         task: of demonstrations: what stood in front of the robot, where their instruction does not tell.
+        station: of demonstrations: `station.yaml` of the arm and its place, where they are not the paper's.
         out: folder for `result.json`, `report.html` and pictures.
         effects: optics effects of a gel to fit, with commas between, or `none` for the paper's linear model;
             where left out, those once chosen for the twin, else all that the presses can tell.
@@ -44,6 +45,7 @@ class CalibrateConfig:
     twin: Path
     recording: Path | None = None
     task: str = ""
+    station: Path | None = None
     out: Path | None = None
     effects: str | None = None
     through: str | None = None
@@ -67,7 +69,7 @@ def main(argv: list[str]) -> None:
 
 def run(cfg: CalibrateConfig, scratch: Path, console: Console) -> Calibration:
     """Fits and saves the twin's next version; `scratch` is a folder for generated data."""
-    recording, note = files.recording_for(cfg.recording, scratch, cfg.seed, cfg.task, cfg.twin)
+    recording, note = files.recording_for(cfg.recording, scratch, cfg.seed, cfg.task, cfg.twin, cfg.station)
     console.print(note, end="\n" if note else "", highlight=False)
     files.check_prior(cfg.save_prior, recording)
     twin, keep = files.twin_for(cfg.twin, recording), cfg.out or cfg.twin

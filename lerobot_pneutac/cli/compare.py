@@ -23,6 +23,7 @@ class CompareConfig:
         recording: folder of a bench recording of the same device; or of a LeRobotDataset of demonstrations,
             or its name on the Hub, which are replayed in the twin's world.
         task: of demonstrations: what stood in front of the robot, where their instruction does not tell.
+        station: of demonstrations: `station.yaml` of the arm and its place, where they are not the paper's.
         out: folder for `result.json` and `report.html`; nothing is written without it.
         fidelity: `pipeline` (the twin's kinematics, every sample) or `mpm` (of a finger or an arm: the full
             body of material points, at samples spread over the recording).
@@ -35,6 +36,7 @@ class CompareConfig:
     twin: Path
     recording: Path
     task: str = ""
+    station: Path | None = None
     out: Path | None = None
     fidelity: str = "pipeline"
     samples: int | None = None
@@ -50,7 +52,7 @@ class CompareConfig:
 def main(argv: list[str]) -> None:
     """Runs the verb."""
     cfg, console = parse_options(CompareConfig, argv), Console()
-    twin, recording = load_pair(cfg.twin, cfg.recording, "compare", cfg.task)
+    twin, recording = load_pair(cfg.twin, cfg.recording, "compare", cfg.task, cfg.station)
     if cfg.later:
         same = [recording, *(load_pair(cfg.twin, path, "compare")[1] for path in cfg.later)]
         result = ageing(twin, same, cfg.seed)

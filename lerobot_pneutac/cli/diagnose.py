@@ -21,6 +21,7 @@ class DiagnoseConfig:
         recording: folder of a bench recording of the same finger, arm or gel; or of a LeRobotDataset of
             demonstrations, or its name on the Hub.
         task: of demonstrations: what stood in front of the robot, where their instruction does not tell.
+        station: of demonstrations: `station.yaml` of the arm and its place, where they are not the paper's.
         out: folder for `result.json` and `report.html`.
         jobs: number of processes; 0 for all cores.
         seed: seed of the choice of what is held out, and of every bootstrap.
@@ -29,6 +30,7 @@ class DiagnoseConfig:
     twin: Path
     recording: Path
     task: str = ""
+    station: Path | None = None
     out: Path | None = None
     jobs: int = 0
     seed: int = 0
@@ -37,7 +39,7 @@ class DiagnoseConfig:
 def main(argv: list[str]) -> None:
     """Runs the verb."""
     cfg, console = parse_options(DiagnoseConfig, argv), Console()
-    twin, recording = load_pair(cfg.twin, cfg.recording, "diagnose", cfg.task)
+    twin, recording = load_pair(cfg.twin, cfg.recording, "diagnose", cfg.task, cfg.station)
     with progress_bar(console) as progress:
         result = diagnose(twin, recording, jobs=cfg.jobs, seed=cfg.seed, progress=progress)
     if cfg.out is not None and recording.device != "gel":

@@ -63,7 +63,7 @@ def episode_data(twin: Twin, given: Demonstrations, progress: Progress = no_prog
     Raises:
         InputError: an episode's objects cannot be placed.
     """
-    world, out = ReplayWorld(given.task, twin), []
+    world, out = ReplayWorld(given.task, twin, station=given.station), []
     for i, e in enumerate(given.episodes):
         progress("replaying demonstrations", i, len(given.episodes))
         place = find_place(world, e)

@@ -18,15 +18,15 @@ LONGER = "Record ten minutes with steps, slow and fast ramps and long holds, in 
 
 
 def load_pair(
-    twin_path: Path, recording_path: Path, verb: str, task: str = ""
+    twin_path: Path, recording_path: Path, verb: str, task: str = "", station: Path | None = None
 ) -> tuple[Twin, Recording | Demonstrations]:
     """The twin and a recording from their folders; raises InputError where they are of different devices.
 
-    Demonstrations may lie on the Hub, and are of a task; see `load_demonstrations`.
+    Demonstrations may lie on the Hub, and are of a task and the station of a file; see `load_demonstrations`.
     """
     twin = Twin.load(twin_path)
     if is_dataset(recording_path):
-        recording = load_demonstrations(recording_path, task, twin)
+        recording = load_demonstrations(recording_path, task, twin, station=station)
     else:
         recording = Recording.load(recording_path)
     same_device(twin, recording, twin_path, verb)

@@ -15,7 +15,12 @@ BEST = "best.png"  # there, the best rendering so far
 
 
 def recording_for(
-    folder: Path | None, scratch: Path, seed: int, task: str = "", twin: Path | None = None
+    folder: Path | None,
+    scratch: Path,
+    seed: int,
+    task: str = "",
+    twin: Path | None = None,
+    station: Path | None = None,
 ) -> tuple[Recording | Demonstrations, str]:
     """The recording, and a sentence where none was given.
 
@@ -24,7 +29,7 @@ def recording_for(
     """
     if folder is not None and is_dataset(folder):
         known = Twin.load(twin) if twin and (twin / "twin.yaml").exists() else None
-        return load_demonstrations(folder, task, known), ""
+        return load_demonstrations(folder, task, known, station=station), ""
     if folder is not None:
         return Recording.load(folder), ""
     real = Path(os.environ.get("PNEUTAC_DATA", "/nonexistent")) / "tactile" / "digit_nagoya"

@@ -253,7 +253,7 @@ def compare_demonstrations(
         InputError: an episode's objects cannot be placed.
     """
     study = DemonstrationStudy(twin, given, seed, (), progress)
-    world, f = ReplayWorld(given.task, twin, "image"), study.fitter
+    world, f = ReplayWorld(given.task, twin, "image", given.station), study.fitter
     replayed = [
         world.replay(e, data.place, keep=True) for e, data in zip(given.episodes, f.episodes, strict=True)
     ]

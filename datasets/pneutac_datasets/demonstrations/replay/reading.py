@@ -14,16 +14,23 @@ import numpy as np
 import pandas as pd
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import AREA, CONTROL_HZ, EE, PRESSURE, task_names
+from pneutac_sim.features import AREA, CONTROL_HZ, EE, PRESSURE, joint_count, task_names
 from pneutac_sim.twin import Twin
 
 if TYPE_CHECKING:
     from pneutac_datasets.demonstrations.episodes import Episode
+    from pneutac_sim.world.station import Station
 
 ROBOT = "pneutac"
 BEGIN = 5  # frames in which nothing is touched yet
 JUMP_M = 0.03  # in a frame, four times the fastest
 LEAST_KPA = 0.5  # travel of a command of pressure that a gauge must show
+
+
+def _paper() -> Station:
+    from pneutac_sim.world.station import Station  # MuJoCo, for which bench recordings need not wait
+
+    return Station()
 
 
 @dataclass
@@ -36,6 +43,7 @@ class Demonstrations:
         episodes: as recorded, at the rate of 15 Hz at which they are replayed.
         device: of what they are measurements.
         warnings: what a reader should know.
+        station: in which they were recorded, at the rate of 15 Hz.
     """
 
     folder: Path
@@ -43,6 +51,7 @@ class Demonstrations:
     episodes: list[Episode]
     device: str = "finger"
     warnings: list[str] = field(default_factory=list)
+    station: Station = field(default_factory=_paper)
 
     pressure_columns = ("pressure_cmd_kpa",)
 
@@ -85,7 +94,11 @@ def is_dataset(name: str | Path) -> bool:
 
 
 def load_demonstrations(
-    name: str | Path, task: str = "", twin: Twin | None = None, only: Sequence[int] | None = None
+    name: str | Path,
+    task: str = "",
+    twin: Twin | None = None,
+    only: Sequence[int] | None = None,
+    station: Path | None = None,
 ) -> Demonstrations:
     """Reads a dataset of episodes of any rate.
 
@@ -94,6 +107,7 @@ def load_demonstrations(
         task: in front of the robot; left out, the one that the dataset's instruction names.
         twin: whose sensor and range of pressures they have; left out, the built-in one.
         only: numbers of the episodes that are read; left out, all.
+        station: file `station.yaml` of where they were recorded; left out, the paper's.
 
     Raises:
         InputError: it is no dataset of this robot, has no such episode, or they cannot serve as measurements.
@@ -103,6 +117,7 @@ def load_demonstrations(
 
     from pneutac_datasets.demonstrations.episodes import load_episode
     from pneutac_datasets.demonstrations.faults import is_demonstrations
+    from pneutac_sim.world.station import Station
 
     folder = Path(name)
     if not is_demonstrations(folder):
@@ -112,14 +127,18 @@ def load_demonstrations(
             raise InputError(
                 f"There is no folder '{name}', and no dataset of that name on the Hub ({e})."
             ) from e
-    _refuse(folder, twin or Twin.builtin())
+    where = replace(Station.load(station) if station else Station(), control_hz=CONTROL_HZ)
+    _refuse(folder, twin or Twin.builtin(), where)
     dataset = LeRobotDataset(f"local/{folder.name}", folder, video_backend="pyav", return_uint8=True)
     count = dataset.meta.total_episodes
     if missing := [i for i in only or () if not 0 <= i < count]:
         raise InputError(f"{name} has no episode {missing[0]}; it has {count}, the first is 0.")
     numbers = range(count) if only is None else only
     episodes = [load_episode(dataset, i).resampled(CONTROL_HZ) for i in numbers]
-    return checked(Demonstrations(Path(name), task or task_of(episodes[0].task, folder), episodes))
+    for e in episodes:
+        e.state[:, EE] += where.base_m  # demonstrations tell places in the arm's frame
+    task = task or task_of(episodes[0].task, folder)
+    return checked(Demonstrations(Path(name), task, episodes, station=where))
 
 
 def checked(given: Demonstrations) -> Demonstrations:
@@ -177,7 +196,7 @@ def _touch_anew(given: Demonstrations) -> Demonstrations:
     return replace(given, episodes=episodes, warnings=[*given.warnings, told])
 
 
-def _refuse(folder: Path, twin: Twin) -> None:
+def _refuse(folder: Path, twin: Twin, station: Station) -> None:
     from pneutac_datasets.demonstrations.faults import demonstration_faults
 
     info = json.loads((folder / "meta" / "info.json").read_text(encoding="utf-8"))
@@ -190,6 +209,12 @@ def _refuse(folder: Path, twin: Twin) -> None:
     faults = demonstration_faults(folder, twin, info.get("fps"))
     if faults:
         raise InputError(faults[0])
+    joints = joint_count(len(info["features"]["observation.state"]["names"]))
+    if joints != station.joints:
+        raise InputError(
+            f"{folder / 'meta' / 'info.json'}: the arm has {joints} joints, and the station's"
+            f" {station.joints}; give the station in which they were recorded by --station=."
+        )
 
 
 def task_of(instruction: str, folder: Path) -> str:

@@ -13,6 +13,7 @@ from scipy.signal import savgol_filter
 from pneutac_datasets.demonstrations.episodes import Episode
 from pneutac_sim.features import CONTROL_HZ, EE, MAX_SPEED_M_S
 from pneutac_sim.twin import Twin
+from pneutac_sim.world.station import Station
 from pneutac_sim.world.varied import Variation, VariedWorld
 
 AWAY_M = (0.0, 0.0, -5.0)  # out of everything's way
@@ -74,9 +75,9 @@ class ReplayWorld(VariedWorld):
 
     more_rad = 0.0
 
-    def __init__(self, task: str, twin: Twin, touch: str = "probe"):
+    def __init__(self, task: str, twin: Twin, touch: str = "probe", station: Station | None = None):
         """A world of a task; `touch` as of `World`: `image` or, faster, `probe`."""
-        super().__init__(task, twin, touch, "probe")
+        super().__init__(task, twin, touch, "probe", station=station)
 
     @property
     @override

@@ -30,6 +30,7 @@ from pneutac_sim.features import (
     N_PIXELS,
     PRESSURE,
     STATE_NAMES,
+    state_names,
 )
 from pneutac_sim.twin import Twin, Value
 from pneutac_sim.world.expert import ScriptedExpert
@@ -192,6 +193,9 @@ def test_a_dataset_of_another_robot_is_refused_before_any_work(tmp_path):
     blind = {k: v for k, v in features.items() if "tactile" not in k}
     with pytest.raises(InputError, match="feature 'observation.images.tactile' is missing"):
         load_demonstrations(described(features=blind))
+    features["observation.state"] = {"names": list(state_names(6))}
+    with pytest.raises(InputError, match="the arm has 6 joints, and the station's 7; give the station"):
+        load_demonstrations(described(features=features))
     features["observation.state"] = {"names": names[:-1]}
     with pytest.raises(InputError, match="'observation.state' lacks 'pressure.pos'"):
         load_demonstrations(described(features=features))
