@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import tempfile
 from types import SimpleNamespace
@@ -9,6 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+MATERIAL_POINTS = re.compile(r"pneutac_sim\.mpm(\.solve)? import .*(devices|solve)|--check_mpm=2")
 # Before LeRobot is imported: it reads these once.
 os.environ["HF_HOME"] = tempfile.mkdtemp(prefix="pneutac_hf_")
 os.environ["HF_HUB_OFFLINE"] = "1"
@@ -29,6 +31,18 @@ def pytest_collection_modifyitems(items):
     """Files with slow tests begin first, so that at the end no process waits for another."""
     slow = {item.path for item in items if item.get_closest_marker("slow")}
     items.sort(key=lambda item: item.path not in slow)
+
+
+def pytest_xdist_make_scheduler(config, log):
+    """A file stays in one process; those that run material points share one, as it compiles them for a minute."""
+    from xdist.scheduler import LoadFileScheduling
+
+    class Files(LoadFileScheduling):
+        def _split_scope(self, nodeid):
+            file = super()._split_scope(nodeid)
+            return "material points" if MATERIAL_POINTS.search((config.rootpath / file).read_text()) else file
+
+    return Files(config, log)
 
 
 @pytest.fixture(scope="session")
