@@ -34,7 +34,7 @@ def pytest_collection_modifyitems(items):
 
 
 def pytest_xdist_make_scheduler(config, log):
-    """A file stays in one process; those that run material points share one, as it compiles them for a minute."""
+    """A file stays in one process; those that run material points share one, which compiles them once."""
     from xdist.scheduler import LoadFileScheduling
 
     class Files(LoadFileScheduling):
