@@ -231,7 +231,7 @@ class Rounds:
         for i, name in enumerate(names):
             table[f"{name} foreseen"], table[f"{name} measured"] = seen[:, i], measured[:, i]
         with whole(file) as part:
-            table.to_csv(part, index=False, float_format="%.5g")
+            table.to_csv(part, index=False, float_format="%.6g")
 
     def _foreseen(self, everything: Recording, rows: slice) -> dict:
         """Errors in these newest rows, which no model has seen: fields of `Round`."""

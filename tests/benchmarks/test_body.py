@@ -110,6 +110,7 @@ def recorded(name: str, tmp_path: Path) -> tuple[Recording, np.ndarray]:
     return Recording(tmp_path, {"length_mm": 110.0}, table, "finger"), tips
 
 
+@pytest.mark.nightly
 def test_an_effect_added_from_markers_lowers_the_error_where_nothing_was_fitted(tmp_path):
     recording, tips = recorded("stiffening", tmp_path)
     rows = heldout(recording)

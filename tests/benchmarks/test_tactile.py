@@ -119,6 +119,7 @@ def test_changed_images_are_measured_again(data, tmp_path, capsys):
     assert worse[1] > worse[0] + 5
 
 
+@pytest.mark.nightly
 def test_splats_show_the_same_model(data):
     """Drawn by Gaussians the picture is the same but for their size, drift of light included."""
     chosen = TactileSet.load(data / "first")

@@ -54,6 +54,7 @@ def test_an_image_without_contact_is_refused(generated):
         Tacchi.fit(Pair(c.image, c.image, c.press, generated.px_per_mm))
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("name", "role", "share", "dncc"),
     [

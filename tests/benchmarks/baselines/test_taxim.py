@@ -71,6 +71,7 @@ def test_swapped_images_are_refused(generated):
         Taxim.fit(Pair(c.image, generated.rest, c.press, generated.px_per_mm))
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("name", "role", "share", "dncc"),
     [
