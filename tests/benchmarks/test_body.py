@@ -197,6 +197,7 @@ def test_a_body_that_was_refused_is_counted_and_told(tmp_path):
     assert json.loads((tmp_path / "result.json").read_text())["effects"][0] == creep
 
 
+@pytest.mark.nightly
 def test_shape_judges_by_the_truth_and_goes_on_where_it_stopped(tmp_path, monkeypatch):
     """A calibration that finds all but the gain, by 2 %."""
     calls = []

@@ -20,11 +20,13 @@ def briefly_trained(generated, fit):
         return fit(DotSim, generated), fit(DotSim, generated)
 
 
+@pytest.mark.nightly
 def test_beats_the_rest_image_on_unseen_contacts(generated, briefly_trained, scores):
     got, rest = scores(briefly_trained[0], generated), scores(RestAlone, generated)
     assert got.rmse < 0.75 * rest.rmse and got.contact_dncc > 0.8
 
 
+@pytest.mark.nightly
 def test_two_fits_render_the_same(generated, briefly_trained):
     press = generated.samples[1].press
     one, two = (model.image(press) for model in briefly_trained)
@@ -45,6 +47,7 @@ def test_an_untrained_network_changes_nothing():
     assert not network(torch.rand(1, 3, 16, 20)).any()
 
 
+@pytest.mark.nightly
 def test_other_indenters_show_where_they_press(generated, briefly_trained):
     image = briefly_trained[0].image(Press("cube", 2.0, -2.0, 3.0, 1.0, yaw_rad=0.3)).astype(int)
     difference = np.abs(image - generated.rest).mean(2)
