@@ -20,10 +20,10 @@ class Lone:
 
 
 @pytest.fixture
-def keeper(monkeypatch):
+def keeper(monkeypatch, caplog):
     monkeypatch.setattr(io_utils, "write_json", io_utils.write_json)
     monkeypatch.setattr(dataset_reader, "load_nested_dataset", dataset_reader.load_nested_dataset)
-    monkeypatch.setattr(logging.getLogger(), "level", logging.INFO)
+    caplog.set_level(logging.INFO)
     keeper = Keeper(15, Lone())
     keeper.connect()
     yield keeper
