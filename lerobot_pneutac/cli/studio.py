@@ -9,6 +9,7 @@ from rich.console import Console
 from lerobot_pneutac.cli.bench import check_bench, make_bench
 from lerobot_pneutac.cli.options import parse_options
 from pneutac_sim.errors import InputError
+from pneutac_sim.twin import Twin
 
 
 @dataclass
@@ -46,6 +47,7 @@ class StudioConfig:
 def main(argv: list[str]) -> None:
     """Runs the verb until it is interrupted."""
     cfg, console = parse_options(StudioConfig, argv), Console()
+    Twin.load(cfg.twin)  # before there is an address: a misspelt folder has none
     try:
         from lerobot_pneutac.studio.app import Studio
     except ModuleNotFoundError as e:

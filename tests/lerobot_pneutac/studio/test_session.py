@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from lerobot_pneutac.cli.studio import main
 from lerobot_pneutac.studio.session import Session
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
@@ -38,6 +39,12 @@ def test_looking_writes_nothing_and_going_back_loses_nothing(folder):
     assert "creep" in Twin.load(folder).effects and told == [0, None, 1, None]
     with pytest.raises(InputError, match="choose an earlier one"):
         session.keep()
+
+
+def test_a_misspelt_twin_is_told_before_there_is_an_address(tmp_path, capsys):
+    with pytest.raises(InputError, match="no twin at"):
+        main([f"--twin={tmp_path / 'nothing'}", "--port=0"])
+    assert capsys.readouterr().out == ""
 
 
 def test_one_work_at_a_time(folder):
