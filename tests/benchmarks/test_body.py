@@ -127,6 +127,7 @@ def test_an_effect_added_from_markers_lowers_the_error_where_nothing_was_fitted(
     assert miss(with_effect) < 0.6 * miss(plain)
 
 
+@pytest.mark.nightly
 def test_markers_of_held_out_pressures_are_not_looked_at(tmp_path):
     recording, _ = recorded("stiffening", tmp_path)
     rows = heldout(recording)

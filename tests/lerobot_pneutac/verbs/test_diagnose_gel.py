@@ -156,6 +156,7 @@ def test_no_photograph_is_judged_by_a_fit_that_saw_it(tmp_path, monkeypatch):
         trained.clear()
 
 
+@pytest.mark.nightly
 def test_the_report_scores_photographs_that_chose_nothing(tmp_path):
     """A validation photograph spoilt after the search leaves all reported errors as they were."""
     recording = once(write_hidden_gel, tmp_path / "recording", ["shadow"], seed=3, images=APART)

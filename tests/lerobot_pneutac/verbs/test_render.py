@@ -55,6 +55,7 @@ def test_finger_is_seen_bending(finger, tmp_path):
     assert "data:video/mp4" in (out / "report.html").read_text()
 
 
+@pytest.mark.nightly
 def test_gel_shows_the_imprint_where_it_is(tmp_path, monkeypatch):
     twin = Twin("gel", 16.0)
     GelModel.builtin().into_twin(twin)

@@ -1,4 +1,5 @@
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -18,7 +19,8 @@ from pneutac_sim.world.varied import Variation, VariedWorld
 pytestmark = pytest.mark.slow
 
 
-def demonstrate(task: str, seed: int, late: int = 0) -> tuple[Reference, bool]:
+@cache
+def demonstrate(task: str, seed: int, late: int) -> tuple[Reference, bool]:
     """A scripted demonstration, with ten frames after its end; commands act `late` control steps too late.
 
     It tells where on the gel the imprint is, as the images of a recorded one do.
