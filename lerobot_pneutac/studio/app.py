@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import viser
 
 from lerobot_pneutac.studio.colours import BRAND
+from lerobot_pneutac.studio.front import front_page
 from lerobot_pneutac.studio.gate import LOCAL, Gate
 from pneutac_sim.errors import InputError
 
@@ -49,7 +50,7 @@ class Studio:
         with contextlib.redirect_stdout(io.StringIO()):  # it prints its own address, which is not the door's
             self.server = viser.ViserServer("127.0.0.1", 0, verbose=False)
         try:
-            self._gate = Gate(host, port, self.server.get_port(), self._token)
+            self._gate = Gate(host, port, self.server.get_port(), self._token, front_page())
         except InputError:
             self._stop_server()
             raise

@@ -17,6 +17,7 @@ from pneutac_sim.errors import InputError
 
 LOCAL = ("localhost", "127.0.0.1", "::1")
 COOKIE = "pneutac_studio"
+ALIVE = "/alive"  # answered by the gate as long as there is one
 HEAD_BYTES = 65536
 
 
@@ -28,6 +29,7 @@ class Gate:
         port: to listen on; 0 for any that is free.
         inner_port: where the viewer listens, on this machine.
         token: that a browser has to show; empty where none is asked for, which only this machine may do.
+        page: HTML that is given at `/` in place of the viewer's; empty for the viewer's own.
 
     Attributes:
         port: that it listens on.
@@ -37,8 +39,8 @@ class Gate:
         InputError: the address is in use, or none of this machine's.
     """
 
-    def __init__(self, host: str, port: int, inner_port: int, token: str = ""):
-        self._inner, self._token, self.connections = inner_port, token, 0
+    def __init__(self, host: str, port: int, inner_port: int, token: str = "", page: bytes = b""):
+        self._inner, self._token, self._page, self.connections = inner_port, token, page, 0
         self._names = (*LOCAL, host)
         self._socket = _bound(host, port)
         self.port = self._socket.getsockname()[1]
@@ -66,9 +68,9 @@ class Gate:
     async def _pass(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:
             head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), 10.0)
-            answer = self.answer(head.decode("latin-1"))
+            answer = self.answer(head.decode("latin-1")).encode() or self._own(head)
             if answer:
-                writer.write(answer.encode())
+                writer.write(answer)
                 await writer.drain()
                 return
             inner = await asyncio.open_connection("127.0.0.1", self._inner)
@@ -115,6 +117,19 @@ class Gate:
             "403 Forbidden", "Open the studio by the whole address that it printed, token included."
         )
 
+    def _own(self, head: bytes) -> bytes:
+        """What the gate answers itself to a browser that may pass; empty for what the viewer answers."""
+        method, path = head.split(b" ", 2)[:2]
+        path = path.partition(b"?")[0]
+        if method != b"GET" or b"\r\nupgrade:" in head.lower():
+            return b""
+        if path == ALIVE.encode():
+            return _reply("204 No Content", "").encode()
+        if path == b"/" and self._page:
+            kind = "Content-Type: text/html; charset=utf-8"
+            return _head("200 OK", len(self._page), kind, "Cache-Control: no-store").encode() + self._page
+        return b""
+
 
 def _bound(host: str, port: int) -> socket.socket:
     """A listening socket."""
@@ -145,8 +160,12 @@ def _closing(head: bytes) -> bytes:
 
 
 def _reply(status: str, text: str, *fields: str) -> str:
-    given = (f"Content-Length: {len(text)}", "Content-Type: text/plain; charset=utf-8", "Connection: close")
-    return "\r\n".join((f"HTTP/1.1 {status}", *given, *fields, "", text))
+    return _head(status, len(text), "Content-Type: text/plain; charset=utf-8", *fields) + text
+
+
+def _head(status: str, length: int, *fields: str) -> str:
+    given = (f"Content-Length: {length}", "Connection: close")
+    return "\r\n".join((f"HTTP/1.1 {status}", *given, *fields, "", ""))
 
 
 async def _pump(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:

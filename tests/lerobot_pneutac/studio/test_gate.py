@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from lerobot_pneutac.studio.gate import Gate
+from lerobot_pneutac.studio.gate import ALIVE, Gate
 from pneutac_sim.errors import InputError
 
 
@@ -58,6 +58,18 @@ def test_other_machines_show_the_token_once(inner):
         cookie = headers["Set-Cookie"].partition(";")[0]
         assert _get(gate.port, Cookie=f"other=1; {cookie}")[:2] == (200, "inner")
         assert _get(gate.port, Cookie=cookie[:-1])[0] == 403
+    finally:
+        gate.close()
+
+
+def test_the_page_is_the_gates_own_and_the_rest_the_viewers(inner):
+    gate = Gate("0.0.0.0", 0, inner, token="secret", page=b"own")
+    try:
+        assert _get(gate.port)[0] == 403 and _get(gate.port, ALIVE)[0] == 403
+        cookie = {"Cookie": "pneutac_studio=secret"}
+        assert _get(gate.port, "/?fixedDpr=1", **cookie)[:2] == (200, "own")
+        assert _get(gate.port, ALIVE, **cookie)[0] == 204
+        assert _get(gate.port, "/font.woff", **cookie)[:2] == (200, "inner")
     finally:
         gate.close()
 
