@@ -18,7 +18,6 @@ from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.features import AREA
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.probe import SPHERE
-from pneutac_sim.pace import read_pace
 from pneutac_truths.light import Gel
 from pneutac_truths.light.objects import reach_below
 
@@ -126,8 +125,8 @@ def test_a_finger_of_60_kpa_an_arm_a_sensor_and_a_doorbell_go_from_the_bench_to_
         "--dataset.no_stamp=true --dataset.fps=15 --dataset.reset_time_s=1 --dataset.video=false"
         " --dataset.push_to_hub=false --play_sounds=false"
     )
-    record = f"lerobot-record {robot} --teleop.type=pneutac_scripted --teleop.reset_steps=15 {kept}"
-    record += " --dataset.episode_time_s=10 --teleop.episode_steps=150 --dataset.single_task=ring"
+    record = f"lerobot-record {robot} --teleop.type=pneutac_scripted {kept}"
+    record += " --dataset.episode_time_s=10 --dataset.single_task=ring"
     run(f"{record} --dataset.repo_id=local/bell --dataset.root=demos --dataset.num_episodes=2")
     run(
         f"{record} --dataset.repo_id=local/bells --dataset.root=further --dataset.num_episodes=8"
@@ -173,4 +172,3 @@ def test_a_finger_of_60_kpa_an_arm_a_sensor_and_a_doorbell_go_from_the_bench_to_
     assert (
         stats["action"]["max"][3] > 15 and stats["observation.state"]["max"][AREA] > 0
     )  # it has felt the bell
-    assert list(read_pace(tmp_path / "rollout" / "meta")) == [0]

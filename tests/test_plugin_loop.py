@@ -10,7 +10,7 @@ from lerobot.utils.constants import OBS_STATE
 from safetensors.torch import load_file
 from warm_commands import WarmCommands
 
-from pneutac_sim.features import STATE_NAMES
+from pneutac_sim.features import EE, STATE_NAMES
 
 STEPS = 75  # 5 s at 15 Hz
 
@@ -71,7 +71,6 @@ def test_record_train_eval_rollout_replay_merge_view_finetune(run):
         "--robot.seed=6",  # the object is met within the 5 s
         "--teleop.type=pneutac_scripted",
         "--teleop.id=script",
-        f"--teleop.episode_steps={STEPS}",
         *dataset_options("demo", work, 2, STEPS / 15),
     )
     demo = LeRobotDatasetMetadata("local/demo", work / "demo")
@@ -84,6 +83,8 @@ def test_record_train_eval_rollout_replay_merge_view_finetune(run):
     state = np.array(frames.with_format("numpy")[OBS_STATE])
     assert state[0, STATE_NAMES.index("pressure.pos")] == 0
     assert state[:, STATE_NAMES.index("contact_area.pos")].max() > 0.01
+    within = np.diff(np.array(frames.with_format("numpy")["episode_index"])) == 0
+    assert np.linalg.norm(np.diff(state[:, EE], axis=0), axis=1)[within].max() < 0.02  # m; no scene anew
 
     log = run(
         "lerobot-train",

@@ -149,13 +149,13 @@ class Demo:
     def _record(self) -> dict:
         """One demonstration by lerobot-record in real time, the others unpaced by the same robot code."""
         cfg, first, rest = self.cfg, self._path("recorded_1"), self._path("recorded_2")
-        merged, steps = self._path("demonstrations"), TRIAL_S * CONTROL_HZ
+        merged = self._path("demonstrations")
         for folder in (first, rest, merged):
             shutil.rmtree(folder, ignore_errors=True)
         self._command(
             "lerobot-record", "--robot.type=pneutac_sim", "--robot.id=demo", "--robot.standin=true",
             f"--robot.twin={self.twin}", f"--robot.task={TASK}", f"--robot.seed={cfg.seed}",
-            "--teleop.type=pneutac_scripted", f"--teleop.seed={cfg.seed}", f"--teleop.episode_steps={steps}",
+            "--teleop.type=pneutac_scripted", f"--teleop.seed={cfg.seed}",
             f"--dataset.repo_id=local/{first.name}", f"--dataset.root={first}", "--dataset.no_stamp=true",
             f"--dataset.single_task={TASK_TEXT}", f"--dataset.fps={CONTROL_HZ}", "--dataset.num_episodes=1",
             f"--dataset.episode_time_s={TRIAL_S}", "--dataset.reset_time_s=0",

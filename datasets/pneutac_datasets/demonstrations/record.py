@@ -85,7 +85,6 @@ def record_episodes(
 
 def _record_episode(robot: PneutacSim, teleop: PneutacScripted, dataset: LeRobotDataset, task: str) -> bool:
     """One demonstration into the episode buffer; returns whether the task was done, by touch."""
-    teleop.begin()
     scalars_and_images = {key: feature for key, feature in dataset.features.items() if key != POINTS}
     felt = False
     for _ in range(teleop.steps(robot)):

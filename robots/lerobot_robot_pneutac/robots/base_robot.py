@@ -51,6 +51,9 @@ class BaseRobot(Robot):
     def configure(self) -> None:
         """Nothing to do."""
 
+    def announced(self, begins: bool) -> None:
+        """LeRobot says that the recording of an episode begins, or has ended; here nothing depends on it."""
+
 
 def action_names(keys: Iterable[str], bend: bool = False) -> tuple[str, ...]:
     """Which names an action goes by: `features.ACTION_NAMES`, those with the bend, or the pose's.

@@ -1,4 +1,4 @@
-"""What a robot adds to a dataset that LeRobot records: the rate of each episode, by the clock.
+"""What a robot knows of the episodes that LeRobot records, and adds to them: their rate, by the clock.
 
 LeRobot 0.6 gives a robot no hook for episodes, stores frame / fps as a frame's time, and observes a robot in
 the pause between episodes as within them. What it announces in the log, and how many frames it counts, tell
@@ -15,13 +15,13 @@ from pathlib import Path
 from typing import override
 from weakref import ref
 
-from lerobot.robots import Robot
-
+from lerobot_robot_pneutac.robots.base_robot import BaseRobot
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import whole
 from pneutac_sim.pace import PACE_FILE, Pace, read_pace, short_of
 
-BEGINS = "Recording episode"  # so lerobot-record and lerobot-rollout announce one
+# So lerobot-record and lerobot-rollout announce that an episode begins, and that one has ended.
+BEGINS, ENDS = "Recording episode", ("Reset the environment", "Stop recording")
 
 logger = logging.getLogger(__name__)
 
@@ -33,12 +33,14 @@ class Keeper(logging.Handler):
 
     Args:
         control_hz: of the robot, at which the dataset is to be recorded.
-        robot: by whose `name` LeRobot knows it in a dataset.
+        robot: is told of episodes by its method `announced`; a dataset knows it by its `name`.
+        waits: the robot stands still between frames, as a simulated one does: a slow loop makes its episodes
+            shorter and their motions no faster, so no pace is kept.
     """
 
-    def __init__(self, control_hz: int, robot: Robot):
+    def __init__(self, control_hz: int, robot: BaseRobot, waits: bool = False):
         super().__init__(logging.INFO)
-        self._control_hz, self._robot = control_hz, ref(robot)
+        self._control_hz, self._robot, self._waits = control_hz, ref(robot), waits
         self._times_s: list[float] | None = None
         self._take_over()
 
@@ -61,8 +63,11 @@ class Keeper(logging.Handler):
 
     @override
     def emit(self, record: logging.LogRecord) -> None:
-        if record.getMessage().startswith(BEGINS):
+        message, robot = record.getMessage(), self._robot()
+        if message.startswith(BEGINS):
             self._times_s = []
+        if robot is not None and message.startswith((BEGINS, *ENDS)):
+            robot.announced(message.startswith(BEGINS))
 
     def observed(self) -> None:
         """The robot was observed now."""
@@ -104,6 +109,14 @@ class Keeper(logging.Handler):
 
     def _keep(self, meta: Path, episode: int, fps: float, times_s: list[float]) -> None:
         pace = Pace.of(times_s, fps)
+        if self._waits:
+            if short_of(pace, fps):
+                logger.warning(
+                    "Episode %d ran at %.1f Hz and not at %g, so its %d frames are %.1f s of the simulated"
+                    " world; where that is too short, give a longer --dataset.episode_time_s.",
+                    *(episode, pace.achieved_hz, fps, len(times_s), len(times_s) / fps),
+                )
+            return
         try:
             kept = {**read_pace(meta), episode: pace}
         except InputError as e:  # no reason to lose an episode

@@ -1,7 +1,7 @@
 """The robot `pneutac_sim`: the simulated world behind LeRobot's Robot interface."""
 
 import logging
-from typing import Any
+from typing import Any, override
 from weakref import WeakSet
 
 import numpy as np
@@ -49,14 +49,18 @@ class PneutacSim(BaseRobot):
     pressure, clipped to its limits. Two more dicts are taken:
 
     - with the additional key `reset` (true) the scene starts afresh after the step, as a person would put the
-      object back between demonstrations;
+      object back between demonstrations, where nobody announces episodes;
     - a pose (`ee_x.pos`, `ee_y.pos`, `ee_z.pos`, `pressure.pos`, other keys are ignored), as lerobot-rollout
       sends it between episodes and at the end, moves the arm one step towards that pose. A pose at the task's
       home starts the scene afresh.
 
+    Every episode that LeRobot announces starts with a fresh scene.
+
     Attributes:
         world: the world, while connected.
-        successes: for each finished episode whether the task was done when the scene started afresh.
+        recording: whether an episode that LeRobot has announced is going on; None where it announced none.
+        scenes: how many scenes were started, the present one included.
+        successes: for each finished episode whether the task was done at its end.
         cameras: the tactile image, and the scene cameras' options; their pictures come with the observation.
             LeRobot counts them and writes PNG files in as many times four threads.
     """
@@ -70,8 +74,10 @@ class PneutacSim(BaseRobot):
         self.cameras = {IMAGE_NAME: None, **config.cameras}
         self._image_shape = tactile_shape("robot.twin", config.twin)
         self.world = None
+        self.recording: bool | None = None
+        self.scenes = 0
         self.successes: list[bool] = []
-        self._keeper = Keeper(config.control_hz, self)
+        self._keeper = Keeper(config.control_hz, self, waits=True)
 
     @property
     def image_shape(self) -> tuple[int, int, int]:
@@ -92,6 +98,7 @@ class PneutacSim(BaseRobot):
         """Builds the world and starts the first episode."""
         if self.is_connected:
             raise DeviceAlreadyConnectedError(f"{self} is already connected.")
+        self.recording = None
         self._keeper.connect()
         self.world = _world(self.config)
         self._scene = SceneCameras(self.world, self.config.sizes, self.config.randomise_look)
@@ -134,8 +141,22 @@ class PneutacSim(BaseRobot):
             self.reset()
         return sent
 
+    @override
+    def announced(self, begins: bool) -> None:
+        """An episode begins, with a fresh scene; or it has ended, and how it went is told."""
+        if self.is_connected and begins and self._moved:
+            self._begin()
+        elif self.is_connected and self.recording and not begins:
+            self._tell()
+        self.recording = begins
+
     def reset(self) -> None:
         """Starts the scene afresh at the next random start, and tells how the episode went."""
+        if self.recording is not False:  # what goes on between episodes is none
+            self._tell()
+        self._begin()
+
+    def _tell(self) -> None:
         self.successes.append(bool(self.world.success))
         logger.info(
             "Episode %d: touch in %d of %d frames, the task %s.",
@@ -144,7 +165,6 @@ class PneutacSim(BaseRobot):
         )
         if self.successes[-1] and self._spread:
             self._spread.done(self._seed)
-        self._begin()
 
     def disconnect(self) -> None:
         """Frees the world."""
@@ -160,6 +180,7 @@ class PneutacSim(BaseRobot):
         self._observation = self.world.reset(seed)
         self._scene.begin(seed)
         self._moved, self._touched, self._frames = False, 0, 0
+        self.scenes += 1
         if self.config.bend:
             twin = Twin.load(self.config.twin) if self.config.twin else Twin.builtin()
             self._bend = BendCommands(twin, getattr(self.world, "conditions", {}), self.world.dt_s)

@@ -14,9 +14,15 @@ SECONDS = "lerobot_robot_pneutac.robots.keeping.time.perf_counter"
 
 
 class Lone:
-    """A robot that nobody holds."""
+    """A robot of no arm."""
 
     name = "pneutac"
+
+    def __init__(self):
+        self.told = []
+
+    def announced(self, begins):
+        self.told.append(begins)
 
 
 @pytest.fixture
@@ -59,6 +65,20 @@ def test_an_episode_is_what_was_observed_after_it_was_announced(keeper, monkeypa
     assert read_pace(tmp_path)[1].achieved_hz == pytest.approx(15)
     (note,) = pace_notes(tmp_path, 15)
     assert "fell short of 15 Hz in episode 0 (7.5 Hz, 1 frames late)" in note
+
+
+def test_a_robot_that_waits_for_its_frames_has_no_pace(keeper, monkeypatch, tmp_path, caplog):
+    robot = Lone()
+    waiting = Keeper(15, robot, waits=True)
+    waiting.connect()
+    save(tmp_path, 0, 0)
+    for text in ("Recording episode 0", "Reset the environment"):
+        logging.info(text)
+    observe(waiting, monkeypatch, [10.0, 10.2, 10.4])
+    save(tmp_path, 1, 3)
+    waiting.disconnect()
+    assert robot.told == [True, False] and read_pace(tmp_path) == {}
+    assert "ran at 5.0 Hz and not at 15, so its 3 frames are 0.2 s of the simulated world" in caplog.text
 
 
 def test_what_was_not_announced_has_no_rate(keeper, monkeypatch, tmp_path):

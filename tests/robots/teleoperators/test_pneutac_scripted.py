@@ -1,18 +1,26 @@
+import logging
 from weakref import WeakSet
 
 import numpy as np
 import pytest
 from draccus.utils import DecodingError
 from lerobot.utils.errors import DeviceNotConnectedError
+from lerobot.utils.utils import log_say
 
 from lerobot_robot_pneutac.robots import pneutac_sim
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
-from lerobot_robot_pneutac.teleoperators import pneutac_scripted
 from lerobot_robot_pneutac.teleoperators.config_pneutac_scripted import PneutacScriptedConfig
 from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, ACTION_NAMES, CONTROL_HZ, DEMONSTRATION_S
+from pneutac_sim.features import (
+    ACTION_HIGH,
+    ACTION_LOW,
+    ACTION_NAMES,
+    CONTROL_HZ,
+    DEMONSTRATION_S,
+    task_names,
+)
 
 
 @pytest.fixture
@@ -41,36 +49,39 @@ def run(robot, teleop, ticks) -> list[dict]:
     return actions
 
 
-@pytest.fixture(autouse=True)
-def still_clock(monkeypatch):
-    """This computer's own delays are no missed ticks."""
-    now = [0.0]
-    monkeypatch.setattr(pneutac_scripted, "clock", lambda: now[0])
-    return now
+@pytest.mark.parametrize("task", task_names())
+@pytest.mark.parametrize("control_hz", [15, 30])
+def test_every_episode_that_is_announced_is_one_demonstration(task, control_hz, tmp_path, monkeypatch):
+    """LeRobot counts seconds and the world steps: how many an episode has depends on the computer."""
+    monkeypatch.setattr(logging.getLogger(), "level", logging.INFO)
+    (tmp_path / "station.yaml").write_text(f"format: pneutac-station/1\ncontrol_hz: {control_hz}\n")
+    own = {"calibration_dir": tmp_path, "id": "one"}
+    where = {"task": task, "fidelity": "probe", "station": tmp_path / "station.yaml"}
+    robot, teleop = (
+        PneutacSim(PneutacSimConfig(**where, **own)),
+        PneutacScripted(PneutacScriptedConfig(episode_steps=12, **own)),
+    )
+    teleop.connect()
+    robot.connect()
+    for episode, (ticks, pause) in enumerate([(11, 0), (14, 5), (13, 8), (25, 0)]):
+        log_say(f"Recording episode {episode}", play_sounds=False)
+        assert robot.world.time_s == 0
+        for action in run(robot, teleop, ticks):
+            assert "reset" not in action and any(action.values())
+        assert robot.world.time_s == pytest.approx(ticks / control_hz)
+        if episode < 3:
+            log_say("Reset the environment", play_sounds=False)
+        assert len(robot.successes) == episode + (episode < 3)
+        assert not any(any(action.values()) for action in run(robot, teleop, pause))
+    log_say("Stop recording", play_sounds=False)
+    assert len(robot.successes) == 4
+    robot.disconnect()
 
 
-def test_ticks_that_are_missed_do_not_shift_the_episodes(pair, still_clock):
+def test_where_no_episodes_are_announced_the_scene_is_reset_after_the_last_tick(pair):
     robot, teleoperator = pair
-    teleop = teleoperator(episode_steps=30, reset_steps=15)
-    for _ in range(3):  # as LeRobot: by the clock 2 s an episode, 1 s of waiting, then a while of saving
-        actions = []
-        for _ in range(30):
-            robot.get_observation()
-            actions.append(teleop.get_action())
-            robot.send_action(actions[-1])
-            still_clock[0] += 0.101
-        assert [i for i, a in enumerate(actions) if a.get("reset")] == [25]
-        moved = [any(a[name] for name in ACTION_NAMES) for a in actions]
-        assert all(moved[:20]) and not any(moved[20:])
-        still_clock[0] += 1.7
-
-
-@pytest.mark.parametrize(("reset_steps", "tick"), [(0, 3), (1, 4), (15, 11)])
-def test_scene_is_reset_once_a_cycle_and_outside_the_demonstration(pair, reset_steps, tick):
-    robot, teleoperator = pair
-    cycle = 4 + reset_steps
-    actions = run(robot, teleoperator(episode_steps=4, reset_steps=reset_steps), 2 * cycle)
-    assert [i for i, a in enumerate(actions) if a.get("reset")] == [tick, tick + cycle]
+    actions = run(robot, teleoperator(episode_steps=4), 8)
+    assert [i for i, a in enumerate(actions) if a.get("reset")] == [3, 7]
     assert len(robot.successes) == 2
 
 
