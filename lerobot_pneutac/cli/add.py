@@ -25,7 +25,8 @@ class AddConfig:
         effect: names of the effects or laws to switch on, joined by commas.
         diagnosis: folder that `pneutac diagnose` wrote; all that it found is switched on. Also `--from`.
         task: of demonstrations: what stood in front of the robot, where their instruction does not tell.
-        station: of demonstrations: `station.yaml` of the arm and its place, where they are not the paper's.
+        station: of demonstrations: `station.yaml` of the arm and its place; left out, the one that their
+            robot left in them, or the paper's.
         out: folder for `result.json` and `report.html`.
         seed: seed of the choice of what is held out, and of the bootstrap.
     """

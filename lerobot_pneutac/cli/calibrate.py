@@ -25,7 +25,8 @@ class CalibrateConfig:
             generated images. Of a LeRobotDataset of demonstrations, or its name on the Hub, the gel's light
             at rest is taken.
         task: of demonstrations: what stood in front of the robot, where their instruction does not tell.
-        station: of demonstrations: `station.yaml` of the arm and its place, where they are not the paper's.
+        station: of demonstrations: `station.yaml` of the arm and its place; left out, the one that their
+            robot left in them, or the paper's.
         out: folder for `result.json`, `report.html` and pictures.
         effects: optics effects of a gel to fit, with commas between, or `none` for the paper's linear model;
             where left out, those once chosen for the twin, else all that the presses can tell.

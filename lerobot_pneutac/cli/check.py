@@ -16,7 +16,7 @@ Tells in seconds what a later verb would refuse, all faults at once, and exits w
 
   PATH            folder of a twin, a bench recording or a LeRobotDataset of demonstrations, or a station.yaml
   --twin=PATH     twin for which demonstrations or a station are looked at (default the built-in one)
-  --station=FILE  station.yaml in which demonstrations were recorded (default the paper's)"""
+  --station=FILE  station.yaml in which demonstrations were recorded (default what they tell)"""
 
 
 def main(argv: list[str]) -> None:

@@ -8,7 +8,7 @@ from rich.console import Console
 from lerobot_pneutac.cli.options import parse_options
 from lerobot_pneutac.cli.progress import progress_bar
 from lerobot_pneutac.cli.show import show, write
-from lerobot_pneutac.study.pair import load_pair
+from lerobot_pneutac.study.pair import load_bench_pair, load_pair
 from lerobot_pneutac.verbs.ageing import ageing
 from lerobot_pneutac.verbs.compare import check_fidelity, compare
 from pneutac_sim.errors import InputError
@@ -23,7 +23,8 @@ class CompareConfig:
         recording: folder of a bench recording of the same device; or of a LeRobotDataset of demonstrations,
             or its name on the Hub, which are replayed in the twin's world.
         task: of demonstrations: what stood in front of the robot, where their instruction does not tell.
-        station: of demonstrations: `station.yaml` of the arm and its place, where they are not the paper's.
+        station: of demonstrations: `station.yaml` of the arm and its place; left out, the one that their
+            robot left in them, or the paper's.
         out: folder for `result.json` and `report.html`; nothing is written without it.
         fidelity: `pipeline` (the twin's kinematics, every sample) or `mpm` (of a finger or an arm: the full
             body of material points, at samples spread over the recording).
@@ -52,13 +53,13 @@ class CompareConfig:
 def main(argv: list[str]) -> None:
     """Runs the verb."""
     cfg, console = parse_options(CompareConfig, argv), Console()
-    twin, recording = load_pair(cfg.twin, cfg.recording, "compare", cfg.task, cfg.station)
     if cfg.later:
-        same = [recording, *(load_pair(cfg.twin, path, "compare")[1] for path in cfg.later)]
-        result = ageing(twin, same, cfg.seed)
+        pairs = [load_bench_pair(cfg.twin, p, "tell ageing by") for p in (cfg.recording, *cfg.later)]
+        result = ageing(pairs[0][0], [recording for _, recording in pairs], cfg.seed)
         show(result, console)
         write(result, cfg.out, "compare", argv, console)
         return
+    twin, recording = load_pair(cfg.twin, cfg.recording, "compare", cfg.task, cfg.station)
     with progress_bar(console) as progress:
         result = compare(
             twin, recording, fidelity=cfg.fidelity, samples=cfg.samples, seed=cfg.seed, progress=progress

@@ -8,7 +8,7 @@ from rich.console import Console
 from lerobot_pneutac.cli.options import parse_options
 from lerobot_pneutac.cli.show import show, write
 from lerobot_pneutac.diagnosis.hands import GRAVITY, Hands, named
-from lerobot_pneutac.study.pair import load_pair
+from lerobot_pneutac.study.pair import load_bench_pair
 from lerobot_pneutac.verbs.design import design
 from pneutac_sim.errors import InputError
 
@@ -55,7 +55,7 @@ class DesignConfig:
 def main(argv: list[str]) -> None:
     """Runs the verb."""
     cfg, console = parse_options(DesignConfig, argv), Console()
-    twin, recording = load_pair(cfg.twin, cfg.recording, "design")
+    twin, recording = load_bench_pair(cfg.twin, cfg.recording, "design by")
     limits = (cfg.max_kpa, cfg.min_kpa, cfg.budget_s, cfg.program_s, cfg.hz)
     usual = {
         c: float(recording.column(c)[0]) for c in (*GRAVITY, "payload_g", "temperature_c") if recording.has(c)

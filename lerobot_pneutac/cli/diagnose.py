@@ -21,7 +21,8 @@ class DiagnoseConfig:
         recording: folder of a bench recording of the same finger, arm or gel; or of a LeRobotDataset of
             demonstrations, or its name on the Hub.
         task: of demonstrations: what stood in front of the robot, where their instruction does not tell.
-        station: of demonstrations: `station.yaml` of the arm and its place, where they are not the paper's.
+        station: of demonstrations: `station.yaml` of the arm and its place; left out, the one that their
+            robot left in them, or the paper's.
         out: folder for `result.json` and `report.html`.
         jobs: number of processes; 0 for all cores.
         seed: seed of the choice of what is held out, and of every bootstrap.

@@ -7,7 +7,7 @@ from rich.console import Console
 
 from lerobot_pneutac.cli.options import parse_options
 from lerobot_pneutac.cli.show import show, write
-from lerobot_pneutac.study.pair import load_pair
+from lerobot_pneutac.study.pair import load_bench_pair
 from lerobot_pneutac.verbs.report import report
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin
@@ -44,7 +44,7 @@ def main(argv: list[str]) -> None:
     cfg, console = parse_options(ReportConfig, given), Console()
     twin, recording = Twin.load(cfg.twin), None
     if cfg.recording is not None:
-        twin, recording = load_pair(cfg.twin, cfg.recording, "report on")
+        twin, recording = load_bench_pair(cfg.twin, cfg.recording, "report on")
     result = report(twin)
     show(result, console)
     write(result, cfg.out, "report", given, console)

@@ -87,6 +87,8 @@ def record_student(
             f" has {world.arm.joints}; give its station by --station=."
         )
     dataset = _new_dataset(student, world)
+    if station:
+        station.save(Path(student.root) / "meta")
     rng = np.random.default_rng(seed)
     kept = trials = 0
     with quiet_encoders():

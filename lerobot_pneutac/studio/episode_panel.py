@@ -60,8 +60,9 @@ class EpisodePanel:
             try:
                 given = load_demonstrations(name, task, twin, only=[number])
                 episode = given.episodes[0]
-                place = find_place(ReplayWorld(given.task, twin), episode)
-                replayed = ReplayWorld(given.task, twin, "image").replay(episode, place, keep=True)
+                seen = ReplayWorld(given.task, twin, "image", given.station)
+                place = find_place(ReplayWorld(given.task, twin, station=given.station), episode)
+                replayed = seen.replay(episode, place, keep=True)
             except InputError as e:
                 self.readout.content = f"> {e}"
                 return

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from lerobot_pneutac.study.pressure_unit import unlike_the_twin
+from pneutac_datasets.demonstrations.faults import is_demonstrations
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations, is_dataset, load_demonstrations
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import an, plural
@@ -24,11 +25,19 @@ def load_pair(
 
     Demonstrations may lie on the Hub, and are of a task and the station of a file; see `load_demonstrations`.
     """
+    if not is_dataset(recording_path):
+        return load_bench_pair(twin_path, recording_path, verb)
     twin = Twin.load(twin_path)
-    if is_dataset(recording_path):
-        recording = load_demonstrations(recording_path, task, twin, station=station)
-    else:
-        recording = Recording.load(recording_path)
+    recording = load_demonstrations(recording_path, task, twin, station=station)
+    same_device(twin, recording, twin_path, verb)
+    return twin, recording
+
+
+def load_bench_pair(twin_path: Path, recording_path: Path, verb: str) -> tuple[Twin, Recording]:
+    """The same of a bench recording alone; raises InputError where demonstrations are given too."""
+    if is_demonstrations(recording_path):
+        raise InputError(f"{recording_path} holds demonstrations; {verb} a bench recording of the device.")
+    twin, recording = Twin.load(twin_path), Recording.load(recording_path)
     same_device(twin, recording, twin_path, verb)
     return twin, recording
 

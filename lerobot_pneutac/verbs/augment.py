@@ -16,7 +16,7 @@ from pneutac_sim.features import FIDELITIES, joint_count, task_names
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.checks import check_world
-from pneutac_sim.world.station import Station
+from pneutac_sim.world.station import Station, station_file
 
 METHODS = ("tactile", "naive")
 
@@ -53,7 +53,7 @@ class AugmentConfig:
         conditions: values that the twin's effects ask for, such as {temperature_c: 28}; every demonstration
             draws from a range [low, high].
         station: file `station.yaml` of arm, workspace, mount and control rate in which they were recorded;
-            where left out, the paper's.
+            where left out, the one that their robot left in them, or the paper's.
         planner: horizon, samples and weights of the planner.
         attempts: number of variants tried for one demonstration before giving up.
         check_mpm: number of the new demonstrations that are carried out once more by material points; how far
@@ -187,7 +187,8 @@ def augment(config: AugmentConfig, progress: Progress = no_progress) -> Augmenta
     from pneutac_datasets.demonstrations.episodes import POINTS, further_features
     from pneutac_sim.gel.sensor import TactileSensor
 
-    sensor, station = None, Station.load(config.station) if config.station else Station()
+    sensor, file = None, station_file(config.dataset.root, config.station)
+    station = Station.load(file) if file else Station()
     if config.method == "tactile":
         twin = Twin.load(config.twin) if config.twin else Twin.builtin()
         faults = demonstration_faults(config.dataset.root, twin, station.control_hz)
@@ -211,13 +212,15 @@ def augment(config: AugmentConfig, progress: Progress = no_progress) -> Augmenta
             config.seed,
             attempts=config.attempts,
             conditions=config.conditions,
-            station=config.station,
+            station=file,
             tactile_points=POINTS in further,
             cameras={
                 key.split(".")[-1]: tuple(f["shape"][:2]) for key, f in further.items() if key != POINTS
             },
         )
         summary = augment_guided(meta, setup, *new, config.workers, progress, config.check_mpm)
+    if file:
+        station.save(config.output.root / "meta")
     return Augmentation(config, summary, references)
 
 

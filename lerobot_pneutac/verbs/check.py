@@ -18,7 +18,7 @@ from pneutac_sim.finger.online import COMPUTED
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.checks import check_networks, out_of_reach
-from pneutac_sim.world.station import Station
+from pneutac_sim.world.station import Station, station_file
 from pneutac_sim.world.station_faults import station_faults
 
 MARKS = "twin.yaml", "recording.json", "meta/info.json"  # what is in a folder that can be looked at
@@ -47,7 +47,7 @@ def check_path(path: str | Path, twin: Twin | None = None, station: Station | No
     Args:
         path: of a twin, a bench recording or a LeRobotDataset, or the file of a station.
         twin: on which demonstrations are augmented, or that works in the station; default the built-in one.
-        station: in which demonstrations were recorded; default the paper's.
+        station: in which demonstrations were recorded; default the one left in their `meta`, or the paper's.
 
     Raises:
         InputError: there is no such folder, or it holds nothing but further ones.
@@ -61,7 +61,9 @@ def check_path(path: str | Path, twin: Twin | None = None, station: Station | No
     if (path / "twin.yaml").is_file():
         return Checked(path, "twin", *_twin(path))
     if not (path / "recording.json").is_file() and is_demonstrations(path):
-        faults = demonstration_faults(path, twin or Twin.builtin(), (station or Station()).control_hz)
+        left = station_file(path)
+        station = station or (Station.load(left) if left else Station())
+        faults = demonstration_faults(path, twin or Twin.builtin(), station.control_hz)
         return Checked(path, "demonstrations", faults, demonstration_notes(path))
     inside = [d.name for d in sorted(path.iterdir()) if any((d / mark).is_file() for mark in MARKS)]
     if inside and not (path / "recording.json").is_file():

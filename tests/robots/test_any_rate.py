@@ -73,6 +73,8 @@ def test_30_hz_are_recorded_checked_augmented_and_learnt(station, recorded, tmp_
         "workers": 1,
     }
     augment(AugmentConfig(**options, station=station))
+    assert Station.load(tmp_path / "more" / "meta" / "station.yaml") == Station.load(station)
+    (recorded / "meta" / "station.yaml").unlink()
     more = LeRobotDatasetMetadata("local/more", tmp_path / "more")
     assert (more.fps, more.total_episodes) == (30, 1)
     with pytest.raises(InputError, match="30 fps, but the station's control rate is 15 Hz; give the station"):

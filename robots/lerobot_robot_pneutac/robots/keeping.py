@@ -1,4 +1,4 @@
-"""What a robot knows of the episodes that LeRobot records, and adds to them: their rate, by the clock.
+"""What a robot knows of the episodes that LeRobot records, and adds to them: its station, and their rate.
 
 LeRobot 0.6 gives a robot no hook for episodes, stores frame / fps as a frame's time, and observes a robot in
 the pause between episodes as within them. What it announces in the log, and how many frames it counts, tell
@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import override
 from weakref import ref
 
+from lerobot_robot_pneutac.options import station_of
 from lerobot_robot_pneutac.robots.base_robot import BaseRobot
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import whole
@@ -27,7 +28,7 @@ logger = logging.getLogger(__name__)
 
 
 class Keeper(logging.Handler):
-    """Adds each episode's pace to the dataset that LeRobot records here, and writes its `info.json` whole.
+    """Adds station and pace to the dataset that LeRobot records here, and writes its `info.json` whole.
 
     While the robot lives, a new dataset of its type has its rate, or is refused.
 
@@ -95,6 +96,8 @@ class Keeper(logging.Handler):
         with whole(fpath) as part:
             part.write_text(json.dumps(data, indent=4, ensure_ascii=False), encoding="utf-8")
         if frames > 1 and self._times_s is not None and len(self._times_s) >= frames:
+            if robot is not None:
+                keep_station(robot, fpath.parent)
             self._keep(fpath.parent, data["total_episodes"] - 1, data["fps"], self._times_s[:frames])
         if frames:
             self._times_s = None
@@ -130,6 +133,16 @@ class Keeper(logging.Handler):
                 "Episode %d ran at %.1f Hz and not at %g: its motions are stored as faster than they were.",
                 *(episode, pace.achieved_hz, fps),
             )
+
+
+def keep_station(robot: BaseRobot, meta: Path) -> None:
+    """Leaves the station that a robot was given in its dataset's folder `meta`, for all who replay it.
+
+    A real robot's may be of its limits and rate alone, with another arm: that is not left.
+    """
+    station = station_of(robot.config.station)
+    if robot.config.station is not None and station.joints == robot.config.joints:
+        station.save(meta)
 
 
 def _load_episodes(data: Path, features=None, episodes: list[int] | None = None):

@@ -3,16 +3,18 @@
 import dataclasses
 import difflib
 import math
+import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 from pneutac_sim.errors import InputError, shown
 from pneutac_sim.features import CONTROL_HZ, PAPER_LENGTH_MM, RATES_HZ
-from pneutac_sim.files import read_yaml
+from pneutac_sim.files import read_yaml, whole
 from pneutac_sim.world.arms import ARMS, ArmFile, joints_of, make_arm, read_arm
 from pneutac_sim.world.arms.chain import Chain
 from pneutac_sim.world.panda import Panda
@@ -20,6 +22,7 @@ from pneutac_sim.world.panda import Panda
 MOST_LATE_S = 1.0
 MISSING_M = 0.003  # by which a place that is out of the arm's reach is missed
 FORMAT = "pneutac-station/1"
+FILE = "station.yaml"
 
 
 @dataclass(frozen=True)
@@ -136,6 +139,30 @@ class Station:
             return cls(**content)
         except InputError as e:
             raise InputError(f"{file}: {e}") from e
+
+    def save(self, folder: str | Path) -> None:
+        """Writes `station.yaml` into a folder, and a copy of the arm's own file beside it."""
+        content = {name: value for name, value in dataclasses.asdict(self).items() if value is not None}
+        if isinstance(self.arm, ArmFile):
+            file = Path(folder) / f"arm{Path(self.arm.urdf).suffix}"
+            shutil.copyfile(self.arm.urdf, file)
+            content["arm"]["urdf"] = file.name
+        with whole(Path(folder) / FILE) as part:
+            part.write_text(yaml.safe_dump({"format": FORMAT} | content, sort_keys=False))
+
+
+def station_file(dataset: str | Path, given: Path | None = None) -> Path | None:
+    """The file of the station in which a dataset was recorded: the one that is given, or that was left in it.
+
+    Args:
+        dataset: its folder, in whose `meta` the robot that recorded it left its station.
+        given: is taken first.
+
+    Returns:
+        None where there is neither: it was the paper's.
+    """
+    left = Path(dataset) / "meta" / FILE
+    return given or (left if left.is_file() else None)
 
 
 def unknown_field(name: Any, names: Sequence[str]) -> str:

@@ -7,6 +7,9 @@ import numpy as np
 import pytest
 
 from lerobot_pneutac import Demonstrations, InputError, Recording, Twin, add, calibrate, compare, diagnose
+from lerobot_pneutac.cli import compare as compare_verb
+from lerobot_pneutac.cli import design as design_verb
+from lerobot_pneutac.cli import report as report_verb
 from lerobot_robot_pneutac.standin.gel import new_gel
 from lerobot_robot_pneutac.standin.world import Physics, StandinWorld
 from pneutac_datasets.demonstrations.episodes import Episode
@@ -15,6 +18,7 @@ from pneutac_sim.features import AREA, CONTROL_HZ
 from pneutac_sim.world.expert import ScriptedExpert
 
 STEPS = 220
+GOLDEN = Path(__file__).parents[2] / "golden" / "recordings"
 
 
 def shown(count, seed, physics=None, task="button"):
@@ -138,3 +142,12 @@ def test_ten_demonstrations_reveal_what_is_hidden_in_the_stand_in(measured, hidd
     diagnosis = diagnose(measured, shown(10, 100, hidden), jobs=1)
     assert ([family(e) for e in diagnosis.selected][:1] or [None]) == [found]
     assert diagnosis.after["heldout"] <= left * diagnosis.before["heldout"]
+
+
+@pytest.mark.parametrize(
+    ("verb", "option"), [(compare_verb, "--later"), (design_verb, "--diagnosis"), (report_verb, "--rrd")]
+)
+def test_what_takes_bench_recordings_alone_says_so(verb, option, tmp_path):
+    twin, value = Twin.builtin().save(tmp_path / "twin"), tmp_path / "out.rrd"
+    with pytest.raises(InputError, match="demos holds demonstrations; .* a bench recording of the device."):
+        verb.main([f"--twin={twin}", f"--recording={GOLDEN / 'demos'}", f"{option}={value}"])

@@ -1,6 +1,7 @@
 import json
 import logging
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from lerobot.datasets import LeRobotDataset, dataset_reader, io_utils
@@ -8,6 +9,7 @@ from lerobot.datasets import LeRobotDataset, dataset_reader, io_utils
 from lerobot_robot_pneutac.robots.keeping import Keeper
 from pneutac_sim.errors import InputError
 from pneutac_sim.pace import PACE_FILE, Pace, pace_notes, read_pace
+from pneutac_sim.world.station import Station
 
 DEMOS = Path(__file__).parents[2] / "golden/recordings/demos"
 SECONDS = "lerobot_robot_pneutac.robots.keeping.time.perf_counter"
@@ -20,6 +22,7 @@ class Lone:
 
     def __init__(self):
         self.told = []
+        self.config = SimpleNamespace(station=None)
 
     def announced(self, begins):
         self.told.append(begins)
@@ -67,8 +70,10 @@ def test_an_episode_is_what_was_observed_after_it_was_announced(keeper, monkeypa
     assert "fell short of 15 Hz in episode 0 (7.5 Hz, 1 frames late)" in note
 
 
-def test_a_robot_that_waits_for_its_frames_has_no_pace(keeper, monkeypatch, tmp_path, caplog):
+def test_a_dataset_keeps_the_station_and_what_waits_has_no_pace(keeper, monkeypatch, tmp_path, caplog):
     robot = Lone()
+    robot.config = SimpleNamespace(station=tmp_path / "mine.yaml", joints=5)
+    robot.config.station.write_text("format: pneutac-station/1\narm: so101\nlatency_s: 0.1\n")
     waiting = Keeper(15, robot, waits=True)
     waiting.connect()
     save(tmp_path, 0, 0)
@@ -78,6 +83,7 @@ def test_a_robot_that_waits_for_its_frames_has_no_pace(keeper, monkeypatch, tmp_
     save(tmp_path, 1, 3)
     waiting.disconnect()
     assert robot.told == [True, False] and read_pace(tmp_path) == {}
+    assert Station.load(tmp_path / "station.yaml") == Station(arm="so101", latency_s=0.1)
     assert "ran at 5.0 Hz and not at 15, so its 3 frames are 0.2 s of the simulated world" in caplog.text
 
 

@@ -107,7 +107,8 @@ def load_demonstrations(
         task: in front of the robot; left out, the one that the dataset's instruction names.
         twin: whose sensor and range of pressures they have; left out, the built-in one.
         only: numbers of the episodes that are read; left out, all.
-        station: file `station.yaml` of where they were recorded; left out, the paper's.
+        station: file `station.yaml` of where they were recorded; left out, the one that the robot left in the
+            dataset's `meta`, or the paper's.
 
     Raises:
         InputError: it is no dataset of this robot, has no such episode, or they cannot serve as measurements.
@@ -117,7 +118,7 @@ def load_demonstrations(
 
     from pneutac_datasets.demonstrations.episodes import load_episode
     from pneutac_datasets.demonstrations.faults import is_demonstrations
-    from pneutac_sim.world.station import Station
+    from pneutac_sim.world.station import Station, station_file
 
     folder = Path(name)
     if not is_demonstrations(folder):
@@ -127,8 +128,9 @@ def load_demonstrations(
             raise InputError(
                 f"There is no folder '{name}', and no dataset of that name on the Hub ({e})."
             ) from e
-    where = replace(Station.load(station) if station else Station(), control_hz=CONTROL_HZ)
-    _refuse(folder, twin or Twin.builtin(), where)
+    file = station_file(folder, station)
+    where = replace(Station.load(file) if file else Station(), control_hz=CONTROL_HZ)
+    _refuse(folder, twin or Twin.builtin(), where, file)
     dataset = LeRobotDataset(f"local/{folder.name}", folder, video_backend="pyav", return_uint8=True)
     count = dataset.meta.total_episodes
     if missing := [i for i in only or () if not 0 <= i < count]:
@@ -196,7 +198,7 @@ def _touch_anew(given: Demonstrations) -> Demonstrations:
     return replace(given, episodes=episodes, warnings=[*given.warnings, told])
 
 
-def _refuse(folder: Path, twin: Twin, station: Station) -> None:
+def _refuse(folder: Path, twin: Twin, station: Station, file: Path | None) -> None:
     from pneutac_datasets.demonstrations.faults import demonstration_faults
 
     info = json.loads((folder / "meta" / "info.json").read_text(encoding="utf-8"))
@@ -212,8 +214,8 @@ def _refuse(folder: Path, twin: Twin, station: Station) -> None:
     joints = joint_count(len(info["features"]["observation.state"]["names"]))
     if joints != station.joints:
         raise InputError(
-            f"{folder / 'meta' / 'info.json'}: the arm has {joints} joints, and the station's"
-            f" {station.joints}; give the station in which they were recorded by --station=."
+            f"{folder / 'meta' / 'info.json'}: the arm has {joints} joints, and that of {file or 'the paper'}"
+            f" {station.joints}; lay the station.yaml in which they were recorded beside it."
         )
 
 

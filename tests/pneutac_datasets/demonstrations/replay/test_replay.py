@@ -199,5 +199,5 @@ def test_a_dataset_of_another_robot_is_refused_before_any_work(tmp_path, monkeyp
         load_demonstrations(described(features=features))
     features["observation.state"] = {"names": list(state_names(6))}
     monkeypatch.setattr(faults, "demonstration_faults", lambda *_: [])
-    with pytest.raises(InputError, match="the arm has 6 joints, and the station's 7; give the station"):
+    with pytest.raises(InputError, match="6 joints, and that of the paper 7; lay the station.yaml in which"):
         load_demonstrations(described(features=features))
