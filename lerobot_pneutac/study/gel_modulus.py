@@ -12,7 +12,8 @@ from scipy import stats
 
 from pneutac_datasets.recording.gel import GelRecording, GelSample
 from pneutac_sim.errors import InputError
-from pneutac_sim.gel.force import MATERIAL, MODULUS, MODULUS_MPA, GelForce
+from pneutac_sim.gel.force import GelForce
+from pneutac_sim.gel.material import MATERIAL, MODULUS, MODULUS_MPA
 from pneutac_sim.twin import Twin, Value
 
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.mpm.solid import parameter
+from pneutac_sim.mpm.parameters import parameter
 from pneutac_sim.twin import Twin
 
 # kappa w E / p of a bent body of width w: about 1.5 for a solid bar with a hole in it (A h w / I), 8 for the

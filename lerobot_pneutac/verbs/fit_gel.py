@@ -285,7 +285,7 @@ def _material_points(twin: Twin, data: GelRecording, effects: Sequence[str] | No
 
 
 def _material(twin: Twin) -> str:
-    from pneutac_sim.mpm.solid import parameter
+    from pneutac_sim.mpm.parameters import parameter
 
     name = "gel_poissons_ratio"
     return f"Poisson's ratio {parameter(twin, name):g}{'' if name in twin.parameters else ', assumed'}"

@@ -27,15 +27,10 @@ import numpy as np
 from scipy import fft
 
 from pneutac_sim.errors import InputError
+from pneutac_sim.gel.material import MATERIAL, MODULUS, MODULUS_MPA, POISSONS_RATIO
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.probe import COLS, ROWS
 from pneutac_sim.twin import Twin
-
-# Of a gel whose twin does not tell: Ecoflex 00-31 with a coat of paint, about 0.1 MPa.
-MODULUS = "gel_youngs_modulus_mpa"
-MATERIAL = {MODULUS: 0.1, "gel_poissons_ratio": 0.46}
-# Beyond these a gel is no rubber.
-MODULUS_MPA, POISSONS_RATIO = (0.005, 2.0), (0.0, 0.495)
 
 STICKS = 0.785
 RIM, RIM_SHARE = 0.64, 0.47  # of the force at a side; of the thickness, over which that fades

@@ -21,6 +21,7 @@ from scipy import ndimage, sparse
 from scipy.sparse.linalg import splu
 
 from pneutac_sim.gel import optics
+from pneutac_sim.gel.material import MATERIAL, MODULUS
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.photograph import to_grid
 from pneutac_sim.gel.probe import COLS, ROWS
@@ -35,7 +36,6 @@ EDGE = 0.4  # of a contact's deepest point: the surface there is where it leaves
 SHALLOWEST_MM = 0.08  # of a contact
 # Over E / t: of ten presses of balls, punches, an edge and a cone into 2.5 mm of material points, 2.1 to 3.0.
 BED = 2.55
-MODULUS_MPA = 0.1  # where a twin does not tell
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class TouchReader:
         youngs_modulus_mpa: of the gel, for the force.
     """
 
-    def __init__(self, gel: GelModel, youngs_modulus_mpa: float = MODULUS_MPA):
+    def __init__(self, gel: GelModel, youngs_modulus_mpa: float = MATERIAL[MODULUS]):
         self.gel, self._bed = gel, BED * youngs_modulus_mpa / gel.thickness_mm
         self._cell = gel.window_mm[0] / COLS, gel.window_mm[1] / ROWS
         self._rest = to_grid(gel.rest_image)
@@ -101,8 +101,8 @@ class TouchReader:
     @classmethod
     def of_twin(cls, twin: Twin) -> Self:
         """Of a twin's gel, and its modulus where it is known."""
-        known = twin.parameters.get("gel_youngs_modulus_mpa")
-        return cls(GelModel.from_twin(twin), MODULUS_MPA if known is None else known.value)
+        known = twin.parameters.get(MODULUS)
+        return cls(GelModel.from_twin(twin), MATERIAL[MODULUS] if known is None else known.value)
 
     def read(self, image: np.ndarray, rest: np.ndarray | None = None) -> Touch:
         """Touch in an image.

@@ -23,7 +23,8 @@ from pneutac_sim.gel.probe import COLS, ROWS
 from pneutac_sim.mpm.body import Body, Material
 from pneutac_sim.mpm.figure import centre_m, half_edge_m
 from pneutac_sim.mpm.loads import Loads
-from pneutac_sim.mpm.solid import bending_body, parameter
+from pneutac_sim.mpm.parameters import parameter
+from pneutac_sim.mpm.solid import bending_body
 from pneutac_sim.mpm.spine import Spine
 from pneutac_sim.mpm.total_lagrangian import TotalLagrangian
 from pneutac_sim.twin import Twin

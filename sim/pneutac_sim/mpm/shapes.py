@@ -4,10 +4,10 @@ import numpy as np
 import trimesh
 
 from pneutac_sim.gel.model import GelModel
+from pneutac_sim.mpm.parameters import WIDTH_MM
 from pneutac_sim.mpm.user_mesh import stored_mesh
 from pneutac_sim.twin import Twin
 
-WIDTH_MM = {"finger": 20.0, "arm": 40.0}
 # DIGIT's housing is 27 x 20 x 18 mm (Lambeta et al. 2020); it lies beyond the tip, back against the mount.
 DIGIT_LENGTH_M, DIGIT_HALF_HEIGHT_M = 0.027, 0.009
 MOUNT_OVERLAP_M, MOUNT_WALL_M, MOUNT_PLAY_M = 0.012, 0.003, 0.0002

@@ -6,7 +6,7 @@ import numpy as np
 
 from pneutac_sim.finger.pipeline import Pipeline
 from pneutac_sim.finger.stages import base_parameters
-from pneutac_sim.mpm.solid import parameter
+from pneutac_sim.mpm.parameters import parameter
 from pneutac_sim.twin import Twin, Value
 
 STEP = 0.15  # of each gain, the paper's
