@@ -147,7 +147,9 @@ class BodyStudy(BodyWords):
         columns, _ = headline(self.recording)
         J = model.jacobian.reshape(len(search.rows), -1, model.jacobian.shape[1])[:, : len(columns)]
         residual, trial = self.fitted(model).residual, np.asarray(self.recording.samples["trial"])
-        slip = find_slip(residual, trial, search.rows, J.reshape(-1, J.shape[2]), self.noise.value)
+        predicted = self.recording.samples[columns].to_numpy(float) - residual
+        J = J.reshape(-1, J.shape[2])
+        slip = find_slip(residual, predicted, trial, search.rows, J, self.noise.value)
         if slip is None or len(was[1]) - self._checked >= MOST_SLIPS:
             return None
         row, shift = slip

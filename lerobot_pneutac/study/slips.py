@@ -2,7 +2,8 @@
 
 No device does that: what its pressure history moves comes with the pressure or fades, and is not the same at
 each pressure. So a slip is the moment at which a residual jumps between two samples by just the distance by
-which, later and in every further trial, the whole rest of the recording is shifted.
+which, later and in every further trial, the whole rest of the recording is shifted. Where the body itself
+moves farther between these samples, a residual jumps by whatever the model does not know yet.
 """
 
 import numpy as np
@@ -14,12 +15,18 @@ ENDS = 20  # samples at both ends of a recording where nothing lasts
 
 
 def find_slip(
-    residual: np.ndarray, trial: np.ndarray, rows: np.ndarray, jacobian: np.ndarray, noise: float
+    residual: np.ndarray,
+    predicted: np.ndarray,
+    trial: np.ndarray,
+    rows: np.ndarray,
+    jacobian: np.ndarray,
+    noise: float,
 ) -> tuple[int, np.ndarray] | None:
     """Where the measured pose slips, and by how much.
 
     Args:
         residual: (n, k) measured - predicted, all samples.
+        predicted: (n, k).
         trial: (n,) number of each sample's trial, each in one piece.
         rows: (m,) samples by which it may be judged.
         jacobian: (m k, F) of the prediction at these rows, by all that a refit could move.
@@ -32,13 +39,15 @@ def find_slip(
     begin = np.flatnonzero(np.r_[True, trial[1:] != trial[:-1]])
     piece = np.searchsorted(begin, np.arange(n), side="right") - 1
     first, last = begin[piece], np.r_[begin[1:], n][piece] - 1
-    jump = np.zeros((n, k))
+    jump, move = np.zeros((n, k)), np.zeros((n, k))
     for i in range(ENDS, n - ENDS):
-        before = residual[max(i - NEAR, first[i]) : i]
-        after = residual[i : min(i + NEAR, last[i] + 1)]
-        if min(len(before), len(after)) >= LEAST_NEAR:  # between trials a payload may change
-            jump[i] = after.mean(axis=0) - before.mean(axis=0)
+        before, after = slice(max(i - NEAR, first[i]), i), slice(i, min(i + NEAR, last[i] + 1))
+        if min(before.stop - before.start, after.stop - after.start) < LEAST_NEAR:
+            continue  # between trials a payload may change
+        jump[i] = residual[after].mean(axis=0) - residual[before].mean(axis=0)
+        move[i] = predicted[after].mean(axis=0) - predicted[before].mean(axis=0)
     size = np.linalg.norm(jump, axis=1)
+    size[np.linalg.norm(move, axis=1) > size] = 0.0
     best, gain = None, 0.0
     Q = np.linalg.qr(jacobian / (np.linalg.norm(jacobian, axis=0) + 1e-12))[0]
     r = residual[rows].ravel()

@@ -138,15 +138,19 @@ FLOOR = 0.5  # its square is a quarter
 
 
 class Written:
-    """A model with this mean square error. `patchy`: all of it in two of the forty blocks."""
+    """A model with this mean square error.
 
-    def __init__(self, effects, value, cost=None, patchy=False):
+    `patchy`: all of it in two of the forty blocks. `ahead`: of rows after all that were fitted.
+    """
+
+    def __init__(self, effects, value, cost=None, patchy=False, ahead=None):
         self.effects, self.cost = effects, len(effects) + 1 if cost is None else cost
+        self.ahead = value if ahead is None else ahead
         self.form = SimpleNamespace(effects=effects)
         self._crossed = np.where(UNIT >= UNITS - 2, 20 * value, 0.0) if patchy else np.full(N, float(value))
 
     def crossed(self, fold):
-        return self._crossed
+        return self._crossed if np.min(fold) >= 0 else np.where(fold < 0, 0.0, float(self.ahead))
 
 
 class Table:
@@ -333,6 +337,30 @@ def test_what_must_be_kept_is_not_taken_away():
     assert found.base.model.effects == ("S",) and set(found.final.model.effects) == {"A", "S"}
     assert set(found.without) == {"A"}
     assert find(rows | {"A": 1.0}, bases=("S",))[1].final.model.effects == ("A",)
+
+
+# ---------------------------------------------------------------- forward in time
+
+
+def test_an_addition_must_foretell_what_comes_after():
+    """Between blocks that were fitted any slow course does well; what comes after tells it apart."""
+    t = np.arange(N) / N
+    columns = {"T": np.exp(-t / 0.4), "A": smooth(5)}
+
+    def found(course):
+        y = course + NOISE * np.random.default_rng(9).normal(size=N)
+        return Search(LinearSpace(columns, y), JUDGE, FOLD, NOISE).find().final.model.effects
+
+    assert found(2 * columns["T"]) == ("T",)
+    assert found(np.where(t < 0.85, 2 * columns["T"], 1.0)) == ()
+
+
+def test_of_others_the_best_is_taken_where_an_addition_does_not_foretell():
+    rows = {"": 4.25, "T": {"value": 1.0, "ahead": 9.0}, "A": 2.0, "AT": {"value": 0.9, "ahead": 9.0}}
+    _, found = find(rows)
+    assert found.final.model.effects == ("A",)
+    assert not any("T" in s.model.effects for others in found.rivals for s in others)
+    assert find(rows | {"T": 1.0})[1].final.model.effects == ("T",)
 
 
 # ---------------------------------------------------------------- where it begins
