@@ -81,7 +81,7 @@ class Result:
         page.about = about(*self.subject())
         if self.next_command:
             page.heading("Next")
-            page.code(self.next_command)
+            page.code(_going_on(self.next_command, command))
         if command:
             page.heading("Do it again")
             page.code(command)
@@ -119,6 +119,13 @@ def about(twin: Twin | None, recording: str | Path = "") -> str:
     if recording:
         parts.append(f"Recording: `{Path(recording).name}`.")
     return " ".join(parts)
+
+
+def _going_on(next_command: str, command: str) -> str:
+    """A next command on the same demonstrations, with what was told of them: what stood there, and where."""
+    told = [a for a in shlex.split(command) if a.startswith(("--task=", "--station="))]
+    same = "--recording=" in command and next_command.startswith("pneutac")
+    return f"{next_command} {shlex.join(told)}" if told and same else next_command
 
 
 def command_on(verb: str, twin: Twin, recording: str | Path, *options: str) -> str:

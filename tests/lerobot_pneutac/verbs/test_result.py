@@ -115,5 +115,18 @@ def test_a_report_names_twin_version_and_recording_and_what_comes_next(body, tmp
     assert shown.replace("&#39;", "'") == result.next_command and f"--recording={recording}" in shown
 
 
+def test_the_next_command_is_told_of_demonstrations_what_the_first_was(tmp_path):
+    class Found(Result):
+        title, next_command = "found", "pneutac add --twin=t --recording=d"
+
+        def to_dict(self):
+            return {}
+
+    first = "pneutac diagnose --twin=t --recording=d --task=button '--station=my lab.yaml' --seed=1"
+    page = Found().report(tmp_path, first).read_text()
+    assert "--recording=d --task=button &#39;--station=my lab.yaml&#39;</pre>" in page
+    assert "<pre>pneutac add --twin=t --recording=d</pre>" in Found().report(tmp_path).read_text()
+
+
 def test_a_twin_in_no_folder_is_named_by_its_device(gel, tmp_path):
     assert "Twin: gel, as it was made." in gel["new"].report(tmp_path).read_text()
