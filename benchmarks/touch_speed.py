@@ -15,9 +15,10 @@ from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from pneutac_sim.gel.fit import fit_gel, press_depth
+from pneutac_sim.gel.fit import fit_gel
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
+from pneutac_sim.gel.photograph import press_depth
 from pneutac_sim.gel.probe import BOX, CAPSULE, SPHERE, probe_grid
 from pneutac_sim.gel.sensor import TactileSensor
 

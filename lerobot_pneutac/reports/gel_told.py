@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 
 from pneutac_sim.gel.channel import ERROR_LEVELS
-from pneutac_sim.gel.fit import GelFit
 from pneutac_sim.gel.layout import LIKE
 from pneutac_sim.gel.photograph import PressPhotograph
+from pneutac_sim.gel.problem import GelFit
 from pneutac_sim.gel.told import Told
 
 ENOUGH_LEVELS = ERROR_LEVELS / 4  # what is open beside the model's own error, which no press removes
@@ -64,10 +64,19 @@ def moved_sentences(stated: Sequence[PressPhotograph], fit: GelFit) -> list[str]
 
 
 def residual_sentence(fit: GelFit) -> str:
-    """That what the model leaves over was learnt; empty where it was not."""
-    if fit.gel.residual is None:
-        return ""
-    return "What the model leaves over of the presses is learnt too, as far as they bear one another out."
+    """What was added to the light of other sensors' and of the presses' residual fields; empty if nothing."""
+    out = []
+    if fit.lent:
+        share = {0.25: "A quarter", 0.5: "Half"}.get(fit.lent, f"{fit.lent:.0%}")
+        out.append(
+            f"{share} of what the model leaves over on other sensors of the make {fit.make} is added, which "
+            "explains the presses best."
+        )
+    if fit.gel.residual is not None:
+        out.append(
+            "What the model leaves over of the presses is learnt too, as far as they bear one another out."
+        )
+    return " ".join(out)
 
 
 def _grouped(untold: tuple[str, ...]) -> str:

@@ -10,11 +10,12 @@ from lerobot_pneutac.diagnosis.steps import Steps
 from lerobot_pneutac.study.gel_model import at_bound, calibration_pairs
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_sim.effects.registry import get_effect
-from pneutac_sim.gel.fit import GelFit, fit_photographs
+from pneutac_sim.gel.fit import fit_photographs
 from pneutac_sim.gel.makes import library
 from pneutac_sim.gel.metrics import CONTACT_DISC
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.photograph import Predictor
+from pneutac_sim.gel.problem import GelFit
 from pneutac_sim.twin import Twin
 
 PROMISE = 0.01  # of the mean square error on the fitted photographs: least fall for which a set is judged

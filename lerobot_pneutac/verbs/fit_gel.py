@@ -26,12 +26,13 @@ from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
-from pneutac_sim.gel.fit import GelFit, fit_presses
+from pneutac_sim.gel.fit import fit_presses
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.makes import library, save
 from pneutac_sim.gel.metrics import ImageScores, score
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.pair import Pair, check_pair
+from pneutac_sim.gel.problem import GelFit
 from pneutac_sim.gel.told import Told, told
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
@@ -131,7 +132,7 @@ class GelCalibration(Calibration):
             InputError: see `gel.makes.save`.
         """
         source = f"{self.recording}, {len(self.data.presses)} of its presses"
-        return save(name, self.fit.gel, self.fit.channels, source)
+        return save(name, self.fit.gel, self.fit.channels, source, self.fit.leftovers)
 
     def remarks(self) -> list[str]:
         """Make, time and what to look at."""

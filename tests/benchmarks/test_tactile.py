@@ -142,6 +142,7 @@ def test_another_sessions_rest_image_takes_a_baselines_change(data):
 
 def test_a_digit_is_never_lent_constants_that_were_found_on_it():
     assert makes_for("digit_nagoya", "digit_fots") == (FOUND_ALONE["digit_nagoya"],)
+    assert not makes_for("digit_nagoya", "digit_fots")[0].units, "it would lend the target's own field"
     assert makes_for("digit_fots", "gelsight_thu") == (DIGIT,)
     for name, other in methods.OTHER_UNIT.items():
         assert other != name and FOUND_ALONE[other] != FOUND_ALONE[name]

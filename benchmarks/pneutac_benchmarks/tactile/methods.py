@@ -23,13 +23,21 @@ from pneutac_sim.twin import Twin
 Predict = Callable[[GelSample], np.ndarray]
 
 # The library's DIGIT was found on photographs of both of these units, held-out ones among them. These are the
-# same constants found on one unit alone.
+# same constants found on one unit alone. Residual fields need no such care: none is lent to its own unit.
 FOUND_ALONE = {
     "digit_nagoya": Layout(
-        "DIGIT", ((8.48, -7.73), (-11.55, -5.02), (9.85, 76.5)), (1.34, 3.4, 0.33), DIGIT.proportions
+        "DIGIT",
+        ((8.48, -7.73), (-11.55, -5.02), (9.85, 76.5)),
+        (1.34, 3.4, 0.33),
+        DIGIT.proportions,
+        units=DIGIT.units,
     ),
     "digit_fots": Layout(
-        "DIGIT", ((7.02, -6.78), (-13.8, -6.25), (35.6, 139.0)), (1.3, 2.34, 0.42), DIGIT.proportions
+        "DIGIT",
+        ((7.02, -6.78), (-13.8, -6.25), (35.6, 139.0)),
+        (1.3, 2.34, 0.42),
+        DIGIT.proportions,
+        units=DIGIT.units,
     ),
 }
 OTHER_UNIT = {"digit_nagoya": "digit_fots", "digit_fots": "digit_nagoya"}
@@ -154,5 +162,7 @@ METHODS = {
 
 
 def makes_for(source: str, target: str) -> tuple[Layout, ...]:
-    """Makes that a gel fitted to one set may know without having seen another one."""
-    return (FOUND_ALONE[source],) if source in FOUND_ALONE and target in FOUND_ALONE else (DIGIT,)
+    """Makes that a gel fitted to one set may know without having seen another one; they lend it no field."""
+    if source in FOUND_ALONE and target in FOUND_ALONE:
+        return (replace(FOUND_ALONE[source], units=()),)
+    return (DIGIT,)

@@ -9,11 +9,9 @@ from pneutac_sim.effects.sensor_effect import SensorEffect
 from pneutac_sim.gel import optics
 from pneutac_sim.gel.layout import Layout
 from pneutac_sim.gel.model import further_light
+from pneutac_sim.gel.residual import ERROR_LEVELS, INDEPENDENT
 from pneutac_sim.least_squares import minimise
 
-# What the model leaves over is smooth over a contact, so that a photograph counts as so many independent
-# pixels of this error.
-INDEPENDENT, ERROR_LEVELS = 100, 5.0
 DIFFERENCE = 1e-2  # of a prior's deviation, by which an unknown is moved to see what the light does
 
 # Unknowns of a channel beside those of effects: default, prior's deviation, bounds. The light is so many
@@ -170,6 +168,15 @@ class Channel:
         J = jacobian(found.v) / size
         self._information = J.T @ J + np.diag(1 / self._sd**2)
         return found.cost / 2
+
+    def seeing(self, seen: Sequence[np.ndarray]) -> "Channel":
+        """This channel with other differences, (rows, columns, 3) each, at the same solution."""
+        out = copy.copy(self)
+        out._parts = [
+            (box, centre, mask, difference[..., self._k][box][mask], *rest)
+            for (box, centre, mask, _, *rest), difference in zip(self._parts, seen, strict=True)
+        ]
+        return out
 
     def without(self, i: int, surfaces: Sequence[np.ndarray]) -> "Channel":
         """This channel fitted anew without photograph i, to the surfaces of all of them."""

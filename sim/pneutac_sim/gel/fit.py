@@ -7,77 +7,27 @@ photographs are averaged: the light varies no faster, and noise drops out.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import minimize, minimize_scalar
 
 from pneutac_sim.effects.registry import in_order, of_sensor, sensor_effects
-from pneutac_sim.effects.sensor_effect import SensorEffect
-from pneutac_sim.gel.channel import ERROR_LEVELS, INDEPENDENT, Channel, effects_of, priors
+from pneutac_sim.gel.beside import learn_beside, lend
 from pneutac_sim.gel.contact import quiet_threshold
 from pneutac_sim.gel.indenter import Press
-from pneutac_sim.gel.layout import DIGIT, Layout, Orientation, recognise, recognise_rest
-from pneutac_sim.gel.metrics import CONTACT_DISC
+from pneutac_sim.gel.layout import DIGIT, Layout
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.gel.optics import gradient
-from pneutac_sim.gel.optics import light as light_of
 from pneutac_sim.gel.pair import check_pair
-from pneutac_sim.gel.photograph import (
-    Pressed,
-    PressPhotograph,
-    drift_known,
-    gains,
-    press_depth,
-    registered,
-    session_light,
-    to_grid,
-)
-from pneutac_sim.gel.probe import COLS, ROWS, THICKNESS_MM
-from pneutac_sim.gel.residual import Leftover, ResidualField, learn, trusted_share
+from pneutac_sim.gel.photograph import Pressed, PressPhotograph
+from pneutac_sim.gel.probe import THICKNESS_MM
+from pneutac_sim.gel.problem import GelFit, Problem
 from pneutac_sim.gel.session import estimate_gains, refine_contacts, refine_press
-from pneutac_sim.gel.surface import DECAY_MM, surface
 
-DECAY_RANGE_MM = (0.3, 4.0)  # from a skin-thin layer to nearly Hertz' half-space on a 16 mm window
-DEPTH_SCALE_RANGE = (0.5, 1.0)
-DEPTH_SCALE_SD = 0.2  # of the logarithm: stated depths are mostly estimates
 # One photograph shows noise and compression, but not how far the light drifts until the next.
 MIN_THRESHOLD_LEVELS = 6.0
 SHADOW = "shadow"
 FIELD_PRESSES = 5  # from which on what the model leaves over is learnt; three tell too little of one another
 CONTACT_ROUNDS = 4  # of light and contacts in turn, where an effect changes these or presses are uncertain
-
-# A make's light is kept even at several times the cost: what a single pair says against it is mostly the
-# model's own error, and on two real DIGITs keeping it predicts other images better.
-TRUST_IN_MAKE = 3.0
-TRUST_IN_REST = 10.0  # the same where the rest image tells the make
-
-
-@dataclass
-class GelFit:
-    """What a fit found.
-
-    Attributes:
-        gel: the calibrated gel at the images' own resolution.
-        cost: half the sum of squares, with priors, that the fit made least.
-        evaluations: how many surfaces were tried.
-        make: the sensor's make, where its light was recognised.
-        orientation: which way round its images are against the make's.
-        likeness: correlation of the rest image with the likest make's; None where no make was looked for.
-        by_rest: whether the rest image told the make; else the directions of the light did, less surely.
-        channels: as solved, red, green and blue.
-        presses: where the photographs' presses were found to be, within what is uncertain of them.
-    """
-
-    gel: GelModel
-    cost: float
-    evaluations: int
-    make: str = ""
-    orientation: Orientation = field(default_factory=Orientation)
-    likeness: float | None = None
-    by_rest: bool = False
-    channels: list[Channel] = field(default_factory=list, repr=False)
-    presses: list[Press] = field(default_factory=list, repr=False)
 
 
 def fit_gel(
@@ -117,8 +67,8 @@ def fit_presses(
 ) -> GelFit:
     """Fits a gel to one press or several, whose lights are the same and whose drifts are each one's own.
 
-    From five presses on what the model leaves over of them is learnt too, see `gel.residual`, as far as
-    presses bear it out that it was not learnt from.
+    A make that is recognised lends what the model leaves over of its other sensors; from five presses on
+    what it leaves over of these is learnt too, see `gel.beside`.
 
     Args:
         presses: of one gel; the first one's rest image becomes the gel's.
@@ -141,29 +91,17 @@ def fit_presses(
     if effects is None and not fit.make and len(presses) == 1:
         names = [e for e in names if e != SHADOW]
         fit = fit_photographs(gel, presses, names, makes, pressed=pressed)
-    if names and pressed is None and len(presses) >= FIELD_PRESSES:
-        fit.gel.residual = _residual(fit, presses, names)
+    make = next((m for m in makes if m.name == fit.make), None)
+    enough = len(presses) >= FIELD_PRESSES
+    if names and pressed is None and (make or enough):
+        found = [replace(p, press=press) for p, press in zip(presses, fit.presses, strict=True)]
+        problem = Problem(fit.gel, found, in_order(of_sensor(names)))
+        fit.leftovers = problem.leftovers() if enough else []
+        if make:
+            lend(make, problem, fit)
+        if enough:
+            learn_beside(problem, fit)
     return fit
-
-
-def _residual(
-    fit: GelFit, photographs: Sequence[PressPhotograph], effects: Sequence[str]
-) -> ResidualField | None:
-    """The residual field of all presses, as far as fields of all but one bear out on that one.
-
-    The light is fitted anew without the one, since it would know it too well.
-    """
-    photographs = [replace(p, press=q) for p, q in zip(photographs, fit.presses, strict=True)]
-    problem = _Problem(fit.gel, photographs, in_order(of_sensor(effects)))
-    surfaces = problem.surfaces(fit.gel.decay_mm, fit.gel.depth_scale)
-    tried = []
-    for i in range(len(photographs)):
-        problem.gel = problem.lit([c.without(i, surfaces) for c in fit.channels])
-        others = problem.leftovers()
-        one = others.pop(i)
-        tried.append((learn(others, INDEPENDENT, ERROR_LEVELS), one))
-    share, problem.gel = trusted_share(tried), fit.gel
-    return learn(problem.leftovers(), INDEPENDENT, ERROR_LEVELS).times(share) if share else None
 
 
 def standard_effects() -> list[str]:
@@ -198,7 +136,7 @@ def fit_photographs(
     stated = [p.press for p in photographs]
     uncertain = pressed is None and any(p.sd for p in photographs)
     for left in reversed(range(CONTACT_ROUNDS if of_contacts or uncertain else 1)):
-        problem = _Problem(gel, photographs, chosen, pressed)
+        problem = Problem(gel, photographs, chosen, pressed)
         best = problem.best(makes, near, quick=quick or left > 0)
         if left:
             near, told = best.gel, (problem.masks, problem.seen, problem.rests)
@@ -215,141 +153,3 @@ def fit_photographs(
     if levels:
         best.gel.threshold_levels = max(MIN_THRESHOLD_LEVELS, float(np.median(levels)))
     return best
-
-
-def slope_light(gel: GelModel, pair: PressPhotograph, pressed: Pressed | None = None) -> np.ndarray:
-    """L (3, 2) of the paper's linear model fitted to one pair, levels per unit slope."""
-    return _Problem(gel, [pair], [], pressed).linear()
-
-
-class _Problem:
-    """The least-squares problem of some photographs and effects."""
-
-    def __init__(
-        self,
-        gel: GelModel,
-        photographs: Sequence[PressPhotograph],
-        effects: Sequence[SensorEffect],
-        pressed: Pressed | None = None,
-    ):
-        self.gel, self.photographs, self.pressed = gel, photographs, pressed
-        self.effects = [e for e in effects if e.of_channels]
-        self.cell = gel.window_mm[0] / COLS, gel.window_mm[1] / ROWS
-        self.depths = [press_depth(registered(p.press, gel), gel) for p in photographs]
-        self.masks = [to_grid(p.near(gel.px_per_mm)) > 0.5 for p in photographs]
-        self.rests = [to_grid(p.rest) for p in photographs]
-        self.seen = []
-        for p in photographs:
-            if drift_known(gel):
-                self.seen.append(to_grid(p.image / gains(gel, p.clock) - p.rest))
-            else:
-                drift = session_light(p, gel.px_per_mm)
-                self.seen.append(to_grid(p.image.astype(np.float32) - p.rest) - drift)
-        self.evaluations = 0
-
-    def surfaces(self, decay_mm: float, depth_scale: float) -> list[np.ndarray]:
-        us = self.closed(decay_mm, depth_scale) if self.pressed is None else self.given(depth_scale)
-        return [self.gel.surface(u, self.cell) for u in us]
-
-    def closed(self, decay_mm: float, depth_scale: float) -> list[np.ndarray]:
-        gel = replace(self.gel, depth_scale=depth_scale)
-        return [surface(gel.imprint(d), self.cell, decay_mm) for d in self.depths]
-
-    def given(self, depth_scale: float) -> list[np.ndarray]:
-        assert self.pressed is not None
-        return [self.pressed(registered(p.press, self.gel), depth_scale) for p in self.photographs]
-
-    def nearest_decay(self, depth_scale: float) -> float:
-        """Decay in mm of the closed form that is nearest to the given surfaces, by least squares."""
-        given = self.given(depth_scale)
-
-        def off(log_decay: float) -> float:
-            both = zip(self.closed(np.exp(log_decay), depth_scale), given, self.masks, strict=True)
-            return sum(float(np.square(u - v)[m].sum()) for u, v, m in both)
-
-        return float(np.exp(minimize_scalar(off, bounds=np.log(DECAY_RANGE_MM), method="bounded").x))
-
-    def leftovers(self) -> list[Leftover]:
-        """What the gel, as it is, leaves over of each photograph."""
-        gel, out = self.gel, []
-        each = zip(self.photographs, self.masks, self.seen, self.rests, strict=True)
-        surfaces = self.surfaces(gel.decay_mm, gel.depth_scale)
-        for u, (p, near, seen, rest) in zip(surfaces, each, strict=True):
-            weight = gel.weight_on(rest)
-            s = light_of(u, self.cell, gel.coefficients, gel.further).transpose(1, 2, 0)
-            contact = to_grid(p.near(gel.px_per_mm, CONTACT_DISC)) > 0.5
-            args = u, self.cell, gel.coefficients, weight, seen - weight * s, near, contact
-            out.append(Leftover.of(*args))
-        return out
-
-    def linear(self) -> np.ndarray:
-        """L (3, 2) of the paper's model, with the depth term, by linear least squares."""
-        us = self.surfaces(DECAY_MM, 1.0)
-        rows = [np.stack([*gradient(u, self.cell), u], -1)[m] for u, m in zip(us, self.masks, strict=True)]
-        seen = np.concatenate([s[m] for s, m in zip(self.seen, self.masks, strict=True)])
-        return np.linalg.lstsq(np.concatenate(rows), seen, rcond=None)[0].T[:, :2]
-
-    def best(self, makes: Sequence[Layout], near: GelModel | None, quick: bool) -> GelFit:
-        light, first = self.linear(), self.photographs[0]
-        free = best = self.search(light, None, near, quick)
-        by_rest, by_light, likeness = [], [], None
-        lenders = {e.name for e in sensor_effects().values() if e.lend}
-        for make in makes if lenders <= {e.name for e in self.effects} else ():
-            orientation, alike = recognise_rest(self.gel.rest_image, make)
-            likeness = max(likeness or 0.0, alike)
-            if orientation is not None:
-                by_rest.append((alike, make, orientation))
-                continue
-            size = self.gel.rest_image.shape[1::-1]
-            alone = light if len(self.photographs) == 1 else slope_light(self.gel, first, self.pressed)
-            orientation = recognise(alone, first.press.x_mm, first.press.y_mm, size, make)
-            if orientation is not None:
-                by_light.append((alike, make, orientation))
-        likest = [max(by_rest, key=lambda m: m[0])] if by_rest else by_light
-        for _, make, orientation in likest:
-            made = self.search(light, orientation.of(make), near or free.gel, quick)
-            trusted = made.cost < (TRUST_IN_REST if by_rest else TRUST_IN_MAKE) * free.cost
-            if trusted and (best is free or made.cost < best.cost):
-                made.make, made.orientation, made.by_rest, best = make.name, orientation, bool(by_rest), made
-        best.evaluations, best.likeness = self.evaluations, likeness
-        return best
-
-    def search(self, light: np.ndarray, layout: Layout | None, near: GelModel | None, quick: bool) -> GelFit:
-        """Nelder-Mead over decay, unless surfaces are given, and depth scale; channels solved at each."""
-        channels = []
-        for k in range(3):
-            prior = priors(k, light[k], layout, self.effects)
-            channels.append(Channel(k, self.effects, prior, self.cell, self.masks, self.seen, self.rests))
-        of = slice(0 if self.pressed is None else 1, 2)
-        low, high = np.log(np.transpose([DECAY_RANGE_MM, DEPTH_SCALE_RANGE]))[:, of]
-
-        def solve(x: np.ndarray) -> float:
-            self.evaluations += 1
-            inside = np.clip(x, low, high)
-            *decay, scale = np.exp(inside)
-            surfaces = self.surfaces(*decay or [DECAY_MM], scale)
-            outside = 1e3 * np.square(x - inside).sum()
-            return (
-                outside + 0.5 * (inside[-1] / DEPTH_SCALE_SD) ** 2 + sum(c.solve(surfaces) for c in channels)
-            )
-
-        start = np.log([DECAY_MM, 0.9] if near is None else [near.decay_mm, min(near.depth_scale, 0.98)])[of]
-        size = np.array([0.4, -0.15])[of] * (1.0 if near is None else 0.3)
-        options = {
-            "initial_simplex": start + np.vstack([np.zeros(len(size)), np.diag(size)]),
-            "xatol": 0.02,
-            "fatol": 0.02,
-            "maxfev": 40 if near is None else 6 if quick else 15,
-        }
-        found = minimize(solve, start, method="Nelder-Mead", options=options).x
-        cost = solve(found)
-        *decay, scale = np.exp(np.clip(found, low, high))
-        decay_mm = decay[0] if decay else self.nearest_decay(scale)
-        gel = replace(self.lit(channels), decay_mm=float(decay_mm), depth_scale=float(scale))
-        return GelFit(gel, float(cost), self.evaluations, channels=channels)
-
-    def lit(self, channels: Sequence[Channel]) -> GelModel:
-        """The gel with light and effects of these channels."""
-        rows = np.array([c.row for c in channels])
-        effects = self.gel.effects | effects_of([c.values for c in channels], self.effects)
-        return replace(self.gel, light=rows[:, :2], depth_light=rows[:, 2], effects=effects, residual=None)

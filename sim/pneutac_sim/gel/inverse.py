@@ -88,8 +88,8 @@ class TouchReader:
         self._cell = gel.window_mm[0] / COLS, gel.window_mm[1] / ROWS
         self._rest = to_grid(gel.rest_image)
         self._weight = gel.weight_on(self._rest).transpose(2, 0, 1).astype(float)
-        # The residual field doubles the time and makes depths no truer (benchmarks/notes/tactile.md).
-        self._light = gel.coefficients, replace(gel, residual=None).further
+        # Residual fields double the time and make depths no truer (benchmarks/notes/tactile.md).
+        self._light = gel.coefficients, replace(gel, lent=None, residual=None).further
         J, lap = _derivative(self._light[0], self._weight, self._cell), _laplacian(self._cell)
         damping = MU**2 * sparse.eye(ROWS * COLS) + LAMBDA**2 * lap.T @ lap
         self._solve, self._JT = splu((J.T @ J + damping).tocsc()).solve, J.T.tocsr()

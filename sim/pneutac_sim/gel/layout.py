@@ -19,6 +19,8 @@ from pneutac_sim.effects.rest_colour import MAKE_SD
 from pneutac_sim.effects.sensor_effect import CHANNELS
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import read_yaml, write_text
+from pneutac_sim.gel.residual import ResidualField, mean
+from pneutac_sim.gel.unit import Unit
 
 FORMAT = "pneutac-prior-1"
 KEPT = (12, 16)  # columns and rows of a rest image in a prior's file
@@ -46,6 +48,7 @@ class Layout:
         distances_sd_mm: how alike the lights' distances are.
         directions_sd_rad: how alike their directions are.
         exponents_sd: how alike the exponents are.
+        units: sensors of the make whose residual field is known, seen as the lights are.
     """
 
     name: str
@@ -56,6 +59,7 @@ class Layout:
     distances_sd_mm: tuple[float, float, float] = (MAKE_SD_MM,) * 3
     directions_sd_rad: tuple[float, float, float] = (MAKE_SD_RAD,) * 3
     exponents_sd: tuple[float, float, float] = (MAKE_SD,) * 3
+    units: tuple[Unit, ...] = field(default=(), compare=False)
 
     @classmethod
     def read(cls, file: Path) -> "Layout":
@@ -79,6 +83,7 @@ class Layout:
                 _three(c["distance_sd_mm"] for c in channels),
                 _three(c["direction_sd_rad"] for c in channels),
                 _three(c["exponent_sd"] for c in channels),
+                tuple(Unit.read(unit, rest.shape) for unit in content.get("units", ())),
             )
         except (KeyError, TypeError, ValueError, AttributeError) as e:
             raise InputError(
@@ -104,8 +109,24 @@ class Layout:
                 "exponent": self.exponents[k],
                 "exponent_sd": self.exponents_sd[k],
             }
+        if self.units:
+            content["units"] = [unit.written() for unit in self.units]
         content["rest"] = self.rest.round().astype(int).reshape(KEPT[1], -1).tolist()
         write_text(file, yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=200))
+
+    def lent(self, rest: np.ndarray, orientation: "Orientation") -> ResidualField | None:
+        """The mean residual field of other sensors of the make, for a light of strength 1; None if of none.
+
+        A sensor's own is never among them: those are left out whose rest image is its own.
+
+        Args:
+            rest: the sensor's image without contact, uint8 (H, W, 3).
+            orientation: which way round its images are.
+        """
+        seen = _blurred(rest)
+        others = [u for u in self.units if (seen * _blurred(orientation.shown(u.rest))).sum() <= SAME]
+        o = orientation
+        return mean([u.field.shown(o.channels, o.mirror_x, o.mirror_y) for u in others]) if others else None
 
 
 def kept(rest: np.ndarray) -> np.ndarray:

@@ -15,6 +15,8 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.gel.channel import Channel
 from pneutac_sim.gel.layout import DIGIT, MAKE_SD, MAKE_SD_MM, MAKE_SD_RAD, Layout, kept
 from pneutac_sim.gel.model import GelModel
+from pneutac_sim.gel.residual import Leftover
+from pneutac_sim.gel.unit import Unit
 
 NAME = r"[A-Za-z0-9][A-Za-z0-9 _.-]{0,39}"
 LENDERS = ("near_light", "rest_colour")
@@ -44,7 +46,9 @@ def check_name(name: str) -> None:
         )
 
 
-def save(name: str, gel: GelModel, channels: Sequence[Channel], source: str) -> Path:
+def save(
+    name: str, gel: GelModel, channels: Sequence[Channel], source: str, leftovers: Sequence[Leftover] = ()
+) -> Path:
     """Keeps a calibrated sensor's lights as a prior for others of its make; an earlier one is replaced.
 
     Each number is kept with the deviation that its calibration left, and never less than that between
@@ -55,6 +59,7 @@ def save(name: str, gel: GelModel, channels: Sequence[Channel], source: str) -> 
         gel: as calibrated.
         channels: of that fit, red, green and blue.
         source: where it is from.
+        leftovers: what its light left over of each press, from which the field that it lends is learnt.
 
     Returns:
         Its file.
@@ -72,15 +77,18 @@ def save(name: str, gel: GelModel, channels: Sequence[Channel], source: str) -> 
 
     exponents = gel.effects["rest_colour"]
     width, height = gel.window_mm
+    rest = np.asarray(kept(gel.rest_image))
+    units = (Unit.of(rest, leftovers, float(np.linalg.norm(gel.light))),) if leftovers else ()
     make = Layout(
         name,
         tuple((float(c[3]), float(c[4])) for c in gel.coefficients),
         tuple(exponents[f"exponent_{c}"] for c in CHANNELS),
         width / height,
-        np.asarray(kept(gel.rest_image)),
+        rest,
         spread(("near_light", "distance_mm"), MAKE_SD_MM),
         spread(("", "direction"), MAKE_SD_RAD),
         spread(("rest_colour", "exponent"), MAKE_SD),
+        units,
     )
     file = own_folder() / f"{name}.yaml"
     file.parent.mkdir(parents=True, exist_ok=True)

@@ -16,13 +16,13 @@ from pneutac_sim.features import IMAGE_SHAPE
 from pneutac_sim.gel import builtin, optics
 from pneutac_sim.gel.contact import THRESHOLD_LEVELS
 from pneutac_sim.gel.probe import COLS, ROWS, THICKNESS_MM
-from pneutac_sim.gel.residual import ResidualField
+from pneutac_sim.gel.residual import LEAST_WEIGHT, ResidualField, levels
 from pneutac_sim.gel.surface import DECAY_MM
 from pneutac_sim.twin import Twin, Value
 
 LEAST_PX = 32  # a side of the image
-OWN_PLACE = ("rest_image", "effects", "residual")  # in a twin, not among the gel's numbers
-RESIDUAL = ("residual_centres", "residual_weights")
+FIELDS = ("lent", "residual")
+OWN_PLACE = ("rest_image", "effects", *FIELDS)  # in a twin, not among the gel's numbers
 
 
 @dataclass
@@ -42,7 +42,8 @@ class GelModel:
             surface, up to 1; the skin over a gel bridges the edge of a contact.
         effects: of the sensor, name to parameters; without any this is the paper's linear model.
         threshold_levels: difference to the rest image above which a pixel counts as contact.
-        residual: what several presses showed beside the model, or None.
+        lent: what other sensors of the make show beside the model, as much as was taken of it, or None.
+        residual: what several presses showed beside that, or None.
     """
 
     rest_image: np.ndarray
@@ -54,6 +55,7 @@ class GelModel:
     depth_scale: float = 1.0
     threshold_levels: float = THRESHOLD_LEVELS
     effects: dict[str, dict[str, float]] = field(default_factory=dict)
+    lent: ResidualField | None = None
     residual: ResidualField | None = None
 
     def __post_init__(self):
@@ -137,10 +139,11 @@ class GelModel:
         out = [
             further_light(e, lambda k, e=e, v=v: e.channel_values(v, k)) for e, v in self.acting if e.light
         ]
-        residual, rows = self.residual, self.coefficients
-        if residual is not None:
+        learnt, rows = [f for f in (self.lent, self.residual) if f is not None], self.coefficients
+        if learnt:
             w = self.weight_on(cv2.resize(self.rest_image, (COLS, ROWS), interpolation=cv2.INTER_AREA))
-            out.append(lambda k, s, u, cell_mm: s + residual.light(k, u, cell_mm, rows[k], w[..., k]))
+            share = 1 / np.maximum(w, LEAST_WEIGHT)  # since w is about to multiply it
+            out.append(lambda k, s, u, cell_mm: s + share[..., k] * levels(learnt, k, u, cell_mm, rows[k]))
         return out
 
     def surface(self, displacement_mm: np.ndarray, cell_mm: tuple[float, float]) -> np.ndarray:
@@ -205,9 +208,12 @@ class GelModel:
                 what = "lacks" if name in known else "has an unknown field"
                 raise InputError(f"The twin's gel {what} '{name}'; it has {', '.join(known)}.")
         effects = {n: {k: v.value for k, v in twin.effects[n].items()} for n in of_sensor(twin.effects)}
-        arrays = [twin.arrays[name] for name in RESIDUAL if name in twin.arrays]
-        residual = ResidualField(*arrays) if len(arrays) == len(RESIDUAL) else None
-        return cls(twin.arrays["rest_image"], **twin.gel, effects=effects, residual=residual)
+        learnt = {
+            name: ResidualField(*(twin.arrays[array] for array in _arrays(name)))
+            for name in FIELDS
+            if set(_arrays(name)) <= set(twin.arrays)
+        }
+        return cls(twin.arrays["rest_image"], **twin.gel, effects=effects, **learnt)
 
     def into_twin(self, twin: Twin) -> None:
         """Writes this gel into a twin (of a gel, or of a finger that carries one)."""
@@ -216,10 +222,18 @@ class GelModel:
         twin.effects = {k: v for k, v in twin.effects.items() if k not in before}
         twin.effects |= {n: {k: Value(float(v)) for k, v in e.items()} for n, e in self.effects.items()}
         twin.gel = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in own.items()}
-        twin.arrays = {k: v for k, v in twin.arrays.items() if k not in RESIDUAL}
         twin.arrays["rest_image"] = self.rest_image.copy()
-        if self.residual is not None:
-            twin.arrays |= zip(RESIDUAL, (self.residual.centres, self.residual.weights), strict=True)
+        for name in FIELDS:
+            centres, weights = _arrays(name)
+            learnt = getattr(self, name)
+            twin.arrays = {k: v for k, v in twin.arrays.items() if k not in (centres, weights)}
+            if learnt is not None:
+                twin.arrays |= {centres: learnt.centres, weights: learnt.weights}
+
+
+def _arrays(name: str) -> tuple[str, str]:
+    """Under which names a twin keeps a field."""
+    return f"{name}_centres", f"{name}_weights"
 
 
 def further_light(effect: SensorEffect, values: Callable[[int], dict[str, float]]) -> optics.Further:

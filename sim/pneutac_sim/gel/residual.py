@@ -2,17 +2,18 @@
 
 It adds to a channel of the image
 
-    a(u) sum_j c_j k(z, z_j),   a = min(1, u / A),   k = exp(-|z - z_j|^2 / 2),
+    a(u) b(x, y) sum_j c_j k(z, z_j),   a = min(1, u / A),   k = exp(-|z - z_j|^2 / 2),
 
 with z the slopes, the displacement u, u blurred, the height of the shadow over it and the place, each over
 a length of its own. The c_j make least the squared error over the presses, each of which counts as so many
 independent pixels, plus c^T K c / B^2, B the field's standard deviation: far from all that was seen nothing
-is added. The weight w, which rises steeply where a rest image is bright, does not act on it: it would carry
-what was learnt at a dark place many times larger to a bright one.
+is added. b = exp(-d^2 / 2 R^2), d the distance to the nearest place of a z_j: what presses at one side of a
+gel have in common need not hold at the other. The weight w, which rises steeply where a rest image is bright,
+does not act on the field: it would carry what was learnt at a dark place many times larger to a bright one.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -23,10 +24,14 @@ from pneutac_sim.errors import InputError
 
 SLOPE, DEPTH_MM, SHADOW_MM, PLACE_MM = 0.35, 0.45, 0.3, 8.0  # over which the field changes
 BLUR_MM = 1.0
+# What a model leaves over is smooth over a contact, so that a photograph counts as so many independent pixels
+# of this error.
+INDEPENDENT, ERROR_LEVELS = 100, 5.0
+REACH_MM = 1.5  # R
 MOVED_MM = 0.05  # A: a surface that moves less has less of the field
 CENTRES, STRENGTH_LEVELS = 128, 8.0
 LEAST_WEIGHT = 0.1  # where w is less, the field fades with it, since a pixel's w may be far from its cell's
-FEATURES = 7
+FEATURES, PLACE = 7, slice(5, 7)  # of z; x and y among them
 ROUNDING_LEVELS = 12**-0.5  # of an 8-bit image: a field far below it is none
 
 
@@ -44,6 +49,7 @@ class ResidualField:
 
     centres: np.ndarray
     weights: np.ndarray
+    _reaches: dict = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self):
         shapes = np.shape(self.centres), np.shape(self.weights)
@@ -55,30 +61,63 @@ class ResidualField:
                 f"got {shapes[0]} and {shapes[1]}; calibrate the gel anew."
             )
 
-    def light(self, k: int, displacement_mm: np.ndarray, cell_mm, row: np.ndarray, weight) -> np.ndarray:
-        """What to add to the light of channel k, which w is about to multiply.
+    def at(self, k: int, z: np.ndarray) -> np.ndarray:
+        """Levels (n,) of channel k at z (n, 7), where the surface moves enough."""
+        return _reach(self.centres[k], z[:, PLACE]) * (_kernel(z, self.centres[k]) @ self.weights[k])
 
-        Args:
-            k: channel.
-            displacement_mm: (rows, columns).
-            cell_mm: grid spacing.
-            row: its coefficients (12,) of `optics.light`.
-            weight: w there, (rows, columns).
-
-        Returns:
-            Levels, float32 (rows, columns).
-        """
-        u = np.ascontiguousarray(displacement_mm, np.float32)
-        out, moved = np.zeros_like(u), u > 1e-3
-        if moved.any():
-            z = features(u, cell_mm, row)[moved]
-            added = _share(u[moved]) * (_kernel(z, self.centres[k]) @ self.weights[k])
-            out[moved] = added / np.maximum(weight[moved], LEAST_WEIGHT)
-        return out
+    def reach(self, shape: tuple[int, ...], cell_mm: tuple[float, float]) -> np.ndarray:
+        """B of each channel on a grid, (3, rows, columns)."""
+        key = *shape, *cell_mm
+        if key not in self._reaches:
+            places = _places(shape, cell_mm).reshape(-1, 2)
+            self._reaches[key] = np.stack([_reach(c, places) for c in self.centres]).reshape(3, *shape)
+        return self._reaches[key]
 
     def times(self, share: float) -> "ResidualField":
         """So much of it."""
         return ResidualField(self.centres, np.float32(share) * self.weights)
+
+    def shown(self, channels: tuple[int, int, int], mirror_x: bool, mirror_y: bool) -> "ResidualField":
+        """The same as images with other channels, or mirrored, show it; see `gel.layout.Orientation`."""
+        turn = np.ones(FEATURES, np.float32)
+        turn[[0, 5]], turn[[1, 6]] = -1 if mirror_x else 1, -1 if mirror_y else 1
+        return ResidualField(turn * self.centres[list(channels)], self.weights[list(channels)])
+
+
+def mean(fields: Sequence[ResidualField]) -> ResidualField:
+    """The mean of some fields."""
+    weights = np.concatenate([f.weights for f in fields], 1) / np.float32(len(fields))
+    return ResidualField(np.concatenate([f.centres for f in fields], 1), weights)
+
+
+def levels(
+    fields: Sequence[ResidualField], k: int, displacement_mm: np.ndarray, cell_mm, row: np.ndarray
+) -> np.ndarray:
+    """What fields add together to channel k where w is not small.
+
+    Args:
+        fields: of one sensor.
+        k: channel.
+        displacement_mm: (rows, columns).
+        cell_mm: grid spacing.
+        row: its coefficients (12,) of `optics.light`.
+
+    Returns:
+        Levels, float32 (rows, columns).
+    """
+    u = np.ascontiguousarray(displacement_mm, np.float32)
+    out, moved = np.zeros_like(u), u > 1e-3
+    if moved.any():
+        z = features(u, cell_mm, row)[moved]
+        for f in fields:
+            out[moved] += f.reach(u.shape, cell_mm)[k][moved] * (_kernel(z, f.centres[k]) @ f.weights[k])
+        out[moved] *= _share(u[moved])
+    return out
+
+
+def faded(weight: np.ndarray) -> np.ndarray:
+    """What a field is multiplied by where the light's weight is w: less where w is small."""
+    return np.minimum(1, weight / LEAST_WEIGHT)
 
 
 @dataclass
@@ -101,13 +140,12 @@ class Leftover:
     def of(cls, u, cell_mm, coefficients, weight, levels, near, in_contact) -> "Leftover":
         """From grids: u (rows, columns) mm, weight and levels (rows, columns, 3), two bool."""
         z = np.stack([features(u, cell_mm, row)[near] for row in coefficients])
-        factor = _share(u)[..., None] * np.minimum(1, weight / LEAST_WEIGHT)
+        factor = _share(u)[..., None] * faded(weight)
         return cls(z, factor[near].T, levels[near].T, in_contact[near])
 
     def added(self, residual: ResidualField) -> np.ndarray:
         """What a field adds there, (3, n) levels."""
-        each = zip(self.features, self.factor, residual.centres, residual.weights, strict=True)
-        return np.stack([factor * (_kernel(z, centres) @ weights) for z, factor, centres, weights in each])
+        return np.stack([self.factor[k] * residual.at(k, z) for k, z in enumerate(self.features)])
 
 
 def trusted_share(tried: Sequence[tuple[ResidualField, Leftover]]) -> float:
@@ -126,10 +164,10 @@ def trusted_share(tried: Sequence[tuple[ResidualField, Leftover]]) -> float:
     return float(np.clip(share - sd, 0, 1))
 
 
-def learn(seen: Sequence[Leftover], independent: float, error_levels: float) -> ResidualField:
-    """The field of some photographs, each worth so many independent pixels of such an error."""
+def learn(seen: Sequence[Leftover], cells: int = CENTRES) -> ResidualField:
+    """The field of some photographs, round so many of their cells."""
     worth = np.concatenate([np.full(s.levels.shape[1], 1 / s.levels.shape[1]) for s in seen])
-    worth *= independent / error_levels**2
+    worth *= INDEPENDENT / ERROR_LEVELS**2
     centres, weights = [], []
     for k in range(3):
         z, factor, left = (
@@ -137,7 +175,7 @@ def learn(seen: Sequence[Leftover], independent: float, error_levels: float) -> 
             for each in ([s.features for s in seen], [s.factor for s in seen], [s.levels for s in seen])
         )
         chosen = np.random.default_rng(0).choice(
-            len(z), min(CENTRES, len(z)), p=factor**2 / np.square(factor).sum(), replace=False
+            len(z), min(cells, len(z)), p=factor**2 / np.square(factor).sum(), replace=False
         )
         A, K = factor[:, None] * _kernel(z, z[chosen]), _kernel(z[chosen], z[chosen])
         damping = (K + 1e-4 * np.eye(len(K))) / STRENGTH_LEVELS**2
@@ -150,16 +188,27 @@ def features(displacement_mm: np.ndarray, cell_mm, row: np.ndarray) -> np.ndarra
     """What z is in each cell, float32 (rows, columns, 7), of a surface in mm and a channel's coefficients."""
     u = np.ascontiguousarray(displacement_mm, np.float32)
     gy, gx = np.gradient(u, cell_mm[1], cell_mm[0])
-    y, x = (
-        (np.arange(n) + 0.5 - n / 2) * size / PLACE_MM for n, size in zip(u.shape, cell_mm[::-1], strict=True)
-    )
     blurred = cv2.GaussianBlur(
         u, (0, 0), BLUR_MM / cell_mm[0], sigmaY=BLUR_MM / cell_mm[1], borderType=cv2.BORDER_REFLECT
     )
     shadow = cast(u, cell_mm[0], cell_mm[1], row) if row[ELEVATION] > 0 else np.zeros_like(u)
-    x, y = np.meshgrid(x, y)
+    x, y = np.moveaxis(_places(u.shape, cell_mm), -1, 0)
     z = [gx / SLOPE, gy / SLOPE, u / DEPTH_MM, blurred / DEPTH_MM, shadow / SHADOW_MM, x, y]
     return np.stack(z, -1).astype(np.float32)
+
+
+def _places(shape: tuple[int, ...], cell_mm) -> np.ndarray:
+    """X and y of z, (rows, columns, 2)."""
+    y, x = (
+        (np.arange(n) + 0.5 - n / 2) * size / PLACE_MM for n, size in zip(shape, cell_mm[::-1], strict=True)
+    )
+    return np.stack(np.meshgrid(x, y), -1)
+
+
+def _reach(centres: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """B (n,) at places (n, 2), of centres (m, 7)."""
+    squared = np.square(places[:, None] - centres[None, :, PLACE]).sum(-1).min(1)
+    return np.exp(-squared * (PLACE_MM / REACH_MM) ** 2 / 2).astype(np.float32)
 
 
 def _share(u: np.ndarray) -> np.ndarray:

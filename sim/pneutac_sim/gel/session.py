@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 
 from pneutac_sim.effects.sensor_effect import Quiet, SensorEffect
-from pneutac_sim.gel.channel import ERROR_LEVELS, INDEPENDENT
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.optics import light
 from pneutac_sim.gel.photograph import PressPhotograph, press_depth, registered, to_grid
 from pneutac_sim.gel.probe import COLS, ROWS
+from pneutac_sim.gel.residual import ERROR_LEVELS, INDEPENDENT
 from pneutac_sim.gel.surface import surface
 
 FAR_ENOUGH = 0.1  # share of a photograph that must lie away from its contact to tell of its light

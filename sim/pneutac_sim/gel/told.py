@@ -11,11 +11,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pneutac_sim.gel.channel import ERROR_LEVELS, INDEPENDENT, Channel
+from pneutac_sim.gel.channel import Channel
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.photograph import PressPhotograph, press_depth, to_grid
 from pneutac_sim.gel.probe import COLS, ROWS
+from pneutac_sim.gel.residual import ERROR_LEVELS, INDEPENDENT
 from pneutac_sim.gel.surface import surface
 
 UNTOLD = 0.2  # of a prior's variance: a parameter of which presses removed no more stays where its prior is

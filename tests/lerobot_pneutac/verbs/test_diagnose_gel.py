@@ -18,8 +18,8 @@ from pneutac_datasets.generate.gel import write_gel_recording
 from pneutac_datasets.generate.hidden_gel import SIZES, write_hidden_gel
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
-from pneutac_sim.gel.fit import GelFit
 from pneutac_sim.gel.model import GelModel
+from pneutac_sim.gel.problem import GelFit
 from pneutac_sim.twin import Twin
 
 pytestmark = pytest.mark.slow

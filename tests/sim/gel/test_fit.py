@@ -8,11 +8,12 @@ import pytest
 from pneutac_sim.effects import get_effect
 from pneutac_sim.effects.sensor_effect import CHANNELS
 from pneutac_sim.errors import InputError
-from pneutac_sim.gel.fit import fit_gel, fit_photographs, fit_presses, slope_light, standard_effects
+from pneutac_sim.gel.fit import fit_gel, fit_photographs, fit_presses, standard_effects
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.layout import DIGIT, Orientation
 from pneutac_sim.gel.metrics import rmse
 from pneutac_sim.gel.photograph import Predictor, PressPhotograph
+from pneutac_sim.gel.problem import slope_light
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.gel.surface import surface
 

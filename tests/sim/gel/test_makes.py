@@ -1,15 +1,22 @@
 """Priors of makes as files."""
 
+from dataclasses import replace
+
+import cv2
 import numpy as np
 import pytest
 
+from pneutac_sim.effects.sensor_effect import CHANNELS
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel import builtin, makes
 from pneutac_sim.gel.channel import priors
 from pneutac_sim.gel.fit import fit_presses
 from pneutac_sim.gel.indenter import Press
-from pneutac_sim.gel.layout import DIGIT, Layout, kept, recognise_rest
-from pneutac_sim.gel.photograph import PressPhotograph
+from pneutac_sim.gel.layout import DIGIT, Layout, Orientation, kept, recognise_rest
+from pneutac_sim.gel.metrics import rmse
+from pneutac_sim.gel.photograph import Predictor, PressPhotograph
+from pneutac_sim.gel.residual import FEATURES, PLACE, ResidualField, levels
+from pneutac_sim.gel.unit import Unit
 
 
 @pytest.fixture(autouse=True)
@@ -51,9 +58,85 @@ def test_the_library_holds_the_products_makes_and_ones_own(own, linear, photogra
     assert prior[1] == lab.distances_sd_mm[0]
 
 
+def unit(rest, seed: int) -> Unit:
+    """A sensor of a make with a field of a few broad bumps over the whole gel."""
+    rng = np.random.default_rng(seed)
+    centres = np.repeat(rng.normal(0, 0.7, (3, 6, FEATURES)), 30, 1).astype(np.float32)
+    centres[..., PLACE] = rng.uniform(-1, 1, (3, 180, 2))
+    weights = np.repeat(rng.normal(0, 0.001, (3, 6)), 30, 1)
+    return Unit(rest, ResidualField(centres, weights.astype(np.float32)))
+
+
+def test_a_make_lends_what_it_left_over_on_other_sensors_and_never_on_the_very_one(tmp_path):
+    assert len(DIGIT.units) > 1
+    for own in DIGIT.units:
+        image = cv2.resize(own.rest.clip(0, 255).astype(np.uint8), (240, 320))
+        for way in (Orientation(), Orientation((2, 1, 0), True, False)):
+            lent = DIGIT.lent(np.ascontiguousarray(way.shown(image)), way)
+            others = [
+                u.field.shown(way.channels, way.mirror_x, way.mirror_y) for u in DIGIT.units if u is not own
+            ]
+            assert np.array_equal(lent.centres, np.concatenate([f.centres for f in others], 1))
+    one = DIGIT.units[0]
+    alone = replace(DIGIT, units=(one,))
+    alone.write(tmp_path / "alone.yaml", "a test")
+    back = Layout.read(tmp_path / "alone.yaml").units[0]
+    np.testing.assert_allclose(back.field.weights, one.field.weights, rtol=1e-3, atol=1e-4)
+    assert alone.lent(cv2.resize(one.rest.astype(np.uint8), (240, 320)), Orientation()) is None
+
+
+def test_a_field_seen_mirrored_is_the_field_mirrored():
+    field, u = unit(np.zeros((16, 12, 3)), 3).field, np.zeros((80, 59), np.float32)
+    u[20:40, 30:50] = 0.3
+    row, way = np.zeros(12), Orientation((2, 0, 1), True, False)
+    shown = field.shown(way.channels, way.mirror_x, way.mirror_y)
+    cell = 12 / 59, 16 / 80
+    for k, of in enumerate(way.channels):
+        own = levels([field], of, u, cell, row)
+        np.testing.assert_allclose(levels([shown], k, u[:, ::-1], cell, row)[:, ::-1], own, atol=1e-6)
+
+
+@pytest.mark.parametrize("true", [True, False])
+def test_as_much_of_a_lent_field_is_taken_as_explains_the_press(linear, photograph, true):
+    linear.effects = {"rest_colour": {f"exponent_{c}": 0.5 for c in CHANNELS}}
+    other = unit(np.zeros((16, 12, 3)), 4)
+    strength = np.linalg.norm(linear.light)
+    truth = replace(linear, lent=other.field.times(strength if true else -strength))
+    press = Press("sphere", 3.0, 0.6, -1.0, 0.9)
+    pair = PressPhotograph(press, photograph(truth, press), linear.rest_image)
+    towards = -linear.light / np.linalg.norm(linear.light, axis=1)[:, None]
+    lights = tuple(map(tuple, 40 * towards))
+    make = Layout("lab", lights, (0.5, 0.5, 0.5), 1.0, kept(linear.rest_image), units=(other,))
+    make = replace(make, proportions=linear.rest_image.shape[1] / linear.rest_image.shape[0])
+    bare, fit = (
+        fit_presses([pair], 20.0, ["near_light", "rest_colour"], makes=(m,))
+        for m in (replace(make, units=()), make)
+    )
+    assert fit.make == "lab" and bare.lent == 0
+    assert (fit.lent > 0) == true and (fit.gel.lent is not None) == true
+    if true:
+        there = Press("sphere", 3.0, -2.0, 1.5, 0.8)
+        real = photograph(truth, there)
+        own, without = (rmse(Predictor(f.gel).image(there, linear.rest_image), real) for f in (fit, bare))
+        assert own < 0.9 * without
+
+
+def test_five_presses_save_a_field_that_others_of_the_make_are_lent(own, linear, session):
+    fit = fit_presses(session(linear, 5), 20.0, ["near_light", "rest_colour"], makes=())
+    makes.save("lab", fit.gel, fit.channels, "a test", fit.leftovers)
+    lab = makes.library()[1]
+    assert len(lab.units) == 1
+    assert lab.lent(linear.rest_image, Orientation()) is None, "the sensor itself"
+    assert lab.lent(linear.rest_image[::-1].copy(), Orientation()) is not None
+
+
 def test_what_is_no_prior_gets_one_sentence(own, linear, photograph):
     own.mkdir()
     (own / "bad.yaml").write_text("format: pneutac-prior-1\nred: {x_mm: far}\n")
+    with pytest.raises(InputError, match="bad.yaml is no prior of a sensor"):
+        makes.library()
+    DIGIT.write(own / "bad.yaml", "a test")
+    (own / "bad.yaml").write_text((own / "bad.yaml").read_text().replace("field: ", "field: A"))
     with pytest.raises(InputError, match="bad.yaml is no prior of a sensor"):
         makes.library()
     with pytest.raises(InputError, match="near_light and rest_colour"):

@@ -12,17 +12,18 @@ from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.metrics import rmse
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.optics import light
-from pneutac_sim.gel.photograph import Predictor, to_grid
-from pneutac_sim.gel.residual import FEATURES, Leftover, ResidualField, features, trusted_share
+from pneutac_sim.gel.photograph import Predictor, PressPhotograph, to_grid
+from pneutac_sim.gel.residual import FEATURES, PLACE, Leftover, ResidualField, features, levels, trusted_share
 from pneutac_sim.twin import Twin
 
 CELL = 12 / 59, 16 / 80
 
 
 def wavy(rng) -> ResidualField:
-    """One of a few broad bumps."""
-    centres = rng.normal(0, 0.7, (3, 6, FEATURES)).astype(np.float32)
-    return ResidualField(centres, rng.normal(0, 40, (3, 6)).astype(np.float32))
+    """One of a few broad bumps, which reaches over the whole gel."""
+    centres = np.repeat(rng.normal(0, 0.7, (3, 6, FEATURES)), 30, 1).astype(np.float32)
+    centres[..., PLACE] = rng.uniform(-1, 1, (3, 180, 2))
+    return ResidualField(centres, np.repeat(rng.normal(0, 3, (3, 6)), 30, 1).astype(np.float32))
 
 
 @pytest.mark.parametrize(
@@ -52,11 +53,24 @@ def test_a_twin_keeps_it_until_another_gel_comes(linear):
 
 def test_where_nothing_moves_or_far_from_all_that_was_seen_it_adds_nothing():
     field, row = wavy(np.random.default_rng(3)), np.zeros(12)
-    u, weight = np.zeros((2, 80, 59), np.float32) + [[[0]], [[1]]]
-    assert not field.light(0, u, CELL, row, weight).any()
+    u = np.zeros((80, 59), np.float32)
+    assert not levels([field], 0, u, CELL, row).any()
     u[40, 29] = 30.0
-    assert abs(field.light(0, u, CELL, row, weight)[40, 29]) < 1e-6
+    assert abs(levels([field], 0, u, CELL, row)[40, 29]) < 1e-6
     assert features(u, CELL, row).shape == (80, 59, FEATURES)
+
+
+def test_presses_at_one_side_of_a_gel_teach_nothing_about_the_other(linear, photograph):
+    truth = replace(linear, residual=wavy(np.random.default_rng(1)))
+    pairs = [
+        PressPhotograph(p, photograph(truth, p), linear.rest_image)
+        for p in (Press("sphere", 3.0, x, y, 0.7) for x in (-3.0, 0.0, 3.0) for y in (-5.0, -3.5))
+    ]
+    gel = fit_presses(pairs, 20.0, ["rest_colour"], makes=()).gel
+    u = np.full((80, 59), 0.5, np.float32)
+    added = levels([gel.residual], 0, u, CELL, gel.coefficients[0])
+    assert np.abs(added[:25]).max() > 3
+    assert np.abs(added[60:]).max() < 0.5
 
 
 def test_it_adds_the_same_levels_where_the_rest_image_is_bright_and_where_it_is_dark(linear):
