@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from lerobot_pneutac.study.pressure_unit import unlike_the_twin
-from pneutac_datasets.demonstrations.faults import is_demonstrations
+from pneutac_datasets.demonstrations.info import is_demonstrations
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations, is_dataset, load_demonstrations
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import an, plural

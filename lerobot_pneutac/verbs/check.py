@@ -5,11 +5,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from pneutac_datasets.demonstrations.faults import (
-    demonstration_faults,
-    demonstration_notes,
-    is_demonstrations,
-)
+from pneutac_datasets.demonstrations.faults import demonstration_faults, demonstration_notes
+from pneutac_datasets.demonstrations.info import is_demonstrations
 from pneutac_datasets.recording.faults import recording_faults
 from pneutac_sim.effects.registry import get_effect, of_body, of_sensor
 from pneutac_sim.errors import InputError

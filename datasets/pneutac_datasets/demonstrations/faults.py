@@ -1,14 +1,13 @@
 """Everything in demonstrations that `augment` or a training would refuse, at once and without the images."""
 
 import difflib
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow.parquet as parquet
 
-from pneutac_sim.errors import InputError
+from pneutac_datasets.demonstrations.info import ACTION, STATE, read_info
 from pneutac_sim.features import (
     ACTION_NAMES,
     AREA,
@@ -23,17 +22,11 @@ from pneutac_sim.pace import pace_notes
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.cameras import SCENE_CAMERAS
 
-STATE, ACTION, TACTILE = "observation.state", "action", f"observation.images.{IMAGE_NAME}"
+TACTILE = f"observation.images.{IMAGE_NAME}"
 # Which demonstrations may have too.
 FURTHER = (f"observation.{POINTS_KEY}", *(f"observation.images.{name}" for name in SCENE_CAMERAS))
 OWN = ("timestamp", "frame_index", "episode_index", "index", "task_index")  # LeRobot's, in every dataset
 ROUNDING_KPA = 0.01  # share of the range by which a command may be beyond it
-
-
-def is_demonstrations(folder: str | Path) -> bool:
-    """Whether a folder is a LeRobotDataset of a robot rather than a bench recording."""
-    file = Path(folder) / "meta" / "info.json"
-    return file.is_file() and {STATE, ACTION} & set(_info(file).get("features", {})) != set()
 
 
 def demonstration_faults(folder: str | Path, twin: Twin, control_hz: int = CONTROL_HZ) -> list[str]:
@@ -48,7 +41,7 @@ def demonstration_faults(folder: str | Path, twin: Twin, control_hz: int = CONTR
     file = folder / "meta" / "info.json"
     if not file.is_file():
         return [f"'{folder}' holds no LeRobotDataset (no meta/info.json)."]
-    info = _info(file)
+    info = read_info(file)
     found = _of_features(info.get("features", {}), file, GelModel.from_twin(twin).rest_image.shape)
     if info.get("fps") != control_hz:
         found.append(f"{file}: {wrong_rate(info.get('fps'), control_hz)}")
@@ -82,7 +75,7 @@ def wrong_rate(fps: Any, control_hz: int) -> str:
 def demonstration_notes(folder: str | Path) -> list[str]:
     """What is poor but usable: episodes whose control loop fell short of the dataset's rate."""
     meta = Path(folder) / "meta"
-    return pace_notes(meta, float(_info(meta / "info.json").get("fps") or CONTROL_HZ))
+    return pace_notes(meta, float(read_info(meta / "info.json").get("fps") or CONTROL_HZ))
 
 
 def _of_features(features: dict, file: Path, image_shape: tuple[int, ...]) -> list[str]:
@@ -150,13 +143,3 @@ def _of_episodes(
 def _close(name: str, names) -> str:
     close = difflib.get_close_matches(name, [str(n) for n in names], n=1, cutoff=0.75)
     return f" (there is '{close[0]}')" if close else ""
-
-
-def _info(file: Path) -> dict:
-    try:
-        info = json.loads(file.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError) as e:
-        raise InputError(f"{file} is not valid JSON ({e}); the dataset is damaged.") from e
-    if not isinstance(info, dict):
-        raise InputError(f"{file} must hold a JSON object; the dataset is damaged.")
-    return info

@@ -12,7 +12,8 @@ from sensors import wide_twin
 
 from lerobot_pneutac.cli import check as verb
 from lerobot_pneutac.verbs.check import check_path
-from pneutac_datasets.demonstrations.faults import ACTION, STATE, TACTILE, demonstration_faults
+from pneutac_datasets.demonstrations.faults import TACTILE, demonstration_faults
+from pneutac_datasets.demonstrations.info import ACTION, STATE
 from pneutac_sim.effects import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_NAMES, STATE_NAMES

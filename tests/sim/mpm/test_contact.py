@@ -181,6 +181,7 @@ def test_a_mesh_indents_as_the_shape_that_it_is():
     assert np.abs(tabled.positions - exact.positions).max() < 0.05 * SPACING
 
 
+@pytest.mark.nightly
 def test_the_whole_gel_at_full_depth():
     gel = Body.box("gel", (59, 80, 13), 0.26e-3, Material(1e5, 0.46), clamp="z-")
     loads = press(1.4e-3)

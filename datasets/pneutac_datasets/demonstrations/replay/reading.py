@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
+from pneutac_datasets.demonstrations.info import is_demonstrations
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import AREA, CONTROL_HZ, EE, PRESSURE, joint_count, task_names
 from pneutac_sim.twin import Twin
@@ -86,8 +87,6 @@ class Demonstrations:
 
 def is_dataset(name: str | Path) -> bool:
     """Whether this is a folder of demonstrations, or what may be one's name on the Hub (`user/name`)."""
-    from pneutac_datasets.demonstrations.faults import is_demonstrations
-
     path = Path(name)
     on_hub = len(path.parts) == 2 and not path.is_absolute() and not path.parent.exists()
     return is_demonstrations(path) or on_hub
@@ -117,7 +116,6 @@ def load_demonstrations(
     from lerobot.datasets import LeRobotDataset
 
     from pneutac_datasets.demonstrations.episodes import load_episode
-    from pneutac_datasets.demonstrations.faults import is_demonstrations
     from pneutac_sim.world.station import Station, station_file
 
     folder = Path(name)
