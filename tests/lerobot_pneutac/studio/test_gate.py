@@ -6,6 +6,7 @@ import threading
 
 import pytest
 
+from lerobot_pneutac.studio.front import SAYS, front_page
 from lerobot_pneutac.studio.gate import ALIVE, Gate
 from pneutac_sim.errors import InputError
 
@@ -60,6 +61,11 @@ def test_other_machines_show_the_token_once(inner):
         assert _get(gate.port, Cookie=cookie[:-1])[0] == 403
     finally:
         gate.close()
+
+
+def test_the_viewers_page_also_watches_for_its_server():
+    page = front_page().decode()
+    assert SAYS in page and f'fetch("{ALIVE}"' in page and 'id="root"' in page
 
 
 def test_the_page_is_the_gates_own_and_the_rest_the_viewers(inner):
