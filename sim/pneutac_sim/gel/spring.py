@@ -196,7 +196,8 @@ def _force(depth, shift, h, aspect, near, hidden, thickness, held, load):
         C[i, i] = near[0, 0] / (h * math.sqrt(part[i])) + hidden[0]
         f[i] = load[at_row[i] * cols + at_col[i]]
     if f.sum() == 0.0:
-        f[:] = d[:n] * part[:n]
+        for i in range(n):
+            f[i] = d[i] * part[i]
     _contact(C, d[:n], f)
     total, squares, weighted, whole = 0.0, 0.0, 0.0, 0.0
     for i in range(n):

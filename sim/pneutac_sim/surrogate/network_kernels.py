@@ -74,7 +74,8 @@ def roll(A, inertia, K, D, loss, numbers, x, f, q, qd, targets, pressure, subste
                 end[i] = targets[s, i] + last * rise
             advance(A, inertia, K, D, loss, q, qd, target, end, extra, h, FASTEST_RAD_S)
         inside[s] = residual(numbers, q, qd, pressure[s + 1], x, f)
-        out_q[s], out_v[s] = q, qd
+        for i in range(n):
+            out_q[s, i], out_v[s, i] = q[i], qd[i]
 
 
 @njit(cache=True)
@@ -85,7 +86,8 @@ def resistance(numbers, q_free, q, p, near, x, f, torque, J):
     for i in range(n):
         at[i] = q[i] + near
         residual(numbers, at, still, p, x, f)
-        J[:, i] = f[2]
+        for j in range(n):
+            J[j, i] = f[2][j]
         at[i] = q[i] - near
         residual(numbers, at, still, p, x, f)
         for j in range(n):

@@ -111,5 +111,6 @@ def _torques(A, inertia, before, rate, slope, K, D, h, out):
         for i in range(n):
             for j in range(n):
                 out[k, i] += K[i, j] * q[j] + D[i, j] * new[j]
-        q += h * new
-        v[:] = new
+        for i in range(n):  # not whole arrays: numba takes two seconds to compile the check of their shapes
+            q[i] += h * new[i]
+            v[i] = new[i]
