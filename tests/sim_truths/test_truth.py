@@ -136,14 +136,10 @@ def test_importing_needs_no_pyelastica_and_nothing_of_the_product():
     assert not ours & set(loaded.split())
 
 
-NIGHTLY = [
-    pytest.param(device, seed, marks=pytest.mark.nightly)
-    for device, seed in [("rod", 1), ("arm", 0), ("arm", 2), ("cosserat", 0), ("cosserat", 1)]
-]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("device, seed", [("rod", 0), *NIGHTLY])
+@pytest.mark.nightly
+@pytest.mark.parametrize(
+    "device, seed", [("rod", 0), ("rod", 1), ("arm", 0), ("arm", 2), ("cosserat", 0), ("cosserat", 1)]
+)
 def test_each_effect_alone_moves_the_tip_by_3_to_12_times_the_noise(device, seed):
     outside = {}
     for name, effect in EFFECTS.items():

@@ -219,7 +219,10 @@ def test_every_device_has_defaults_that_it_takes(tmp_path):
 
 @pytest.mark.parametrize(
     ("device", "said"),
-    [("finger", "lower --pressure_kpa, more --particles, or a thicker mesh"), ("gel", "--depth_mm")],
+    [
+        ("finger", "lower --pressure_kpa, more --particles, or a thicker mesh"),
+        pytest.param("gel", "--depth_mm", marks=pytest.mark.nightly),
+    ],
 )
 def test_where_no_rest_is_found_the_options_that_help_are_named(tmp_path, monkeypatch, device, said):
     twin = Twin.builtin() if device == "finger" else Twin("gel", 16.0)

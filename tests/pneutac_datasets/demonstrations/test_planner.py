@@ -274,6 +274,7 @@ def test_planning_brings_touch_and_path_back_to_the_demonstrated_ones():
         assert np.mean(ratios) < 0.6
 
 
+@pytest.mark.nightly
 def test_who_plans_and_touches_does_the_task_and_who_replays_blindly_may_not(switch, monkeypatch):
     """Without the scattered start, which alone decides whether some variants touch at all."""
     monkeypatch.setattr(augment_episode, "START_M", 0.0)
