@@ -9,12 +9,14 @@ os.environ.setdefault("NUMBA_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import time
+from dataclasses import replace
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
+from pneutac_sim.gel import layout
 from pneutac_sim.gel.fit import fit_gel
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
@@ -57,6 +59,10 @@ def main() -> None:
     table.add_row("image, surface included", f"{median_ms(lambda: sensor.image(depth)):.3f}", "2")
     image = sensor.image(depth)
     table.add_row("contact area of an image", f"{median_ms(lambda: sensor.contact(image)):.3f}", "")
+    lent = layout.DIGIT.lent(sensor.rest_image, layout.Orientation())
+    lent = lent.times(float(np.linalg.norm(sensor.model.light)) / 2)
+    fielded = TactileSensor(replace(sensor.model, lent=lent))
+    table.add_row("image with a lent field", f"{median_ms(lambda: fielded.image(depth)):.3f}", "0.8")
     area = median_ms(lambda: sensor.contact_from_depth(depth))
     table.add_row("contact area without the image", f"{area:.3f}", "")
     nothing = np.zeros_like(depth)

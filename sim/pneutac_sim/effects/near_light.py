@@ -15,14 +15,14 @@ LX, LY, PX, PY = 0, 1, 3, 4  # of a channel's row of coefficients, see `gel.opti
 MAKE_SD_MM = 2.0  # how alike sensors of one make are
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def towards(c, x, y):
     """Unit vector from (x, y) in mm to the light of a channel with coefficients c (12,)."""
     if math.isnan(c[PX]):
         ex, ey = -c[LX], -c[LY]
     else:
         ex, ey = c[PX] - x, c[PY] - y
-    r = max(math.hypot(ex, ey), 1e-9)
+    r = max(math.sqrt(ex * ex + ey * ey), 1e-9)
     return ex / r, ey / r
 
 

@@ -17,7 +17,7 @@ DIRECT, ALONG, ACROSS, DEEP = 5, 9, 10, 11  # of a channel's row of coefficients
 QUADRATIC = ("along_{}_levels", "across_{}_levels", "deep_{}_levels")
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def lambert(t, phi, gx, gy):
     """Light of a slope (gx, gy) whose linear light is t, levels; phi is infinite for the linear model."""
     if math.isinf(phi):

@@ -17,17 +17,15 @@ from pneutac_sim.effects.sensor_effect import SensorEffect, each_channel
 LEVEL, SLOPE, EDGE = 6, 7, 8  # of a channel's row of coefficients, see `gel.optics`
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def darkened(s, height, level, edge):
     """Light of a point that lies `height` mm in the shadow, levels."""
-    if height <= 0.0:
-        return s
-    dark = min(height / edge, 1.0)
+    dark = min(max(height, 0.0) / edge, 1.0)
     dark *= dark * (3.0 - 2.0 * dark)
     return s - dark * (s + level)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def cast(u, hx, hy, c):
     """Height in mm of the shadow over the surface of one channel, zero where the light arrives.
 
@@ -37,9 +35,13 @@ def cast(u, hx, hy, c):
     n, m = u.shape
     S = u.copy()
     far = math.isnan(c[PX])
+    wide, high = (0.0, 0.0) if far else ((m - 1) / 2 * hx, (n - 1) / 2 * hy)
+    to_x, to_y = (-c[LX], -c[LY]) if far else (c[PX], c[PY])
     for side in range(4):
         di, dj = 1 - 2 * (side // 2), 1 - 2 * (side % 2)  # where the light comes from
-        if far and ((-c[LX] > 0) != (dj > 0) or (-c[LY] > 0) != (di > 0)):
+        if (dj > 0 and to_x + wide <= 0) or (dj < 0 and to_x - wide > 0):
+            continue  # for no cell
+        if (di > 0 and to_y + high <= 0) or (di < 0 and to_y - high > 0):
             continue
         for a in range(n):
             i = n - 1 - a if di > 0 else a

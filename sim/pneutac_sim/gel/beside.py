@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from pneutac_sim.effects.shadow import cast
 from pneutac_sim.gel.layout import Layout
 from pneutac_sim.gel.problem import GelFit, Problem
 from pneutac_sim.gel.residual import faded, learn, levels, trusted_share
@@ -28,8 +29,8 @@ def lend(make: Layout, problem: Problem, fit: GelFit) -> None:
     surfaces, rows = problem.surfaces(gel.decay_mm, gel.depth_scale), gel.coefficients
     added = []
     for u, rest in zip(surfaces, problem.rests, strict=True):
-        each = [levels([lent], k, u, problem.cell, row) for k, row in enumerate(rows)]
-        added.append(np.stack(each, -1) * faded(gel.weight_on(rest)))
+        each = levels([lent], u, problem.cell, [cast(u, *problem.cell, row) for row in rows])
+        added.append(each.transpose(1, 2, 0) * faded(gel.weight_on(rest)))
     costs, tried = [], []
     for share in SHARES:
         less = [s - share * a for s, a in zip(seen, added, strict=True)]

@@ -89,7 +89,7 @@ class TouchReader:
         self._rest = to_grid(gel.rest_image)
         self._weight = gel.weight_on(self._rest).transpose(2, 0, 1).astype(float)
         # Residual fields double the time and make depths no truer (benchmarks/notes/tactile.md).
-        self._light = gel.coefficients, replace(gel, lent=None, residual=None).further
+        self._light = replace(gel, lent=None, residual=None).lighting
         J, lap = _derivative(self._light[0], self._weight, self._cell), _laplacian(self._cell)
         damping = MU**2 * sparse.eye(ROWS * COLS) + LAMBDA**2 * lap.T @ lap
         self._solve, self._JT = splu((J.T @ J + damping).tocsc()).solve, J.T.tocsr()

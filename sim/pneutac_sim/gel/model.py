@@ -136,15 +136,19 @@ class GelModel:
     @property
     def further(self) -> list[optics.Further]:
         """What effects outside the compiled light make of it, see `optics.light`."""
-        out = [
-            further_light(e, lambda k, e=e, v=v: e.channel_values(v, k)) for e, v in self.acting if e.light
-        ]
-        learnt, rows = [f for f in (self.lent, self.residual) if f is not None], self.coefficients
-        if learnt:
-            w = self.weight_on(cv2.resize(self.rest_image, (COLS, ROWS), interpolation=cv2.INTER_AREA))
-            share = 1 / np.maximum(w, LEAST_WEIGHT)  # since w is about to multiply it
-            out.append(lambda k, s, u, cell_mm: s + share[..., k] * levels(learnt, k, u, cell_mm, rows[k]))
-        return out
+        acting = [(e, v) for e, v in self.acting if e.light]
+        return [further_light(e, lambda k, e=e, v=v: e.channel_values(v, k)) for e, v in acting]
+
+    @property
+    def lighting(self) -> tuple[np.ndarray, list[optics.Further], optics.Beside | None]:
+        """What `optics.light` takes after a surface and its grid's spacing."""
+        learnt = [f for f in (self.lent, self.residual) if f is not None]
+        if not learnt:
+            return self.coefficients, self.further, None
+        w = self.weight_on(cv2.resize(self.rest_image, (COLS, ROWS), interpolation=cv2.INTER_AREA))
+        share = 1 / np.maximum(w, LEAST_WEIGHT).transpose(2, 0, 1)  # since w is about to multiply it
+        beside = lambda u, cell_mm, shadows: share * levels(learnt, u, cell_mm, shadows)  # noqa: E731
+        return self.coefficients, self.further, beside
 
     def surface(self, displacement_mm: np.ndarray, cell_mm: tuple[float, float]) -> np.ndarray:
         """The displacement (rows, columns) in mm as effects of the gel change it."""

@@ -16,9 +16,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numba import njit
 
-from pneutac_sim.effects.near_light import PX, towards
+from pneutac_sim.effects.near_light import towards
 from pneutac_sim.effects.photometric_nonlinearity import lambert
-from pneutac_sim.effects.shadow import cast, darkened
+from pneutac_sim.effects.shadow import LEVEL, cast, darkened
+from pneutac_sim.gel.contact import differing
 
 # A channel's row: L x, L y, c_d, p x, p y (NaN: far away), phi (inf: linear), lambda, tan(elevation), edge;
 # then the quadratic terms along the light, across it and in depth.
@@ -27,6 +28,8 @@ SIZE = len(NEUTRAL)
 
 # Changes the light s of channel k under a displacement u: (k, s, u, cell_mm) -> s.
 Further = Callable[[int, np.ndarray, np.ndarray, tuple[float, float]], np.ndarray]
+# What is added to the light of all channels: (u, cell_mm, height of each one's shadow) -> (3, rows, columns).
+Beside = Callable[[np.ndarray, tuple[float, float], list[np.ndarray]], np.ndarray]
 
 _NO_SHADOW = np.zeros((1, 1), np.float32)
 
@@ -58,6 +61,7 @@ def light(
     cell_mm: tuple[float, float],
     coefficients: np.ndarray,
     further: Sequence[Further] = (),
+    beside: Beside | None = None,
 ) -> np.ndarray:
     """What the surface adds to each channel, before the weight w.
 
@@ -66,6 +70,7 @@ def light(
         cell_mm: grid spacing along x and y.
         coefficients: (3, 12), see the top of this module; lengths in mm from the window's centre.
         further: what effects outside the compiled light make of it, in this order.
+        beside: added at last.
 
     Returns:
         s in levels, float32 (3, rows, columns).
@@ -75,7 +80,10 @@ def light(
         raise ValueError(
             f"the light of three channels has coefficients (3, {SIZE}); got {np.shape(coefficients)}"
         )
-    return np.stack([channel(u, cell_mm, c, k, further) for k, c in enumerate(coefficients)])
+    shadows = [cast(u, *cell_mm, c) if c[LEVEL] > 0 or beside else _NO_SHADOW for c in coefficients]
+    each = zip(coefficients, shadows, strict=True)
+    out = np.stack([_channel(u, cell_mm, c, shadow, k, further) for k, (c, shadow) in enumerate(each)])
+    return out if beside is None else out + beside(u, cell_mm, shadows)
 
 
 def channel(
@@ -87,9 +95,12 @@ def channel(
 ) -> np.ndarray:
     """Channel k of `light`: (rows, columns) from a float32 displacement and coefficients (12,)."""
     u, c = displacement_mm, coefficients
+    return _channel(u, cell_mm, c, cast(u, *cell_mm, c) if c[LEVEL] > 0 else _NO_SHADOW, k, further)
+
+
+def _channel(u, cell_mm, coefficients, shadow, k, further) -> np.ndarray:
     out = np.empty_like(u)
-    shadow = cast(u, cell_mm[0], cell_mm[1], c) if c[6] > 0 else _NO_SHADOW
-    _light(u, cell_mm[0], cell_mm[1], c, shadow, out)
+    _light(u, *cell_mm, coefficients, shadow, out)
     for change in further:
         out = np.asarray(change(k, out, u, cell_mm), np.float32)
     return out
@@ -101,17 +112,15 @@ class Renderer:
     Args:
         rest_image: uint8 (H, W, 3).
         weight: w, (H, W, 3).
-        coefficients: of the light, (3, 12).
         cell_mm: grid spacing along x and y.
         shape: rows and columns of the displacement grid.
-        further: see `light`.
+        lighting: coefficients and what follows them of `light`.
     """
 
-    def __init__(self, rest_image, weight, coefficients, cell_mm, shape, further: Sequence[Further] = ()):
+    def __init__(self, rest_image, weight, cell_mm, shape, *lighting):
         self._rest = np.ascontiguousarray(rest_image)
         self._weight = np.ascontiguousarray(weight, np.float32)
-        self._top_weight = self._weight.max((0, 1))
-        self._light = cell_mm, coefficients, further
+        self._light = cell_mm, *lighting
         h, w = rest_image.shape[:2]
         self._cells = (*_cells(h, shape[0]), *_cells(w, shape[1]))
 
@@ -124,92 +133,52 @@ class Renderer:
 
     def contact_pixels(self, displacement_mm: np.ndarray, sum_limit: int) -> int:
         """How many pixels of `image` differ from rest by more than `sum_limit` in R + G + B."""
-        s = light(displacement_mm, *self._light)
-        return _count(s, self._rest, self._weight, *self._cells, sum_limit, self._top_weight)
+        return differing(self.image(displacement_mm), self._rest, sum_limit)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _light(u, hx, hy, c, shadow, out):
-    """One channel of `light`; one-sided differences at the rim."""
+    """One channel of `light`; one-sided differences at the rim. Its last loop vectorises."""
     n, m = u.shape
-    strength = math.hypot(c[0], c[1])
-    far = math.isnan(c[PX])
-    ex, ey = towards(c, 0.0, 0.0)
+    strength, shadowed = math.hypot(c[0], c[1]), c[6] > 0.0
+    gx, gy, ex, ey = np.empty(m), np.empty(m), np.empty(m), np.empty(m)
     for i in range(n):
         up, down = max(i - 1, 0), min(i + 1, n - 1)
-        y = (i + 0.5 - n / 2) * hy
         for j in range(m):
             left, right = max(j - 1, 0), min(j + 1, m - 1)
-            gx = (u[i, right] - u[i, left]) / (hx * (right - left))
-            gy = (u[down, j] - u[up, j]) / (hy * (down - up))
-            if not far:
-                ex, ey = towards(c, (j + 0.5 - m / 2) * hx, y)
-            along, across = ex * gx + ey * gy, ex * gy - ey * gx
-            s = lambert(-strength * along, c[5], gx, gy)
-            if c[6] > 0.0:
+            gx[j] = (u[i, right] - u[i, left]) / (hx * (right - left))
+            gy[j] = (u[down, j] - u[up, j]) / (hy * (down - up))
+        for j in range(m):
+            ex[j], ey[j] = towards(c, (j + 0.5 - m / 2) * hx, (i + 0.5 - n / 2) * hy)
+        for j in range(m):
+            along, across = ex[j] * gx[j] + ey[j] * gy[j], ex[j] * gy[j] - ey[j] * gx[j]
+            s = lambert(-strength * along, c[5], gx[j], gy[j])
+            if shadowed:
                 s = darkened(s, shadow[i, j], c[6], c[8])
             out[i, j] = s + c[2] * u[i, j] + c[9] * along**2 + c[10] * across**2 + c[11] * u[i, j] ** 2
 
 
 @njit(inline="always")
-def _pixel(rest, weight, light):
-    """One channel of one pixel, rounded to a level."""
-    value = np.float32(rest) + weight * light + np.float32(0.5)
-    return np.int32(min(max(value, np.float32(0.0)), np.float32(255.0)))
+def _lerp(before, after, f):
+    return before + f * (after - before)
 
 
-@njit(inline="always")
-def _blend_rows(light, i, f, row):
-    """Row of light (3, columns) between grid rows i and i + 1; returns its largest magnitude."""
-    top = np.float32(0.0)
-    for k in range(3):
-        for j in range(row.shape[1]):
-            row[k, j] = light[k, i, j] + f * (light[k, i + 1, j] - light[k, i, j])
-            top = max(top, abs(row[k, j]))
-    return top
-
-
-@njit(cache=True)
+@njit(cache=True, fastmath={"nnan", "nsz"})
 def _render(light, rest, weight, i0, fy, j0, fx, out):
-    row = np.empty((3, light.shape[2]), np.float32)
-    for p in range(rest.shape[0]):
-        if _blend_rows(light, i0[p], fy[p], row) == 0.0:
+    rows, cols = rest.shape[:2]
+    across, still = np.empty((light.shape[1], cols, 3), np.float32), np.empty(light.shape[1], np.bool_)
+    for i in range(len(still)):
+        for q in range(cols):
+            for k in range(3):
+                across[i, q, k] = _lerp(light[k, i, j0[q]], light[k, i, j0[q] + 1], fx[q])
+        still[i] = not light[:, i].any()
+    for p in range(rows):
+        i, f = i0[p], fy[p]
+        if still[i] and still[i + 1]:
             out[p] = rest[p]
             continue
-        for q in range(rest.shape[1]):
-            j, f = j0[q], fx[q]
-            for k in range(3):
-                value = row[k, j] + f * (row[k, j + 1] - row[k, j])
-                out[p, q, k] = _pixel(rest[p, q, k], weight[p, q, k], value)
-
-
-@njit(cache=True)
-def _count(light, rest, weight, i0, fy, j0, fx, sum_limit, top_weight):
-    """Counts pixels whose channels differ by more than `sum_limit` together.
-
-    Only pixels between grid columns whose light could reach the limit are rendered.
-    """
-    cols = light.shape[2]
-    row = np.empty((3, cols), np.float32)
-    n = 0
-    for p in range(rest.shape[0]):
-        _blend_rows(light, i0[p], fy[p], row)
-        first, last = cols, -1
-        for j in range(cols):
-            bound = np.float32(1.5)  # three roundings
-            for k in range(3):
-                bound += top_weight[k] * abs(row[k, j])
-            if bound > sum_limit:
-                first, last = min(first, j), j
-        if last < 0:
-            continue
-        for q in range(rest.shape[1]):
-            j, f = j0[q], fx[q]
-            if j + 1 < first or j > last:
-                continue
-            s = 0
-            for k in range(3):
-                value = row[k, j] + f * (row[k, j + 1] - row[k, j])
-                s += abs(_pixel(rest[p, q, k], weight[p, q, k], value) - np.int32(rest[p, q, k]))
-            n += s > sum_limit
-    return n
+        before, after, c, w = across[i].ravel(), across[i + 1].ravel(), rest[p].ravel(), weight[p].ravel()
+        to = out[p].ravel()
+        for q in range(3 * cols):  # vectorises
+            level = np.float32(c[q]) + w[q] * _lerp(before[q], after[q], f) + np.float32(0.5)
+            to[q] = np.int32(min(max(level, np.float32(0)), np.float32(255)))

@@ -144,7 +144,7 @@ class Problem:
         surfaces = self.surfaces(gel.decay_mm, gel.depth_scale)
         for u, (p, near, seen, rest) in zip(surfaces, each, strict=True):
             weight = gel.weight_on(rest)
-            s = light_of(u, self.cell, gel.coefficients, gel.further).transpose(1, 2, 0)
+            s = light_of(u, self.cell, *gel.lighting).transpose(1, 2, 0)
             contact = to_grid(p.near(gel.px_per_mm, CONTACT_DISC)) > 0.5
             args = u, self.cell, gel.coefficients, weight, seen - weight * s, near, contact
             out.append(Leftover.of(*args))

@@ -17,8 +17,8 @@ from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
+from numba import njit
 
-from pneutac_sim.effects.shadow import SLOPE as ELEVATION
 from pneutac_sim.effects.shadow import cast
 from pneutac_sim.errors import InputError
 
@@ -31,7 +31,10 @@ REACH_MM = 1.5  # R
 MOVED_MM = 0.05  # A: a surface that moves less has less of the field
 CENTRES, STRENGTH_LEVELS = 128, 8.0
 LEAST_WEIGHT = 0.1  # where w is less, the field fades with it, since a pixel's w may be far from its cell's
-FEATURES, PLACE = 7, slice(5, 7)  # of z; x and y among them
+FEATURES, SHADOW, PLACE = 7, 4, slice(5, 7)  # of z; the shadow's height, x and y among them
+LEAST_MM = 3e-3  # a surface that moves less has nothing of the field
+BLOCK = 256  # cells
+E = tuple(np.float32([0.99999933, 0.99995751, 0.49954305, 0.16480388, 0.03810768, 0.00500946]))
 ROUNDING_LEVELS = 12**-0.5  # of an 8-bit image: a field far below it is none
 
 
@@ -91,27 +94,24 @@ def mean(fields: Sequence[ResidualField]) -> ResidualField:
 
 
 def levels(
-    fields: Sequence[ResidualField], k: int, displacement_mm: np.ndarray, cell_mm, row: np.ndarray
+    fields: Sequence[ResidualField], displacement_mm: np.ndarray, cell_mm, shadows: Sequence[np.ndarray]
 ) -> np.ndarray:
-    """What fields add together to channel k where w is not small.
+    """What fields add together where w is not small.
 
     Args:
         fields: of one sensor.
-        k: channel.
-        displacement_mm: (rows, columns).
+        displacement_mm: (rows, columns) float32.
         cell_mm: grid spacing.
-        row: its coefficients (12,) of `optics.light`.
+        shadows: height in mm of each channel's shadow over the surface, (rows, columns) float32.
 
     Returns:
-        Levels, float32 (rows, columns).
+        Levels, float32 (3, rows, columns).
     """
-    u = np.ascontiguousarray(displacement_mm, np.float32)
-    out, moved = np.zeros_like(u), u > 1e-3
-    if moved.any():
-        z = features(u, cell_mm, row)[moved]
-        for f in fields:
-            out[moved] += f.reach(u.shape, cell_mm)[k][moved] * (_kernel(z, f.centres[k]) @ f.weights[k])
-        out[moved] *= _share(u[moved])
+    u = displacement_mm
+    out = np.zeros((3, *u.shape), np.float32)
+    z, cells = _features(u, _blurred(u, cell_mm), *cell_mm, LEAST_MM)
+    for f in fields if len(cells) else ():
+        _add(z, cells, u, shadows, f.reach(u.shape, cell_mm), f.centres, f.weights, out)
     return out
 
 
@@ -187,14 +187,69 @@ def learn(seen: Sequence[Leftover], cells: int = CENTRES) -> ResidualField:
 def features(displacement_mm: np.ndarray, cell_mm, row: np.ndarray) -> np.ndarray:
     """What z is in each cell, float32 (rows, columns, 7), of a surface in mm and a channel's coefficients."""
     u = np.ascontiguousarray(displacement_mm, np.float32)
-    gy, gx = np.gradient(u, cell_mm[1], cell_mm[0])
-    blurred = cv2.GaussianBlur(
-        u, (0, 0), BLUR_MM / cell_mm[0], sigmaY=BLUR_MM / cell_mm[1], borderType=cv2.BORDER_REFLECT
-    )
-    shadow = cast(u, cell_mm[0], cell_mm[1], row) if row[ELEVATION] > 0 else np.zeros_like(u)
-    x, y = np.moveaxis(_places(u.shape, cell_mm), -1, 0)
-    z = [gx / SLOPE, gy / SLOPE, u / DEPTH_MM, blurred / DEPTH_MM, shadow / SHADOW_MM, x, y]
-    return np.stack(z, -1).astype(np.float32)
+    z, _ = _features(u, _blurred(u, cell_mm), *cell_mm, -np.inf)
+    z[SHADOW] = cast(u, *cell_mm, row).ravel() / SHADOW_MM
+    return z.T.reshape(*u.shape, FEATURES)
+
+
+def _blurred(u: np.ndarray, cell_mm) -> np.ndarray:
+    sigma_x, sigma_y = BLUR_MM / cell_mm[0], BLUR_MM / cell_mm[1]
+    return cv2.GaussianBlur(u, (0, 0), sigma_x, sigmaY=sigma_y, borderType=cv2.BORDER_REFLECT)
+
+
+@njit(cache=True, error_model="numpy")
+def _features(u, blurred, hx, hy, least):
+    """Of the cells in which u is more than `least`: z without shadows (7, n), and their flat indices (n,)."""
+    rows, cols = u.shape
+    z, cells = np.zeros((FEATURES, rows * cols), np.float32), np.empty(rows * cols, np.int64)
+    n = 0
+    for i in range(rows):
+        up, down = max(i - 1, 0), min(i + 1, rows - 1)
+        for j in range(cols):
+            if u[i, j] <= least:
+                continue
+            left, right = max(j - 1, 0), min(j + 1, cols - 1)
+            z[0, n] = (u[i, right] - u[i, left]) / (hx * (right - left) * SLOPE)
+            z[1, n] = (u[down, j] - u[up, j]) / (hy * (down - up) * SLOPE)
+            z[2, n], z[3, n] = u[i, j] / DEPTH_MM, blurred[i, j] / DEPTH_MM
+            z[5, n], z[6, n] = (j + 0.5 - cols / 2) * hx / PLACE_MM, (i + 0.5 - rows / 2) * hy / PLACE_MM
+            cells[n] = i * cols + j
+            n += 1
+    return np.ascontiguousarray(z[:, :n]), cells[:n]
+
+
+@njit(cache=True, fastmath=True)
+def _add(z, cells, u, shadows, reach, centres, weights, out):
+    """Adds a field to `out` in some cells. Blocks stay in the cache; loops over cells vectorise.
+
+    e^x is the 16th power of a polynomial of x / 16, off by a part in 100,000.
+    """
+    n, flat = len(cells), u.ravel()
+    half, total = np.empty(n, np.float32), np.empty(n, np.float32)
+    for k in range(3):
+        shadow, near, added = shadows[k].ravel(), reach[k].ravel(), out[k].ravel()
+        for i in range(n):
+            z[SHADOW, i] = shadow[cells[i]] / np.float32(SHADOW_MM)
+            half[i] = total[i] = 0
+            for f in range(FEATURES):
+                half[i] += np.float32(1 / 32) * z[f, i] * z[f, i]
+        for j in range(len(weights[k])):
+            c = centres[k, j] / np.float32(16)
+            own = np.float32(-8) * np.float32(np.square(c).sum())
+            c0, c1, c2, c3, c4, c5, c6 = c[0], c[1], c[2], c[3], c[4], c[5], c[6]
+            w = weights[k, j]
+            for i in range(n):
+                x = own - half[i] + c0 * z[0, i] + c1 * z[1, i] + c2 * z[2, i] + c3 * z[3, i]
+                x = max(x + c4 * z[4, i] + c5 * z[5, i] + c6 * z[6, i], np.float32(-1))
+                e = E[0] + x * (E[1] + x * (E[2] + x * (E[3] + x * (E[4] + x * E[5]))))
+                e *= e
+                e *= e
+                e *= e
+                e *= e
+                total[i] += w * e
+        for i in range(n):
+            a = min(flat[cells[i]] / np.float32(MOVED_MM), np.float32(1))
+            added[cells[i]] += a * near[cells[i]] * total[i]
 
 
 def _places(shape: tuple[int, ...], cell_mm) -> np.ndarray:

@@ -58,9 +58,7 @@ class TactileSensor:
         width, height = self.model.window_mm
         self._cell_mm = (width / COLS, height / ROWS)
         m = self.model
-        self._renderer = Renderer(
-            m.rest_image, m.weight, m.coefficients, self._cell_mm, (ROWS, COLS), m.further
-        )
+        self._renderer = Renderer(m.rest_image, m.weight, self._cell_mm, (ROWS, COLS), *m.lighting)
         self.draw = self._renderer.image
         self.triangles = NO_TRIANGLES
 

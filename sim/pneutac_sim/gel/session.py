@@ -75,7 +75,7 @@ def refine_contacts(
         out = []
         for p, rest in zip(photographs, rests, strict=True):
             u = surface(moved.imprint(press_depth(registered(p.press, moved), moved)), cell, gel.decay_mm)
-            s = light(moved.surface(u, cell), cell, gel.coefficients, gel.further)
+            s = light(moved.surface(u, cell), cell, *gel.lighting)
             out.append(s.transpose(1, 2, 0) * gel.weight_on(rest))
         return out
 
@@ -122,7 +122,7 @@ def refine_press(
 
     def residual(press: Press) -> np.ndarray:
         u = surface(gel.imprint(press_depth(registered(press, gel), gel)), cell, gel.decay_mm)
-        s = light(gel.surface(u, cell), cell, gel.coefficients, gel.further).transpose(1, 2, 0)
+        s = light(gel.surface(u, cell), cell, *gel.lighting).transpose(1, 2, 0)
         off = np.array([getattr(press, n) - getattr(stated, n) for n in names]) / sd
         return np.concatenate([scale * (s * weight - seen)[mask].ravel(), off])
 

@@ -62,8 +62,7 @@ class SplatSensor:
         if isinstance(layers, bool) or not isinstance(layers, int) or layers < 2:
             raise InputError(f"A gel of splats has {layers!r} layers; it needs 2 or more.")
         self.model, self._on = model, on(device)
-        self._model_weight, self._coefficients = model.weight, model.coefficients
-        self._further = model.further
+        self._model_weight, self._lighting = model.weight, model.lighting
         height, width = model.rest_image.shape[:2]
         focal_px = model.px_per_mm * CAMERA_MM
         view = np.eye(4)
@@ -151,7 +150,7 @@ class SplatSensor:
     def _light(self, displacement_mm: np.ndarray) -> np.ndarray:
         model = self.model
         cell_mm = model.window_mm[0] / COLS, model.window_mm[1] / ROWS
-        grid = light(displacement_mm, cell_mm, self._coefficients, self._further).transpose(1, 2, 0)
+        grid = light(displacement_mm, cell_mm, *self._lighting).transpose(1, 2, 0)
         height, width = model.rest_image.shape[:2]
         return self._model_weight * cv2.resize(
             np.ascontiguousarray(grid), (width, height)

@@ -326,7 +326,7 @@ def small_renderer(height, width):
     weight = rng.uniform(0.2, 2.0, (height, width, 3)) * [0.5, 1.0, 3.0]
     weight[:, :3] = 0.1
     rows = np.stack([coefficients((20.0 * k - 10, 15.0), 40.0) for k in range(3)])
-    return rest, weight, rows, optics.Renderer(rest, weight, rows, (0.4, 0.3), (9, 7))
+    return rest, weight, rows, optics.Renderer(rest, weight, (0.4, 0.3), (9, 7), rows)
 
 
 @pytest.mark.parametrize(("height", "width"), [(30, 44), (40, 21)])

@@ -6,14 +6,26 @@ import numpy as np
 import pytest
 
 from pneutac_sim.effects.sensor_effect import CHANNELS
+from pneutac_sim.effects.shadow import cast
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.fit import fit_presses
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.metrics import rmse
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.gel.optics import light
+from pneutac_sim.gel.optics import gradient, light
 from pneutac_sim.gel.photograph import Predictor, PressPhotograph, to_grid
-from pneutac_sim.gel.residual import FEATURES, PLACE, Leftover, ResidualField, features, levels, trusted_share
+from pneutac_sim.gel.residual import (
+    FEATURES,
+    LEAST_MM,
+    MOVED_MM,
+    PLACE,
+    SLOPE,
+    Leftover,
+    ResidualField,
+    features,
+    levels,
+    trusted_share,
+)
 from pneutac_sim.twin import Twin
 
 CELL = 12 / 59, 16 / 80
@@ -52,12 +64,24 @@ def test_a_twin_keeps_it_until_another_gel_comes(linear):
 
 
 def test_where_nothing_moves_or_far_from_all_that_was_seen_it_adds_nothing():
-    field, row = wavy(np.random.default_rng(3)), np.zeros(12)
+    field, shadows = wavy(np.random.default_rng(3)), np.zeros((3, 80, 59), np.float32)
     u = np.zeros((80, 59), np.float32)
-    assert not levels([field], 0, u, CELL, row).any()
+    assert not levels([field], u, CELL, shadows).any()
     u[40, 29] = 30.0
-    assert abs(levels([field], 0, u, CELL, row)[40, 29]) < 1e-6
-    assert features(u, CELL, row).shape == (80, 59, FEATURES)
+    assert np.abs(levels([field], u, CELL, shadows)[:, 40, 29]).max() < 1e-4
+
+
+def test_it_adds_what_its_formula_says(linear):
+    field, u = wavy(np.random.default_rng(6)), np.zeros((80, 59), np.float32)
+    u[20:60, 10:40] = np.random.default_rng(7).uniform(0, 1.2, (40, 30))
+    rows = linear.coefficients
+    added = levels([field], u, CELL, [cast(u, *CELL, row) for row in rows])
+    share = np.minimum(u / MOVED_MM, 1) * (u > LEAST_MM)
+    for k, row in enumerate(rows):
+        z = features(u, CELL, row)
+        np.testing.assert_allclose(z[..., :2] * SLOPE, np.stack(gradient(u, CELL), -1), atol=1e-5)
+        expected = field.at(k, z.reshape(-1, FEATURES)).reshape(u.shape)
+        np.testing.assert_allclose(added[k], share * expected, atol=2e-3)
 
 
 def test_presses_at_one_side_of_a_gel_teach_nothing_about_the_other(linear, photograph):
@@ -68,7 +92,7 @@ def test_presses_at_one_side_of_a_gel_teach_nothing_about_the_other(linear, phot
     ]
     gel = fit_presses(pairs, 20.0, ["rest_colour"], makes=()).gel
     u = np.full((80, 59), 0.5, np.float32)
-    added = levels([gel.residual], 0, u, CELL, gel.coefficients[0])
+    added = levels([gel.residual], u, CELL, [cast(u, *CELL, row) for row in gel.coefficients])[0]
     assert np.abs(added[:25]).max() > 3
     assert np.abs(added[60:]).max() < 0.5
 
@@ -82,8 +106,7 @@ def test_it_adds_the_same_levels_where_the_rest_image_is_bright_and_where_it_is_
         effects = {"rest_colour": {f"exponent_{c}": exponent for c in CHANNELS}}
         gel = replace(linear, effects=effects, residual=field)
         with_it, without = (
-            light(u, CELL, g.coefficients, g.further).transpose(1, 2, 0)
-            for g in (gel, replace(gel, residual=None))
+            light(u, CELL, *g.lighting).transpose(1, 2, 0) for g in (gel, replace(gel, residual=None))
         )
         w = gel.weight_on(to_grid(linear.rest_image))
         added.append(w * (with_it - without))
