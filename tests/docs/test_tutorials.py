@@ -1,7 +1,11 @@
 """Every block of the tutorials, and of the how-to pages that need no hardware, runs as printed."""
 
+import os
+import re
+from pathlib import Path
+
 import pytest
-from doc_blocks import run_page
+from doc_blocks import blocks, run_block, run_page
 
 SLOW = pytest.mark.slow
 NIGHTLY = pytest.mark.nightly
@@ -29,3 +33,16 @@ pytestmark = pytest.mark.timeout(1200)  # two busy cores; a page takes one or tw
 )
 def test_blocks_run(page, tmp_path):
     run_page(page, tmp_path)
+
+
+@NIGHTLY
+@pytest.mark.parametrize("page", ["README.md", "docs/tutorials/digit_from_two_images.md"])
+def test_blocks_on_photographs_print_the_errors_that_their_comments_tell(page, tmp_path):
+    if "PNEUTAC_DATA" not in os.environ:
+        pytest.skip("PNEUTAC_DATA is unset: there are no real photographs to calibrate to")
+    (tmp_path / "digit_fots").symlink_to(Path(os.environ["PNEUTAC_DATA"]) / "tactile" / "digit_fots")
+    (block,) = [b for b in blocks(page) if b.why == "needs the photographs"]
+    printed = run_block(page, block, tmp_path)
+    told = re.findall(r"#.*?(\d+\.\d+) levels", block.text)
+    assert len(told) == 2
+    assert all(f"error is {x} levels" in printed for x in told), printed
