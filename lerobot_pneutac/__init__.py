@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from lerobot_pneutac.verbs.comparison import Comparison
     from lerobot_pneutac.verbs.control import Control, control
     from lerobot_pneutac.verbs.design import Design, design
+    from lerobot_pneutac.verbs.design_press import PressDesign, design_press
     from lerobot_pneutac.verbs.diagnose import diagnose
     from lerobot_pneutac.verbs.diagnosis import Diagnosis
     from lerobot_pneutac.verbs.learn import learn
@@ -49,6 +50,8 @@ _MODULES = {
     "Control": "lerobot_pneutac.verbs.control",
     "design": "lerobot_pneutac.verbs.design",
     "Design": "lerobot_pneutac.verbs.design",
+    "design_press": "lerobot_pneutac.verbs.design_press",
+    "PressDesign": "lerobot_pneutac.verbs.design_press",
     "diagnose": "lerobot_pneutac.verbs.diagnose",
     "Diagnosis": "lerobot_pneutac.verbs.diagnosis",
     "learn": "lerobot_pneutac.verbs.learn",
@@ -59,8 +62,8 @@ _MODULES = {
 
 __all__ = [
     "Addition", "Calibration", "Comparison", "Control", "Demonstrations", "Design", "Diagnosis", "InputError",
-    "Learning", "Recording", "Twin", "add", "calibrate", "compare", "control", "design", "diagnose", "learn",
-    "load_demonstrations",
+    "Learning", "PressDesign", "Recording", "Twin", "add", "calibrate", "compare", "control", "design",
+    "design_press", "diagnose", "learn", "load_demonstrations",
 ]  # fmt: skip
 
 

@@ -1,6 +1,6 @@
-"""`pneutac design`: chooses the program that tells most about what is missing."""
+"""`pneutac design`: chooses the program, or a gel's press, that tells most about what is missing."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 from rich.console import Console
@@ -10,6 +10,7 @@ from lerobot_pneutac.cli.show import show, write
 from lerobot_pneutac.diagnosis.hands import GRAVITY, Hands, named
 from lerobot_pneutac.study.pair import load_bench_pair
 from lerobot_pneutac.verbs.design import design
+from lerobot_pneutac.verbs.design_press import design_press
 from pneutac_sim.errors import InputError
 
 
@@ -21,7 +22,8 @@ class DesignConfig:
         twin: folder of the twin that was diagnosed.
         recording: folder of the recording that was diagnosed.
         diagnosis: folder that `pneutac diagnose --out=` wrote.
-        out: folder for `program.csv`, `result.json` and `report.html`; nothing is written without it.
+        out: folder for `program.csv` (of a gel `press.csv`), `result.json` and `report.html`; nothing is
+            written without it.
         max_kpa: highest set-point; that of the recording where none is given.
         min_kpa: lowest set-point; that of the recording, 0 at most, where none is given.
         budget_s: longest program.
@@ -57,6 +59,13 @@ def main(argv: list[str]) -> None:
     cfg, console = parse_options(DesignConfig, argv), Console()
     twin, recording = load_bench_pair(cfg.twin, cfg.recording, "design by")
     limits = (cfg.max_kpa, cfg.min_kpa, cfg.budget_s, cfg.program_s, cfg.hz)
+    if recording.device == "gel":
+        for option in fields(cfg)[4:]:
+            if getattr(cfg, option.name) != option.default:
+                raise InputError(f"{option.name}: a press of a gel has no such option; leave it out.")
+        press = design_press(twin, recording, cfg.diagnosis)
+        show(press, console)
+        return write(press, cfg.out, "design", argv, console)
     usual = {
         c: float(recording.column(c)[0]) for c in (*GRAVITY, "payload_g", "temperature_c") if recording.has(c)
     }

@@ -5,6 +5,8 @@ what is easy or hard in a unit cancels. Each condition keeps its number of units
 show in four units of thirty-six, and plain resampling would often miss all four.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 DRAWS = 2000
@@ -43,6 +45,15 @@ class Resampler:
     def value(self, squared: np.ndarray) -> float:
         """Mean square error of the part itself."""
         return float(squared[self.mask].mean())
+
+    def shares(self, models: Sequence[np.ndarray]) -> np.ndarray:
+        """How likely each of n models is the best (n,), from squared errors (n,) on what its fit did not see.
+
+        The share of the draws in which it has the least; of few units it is no certainty (Laplace's rule).
+        """
+        errors = np.stack([self.mse(squared) for squared in models])
+        best = np.bincount(errors.argmin(axis=0), minlength=len(errors)) / errors.shape[1]
+        return (best * self.units + 1) / (self.units + len(errors))
 
     def drop(self, before: np.ndarray, after: np.ndarray) -> tuple[float, float, float]:
         """Fall of the mean square error: value, lower 1 % bound, upper 99 % bound."""

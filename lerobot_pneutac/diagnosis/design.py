@@ -115,7 +115,7 @@ def choices(
         if len(told) < len(contenders):
             continue
         share = 1 / (sigma**2 * INDEPENDENT_S * limits.hz)
-        rivals = _between(told, np.array([c.probability for c in contenders]), share)
+        rivals = nats_between(told, np.array([c.probability for c in contenders]), share)
         constants = _of_constants(planned, contenders[0].twin, told[0], share)
         cells = visited(planned, limits)
         new = sum(n for cell, n in cells.items() if cell not in seen) / sum(cells.values())
@@ -146,6 +146,20 @@ def common_programs(limits: Limits) -> Iterator[tuple[str, str, np.ndarray, np.n
     """Name, kind, time and command (n,) of the programs that are no law's own."""
     for name, kind, knots in _grid():
         yield name, kind, *_sampled(knots, limits)
+
+
+def nats_between(told: Sequence[np.ndarray], probability: np.ndarray, share: float) -> float:
+    """Nats about which of n models is true, from what each predicts of a measurement.
+
+    Args:
+        told: of each model the same numbers.
+        probability: (n,) of each model.
+        share: what a squared difference of one number counts: one over its variance, less where neighbours
+            are alike.
+    """
+    p = probability / probability.sum()
+    apart = np.array([[((a - b) ** 2).sum() for b in told] for a in told]) * share / 2
+    return float(-(p * np.log(np.maximum(np.exp(-apart) @ p, 1e-300))).sum())
 
 
 # ---------------------------------------------------------------- what there is to choose from
@@ -248,13 +262,6 @@ def _predicted(planned: Recording, twin: Twin) -> np.ndarray | None:
     except InputError:
         return None
     return seen if np.isfinite(seen).all() else None
-
-
-def _between(told: Sequence[np.ndarray], probability: np.ndarray, share: float) -> float:
-    """Nats about which contender is true."""
-    p = probability / probability.sum()
-    apart = np.array([[((a - b) ** 2).sum() for b in told] for a in told]) * share / 2
-    return float(-(p * np.log(np.maximum(np.exp(-apart) @ p, 1e-300))).sum())
 
 
 def _of_constants(planned: Recording, twin: Twin, told: np.ndarray, share: float) -> float:

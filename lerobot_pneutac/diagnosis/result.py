@@ -85,7 +85,8 @@ class Outcome:
         seconds: wall time.
         chosen_in: effect to the share of split seeds that chose it.
         base_model: how the device bends before any effect, in numbers.
-        contenders: the final model, its nearest others, and the twin as it is, re-fitted; empty for gels.
+        contenders: the final model, its nearest others, and last the twin as it is, re-fitted;
+            empty for demonstrations.
     """
 
     before: FittedModel

@@ -17,6 +17,7 @@ from lerobot_pneutac.study.base import EffectStudy
 from lerobot_pneutac.study.gel_model import at_bound, for_twin, seen_by
 from lerobot_pneutac.study.gel_noise import away, noise
 from lerobot_pneutac.study.gel_parts import APART, FOLDS, NEEDED, deal_photographs, photograph_folds
+from lerobot_pneutac.study.gel_press import contenders
 from lerobot_pneutac.study.gel_space import FittedGel, GelSpace, Trial, mean_squares
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.noise import NoiseFloor
@@ -114,6 +115,7 @@ class GelStudy(EffectStudy):
             twin=self.twin_of(final),
             seconds=time.perf_counter() - began,
             chosen_in={e: votes[e] for e in selected},
+            contenders=contenders(found, self.judge, self.twin_of),
         )
 
     def _ladder(self, base: FittedGel, added: list[str]) -> list[tuple[str, FittedGel]]:

@@ -144,10 +144,12 @@ def design(
     Raises:
         InputError: the folder holds no diagnosis of a body, or no program fits the limits.
     """
+    if recording.device == "gel":
+        raise InputError(f"{recording.folder} is of a gel; `design_press` chooses its next press.")
     found = isinstance(diagnosis, Diagnosis)
     contenders = list(diagnosis.outcome.contenders) if found else load_contenders(diagnosis)
     if not contenders:
-        raise InputError("The diagnosis is of a gel, for which there is no program of pressures.")
+        raise InputError("The diagnosis is of demonstrations; give one of a bench recording.")
     command = recording.samples[recording.pressure_columns].to_numpy(float)
     low = float(min(command.min(), 0.0)) if min_kpa is None else min_kpa
     limits = Limits(low, float(command.max()) if max_kpa is None else max_kpa, hz, budget_s, program_s)

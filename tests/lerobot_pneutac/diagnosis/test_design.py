@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from lerobot_pneutac.diagnosis.design import _between, choices, common_programs, first_program
+from lerobot_pneutac.diagnosis.design import choices, common_programs, first_program, nats_between
 from lerobot_pneutac.diagnosis.limits import Limits, visited
 from lerobot_pneutac.diagnosis.programs import table
 from lerobot_pneutac.diagnosis.result import Contender
@@ -31,13 +31,13 @@ def twin(**effects):
 
 def test_information_between_models_is_what_is_known_of_equal_and_of_far_ones():
     same, far = np.zeros((50, 2)), np.full((50, 2), 9.0)
-    assert _between([same, same], np.array([0.5, 0.5]), 1.0) == pytest.approx(0.0)
-    assert _between([same, far], np.array([0.5, 0.5]), 1.0) == pytest.approx(np.log(2))
+    assert nats_between([same, same], np.array([0.5, 0.5]), 1.0) == pytest.approx(0.0)
+    assert nats_between([same, far], np.array([0.5, 0.5]), 1.0) == pytest.approx(np.log(2))
     p = np.array([0.7, 0.2, 0.1])
     told = [same, far, -far]
-    assert _between(told, p, 1.0) == pytest.approx(-(p * np.log(p)).sum())
+    assert nats_between(told, p, 1.0) == pytest.approx(-(p * np.log(p)).sum())
     near = same + 0.05
-    assert 0 < _between([same, near], np.array([0.5, 0.5]), 1.0) < np.log(2)
+    assert 0 < nats_between([same, near], np.array([0.5, 0.5]), 1.0) < np.log(2)
 
 
 def test_the_program_that_shows_a_lag_ranks_before_those_that_hide_it(tmp_path):

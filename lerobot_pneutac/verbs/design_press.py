@@ -1,0 +1,139 @@
+"""The next press for a gel: what it separates."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from lerobot_pneutac.diagnosis.design import LITTLE
+from lerobot_pneutac.diagnosis.result import Contender
+from lerobot_pneutac.reports.page import Report
+from lerobot_pneutac.reports.sentences import called
+from lerobot_pneutac.study.gel_press import PressChoice, press_choices
+from lerobot_pneutac.study.pair import same_device
+from lerobot_pneutac.verbs.contenders import load_contenders
+from lerobot_pneutac.verbs.diagnosis import Diagnosis
+from lerobot_pneutac.verbs.result import Result
+from pneutac_datasets.recording.gel import GelRecording
+from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.files import whole
+from pneutac_sim.twin import Twin
+
+SHOWN = 8
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class PressDesign(Result):
+    """Presses for a gel, the one that tells most first.
+
+    Attributes:
+        twin: that was diagnosed.
+        recording: that was diagnosed.
+        contenders: models in the running.
+        choices: see `lerobot_pneutac.study.gel_press`.
+    """
+
+    twin: Twin
+    recording: Recording
+    contenders: tuple[Contender, ...]
+    choices: tuple[PressChoice, ...]
+
+    title = "The next press"
+
+    def subject(self) -> tuple[Twin, Path]:
+        """The twin and the recording."""
+        return self.twin, self.recording.folder
+
+    @property
+    def best(self) -> PressChoice:
+        """The press to photograph."""
+        return self.choices[0]
+
+    @property
+    def tells_little(self) -> bool:
+        """Whether it is hardly worth a photograph."""
+        return self.best.rivals < LITTLE
+
+    @property
+    def sentence(self) -> str:
+        """What to press and what it will tell."""
+        if self.tells_little:
+            return (
+                "No press of these indenters would tell the models in the running apart; press another "
+                "shape, such as an edge or a small cylinder, and diagnose again."
+            )
+        p, likely = self.best.press, self.contenders[0]
+        return (
+            f"Press the {p.indenter} of {p.size_mm:g} mm {p.depth_mm:g} mm deep at x {p.x_mm:g}, "
+            f"y {p.y_mm:g} mm: {self.best.rivals:.2f} nats between {len(self.contenders)} models, of which "
+            f"{_named(likely)} is the likeliest ({100 * likely.probability:.0f} %)."
+        )
+
+    def rows(self) -> list[dict]:
+        """The best presses."""
+        return [
+            {
+                "indenter": f"{c.press.indenter}, {c.press.size_mm:g} mm",
+                "x, mm": f"{c.press.x_mm:g}",
+                "y, mm": f"{c.press.y_mm:g}",
+                "depth, mm": f"{c.press.depth_mm:g}",
+                "nats between models": f"{c.rivals:.2f}",
+            }
+            for c in self.choices[:SHOWN]
+        ]
+
+    def to_dict(self) -> dict:
+        """The content of `result.json`."""
+        return {
+            "press": _row(self.best),
+            "nats_between_models": self.best.rivals,
+            "tells_little": self.tells_little,
+            "contenders": [{"terms": list(c.terms), "probability": c.probability} for c in self.contenders],
+            "sentence": self.sentence,
+        }
+
+    def report(self, out: str | Path, command: str = "") -> Path:
+        """Writes `press.csv` too, a row as a gel's recording has it."""
+        with whole(Path(out) / "press.csv") as part:
+            pd.DataFrame([_row(self.best)]).to_csv(part, index=False)
+        return super().report(out, command)
+
+    def page(self) -> Report:
+        """The press as each model predicts it."""
+        page, images = super().page(), self.best.images
+        names = [f"{100 * c.probability:.0f} % {_named(c)}" for c in self.contenders]
+        page.image(np.concatenate(images, axis=1), f"What each model predicts: {', '.join(names)}.")
+        first = images[0].astype(float)
+        apart = [np.clip(128 + 4 * (i - first), 0, 255).astype(np.uint8) for i in images[1:]]
+        if apart:
+            page.image(np.concatenate(apart, axis=1), "The others less the first, four times exaggerated.")
+        return page
+
+
+def design_press(twin: Twin, recording: Recording, diagnosis: str | Path | Diagnosis) -> PressDesign:
+    """Chooses the next press for a gel's recording that was diagnosed.
+
+    Args:
+        twin: that was diagnosed.
+        recording: likewise; all photographs so far.
+        diagnosis: what `diagnose` found, itself or the folder that `pneutac diagnose --out=` wrote.
+
+    Raises:
+        InputError: the recording is of no gel, the folder holds no diagnosis, or one of a body.
+    """
+    same_device(twin, recording, "the twin", "design for")
+    found = isinstance(diagnosis, Diagnosis)
+    contenders = list(diagnosis.outcome.contenders) if found else load_contenders(diagnosis)
+    choices = press_choices(GelRecording.load(recording), contenders)
+    return PressDesign(twin=twin, recording=recording, contenders=tuple(contenders), choices=tuple(choices))
+
+
+def _named(contender: Contender) -> str:
+    return " + ".join(map(called, contender.terms)) or "no effect"
+
+
+def _row(choice: PressChoice) -> dict:
+    p = choice.press
+    size = "indenter_size_mm" if p.indenter in ("cube", "edge") else "indenter_radius_mm"
+    return {"indenter": p.indenter, size: p.size_mm, "x_mm": p.x_mm, "y_mm": p.y_mm, "depth_mm": p.depth_mm}

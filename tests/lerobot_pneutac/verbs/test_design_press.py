@@ -1,0 +1,75 @@
+"""`pneutac design` of a gel: the press that tells models apart."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from generated import once
+
+from lerobot_pneutac.cli.design import main as design
+from lerobot_pneutac.diagnosis.result import Contender
+from lerobot_pneutac.study.gel_press import press_choices
+from lerobot_pneutac.verbs.contenders import save_contenders
+from pneutac_datasets.generate.gel import write_gel_recording
+from pneutac_datasets.recording.gel import GelRecording
+from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.errors import InputError
+from pneutac_sim.gel.fit import fit_presses
+from pneutac_sim.twin import Twin
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    return once(write_gel_recording, tmp_path_factory.mktemp("gel") / "recording", seed=2, heldout=4)
+
+
+@pytest.fixture(scope="module")
+def models(recording):
+    """Two gels that differ by a fifth of their shadows' depth, fitted to the same presses otherwise."""
+    data = GelRecording.load(recording)
+    photographs = [s.photograph for s in data.samples]
+    gel = fit_presses(photographs, data.px_per_mm, ("shadow",), data.thickness_mm).gel
+    made = []
+    for share, terms, probability in ((1.0, ("shadow",), 0.6), (0.8, (), 0.4)):
+        shadow = {k: v * (share if "levels" in k else 1.0) for k, v in gel.effects["shadow"].items()}
+        twin = Twin("gel", 16.0)
+        replace(gel, effects={"shadow": shadow}).into_twin(twin)
+        made.append(Contender(twin, terms, probability))
+    return made
+
+
+def test_where_shadows_are_longest_they_are_told_best(recording, models):
+    """At one place the deeper press, whose shadow is longer and darker, tells more."""
+    ranked = press_choices(GelRecording.load(recording), models)
+    nats = np.array([c.rivals for c in ranked])
+    assert (np.diff(nats) <= 0).all() and 0 < nats[0] < np.log(2)
+    best = ranked[0].press
+    at = [c for c in ranked if (c.press.x_mm, c.press.y_mm) == (best.x_mm, best.y_mm)]
+    deep = [c.press.depth_mm for c in at]
+    assert deep == sorted(deep, reverse=True) and at[-1].rivals < 0.7 * nats[0]
+
+
+def test_models_that_predict_the_same_are_told_apart_by_none(recording, models, tmp_path, capsys):
+    save_contenders(tmp_path / "same", [models[0], Contender(models[0].twin, (), 0.4)])
+    twin = models[1].twin.save(tmp_path / "twin")
+    common = [f"--twin={twin}", f"--recording={recording.folder}"]
+    design([*common, f"--diagnosis={tmp_path / 'same'}"])
+    assert "No press of these indenters would tell" in " ".join(capsys.readouterr().out.split())
+
+    save_contenders(tmp_path / "apart", models)
+    design([*common, f"--diagnosis={tmp_path / 'apart'}", f"--out={tmp_path / 'out'}"])
+    result = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert not result["tells_little"] and [c["terms"] for c in result["contenders"]] == [["shadow"], []]
+    assert "data:image/png;base64" in (tmp_path / "out" / "report.html").read_text()
+    # Its row describes a press as a recording does.
+    (row,) = pd.read_csv(tmp_path / "out" / "press.csv").to_dict("records")
+    samples = recording.samples.iloc[:1].assign(**row)
+    (again,) = GelRecording.load(Recording(recording.folder, recording.meta, samples, "gel")).samples
+    assert {"x_mm": again.press.x_mm, "depth_mm": again.press.depth_mm}.items() <= result["press"].items()
+
+    with pytest.raises(InputError, match="max_kpa: a press of a gel has no such option; leave it out"):
+        design([*common, f"--diagnosis={tmp_path / 'apart'}", "--max_kpa=10"])
+    with pytest.raises(InputError, match="contenders.json; give the folder"):
+        design([*common, f"--diagnosis={tmp_path / 'nothing'}"])
