@@ -107,7 +107,7 @@ def levels(
     Returns:
         Levels, float32 (3, rows, columns).
     """
-    u = displacement_mm
+    u, shadows = displacement_mm, np.asarray(shadows, np.float32)
     out = np.zeros((3, *u.shape), np.float32)
     z, cells = _features(u, _blurred(u, cell_mm), *cell_mm, LEAST_MM)
     for f in fields if len(cells) else ():
