@@ -3,6 +3,7 @@
 Light and exposure drift between a rest image and the photographs of a session. One pair of images shows how
 far, away from its contact, but not whether that is the session's or its own: half of it is expected of the
 session's other photographs, which is right where both are alike, and n / (n + 1) of the mean of n pairs.
+So is a part of each pixel's own difference away from a contact, which is the rest image's noise.
 """
 
 from collections.abc import Callable, Sequence
@@ -88,15 +89,38 @@ def session_light(pair: PressPhotograph, px_per_mm: float) -> np.ndarray:
 
 
 def expected_drift(pairs: Sequence[PressPhotograph], rest: np.ndarray, px_per_mm: float) -> np.ndarray:
-    """Change of the light (H, W, 3) in levels that a session's other photographs are expected to have.
+    """Change (H, W, 3) in levels from its rest image that a session's other photographs are expected to have.
+
+    Smooth where a press is near; each pixel of its own elsewhere.
 
     Args:
         pairs: photographs, those of the session with this rest image itself.
         rest: of the session, uint8 (H, W, 3).
         px_per_mm: scale of the images.
     """
-    seen = [session_light(p, px_per_mm) for p in pairs if p.rest is rest]
-    return len(seen) / (len(seen) + 1) * optics.upsample(np.mean(seen, axis=0), *rest.shape[:2])
+    own = [(p, session_light(p, px_per_mm), ~p.near(px_per_mm)) for p in pairs if p.rest is rest]
+    smooth = sum(light for _, light, _ in own) / (len(own) + 1)
+    share = _noise_of_rest([p.image for p, _, _ in own], rest, [far for _, _, far in own])
+    rough, frames = np.zeros(rest.shape), np.full(rest.shape, (1 - share) / share)
+    for p, light, far in own:
+        drawn = optics.upsample(light, *rest.shape[:2])
+        rough[far] += (p.image.astype(np.float32) - rest - drawn)[far]
+        frames[far] += 1
+    return optics.upsample(smooth, *rest.shape[:2]) + rough / frames
+
+
+def _noise_of_rest(images, rest: np.ndarray, far) -> float:
+    """Share of the noise of images - rest away from contacts that is the rest image's, above 0 to 1.
+
+    Of neighbours' differences, -cov(image - rest, rest) / var(image - rest): a half where the rest image is a
+    frame as noisy as others, little where it is the mean of many.
+    """
+    top, bottom, r = 0.0, 1e-9, np.diff(rest.astype(np.float32), axis=1)
+    for image, away in zip(images, far, strict=True):
+        both = away[:, 1:] & away[:, :-1]
+        d = (np.diff(image.astype(np.float32), axis=1) - r)[both]
+        top, bottom = top - float((d * r[both]).sum()), bottom + float(np.square(d).sum())
+    return float(np.clip(top / bottom, 1e-3, 1))
 
 
 def gains(gel: GelModel, clock: float) -> np.ndarray:

@@ -118,6 +118,19 @@ def test_the_more_pairs_the_more_of_their_mean_drift_is_expected(linear, drifted
         assert share == pytest.approx(n / (n + 1), rel=0.01)
 
 
+@pytest.mark.parametrize(("n", "noise"), [(1, 3.0), (5, 3.0), (1, 1.0), (1, 0.3)])
+def test_photographs_take_out_of_predictions_what_noise_the_rest_image_has(linear, n, noise):
+    rng, true = np.random.default_rng(0), linear.rest_image.astype(float).clip(20, 230)
+    rest = np.uint8(np.round(true + rng.normal(0, noise, true.shape)))
+    images = [np.uint8(np.round(true + rng.normal(0, 3, true.shape))) for _ in range(n)]
+    pairs = [PressPhotograph(OTHER, image, rest) for image in images]
+    expected, near = expected_drift(pairs, rest, linear.px_per_mm), pairs[0].near(linear.px_per_mm)
+    left, own = rest + expected - true, rest - true
+    assert left[near].std() == pytest.approx(own[near].std(), rel=0.05)
+    best = (own[~near].var() ** -1 + n / 9) ** -0.5  # of a mean by inverse variances
+    assert left[~near].std() == pytest.approx(best, rel=0.05)
+
+
 def test_a_gel_that_knows_the_drift_needs_no_pair(linear, drifted):
     v = {f"{kind}_{c}": float(kind == "gain") for kind in ("gain", "drift") for c in ("red", "green", "blue")}
     linear.effects = {"illumination_drift": v | {"gain_red": 1.1, "drift_red": -0.2}}
