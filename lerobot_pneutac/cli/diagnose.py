@@ -9,6 +9,7 @@ from lerobot_pneutac.cli.options import parse_options
 from lerobot_pneutac.cli.progress import progress_bar
 from lerobot_pneutac.cli.show import show, write
 from lerobot_pneutac.study.pair import load_pair
+from lerobot_pneutac.verbs.contenders import save_contenders
 from lerobot_pneutac.verbs.diagnose import diagnose
 
 
@@ -45,5 +46,7 @@ def main(argv: list[str]) -> None:
         result = diagnose(twin, recording, jobs=cfg.jobs, seed=cfg.seed, progress=progress)
     if cfg.out is not None and recording.device != "gel":
         result = result.save(cfg.out)
+    elif cfg.out is not None:
+        save_contenders(cfg.out, result.outcome.contenders)
     show(result, console)
     write(result, cfg.out, "diagnose", argv, console)
