@@ -40,6 +40,14 @@ def browser():
         browser.close()
 
 
+@pytest.fixture(autouse=True)
+def closed(browser):
+    """A page that a failed test left open would draw on, without a graphics card, beside all that follow."""
+    yield
+    for context in browser.contexts:
+        context.close()
+
+
 class Page:
     """A page, with what it complained of, whom it asked and how many messages came."""
 
