@@ -181,8 +181,9 @@ class Search:
         for s in done:
             self.tell(f"trying {' + '.join(s.model.form.effects) or 'the base'}: error {s.value**0.5:.3g}")
         near = done[0].value + 0.02 * max(done[0].value, self.floor2)
-        top = sorted((s for s in done if s.value <= near), key=lambda s: s.model.cost)
-        first = top[0]
+        first = min((s for s in done if s.value <= near), key=lambda s: s.model.cost)
+        least = set(first.model.form.effects)  # with more, and no better, all would be tried twice
+        done = [s for s in done if s.value > near or not least < set(s.model.form.effects)]
         return [first, *(s for s in done if s is not first)][: BEAM - 1] + (
             [chosen] if chosen is not first and chosen not in done[: BEAM - 1] else []
         )
@@ -250,8 +251,7 @@ class Search:
         return min(falls[-1], sum(falls)) > 0
 
     def _surely(self, before: Scored, after: Scored, least: float) -> bool:
-        drop, low, _ = self.judge.drop(before.crossed, after.crossed)
-        return bool(low > 0 and drop > least)
+        return before.value - after.value > least and self.judge.surely(before.crossed, after.crossed)
 
     def pruned(self, best: Scored, found: Found) -> Scored:
         """Takes away what is not needed, one after the other."""
@@ -263,9 +263,8 @@ class Search:
             without = {t: self.score(m) for t, m in zip(terms, models, strict=True)}
             found.without = without
             weakest = min(without, key=lambda t: without[t].value)
-            drop, low, _ = self.judge.drop(without[weakest].crossed, best.crossed)
             room = without[weakest].value - self.floor2
-            if low > 0 and drop > max(0.02 * room, 0.3 * WORTH_OF_FLOOR * self.floor2):
+            if self._surely(without[weakest], best, max(0.02 * room, 0.3 * WORTH_OF_FLOOR * self.floor2)):
                 return best
             best = without[weakest]
 

@@ -17,17 +17,16 @@ from lerobot_pneutac.diagnosis.steps import Steps
 from lerobot_pneutac.study import gauge
 from lerobot_pneutac.study.body_model import BodyFitter, BodyModel, Form, Reading
 from lerobot_pneutac.study.body_outcome import body_outcome
-from lerobot_pneutac.study.body_search import BodySearch, base_effects
+from lerobot_pneutac.study.body_search import BodySearch, Searched, base_effects
 from lerobot_pneutac.study.body_space import BodySpace
 from lerobot_pneutac.study.body_words import BodyWords
+from lerobot_pneutac.study.one_device import move_back
 from lerobot_pneutac.study.pair import enough_rows
 from lerobot_pneutac.study.reading import read
-from lerobot_pneutac.study.slips import find_slip
 from pneutac_datasets.recording.checks import check
 from pneutac_datasets.recording.mounts import on_one_mount
-from pneutac_datasets.recording.noise import headline, noise_floor
+from pneutac_datasets.recording.noise import noise_floor
 from pneutac_datasets.recording.recording import Recording
-from pneutac_datasets.recording.tracker import where
 from pneutac_sim.effects.laws import starts
 from pneutac_sim.effects.registry import body_effects, get_effect, of_body
 from pneutac_sim.finger.confidence import Z95, confidence
@@ -40,7 +39,6 @@ OF_TRIALS = (
     "what was found, errors are counted beside them (told by its learning rows), before it they are not."
 )
 EDGE = 1e-3
-MOST_SLIPS = 3
 
 
 class BodyStudy(BodyWords):
@@ -54,6 +52,7 @@ class BodyStudy(BodyWords):
 
     Attributes:
         measured: columns of measured pressure, empty where it tells nothing.
+        checked: number of findings before a search.
         start: how trials are taken to begin, before a search asks.
         joints: of the spine, tried beside the twin's own number.
 
@@ -73,7 +72,7 @@ class BodyStudy(BodyWords):
         enough_rows(twin, self.recording, [*self.own, *(adding or [largest])], self.parts.train)
         self.recording, moved = on_one_mount(self.recording, twin, self.parts.train)
         self.findings = self.findings + moved
-        self._checked = len(self.findings)
+        self.checked = len(self.findings)
         self.noise = noise_floor(self.recording)
         self.unit = self.noise.unit
         self.measured = gauge.measured_columns(self.recording)
@@ -129,6 +128,11 @@ class BodyStudy(BodyWords):
             twin.parameters["pause_s"] = Value(pause)
         return replace(twin, arrays={}, gel={}, history=[])
 
+    def with_air(self, body: BodyModel, air: BodyModel) -> Twin:
+        """The twin of a body that the measured pressure drove, with the air before it."""
+        twin, of_air = self.twin_with(body), self.twin_with(air).effects
+        return replace(twin, effects=twin.effects | {k: v for k, v in of_air.items() if get_effect(k).of_air})
+
     def as_it_is(self, search: BodySearch) -> Scored:
         """The twin with its own effects, re-fitted."""
         fitter = BodyFitter(self.recording, self.twin, search.rows)
@@ -138,35 +142,7 @@ class BodyStudy(BodyWords):
         form = Form(tuple(self.own), reading, len(self.twin.spine_joint_positions_mm), own)
         space = BodySpace(fitter, self.own, [form.joints], [], ((),), form.reading)
         models = [fitter.fit(form, v, 12) for v in ({}, fitter.rough(form))]
-        found = min((search.score(space.settle_line(m)) for m in models), key=lambda s: s.value)
-        return self._slipped(search, found) or found
-
-    def _slipped(self, search: BodySearch, found: Scored) -> Scored | None:
-        """The same with a slip of the marker taken back; None where there surely is none."""
-        was, model = (self.recording, self.findings), found.model
-        columns, _ = headline(self.recording)
-        J = model.jacobian.reshape(len(search.rows), -1, model.jacobian.shape[1])[:, : len(columns)]
-        residual, trial = self.fitted(model).residual, np.asarray(self.recording.samples["trial"])
-        predicted = self.recording.samples[columns].to_numpy(float) - residual
-        J = J.reshape(-1, J.shape[2])
-        slip = find_slip(residual, predicted, trial, search.rows, J, self.noise.value)
-        if slip is None or len(was[1]) - self._checked >= MOST_SLIPS:
-            return None
-        row, shift = slip
-        samples = self.recording.samples.copy()
-        samples.loc[samples.index[row:], columns] -= shift
-        moved = ", ".join(f"{c} by {x:.3g}" for c, x in zip(columns, shift, strict=True))
-        self.recording = replace(self.recording, samples=samples)
-        self.findings = [
-            *was[1],
-            f"The marker slipped in {where(self.recording, row)}: from there on everything is seen "
-            f"elsewhere, {moved}; rows from {row + 1} on are moved back for this judgement.",
-        ]
-        without = self.as_it_is(search)
-        if search.judge.drop(found.crossed, without.crossed)[1] > 0:
-            return without
-        self.recording, self.findings = was
-        return None
+        return min((search.score(space.settle_line(m)) for m in models), key=lambda s: s.value)
 
     def residual(self, twin: Twin) -> np.ndarray:
         """(n, k) measured minus predicted from the commanded pressure, each step at its own instant."""
@@ -179,14 +155,21 @@ class BodyStudy(BodyWords):
         """Looks for what the twin lacks."""
         began = time.perf_counter()
         with ThreadPoolExecutor(jobs) as pool:
-            search = BodySearch(self, pool.map, lambda text: steps.expect(text, 0))
             steps.expect("fitting the twin as it is", 1)
+            search, done = self._searched(pool.map, lambda text: steps.expect(text, 0))
             before = self.as_it_is(search)
-            done = search.find()
             if done.model.model.form.trials:
                 self.findings = [*self.findings, OF_TRIALS]
             steps.done()
             return body_outcome(self, search, before, done, began)
+
+    def _searched(self, run, tell) -> tuple[BodySearch, Searched]:
+        """A search, begun anew where the recording turned out not to be of one device, seen by one marker."""
+        while True:
+            search = BodySearch(self, run, tell)
+            done = search.find()
+            if done is not None:
+                return search, done
 
     def refit(self, effects: Sequence[str], start: FittedModel | None, steps: Steps) -> FittedModel:
         """All parameters of the twin and of these effects, fitted to all but the test part.
@@ -197,6 +180,8 @@ class BodyStudy(BodyWords):
         search = BodySearch(self, map, lambda text: None)
         if start is None:
             self._before = self.as_it_is(search)
+            while move_back(self, search, self._before):
+                self._before = self.as_it_is(search)
             steps.done()
             return self.fitted(self._before.model)
         fitter = BodyFitter(self.recording, self.twin, search.rows)
@@ -223,8 +208,8 @@ class BodyStudy(BodyWords):
             models = [space.settle(s.model) for s in best[:1]]
             found += [search.score(space.settle_line(m)) for m in models]
         plain, rich = found[0], found[-1]
-        drop, low, _ = search.judge.drop(plain.crossed, rich.crossed)
-        best = rich if low > 0 and drop > 0.03 * self.noise.value**2 else plain
+        needed = search.judge.surely(plain.crossed, rich.crossed)
+        best = rich if needed and plain.value - rich.value > 0.03 * self.noise.value**2 else plain
         self._crossed = self._before.crossed, best.crossed, search.judge
         steps.done()
         return self.fitted(best.model)

@@ -12,11 +12,11 @@ from lerobot_pneutac.diagnosis.result import Contender, Outcome, Tested
 from lerobot_pneutac.diagnosis.search import Scored
 from lerobot_pneutac.diagnosis.verdict import Evidence, decide
 from lerobot_pneutac.diagnosis.votes import rivals
+from lerobot_pneutac.study.body_black_box import left_to_black_box
 from lerobot_pneutac.study.body_model import BodyModel
-from lerobot_pneutac.study.body_search import BodySearch, Searched, left_to_black_box
+from lerobot_pneutac.study.body_search import BodySearch, Searched
 from lerobot_pneutac.study.reading import read
 from pneutac_sim.effects.laws import family, is_law, starts
-from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.finger.data import BodyData
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ def body_outcome(
     """What a search ended with, judged on test blocks; `began` by `time.perf_counter`."""
     before = study.fitted(start.model)
     after = _after(study, done, done.model.model)
-    helps = search.judge.drop(start.crossed, done.model.crossed)[1] > 0
+    helps = search.judge.surely(start.crossed, done.model.crossed)
     helps = helps and study.test.value(after.squared) < study.test.value(before.squared)
     if not helps:
         after, done.terms = before, []
@@ -61,15 +61,10 @@ def _after(study: "BodyStudy", done: Searched, model: BodyModel) -> FittedModel:
     """A model of the body, with the air that was found where the measured pressure drove it."""
     if not done.driven:
         return study.fitted(model)
-    body = study.twin_with(model)
     assert done.air is not None
-    air = study.twin_with(done.air.final.model)
-    body.effects = body.effects | {k: v for k, v in air.effects.items() if get_effect(k).of_air}
+    twin = study.with_air(model, done.air.final.model)
     return FittedModel(
-        effects=tuple(body.effects),
-        residual=study.residual(body),
-        count=len(model.free),
-        twin=body,
+        effects=tuple(twin.effects), residual=study.residual(twin), count=len(model.free), twin=twin
     )
 
 

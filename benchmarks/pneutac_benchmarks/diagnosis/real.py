@@ -51,7 +51,7 @@ def solve(case: Case) -> dict:
 
 def _blocks(d, seed: int) -> dict:
     """Errors on the test blocks of the study's own split."""
-    from lerobot_pneutac.study.body_search import features
+    from lerobot_pneutac.study.body_black_box import features
 
     study, test = d.study, d.study.parts.test
     before = d.outcome.before.residual
@@ -68,7 +68,7 @@ def _forward(d, whole) -> dict:
     from types import SimpleNamespace
 
     from lerobot_pneutac.diagnosis.experiment import predict
-    from lerobot_pneutac.study.body_search import features
+    from lerobot_pneutac.study.body_black_box import features
     from lerobot_pneutac.study.reading import read
 
     later = np.arange(len(whole)) >= EARLIER * len(whole)

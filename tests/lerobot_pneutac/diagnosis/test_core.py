@@ -47,6 +47,21 @@ def test_bootstrap_interval_covers_the_true_drop():
     assert covered >= 54
 
 
+def test_a_fall_is_sure_where_nearly_all_units_agree_though_two_hold_all_of_it():
+    """Just after steps of the command squares are a thousand times those of the rest, both ways."""
+    rng = np.random.default_rng(0)
+    unit, noise = np.repeat(np.arange(60), 25), rng.chisquare(3, 1500)
+    judge = Resampler(np.ones(1500, bool), unit, np.zeros(60, int), 0)
+    before, after = 1.2 * noise, noise.copy()
+    for u, b, a in ((3, 9e3, 100.0), (20, 3e3, 50.0), (40, 50.0, 4e3)):
+        before[25 * u], after[25 * u] = b, a
+    assert judge.drop(before, after)[1] < 0 < judge.drop(before, after)[0]
+    assert judge.surely(before, after) and not judge.surely(after, before)
+    once = after.copy()
+    once[75] = 900.0
+    assert not judge.surely(once, after) and not judge.surely(after, once), "one unit is chance"
+
+
 def test_stratified_draws_never_lose_a_rare_condition():
     unit = np.repeat(np.arange(36), 10)
     stratum = np.r_[np.zeros(32, int), np.ones(4, int)]

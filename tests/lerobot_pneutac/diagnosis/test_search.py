@@ -140,14 +140,14 @@ FLOOR = 0.5  # its square is a quarter
 class Written:
     """A model with this mean square error.
 
-    `patchy`: all of it in two of the forty blocks. `ahead`: of rows after all that were fitted.
+    `patchy`: none of it in four of the forty blocks. `ahead`: of rows after all that were fitted.
     """
 
     def __init__(self, effects, value, cost=None, patchy=False, ahead=None):
         self.effects, self.cost = effects, len(effects) + 1 if cost is None else cost
         self.ahead = value if ahead is None else ahead
         self.form = SimpleNamespace(effects=effects)
-        self._crossed = np.where(UNIT >= UNITS - 2, 20 * value, 0.0) if patchy else np.full(N, float(value))
+        self._crossed = np.where(UNIT >= UNITS - 4, 0.0, value / 0.9) if patchy else np.full(N, float(value))
 
     def crossed(self, fold):
         return self._crossed if np.min(fold) >= 0 else np.where(fold < 0, 0.0, float(self.ahead))
@@ -228,9 +228,9 @@ def test_late_falls_must_be_worth_a_share_of_the_start():
     assert find(rows | {"AB": 0.709})[1].final.model.effects == ("A", "B")
 
 
-def test_a_fall_that_a_few_blocks_undo_is_not_sure():
-    assert find({"": 1.25, "A": {"value": 1.0, "patchy": True}})[1].final.model.effects == ()
-    assert find({"": 1.25, "A": 1.0})[1].final.model.effects == ("A",)
+def test_a_fall_that_is_all_in_a_few_blocks_is_not_sure():
+    assert find({"": 1.25, "A": {"value": 1.13, "patchy": True}})[1].final.model.effects == ()
+    assert find({"": 1.25, "A": 1.13})[1].final.model.effects == ("A",)
 
 
 @pytest.mark.parametrize(("start", "asked"), [(0.2649, False), (0.2651, True)])
@@ -295,13 +295,13 @@ def test_among_alike_the_simplest_is_accepted():
 
 def test_of_those_that_are_not_sure_the_next_is_asked_but_not_all():
     """Three of the alike, two of the others."""
-    unsure, sure = ({"value": 2.0, "patchy": patchy, "cost": 2} for patchy in (True, False))
+    unsure, sure = ({"value": 3.84, "patchy": patchy, "cost": 2} for patchy in (True, False))
     alike = {"": 4.25} | dict.fromkeys("ABC", unsure)
     assert find(alike | {"C": sure})[1].final.model.effects == ("C",)
     assert find(alike | {"D": sure | {"cost": 3}})[1].final.model.effects == ()
-    others = {"": 4.25, "A": unsure, "B": unsure | {"value": 2.5}}
-    assert find(others | {"C": sure | {"value": 3.0}})[1].final.model.effects == ("C",)
-    last = {"C": unsure | {"value": 2.6}, "D": sure | {"value": 3.0}}
+    others = {"": 4.25, "A": unsure, "B": unsure | {"value": 3.9}}
+    assert find(others | {"C": sure | {"value": 3.95}})[1].final.model.effects == ("C",)
+    last = {"C": unsure | {"value": 3.92}, "D": sure | {"value": 3.95}}
     assert find(others | last)[1].final.model.effects == ()
 
 
@@ -386,7 +386,8 @@ def test_of_lines_within_two_hundredths_the_simplest_is_taken(value, first):
     [
         ({"": 4.25, "L": 2.0, "M": 2.5, "N": 3.0}, ["L", "M", ""]),
         ({"": 2.5, "L": 2.0, "M": 3.0}, ["L", ""]),
-        ({"": 2.03, "L": {"value": 2.0, "cost": 5}, "M": {"value": 2.01, "cost": 4}}, ["", "L"]),
+        ({"": 2.03, "L": {"value": 2.0, "cost": 5}, "M": {"value": 2.01, "cost": 4}}, [""]),
+        ({"": 2.03, "L": {"value": 2.0, "cost": 5}, "M": 2.5}, ["", "M"]),
     ],
 )
 def test_it_begins_with_the_best_two_and_the_bare_base(rows, beam):
