@@ -96,9 +96,12 @@ def test_an_imprint_grows_with_the_press_and_a_drift_of_light_makes_none(episode
     rest = rest_image(episode)
     strength = strengths(episode.images, rest)
     onset = episode.contact()[0]
-    assert strength[: onset - 2].max() < 1e-3 < strength[onset + 12 :].max()
+    assert strength[: onset - 8].max() < 1e-3 < 0.1 < strength[onset + 12 :].max()
     brighter = np.clip(rest * 1.03, 0, 255).astype(np.uint8)
     assert strengths(brighter[None], rest)[0] < 1e-3
+    pressed, drift = episode.images[onset + 12 :], np.array([1.03, 1.0, 0.98])
+    drifted = np.clip(pressed * drift, 0, 255).round().astype(np.uint8)
+    np.testing.assert_allclose(strengths(drifted, rest), strengths(pressed, rest), rtol=0.1)
 
 
 def test_a_drift_of_the_light_is_told(episode):
