@@ -6,16 +6,16 @@ beside it, and nothing where nothing was; a change of light must be told by the 
 """
 
 import json
+from concurrent.futures import as_completed
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
 
-from lerobot_pneutac.study.demonstrations import DemonstrationStudy
 from lerobot_pneutac.verbs.add import add
 from lerobot_pneutac.verbs.calibrate import calibrate
-from lerobot_pneutac.verbs.diagnose import diagnose
+from lerobot_pneutac.verbs.diagnose import cores, diagnose
 from lerobot_robot_pneutac.standin.world import Physics, StandinWorld
 from pneutac_benchmarks.tables import markdown, terminal
 from pneutac_datasets.demonstrations.episodes import Episode
@@ -28,14 +28,13 @@ from pneutac_sim.errors import check_least
 from pneutac_sim.features import CONTROL_HZ, TRIAL_S
 from pneutac_sim.files import write_json, write_text
 from pneutac_sim.twin import Twin
+from pneutac_sim.worker import process_pool
 from pneutac_sim.world.expert import ScriptedExpert
 
 VALVE = ("valve_slew", "valve_lag", "leak", "orifice_flow")
 # What is hidden, how the stand-in has it, and which kinds of finding are right.
 CASES: dict[str, tuple[Physics, tuple[str, ...]]] = {
-    "nothing (1)": (Physics(), ()),
-    "nothing (2)": (Physics(), ()),
-    "nothing (3)": (Physics(), ()),
+    **{f"nothing ({n})": (Physics(), ()) for n in range(1, 6)},
     "commands two steps late, not one": (Physics(late_commands=2), ("late_commands",)),
     "commands three steps late": (Physics(late_commands=3), ("late_commands",)),
     "creep 2.5 times as large": (Physics(creep=0.35), ("creep",)),
@@ -61,16 +60,19 @@ class BenchmarkDemonstrationsConfig:
         demonstrations: of each case.
         cases: so many of the cases, from the first on; all where left out.
         seed: of the demonstrations.
+        jobs: number of processes; 0 for all cores.
     """
 
     out: Path = Path("outputs/benchmark_demonstrations")
     demonstrations: int = 10
     cases: int = len(CASES)
     seed: int = 0
+    jobs: int = 0
 
     def __post_init__(self):
         check_least(5, demonstrations=self.demonstrations)
         check_least(1, cases=self.cases)
+        check_least(0, jobs=self.jobs)
 
 
 def show(count: int, seed: int, physics: Physics, task: str = "button") -> Demonstrations:
@@ -108,27 +110,25 @@ def measured_twin(folder: Path, count: int, seed: int) -> Twin:
 
 
 def run_case(twin: Twin, number: int, config: BenchmarkDemonstrationsConfig) -> dict:
-    """One case: what is found, and the replay error of held-out episodes before and after."""
+    """One case: what is found, and errors before and after, of held-out episodes and of all touch."""
     name, (physics, right) = list(CASES.items())[number]
     given = show(config.demonstrations, 1000 * config.seed + 100 + 37 * number, physics)
-    found = diagnose(twin, given)
-    corrected = add(twin, given, found)
-    after = found.before["heldout"]
-    if corrected.accepted:
-        study = DemonstrationStudy(corrected.twin, given)
-        residual = study.residual(corrected.twin)
-        after = float(np.sqrt(study.test.value((residual**2).sum(1))))
+    found = diagnose(twin, given, jobs=1)
+    corrected = add(twin, given, found)  # replays the episodes anew with the corrected twin
+    before = found.before
+    after = corrected.after if corrected.accepted and corrected.after else before
     light = light_drift(given.episodes, twin.arrays["rest_image"])
     kinds = [family(e) for e in found.selected] + ["light"] * light.drifted
     return {
         "case": name,
         "found": found.selected + ["light"] * light.drifted,
         "right": names_right(right, kinds),
+        "accepted": corrected.accepted,
         "verdict": found.verdict,
-        "before": found.before["heldout"],
-        "after": after,
-        "touch_before": found.before["touch"],
-        "touch_after": found.after["touch"],
+        "before": before["heldout"],
+        "after": after["heldout"],
+        "touch_before": before["touch"],
+        "touch_after": after["touch"],
         "sentence": found.sentence,
     }
 
@@ -145,21 +145,21 @@ def benchmark_demonstrations(config: BenchmarkDemonstrationsConfig) -> None:
     """Runs the cases and writes `demonstrations.md` and one file a case."""
     console = Console()
     twin = measured_twin(config.out / "twin", config.demonstrations, config.seed)
-    rows = []
-    for number in range(min(config.cases, len(CASES))):
-        file = config.out / f"case_{number:02d}.json"
-        if not file.is_file():
-            write_json(file, run_case(twin, number, config))
-            console.print(f"{number + 1} of {config.cases}: {json.loads(file.read_text())['found']}")
-        rows.append(json.loads(file.read_text()))
-    heads = ("hidden in the stand-in", "found", "right", "error before (mm)", "after (mm)")
+    files = {n: config.out / f"case_{n:02d}.json" for n in range(min(config.cases, len(CASES)))}
+    todo = [n for n, file in files.items() if not file.is_file()]
+    with process_pool(config.jobs or cores()) as pool:
+        futures = {pool.submit(run_case, twin, n, config): n for n in todo}
+        for done, future in enumerate(as_completed(futures), 1):
+            write_json(files[futures[future]], result := future.result())
+            console.print(f"{done} of {len(todo)}: {result['case']}: {result['found']}", highlight=False)
+    rows = [json.loads(file.read_text()) for file in files.values()]
+    heads = ("hidden in the stand-in", "found", "right", "before (mm)", "after", "touch before", "after")
     shown = [
         (
             r["case"],
             ", ".join(r["found"]) or "nothing",
             "yes" if r["right"] else "no",
-            f"{r['before']:.2f}",
-            f"{r['after']:.2f}",
+            *(f"{r[k]:.2f}" for k in ("before", "after", "touch_before", "touch_after")),
         )
         for r in rows
     ]

@@ -34,9 +34,9 @@ def areas(images: np.ndarray, rest: np.ndarray) -> np.ndarray:
 def strengths(images: np.ndarray, rest: np.ndarray) -> np.ndarray:
     """How strong the imprints are (T,), levels: the mean change beyond `FAINT_LEVELS` over each image.
 
-    Contact area counts pixels beside a threshold; this weighs them by what they change. The light drifts while
-    a finger presses, by about as much as an imprint grows, so each colour of a frame is first brought to the
-    brightness of the rest image, by the median of their ratio: most of the gel is not touched.
+    Contact area counts pixels beside a threshold; this weighs them by what they change. The light drifts
+    while a finger presses, by about as much as an imprint grows: each colour of a frame is first brought to
+    the brightness of the rest image, by the median of their ratio, as most of the gel is not touched.
 
     Args:
         images: uint8 (T, H, W, 3).
