@@ -133,6 +133,13 @@ def run_case(twin: Twin, number: int, config: BenchmarkDemonstrationsConfig) -> 
     }
 
 
+def _write_case(twin: Twin, number: int, config: BenchmarkDemonstrationsConfig, file: Path) -> str:
+    """Runs a case and writes it at once, so that no other's fault loses it; a line that tells it."""
+    result = run_case(twin, number, config)
+    write_json(file, result)
+    return f"{result['case']}: {result['found']}"
+
+
 def names_right(right: tuple[str, ...], kinds: list[str]) -> bool:
     """Whether what was found names all that was hidden, any of the valve's; and nothing where nothing was."""
     named = set(kinds) & set(right)
@@ -148,10 +155,9 @@ def benchmark_demonstrations(config: BenchmarkDemonstrationsConfig) -> None:
     files = {n: config.out / f"case_{n:02d}.json" for n in range(min(config.cases, len(CASES)))}
     todo = [n for n, file in files.items() if not file.is_file()]
     with process_pool(config.jobs or cores()) as pool:
-        futures = {pool.submit(run_case, twin, n, config): n for n in todo}
+        futures = [pool.submit(_write_case, twin, n, config, files[n]) for n in todo]
         for done, future in enumerate(as_completed(futures), 1):
-            write_json(files[futures[future]], result := future.result())
-            console.print(f"{done} of {len(todo)}: {result['case']}: {result['found']}", highlight=False)
+            console.print(f"{done} of {len(todo)}: {future.result()}", highlight=False)
     rows = [json.loads(file.read_text()) for file in files.values()]
     heads = ("hidden in the stand-in", "found", "right", "before (mm)", "after", "touch before", "after")
     shown = [
