@@ -272,15 +272,17 @@ class Fitter:
         return self.fit(Trial(Form(), dict(START)), TOUCH, 20)
 
     def lateness(self, kept: list[np.ndarray]) -> float:
-        """By how many frames touch is shown late in some frames of the episodes, (T,) masks each."""
-        whole = self.base(TOUCH).values
+        """By how many frames touch is shown late in some frames of the episodes, (T,) masks each.
+
+        How imprints grow is not fitted: where clocks part, that bends to make up for it.
+        """
         episodes = [replace(e, contact=m) for e, m in zip(self.episodes, kept, strict=True)]
         part = Fitter(self.twin, episodes, np.concatenate(kept))
         tried = np.arange(0.0, MOST_LATE, 0.25)
         errors = []
         for late in tried:
-            r = part.predict(Form(), whole | {"touch_late": float(late)}, TOUCH)[0][part.rows, TOUCH]
-            errors.append(float((r**2).sum()))
+            r = part.predict(Form(), START | {"touch_late": float(late)}, TOUCH)[0][part.rows, TOUCH]
+            errors.append(float(np.abs(r).sum()))  # by squares the few frames of chatter would decide
         best = tried[int(np.argmin(errors))]
         near = np.abs(tried - best) <= 1.0  # between frames errors are a little jagged: a parabola is not
         curve, slope, _ = np.polyfit(tried[near] - best, np.array(errors)[near], 2)
