@@ -93,10 +93,7 @@ def _contenders(
     others = [s for weighed in reversed(done.found.rivals) for s in sorted(weighed, key=lambda s: s.value)]
     scored = _differing([done.model], [*reversed(done.found.path), *others], known)[: 1 + MOST_OTHERS]
     scored = _differing(scored, done.without.values(), known)
-    errors = np.stack([search.judge.mse(s.crossed) for s in [*scored, start]])
-    best = np.bincount(errors.argmin(axis=0), minlength=len(errors)) / errors.shape[1]
-    # A share of few blocks is no certainty (Laplace's rule).
-    share = (best * search.judge.units + 1) / (search.judge.units + len(errors))
+    share = search.judge.shares([s.crossed for s in [*scored, start]])
     twins = [_after(study, done, s.model).twin for s in scored] + [study.fitted(start.model).twin]
     terms = [tuple(e for e in s.model.form.effects if e not in known) for s in scored] + [()]
     return [Contender(t, e, float(p)) for t, e, p in zip(twins, terms, share, strict=True)]

@@ -39,10 +39,10 @@ def _falls(model: BodyModel, moments: np.ndarray) -> np.ndarray:
     n, f = len(model.residual), len(model.v)
     J, weight = model.jacobian[:, :f].reshape(n, -1, f), model.weight[:f, :f]
     each, slope = np.einsum("ndf,ndg->nfg", J, J), np.einsum("ndf,nd->nf", J, model.residual)
-    after = lambda x: np.cumsum(x[::-1], axis=0)[::-1][moments]  # noqa: E731
     H, g = each.sum(axis=0) + weight, slope.sum(axis=0) + model.pull[:f]
     out = []
-    for H_after, g_after in zip(after(each), after(slope), strict=True):
+    each_after, slope_after = (np.cumsum(x[::-1], axis=0)[::-1][moments] for x in (each, slope))
+    for H_after, g_after in zip(each_after, slope_after, strict=True):
         A = np.block([[H, H_after], [H_after, H_after + weight]])
         b = np.r_[g, g_after]
         A[np.diag_indices_from(A)] += 1e-9 * np.trace(A) / len(A)
