@@ -2,10 +2,13 @@
 
 Units: joint angles rad, joint rates rad/s, positions m, contact area a fraction of the image (s/N),
 contact pixels log(1 + s), pressure kPa. Actions: end-effector velocity in m/s with orientation held, and
-pressure set-point in kPa. The displacement per step is velocity / control rate, 15 Hz in the paper.
+pressure set-point in kPa, of each chamber where the finger has several. The displacement per step is
+velocity / control rate, 15 Hz in the paper.
 """
 
+import re
 from collections.abc import Iterable
+from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import entry_points
 
@@ -27,9 +30,53 @@ POINTS_SIZE = 1152  # in observations and datasets they are one vector: LeRobot 
 CAMERA_SHAPE = (240, 320)  # height and width of a scene camera's picture, where they are not told, px
 
 PANDA_JOINTS = 7
-_AFTER_JOINTS = ("ee_x.pos", "ee_y.pos", "ee_z.pos", "contact_area.pos", "contact_pixels.pos", "pressure.pos")
-# Where these are in a state of any arm; its first entries are the joints' angles, then their rates.
+_AFTER_JOINTS = ("ee_x.pos", "ee_y.pos", "ee_z.pos", "contact_area.pos", "contact_pixels.pos")
+VELOCITY_NAMES = ("dx.vel", "dy.vel", "dz.vel")
+PRESSURES = slice(len(VELOCITY_NAMES), None)  # where the set-points are in an action of any finger
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where what comes after the joints is in a state (2 N + 5 + C,) of any arm, from its end.
+
+    A state's first entries are the N joints' angles, then their rates.
+
+    Attributes:
+        ee: of the flange (3,).
+        area, pixels: of the contact.
+        pressure: of the C chambers (C,).
+    """
+
+    ee: slice
+    area: int
+    pixels: int
+    pressure: slice
+
+    @classmethod
+    def of(cls, chambers: int) -> "Places":
+        """With a finger of so many chambers."""
+        return cls(slice(-5 - chambers, -2 - chambers), -2 - chambers, -1 - chambers, slice(-chambers, None))
+
+
+# The same with a finger of one chamber.
 EE, AREA, PIXELS, PRESSURE = slice(-6, -3), -3, -2, -1
+
+
+def pressure_names(chambers: int = 1) -> tuple[str, ...]:
+    """Names of the pressures, in a state and in an action, of a finger of so many chambers."""
+    if chambers == 1:
+        return ("pressure.pos",)
+    return tuple(f"pressure_{i}.pos" for i in range(1, chambers + 1))
+
+
+def action_names(chambers: int = 1) -> tuple[str, ...]:
+    """Names of the action (3 + C,) of a robot whose finger has C chambers, in order."""
+    return (*VELOCITY_NAMES, *pressure_names(chambers))
+
+
+def chamber_count(names: Iterable[str]) -> int:
+    """Chambers of the finger whose pressures are among the names of a state or an action; 1 for none."""
+    return sum(re.fullmatch(r"pressure_\d+\.pos", str(n)) is not None for n in names) or 1
 
 
 def joint_names(joints: int) -> tuple[str, ...]:
@@ -37,25 +84,28 @@ def joint_names(joints: int) -> tuple[str, ...]:
     return tuple(f"joint_{i}" for i in range(1, joints + 1))
 
 
-def state_names(joints: int) -> tuple[str, ...]:
-    """Names of the state (2 joints + 6,) of a robot whose arm has so many joints, in order."""
+def state_names(joints: int, chambers: int = 1) -> tuple[str, ...]:
+    """Names of the state (2 N + 5 + C,) of a robot of N joints whose finger has C chambers, in order."""
     names = joint_names(joints)
-    return (*(f"{j}.pos" for j in names), *(f"{j}.vel" for j in names), *_AFTER_JOINTS)
+    after = (*_AFTER_JOINTS, *pressure_names(chambers))
+    return (*(f"{j}.pos" for j in names), *(f"{j}.vel" for j in names), *after)
 
 
 def state_names_like(names: Iterable[str]) -> tuple[str, ...]:
-    """Names of a state with as many joints as these names have rates of; the Panda's where they have none."""
-    return state_names(sum(n.startswith("joint_") and n.endswith(".vel") for n in names) or PANDA_JOINTS)
+    """Names of a state with as many joints as these have rates of (none: the Panda's), and their chambers."""
+    names = list(names)
+    joints = sum(n.startswith("joint_") and n.endswith(".vel") for n in names) or PANDA_JOINTS
+    return state_names(joints, chamber_count(names))
 
 
-def joint_count(size: int) -> int:
+def joint_count(size: int, chambers: int = 1) -> int:
     """Joints of the arm whose state has that size; 0 where no arm has such a one."""
-    joints, odd = divmod(size - len(_AFTER_JOINTS), 2)
+    joints, odd = divmod(size - len(_AFTER_JOINTS) - chambers, 2)
     return 0 if odd or joints < 1 else joints
 
 
 JOINT_NAMES, STATE_NAMES = joint_names(PANDA_JOINTS), state_names(PANDA_JOINTS)  # of the paper's arm
-ACTION_NAMES = ("dx.vel", "dy.vel", "dz.vel", "pressure.pos")
+ACTION_NAMES = action_names()  # of the paper's finger
 
 MAX_SPEED_M_S = 0.1
 PAPER_LENGTH_MM = 110.0  # of the paper's finger, for which the tasks are laid out
@@ -70,11 +120,13 @@ def task_names() -> tuple[str, ...]:
     return (*TASK_NAMES, *sorted(others - set(TASK_NAMES)))
 
 
-def action_limits(pressure_range_kpa: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest action (4,) float32 as `ACTION_NAMES`, of a finger with that range of pressures."""
-    low, high = pressure_range_kpa
+def action_limits(
+    pressure_range_kpa: tuple[float, float], chambers: int = 1
+) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest action (3 + C,) float32 as `action_names(C)`, each chamber with that range."""
+    low, high = ([pressure] * chambers for pressure in pressure_range_kpa)
     speed = [MAX_SPEED_M_S] * 3
-    return np.array([*np.negative(speed), low], np.float32), np.array([*speed, high], np.float32)
+    return np.array([*np.negative(speed), *low], np.float32), np.array([*speed, *high], np.float32)
 
 
 ACTION_LOW, ACTION_HIGH = action_limits(PAPER_RANGE_KPA)
@@ -92,17 +144,19 @@ def state_limits(
     pressure_range_kpa: tuple[float, float],
     joints: tuple[np.ndarray, np.ndarray, np.ndarray] = PAPER_JOINTS,
     pixels: int = N_PIXELS,
+    chambers: int = 1,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest state (2 N + 6,) float32 as `state_names`.
+    """Lowest and highest state (2 N + 5 + C,) float32 as `state_names(N, C)`.
 
     Args:
         pressure_range_kpa: of the finger.
         joints: lowest and highest angle (N,), rad, and highest rate (N,), rad/s, of the arm's joints.
         pixels: of the tactile image.
+        chambers: C, of the finger.
     """
-    low, high = pressure_range_kpa
-    lowest = np.concatenate([joints[0], -joints[2], [-0.9, -0.9, -0.3, 0.0, 0.0, low]])
-    highest = np.concatenate([joints[1], joints[2], [0.9, 0.9, 1.2, 1.0, np.log1p(pixels), high]])
+    low, high = ([pressure] * chambers for pressure in pressure_range_kpa)
+    lowest = np.concatenate([joints[0], -joints[2], [-0.9, -0.9, -0.3, 0.0, 0.0, *low]])
+    highest = np.concatenate([joints[1], joints[2], [0.9, 0.9, 1.2, 1.0, np.log1p(pixels), *high]])
     return lowest.astype(np.float32), highest.astype(np.float32)
 
 
