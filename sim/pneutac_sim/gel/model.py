@@ -140,13 +140,18 @@ class GelModel:
         return [further_light(e, lambda k, e=e, v=v: e.channel_values(v, k)) for e, v in acting]
 
     @property
+    def field_share(self) -> np.ndarray:
+        """What residual fields are multiplied by on the probe grid, since w is about to multiply them."""
+        w = self.weight_on(cv2.resize(self.rest_image, (COLS, ROWS), interpolation=cv2.INTER_AREA))
+        return 1 / np.maximum(w, LEAST_WEIGHT).transpose(2, 0, 1)
+
+    @property
     def lighting(self) -> tuple[np.ndarray, list[optics.Further], optics.Beside | None]:
         """What `optics.light` takes after a surface and its grid's spacing."""
         learnt = [f for f in (self.lent, self.residual) if f is not None]
         if not learnt:
             return self.coefficients, self.further, None
-        w = self.weight_on(cv2.resize(self.rest_image, (COLS, ROWS), interpolation=cv2.INTER_AREA))
-        share = 1 / np.maximum(w, LEAST_WEIGHT).transpose(2, 0, 1)  # since w is about to multiply it
+        share = self.field_share
         beside = lambda u, cell_mm, shadows: share * levels(learnt, u, cell_mm, shadows)  # noqa: E731
         return self.coefficients, self.further, beside
 

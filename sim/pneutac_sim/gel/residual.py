@@ -72,8 +72,8 @@ class ResidualField:
         """B of each channel on a grid, (3, rows, columns)."""
         key = *shape, *cell_mm
         if key not in self._reaches:
-            places = _places(shape, cell_mm).reshape(-1, 2)
-            self._reaches[key] = np.stack([_reach(c, places) for c in self.centres]).reshape(3, *shape)
+            where = places(shape, cell_mm).reshape(-1, 2)
+            self._reaches[key] = np.stack([_reach(c, where) for c in self.centres]).reshape(3, *shape)
         return self._reaches[key]
 
     def times(self, share: float) -> "ResidualField":
@@ -252,8 +252,8 @@ def _add(z, cells, u, shadows, reach, centres, weights, out):
             added[cells[i]] += a * near[cells[i]] * total[i]
 
 
-def _places(shape: tuple[int, ...], cell_mm) -> np.ndarray:
-    """X and y of z, (rows, columns, 2)."""
+def places(shape: tuple[int, ...], cell_mm) -> np.ndarray:
+    """X and y of z in each cell, (rows, columns, 2)."""
     y, x = (
         (np.arange(n) + 0.5 - n / 2) * size / PLACE_MM for n, size in zip(shape, cell_mm[::-1], strict=True)
     )

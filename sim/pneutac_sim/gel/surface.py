@@ -34,12 +34,27 @@ def surface(
 
 
 @njit(cache=True)
+def resolutions(shape, cell_mm, decay_mm):
+    """How many grids, each of half the resolution, are solved one after another."""
+    levels = 1
+    while min(shape) >> levels >= 8 and min(cell_mm) * 2.0**levels < decay_mm:
+        levels += 1
+    return levels
+
+
+@njit(cache=True)
+def over_relaxation(cell_mm, decay_mm):
+    """(decay / cell)^2 along x and y, and the factor by which a sweep goes too far, float32."""
+    kx, ky = np.float32((decay_mm / cell_mm[0]) ** 2), np.float32((decay_mm / cell_mm[1]) ** 2)
+    jacobi = 2 * (kx + ky) / (1 + 2 * (kx + ky))
+    return kx, ky, np.float32(2.0 / (1.0 + np.sqrt(1.0 - jacobi**2)))
+
+
+@njit(cache=True)
 def _solve(d, hx, hy, decay):
     """Nested iteration: the half-resolution solution, interpolated, starts the sweeps."""
     rows, cols = d.shape
-    levels = 1
-    while min(rows, cols) >> levels >= 8 and min(hx, hy) * 2.0**levels < decay:
-        levels += 1
+    levels = resolutions(d.shape, (hx, hy), decay)
     u = np.zeros((1, 1), np.float32)
     for level in range(levels - 1, -1, -1):
         f = 1 << level
@@ -71,9 +86,7 @@ def _solve(d, hx, hy, decay):
 def _sweeps(u, o, hx, hy, decay, sweeps):
     """Projected red-black over-relaxation of u - l^2 lap u = 0 above the obstacle; zero slope at the rim."""
     n, m = u.shape
-    kx, ky = np.float32((decay / hx) ** 2), np.float32((decay / hy) ** 2)
-    jacobi = 2 * (kx + ky) / (1 + 2 * (kx + ky))
-    omega = np.float32(2.0 / (1.0 + np.sqrt(1.0 - jacobi**2)))
+    kx, ky, omega = over_relaxation((hx, hy), decay)
     scale = np.float32(1.0) / (np.float32(1.0) + np.float32(2.0) * (kx + ky))
     for _ in range(sweeps):
         for colour in range(2):
