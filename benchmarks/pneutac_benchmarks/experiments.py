@@ -15,21 +15,21 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from lerobot_pneutac.diagnosis.design import Choice, Limits, common_programs
+from lerobot_pneutac.diagnosis.common_programs import common_programs
+from lerobot_pneutac.diagnosis.design import Choice, Limits
 from lerobot_pneutac.verbs.diagnose import diagnose
 from lerobot_pneutac.verbs.foreseen import error_of
 from lerobot_pneutac.verbs.learn import Rounds
 from pneutac_benchmarks.diagnosis.rules import BASE, COUNTS, COUNTS_AS_NEAR, counts, names_right
 from pneutac_benchmarks.tables import markdown, terminal
+from pneutac_datasets.generate.truth_bench import TruthBench
 from pneutac_datasets.recording.checks import check
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.errors import InputError, check_least
+from pneutac_sim.errors import InputError, check_choice, check_least
 from pneutac_sim.files import write_json, write_text
 from pneutac_sim.twin import Twin
 from pneutac_sim.worker import process_pool
 from pneutac_truths import EFFECTS, generate, write
-from pneutac_truths.programs import given
-from pneutac_truths.world import Body
 
 # Ten of which the grammar has a form, then ten of which it has none.
 LAWS = (
@@ -40,6 +40,7 @@ NO_FORM = (
     "hunting", "coarse_steps", "stalls", "humidity_swelling", "regulator_zero", "clock_jitter", "marker_slip",
     "mount_knock", "tracker_freezes", "tracker_outliers",
 )  # fmt: skip
+DEVICES = {"rod": ("finger", "a rod"), "arm": ("arm", "an arm")}  # of the truths, as a twin has it
 STRATEGIES = ("ours", "random", "standard")
 PAUSE_S = 120.0
 DRAWN = ("temperature_c",)  # logged by the draw of a recording, not by every one
@@ -54,6 +55,7 @@ class BenchmarkExperimentsConfig:
         out: folder of the table; finished devices in it are not repeated.
         effects: names of truths, with commas; where left out, ten with a form in the grammar and ten without.
         seed: of the devices.
+        device: `rod`, of one chamber, or `arm`, of three.
         budget_min: minutes of programs, together.
         jobs: number of processes; 0 for all cores.
     """
@@ -61,48 +63,20 @@ class BenchmarkExperimentsConfig:
     out: Path = Path("outputs/benchmark_experiments")
     effects: tuple[str, ...] = ()
     seed: int = 41
+    device: str = "rod"
     budget_min: float = 10.0
     jobs: int = 0
 
     def __post_init__(self):
         check_least(0, jobs=self.jobs)
         check_least(2, budget_min=self.budget_min)
+        check_choice("device", self.device, tuple(DEVICES))
         for name in self.effects:
-            if name not in EFFECTS or "rod" not in EFFECTS[name].devices:
+            if name not in EFFECTS or self.device not in EFFECTS[name].devices:
                 raise InputError(
-                    f"effects: there is no truth '{name}' of a rod; give some of {LAWS + NO_FORM}."
+                    f"effects: there is no truth '{name}' of {DEVICES[self.device][1]}; give some of "
+                    f"{LAWS + NO_FORM}."
                 )
-
-
-class TruthBench:
-    """A rod of `pneutac_truths`, which remembers all that it was driven to before.
-
-    Args:
-        effects: of the device.
-        seed: of the device.
-    """
-
-    hz = 27.0  # of the commands, which are not in step with the camera's 20 a second
-
-    def __init__(self, effects: tuple[str, ...], seed: int):
-        self._effects, self._seed, self._programs = effects, seed, []
-        self.pause_s: float | None = None
-        self.range_kpa = (0.0, Body.draw("rod", seed).top_kpa)
-
-    def follow(self, program: Path, out: Path, number: int) -> Recording:
-        """See `lerobot_pneutac.verbs.benches.Bench`."""
-        table = np.genfromtxt(program, delimiter=",", names=True, dtype=None, encoding="utf-8")
-        share = np.round(table["pressure_cmd_kpa"] / self.range_kpa[1], 5)
-        name, self.pause_s = str(table["program"][0]), PAUSE_S if number else None
-        self._programs = [*self._programs[:number], (name, table["time_s"], share)]
-        plan = given(self._programs, PAUSE_S)
-        truth = generate("rod", self._effects, self._seed, tell_sent=True, plan=plan)
-        write(truth, out)
-        r = Recording.load(out)
-        r = r.keep(r.column("trial") == number)
-        r.samples = r.samples.drop(columns=[c for c in DRAWN if r.has(c)])
-        r.write(out)
-        return Recording.load(out)
 
 
 def benchmark_experiments(cfg: BenchmarkExperimentsConfig) -> None:
@@ -115,46 +89,47 @@ def benchmark_experiments(cfg: BenchmarkExperimentsConfig) -> None:
     console = Console()
     console.print(f"{len(cases)} cases, {len(todo)} to do; Ctrl-C stops, the same command goes on")
     with process_pool(cfg.jobs or len(os.sched_getaffinity(0))) as pool:
-        futures = [pool.submit(_solve, n, s, cfg.seed, cfg.budget_min, folder) for n, s in todo]
+        futures = [pool.submit(_solve, n, s, cfg, folder) for n, s in todo]
         for done, future in enumerate(as_completed(futures), 1):
             console.print(f"{done} of {len(todo)}: {future.result()}", highlight=False)
     _write_table([json.loads((folder / f"{n}_{s}.json").read_text()) for n, s in cases], cfg.out, console)
 
 
-def _solve(name: str, strategy: str, seed: int, budget_min: float, folder: Path) -> str:
+def _solve(name: str, strategy: str, cfg: BenchmarkExperimentsConfig, folder: Path) -> str:
     with tempfile.TemporaryDirectory() as tmp:
-        other_day = generate("rod", [name], seed, day=2, minutes=4.0, tell_pauses=True, tell_sent=True)
+        other_day = generate(
+            cfg.device, [name], cfg.seed, day=2, minutes=4.0, tell_pauses=True, tell_sent=True
+        )
         judge, floor = check(Recording.load(write(other_day, Path(tmp) / "2")))[0], other_day.noise_floor
-        twin = Twin("finger", judge.length_mm or 110.0)
+        twin = Twin(DEVICES[cfg.device][0], judge.length_mm or 110.0)
         run = _standard if strategy == "standard" else _rounds
-        steps = run(name, strategy, seed, budget_min, Path(tmp), twin, judge, floor)
+        steps = run(name, strategy, cfg, Path(tmp), twin, judge, floor)
     known = _known_at(name, steps)
     answer = {"effect": name, "strategy": strategy, "known_min": known, "steps": steps}
     write_json(folder / f"{name}_{strategy}.json", answer)
     return f"{name}, {strategy}: {'not known' if known is None else f'known after {known:.1f} min'}"
 
 
-def _standard(name, strategy, seed, budget_min, tmp, twin, judge, floor) -> list[dict]:
+def _standard(name, strategy, cfg, tmp, twin, judge, floor) -> list[dict]:
     """The truth's own session of ten minutes, once."""
     learn = Recording.load(
-        write(generate("rod", [name], seed, day=1, tell_pauses=True, tell_sent=True), tmp / "1")
+        write(generate(cfg.device, [name], cfg.seed, day=1, tell_pauses=True, tell_sent=True), tmp / "1")
     )
-    d = diagnose(twin, learn, jobs=1, seed=seed)
+    d = diagnose(twin, learn, jobs=1, seed=cfg.seed)
     ratio = error_of(d.twin, judge) / floor
     return [{"min": 10.0, "verdict": d.verdict, "selected": d.selected, "ratio": ratio, "confirmed": []}]
 
 
-def _rounds(name, strategy, seed, budget_min, tmp, twin, judge, floor) -> list[dict]:
-    bench, rng = TruthBench((name,), seed), np.random.default_rng([seed, len(name)])
-    rounds = Rounds(tmp / "rounds", twin, bench, seed, 1, None)
+def _rounds(name, strategy, cfg, tmp, twin, judge, floor) -> list[dict]:
+    bench, rng = TruthBench((name,), cfg.seed, cfg.device), np.random.default_rng([cfg.seed, len(name)])
+    rounds = Rounds(tmp / "rounds", twin, bench, cfg.seed, 1, None)
     steps, spent_s = [], 0.0
     while True:
-        limits = Limits(*bench.range_kpa, bench.hz, 60 * budget_min - spent_s)
+        limits = Limits(*bench.range_kpa, bench.hz, 60 * cfg.budget_min - spent_s)
         choice, ended = rounds.next(limits)
         if strategy == "random" and rounds.done and not ended:
-            label, kind, t, p = list(common_programs(limits))[
-                rng.integers(len(list(common_programs(limits))))
-            ]
+            programs = list(common_programs(limits))
+            label, kind, t, p = programs[rng.integers(len(programs))]
             choice = Choice(label, kind, t, p, 0.0, 0.0, 0.0, ())
         if ended or choice is None:
             return steps

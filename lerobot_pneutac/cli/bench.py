@@ -22,16 +22,21 @@ def check_bench(bench: str, measure: Path | None) -> None:
         raise InputError("bench=measure and measure=FILE.yaml, the options of your bench, go together.")
 
 
-def make_bench(measure: Path | None, out: Path, seed: int) -> tuple[Bench, dict[str, float]]:
+def make_bench(
+    measure: Path | None, out: Path, seed: int, device: str = "finger"
+) -> tuple[Bench, dict[str, float]]:
     """The bench, and the conditions on it while no hand changes them.
 
     Args:
         measure: YAML file with the options of `pneutac measure`; None for the stand-in.
         out: folder for recordings.
         seed: of the stand-in's noise.
+        device: of which the stand-in is, `finger` or `arm`.
     """
-    from lerobot_pneutac.verbs.benches import MeasuredBench, StandinBench  # pandas
+    from lerobot_pneutac.verbs.benches import MeasuredBench, StandinBench, standin_arm  # pandas
 
+    if measure is None and device == "arm":
+        return standin_arm(seed), {}
     if measure is None:
         from pneutac_datasets.generate.standin import HANGING
 

@@ -24,8 +24,9 @@ class DesignConfig:
         diagnosis: folder that `pneutac diagnose --out=` wrote.
         out: folder for `program.csv` (of a gel `press.csv`), `result.json` and `report.html`; nothing is
             written without it.
-        max_kpa: highest set-point; that of the recording where none is given.
-        min_kpa: lowest set-point; that of the recording, 0 at most, where none is given.
+        max_kpa: highest set-point, one for all chambers or one for each; that of the recording where none is
+            given.
+        min_kpa: lowest set-point, likewise; that of the recording, 0 at most, where none is given.
         budget_s: longest program.
         program_s: length of a program of the common kinds.
         hz: samples a second.
@@ -39,8 +40,8 @@ class DesignConfig:
     recording: Path
     diagnosis: Path
     out: Path | None = None
-    max_kpa: float | None = None
-    min_kpa: float | None = None
+    max_kpa: float | tuple[float, ...] | None = None
+    min_kpa: float | tuple[float, ...] | None = None
     budget_s: float = 600.0
     program_s: float = 60.0
     hz: float = 20.0

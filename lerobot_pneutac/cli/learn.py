@@ -22,10 +22,10 @@ class LearnConfig:
     """Options of `pneutac learn`.
 
     Attributes:
-        twin: folder of the finger's twin, which is not changed.
+        twin: folder of the finger's or arm's twin, which is not changed.
         out: folder of programs, recordings and the learnt twin; a call with a folder that holds rounds goes
             on after them.
-        bench: `standin`, the finger that stands in for a real one, or `measure`, your bench.
+        bench: `standin`, the finger or the arm that stands in for a real one, or `measure`, your bench.
         measure: YAML file with the options of `pneutac measure` for your bench, without `program` and `out`.
         hands: what a person may be asked to change: `none`, or `flip` (turn the base over), `payload` (hang a
             weight at the tip) and `warm`, with commas; the stand-in does the first two by itself.
@@ -59,7 +59,7 @@ def main(argv: list[str]) -> None:
     """Runs the verb."""
     cfg, console = parse_options(LearnConfig, argv), Console()
     twin = Twin.load(cfg.twin)
-    bench, usual = make_bench(cfg.measure, cfg.out, cfg.seed)
+    bench, usual = make_bench(cfg.measure, cfg.out, cfg.seed, twin.device)
 
     def ask(sentence: str) -> None:
         if cfg.measure is None:

@@ -10,6 +10,7 @@ import re
 import shutil
 import sys
 import textwrap
+import types
 import typing
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -103,6 +104,8 @@ def _in_words(text: str, options: dict[str, Option]) -> str:
     if wrong := re.match(r"`([\w.]+)`: Couldn't parse '(.*)' into an? (\w+)$", text):
         kind = {"int": "a whole number", "float": "a number", "bool": "true or false"}.get(wrong[3], wrong[3])
         return f"--{wrong[1]} is '{wrong[2]}'; it must be {kind}."
+    if wrong := re.match(r"`([\w.]+)`: Could not decode the value into any of the given types", text):
+        return f"--{wrong[1]} must be a number, or several with commas, such as 15,20,15."
     return text
 
 
@@ -167,13 +170,25 @@ def _help_lines(option: Option, width: int) -> list[str]:
     return first + [" " * COLUMN + line for line in right]
 
 
+def _is_list(kind: type) -> bool:
+    return typing.get_origin(kind) in (tuple, list)
+
+
+def _holds_a_list(kind: type) -> bool:
+    """Whether a value may be a list, be it as one of several kinds, such as a number or one for each."""
+    several = typing.get_origin(kind) in (types.UnionType, typing.Union)
+    return _is_list(kind) or (several and any(map(_is_list, typing.get_args(kind))))
+
+
 def _placeholder(kind: type) -> str:
     if kind is bool:
         return ""
     if dataclasses.is_dataclass(kind):
         return ".*"
-    if typing.get_origin(kind) in (tuple, list):
+    if _is_list(kind):
         return "=A,B"
+    if float in typing.get_args(kind) and _holds_a_list(kind):
+        return "=NUMBER"
     return "=" + PLACEHOLDERS.get(kind, "VALUE")
 
 
@@ -197,7 +212,7 @@ def _completed(options: dict[str, Option], argv: list[str]) -> list[str]:
             if not stands and kind is not bool:
                 raise InputError(f"--{name} has no value; write --{name}=VALUE.")
             value = rest.pop(0) if stands else "true"
-        if typing.get_origin(kind) in (tuple, list) and value and value[0] not in "[{":
+        if _holds_a_list(kind) and value and value[0] not in "[{" and ("," in value or _is_list(kind)):
             value = f"[{value}]"
         out.append(f"--{name}={value}")
     return out

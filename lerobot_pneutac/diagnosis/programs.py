@@ -95,12 +95,19 @@ def _condition_programs(recording: Recording, loop: np.ndarray) -> list[tuple[st
 
 
 def table(recording: Recording, t: np.ndarray, p: np.ndarray, change: dict) -> pd.DataFrame:
-    """All columns of the recording: conditions and markers at their usual value, the command as given."""
+    """All columns of the recording: conditions and markers at their usual value, the command as given.
+
+    Args:
+        recording: gives the columns.
+        t: (n,) s.
+        p: (n, chambers) commanded, kPa; (n,) is the first chamber's, while others stay at their median.
+        change: columns that are otherwise, and their values.
+    """
     table = pd.DataFrame({"trial": np.zeros(len(t), int), "time_s": t})
     if recording.has("time_sent_s"):
         table["time_sent_s"] = t
     for i, c in enumerate(recording.pressure_columns):
-        table[c] = p if i == 0 else float(recording.samples[c].median())
+        table[c] = p[:, i] if p.ndim > 1 else p if i == 0 else float(recording.samples[c].median())
     for c in recording.samples.columns:
         if c in table or c in ("program", "image", "mask"):
             continue

@@ -7,13 +7,16 @@ import numpy as np
 from lerobot.cameras import CameraConfig
 from lerobot.cameras.opencv import OpenCVCameraConfig  # noqa: F401  registers the type
 
+from lerobot_pneutac.measuring.programs import program_chambers
 from lerobot_robot_pneutac import DigitConfig  # noqa: F401  registers the tactile cameras
 from lerobot_robot_pneutac.hardware.parts import COMMAND_S
 from lerobot_robot_pneutac.robots.config_pneutac import PressureConfig
+from pneutac_datasets.recording.chambers import per_chamber
 from pneutac_datasets.recording.mounts import CONDITIONS
 from pneutac_sim.errors import InputError, check_choice
 
 MIN_HZ = 2 / COMMAND_S
+OWN, STANDIN = BENCHES = ("own", "standin")
 
 
 @dataclass
@@ -25,12 +28,16 @@ class MeasureConfig:
         camera: camera of any LeRobot type that looks at the finger's two markers.
         intrinsics: file of the camera's calibration; with `chessboard`, the file to write.
         digit: a tactile camera whose images are kept too.
+        bench: `own`, or `standin` to try a program on the simulated finger that stands in for a real one, or
+            on such an arm of three chambers; the stand-in needs `program` and `out` alone.
+        seed: of the stand-in's noise.
         program: `steps`, `ramps`, `holds`, `loops`, `all`, a CSV, or a diagnosis' `result.json`.
         recording: folder of the recording that was diagnosed, for a `result.json` as program.
         out: new folder of the recording.
         length_mm: length of the straight finger, base to tip marker.
-        max_kpa: largest set-point; the built-in programs reach it.
-        min_kpa: smallest set-point of a program of your own, 0 or, for a finger that vacuum bends, below.
+        max_kpa: largest set-point, one for all chambers or one for each; the built-in programs reach it.
+        min_kpa: smallest set-point of a program of your own, 0 or, for a finger that vacuum bends, below;
+            likewise one for all chambers or one for each.
         hz: samples per second.
         repeat: number of times that the program is driven.
         rest_s: pause without pressure before each trial.
@@ -51,12 +58,14 @@ class MeasureConfig:
     camera: CameraConfig | None = None
     intrinsics: Path | None = None
     digit: CameraConfig | None = None
+    bench: str = "own"
+    seed: int = 0
     program: str = "all"
     recording: Path | None = None
     out: Path | None = None
     length_mm: float | None = None
-    max_kpa: float = 15.0
-    min_kpa: float = 0.0
+    max_kpa: float | tuple[float, ...] = 15.0
+    min_kpa: float | tuple[float, ...] = 0.0
     hz: float = 15.0
     repeat: int = 1
     rest_s: float = 3.0
@@ -71,16 +80,21 @@ class MeasureConfig:
     square_mm: float = 20.0
 
     def __post_init__(self):
-        needed = ["intrinsics"]
-        if self.chessboard is None:
+        check_choice("bench", self.bench, BENCHES)
+        needed = ["out"] if self.bench == STANDIN else ["intrinsics"]
+        if self.chessboard is None and self.bench != STANDIN:
             needed += ["camera", "out", "length_mm"]
             if not self.pressure.type:
                 raise InputError("--pressure.type is missing; give --pressure.type=pneutac_serial.")
+            self.pressure.make()  # opens nothing
         for name in needed:
             if getattr(self, name) is None:
                 option = "camera.type" if name == "camera" else name
                 raise InputError(f"{option} is missing.")
-        for name in ("length_mm", "max_kpa", "hz", "repeat", "marker_mm", "square_mm"):
+        for kpa in np.atleast_1d(self.max_kpa):
+            if not 0 < kpa < np.inf:
+                raise InputError(f"max_kpa={kpa} must be positive.")
+        for name in ("length_mm", "hz", "repeat", "marker_mm", "square_mm"):
             value = getattr(self, name)
             if value is not None and not 0 < value < np.inf:
                 raise InputError(f"{name}={value} must be positive.")
@@ -92,8 +106,9 @@ class MeasureConfig:
         known = [g for g in gravity if g is not None]
         if known and (len(known) < 3 or abs(np.linalg.norm(known) - 1) > 0.01):
             raise InputError("conditions: give gravity_x, gravity_y and gravity_z together, of length 1.")
-        if not -np.inf < self.min_kpa <= 0:
-            raise InputError(f"min_kpa={self.min_kpa} must be 0, or below it for vacuum.")
+        for kpa in np.atleast_1d(self.min_kpa):
+            if not -np.inf < kpa <= 0:
+                raise InputError(f"min_kpa={kpa} must be 0, or below it for vacuum.")
         if self.hz < MIN_HZ:
             raise InputError(
                 f"hz={self.hz} must be {MIN_HZ:g} or more; pressure is held {COMMAND_S} s a sample."
@@ -102,3 +117,19 @@ class MeasureConfig:
             raise InputError(f"rest_s={self.rest_s} must be 0 or more.")
         if self.out is not None and self.out.exists() and (not self.out.is_dir() or any(self.out.iterdir())):
             raise InputError(f"out={self.out} is not empty; give a new folder.")
+        if self.bench != STANDIN:
+            self.range_kpa  # noqa: B018  raises where the limits are of other chambers
+
+    @property
+    def chambers(self) -> int:
+        """How many are driven: the bench's, and of the stand-in as many as the program has commands of."""
+        if self.bench != STANDIN:
+            return self.pressure.count
+        limits = max(np.size(self.max_kpa), np.size(self.min_kpa), self.pressure.count)
+        return program_chambers(self.program) or limits
+
+    @property
+    def range_kpa(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest set-points, (chambers,) each."""
+        low, high = (per_chamber(n, getattr(self, n), self.chambers) for n in ("min_kpa", "max_kpa"))
+        return low, high

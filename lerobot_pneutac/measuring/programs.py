@@ -1,17 +1,21 @@
 """Pressure programs for the bench: built-in ones, a table, or the experiment that a diagnosis proposes."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
+from lerobot_pneutac.diagnosis.common_programs import sampled, turning
 from lerobot_pneutac.diagnosis.law_programs import law_programs
+from lerobot_pneutac.diagnosis.limits import Limits
 from lerobot_pneutac.diagnosis.programs import menu
+from pneutac_datasets.recording.chambers import chambers_commanded, command_columns, per_chamber
 from pneutac_datasets.recording.mounts import CONDITIONS
 from pneutac_datasets.recording.recording import Recording
+from pneutac_datasets.recording.wording import plural
 from pneutac_sim.errors import InputError
 
 BUILTIN = ("steps", "ramps", "holds", "loops", "all")
@@ -24,7 +28,7 @@ class PressureTrial:
     Attributes:
         program: its label.
         time_s: (n,) rising from 0.
-        pressure_kpa: (n,) set-points.
+        pressure_kpa: (n, chambers) set-points.
         conditions: that it asks for, such as `payload_g`; somebody has to see to them.
     """
 
@@ -34,42 +38,67 @@ class PressureTrial:
     conditions: Mapping[str, float] = field(default_factory=dict)
 
 
+def program_chambers(given: str) -> int:
+    """Chambers that a program's table has commands of; 0 where it is no table, or has none."""
+    if given in BUILTIN or Path(given).suffix == ".json" or not Path(given).is_file():
+        return 0
+    return chambers_commanded(_read(Path(given)))
+
+
 def read_program(
-    given: str, max_kpa: float, hz: float, recording: Path | None = None, min_kpa: float = 0.0
+    given: str,
+    max_kpa: float | Sequence[float] | np.ndarray,
+    hz: float,
+    recording: Path | None = None,
+    min_kpa: float | Sequence[float] | np.ndarray = 0.0,
+    chambers: int = 1,
 ) -> list[PressureTrial]:
     """The trials of a program.
 
     Args:
-        given: a name of `BUILTIN`, a CSV with `time_s` and `pressure_cmd_kpa` (and `trial`, `program`,
-            conditions), or the `result.json` of `pneutac diagnose`.
-        max_kpa: top of the built-in programs, which no program may exceed.
+        given: a name of `BUILTIN`, a CSV with `time_s` and `pressure_cmd_kpa`, or of several chambers
+            `pressure_cmd_1_kpa` and so on (and `trial`, `program`, conditions), or the `result.json` of
+            `pneutac diagnose`.
+        max_kpa: top of the built-in programs, which no program may exceed; one for all chambers or for each.
         hz: samples per second.
         recording: what was diagnosed, for a `result.json`.
-        min_kpa: below which no program may go.
+        min_kpa: below which no program may go, likewise.
+        chambers: that are driven.
 
     Raises:
-        InputError: it cannot be read, or a pressure lies outside `min_kpa` to `max_kpa`.
+        InputError: it cannot be read, lacks a chamber's commands, or a pressure lies outside `min_kpa` to
+            `max_kpa`.
     """
     if given in BUILTIN:
-        trials = [t for name in BUILTIN[:-1] if given in (name, "all") for t in _builtin(name, max_kpa, hz)]
+        names = [name for name in BUILTIN[:-1] if given in (name, "all")]
+        trials = [t for name in names for t in _builtin(name, per_chamber("max_kpa", max_kpa, chambers), hz)]
     elif not Path(given).is_file():
         raise InputError(f"program={given} is neither a file nor one of {', '.join(BUILTIN)}.")
     elif Path(given).suffix == ".json":
         trials = [_proposed(Path(given), recording, hz)]
     else:
-        trials = _table(Path(given), hz)
+        trials = _table(Path(given), hz, chambers)
     for t in trials:
-        low, high = float(t.pressure_kpa.min()), float(t.pressure_kpa.max())
-        if low < min_kpa or high > max_kpa:
-            raise InputError(
-                f"The program '{t.program}' goes from {low:g} to {high:g} kPa; min_kpa and max_kpa"
-                f" allow {min_kpa:g} to {max_kpa:g}."
-            )
+        _check_range(t, per_chamber("min_kpa", min_kpa, chambers), per_chamber("max_kpa", max_kpa, chambers))
     return trials
 
 
-def _builtin(name: str, top: float, hz: float) -> list[PressureTrial]:
-    """Short trials, so that an interruption costs little; each starts and ends at 0."""
+def _check_range(t: PressureTrial, min_kpa: np.ndarray, max_kpa: np.ndarray) -> None:
+    lowest, highest = t.pressure_kpa.min(axis=0), t.pressure_kpa.max(axis=0)
+    for i, (low, high) in enumerate(zip(lowest, highest, strict=True)):
+        if low < min_kpa[i] or high > max_kpa[i]:
+            where = f" in chamber {i + 1}" if len(lowest) > 1 else ""
+            raise InputError(
+                f"The program '{t.program}' goes from {low:g} to {high:g} kPa{where}; min_kpa and max_kpa"
+                f" allow {min_kpa[i]:g} to {max_kpa[i]:g}."
+            )
+
+
+def _builtin(name: str, top: np.ndarray, hz: float) -> list[PressureTrial]:
+    """Short trials, so that an interruption costs little; each starts and ends at 0, on each chamber alone.
+
+    Of several chambers loops also turn the bend about the axis.
+    """
     stairs = np.r_[np.linspace(0, 1, 6), np.linspace(1, 0, 6)[1:]]
     shapes = {
         # name: (duration in s of a unit, breakpoints as (unit of time, share of the top))
@@ -84,18 +113,38 @@ def _builtin(name: str, top: float, hz: float) -> list[PressureTrial]:
     unit_s = 3.0 if name == "steps" else 1.0
     trials = []
     for points in shapes:
-        knots_s, kpa = (np.array(points) * [unit_s, top]).T
+        knots_s, share = (np.array(points) * [unit_s, 1.0]).T
         time_s = np.arange(round(knots_s[-1] * hz) + 1) / hz
-        trials.append(PressureTrial(name, time_s, np.interp(time_s, knots_s, kpa)))
+        along = np.interp(time_s, knots_s, share)[:, None]
+        trials += [PressureTrial(name, time_s, along * alone * top) for alone in np.eye(len(top))]
+    if name == "loops" and len(top) > 1:
+        for turn_s in (4.0, 12.0):
+            turn = turning(len(top), turn_s, 1.0, 2.0)
+            trials.append(PressureTrial(name, *sampled(turn, Limits(0.0, top, hz))))
     return trials
 
 
-def _table(path: Path, hz: float) -> list[PressureTrial]:
+def _read(path: Path) -> pd.DataFrame:
     try:
-        table = pd.read_csv(path)
+        return pd.read_csv(path)
     except (ValueError, OSError) as e:
         raise InputError(f"{path} cannot be read as a table: {e}.") from e
-    for column in ("time_s", "pressure_cmd_kpa", *(c for c in CONDITIONS if c in table)):
+
+
+def _table(path: Path, hz: float, chambers: int) -> list[PressureTrial]:
+    table, commands = _read(path), command_columns(chambers)
+    found = [c for c in table if str(c).startswith("pressure_cmd_")]
+    if found and not set(commands) <= set(found):
+        raise InputError(
+            f"{path} commands {plural(len(found), 'chamber')} ({', '.join(found)}) of the {chambers} that are"
+            f" driven; give {', '.join(commands)}."
+        )
+    if extra := [c for c in found if c not in commands]:
+        raise InputError(
+            f"{path} commands {', '.join(extra)} too, and {plural(chambers, 'chamber')} is driven; leave out"
+            " the others."
+        )
+    for column in ("time_s", *commands, *(c for c in CONDITIONS if c in table)):
         if column not in table:
             raise InputError(f"{path}: column '{column}' is missing; it has {', '.join(table)}.")
         values = pd.to_numeric(table[column], errors="coerce")
@@ -112,7 +161,7 @@ def _table(path: Path, hz: float) -> list[PressureTrial]:
         latest = np.searchsorted(time_s, grid + 1e-9, side="right") - 1
         label = str(rows["program"].iloc[0]) if "program" in rows else path.stem
         asked = {c: float(rows[c].iloc[0]) for c in CONDITIONS if c in rows}
-        trials.append(PressureTrial(label, grid, rows["pressure_cmd_kpa"].to_numpy(float)[latest], asked))
+        trials.append(PressureTrial(label, grid, rows[commands].to_numpy(float)[latest], asked))
     return trials
 
 
@@ -128,10 +177,11 @@ def _proposed(path: Path, recording: Path | None, hz: float) -> PressureTrial:
     r = Recording.load(recording)
     found = {e: {k: v["value"] for k, v in c.items()} for e, c in told.get("parameters", {}).items()}
     for p in [*menu(r), *law_programs(r, found)]:
-        columns = [c for c in p.samples if c.startswith("pressure_cmd")]
-        if p.advice in advice and len(columns) == 1:
-            s = p.samples
-            time_s = s["time_s"].to_numpy(float)
+        if p.advice in advice:
+            time_s = p.samples["time_s"].to_numpy(float)
             grid = np.arange(round(time_s[-1] * hz) + 1) / hz
-            return PressureTrial(p.name, grid, np.interp(grid, time_s, s[columns[0]].to_numpy(float)))
+            commands = p.samples[r.pressure_columns].to_numpy(float).T
+            return PressureTrial(
+                p.name, grid, np.stack([np.interp(grid, time_s, x) for x in commands], axis=1)
+            )
     raise InputError(f"{path} proposes what no pressure program does; read and do it by hand: {advice}")

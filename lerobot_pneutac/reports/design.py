@@ -4,7 +4,7 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from lerobot_pneutac.reports.compare import HELDOUT
+from lerobot_pneutac.reports.colours import CHAMBERS
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.reports.sentences import called
 
@@ -19,8 +19,8 @@ def design_page(design) -> Report:
     for c, seen in zip(design.contenders, best.predictions, strict=True):
         name = f"{100 * c.probability:.0f} %: {' + '.join(map(called, c.terms)) or 'no effect'}"
         figure.add_trace(go.Scatter(x=best.time_s, y=seen[:, spread.argmax()], name=name[:60]), 1, 1)
-    held = {"shape": "hv", "color": HELDOUT}
-    figure.add_trace(go.Scatter(x=best.time_s, y=best.pressure_kpa, line=held, showlegend=False), 2, 1)
+    for trace in pressure_traces(best.time_s, best.pressure_kpa):
+        figure.add_trace(trace, 2, 1)
     figure.update_yaxes(title_text=f"predicted, {design.unit}", row=1, col=1)
     figure.update_yaxes(title_text="pressure, kPa", row=2, col=1)
     figure.update_xaxes(title_text="time, s", row=2, col=1)
@@ -29,3 +29,15 @@ def design_page(design) -> Report:
     )
     report.table(design.rows(), "The programs that tell most for their time.")
     return report
+
+
+def pressure_traces(time_s: np.ndarray, pressure_kpa: np.ndarray) -> list[go.Scatter]:
+    """What is commanded (n, chambers), one line a chamber."""
+    several = pressure_kpa.shape[1] > 1
+    return [
+        go.Scatter(
+            x=time_s, y=kpa, name=f"chamber {i + 1}", showlegend=several,
+            line={"shape": "hv", "color": colour},
+        )
+        for i, (kpa, colour) in enumerate(zip(pressure_kpa.T, CHAMBERS, strict=False))
+    ]  # fmt: skip

@@ -8,6 +8,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from lerobot_pneutac.reports.compare import HELDOUT, MEASURED, MODEL, TRAIN
+from lerobot_pneutac.reports.design import pressure_traces
 from lerobot_pneutac.reports.learn_film import FASTER, FORESEEN, FRAMES_HZ, film_frames
 from lerobot_pneutac.reports.page import Report
 
@@ -68,9 +69,11 @@ def _programs(learning) -> go.Figure:
     figure = make_subplots(len(rounds), 1, vertical_spacing=0.25 / max(len(rounds), 2))
     for i, r in enumerate(rounds):
         table = pd.read_csv(learning.folder / f"round_{r.number}" / "program.csv")
-        line = {"color": MODEL, "shape": "hv"}
-        trace = go.Scatter(x=table["time_s"], y=table["pressure_cmd_kpa"], line=line, showlegend=False)
-        figure.add_trace(trace, i + 1, 1)
+        commands = table[[c for c in table if c.startswith("pressure_cmd_")]].to_numpy(float)
+        for trace in pressure_traces(table["time_s"], commands):
+            figure.add_trace(
+                trace.update(legendgroup=trace.name, showlegend=trace.showlegend and not i), i + 1, 1
+            )
         figure.update_yaxes(title_text=f"{r.number}, kPa", row=i + 1, col=1)
     figure.update_xaxes(title_text="time, s", row=len(rounds), col=1)
     return figure

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 from PIL import Image, ImageDraw, ImageFont
 
-from lerobot_pneutac.reports.colours import HELDOUT, MEASURED, MODEL
+from lerobot_pneutac.reports.colours import CHAMBERS, HELDOUT, MEASURED, MODEL
 
 FORESEEN = "foreseen.csv"  # in a round's folder: what was foreseen of its program, and measured
 FASTER, FRAMES_HZ = 10.0, 10.0
@@ -48,9 +48,11 @@ def _frame(rounds, r, t: np.ndarray, table: pd.DataFrame, name: str, now_s: floa
     _line(draw, CURVE, t, seen, reach, MODEL, t[-1])
     draw.text((CURVE[0], CURVE[1] - 20), f"{name}: foreseen", MODEL, small)
     draw.text((CURVE[0] + 190, CURVE[1] - 20), "measured", MEASURED, small)
-    command = table.iloc[:, 1].to_numpy(float)
-    _line(draw, COMMAND, t[past], command[past], (command.min(), command.max()), INK, t[-1])
-    draw.text((COMMAND[0], COMMAND[1] - 18), f"command, up to {command.max():.3g} kPa", INK, small)
+    commands = table[[c for c in table if c.startswith("pressure_cmd_")]].to_numpy(float).T
+    reach, colours = (commands.min(), commands.max()), CHAMBERS if len(commands) > 1 else (INK,)
+    for command, colour in zip(commands, colours, strict=False):
+        _line(draw, COMMAND, t[past], command[past], reach, colour, t[-1])
+    draw.text((COMMAND[0], COMMAND[1] - 18), f"command, up to {reach[1]:.3g} kPa", INK, small)
     draw.text((COMMAND[2] - 60, COMMAND[3] + 6), f"{now_s:.0f} of {t[-1]:.0f} s", INK, small)
     _bars(draw, rounds if now_s >= t[-1] else rounds[:-1], small)
     return np.asarray(picture)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 import pandas as pd
 
+from pneutac_datasets.recording.chambers import command_columns
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.features import MAX_PRESSURE_KPA
 from pneutac_sim.files import whole
@@ -17,18 +18,20 @@ from pneutac_sim.files import whole
 if TYPE_CHECKING:
     from lerobot_pneutac.measuring.options import MeasureConfig
 
+ARM_SEED, ARM_EFFECTS = 5, ("creep_fractional",)  # which arm of the truths stands in for a real one
+
 
 class Bench(Protocol):
     """A device that follows programs.
 
     Attributes:
-        range_kpa: lowest and highest set-point.
+        range_kpa: lowest and highest set-point, each (chambers,).
         hz: samples a second.
         pause_s: seconds without pressure before the program that it followed last, since the one before; None
             where it was rested, or nothing is known.
     """
 
-    range_kpa: tuple[float, float]
+    range_kpa: tuple[np.ndarray, np.ndarray]
     hz: float
     pause_s: float | None
 
@@ -36,8 +39,7 @@ class Bench(Protocol):
         """Drives a program, from rest.
 
         Args:
-            program: CSV with `time_s`, `pressure_cmd_kpa` and `program`, and the conditions it asks for, such
-                as `payload_g`.
+            program: CSV as `save_program` writes it.
             out: new folder of the recording.
             number: of programs driven before.
 
@@ -54,7 +56,7 @@ class StandinBench:
         seed: of the measurement's noise.
     """
 
-    range_kpa, hz, pause_s = (0.0, MAX_PRESSURE_KPA), 20.0, None
+    range_kpa, hz, pause_s = (np.zeros(1), np.full(1, MAX_PRESSURE_KPA)), 20.0, None
 
     def __init__(self, seed: int = 0):
         self._seed = seed
@@ -66,6 +68,17 @@ class StandinBench:
         return write_program(out, program, 1000 * self._seed + number)
 
 
+def standin_arm(seed: int = 0) -> Bench:
+    """An arm that shares no physics with a twin, long without pressure before each program.
+
+    Args:
+        seed: of the measurement's noise.
+    """
+    from pneutac_datasets.generate.truth_bench import TruthBench
+
+    return TruthBench(ARM_EFFECTS, ARM_SEED, "arm", rested=True, noise=seed)
+
+
 class MeasuredBench:
     """A finger in front of a camera, on a pressure controller: `pneutac measure`.
 
@@ -75,7 +88,7 @@ class MeasuredBench:
 
     def __init__(self, config: "MeasureConfig"):
         self._config = config
-        self.range_kpa, self.hz = (config.min_kpa, config.max_kpa), config.hz
+        self.range_kpa, self.hz = config.range_kpa, config.hz
         self.pause_s: float | None = None
         self._vented_s: float | None = None  # on the clock
 
@@ -97,8 +110,18 @@ def save_program(
     kind: str,
     conditions: Mapping[str, float] = MappingProxyType({}),
 ) -> None:
-    """Writes a program as `pneutac measure --program=` reads it, with the conditions it asks for."""
-    columns = {"time_s": time_s, "pressure_cmd_kpa": pressure_kpa, "program": kind}
-    table = pd.DataFrame(columns | dict(conditions))
+    """Writes a program as `pneutac measure --program=` reads it.
+
+    Args:
+        file: CSV with `time_s`, `pressure_cmd_kpa` or of several chambers `pressure_cmd_1_kpa` and so on,
+            `program`, and conditions.
+        time_s: (n,) s.
+        pressure_kpa: (n, chambers) commanded; (n,) of one chamber.
+        kind: name of the program.
+        conditions: that it asks for, such as `payload_g`.
+    """
+    commands = np.reshape(pressure_kpa, (len(time_s), -1)).T
+    columns = dict(zip(command_columns(len(commands)), commands, strict=True))
+    table = pd.DataFrame({"time_s": time_s} | columns | {"program": kind} | dict(conditions))
     with whole(file) as part:
         table.to_csv(part, index=False, float_format="%.6g")

@@ -1,7 +1,10 @@
 """The next program for the bench: what it separates, what it narrows, where it goes for the first time."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+
+import numpy as np
 
 from lerobot_pneutac.diagnosis.design import NO_HANDS, Choice, Limits, choices
 from lerobot_pneutac.diagnosis.hands import Hands, instructions
@@ -13,6 +16,7 @@ from lerobot_pneutac.verbs.benches import save_program
 from lerobot_pneutac.verbs.contenders import load_contenders
 from lerobot_pneutac.verbs.diagnosis import Diagnosis
 from lerobot_pneutac.verbs.result import Result
+from pneutac_datasets.recording.chambers import per_chamber
 from pneutac_datasets.recording.noise import noise_floor
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
@@ -121,8 +125,8 @@ def design(
     twin: Twin,
     recording: Recording,
     diagnosis: str | Path | Diagnosis,
-    max_kpa: float | None = None,
-    min_kpa: float | None = None,
+    max_kpa: float | Sequence[float] | None = None,
+    min_kpa: float | Sequence[float] | None = None,
     budget_s: float = 600.0,
     program_s: float = 60.0,
     hz: float = 20.0,
@@ -134,8 +138,8 @@ def design(
         twin: that was diagnosed.
         recording: likewise; everything that was measured so far.
         diagnosis: what `diagnose` found, itself or the folder that `pneutac diagnose --out=` wrote.
-        max_kpa: highest set-point; that of the recording where None.
-        min_kpa: lowest one; that of the recording, at most 0, where None.
+        max_kpa: highest set-point, one for all chambers or one for each; that of the recording where None.
+        min_kpa: lowest one, likewise; that of the recording, at most 0, where None.
         budget_s: longest program.
         program_s: length of a program of the common kinds.
         hz: samples a second.
@@ -151,8 +155,15 @@ def design(
     if not contenders:
         raise InputError("The diagnosis is of demonstrations; give one of a bench recording.")
     command = recording.samples[recording.pressure_columns].to_numpy(float)
-    low = float(min(command.min(), 0.0)) if min_kpa is None else min_kpa
-    limits = Limits(low, float(command.max()) if max_kpa is None else max_kpa, hz, budget_s, program_s)
+    limits = Limits(
+        per_chamber(
+            "min_kpa", np.minimum(command.min(axis=0), 0.0) if min_kpa is None else min_kpa, len(command.T)
+        ),
+        per_chamber("max_kpa", command.max(axis=0) if max_kpa is None else max_kpa, len(command.T)),
+        hz,
+        budget_s,
+        program_s,
+    )
     noise = noise_floor(recording)
     ranked = choices(recording, contenders, noise.value, limits, hands)
     return Design(

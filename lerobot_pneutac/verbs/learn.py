@@ -6,7 +6,8 @@ from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 
-from lerobot_pneutac.diagnosis.design import NO_HANDS, Choice, Limits, choices, first_program
+from lerobot_pneutac.diagnosis.common_programs import first_program
+from lerobot_pneutac.diagnosis.design import NO_HANDS, Choice, Limits, choices
 from lerobot_pneutac.diagnosis.hands import Hands, instructions
 from lerobot_pneutac.diagnosis.result import Contender
 from lerobot_pneutac.reports.learn_film import FORESEEN
@@ -19,9 +20,11 @@ from lerobot_pneutac.verbs.foreseen import error_of, not_as_asked, paths
 from lerobot_pneutac.verbs.learning import Learning, Round
 from pneutac_datasets.recording.joined import joined
 from pneutac_datasets.recording.recording import Recording
+from pneutac_datasets.recording.wording import an, plural
 from pneutac_sim.effects.laws import family
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import whole, write_json
+from pneutac_sim.finger.inputs import CHAMBERS
 from pneutac_sim.twin import Twin
 
 CONFIRMS = 1.5  # error over noise, before it was used, up to which a recording confirms what predicted it
@@ -61,12 +64,19 @@ def learn(
         on_round: called after each round.
 
     Raises:
-        InputError: the budget is too small for the first program, the folder holds rounds of another twin,
-            the bench's recording cannot be used, or a hand did twice what was not asked for.
+        InputError: the budget is too small for the first program, twin and bench differ in their chambers,
+            the folder holds rounds of another twin, the bench's recording cannot be used, or a hand did twice
+            what was not asked for.
         HardwareFault: as the bench raises it; finished rounds are kept.
     """
     out = Path(out)
     limits = Limits(*bench.range_kpa, bench.hz, budget_s, program_s)
+    if (needed := CHAMBERS.get(twin.device)) != limits.chambers:
+        has = plural(needed, "chamber") if needed else "no chambers"
+        raise InputError(
+            f"The twin is of {an(twin.device)}, which has {has}, and the bench drives {limits.chambers}; give"
+            " a bench and a twin of one device."
+        )
     rounds = Rounds(out, twin, bench, seed, jobs, progress, hands)
     while True:
         left_s = budget_s - sum(r.seconds for r in rounds.done)

@@ -121,7 +121,7 @@ class Learning(Result):
             what = "nothing is missing" if self.confirmed else "nothing was found for sure"
         else:
             names = [called(e) for e in r.selected]
-            what = "the finger shows " + (
+            what = f"the {self.twin.device} shows " + (
                 names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
             )
         foreseen = (

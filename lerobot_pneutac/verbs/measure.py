@@ -11,9 +11,11 @@ import pandas as pd
 from lerobot.cameras import Camera, make_cameras_from_configs
 
 from lerobot_pneutac.measuring.camera import Intrinsics, MarkerTracker
-from lerobot_pneutac.measuring.options import MeasureConfig
+from lerobot_pneutac.measuring.options import STANDIN, MeasureConfig
 from lerobot_pneutac.measuring.programs import PressureTrial, read_program
-from lerobot_robot_pneutac.hardware.parts import COMMAND_S, HardwareFault, PressureController
+from lerobot_robot_pneutac.hardware.chambers import Chambers
+from lerobot_robot_pneutac.hardware.parts import COMMAND_S, HardwareFault
+from pneutac_datasets.recording.chambers import command_columns, device_with, measured_columns
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.files import write_image
 
@@ -60,6 +62,9 @@ def measure(
         KeyboardInterrupt: as it came; the chamber is vented.
     """
     trials = program_of(config) * config.repeat
+    if config.bench == STANDIN:
+        on_start(len(trials), sum(t.time_s[-1] for t in trials))
+        return _on_the_standin(config, trials)
     camera = Intrinsics.load(config.intrinsics)
     tracker = MarkerTracker(camera, config.marker_mm, config.base_id, config.tip_id, config.base_offset_mm)
     given = {"camera": config.camera} | ({"tactile": config.digit} if config.digit is not None else {})
@@ -91,7 +96,19 @@ def measure(
 
 def program_of(config: MeasureConfig) -> list[PressureTrial]:
     """The trials that are driven, once; raises InputError where they cannot be read."""
-    return read_program(config.program, config.max_kpa, config.hz, config.recording, config.min_kpa)
+    low, high = config.range_kpa
+    return read_program(config.program, high, config.hz, config.recording, low, config.chambers)
+
+
+def _on_the_standin(config: MeasureConfig, trials: list[PressureTrial]) -> Recording:
+    from lerobot_pneutac.verbs.benches import standin_arm
+    from pneutac_datasets.generate.standin import write_trials
+
+    given = [(t.program, t.time_s, t.pressure_kpa) for t in trials]
+    if config.chambers > 1:
+        return standin_arm(config.seed).measure(given, config.out)
+    conditions = config.conditions | dict(trials[0].conditions)
+    return write_trials(config.out, [(n, p[:, 0]) for n, _, p in given], config.hz, config.seed, conditions)
 
 
 def kept_trials(folder: Path) -> set[int]:
@@ -106,7 +123,7 @@ class BenchDriver:
     def __init__(
         self,
         config: MeasureConfig,
-        pressure: PressureController,
+        pressure: Chambers,
         cameras: dict[str, Camera],
         tracker: MarkerTracker,
     ):
@@ -133,22 +150,21 @@ class BenchDriver:
         started, command, sent_s = self._started(start_s), None, None
         while k < len(trial.time_s):
             time.sleep(max(0.0, start_s + trial.time_s[k] - time.monotonic()))
-            sample, before, command, taken = k, command, float(trial.pressure_kpa[k]), taken + 1
-            if sent_s is None or command != before:  # one that is sent again counts from the first time
+            sample, before, command, taken = k, command, trial.pressure_kpa[k], taken + 1
+            if sent_s is None or (command != before).any():  # one sent again counts from the first time
                 sent_s = time.monotonic() - start_s
             self._pressure.set_pressure(command)
             images = {name: _image(c, name) for name, c in self._cameras.items()}
-            now_s, kpa = time.monotonic() - start_s, float(self._pressure.pressure())
-            most = max(self._config.max_kpa, -self._config.min_kpa)
-            if not kpa <= OVERPRESSURE * most or (self._config.min_kpa < 0 and kpa < -OVERPRESSURE * most):
-                raise HardwareFault(f"The pressure reads {kpa:.1f} kPa; check valve and sensor.")
+            now_s, kpa = time.monotonic() - start_s, self._pressure.pressure()
+            self._check_pressure(kpa)
             tip = self._tracker.tip_mm(images["camera"])
             due = int(np.searchsorted(trial.time_s, time.monotonic() - start_s, side="right"))
             k = max(k + 1, min(due - 1, len(trial.time_s) - 1))
             if tip is None:
                 continue
             row = {"trial": number, "time_s": now_s, "time_sent_s": sent_s, "program": trial.program}
-            row |= {"pressure_cmd_kpa": command, "pressure_kpa": kpa, **self._config.conditions}
+            row |= dict(zip(command_columns(len(kpa)), command.tolist(), strict=True))
+            row |= dict(zip(measured_columns(len(kpa)), kpa.tolist(), strict=True)) | self._config.conditions
             row |= trial.conditions
             row |= dict(zip(("tip_x_mm", "tip_y_mm", "tip_z_mm"), tip.tolist(), strict=True))
             for name, image in images.items():
@@ -164,6 +180,15 @@ class BenchDriver:
             self._starts[str(number)] = started
             self._write()
         return taken, len(rows)
+
+    def _check_pressure(self, kpa: np.ndarray) -> None:
+        """Raises HardwareFault where a chamber is farther from zero than the program's limits explain."""
+        low, high = self._config.range_kpa
+        most = OVERPRESSURE * np.maximum(high, -low)
+        wrong = ~(kpa <= most) | ((low < 0) & (kpa < -most))
+        for i in np.flatnonzero(wrong):
+            where = f" in chamber {i + 1}" if len(kpa) > 1 else ""
+            raise HardwareFault(f"The pressure{where} reads {kpa[i]:.1f} kPa; check valve and sensor.")
 
     def _started(self, start_s: float) -> dict:
         """How a trial that begins at this time on the clock starts: each trial leaves the chamber vented."""
@@ -187,7 +212,8 @@ class BenchDriver:
             },
         }
         samples = pd.DataFrame(self._rows)
-        new = Recording(self._config.out, meta, samples, "finger").write(self._config.out / "new")
+        device = device_with(self._config.chambers)
+        new = Recording(self._config.out, meta, samples, device).write(self._config.out / "new")
         # a trial in the table is kept, and recording.json names none that is not in it
         names = ["recording.json", "samples.csv"]
         for name in names[::-1] if (self._config.out / "samples.csv").exists() else names:

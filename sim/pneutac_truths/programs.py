@@ -71,19 +71,21 @@ def plan(rng: np.random.Generator, chambers: int, minutes: float, quiet: bool = 
 
 
 def given(programs: list[tuple[str, np.ndarray, np.ndarray]], pause_s: float) -> Plan:
-    """What somebody else commands one chamber.
+    """What somebody else commands.
 
     Args:
-        programs: name, times (n,) from 0 in s, and shares of the top pressure (n,), held from their times on.
+        programs: name, times (n,) from 0 in s, and shares of the top pressure (n, chambers), or (n,) of one
+            chamber, held from their times on.
         pause_s: rest before each program but the first.
     """
     trials = []
     for _, time_s, share in programs:
         t = np.arange(round(time_s[-1] / DT_S) + 1) * DT_S
         latest = np.searchsorted(time_s, t + 1e-9, side="right") - 1
-        new = np.r_[True, np.diff(share) != 0]
-        sent = np.asarray(time_s)[np.maximum.accumulate(np.where(new, np.arange(len(share)), 0))]
-        trials.append((np.asarray(share, float)[latest][:, None], sent[latest]))
+        commands = np.reshape(np.asarray(share, float), (len(time_s), -1))
+        new = np.r_[True, (np.diff(commands, axis=0) != 0).any(axis=1)]
+        sent = np.asarray(time_s)[np.maximum.accumulate(np.where(new, np.arange(len(time_s)), 0))]
+        trials.append((commands[latest], sent[latest]))
     return _joined(trials, [name for name, *_ in programs], [0.0, *[pause_s] * (len(programs) - 1)])
 
 

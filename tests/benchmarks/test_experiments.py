@@ -6,7 +6,8 @@ import pytest
 
 from lerobot_pneutac.verbs.benches import save_program
 from pneutac_benchmarks.diagnosis.rules import COUNTS
-from pneutac_benchmarks.experiments import LAWS, NO_FORM, TruthBench, _known_at, wrong_ones
+from pneutac_benchmarks.experiments import LAWS, NO_FORM, _known_at, wrong_ones
+from pneutac_datasets.generate.truth_bench import TruthBench
 from pneutac_truths import EFFECTS, generate
 from pneutac_truths.programs import given
 

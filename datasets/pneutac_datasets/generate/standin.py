@@ -1,6 +1,6 @@
 """The stand-in on the bench, finger and gel: what one measures of a real finger before making its twin."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import mujoco
@@ -102,6 +102,33 @@ def write_program(folder: str | Path, program: str | Path, seed: int = 0) -> Rec
     rng = np.random.default_rng([seed, 5])
     conditions = {c: float(table[c].iloc[0]) for c in (*HANGING, "payload_g") if c in table}
     return _write(folder, [ProgramTrial("program", command)], float(1 / dt.mean()), rng, conditions)
+
+
+def write_trials(
+    folder: str | Path,
+    trials: Sequence[tuple[str, np.ndarray]],
+    hz: float,
+    seed: int,
+    conditions: Mapping[str, float] = HANGING,
+) -> Recording:
+    """Writes what the stand-in's finger did, long without pressure before each of several trials.
+
+    Args:
+        folder: where the recording goes.
+        trials: each a name and commands (n,), kPa.
+        hz: samples a second.
+        seed: decides the noise.
+        conditions: direction of gravity in the base's frame, and `payload_g`.
+
+    Raises:
+        InputError: a command lies beyond the finger's pressures.
+    """
+    for name, command in trials:
+        if command.min() < 0 or command.max() > MAX_PRESSURE_KPA:
+            raise InputError(f"'{name}' leaves 0 to {MAX_PRESSURE_KPA:g} kPa, which the stand-in bears.")
+    made = [ProgramTrial(name, command) for name, command in trials]
+    known = {c: v for c, v in conditions.items() if c in (*HANGING, "payload_g")}
+    return _write(folder, made, hz, np.random.default_rng([seed, 5]), known)
 
 
 def _measured(

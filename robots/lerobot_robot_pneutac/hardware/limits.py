@@ -7,7 +7,7 @@ import numpy as np
 
 from lerobot_robot_pneutac.hardware.parts import COMMAND_S
 from lerobot_robot_pneutac.options import refuse_if
-from pneutac_sim.features import ACTION_NAMES, MAX_SPEED_M_S, PAPER_RANGE_KPA, action_limits
+from pneutac_sim.features import MAX_SPEED_M_S, PAPER_RANGE_KPA, action_limits, action_names
 
 STOPPING_S = 0.15  # to come to rest from full speed
 # Beyond the range by more than this share of it, an action is a fault of its sender and not a rounding.
@@ -124,39 +124,45 @@ class Limits:
         down = np.clip((flange_m - np.asarray(self.low_m)) / room_s, 0.0, self.speed_m_s)
         return np.clip(wanted_m_s, -down, up)
 
-    def pressure(self, wanted_kpa: float, last_kpa: float, elapsed_s: float) -> float:
-        """The set-point (kPa) that follows `last_kpa` after `elapsed_s` on the way to the wanted one."""
-        wanted = min(max(wanted_kpa, self.vacuum_kpa), self.pressure_kpa)
+    def pressure(self, wanted_kpa: np.ndarray, last_kpa: np.ndarray, elapsed_s: float) -> np.ndarray:
+        """The set-points (kPa) that follow `last_kpa` after `elapsed_s` on the way to the wanted ones."""
+        wanted = np.clip(wanted_kpa, self.vacuum_kpa, self.pressure_kpa)
         step = self.pressure_rate_kpa_s * min(elapsed_s, COMMAND_S)
-        return min(max(wanted, last_kpa - step), last_kpa + step)
+        return np.clip(wanted, last_kpa - step, last_kpa + step)
 
-    def broken_by(self, force_n: float, pressure_kpa: float) -> str | None:
-        """What a measurement breaks, as one sentence, or None."""
-        if not (math.isfinite(force_n) and math.isfinite(pressure_kpa)):
-            return f"The force reads {force_n} N and the pressure {pressure_kpa} kPa; check the sensors."
+    def broken_by(self, force_n: float, pressure_kpa: float | np.ndarray) -> str | None:
+        """What a measurement, of the pressure one a chamber, breaks, as one sentence, or None."""
+        chambers = np.atleast_1d(pressure_kpa).tolist()
+        if not (math.isfinite(force_n) and np.isfinite(chambers).all()):
+            read = ", ".join(map(str, chambers))
+            return f"The force reads {force_n} N and the pressure {read} kPa; check the sensors."
         if force_n > self.force_n:
             return (
                 f"The force at the flange is {force_n:.1f} N, above limits.force_n = {self.force_n:g};"
                 " move the arm free by hand."
             )
-        if pressure_kpa > self.overpressure_kpa:
-            return (
-                f"The pressure is {pressure_kpa:.1f} kPa, above limits.overpressure_kpa ="
-                f" {self.overpressure_kpa:g}; check valve and sensor."
-            )
-        if self.vacuum_kpa < 0 and pressure_kpa < -self.overpressure_kpa:
-            return (
-                f"The pressure is {pressure_kpa:.1f} kPa, farther below zero than limits.overpressure_kpa ="
-                f" {self.overpressure_kpa:g}; check valve and sensor."
-            )
+        for number, kpa in enumerate(chambers, 1):
+            where = f" in chamber {number}" if len(chambers) > 1 else ""
+            if kpa > self.overpressure_kpa:
+                return (
+                    f"The pressure{where} is {kpa:.1f} kPa, above limits.overpressure_kpa ="
+                    f" {self.overpressure_kpa:g}; check valve and sensor."
+                )
+            if self.vacuum_kpa < 0 and kpa < -self.overpressure_kpa:
+                return (
+                    f"The pressure{where} is {kpa:.1f} kPa, farther below zero than limits.overpressure_kpa ="
+                    f" {self.overpressure_kpa:g}; check valve and sensor."
+                )
         return None
 
 
-def why_refused(values: np.ndarray, action_kpa: tuple[float, float] = PAPER_RANGE_KPA) -> str | None:
-    """Why an action (4,) is not carried out at all, or None; a small excess is clipped and not refused."""
-    lowest, highest = action_limits(action_kpa)
+def why_refused(
+    values: np.ndarray, action_kpa: tuple[float, float] = PAPER_RANGE_KPA, chambers: int = 1
+) -> str | None:
+    """Why an action (3 + C,) is not carried out at all, or None; a small excess is clipped, not refused."""
+    names, (lowest, highest) = action_names(chambers), action_limits(action_kpa, chambers)
     excess = EXCESS * (highest - lowest)
-    for name, value, low, high, beyond in zip(ACTION_NAMES, values, lowest, highest, excess, strict=True):
+    for name, value, low, high, beyond in zip(names, values, lowest, highest, excess, strict=True):
         if not np.isfinite(value):
             return f"{name} is {value}"
         if not low - beyond <= value <= high + beyond:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from lerobot_robot_pneutac.hardware.chambers import Chambers
 from lerobot_robot_pneutac.hardware.limits import Limits, why_refused
 from lerobot_robot_pneutac.hardware.parts import (
     COMMAND_S,
@@ -19,6 +20,7 @@ from lerobot_robot_pneutac.hardware.parts import (
     HardwareFault,
     PressureController,
 )
+from pneutac_sim.features import PRESSURES
 
 VENT_S = 1.0  # without an action for so long the chamber is vented
 HOLD_S = 0.5 * COMMAND_S  # without an action for so long the watchdog holds the pressure
@@ -50,13 +52,14 @@ class Guard:
         refused: actions refused so far.
     """
 
-    def __init__(self, arm: Arm, pressure: PressureController, limits: Limits):
+    def __init__(self, arm: Arm, pressure: PressureController | Chambers, limits: Limits):
         self.limits = limits
         self.fault: HardwareFault | None = None
         self.refused = 0
-        self._arm, self._pressure = arm, pressure
+        self._arm, self._pressure = arm, Chambers.of(pressure)
         self._recent: deque[bool] = deque(maxlen=RECENT)  # whether each of the last actions was refused
-        self._target_kpa = 0.0
+        self._vented_kpa = np.zeros(len(self._pressure))
+        self._target_kpa = self._vented_kpa
         self._last_s = time.monotonic()
         self._moving = self._inflated = self._told = False
         self._closed = threading.Event()
@@ -72,14 +75,14 @@ class Guard:
         for thread in self._threads:
             thread.start()
 
-    def look(self) -> tuple[ArmState, float]:
-        """State of the arm and pressure (kPa).
+    def look(self) -> tuple[ArmState, np.ndarray]:
+        """State of the arm and pressure (chambers,) in kPa.
 
         Raises:
             HardwareFault: a part failed or a limit is broken, now or before.
         """
         with self.failing("reading arm and pressure"):
-            state, kpa = within(ARM_S, "The arm", self._arm.state), float(self._pressure.pressure())
+            state, kpa = within(ARM_S, "The arm", self._arm.state), self._pressure.pressure()
             breach = self.limits.broken_by(state.force_n, kpa)
             if breach:
                 raise HardwareFault(breach)
@@ -89,23 +92,24 @@ class Guard:
         """Carries out an action as far as the limits allow.
 
         Args:
-            values: (4,) flange velocity m/s and pressure kPa.
+            values: (3 + chambers,) flange velocity m/s and pressures kPa.
 
         Returns:
-            What was carried out (4,): zeros, the arm at rest and the chamber vented, where it was refused.
+            What was carried out (3 + chambers,): zeros, the arm at rest and the chamber vented, where it was
+            refused.
 
         Raises:
             HardwareFault: as `look`, or `REFUSALS` of the last `RECENT` actions were refused.
         """
         state, _ = self.look()
         with self.failing("sending an action"):
-            reason = why_refused(values, self.limits.action_kpa)
+            reason = why_refused(values, self.limits.action_kpa, len(self._pressure))
             self._recent.append(reason is not None)
             if reason:
-                return self._refuse(reason)
-            self._tell_held(float(values[3]))
+                return self._refuse(reason, len(values))
+            self._tell_held(values[PRESSURES])
             now = time.monotonic()
-            self._target_kpa = self.limits.pressure(values[3], self._target_kpa, now - self._last_s)
+            self._target_kpa = self.limits.pressure(values[PRESSURES], self._target_kpa, now - self._last_s)
             velocity = self.limits.velocity(values[:3], state.flange_m)
             self._last_s = now
             self._moving = self._inflated = True
@@ -158,22 +162,23 @@ class Guard:
 
     def _rest(self) -> None:
         """Before a vent, or the watchdog, which holds the pressure, would fill the chamber again."""
-        self._target_kpa = 0.0
+        self._target_kpa = self._vented_kpa
         self._moving = self._inflated = False
 
-    def _tell_held(self, wanted_kpa: float) -> None:
+    def _tell_held(self, wanted_kpa: np.ndarray) -> None:
         """Logs the first set-point that the limits hold back; later ones are told by what `act` returns."""
         low, high = self.limits.vacuum_kpa, self.limits.pressure_kpa
-        if not self._told and not low - ROUNDING_KPA <= wanted_kpa <= high + ROUNDING_KPA:
+        beyond = (wanted_kpa < low - ROUNDING_KPA) | (wanted_kpa > high + ROUNDING_KPA)
+        if not self._told and beyond.any():
             self._told = True
             logger.warning(
                 "A set-point of %.4g kPa is held to the limits, %g to %g kPa; later ones are not logged.",
-                wanted_kpa,
+                wanted_kpa[beyond][0],
                 low,
                 high,
             )
 
-    def _refuse(self, reason: str) -> np.ndarray:
+    def _refuse(self, reason: str, size: int) -> np.ndarray:
         self.refused += 1
         logger.warning("Action refused: %s. The arm stops and the chamber is vented.", reason)
         self.halt()
@@ -182,7 +187,7 @@ class Guard:
             raise HardwareFault(
                 f"{REFUSALS} of the last {len(self._recent)} actions were refused, the last because {reason}."
             )
-        return np.zeros(4)
+        return np.zeros(size)
 
     def _watchdog(self) -> None:
         while not self._closed.wait(TICK_S):
@@ -192,7 +197,7 @@ class Guard:
                 self._or_fail("Stopping the arm", self._arm.stop)
             if self._inflated and idle_s > VENT_S:
                 logger.warning("No action for %.1f s: the chamber is vented.", idle_s)
-                self._inflated, self._target_kpa = False, 0.0
+                self._inflated, self._target_kpa = False, self._vented_kpa
                 self._or_fail("Venting", self._pressure.vent)
             elif self._inflated and idle_s > HOLD_S:
                 self._hold()

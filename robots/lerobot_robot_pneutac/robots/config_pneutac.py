@@ -22,29 +22,72 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.features import IMAGE_NAME, state_names
 
 if TYPE_CHECKING:
+    from lerobot_robot_pneutac.hardware.chambers import Chambers
     from pneutac_sim.world.station import Station
 
 
 @dataclass(kw_only=True)
 class PressureConfig:
-    """Which pressure controller.
+    """Which pressure controller; of a finger with several chambers which, one a chamber.
 
     Attributes:
         type: `pneutac_serial`, `text_serial`, `simulated`, or another that was registered.
         port: serial port, where it has one.
-        options: everything else that this type takes, by name.
+        ports: serial ports of the controllers of several chambers, in the chambers' order.
+        chambers: how many, where the type has no ports.
+        options: everything else that this type takes, by name; a list has one a chamber.
     """
 
     type: str = ""
     port: str | None = None
-    options: dict[str, float | str] = field(default_factory=dict)
+    ports: tuple[str, ...] = ()
+    chambers: int = 1
+    options: dict[str, float | list[float] | str] = field(default_factory=dict)
 
-    def make(self):
-        """The controller, not connected; raises InputError where its type or options are unknown."""
+    @property
+    def count(self) -> int:
+        """How many controllers there are."""
+        return len(self.ports) or self.chambers
+
+    def make(self) -> "Chambers":
+        """The controllers, not connected; raises InputError where type or options are unknown or unfit."""
+        from lerobot_robot_pneutac.hardware.chambers import Chambers
         from lerobot_robot_pneutac.hardware.pressure import make_pressure_controller
 
-        port = {"port": self.port} if self.port is not None else {}
-        return make_pressure_controller(self.type, **port, **self.options)
+        self._check()
+        made = []
+        for i in range(self.count):
+            own = {k: v[i] if isinstance(v, list | tuple) else v for k, v in self.options.items()}
+            port = self.ports[i] if self.ports else self.port
+            made.append(
+                make_pressure_controller(self.type, **({"port": port} if port is not None else {}), **own)
+            )
+        return Chambers(made, alike=not isinstance(self.options.get("max_kpa"), list | tuple))
+
+    def _check(self) -> None:
+        if self.ports and self.port is not None:
+            raise InputError("port and ports are both given; give port for one chamber, ports for several.")
+        if self.ports and self.chambers not in (1, len(self.ports)):
+            raise InputError(f"ports has {len(self.ports)} for chambers={self.chambers}; give one for each.")
+        for i, port in enumerate(self.ports):
+            if port in self.ports[:i]:
+                raise InputError(
+                    f"ports names {port} for chambers {self.ports.index(port) + 1} and {i + 1}; each chamber"
+                    " needs a controller of its own."
+                )
+        if not self.ports and self.chambers > 1 and self.port is not None:
+            raise InputError(
+                f"port is one for chambers={self.chambers}; give ports, one for each, such as"
+                " [/dev/ttyACM0,/dev/ttyACM1,/dev/ttyACM2]."
+            )
+        if self.count not in (1, 3):
+            raise InputError(f"{self.count} controllers are given; a finger has one chamber, an arm three.")
+        for name, value in self.options.items():
+            if isinstance(value, list | tuple) and len(value) != self.count:
+                raise InputError(
+                    f"options.{name} has {len(value)} values for {self.count} controllers; give one for all,"
+                    " or one for each."
+                )
 
 
 @RobotConfig.register_subclass("pneutac")

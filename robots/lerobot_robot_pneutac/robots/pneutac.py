@@ -91,13 +91,13 @@ class Pneutac(BaseRobot):
         try:
             self._pressure.connect()
             self._pressure.vent()
-            if self._pressure.max_kpa < self.config.limits.pressure_kpa:
+            highest, lowest = self._pressure.max_kpa.min(), self._pressure.min_kpa.max()
+            if highest < self.config.limits.pressure_kpa:
                 raise InputError(
                     f"limits.pressure_kpa is {self.config.limits.pressure_kpa:g}, but the pressure controller"
-                    f" takes {self._pressure.max_kpa:g} kPa at most; give"
-                    f" --robot.limits.pressure_kpa={self._pressure.max_kpa:g} or a higher max_kpa."
+                    f" takes {highest:g} kPa at most; give"
+                    f" --robot.limits.pressure_kpa={highest:g} or a higher max_kpa."
                 )
-            lowest = getattr(self._pressure, "min_kpa", 0.0)
             if lowest > self.config.limits.vacuum_kpa:
                 raise InputError(
                     f"limits.vacuum_kpa is {self.config.limits.vacuum_kpa:g}, but the pressure controller"
@@ -126,7 +126,7 @@ class Pneutac(BaseRobot):
             contact = self._tactile.contact(image)
             extra = {name: camera.latest() for name, camera in self._scene.items()}
         values = [
-            *arm.joints_rad, *arm.joints_rad_s, *arm.flange_m, contact.area, contact.log_pixels, kpa
+            *arm.joints_rad, *arm.joints_rad_s, *arm.flange_m, contact.area, contact.log_pixels, *kpa
         ]  # fmt: skip
         state = {name: float(v) for name, v in zip(self.state_names, values, strict=True)}
         return state | {IMAGE_NAME: image} | extra

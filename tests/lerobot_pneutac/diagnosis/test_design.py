@@ -4,10 +4,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from lerobot_pneutac.diagnosis.design import choices, common_programs, first_program, nats_between
+from lerobot_pneutac.diagnosis.common_programs import common_programs, first_program
+from lerobot_pneutac.diagnosis.design import choices, nats_between
 from lerobot_pneutac.diagnosis.limits import Limits, visited
 from lerobot_pneutac.diagnosis.programs import table
 from lerobot_pneutac.diagnosis.result import Contender
+from pneutac_datasets.recording.chambers import command_columns, device_with
 from pneutac_datasets.recording.joined import joined
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
@@ -17,10 +19,13 @@ LIMITS = Limits(0.0, 15.0, hz=10.0, seconds=120.0)
 
 
 def recording(folder, t, p, trial=0):
-    samples = pd.DataFrame(
-        {"trial": trial, "time_s": t, "pressure_cmd_kpa": p, "tip_x_mm": 100.0, "tip_z_mm": 1.0}
-    )
-    return Recording(folder, {"device": "finger", "length_mm": 110.0}, samples, "finger")
+    commands = np.reshape(np.broadcast_to(p, np.shape(t)) if np.ndim(p) == 0 else p, (len(t), -1)).T
+    columns = dict(zip(command_columns(len(commands)), commands, strict=True))
+    samples = pd.DataFrame({"trial": trial, "time_s": t, **columns, "tip_x_mm": 100.0, "tip_z_mm": 1.0})
+    device = device_with(len(commands))
+    if device == "arm":
+        samples["tip_y_mm"] = 0.0
+    return Recording(folder, {"device": device, "length_mm": 110.0}, samples, device)
 
 
 def twin(**effects):
@@ -55,7 +60,7 @@ def test_what_is_planned_is_sent_when_it_is_due(tmp_path):
     """A log that tells when commands were sent says nothing of when those of a new program will be."""
     t, p = first_program(LIMITS)
     driven = recording(tmp_path, t, p)
-    driven.samples["time_sent_s"] = np.maximum.accumulate(np.where(np.diff(p, prepend=1) != 0, t, 0))
+    driven.samples["time_sent_s"] = np.maximum.accumulate(np.where(np.diff(p[:, 0], prepend=1) != 0, t, 0))
     planned = table(driven, t, p, {})
     assert planned["time_sent_s"].tolist() == t.tolist()
     assert "time_sent_s" not in table(recording(tmp_path, t, p), t, p, {})
@@ -108,10 +113,10 @@ def test_limits_that_leave_nothing_are_told(tmp_path):
         choices(recording(tmp_path, t, p), models, 0.5, Limits(0.0, 15.0, seconds=5.0))
     with pytest.raises(InputError, match="No program fits between 3 and 3 kPa"):
         Limits(3.0, 3.0)
-    more = recording(tmp_path, t, p)
-    more.samples = more.samples.rename(columns={"pressure_cmd_kpa": "pressure_cmd_1_kpa"})
-    more.samples["pressure_cmd_2_kpa"] = 0.0
-    with pytest.raises(InputError, match="several chambers"):
+    with pytest.raises(InputError, match="No program fits between 0 and 0 kPa in chamber 2"):
+        Limits(0.0, (15.0, 0.0, 15.0))
+    more = recording(tmp_path, t, np.repeat(p, 3, axis=1))
+    with pytest.raises(InputError, match="has 3 chambers, and the limits are of 1"):
         choices(more, models, 0.5, LIMITS)
 
 

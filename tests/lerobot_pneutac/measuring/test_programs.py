@@ -19,7 +19,7 @@ def test_built_in_programs_cover_the_range_and_start_and_end_at_zero():
         assert t.pressure_kpa[[0, -1]].max() < 0.02 * 12 and t.pressure_kpa.min() >= 0
         np.testing.assert_allclose(np.diff(t.time_s), 1 / 15)
     assert max(t.pressure_kpa.max() for t in trials) == pytest.approx(12.0)
-    slopes = [np.gradient(t.pressure_kpa, t.time_s).max() for t in trials if t.program == "ramps"]
+    slopes = [np.gradient(t.pressure_kpa[:, 0], t.time_s).max() for t in trials if t.program == "ramps"]
     np.testing.assert_allclose(slopes, [6.0, 3.0, 1.5], rtol=0.05)
 
 
@@ -27,7 +27,7 @@ def test_a_table_is_held_from_row_to_row(tmp_path):
     file = tmp_path / "mine.csv"
     file.write_text("time_s,pressure_cmd_kpa\n5,0\n6,8\n7,8\n")
     (trial,) = read_program(str(file), 10.0, 10.0)
-    np.testing.assert_allclose(trial.pressure_kpa, [0] * 10 + [8] * 11)
+    np.testing.assert_allclose(trial.pressure_kpa[:, 0], [0] * 10 + [8] * 11)
     assert trial.program == "mine"
 
 

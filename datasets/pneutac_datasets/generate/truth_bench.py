@@ -1,0 +1,72 @@
+"""A device of `pneutac_truths` on the bench: it follows programs and shares nothing with a twin."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from pneutac_datasets.recording.chambers import command_columns
+from pneutac_datasets.recording.recording import Recording
+from pneutac_truths import generate, write
+from pneutac_truths.programs import given
+from pneutac_truths.world import CHAMBERS, Body
+
+DRAWN = ("temperature_c",)  # logged by the draw of a recording, not by every one
+RESTED_S = 120.0
+
+
+class TruthBench:
+    """A truth that remembers the programs before, in order, or has long been without pressure before each.
+
+    Args:
+        effects: names of truths.
+        seed: of the device.
+        device: `rod`, or `arm` of three chambers.
+        rested: whether nothing of the programs before is left.
+        noise: another number is another day.
+    """
+
+    hz = 20.0
+
+    def __init__(
+        self, effects: Sequence[str], seed: int, device: str = "rod", rested: bool = False, noise: int = 0
+    ):
+        self._effects, self._seed, self._device, self._rested = tuple(effects), seed, device, rested
+        self._noise, self._programs = noise, []
+        self.pause_s: float | None = None
+        self._top_kpa = Body.draw(device, seed).top_kpa
+        chambers = CHAMBERS[device]
+        self.range_kpa = np.zeros(chambers), np.full(chambers, self._top_kpa)
+
+    def follow(self, program: Path, out: Path, number: int) -> Recording:
+        """See `lerobot_pneutac.verbs.benches.Bench`."""
+        table = pd.read_csv(program)
+        one = self._trial(table, str(table["program"].iloc[0]))
+        if self._rested:
+            return self._recorded([one], out, 1 + 1000 * self._noise + number)
+        self.pause_s = RESTED_S if number else None
+        self._programs = [*self._programs[:number], one]
+        r = self._recorded(self._programs, out, 1 + 1000 * self._noise, tell_pauses=False)
+        r = r.keep(r.column("trial") == number)
+        r.write(out)
+        return Recording.load(out)
+
+    def measure(self, trials: Sequence[tuple[str, np.ndarray, np.ndarray]], out: Path) -> Recording:
+        """A recording of several trials, each a name, (n,) s and (n, chambers) kPa, one after the other."""
+        programs = [(name, t, np.round(p / self._top_kpa, 5)) for name, t, p in trials]
+        return self._recorded(programs, out, 1 + 1000 * self._noise)
+
+    def _trial(self, table: pd.DataFrame, name: str) -> tuple[str, np.ndarray, np.ndarray]:
+        """Name, times (n,), and shares of the top pressure (n, chambers)."""
+        commands = table[command_columns(CHAMBERS[self._device])].to_numpy(float)
+        return name, table["time_s"].to_numpy(float), np.round(commands / self._top_kpa, 5)
+
+    def _recorded(self, programs: list, out: Path, day: int, tell_pauses: bool = True) -> Recording:
+        told = {"tell_sent": True, "tell_pauses": tell_pauses, "plan": given(programs, RESTED_S)}
+        truth = generate(self._device, self._effects, self._seed, day, **told)
+        write(truth, out)
+        r = Recording.load(out)
+        r.samples = r.samples.drop(columns=[c for c in DRAWN if r.has(c)])
+        r.write(out)
+        return Recording.load(out)
