@@ -33,9 +33,11 @@ def make_bench(
         seed: of the stand-in's noise.
         device: of which the stand-in is, `finger` or `arm`.
     """
-    from lerobot_pneutac.verbs.benches import MeasuredBench, StandinBench, standin_arm  # pandas
+    from lerobot_pneutac.verbs.benches import MeasuredBench, StandinBench  # pandas
 
     if measure is None and device == "arm":
+        from pneutac_datasets.generate.truth_bench import standin_arm
+
         return standin_arm(seed), {}
     if measure is None:
         from pneutac_datasets.generate.standin import HANGING

@@ -4,7 +4,7 @@ Of several chambers each program is driven on each alone, on each two and on all
 the axis.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -72,7 +72,7 @@ def common_programs(limits: Limits) -> Iterator[tuple[str, str, np.ndarray, np.n
     """Name, kind, time (n,) and command (n, chambers) of each."""
     for name, kind, knots in _grid():
         for way, shares in ways(limits.chambers):
-            along = [(s, x * shares) for s, x in knots]
+            along: Knots = [(s, x * shares) for s, x in knots]
             yield on_chambers(name, way), kind, *sampled(along, limits)
     for share in (0.4, 0.7, 1.0) if limits.chambers > 1 else ():
         for turn_s in (4.0, 12.0, 29.0):
@@ -81,7 +81,7 @@ def common_programs(limits: Limits) -> Iterator[tuple[str, str, np.ndarray, np.n
             yield f"turns at {share:.0%} in {turn_s:g} s", "turns", *sampled(knots, limits)
 
 
-def _grid() -> Iterator[tuple[str, str, Sequence[tuple[float, float]]]]:
+def _grid() -> Iterator[tuple[str, str, Knots]]:
     """Amplitude x pace x hold, each about 60 s long and from rest to rest."""
     for a in (0.4, 0.7, 1.0):
         for hold_s in (2.0, 6.0, 15.0):
@@ -133,4 +133,5 @@ def sampled(knots: Knots, limits: Limits) -> tuple[np.ndarray, np.ndarray]:
     share = np.array([np.broadcast_to(x, limits.chambers) for x in (0.0, *(x for _, x in knots))])
     time_s = np.cumsum(np.where(time_s <= STEP_S, time_s, scale * time_s))
     grid = np.arange(round(time_s[-1] * limits.hz) + 1) / limits.hz
-    return grid, limits.pressure_kpa(np.stack([np.interp(grid, time_s, x) for x in share.T], axis=1))
+    kpa = limits.pressure_kpa(np.stack([np.interp(grid, time_s, x) for x in share.T], axis=1))
+    return grid, np.clip(kpa, limits.low_kpa, limits.high_kpa)  # rounding

@@ -1,6 +1,5 @@
 """What a program may do, and where programs have been: levels, paces, rests and conditions."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,8 +26,8 @@ class Limits:
         length_s: of the programs that are no law's own; all their times scale with it.
     """
 
-    low_kpa: float | Sequence[float] | np.ndarray
-    high_kpa: float | Sequence[float] | np.ndarray
+    low_kpa: np.ndarray
+    high_kpa: np.ndarray
     hz: float = 20.0
     seconds: float = 600.0
     length_s: float = 60.0

@@ -18,8 +18,6 @@ from pneutac_sim.files import whole
 if TYPE_CHECKING:
     from lerobot_pneutac.measuring.options import MeasureConfig
 
-ARM_SEED, ARM_EFFECTS = 5, ("creep_fractional",)  # which arm of the truths stands in for a real one
-
 
 class Bench(Protocol):
     """A device that follows programs.
@@ -66,17 +64,6 @@ class StandinBench:
         from pneutac_datasets.generate.standin import write_program
 
         return write_program(out, program, 1000 * self._seed + number)
-
-
-def standin_arm(seed: int = 0) -> Bench:
-    """An arm that shares no physics with a twin, long without pressure before each program.
-
-    Args:
-        seed: of the measurement's noise.
-    """
-    from pneutac_datasets.generate.truth_bench import TruthBench
-
-    return TruthBench(ARM_EFFECTS, ARM_SEED, "arm", rested=True, noise=seed)
 
 
 class MeasuredBench:

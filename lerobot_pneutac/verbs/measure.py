@@ -101,8 +101,8 @@ def program_of(config: MeasureConfig) -> list[PressureTrial]:
 
 
 def _on_the_standin(config: MeasureConfig, trials: list[PressureTrial]) -> Recording:
-    from lerobot_pneutac.verbs.benches import standin_arm
     from pneutac_datasets.generate.standin import write_trials
+    from pneutac_datasets.generate.truth_bench import standin_arm
 
     given = [(t.program, t.time_s, t.pressure_kpa) for t in trials]
     if config.chambers > 1:

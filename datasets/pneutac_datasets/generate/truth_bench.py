@@ -8,12 +8,14 @@ import pandas as pd
 
 from pneutac_datasets.recording.chambers import command_columns
 from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.errors import InputError
 from pneutac_truths import generate, write
 from pneutac_truths.programs import given
 from pneutac_truths.world import CHAMBERS, Body
 
 DRAWN = ("temperature_c",)  # logged by the draw of a recording, not by every one
 RESTED_S = 120.0
+ARM_SEED, ARM_EFFECTS = 5, ("creep_fractional",)  # of the arm that stands in for a real one
 
 
 class TruthBench:
@@ -53,7 +55,14 @@ class TruthBench:
         return Recording.load(out)
 
     def measure(self, trials: Sequence[tuple[str, np.ndarray, np.ndarray]], out: Path) -> Recording:
-        """A recording of several trials, each a name, (n,) s and (n, chambers) kPa, one after the other."""
+        """A recording of several trials, each a name, (n,) s and (n, chambers) kPa, one after the other.
+
+        Raises:
+            InputError: a trial leaves the device's pressures.
+        """
+        for name, _, p in trials:
+            if p.min() < 0 or p.max() > self._top_kpa:
+                raise InputError(f"'{name}' leaves 0 to {self._top_kpa:g} kPa, which the stand-in bears.")
         programs = [(name, t, np.round(p / self._top_kpa, 5)) for name, t, p in trials]
         return self._recorded(programs, out, 1 + 1000 * self._noise)
 
@@ -70,3 +79,12 @@ class TruthBench:
         r.samples = r.samples.drop(columns=[c for c in DRAWN if r.has(c)])
         r.write(out)
         return Recording.load(out)
+
+
+def standin_arm(seed: int = 0) -> TruthBench:
+    """The arm that stands in for a real one, long without pressure before each program.
+
+    Args:
+        seed: of the measurement's noise.
+    """
+    return TruthBench(ARM_EFFECTS, ARM_SEED, "arm", rested=True, noise=seed)

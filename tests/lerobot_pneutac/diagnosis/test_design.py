@@ -13,6 +13,7 @@ from pneutac_datasets.recording.chambers import command_columns, device_with
 from pneutac_datasets.recording.joined import joined
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
+from pneutac_sim.finger import Pipeline
 from pneutac_sim.twin import Twin, Value
 
 LIMITS = Limits(0.0, 15.0, hz=10.0, seconds=120.0)
@@ -134,3 +135,53 @@ def test_joined_recordings_keep_their_trials_and_how_they_began(tmp_path):
     b.samples["payload_g"] = 5.0
     with pytest.raises(InputError, match="differ in payload_g"):
         joined([a, b], [None, None])
+
+
+def arm():
+    made = Twin("arm", 110.0)
+    pipeline = Pipeline.of(made)
+    return pipeline.update(made, pipeline.theta(made, 60.0))
+
+
+def test_programs_of_three_chambers_press_each_alone_two_all_and_turn():
+    limits = Limits(0.0, (30.0, 60.0, 40.0), hz=10.0, length_s=20.0)
+    t, p = first_program(limits)
+    assert p.shape == (len(t), 3) and not p[0].any() and p[-1] == pytest.approx(0.0, abs=1e-6)
+    np.testing.assert_allclose(p.max(axis=0), [30.0, 60.0, 40.0])
+    alone = [(p[:, i] > 1) & (np.delete(p, i, axis=1) < 1e-6).all(axis=1) for i in range(3)]
+    assert all(rows.sum() > 20 for rows in alone)
+    programs = list(common_programs(limits))
+    assert len({name for name, *_ in programs}) == len(programs)
+    for *_, p in programs:
+        assert (p >= 0).all() and (p <= limits.high_kpa + 1e-9).all() and p[0].max() == 0
+    kinds = {kind for _, kind, *_ in common_programs(Limits(0.0, 30.0))}
+    assert {kind for _, kind, *_ in programs} == kinds | {"turns"}
+    turn = next(p for name, _, _, p in programs if name == "turns at 100% in 12 s") / limits.high_kpa
+    way = np.unwrap(np.arctan2(*(turn @ np.array([[0, 1], [0.75**0.5, -0.5], [-(0.75**0.5), -0.5]])).T))
+    assert np.ptp(way[20:-20]) > 4 * np.pi and abs(way[-20] - way[20]) < 1.0  # there and back
+
+
+def test_another_chamber_and_another_beside_it_are_new(tmp_path):
+    limits, t = Limits(np.zeros(3), np.full(3, 15.0), hz=10.0), np.arange(0, 10, 0.1)
+    stroke = 7 * (1 - np.cos(t))
+
+    def cells(*shares):
+        return set(visited(recording(tmp_path, t, stroke[:, None] * np.array(shares)), limits))
+
+    one, other, both = cells(1, 0, 0), cells(0, 1, 0), cells(1, 1, 0)
+    assert one == cells(1, 0, 0) and len(one & other) < 0.2 * len(other)
+    assert len(both - one - other) > 0.5 * len(both)
+
+
+def test_the_chamber_in_which_two_models_differ_is_driven(tmp_path):
+    limits = Limits(np.zeros(3), (60.0, 60.0, 20.0), hz=10.0, seconds=60.0, length_s=20.0)
+    t, p = first_program(limits)
+    weaker = arm()
+    weaker.parameters["chamber_2_gain"] = Value(0.8 * weaker.parameters["chamber_2_gain"].value)
+    models = [Contender(arm(), (), 0.5), Contender(weaker, ("weaker",), 0.5)]
+    ranked = choices(recording(tmp_path, t, p), models, 0.5, limits)
+    told = {c.name: c.rivals for c in ranked}
+    assert told["hold at 40%, chamber 2"] > 0.6 and told["hold at 40%, chamber 1"] < 0.01
+    assert ranked[0].pressure_kpa[:, 1].max() > 0 and ranked[0].pressure_kpa.shape[1] == 3
+    assert max(c.pressure_kpa[:, 2].max() for c in ranked) <= 20.0
+    assert ranked[0].predictions[0].shape == (len(ranked[0].time_s), 3)

@@ -80,3 +80,40 @@ def test_vacuum_is_driven_where_it_is_allowed(tmp_path):
         read_program(str(file), 15.0, 10.0)
     (trial,) = read_program(str(file), 15.0, 10.0, min_kpa=-30.0)
     assert trial.pressure_kpa.min() == -30.0
+
+
+def test_of_three_chambers_each_is_driven_alone_to_its_own_top_and_loops_turn():
+    top = (10.0, 20.0, 30.0)
+    holds = read_program("holds", top, 15.0, chambers=3)
+    assert len(holds) == 3 * len(read_program("holds", 10.0, 15.0))
+    assert all((t.pressure_kpa.max(axis=0) > 0).sum() == 1 for t in holds)
+    np.testing.assert_allclose(np.max([t.pressure_kpa.max(axis=0) for t in holds], axis=0), top)
+    loops = read_program("loops", top, 15.0, chambers=3)
+    turns = [t for t in loops if (t.pressure_kpa.max(axis=0) > 0).all()]
+    assert len(turns) == 2
+    for t in turns:
+        np.testing.assert_allclose(t.pressure_kpa[[0, -1]], 0.0, atol=1e-9)
+        assert (t.pressure_kpa >= 0).all() and (t.pressure_kpa <= top).all()
+
+
+@pytest.mark.parametrize(
+    ("columns", "chambers", "said"),
+    [
+        ("pressure_cmd_1_kpa,pressure_cmd_2_kpa", 3, "commands 2 chambers .* of the 3 that are driven; give"),
+        ("pressure_cmd_kpa", 3, "commands 1 chamber .* of the 3 that are driven"),
+        ("pressure_cmd_kpa,pressure_cmd_1_kpa", 1, "pressure_cmd_1_kpa too, and 1 chamber is driven"),
+        ("pressure_cmd_1_kpa,pressure_cmd_2_kpa,pressure_cmd_3_kpa", 3, "from 0 to 9 kPa in chamber 2"),
+    ],
+)
+def test_a_table_of_other_chambers_is_named(tmp_path, columns, chambers, said):
+    count = columns.count("pressure")
+    rows = [f"{t},{','.join([str(p)] * count)}" for t, p in ((0, 0), (1, 9))]
+    (tmp_path / "bad.csv").write_text("\n".join([f"time_s,{columns}", *rows]) + "\n")
+    limits = (15.0, 5.0, 15.0) if chambers == 3 else 15.0
+    with pytest.raises(InputError, match=said):
+        read_program(str(tmp_path / "bad.csv"), limits, 15.0, chambers=chambers)
+
+
+def test_limits_of_another_number_of_chambers_are_named():
+    with pytest.raises(InputError, match="max_kpa has 2 numbers for 3 chambers; give one for all"):
+        read_program("steps", (15.0, 15.0), 15.0, chambers=3)

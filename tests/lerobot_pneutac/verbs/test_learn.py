@@ -182,6 +182,23 @@ def test_a_budget_below_the_first_program_is_refused_before_anything_is_driven(t
         learn(Twin.builtin(), Mirror(fails_at=0), tmp_path / "out", budget_s=5.0, program_s=20.0)
 
 
+def test_a_bench_of_other_chambers_is_refused_before_anything_is_driven(tmp_path):
+    with pytest.raises(InputError, match="of an arm, which has 3 chambers, and the bench drives 1"):
+        learn(Twin("arm", 110.0), Mirror(fails_at=0), tmp_path / "out", **OPTIONS)
+
+
+@pytest.mark.nightly
+def test_what_a_hidden_arm_of_three_chambers_lacks_is_confirmed_and_it_ends_by_itself(tmp_path):
+    bench, usual = make_bench(None, tmp_path, 0, "arm")
+    learnt = learn(Twin("arm", 154.1), bench, tmp_path / "out", budget_s=360.0, jobs=1)
+    last = learnt.last
+    assert not usual and learnt.confirmed and learnt.bench_s < 300
+    assert "creep" in {family(e) for e in last.confirmed_by}
+    assert last.predicted_error < 1.5 * last.noise and last.bare_error > 2 * last.predicted_error
+    page = learnt.report(tmp_path / "report").read_text()
+    assert "chamber 3" in page and "the arm shows creep" in learnt.sentence
+
+
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [

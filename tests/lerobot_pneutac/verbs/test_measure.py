@@ -15,8 +15,11 @@ from lerobot.cameras import utils as camera_utils
 from lerobot_pneutac.cli import compare, measure, new
 from lerobot_pneutac.measuring.camera import DICTIONARY, Intrinsics, MarkerTracker, calibrate_camera
 from lerobot_pneutac.verbs import measure as library
+from lerobot_pneutac.verbs.compare import compare as compare_library
+from lerobot_pneutac.verbs.new import new_twin
 from lerobot_robot_pneutac.hardware import pressure as pressure_module
 from lerobot_robot_pneutac.hardware.simulated_pressure import SimulatedPressure
+from pneutac_datasets.recording.chambers import command_columns, measured_columns
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 
@@ -288,6 +291,43 @@ def test_a_run_is_a_recording_with_true_tips_that_compare_accepts(bench, tmp_pat
         [f"--twin={tmp_path / 'twin'}", f"--recording={tmp_path / 'run'}", f"--out={tmp_path / 'c'}"]
     )
     assert json.loads((tmp_path / "c/result.json").read_text())["unit"] == "mm"
+
+
+@pytest.mark.slow
+def test_three_chambers_on_three_controllers_are_an_arm(bench, tmp_path, monkeypatch):
+    parts = {port: SimulatedPressure(max_kpa=12.0, time_constant_s=0.05) for port in "abc"}
+    BenchRendered.chamber = parts["a"]
+    monkeypatch.setattr(pressure_module, "make_pressure_controller", lambda type, port, **_: parts[port])
+    columns = command_columns(3)
+    rows = [(0, t, *p) for t, p in ((0, (0, 0, 0)), (0.3, (4, 0, 8)), (1.5, (9, 6, 3)), (3, (0, 0, 0)))]
+    pd.DataFrame(rows, columns=["trial", "time_s", *columns]).to_csv(tmp_path / "stairs.csv", index=False)
+    measure.main([*bench, "--pressure.ports=a,b,c", "--max_kpa=10,8,9"])
+    r = Recording.load(tmp_path / "run")
+    assert r.device == "arm" and r.pressure_columns == columns
+    np.testing.assert_allclose(r.samples[columns].max(), [9, 6, 8])
+    assert (r.samples[measured_columns(3)].max() > [5, 3, 5]).all()
+    assert [p._target_kpa for p in parts.values()] == [0.0, 0.0, 0.0]
+    with pytest.raises(InputError, match="from 0 to 8 kPa in chamber 3; min_kpa and max_kpa allow 0 to 7"):
+        measure.main(
+            [*bench[:4], f"--out={tmp_path / 'b'}", *bench[5:], "--pressure.ports=a,b,c", "--max_kpa=10,8,7"]
+        )
+
+
+def test_the_stand_in_answers_a_program_of_three_chambers(tmp_path):
+    columns = command_columns(3)
+    t = np.arange(0, 6, 0.1)
+    table = pd.DataFrame({"time_s": t} | {c: 20 * (1 + np.sin(t + i)) for i, c in enumerate(columns)})
+    table.to_csv(tmp_path / "p.csv", index=False)
+    options = ["--bench=standin", f"--program={tmp_path / 'p.csv'}", "--max_kpa=40", "--repeat=2"]
+    measure.main([*options, f"--out={tmp_path / 'r'}"])
+    r = Recording.load(tmp_path / "r")
+    assert r.device == "arm" and len(r.trials()) == 2 and r.pressure_columns == columns
+    np.testing.assert_allclose(r.samples[columns].max(), table[columns].max(), rtol=0.01)
+    assert 0 < compare_library(new_twin("arm", r), r).heldout < 100
+    with pytest.raises(InputError, match=r"in chamber 1; min_kpa and max_kpa allow 0 to 15"):
+        measure.main([*options[:2], f"--out={tmp_path / 's'}"])
+    with pytest.raises(InputError, match="'steps' leaves 0 to 65.2 kPa, which the stand-in bears"):
+        measure.main(["--bench=standin", "--program=steps", "--max_kpa=70,20,20", f"--out={tmp_path / 's'}"])
 
 
 @pytest.mark.slow

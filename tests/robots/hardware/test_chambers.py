@@ -1,0 +1,149 @@
+"""Controllers side by side: one command for all chambers, and whatever goes wrong with one vents all."""
+
+from contextlib import ExitStack
+
+import numpy as np
+import pytest
+from pressure_rig import build, terminal, until
+
+from lerobot_robot_pneutac.hardware.chambers import Chambers
+from lerobot_robot_pneutac.hardware.parts import HardwareFault
+from lerobot_robot_pneutac.hardware.simulated_pressure import SimulatedPressure
+from lerobot_robot_pneutac.robots.config_pneutac import PressureConfig
+from pneutac_sim.errors import InputError
+
+TARGETS = np.array([3.0, 8.0, 5.0])
+
+
+@pytest.fixture(scope="module")
+def program(tmp_path_factory):
+    return build(tmp_path_factory.mktemp("firmware"))
+
+
+def follows(chambers, kpa, within=0.3):
+    """Whether it gets there, past readings that are merely too old on a busy computer."""
+
+    def there():
+        try:
+            chambers.set_pressure(kpa)
+            return np.abs(chambers.pressure() - kpa).max() < within
+        except HardwareFault as e:
+            assert " s old" in str(e)
+            return False
+
+    return until(there, 8.0)
+
+
+def rigs(stack, program, folder, **faulty):
+    """Three firmwares in real time, and the options that reach them; `b` etc. name one's own options."""
+    ports = []
+    for name in "abc":
+        stack.enter_context(terminal(program, folder / name, *faulty.get(name, ())))
+        ports.append(str(folder / name))
+    return PressureConfig(type="pneutac_serial", ports=tuple(ports))
+
+
+@pytest.mark.slow
+def test_three_firmwares_follow_three_set_points_and_are_vented_together(program, tmp_path):
+    with ExitStack() as stack:
+        chambers = rigs(stack, program, tmp_path).make()
+        chambers.connect()
+        stack.callback(chambers.disconnect)
+        assert follows(chambers, TARGETS)
+        assert follows(chambers, TARGETS[::-1])
+        chambers.vent()
+        assert until(lambda: np.abs(chambers.pressure()).max() < 0.5, 3.0)
+        assert follows(chambers, TARGETS)
+        assert until(lambda: np.abs(chambers.pressure()).max() < 0.5, 3.0)  # nobody commands any more
+
+
+@pytest.mark.slow
+def test_a_burst_in_one_chamber_and_a_cut_cable_vent_the_others(program, tmp_path):
+    with ExitStack() as stack:
+        burst = ("--burst", "--fault-at-s", 3)
+        chambers = rigs(stack, program, tmp_path, b=burst).make()
+        chambers.connect()
+        stack.callback(chambers.disconnect)
+        fault = []
+
+        def failed():
+            try:
+                chambers.set_pressure(TARGETS)
+                chambers.pressure()
+            except HardwareFault as e:
+                fault.append(str(e))
+            return bool(fault) and " s old" not in fault[-1]
+
+        assert until(failed, 8.0)
+        assert str(tmp_path / "b") in fault[-1]
+        first, _, third = chambers.controllers
+        assert until(lambda: max(first.pressure(), third.pressure()) < 0.5, 3.0)
+
+
+@pytest.mark.slow
+def test_a_controller_with_another_limit_is_told_before_anything_fills(program, tmp_path):
+    with ExitStack() as stack:
+        config = rigs(stack, program, tmp_path, b=("--max-kpa", 10))
+        with pytest.raises(HardwareFault, match="different limits, 15, 10, 15 kPa; give one for all"):
+            config.make().connect()
+        config.options = {"max_kpa": [15.0, 10.0, 12.0]}
+        chambers = config.make()
+        chambers.connect()
+        stack.callback(chambers.disconnect)
+        np.testing.assert_allclose(chambers.max_kpa, [15, 10, 12])
+        with pytest.raises(InputError, match="0 ... 10 kPa"):
+            chambers.set_pressure(np.array([12.0, 12.0, 12.0]))
+
+
+def test_a_set_point_that_one_refuses_leaves_none_filled():
+    now = [0.0]
+    parts = [SimulatedPressure(clock=lambda: now[0]) for _ in range(3)]
+    chambers = Chambers(parts)
+    chambers.connect()
+    chambers.set_pressure(np.array([5.0, 5.0, 5.0]))
+    now[0] += 0.2
+    assert (chambers.pressure() > 3).all()
+    with pytest.raises(InputError, match="outside this controller"):
+        chambers.set_pressure(np.array([6.0, 6.0, 60.0]))
+    assert [p._target_kpa for p in parts] == [0.0, 0.0, 0.0]
+    with pytest.raises(ValueError, match="zip"):
+        chambers.set_pressure(np.array([6.0, 6.0]))
+    assert [p._target_kpa for p in parts] == [0.0, 0.0, 0.0]
+
+
+def test_one_that_cannot_be_opened_lets_the_others_go():
+    parts = [SimulatedPressure(), SimulatedPressure()]
+    parts[1].connect = lambda: (_ for _ in ()).throw(HardwareFault("It is not there."))
+    with pytest.raises(HardwareFault, match="not there"):
+        Chambers(parts).connect()
+    assert not parts[0]._connected
+
+
+def test_all_are_vented_where_one_cannot_be():
+    parts = [SimulatedPressure() for _ in range(3)]
+    chambers = Chambers(parts)
+    chambers.connect()
+    chambers.set_pressure(TARGETS)
+    parts[0].vent = lambda: (_ for _ in ()).throw(OSError("gone"))
+    with pytest.raises(OSError, match="gone"):
+        chambers.vent()
+    assert [p._target_kpa for p in parts[1:]] == [0.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"ports": ("a", "b", "a")}, "ports names a for chambers 1 and 3; each chamber needs a controller"),
+        ({"ports": ("a", "b")}, "2 controllers are given; a finger has one chamber, an arm three"),
+        ({"ports": ("a", "b", "c"), "port": "a"}, "port and ports are both given"),
+        ({"ports": ("a", "b", "c"), "chambers": 2}, "ports has 3 for chambers=2"),
+        ({"port": "a", "chambers": 3}, "port is one for chambers=3; give ports"),
+        (
+            {"chambers": 3, "options": {"max_kpa": [1.0, 2.0]}},
+            "options.max_kpa has 2 values for 3 controllers",
+        ),
+    ],
+)
+def test_options_that_do_not_fit_are_one_sentence(options, sentence):
+    with pytest.raises(InputError, match=sentence):
+        PressureConfig(type="simulated", **options).make()
