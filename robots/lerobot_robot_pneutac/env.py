@@ -11,6 +11,7 @@ from lerobot.utils.constants import ACTION, OBS_IMAGES, OBS_STATE, OBS_STR
 import lerobot_robot_pneutac.standin  # noqa: F401
 import pneutac_sim  # noqa: F401
 from lerobot_robot_pneutac.options import (
+    chambers_of,
     check_cameras,
     check_choice,
     check_conditions,
@@ -36,6 +37,7 @@ from pneutac_sim.features import (
     POINTS_SIZE,
     RENDERS,
     TRIAL_S,
+    action_names,
     state_names,
     task_names,
 )
@@ -108,12 +110,13 @@ class PneutacTaskConfig(EnvConfig):
         shape = tactile_shape("env.twin", twin)
         self.features[f"pixels/{IMAGE_NAME}"] = PolicyFeature(FeatureType.VISUAL, shape)
 
-    def _set_station(self, file: Path | None) -> None:
-        """Tells the size of the state, that of the station's arm, and the control rate."""
+    def _set_station(self, file: Path | None, chambers: int = 1) -> None:
+        """Tells the size of state and action, by the station's arm and the finger, and the control rate."""
         check_station("env.station", file)
         station = station_of(file)
-        size = (len(state_names(station.joints)),)
+        size = (len(state_names(station.joints, chambers)),)
         self.features["agent_pos"] = PolicyFeature(FeatureType.STATE, size)
+        self.features[ACTION] = PolicyFeature(FeatureType.ACTION, (len(action_names(chambers)),))
         self.fps = self.fps or station.control_hz
         refuse_if(
             self.fps != station.control_hz,
@@ -137,9 +140,9 @@ class PneutacEnvConfig(PneutacTaskConfig):
     """A manipulation task on the simulated robot.
 
     Attributes:
-        twin: folder of the finger's twin; default the built-in one.
+        twin: folder of the finger's twin, or of an arm's of several chambers; default the built-in finger's.
         fidelity: how finger and gel deform: `surrogate`, by networks; `mpm`, by full material points (seconds
-            a control step in contact, for checks); `probe`, by formulas.
+            a control step in contact, for checks); `probe`, by formulas, the one that an arm has.
         conditions: what the twin's effects ask for, such as {temperature_c: 28, payload_g: [0, 20]}; from a
             range [low, high] every episode draws.
         render: what draws touch and finger: `mesh`, light on every pixel and MuJoCo's shapes; `splats`, the
@@ -159,10 +162,10 @@ class PneutacEnvConfig(PneutacTaskConfig):
     def __post_init__(self):
         super().__post_init__()
         check_range("env.pressure_range_kpa", self.pressure_range_kpa)
-        self._set_station(self.station)
         check_choice("env.fidelity", self.fidelity, FIDELITIES)
         check_twin_folder("env.twin", self.twin)
         check_finger("env.twin", self.twin)
+        self._set_station(self.station, chambers_of("env.twin", self.twin))
         check_conditions("env.conditions", self.twin, self.conditions)
         check_networks("env.twin", self.twin, self.fidelity)
         self._set_tactile(self.twin)

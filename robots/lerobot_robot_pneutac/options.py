@@ -31,14 +31,32 @@ def check_twin_folder(option: str, folder: Path | None) -> None:
 
 
 def check_finger(option: str, twin: Path | None) -> None:
-    """Refuses a twin that is damaged or of no finger; None is the built-in one."""
+    """Refuses a twin that is damaged or of nothing that bends; None is the built-in finger."""
+    refuse_if(
+        chambers_of(option, twin) == 0,
+        f"--{option} is '{twin}', the twin of a gel; give that of a finger or an arm.",
+    )
+
+
+def chambers_of(option: str, twin: Path | None) -> int:
+    """Chambers of what a twin is of; 0 of a gel, 1 of the built-in finger where there is none."""
+    from pneutac_sim.finger.inputs import CHAMBERS
     from pneutac_sim.twin import Twin
 
     try:
-        device = Twin.load(twin).device if twin else "finger"
+        return CHAMBERS.get(Twin.load(twin).device, 0) if twin else 1
     except InputError as e:
         raise DecodingError((), f"--{option}: {e}") from e
-    refuse_if(device != "finger", f"--{option} is '{twin}', the twin of a {device}; give that of a finger.")
+
+
+def check_bend(option: str, twin: Path | None) -> None:
+    """Refuses a twin of several chambers where one bend is to be commanded."""
+    chambers = chambers_of(f"{option}.twin", twin)
+    refuse_if(
+        chambers > 1,
+        f"--{option}.bend=true commands the bend of one chamber and --{option}.twin has {chambers}; leave"
+        f" --{option}.bend out and command the pressures.",
+    )
 
 
 def pressure_range(option: str, twin: Path | None) -> tuple[float, float]:

@@ -5,11 +5,11 @@ from collections.abc import Iterable
 
 from lerobot.robots import Robot
 
+from pneutac_sim import features
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import ACTION_NAMES, IMAGE_NAME, state_names
+from pneutac_sim.features import IMAGE_NAME, VELOCITY_NAMES, pressure_names, state_names
 
-BEND_NAMES = (*ACTION_NAMES[:3], "bend.pos")  # rad, in place of the pressure
-POSE_NAMES = ("ee_x.pos", "ee_y.pos", "ee_z.pos", "pressure.pos")
+BEND_NAMES = (*VELOCITY_NAMES, "bend.pos")  # rad, in place of the pressure
 
 
 class BaseRobot(Robot):
@@ -26,9 +26,14 @@ class BaseRobot(Robot):
         """Height, width and channels of the tactile image."""
 
     @property
+    def chambers(self) -> int:
+        """Chambers of the finger; one where the options tell of no others."""
+        return getattr(self.config, "chambers", 1)
+
+    @property
     def state_names(self) -> tuple[str, ...]:
-        """Names of the state's scalars, as many as the arm has joints for."""
-        return state_names(self.config.joints)
+        """Names of the state's scalars, as many as arm has joints and finger chambers for."""
+        return state_names(self.config.joints, self.chambers)
 
     @property
     def observation_features(self) -> dict[str, type | tuple]:
@@ -37,8 +42,8 @@ class BaseRobot(Robot):
 
     @property
     def action_features(self) -> dict[str, type]:
-        """Velocities (m/s) and pressure (kPa), with `--robot.bend=true` bend (rad)."""
-        return dict.fromkeys(BEND_NAMES if self.config.bend else ACTION_NAMES, float)
+        """Velocities (m/s) and pressures (kPa), with `--robot.bend=true` bend (rad)."""
+        return dict.fromkeys(BEND_NAMES if self.config.bend else features.action_names(self.chambers), float)
 
     @property
     def is_calibrated(self) -> bool:
@@ -55,18 +60,27 @@ class BaseRobot(Robot):
         """LeRobot says that the recording of an episode begins, or has ended; here nothing depends on it."""
 
 
-def action_names(keys: Iterable[str], bend: bool = False) -> tuple[str, ...]:
-    """Which names an action goes by: `features.ACTION_NAMES`, those with the bend, or the pose's.
+def pose_names(chambers: int = 1) -> tuple[str, ...]:
+    """Names of a pose, which commands places in place of velocities."""
+    return ("ee_x.pos", "ee_y.pos", "ee_z.pos", *pressure_names(chambers))
+
+
+POSE_NAMES = pose_names()
+
+
+def action_names(keys: Iterable[str], bend: bool = False, chambers: int = 1) -> tuple[str, ...]:
+    """Which names an action goes by: `features.action_names`, those with the bend, or the pose's.
 
     Raises:
         InputError: none of them, or a bend where `--robot.bend` is false.
     """
-    for names in (ACTION_NAMES, BEND_NAMES, POSE_NAMES):
+    own, pose = features.action_names(chambers), pose_names(chambers)
+    for names in (own, BEND_NAMES, pose):
         if set(names) <= set(keys):
             if names == BEND_NAMES and not bend:
                 raise InputError("The action has 'bend.pos'; give --robot.bend=true and the finger's twin.")
             return names
     raise InputError(
-        f"The action has the keys {', '.join(keys)}; the robot takes {', '.join(ACTION_NAMES)}, or the pose"
-        f" {', '.join(POSE_NAMES)}."
+        f"The action has the keys {', '.join(keys)}; the robot takes {', '.join(own)}, or the pose"
+        f" {', '.join(pose)}."
     )

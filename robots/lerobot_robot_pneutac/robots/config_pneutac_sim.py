@@ -7,6 +7,8 @@ from lerobot.cameras import CameraConfig
 from lerobot.robots import RobotConfig
 
 from lerobot_robot_pneutac.options import (
+    chambers_of,
+    check_bend,
     check_cameras,
     check_choice,
     check_conditions,
@@ -29,10 +31,11 @@ class PneutacSimConfig(RobotConfig):
     Attributes:
         task: what stands in front of the robot: `switch`, `egg` or `card`, or of another package.
         seed: decides the random start of every episode.
-        twin: folder of the finger's twin; default the built-in one. On the stand-in, as on the real robot,
-            only its gel's contact threshold and the size of its images are used.
+        twin: folder of the finger's twin, or of an arm's of several chambers; default the built-in finger's.
+            On the stand-in, as on the real robot, only its gel's contact threshold and the size of its images
+            are used.
         fidelity: how finger and gel deform: `surrogate`, by networks; `mpm`, by full material points;
-            `probe`, by formulas.
+            `probe`, by formulas, the one that an arm has.
         conditions: what the twin's effects ask for, such as {temperature_c: 28, payload_g: [0, 20]}; from a
             range [low, high] every episode draws.
         render: what draws the touch: `mesh`, light on every pixel; `splats`, the Gaussians of the gel.
@@ -72,6 +75,11 @@ class PneutacSimConfig(RobotConfig):
         return self._where.joints
 
     @property
+    def chambers(self) -> int:
+        """Chambers of the finger; of the stand-in's own, one."""
+        return 1 if self.standin else chambers_of("robot.twin", self.twin)
+
+    @property
     def control_hz(self) -> int:
         """Control rate of the station."""
         return self._where.control_hz
@@ -87,6 +95,8 @@ class PneutacSimConfig(RobotConfig):
         if not self.standin:  # which has no networks
             check_networks("robot.twin", self.twin, self.fidelity)
         check_choice("robot.render", self.render, RENDERS)
+        if self.bend:
+            check_bend("robot", self.twin)
         refuse_if(self.spread < 0, f"--robot.spread is {self.spread}; it must not be negative.")
         refuse_if(
             self.bend and self.standin and self.twin is None,

@@ -10,23 +10,17 @@ from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnected
 from lerobot_robot_pneutac.options import standin_sensor, station_of, tactile_shape
 from lerobot_robot_pneutac.robots.base_robot import (
     BEND_NAMES,
-    POSE_NAMES,
     BaseRobot,
     action_names,
+    pose_names,
 )
 from lerobot_robot_pneutac.robots.bend import BendCommands
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.keeping import Keeper
 from lerobot_robot_pneutac.robots.spread_starts import SpreadStarts
+from pneutac_sim import features
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import (
-    ACTION_NAMES,
-    AREA,
-    EE,
-    IMAGE_NAME,
-    POINTS_KEY,
-    action_limits,
-)
+from pneutac_sim.features import IMAGE_NAME, POINTS_KEY, Places
 from pneutac_sim.gel.contact import SPECKS
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.look import SceneCameras
@@ -45,12 +39,12 @@ _made: WeakSet["PneutacSim"] = WeakSet()
 class PneutacSim(BaseRobot):
     """A simulated robot that moves on by one control step of its station with every action that it is sent.
 
-    An action is a dict of `features.ACTION_NAMES`, with `--robot.bend=true` with `bend.pos` in place of the
+    An action is a dict of `features.action_names`, with `--robot.bend=true` with `bend.pos` in place of the
     pressure, clipped to its limits. Two more dicts are taken:
 
     - with the additional key `reset` (true) the scene starts afresh after the step, as a person would put the
       object back between demonstrations, where nobody announces episodes;
-    - a pose (`ee_x.pos`, `ee_y.pos`, `ee_z.pos`, `pressure.pos`, other keys are ignored), as lerobot-rollout
+    - a pose (`ee_x.pos`, `ee_y.pos`, `ee_z.pos` and pressures, other keys are ignored), as lerobot-rollout
       sends it between episodes and at the end, moves the arm one step towards that pose. A pose at the task's
       home starts the scene afresh.
 
@@ -78,6 +72,7 @@ class PneutacSim(BaseRobot):
         self.scenes = 0
         self.successes: list[bool] = []
         self._keeper = Keeper(config.control_hz, self, waits=True)
+        self._places = Places.of(self.chambers)
 
     @property
     def image_shape(self) -> tuple[int, int, int]:
@@ -126,15 +121,16 @@ class PneutacSim(BaseRobot):
             InputError: keys are missing, or a value is not a finite number.
         """
         self._need_world()
-        names = action_names(action, self.config.bend)
+        names = action_names(action, self.config.bend, self.chambers)
         values = [action[name] for name in names]
         if names == BEND_NAMES:
             values[3] = self._bend.pressure_kpa(float(values[3]))
-        if names == POSE_NAMES:
+        if names == pose_names(self.chambers):
             self._go_to(np.array(values, float))
         else:
             self._step(values)
-        sent = dict(zip(ACTION_NAMES, np.asarray(self.world.command, float).tolist(), strict=True))
+        command = np.asarray(self.world.command, float).tolist()
+        sent = dict(zip(features.action_names(self.chambers), command, strict=True))
         if names == BEND_NAMES:
             sent = {name: sent.get(name, float(action[name])) for name in BEND_NAMES}
         if action.get("reset"):
@@ -198,12 +194,12 @@ class PneutacSim(BaseRobot):
         self._observation = self.world.step(action)
         self._moved = True
         self._frames += 1
-        self._touched += bool(self._observation.state[AREA] >= SPECKS)
+        self._touched += bool(self._observation.state[self._places.area] >= SPECKS)
         if self.config.bend:
             self._bend.sent(float(self.world.command[3]))
 
     def _go_to(self, pose: np.ndarray) -> None:
-        """One step towards a pose: (4,) flange position m, pressure kPa."""
+        """One step towards a pose: (3 + C,) flange position m, pressures kPa."""
         task, base_m = self.world.task, self.world.arm.base_m  # poses are in the arm's frame
         away = pose[:3] - (self.world.home_m - base_m)
         away[1] -= np.clip(away[1], min(task.starts_m), max(task.starts_m))
@@ -211,8 +207,9 @@ class PneutacSim(BaseRobot):
             if self._moved:
                 self.reset()
             return
-        velocity = (pose[:3] - self._observation.state[EE]) / self.world.dt_s
-        self._step(np.clip(np.append(velocity, pose[3]), *action_limits(self.world.pressure_range_kpa)))
+        velocity = (pose[:3] - self._observation.state[self._places.ee]) / self.world.dt_s
+        limits = features.action_limits(self.world.pressure_range_kpa, self.chambers)
+        self._step(np.clip(np.append(velocity, pose[3:]), *limits))
 
     def _need_world(self) -> None:
         if not self.is_connected:
@@ -226,6 +223,11 @@ def need_simulated_robot() -> None:
             "pneutac_scripted sees the simulated world, and there is no simulated robot here; use"
             " --robot.type=pneutac_sim, or another --teleop.type such as pneutac_keyboard."
         )
+
+
+def made_robot() -> PneutacSim | None:
+    """A simulated robot that exists in this process, connected or not yet."""
+    return _connected[-1] if _connected else next(iter(_made), None)
 
 
 def connected_robot() -> PneutacSim:

@@ -87,7 +87,7 @@ class StandinWorld:
         model, data: MuJoCo's, for experts and tests.
     """
 
-    out_of_range = 0
+    out_of_range, chambers = 0, 1
     pressure_range_kpa = PAPER_RANGE_KPA  # that of its own finger
 
     def __init__(

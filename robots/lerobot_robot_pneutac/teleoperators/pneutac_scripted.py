@@ -1,15 +1,20 @@
 """The teleoperator `pneutac_scripted`: a closed-loop expert that sees the simulated world."""
 
-from typing import Any
+from typing import Any, override
 
 import numpy as np
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
-from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim, connected_robot, need_simulated_robot
+from lerobot_robot_pneutac.robots.pneutac_sim import (
+    PneutacSim,
+    connected_robot,
+    made_robot,
+    need_simulated_robot,
+)
 from lerobot_robot_pneutac.teleoperators.base_teleop import BaseTeleop
 from lerobot_robot_pneutac.teleoperators.config_pneutac_scripted import PneutacScriptedConfig
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import ACTION_NAMES, DEMONSTRATION_S, action_limits
+from pneutac_sim.features import DEMONSTRATION_S, action_limits, action_names
 
 
 class PneutacScripted(BaseTeleop):
@@ -27,6 +32,13 @@ class PneutacScripted(BaseTeleop):
         super().__init__(config)
         self.config = config
         self._rng: np.random.Generator | None = None
+
+    @property
+    @override
+    def action_features(self) -> dict[str, type]:
+        """Those of the simulated robot of this process; of a finger of one chamber where there is none."""
+        robot = made_robot()
+        return dict.fromkeys(action_names(robot.chambers if robot else 1), float)
 
     @property
     def is_connected(self) -> bool:
@@ -55,7 +67,7 @@ class PneutacScripted(BaseTeleop):
             raise DeviceNotConnectedError(f"{self} is not connected; call connect() first.")
         robot = connected_robot()
         if robot.recording is False:  # waiting is with the pressure off and the arm at rest
-            return dict.fromkeys(ACTION_NAMES, 0.0)
+            return dict.fromkeys(action_names(robot.chambers), 0.0)
         if self._scene != (scene := (robot, robot.scenes)):
             from pneutac_sim.world.expert import ScriptedExpert
 
@@ -63,8 +75,9 @@ class PneutacScripted(BaseTeleop):
                 raise InputError("pneutac_scripted gives pressures; leave --robot.bend out.")
             self._expert, self._scene, self._tick = ScriptedExpert(robot.world, self._rng), scene, 0
         self._tick += 1
-        values = np.clip(self._expert.action(), *action_limits(robot.world.pressure_range_kpa)).tolist()
-        result: dict[str, Any] = dict(zip(ACTION_NAMES, values, strict=True))
+        limits = action_limits(robot.world.pressure_range_kpa, robot.chambers)
+        values = np.clip(self._expert.action(), *limits).tolist()
+        result: dict[str, Any] = dict(zip(action_names(robot.chambers), values, strict=True))
         if robot.recording is None and self._tick == self.steps(robot):
             result["reset"] = True
         return result

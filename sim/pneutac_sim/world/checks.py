@@ -2,11 +2,30 @@
 
 import numpy as np
 
+from pneutac_sim.errors import InputError
 from pneutac_sim.features import task_names
+from pneutac_sim.finger.inputs import CHAMBERS
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.conditions import Conditions, conditions_for
 from pneutac_sim.world.station import MISSING_M, Station
 from pneutac_sim.world.tasks import make_task
+
+
+def check_bends(twin: Twin, fidelity: str) -> None:
+    """Whether the world has joints for what the twin is of, at this fidelity.
+
+    Raises:
+        InputError: it is a gel's, or has several chambers at a fidelity of networks or material points.
+    """
+    if twin.device not in CHAMBERS:
+        raise InputError(
+            f"The world needs the twin of a finger or an arm; this twin's device is '{twin.device}'."
+        )
+    if CHAMBERS[twin.device] > 1 and fidelity != "probe":
+        raise InputError(
+            f"Fidelity '{fidelity}' is for fingers of one chamber; this twin's {twin.device} has"
+            f" {CHAMBERS[twin.device]}, so give fidelity=probe, in which finger and gel deform by formulas."
+        )
 
 
 def check_networks(twin: Twin, fidelity: str) -> None:
@@ -14,8 +33,9 @@ def check_networks(twin: Twin, fidelity: str) -> None:
 
     Raises:
         InputError: it has none, they are older than its shape or material, or its soft body alone is stiffer
-            than the whole finger, which no controller makes stable.
+            than the whole finger, which no controller makes stable; or as `check_bends`.
     """
+    check_bends(twin, fidelity)
     if fidelity == "surrogate":  # its modules take a second to start
         from pneutac_sim.surrogate.networks import Networks
 

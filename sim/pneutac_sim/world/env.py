@@ -30,9 +30,11 @@ class PneutacEnv(TaskEnv):
         Args:
             task: `switch`, `egg` or `card`.
             touch: `image`, `area` or `none`, see `World`.
-            twin: the finger with its gel, or its folder; default the built-in one.
+            twin: the finger, or an arm of several chambers, with its gel, or its folder; default the built-in
+                one.
             fidelity: `surrogate`, `mpm` or `probe`, see `World`; all have the same spaces. None for
-                `surrogate`, or, with a warning, `probe` where no networks were trained for the twin.
+                `surrogate`, or, with a warning, `probe` where no networks were trained for the twin; an arm
+                has `probe` alone.
             conditions: what the twin's effects ask for, such as `{"temperature_c": [20, 30]}`, see `World`.
             render: `mesh` or `splats`, what draws touch and finger, see `World`.
             pressure_range_kpa: of the action; default what the twin was measured over.
@@ -49,6 +51,8 @@ class PneutacEnv(TaskEnv):
 def _best_fidelity(twin: Twin) -> str:
     from pneutac_sim.surrogate.networks import builtin, fits  # its modules take a second to start
 
+    if twin.device == "arm":
+        return "probe"  # it has no other
     if twin.device != "finger" or twin.networks or all(fits(builtin(name), name, twin) for name in NETWORKS):
         return "surrogate"
     warnings.warn(

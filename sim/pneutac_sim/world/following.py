@@ -14,13 +14,16 @@ import numpy as np
 from numba import njit
 
 from pneutac_sim.surrogate.skeleton import coupling
+from pneutac_sim.world import ball_kernel
+from pneutac_sim.world.spine import BALL
 
 
 class Follower:
-    """The planar chain of a finger in a model, with all that its links carry.
+    """The chain of a finger in a model, with all that its links carry.
 
     Args:
-        model: of a scene with a finger of hinges `spine_1` to `spine_N` that begins with the body `finger`.
+        model: of a scene with a finger of hinges or balls `spine_1` to `spine_N` that begins with the body
+            `finger`.
         joints: N.
     """
 
@@ -40,14 +43,18 @@ class Follower:
             mass[n] += model.body_mass[b]
             middle[n] += model.body_mass[b] * at[b]
         middle /= mass[:, None]
-        self._inertia = np.zeros(joints)
+        self._inertia, whole = np.zeros(joints), np.zeros((joints, 3, 3))  # about y, and all of it
         for b, n in link.items():
             axes = frame.T @ data.ximat[b].reshape(3, 3)
-            x, _, z = at[b] - middle[n]
+            r = x, _, z = at[b] - middle[n]
             self._inertia[n] += axes[1] ** 2 @ model.body_inertia[b] + model.body_mass[b] * (x * x + z * z)
+            whole[n] += axes * model.body_inertia[b] @ axes.T
+            whole[n] += model.body_mass[b] * (r @ r * np.eye(3) - np.outer(r, r))
         hinges = [model.joint(f"spine_{n + 1}").id for n in range(joints)]
-        along = np.array([frame.T @ (data.xanchor[j] - origin) for j in hinges])[:, 0]
-        self._A = coupling(mass, middle[:, 0] + 1j * middle[:, 2], along)
+        places = np.array([frame.T @ (data.xanchor[j] - origin) for j in hinges])
+        self._A = coupling(mass, middle[:, 0] + 1j * middle[:, 2], places[:, 0])
+        ways = np.diff(places, axis=0, append=places[-1:])
+        self._balls = (mass, middle - places, whole, ways) if model.jnt_type[hinges[0]] == BALL else None
 
     def torques(
         self,
@@ -64,17 +71,23 @@ class Follower:
         the parabola that ends there.
 
         Args:
-            before: (N,) angles where the path is, rad.
-            rate: (N,) of the path there, rad/s.
-            after: (N,) angles at the end of the control step, rad.
+            before: (N,) angles where the path is, of balls (N, 2), rad.
+            rate: of the path there, shaped alike, rad/s.
+            after: angles at the end of the control step, rad.
             K: (N, N) stiffness of the joints, N m/rad.
             D: (N, N) their damping, N m s/rad.
             steps: S.
 
         Returns:
-            (S, N) in N m, and the rate (N,) at the end.
+            (S, N) in N m, of balls (S, 3 N), and the rate at the end.
         """
         slope = (after - before) / (steps * self._h)
+        if self._balls is not None:
+            turned = np.empty((steps, len(before), 3))
+            ball_kernel.torques(
+                *self._balls, before, rate, slope, K.diagonal().copy(), D.diagonal().copy(), self._h, turned
+            )
+            return turned.reshape(steps, -1), slope
         out = np.empty((steps, len(before)))
         _torques(self._A, self._inertia, before, rate, slope, K, D, self._h, out)
         return out, slope

@@ -13,16 +13,13 @@ from typing import override
 import mujoco
 import numpy as np
 
+from pneutac_sim.features import PRESSURES
 from pneutac_sim.gel.sensor import TactileSensor, centre_mm
 from pneutac_sim.world import scene, slides
-from pneutac_sim.world.following import Follower
 from pneutac_sim.world.observation import Observation
-from pneutac_sim.world.pad import Pad
 from pneutac_sim.world.pairs import Pairs
-from pneutac_sim.world.placing import Placing
 from pneutac_sim.world.snapshots import Snapshots
-from pneutac_sim.world.soft_finger import Springs, mjcf
-from pneutac_sim.world.substeps import Substeps
+from pneutac_sim.world.soft_finger import mjcf
 from pneutac_sim.world.touch import Touch
 from pneutac_sim.world.varied import VariedWorld, _Staged
 
@@ -69,15 +66,8 @@ class Gantry(VariedWorld):
         self.touch = Touch(self.model, self.sensor, "area", world.touch.network)
         self._ik, self._base_m = slides.Straight(), np.zeros(3)
         self._flange, self._gel = self.model.site("flange").id, self.model.site("gel").id
-        self._tip, self._placing = self.model.site("tip").id, Placing(self.model)
-        n = self._spine.stop - self._spine.start
-        self._physics = Substeps(self.model, self.data)
-        self._snapshots = Snapshots(self.touch, self._flange)
-        self._pad = Pad(self.model, self.twin, self.sensor.triangles)
-        damping, whole = "joint_damping_nms_per_rad", "joint_stiffness_nm_per_rad"
-        self._springs = Springs(self.model, n, self.twin.parameter(damping), self.twin.parameter(whole))
-        self._follower = Follower(self.model, n)
-        self._arm, self._spine = slice(0, 3), slice(3, 3 + n)
+        self._arm, self._snapshots = slice(0, 3), Snapshots(self.touch, self._flange)
+        self._hold()
         self.steps, self.seconds = 0, {"physics": 0.0, "touch": 0.0}
         self._pairs = Pairs(world.model, self.model)
         root, hand = self.model.body_rootid, self.model.body("gantry").id
@@ -140,7 +130,7 @@ class Gantry(VariedWorld):
         The state is then that after the last action.
 
         Args:
-            actions: (H, 4) as `features.ACTION_NAMES`, within the limits.
+            actions: (H, 3 + C) as `features.action_names`, within the limits.
 
         Returns:
             flange positions (H, 3), metres, and contact areas (H,) after each step.
@@ -160,7 +150,7 @@ class Gantry(VariedWorld):
         """As `rollout`, for several sequences of actions, each from the mirrored state; felt together.
 
         Args:
-            actions: (S, H, 4).
+            actions: (S, H, 3 + C).
 
         Returns:
             flange positions (S, H, 3), metres, and contact areas (S, H).
@@ -180,8 +170,8 @@ class Gantry(VariedWorld):
             self._snapshots.make_room(count)
 
     def _acting(self, actions: np.ndarray) -> np.ndarray:
-        """Actions (S, H, 4) as they act: what was sent before goes first."""
-        sent = np.array(self._sent, float).reshape(1, -1, 4)
+        """Actions (S, H, 3 + C) as they act: what was sent before goes first."""
+        sent = np.array(self._sent, float).reshape(1, -1, actions.shape[2])
         return np.concatenate([np.repeat(sent, len(actions), 0), actions], 1)[:, : actions.shape[1]]
 
     def _restart(self) -> None:
@@ -193,13 +183,13 @@ class Gantry(VariedWorld):
         mujoco.mj_kinematics(self.model, self.data)
 
     def _follow(self, acting: np.ndarray, row: int) -> None:
-        """One sequence (H, 4), control step by control step, into the snapshots from `row` on."""
+        """One sequence (H, 3 + C), control step by control step, into the snapshots from `row` on."""
         self._restart()
         saved = self.target_m, self._joints, self.spine_target_rad, self._drive, self._rate, self._pipeline
         self._pipeline, target = self._pipeline.copy(), self.target_m
         for t, action in enumerate(acting):
             target = np.clip(target + action[:3] * self.dt_s, *self.workspace_m)
-            self._advance(target, self._pipeline.step(action[3], self.dt_s))
+            self._advance(target, self._pipeline.step(action[PRESSURES], self.dt_s))
             self.task.update(self.model, self.data, self.dt_s)
             self._snapshots.take(row + t, self.data)
         self.target_m, self._joints, self.spine_target_rad, self._drive, self._rate, self._pipeline = saved

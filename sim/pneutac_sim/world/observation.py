@@ -10,7 +10,7 @@ class Observation:
     """What a robot senses once a control step.
 
     Attributes:
-        state: (2 N + 6,) float32 in the order of `features.state_names` of an arm of N joints.
+        state: (2 N + 5 + C,) float32 as `features.state_names` of an arm of N joints and C chambers.
         tactile: uint8 (H, W, 3) of the sensor's size, or None where the world has no image.
     """
 

@@ -1,14 +1,16 @@
 """Where effects of the tip put the finger: its base and its sensor are bodies that are moved.
 
-Joints bend the finger in its plane. What else the twin's effects do to the tip (stretch, sideways bend, a
-mount that stands askew) moves two bodies of the model: the base by what happens to a marker on the base
-itself, and the sensor with its gel, against the last link, by the rest. Links between follow their joints.
+Joints bend the finger, that of one chamber in its plane. What else the twin's effects do to the tip (stretch,
+sideways bend, a mount that stands askew) moves two bodies of the model: the base by what happens to a marker
+on the base itself, and the sensor with its gel, against the last link, by the rest. Links between follow
+their joints.
 """
 
 import mujoco
 import numpy as np
 
 from pneutac_sim.finger.online import PressurePipeline
+from pneutac_sim.world.spine import end_of
 
 BODIES = ("finger", "sensor")
 STILL = 1e-5  # m, and of a quaternion's parts: by 10 mN the gel's force jumps then at most
@@ -31,13 +33,16 @@ class Placing:
         self.poses, self.turned = self._rest.copy(), np.zeros(2)
 
     def find(self, pipeline: PressurePipeline, joints: np.ndarray, dt_s: float) -> np.ndarray:
-        """Poses (2, 7) at joint angles (N,) in rad, one control step of `dt_s` on."""
+        """Poses (2, 7) at joint angles (N,) or (N, 2) in rad, one control step of `dt_s` on."""
         base, tip, bare = (
             pipeline.place_base(dt_s),
             pipeline.place(joints, dt_s),
             pipeline.place_without(joints),
         )
         R_base, R_tip, R_bare = (_frame(*m[3:]) for m in (base, tip, bare))
+        if joints.ndim == 2:  # of balls: what the links add up to, beyond which the effects turn the tip
+            end = end_of(joints)
+            R_tip, R_bare = end @ R_bare.T @ R_tip, end
         # The base stands at base; in its frame the links end at bare, and the sensor has to be at tip.
         apart = R_bare.T @ (R_base.T @ (tip[:3] - base[:3]) - bare[:3])
         origin, R = self._mount

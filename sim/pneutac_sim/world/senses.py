@@ -6,6 +6,7 @@ import numpy as np
 from pneutac_sim.finger.online import PressurePipeline
 from pneutac_sim.world.pad import Pad
 from pneutac_sim.world.placing import Placing
+from pneutac_sim.world.spine import Spine
 from pneutac_sim.world.touch import imprint_m
 
 
@@ -17,7 +18,7 @@ class Senses:
     _pipeline: PressurePipeline
     _placing: Placing
     _pad: Pad
-    _spine: slice
+    _bends: Spine
     _read: np.ndarray
     _flange: int
     _gel: int
@@ -25,13 +26,18 @@ class Senses:
 
     @property
     def pressure_kpa(self) -> float:
-        """Pressure in the finger's chamber, kPa; behind the command where the twin has a valve lag."""
+        """Pressure in the finger's first chamber, kPa; behind the command where the twin has a valve lag."""
         return float(self._pipeline.pressure_kpa[0])
 
     @property
+    def pressures_kpa(self) -> np.ndarray:
+        """The same of each chamber (C,)."""
+        return self._pipeline.pressure_kpa.copy()
+
+    @property
     def spine_rad(self) -> np.ndarray:
-        """Spine joint angles (N,), rad."""
-        return self.data.qpos[self._spine].copy()
+        """Spine joint angles (N,), with several chambers (N, 2) towards +z and +y, rad."""
+        return self._bends.read(self.data)
 
     @property
     def press_mm(self) -> float:
@@ -70,7 +76,8 @@ class Senses:
         d = self.data
         flange = d.site_xmat[self._flange].reshape(3, 3)
         at = self._placing.in_base(d.site_xpos[self._tip], d.site_xpos[self._flange], flange)
-        return np.append(at, self._placing.turned + [self.spine_rad.sum(), 0.0])
+        bend = np.append(self.spine_rad.sum(0), 0.0)[:2]
+        return np.append(at, self._placing.turned + bend)
 
     @property
     def markers(self) -> np.ndarray:

@@ -1,9 +1,10 @@
 """MJCF of the skeleton finger with a DIGIT at its tip: spine hinges, spring-loaded gel pad, gel frame.
 
 The skeleton is `M q'' + D q' + K q = tau_s` with one hinge a spine joint; a positive angle bends towards the
-finger's +z. M is that of the material points, each going with the link that it lies beside, and of the
-DIGIT; D is the chamber's, from the twin. K is set by `Springs`: joints and, between each two of them, tendons
-have its entries. The world drives each hinge with a motor.
+finger's +z. Where several chambers bend it to two sides each joint is a ball, see `spine`. M is that of the
+material points, each going with the link that it lies beside, and of the DIGIT; D is the chamber's, from the
+twin. K is set by `Springs`: joints and, between each two hinges, tendons have its entries. The world drives
+each hinge with a motor, each ball with three.
 
 No weight acts on the finger here: q_cmd holds the sag under the loads of the twin's effects, and in a twin
 without such effects that of the pose in which it was calibrated (the paper's p0 absorbs it).
@@ -12,16 +13,19 @@ without such effects that of the pose in which it was calibrated (the paper's p0
 import mujoco
 import numpy as np
 
+from pneutac_sim.finger.stages import Geometry
+from pneutac_sim.mpm.parameters import WIDTH_MM, parameter
 from pneutac_sim.mpm.solid import Links, bending_body
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.pad import MASS_KG
 from pneutac_sim.world.scene import Finger
+from pneutac_sim.world.spine import BALL, mjcf_joint, mjcf_motors
 
 # DIGIT: housing 27 x 20 x 18 mm, about 20 g with its gel (Lambeta et al. 2020); metres, kg.
 DIGIT_SIZE = (0.027, 0.020, 0.018)
 DIGIT_MASS = 0.020 - MASS_KG  # without the plate that is the face of its gel
 GEL_ALONG_M = 0.015  # middle of the gel window beyond the finger's length
-GEL_ABOVE_M = 0.011  # resting gel surface above the neutral axis
+GEL_ABOVE_M = 0.011  # resting gel surface above the neutral axis of a finger, see `gel_above_m`
 
 # Gel pad: the gel's contact surface as one rigid plate on the spring of `world.pad`.
 PAD_HALF_M = (0.0065, 0.0085, 0.001)  # gel frame x, y, z; a little more than the window that the camera sees
@@ -46,6 +50,22 @@ def mjcf(twin: Twin, mount_mm: float = 20.0) -> Finger:
     return Finger(body(twin, 1e-3 * mount_mm), DEFAULTS, MATERIALS, actuators(twin), tendons(twin))
 
 
+def bending_axes(twin: Twin) -> int:
+    """Bending axes of a joint: 1 with one chamber, 2 with several."""
+    return Geometry(twin.device, twin.length_mm, tuple(twin.spine_joint_positions_mm)).axes
+
+
+def half_width_m(twin: Twin) -> float:
+    """Half the width of the body: of an arm its own, of a finger always that of the paper's."""
+    width_mm = parameter(twin, "width_mm") if bending_axes(twin) > 1 else WIDTH_MM["finger"]
+    return 0.5e-3 * width_mm
+
+
+def gel_above_m(twin: Twin) -> float:
+    """How far the resting gel's surface is above the neutral axis: a millimetre proud of the body."""
+    return GEL_ABOVE_M + half_width_m(twin) - 0.5e-3 * WIDTH_MM["finger"]
+
+
 def body(twin: Twin, mount_m: float) -> str:
     """MJCF of mount, finger and DIGIT for the flange: finger x along flange z, hanging down at home.
 
@@ -55,22 +75,24 @@ def body(twin: Twin, mount_m: float) -> str:
     s = np.asarray(twin.spine_joint_positions_mm) * 1e-3
     length = twin.length_mm * 1e-3
     ends, links = np.append(s, length), Links.of(bending_body(twin), s)
+    half, axes = half_width_m(twin), bending_axes(twin)
 
     tip = '<site name="tip" size=".001" group="5"/>'
-    xml = f'<body name="sensor" pos="{length - s[-1]} 0 0">{tip}{_digit()}</body>'
+    xml = f'<body name="sensor" pos="{length - s[-1]} 0 0">{tip}{_digit(gel_above_m(twin))}</body>'
     for n in reversed(range(len(s))):
         xml = (
             f'<body name="spine_{n + 1}" pos="{s[n] - (s[n - 1] if n else 0.0)} 0 0"'
             ' gravcomp="1">'
-            f'<joint name="spine_{n + 1}" axis="0 -1 0"/>'
+            f"{mjcf_joint(n + 1, axes)}"
             f"{_inertial(links, n + 1, s[n], sensor(twin) if n == len(s) - 1 else None)}"
-            f"{_segment(ends[n + 1] - ends[n])}{xml}</body>"
+            f"{_segment(ends[n + 1] - ends[n], half, axes)}{xml}</body>"
         )
     c = float(np.sqrt(0.5))
     mount = (
         f'<geom class="skin" type="cylinder" fromto="0 0 0 0 0 {mount_m}" size=".026" material="arm_dark"/>'
     )
-    base = f'<geom class="skin" type="box" pos="{s[0] / 2} 0 0" size="{s[0] / 2} .012 .012"/>'
+    thick = half + 0.002
+    base = f'<geom class="skin" type="box" pos="{s[0] / 2} 0 0" size="{s[0] / 2} {thick} {thick}"/>'
     return (
         f'{mount}<body name="finger" pos="0 0 {mount_m}" xyaxes="0 0 1 {-c} {-c} 0">'
         f"{_inertial(links, 0, 0.0)}{base}{xml}</body>"
@@ -81,7 +103,10 @@ def sensor(twin: Twin) -> Links:
     """DIGIT and gel pad as two lumps in the frame of the straight finger, which the last link carries."""
     boxes = np.array([DIGIT_SIZE, 2 * np.array([PAD_HALF_M[1], PAD_HALF_M[0], PAD_HALF_M[2]])])
     mass, tip = np.array([DIGIT_MASS, MASS_KG]), 1e-3 * twin.length_mm
-    centre = np.array([[DIGIT_SIZE[0] / 2, 0.0, 0.0], [GEL_ALONG_M, 0.0, GEL_ABOVE_M - PAD_HALF_M[2]]])
+    above = gel_above_m(twin)
+    centre = np.array(
+        [[DIGIT_SIZE[0] / 2, 0.0, above - GEL_ABOVE_M], [GEL_ALONG_M, 0.0, above - PAD_HALF_M[2]]]
+    )
     squares = mass[:, None] / 12 * np.square(boxes)
     inertia = [np.diag(each.sum() - each) for each in squares]
     return Links(mass, centre + [tip, 0.0, 0.0], np.array(inertia))
@@ -89,14 +114,14 @@ def sensor(twin: Twin) -> Links:
 
 def actuators(twin: Twin) -> str:
     """MJCF motors of the spine joints: their control is the torque tau_mpm [N m]."""
-    return "".join(
-        f'<motor name="spine_{n + 1}" joint="spine_{n + 1}"/>'
-        for n in range(len(twin.spine_joint_positions_mm))
-    )
+    axes = bending_axes(twin)
+    return "".join(mjcf_motors(n + 1, axes) for n in range(len(twin.spine_joint_positions_mm)))
 
 
 def tendons(twin: Twin) -> str:
-    """MJCF tendons of length q_i + q_j, one for each two joints, whose stiffness couples them."""
+    """MJCF tendons of length q_i + q_j, one for each two hinges, whose stiffness couples them."""
+    if bending_axes(twin) > 1:
+        return ""
     ties = "".join(
         f'<fixed name="spine_{i + 1}_{j + 1}"><joint joint="spine_{i + 1}" coef="1"/>'
         f'<joint joint="spine_{j + 1}" coef="1"/></fixed>'
@@ -114,8 +139,11 @@ class Springs:
     (M + h D + h^2 K / 2) q'_1 = M q'_0 - h K q_0, with a growth of at most 1 for all eigenvalues of M^-1 K.
     What this takes of the slowest swing, which has about the whole stiffness, is left out of D.
 
+    Balls are not coupled: of their K the diagonal alone counts, the same about each axis.
+
     Args:
         model: of a scene with a finger.
+        joints: N.
         damping_nms_per_rad: D of each joint.
         whole_nm_per_rad: the joints' whole stiffness.
     """
@@ -124,12 +152,14 @@ class Springs:
         self, model: mujoco.MjModel, joints: int, damping_nms_per_rad: float, whole_nm_per_rad: float
     ):
         names = [f"spine_{n + 1}" for n in range(joints)]
+        balls = model.joint(names[0]).type[0] == BALL
+        pairs = [] if balls else _pairs(joints)
         self._model = model
         self._damping = max(damping_nms_per_rad - 0.5 * model.opt.timestep * whole_nm_per_rad, 0.0)
         self._joints = [model.joint(n).id for n in names]
-        self._dofs = model.jnt_dofadr[self._joints]
-        self._pairs = tuple(np.array(_pairs(joints), int).reshape(-1, 2).T)
-        self._tendons = [model.tendon(f"spine_{i + 1}_{j + 1}").id for i, j in _pairs(joints)]
+        self._dofs = model.jnt_dofadr[self._joints][:, None] + np.arange(3 if balls else 1)
+        self._pairs = tuple(np.array(pairs, int).reshape(-1, 2).T)
+        self._tendons = [model.tendon(f"spine_{i + 1}_{j + 1}").id for i, j in pairs]
 
     def set(self, K: np.ndarray) -> np.ndarray:
         """Puts the symmetric K (N, N), N m/rad, into the model; returns all that damps it, N m s/rad."""
@@ -137,7 +167,8 @@ class Springs:
         tied = K[self._pairs]
         own = 2 * K.diagonal() - K.sum(1)
         m.tendon_stiffness[self._tendons], m.tendon_damping[self._tendons] = tied, half * tied
-        m.jnt_stiffness[self._joints], m.dof_damping[self._dofs] = own, self._damping + half * own
+        m.jnt_stiffness[self._joints] = own
+        m.dof_damping[self._dofs] = (self._damping + half * own)[:, None]
         return half * K + self._damping * np.eye(len(K))
 
 
@@ -162,36 +193,42 @@ def _inertial(links: Links, k: int, joint_m: float, carried: Links | None = None
     return f'<inertial pos="{x} {y} {z}" mass="{mass}" fullinertia="{" ".join(map(str, full))}"/>'
 
 
-def _segment(length: float) -> str:
-    """Bellows to look at and a capsule to touch, of the segment from x = 0 to `length`."""
+def _segment(length: float, half: float, axes: int) -> str:
+    """Bellows to look at and a capsule to touch, of the segment from x = 0 to `length`, half as wide."""
     rings = max(1, round(length / 0.0095))
     pitch = length / rings
+    if axes == 1:  # above a flat spine
+        above, across, deep = 0.0015, 0.0115, 0.0105
+        spine = f'<geom class="skin" type="box" pos="{length / 2} 0 -.0075" size="{length / 2} .010 .003"/>'
+    else:
+        above, across, deep, spine = 0.0, half, half, ""
     skin = "".join(
-        f'<geom class="skin" type="ellipsoid" pos="{(k + 0.5) * pitch} 0 .0015"'
-        f' size="{0.62 * pitch} .0115 .0105" material="bellow"/>'
+        f'<geom class="skin" type="ellipsoid" pos="{(k + 0.5) * pitch} 0 {above}"'
+        f' size="{0.62 * pitch} {across} {deep}" material="bellow"/>'
         for k in range(rings)
     )
-    spine = f'<geom class="skin" type="box" pos="{length / 2} 0 -.0075" size="{length / 2} .010 .003"/>'
-    touch = f'<geom class="finger" type="capsule" fromto="0 0 0 {length} 0 0" size=".0095" mass="0"/>'
+    touch = (
+        f'<geom class="finger" type="capsule" fromto="0 0 0 {length} 0 0" size="{half - 0.0005}" mass="0"/>'
+    )
     return skin + spine + touch
 
 
-def _digit() -> str:
-    """DIGIT housing and gel, from the finger's end on.
+def _digit(above: float) -> str:
+    """DIGIT housing and gel, from the finger's end on, its resting surface `above` the neutral axis.
 
     The site `gel` is the gel frame of `pneutac_sim.gel.probe`: y along the finger (image rows, towards the
     tip), z out of the gel, origin in the middle of the window on the resting surface.
     """
     a, b, c = (x / 2 for x in DIGIT_SIZE)
-    z = GEL_ABOVE_M - 0.003 - c  # the gel stands 3 mm proud of the housing
+    z = above - 0.003 - c  # the gel stands 3 mm proud of the housing
     x = GEL_ALONG_M
     px, py, pz = PAD_HALF_M
     axes = 'xyaxes="0 -1 0 1 0 0"'
     return (
         f'<geom class="finger" type="box" pos="{a} 0 {z}" size="{a} {b} {c}" mass="0"/>'
         f'<geom class="skin" type="box" pos="{a} 0 {z}" size="{a} {b} {c}" material="digit"/>'
-        f'<site name="gel" pos="{x} 0 {GEL_ABOVE_M}" {axes} size=".001" group="5"/>'
-        f'<body name="pad" pos="{x} 0 {GEL_ABOVE_M}" {axes} gravcomp="1">'
+        f'<site name="gel" pos="{x} 0 {above}" {axes} size=".001" group="5"/>'
+        f'<body name="pad" pos="{x} 0 {above}" {axes} gravcomp="1">'
         # Stops, hard after 2 mm: an edge that rubs along the gel's side would drag the face farther off,
         # where its spring is not stable.
         f'<joint name="pad" type="slide" axis="0 0 1" limited="true"'

@@ -23,11 +23,12 @@ from pneutac_sim.world.points import tactile_points
 class TaskEnv(gymnasium.Env):
     """The task of a world as a Gymnasium environment; reward 1 on the step that succeeds.
 
-    Observation: `agent_pos` float32 as `features.state_names`, (20,) with the Panda, and, where the world has
-    an image, `pixels/tactile` uint8 (H, W, 3) of the sensor's size, (320, 240, 3) with a DIGIT; of each scene
-    camera `pixels/NAME`; where asked for, `tactile.points` (`features.POINTS_SIZE`,). Action: (4,) float32 as
-    `features.ACTION_NAMES`. An episode terminates on success and on failure; `info` has `is_success`,
-    `failure` (text, empty where none), `clipped` and `out_of_range`, see `World`.
+    Observation: `agent_pos` float32 as `features.state_names`, (20,) with the Panda and one chamber, and,
+    where the world has an image, `pixels/tactile` uint8 (H, W, 3) of the sensor's size, (320, 240, 3) with a
+    DIGIT; of each scene camera `pixels/NAME`; where asked for, `tactile.points` (`features.POINTS_SIZE`,).
+    Action: (3 + C,) float32 as `features.action_names` of C chambers. An episode terminates on success and on
+    failure; `info` has `is_success`, `failure` (text, empty where none), `clipped` and `out_of_range`, see
+    `World`.
 
     Attributes:
         world: the world inside, for experts and tests.
@@ -68,11 +69,11 @@ class TaskEnv(gymnasium.Env):
         self.task, self.task_description = world.task.name, world.task.description
         self.render_mode = render_mode
         self._render_size = (render_width, render_height)
-        self.action_space = spaces.Box(*action_limits(world.pressure_range_kpa), dtype=np.float32)
-        (rows, columns, _), arm = world.tactile_shape, world.arm
-        limits = state_limits(
-            world.pressure_range_kpa, (arm.low_rad, arm.high_rad, arm.speed_rad_s), rows * columns
-        )
+        kpa, chambers, arm = world.pressure_range_kpa, world.chambers, world.arm
+        self.action_space = spaces.Box(*action_limits(kpa, chambers), dtype=np.float32)
+        rows, columns, _ = world.tactile_shape
+        joints = (arm.low_rad, arm.high_rad, arm.speed_rad_s)
+        limits = state_limits(kpa, joints, rows * columns, chambers)
         state = spaces.Box(*limits, dtype=np.float32)
         self._cameras = SceneCameras(world, cameras, randomise_look)
         shapes = {IMAGE_NAME: world.tactile_shape} if touch == "image" else {}

@@ -11,12 +11,14 @@ import mujoco
 import numpy as np
 
 from pneutac_sim.errors import InputError, check_choice
-from pneutac_sim.features import FIDELITIES, RENDERS, action_limits
+from pneutac_sim.features import FIDELITIES, PRESSURES, RENDERS, action_limits
+from pneutac_sim.finger.inputs import CHAMBERS
 from pneutac_sim.finger.online import PressurePipeline
 from pneutac_sim.gel.sensor import TactileSensor
-from pneutac_sim.twin import Twin, checked_range
+from pneutac_sim.twin import PAPER_FINGER, Twin, checked_range
 from pneutac_sim.world import scene
 from pneutac_sim.world.action import checked_action
+from pneutac_sim.world.checks import check_bends
 from pneutac_sim.world.conditions import Conditions, conditions_for, draw
 from pneutac_sim.world.deforming import deforming
 from pneutac_sim.world.drawn import drawn
@@ -26,6 +28,7 @@ from pneutac_sim.world.pad import Pad
 from pneutac_sim.world.placing import Placing
 from pneutac_sim.world.senses import Senses
 from pneutac_sim.world.soft_finger import Springs, mjcf
+from pneutac_sim.world.spine import Spine
 from pneutac_sim.world.station import MISSING_M, Station
 from pneutac_sim.world.substeps import Substeps
 from pneutac_sim.world.tasks import make_task
@@ -44,15 +47,17 @@ class World(Senses):
         conditions: what the twin's effects are given in this episode, such as `temperature_c`.
         time_s: simulated time since the reset.
         dt_s: duration of a control step.
-        pressure_range_kpa: lowest and highest pressure that can be commanded, kPa.
-        action_limits: lowest and highest action (4,).
+        chambers: C, of the finger.
+        pressure_range_kpa: lowest and highest pressure that can be commanded to each, kPa.
+        action_limits: lowest and highest action (3 + C,).
         station: where the finger works.
         arm: what carries it.
         workspace_m: corners (3,) of the box to which the flange is held, metres.
         clipped: number of commands that were clipped to limits since the reset; the first is logged too.
-        command: last action after clipping (4,), which acts as late as the station says.
+        command: last action after clipping (3 + C,), which acts as late as the station says.
         target_m: where the flange is sent (3,), metres in the station's frame.
-        spine_target_rad: spine joint angles q_cmd (N,) that the pressure commands, after the twin's effects.
+        spine_target_rad: spine joint angles q_cmd (N,), with several chambers (N, 2), that the pressure
+            commands, after the twin's effects.
         finger: the soft body round the spine, `SurrogateFinger` or `MpmFinger`; None where the spine's joints
             have the whole stiffness by themselves.
         out_of_range: number of steps since the reset in which a state of the finger or a contact lay outside
@@ -77,7 +82,8 @@ class World(Senses):
 
         Args:
             task: `switch`, `egg` or `card`.
-            twin: the finger with its gel; default the built-in one.
+            twin: the finger with its gel, or an arm of several chambers with a gel at its tip; default the
+                built-in finger.
             touch: `image`, `area` (contact area without an image, faster), `probe` (the
                 probe grid alone) or `none`.
             fidelity: how finger and gel deform. `surrogate`: by networks in place of material points; `mpm`:
@@ -94,20 +100,19 @@ class World(Senses):
 
         Raises:
             InputError: unknown task, touch mode, fidelity or render; an arm that does not reach; a twin
-                that is not a finger, or has no networks or outdated ones, or a body stiffer than all of it;
-                an effect without its conditions.
+                that is of a gel, or has no networks or outdated ones, or a body stiffer than all of it, or
+                several chambers with another fidelity than `probe`; an effect without its conditions.
         """
         self.task = make_task(task)
         self.twin = twin or Twin.builtin()
-        if self.twin.device != "finger":
-            raise InputError(
-                f"The world needs the twin of a finger; this twin's device is '{self.twin.device}'."
-            )
         check_choice("fidelity", fidelity, FIDELITIES)
+        check_bends(self.twin, fidelity)
+        self.chambers = CHAMBERS[self.twin.device]
         check_choice("render", render, RENDERS)
         wider = self.twin.pressure_range_kpa if pressure_range_kpa is None else pressure_range_kpa
         self.pressure_range_kpa = checked_range(wider, "pressure_range_kpa")
-        self.action_limits = tuple(limit.astype(float) for limit in action_limits(self.pressure_range_kpa))
+        limits = action_limits(self.pressure_range_kpa, self.chambers)
+        self.action_limits = tuple(limit.astype(float) for limit in limits)
         self._told = False
         # Tasks are laid out for the paper's finger: with a longer one the flange keeps as much higher.
         self.station = station or Station()
@@ -139,19 +144,29 @@ class World(Senses):
         self._flange = self.model.site("flange").id
         self._gel = self.model.site("gel").id
 
-        n = len(self.twin.spine_joint_positions_mm)
         # The arm's joints and servos come first in the model, then the spine's.
-        joints = self.arm.joints
-        self._arm, self._spine = slice(0, joints), slice(joints, joints + n)
+        self._arm = slice(0, self.arm.joints)
+        self._hold()
+        whole = (
+            self.twin.parameter("joint_stiffness_nm_per_rad")
+            if self.finger is None
+            else (self.finger.controller_nm_per_rad)
+        )
+        self._controller = whole * np.eye(self._bends.joints)
+        self.reset(0)
+
+    def _hold(self) -> None:
+        """Takes hold of the finger in the model, which has been built."""
+        self._bends = Spine(self.model, self.twin)
+        self._spine = self._bends.dofs
         self._physics = Substeps(self.model, self.data)
         self._pad = Pad(self.model, self.twin, self.sensor.triangles)
         whole = self.twin.parameter("joint_stiffness_nm_per_rad")
-        self._springs = Springs(self.model, n, self.twin.parameter("joint_damping_nms_per_rad"), whole)
-        self._follower = Follower(self.model, n)
-        self._controller = (whole if self.finger is None else self.finger.controller_nm_per_rad) * np.eye(n)
-        self._tip = self.model.site("tip").id
-        self._placing = Placing(self.model)
-        self.reset(0)
+        known = self.twin.parameters.get("joint_damping_nms_per_rad")
+        damping = known.value if known else PAPER_FINGER["joint_damping_nms_per_rad"]
+        self._springs = Springs(self.model, self._bends.joints, damping, whole)
+        self._follower = Follower(self.model, self._bends.joints)
+        self._tip, self._placing = self.model.site("tip").id, Placing(self.model)
 
     # ---------------------------------------------------------------- episode
 
@@ -184,12 +199,12 @@ class World(Senses):
         self.data.qpos[self._arm] = self._joints
         if self.finger is not None:
             self.finger.reset()
-        self._drive, self._rate = self._bend(self.spine_target_rad), np.zeros(len(self.spine_target_rad))
-        self.data.qpos[self._spine] = self._drive
+        self._drive, self._rate = self._bend(self.spine_target_rad), np.zeros_like(self.spine_target_rad)
+        self._bends.write(self.data, self._drive)
         if self._pipeline.moves:
             self._placing.set(self.model, self._placing.find(self._pipeline, self._drive, self.dt_s))
         self.clipped = self.out_of_range = 0
-        self.command = np.zeros(4)
+        self.command = np.zeros(len(self.action_limits[0]))
         self._sent = deque([self.command] * self._late_commands)
         mujoco.mj_kinematics(self.model, self.data)
         for _ in range(self.station.steps(scene.SETTLE_S)):
@@ -217,8 +232,8 @@ class World(Senses):
         """Advances one control step, `dt_s`.
 
         Args:
-            action: (4,) as `features.ACTION_NAMES`: flange velocity m/s in the world frame, pressure kPa.
-                What exceeds the limits is clipped and counted in `clipped`.
+            action: (3 + C,) as `features.action_names`: flange velocity m/s in the world frame, pressure of
+                each chamber kPa. What exceeds the limits is clipped and counted in `clipped`.
 
         Raises:
             InputError: the action has another shape or is not finite.
@@ -226,8 +241,8 @@ class World(Senses):
         """
         self.command = self._clip(action)
         self._sent.append(self.command)
-        *velocity, pressure = self._sent.popleft()
-        wanted = self.target_m + np.array(velocity) * self.dt_s
+        sent = self._sent.popleft()
+        wanted = self.target_m + sent[:3] * self.dt_s
         target = np.clip(wanted, *self.workspace_m)
         self.clipped += int(np.any(target != wanted))
         joints = self._ik.solve(target - self._base_m)
@@ -235,7 +250,7 @@ class World(Senses):
             self.clipped, target, joints = self.clipped + 1, self.target_m, self._joints
             self._ik.reset(joints)
         self.target_m = target
-        self._advance(joints, self._pipeline.step(pressure, self.dt_s))
+        self._advance(joints, self._pipeline.step(sent[PRESSURES], self.dt_s))
         scene.check_physics(self.data)
         self.task.update(self.model, self.data, self.dt_s)
         self._measure(self.dt_s)
@@ -244,7 +259,7 @@ class World(Senses):
         return self._observe()
 
     def _clip(self, action) -> np.ndarray:
-        action = checked_action(action)
+        action = checked_action(action, self.chambers)
         clipped = np.clip(action, *self.action_limits)
         # A float32 action at the limit is not beyond it.
         if np.any(np.abs(clipped - action) > 1e-6 * np.maximum(1.0, np.abs(action))):
@@ -262,7 +277,7 @@ class World(Senses):
         return clipped
 
     def _advance(self, joints: np.ndarray, spine: np.ndarray) -> None:
-        """Physics substeps of one control step, towards joint targets of the arm and the spine (N,).
+        """Physics substeps of one control step, towards joint targets of the arm and the spine.
 
         M (q - q_d)'' + D (q - q_d)' = K_c (q_d - q) + f(q) - f(q_d), with the controller of stiffness K_c,
         the torque f of the soft body, and the path q_d on which `Follower` leads the free finger to where it
@@ -292,19 +307,19 @@ class World(Senses):
         self._joints, self.spine_target_rad, self._drive = joints, spine, drive
 
     def _resist(self, drive: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Stiffness K (N, N) in N m/rad and the torque (N,) beyond it, about the present joint angles.
+        """Stiffness K (N, N) in N m/rad and the motors' torque beyond it, about the present joint angles.
 
         Args:
-            drive: (N,) where the free finger is at present, rad.
+            drive: where the free finger is at present, rad.
         """
         if self.finger is None:
-            return self._controller, np.zeros(len(drive))
-        q = self.data.qpos[self._spine]
+            return self._controller, np.zeros(self._spine.stop - self._spine.start)
+        q = self.spine_rad
         torque, J = self.finger.torque(drive, q)
         return self._controller - J, torque - J @ (q - drive)
 
     def _bend(self, q_cmd: np.ndarray) -> np.ndarray:
-        """Angles (N,) in rad at which the unloaded finger rests; here those that the pressure commands."""
+        """Angles in rad at which the unloaded finger rests; here those that the pressure commands."""
         return q_cmd
 
     # ---------------------------------------------------------------- senses
@@ -323,7 +338,7 @@ class World(Senses):
                 d.qpos[self._arm],
                 d.qvel[self._arm],
                 d.site_xpos[self._flange] - self._base_m,
-                [self.touch.area, np.log1p(s), self.pressure_kpa],
+                [self.touch.area, np.log1p(s), *self.pressures_kpa],
             ]
         )
         return Observation(state.astype(np.float32), self.touch.image)
