@@ -9,7 +9,7 @@ from lerobot.utils.constants import OBS_STATE
 
 from lerobot_pneutac.reports.page import Report
 from pneutac_datasets.demonstrations.augment.reference import Reference, onset_sigma_m
-from pneutac_sim.features import AREA, EE
+from pneutac_sim.features import VELOCITY_NAMES, Places
 from pneutac_sim.gel.contact import without_specks
 
 SHOWN = 4  # recorded demonstrations whose touch is drawn
@@ -97,20 +97,26 @@ def _scene_row(reference: Reference, scene: dict) -> dict:
 
 
 def _states(repo_id: str, root: Path) -> list[np.ndarray]:
-    """(T, 2 N + 6) of each demonstration."""
+    """(T, 2 N + 5 + C) of each demonstration."""
     dataset = LeRobotDataset(repo_id, root, video_backend="pyav")
     state = np.stack(dataset.hf_dataset.with_format("numpy")[OBS_STATE])
     rows = (dataset.meta.episodes[i] for i in range(dataset.num_episodes))
     return [state[r["dataset_from_index"] : r["dataset_to_index"]] for r in rows]
 
 
+def _places(references: list[Reference]) -> Places:
+    """Where the touch is in a state."""
+    return Places.of(references[0].action.shape[1] - len(VELOCITY_NAMES))
+
+
 def _touch(states: list[np.ndarray], sources: list[int], references: list[Reference]) -> go.Figure:
+    places = _places(references)
     figure, colours = go.Figure(), ("#0b6e99", "#c2410c", "#15803d", "#7e22ce")
     for state, source in zip(states, sources, strict=True):
         if source < SHOWN:
             t = np.arange(len(state)) / references[source].control_hz
             line = {"color": colours[source], "width": 0.7}
-            figure.add_scatter(x=t, y=state[:, AREA], mode="lines", line=line, showlegend=False)
+            figure.add_scatter(x=t, y=state[:, places.area], mode="lines", line=line, showlegend=False)
     for r in references[:SHOWN]:
         t, line = np.arange(len(r)) / r.control_hz, {"color": colours[r.source], "width": 3}
         figure.add_scatter(x=t, y=r.area, mode="lines", line=line, name=f"demonstration {r.source}")
@@ -119,8 +125,9 @@ def _touch(states: list[np.ndarray], sources: list[int], references: list[Refere
 
 
 def _paths(states: list[np.ndarray], references: list[Reference]) -> go.Figure:
-    felt = [(s, np.flatnonzero(without_specks(s[:, AREA]))) for s in states]
-    new = [s[frames[0], EE] for s, frames in felt if len(frames)]
+    places = _places(references)
+    felt = [(s, np.flatnonzero(without_specks(s[:, places.area]))) for s in states]
+    new = [s[frames[0], places.ee] for s, frames in felt if len(frames)]
     old = [r.flange_m[r.onset] for r in references]
     figure = go.Figure()
     for name, points, size in (("new", new, 6), ("recorded", old, 12)):

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from pneutac_sim.errors import InputError, check_choice, check_least
 from pneutac_sim.features import FIDELITIES, task_names
+from pneutac_sim.finger.inputs import CHAMBERS
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.checks import check_world
 from pneutac_sim.world.station import Station
@@ -72,6 +73,11 @@ class PpoConfig:
         if self.twin is not None and not (Path(self.twin) / "twin.yaml").is_file():
             raise InputError(f"twin is '{self.twin}', which holds no twin.yaml; give a twin's folder.")
         twin = Twin.load(self.twin) if self.twin else Twin.builtin()
+        if CHAMBERS.get(twin.device, 1) > 1:
+            raise InputError(
+                f"ppo trains fingers of one chamber and '{self.twin}' has several; record demonstrations with"
+                " --teleop.type=pneutac_scripted, and `pneutac augment` them."
+            )
         check_world(twin, self.student.fidelity, self.conditions)
         if self.station is not None:
             Station.load(self.station).make_arm()

@@ -12,10 +12,10 @@ from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.demonstrations.augment.planner import PlannerConfig
 from pneutac_datasets.demonstrations.faults import demonstration_faults
 from pneutac_sim.errors import InputError, check_choice, check_least
-from pneutac_sim.features import FIDELITIES, joint_count, task_names
+from pneutac_sim.features import FIDELITIES, chamber_count, joint_count, task_names
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
-from pneutac_sim.world.checks import check_world
+from pneutac_sim.world.checks import check_bends, check_world
 from pneutac_sim.world.station import Station, station_file
 
 METHODS = ("tactile", "naive")
@@ -98,6 +98,8 @@ class AugmentConfig:
         if self.method == "tactile":
             twin = Twin.load(self.twin) if self.twin else Twin.builtin()
             check_world(twin, self.fidelity, self.conditions)
+            if self.check_mpm:
+                check_bends(twin, "mpm")
         if self.station is not None:
             Station.load(self.station).make_arm()
 
@@ -226,7 +228,8 @@ def augment(config: AugmentConfig, progress: Progress = no_progress) -> Augmenta
 
 def _check_arm(meta, station: Station) -> None:
     """Raises InputError where demonstrations were recorded with an arm of another number of joints."""
-    joints = joint_count(len(meta.features["observation.state"]["names"]))
+    names = meta.features["observation.state"]["names"]
+    joints = joint_count(len(names), chamber_count(names))
     if joints != station.joints:
         raise InputError(
             f"Dataset '{meta.repo_id}' was recorded with an arm of {joints} joints, and the station's has"

@@ -10,12 +10,13 @@ from lerobot.utils.constants import ACTION, DEFAULT_FEATURES, OBS_IMAGES, OBS_ST
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import (
-    ACTION_NAMES,
-    AREA,
     IMAGE_NAME,
-    PIXELS,
     POINTS_KEY,
     POINTS_SIZE,
+    VELOCITY_NAMES,
+    Places,
+    action_names,
+    chamber_count,
     joint_count,
     state_names_like,
 )
@@ -33,8 +34,8 @@ class Episode:
     """One demonstration.
 
     Attributes:
-        state: (T, 2 N + 6) in the order of `features.state_names` of an arm of N joints.
-        action: (T, 4) in the order of `features.ACTION_NAMES`.
+        state: (T, 2 N + 5 + C) as `features.state_names` of an arm of N joints and C chambers.
+        action: (T, 3 + C) as `features.action_names`.
         images: uint8 (T, H, W, 3) of the sensor's size.
         task: the instruction.
         fps: frames per second.
@@ -52,7 +53,17 @@ class Episode:
     @property
     def angles(self) -> slice:
         """Where the joints' angles are in the state."""
-        return slice(0, joint_count(self.state.shape[1]))
+        return slice(0, joint_count(self.state.shape[1], self.chambers))
+
+    @property
+    def chambers(self) -> int:
+        """C, of the finger."""
+        return self.action.shape[1] - len(VELOCITY_NAMES)
+
+    @property
+    def places(self) -> Places:
+        """Where the rest is in the state."""
+        return Places.of(self.chambers)
 
     @property
     def rates(self) -> slice:
@@ -85,7 +96,7 @@ class Episode:
 
     def _seen(self, times: np.ndarray) -> np.ndarray:
         """State at fractional frame numbers; contact is that of the nearest frame's image."""
-        state, contact = _between(self.state, times), [AREA, PIXELS]
+        state, contact = _between(self.state, times), [self.places.area, self.places.pixels]
         state[:, contact] = self.state[_nearest(times)][:, contact]
         return state
 
@@ -96,7 +107,7 @@ class Episode:
 
     def contact(self) -> tuple[int, int] | None:
         """First and last frame in contact, specks of noise apart, or None."""
-        frames = np.flatnonzero(without_specks(self.state[:, AREA]))
+        frames = np.flatnonzero(without_specks(self.state[:, self.places.area]))
         return (int(frames[0]), int(frames[-1])) if len(frames) else None
 
 
@@ -118,7 +129,7 @@ def demonstration_features(meta: LeRobotDatasetMetadata) -> dict:
             f" {OBS_STATE}, {ACTION} and {TACTILE}."
         )
     own = state_names_like(features[OBS_STATE]["names"])
-    for key, names in ((OBS_STATE, own), (ACTION, ACTION_NAMES)):
+    for key, names in ((OBS_STATE, own), (ACTION, action_names(chamber_count(own)))):
         if list(features[key]["names"]) != list(names):
             raise InputError(
                 f"Dataset '{meta.repo_id}': '{key}' has the names {features[key]['names']}; it must have"

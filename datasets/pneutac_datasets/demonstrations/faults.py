@@ -9,13 +9,16 @@ import pyarrow.parquet as parquet
 
 from pneutac_datasets.demonstrations.info import ACTION, STATE, read_info
 from pneutac_sim.features import (
-    ACTION_NAMES,
-    AREA,
     CONTROL_HZ,
     IMAGE_NAME,
     POINTS_KEY,
+    PRESSURES,
+    Places,
+    action_names,
+    chamber_count,
     state_names_like,
 )
+from pneutac_sim.finger.inputs import CHAMBERS
 from pneutac_sim.gel.contact import without_specks
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.pace import pace_notes
@@ -42,7 +45,8 @@ def demonstration_faults(folder: str | Path, twin: Twin, control_hz: int = CONTR
     if not file.is_file():
         return [f"'{folder}' holds no LeRobotDataset (no meta/info.json)."]
     info = read_info(file)
-    found = _of_features(info.get("features", {}), file, GelModel.from_twin(twin).rest_image.shape)
+    chambers = CHAMBERS.get(twin.device, 1)
+    found = _of_features(info.get("features", {}), file, GelModel.from_twin(twin).rest_image.shape, chambers)
     if info.get("fps") != control_hz:
         found.append(f"{file}: {wrong_rate(info.get('fps'), control_hz)}")
     parts = sorted((folder / "data").glob("**/*.parquet"))
@@ -61,6 +65,7 @@ def demonstration_faults(folder: str | Path, twin: Twin, control_hz: int = CONTR
     return found + _of_episodes(
         {int(e): (state[episode == e], action[episode == e]) for e in episodes},
         twin.pressure_range_kpa,
+        Places.of(chambers).area,
     )
 
 
@@ -78,7 +83,7 @@ def demonstration_notes(folder: str | Path) -> list[str]:
     return pace_notes(meta, float(read_info(meta / "info.json").get("fps") or CONTROL_HZ))
 
 
-def _of_features(features: dict, file: Path, image_shape: tuple[int, ...]) -> list[str]:
+def _of_features(features: dict, file: Path, image_shape: tuple[int, ...], chambers: int) -> list[str]:
     found = []
     wanted = [STATE, ACTION, TACTILE]
     for key in wanted:
@@ -95,8 +100,14 @@ def _of_features(features: dict, file: Path, image_shape: tuple[int, ...]) -> li
     for key in (STATE, ACTION):
         there = (features.get(key) or {}).get("names") or []
         there = list(there.values())[0] if isinstance(there, dict) else list(there)
-        names = state_names_like(map(str, there)) if key == STATE else ACTION_NAMES
-        if key in features and there != list(names):
+        there_are = chamber_count(there)
+        names = state_names_like(map(str, there)) if key == STATE else action_names(there_are)
+        if there_are != chambers:
+            found.append(
+                f"{file}: '{key}' has {there_are} pressure{'s' * (there_are > 1)} and the twin"
+                f" {chambers} chamber{'s' * (chambers > 1)}; give the twin of the body that was recorded."
+            )
+        elif key in features and there != list(names):
             missing = [f"'{n}'{_close(n, there)}" for n in names if n not in there]
             what = f"lacks {', '.join(missing)}" if missing else f"has the names {there} in another order"
             found.append(f"{file}: '{key}' {what}; it must have {list(names)}.")
@@ -110,7 +121,7 @@ def _of_features(features: dict, file: Path, image_shape: tuple[int, ...]) -> li
 
 
 def _of_episodes(
-    episodes: dict[int, tuple[np.ndarray, np.ndarray]], range_kpa: tuple[float, float]
+    episodes: dict[int, tuple[np.ndarray, np.ndarray]], range_kpa: tuple[float, float], area: int
 ) -> list[str]:
     """Faults of single episodes, those with the same fault in one sentence."""
     low, high = range_kpa
@@ -127,9 +138,9 @@ def _of_episodes(
             broken.append(number)
         elif len(action) < 2:
             short.append(number)
-        elif not without_specks(state[:, AREA]).any():
+        elif not without_specks(state[:, area]).any():
             untouched.append(number)
-        elif action[:, 3].min() < low - slack or action[:, 3].max() > high + slack:
+        elif action[:, PRESSURES].min() < low - slack or action[:, PRESSURES].max() > high + slack:
             beyond.append(number)
     return [
         f"{f'Episode {which[0]}' if len(which) == 1 else f'Each of the episodes {which}'} {fault};"

@@ -24,14 +24,10 @@ from pneutac_datasets.demonstrations.episodes import (
 from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import (
-    AREA,
-    EE,
     PANDA_JOINTS,
     PAPER_RANGE_KPA,
-    PIXELS,
-    PRESSURE,
+    PRESSURES,
     action_limits,
-    joint_count,
     state_limits,
 )
 from pneutac_sim.progress import Progress, no_progress
@@ -77,14 +73,14 @@ def augment_naive(
     features = demonstration_features(meta)
     source = LeRobotDataset(repo_id, dataset_root, video_backend="pyav", return_uint8=True)
     load = lru_cache(maxsize=16)(lambda i: load_episode(source, i))
-    slope = _joint_slope(source)
+    slope = _joint_slope(source, load(0))
     longest = int(np.ceil(max(meta.episodes["length"]) / SPEED[0])) + 1
     use_videos = features[TACTILE]["dtype"] == "video"
     out = create_dataset(out_repo_id, out_root, meta.fps, features, meta.robot_type, use_videos, longest)
     n = meta.total_episodes
     # A dataset does not say what its finger bears: no farther than the paper's, or than was demonstrated.
-    low, high = (float(meta.stats["action"][k][3]) for k in ("min", "max"))
-    range_kpa = min(low, PAPER_RANGE_KPA[0]), max(high, PAPER_RANGE_KPA[1])
+    low, high = (meta.stats["action"][k][PRESSURES] for k in ("min", "max"))
+    range_kpa = min(float(low.min()), PAPER_RANGE_KPA[0]), max(float(high.max()), PAPER_RANGE_KPA[1])
     with quiet_encoders():
         try:
             for k in range(episodes):
@@ -118,22 +114,23 @@ def vary(
     state, action = episode.state.copy(), episode.action.copy()
     _displace_approach(episode, state, action, slope, rng)
     gain = 1 + PRESSURE_GAIN * rng.standard_normal()
-    state[:, PRESSURE] *= gain
-    action[:, 3] *= gain
+    state[:, episode.places.pressure] *= gain
+    action[:, PRESSURES] *= gain
     varied = _warp_time(replace(episode, state=state, action=action), rng)
     varied.state = np.clip(varied.state, *_limits(varied, pressure_range_kpa)).astype(np.float32)
-    varied.action = np.clip(varied.action, *action_limits(pressure_range_kpa)).astype(np.float32)
+    limits = action_limits(pressure_range_kpa, varied.chambers)
+    varied.action = np.clip(varied.action, *limits).astype(np.float32)
     varied.images = _change_appearance(varied.images, rng)
     return varied
 
 
 def _limits(episode: Episode, pressure_range_kpa: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
     """Of the state; of the joints only the Panda's are known."""
-    joints = joint_count(episode.state.shape[1])
-    if joints == PANDA_JOINTS:
-        return state_limits(pressure_range_kpa, pixels=episode.pixels)
-    far = np.full(joints, np.inf)
-    return state_limits(pressure_range_kpa, (-far, far, far), episode.pixels)
+    sizes = {"pixels": episode.pixels, "chambers": episode.chambers}
+    if episode.angles.stop == PANDA_JOINTS:
+        return state_limits(pressure_range_kpa, **sizes)
+    far = np.full(episode.angles.stop, np.inf)
+    return state_limits(pressure_range_kpa, (-far, far, far), **sizes)
 
 
 def _mix(episode: Episode, partner: Episode, weight: float) -> Episode:
@@ -144,7 +141,7 @@ def _mix(episode: Episode, partner: Episode, weight: float) -> Episode:
     times = np.interp(np.arange(len(episode)), knots, matched)
     other = partner.at(times)
     state = (1 - weight) * episode.state + weight * other.state
-    state[:, PIXELS] = np.log1p(state[:, AREA] * episode.pixels)
+    state[:, episode.places.pixels] = np.log1p(state[:, episode.places.area] * episode.pixels)
     images = np.stack(
         [((1 - weight) * i + weight * j).round() for i, j in zip(episode.images, other.images, strict=True)]
     )
@@ -162,7 +159,7 @@ def _displace_approach(episode: Episode, state, action, slope, rng) -> None:
     fade = np.zeros(len(episode) + 1)
     fade[: end + 1] = 0.5 + 0.5 * np.cos(np.pi * np.arange(end + 1) / max(end, 1))
     shift = fade[:, None] * (START_M * rng.standard_normal(3))  # (T + 1, 3) m
-    state[:, EE] += shift[:-1]
+    state[:, episode.places.ee] += shift[:-1]
     state[:, episode.angles] += shift[:-1] @ slope
     velocity = np.diff(shift, axis=0) * episode.fps
     state[:, episode.rates] += velocity @ slope
@@ -196,7 +193,7 @@ def _change_appearance(images: np.ndarray, rng: np.random.Generator) -> np.ndarr
     )
 
 
-def _joint_slope(dataset: LeRobotDataset) -> np.ndarray:
+def _joint_slope(dataset: LeRobotDataset, like: Episode) -> np.ndarray:
     """Least-squares change of the joint angles with the flange position over a dataset, (3, N) rad/m.
 
     With the orientation held this is the arm's inverse Jacobian where the demonstrations are; directions in
@@ -204,5 +201,4 @@ def _joint_slope(dataset: LeRobotDataset) -> np.ndarray:
     """
     state = np.stack(dataset.hf_dataset.with_format("numpy")[OBS_STATE])
     state = state - state.mean(0)
-    angles = state[:, : joint_count(state.shape[1])]
-    return np.linalg.lstsq(state[:, EE], angles, rcond=0.01)[0]
+    return np.linalg.lstsq(state[:, like.places.ee], state[:, like.angles], rcond=0.01)[0]

@@ -28,7 +28,6 @@ from pneutac_datasets.demonstrations.episodes import (
 )
 from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import PRESSURE
 
 
 def pool_demonstrations(sources: list[Path], out: str | Path, repo_id: str) -> Path:
@@ -93,8 +92,8 @@ def _means(image: np.ndarray) -> np.ndarray:
 
 
 def previous_actions(episode: Episode) -> np.ndarray:
-    """What the robot had been told the frame before (T, 4), float32; at first to hold still."""
-    hold = np.array([0.0, 0.0, 0.0, episode.state[0, PRESSURE]])
+    """What the robot had been told the frame before (T, 3 + C), float32; at first to hold still."""
+    hold = np.append(np.zeros(3), episode.state[0, episode.places.pressure])
     return np.vstack([hold, episode.action[:-1]]).astype(np.float32)
 
 

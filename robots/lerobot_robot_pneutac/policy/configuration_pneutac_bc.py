@@ -12,13 +12,16 @@ from lerobot.utils.constants import ACTION, OBS_IMAGES, OBS_STATE
 from lerobot_robot_pneutac.options import refuse_if
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import (
-    ACTION_NAMES,
     IMAGE_NAME,
     IMAGE_SHAPE,
     STATE_NAMES,
+    VELOCITY_NAMES,
+    action_names,
+    chamber_count,
     joint_count,
     state_names_like,
 )
+from pneutac_sim.finger.inputs import CHAMBERS
 
 # The network sees means over the cells of such a grid, lying where the image does, 4 x 4 pixels of a DIGIT's.
 # A dataset may hold these means instead of images, and then says of what size these were.
@@ -122,14 +125,21 @@ class PneutacBCConfig(PreTrainedConfig):
     def joints(self) -> int:
         """Joints of the arm, as the size of the state tells; 0 where it is the state of none."""
         shape = self.input_features[OBS_STATE].shape if OBS_STATE in (self.input_features or {}) else ()
-        return joint_count(shape[0]) if len(shape) == 1 else 0
+        return joint_count(shape[0], self.chambers) if len(shape) == 1 else 0
+
+    @property
+    def chambers(self) -> int:
+        """Chambers of the finger, as the size of the action tells; one where it is that of none."""
+        shape = self.output_features[ACTION].shape if ACTION in (self.output_features or {}) else ()
+        chambers = shape[0] - len(VELOCITY_NAMES) if len(shape) == 1 else 1
+        return chambers if chambers in CHAMBERS.values() else 1
 
     def validate_features(self) -> None:
         """Raises InputError where the shapes of state, action or tactile image do not fit."""
         inputs, outputs = self.input_features or {}, self.output_features or {}
         if not self.joints:  # of no arm
             _need_shape(inputs, OBS_STATE, (len(STATE_NAMES),))
-        _need_shape(outputs, ACTION, (len(ACTION_NAMES),))
+        _need_shape(outputs, ACTION, (len(action_names(self.chambers)),))
         if self.use_tactile:
             if len(self.image_shape) != 3 or self.image_shape[0] != IMAGE_SHAPE[2]:
                 _need_shape(inputs, TACTILE, (IMAGE_SHAPE[2], *IMAGE_SHAPE[:2]))
@@ -175,7 +185,8 @@ class PneutacBCConfig(PreTrainedConfig):
             )
         for key in (OBS_STATE, ACTION):
             found = (meta.features.get(key) or {}).get("names")
-            names = state_names_like(found or []) if key == OBS_STATE else ACTION_NAMES
+            like = found or []
+            names = state_names_like(like) if key == OBS_STATE else action_names(chamber_count(like))
             if list(found or []) != list(names):
                 raise InputError(f"{where}: '{key}' has the names {found}; pneutac_bc needs {list(names)}.")
             if not {"min", "max"} <= (meta.stats or {}).get(key, {}).keys():

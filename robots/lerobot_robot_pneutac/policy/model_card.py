@@ -9,14 +9,12 @@ from lerobot.configs.train import TrainPipelineConfig
 from lerobot.utils.constants import ACTION, OBS_STATE
 
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import TACTILE, PneutacBCConfig
-from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, ACTION_NAMES, state_names
+from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, action_names, pressure_names, state_names
 
 _STATE_UNITS = {
     "contact_area.pos": "share of the image's pixels that are in contact",
     "contact_pixels.pos": "log(1 + pixels in contact)",
-    "pressure.pos": "kPa",
 }
-_ACTION_UNITS = {"pressure.pos": "kPa"}
 
 
 @dataclass(frozen=True)
@@ -68,7 +66,7 @@ def model_card(
         rest_level: mean of the rest image's channels R, G, B, of 255; None where there is none.
         steps: training steps, where known.
         train: options of the whole training, where known.
-        limits: lowest and highest action (4,).
+        limits: lowest and highest action (3 + C,).
 
     Returns:
         The card; `save` writes it.
@@ -101,21 +99,22 @@ def _features(
     config: PneutacBCConfig, limits: tuple[Sequence[float], Sequence[float]]
 ) -> list[tuple[str, str, str]]:
     """Feature, name or shape, and unit of all that goes in or comes out."""
+    pressures = pressure_names(config.chambers)
 
     def unit(name: str) -> str:
         if name.startswith("joint"):
             return "rad" if name.endswith(".pos") else "rad/s"
-        return _STATE_UNITS.get(name, "m")
+        return "kPa" if name in pressures else _STATE_UNITS.get(name, "m")
 
     unused = () if config.use_tactile else ("contact_area.pos", "contact_pixels.pos")
     rows = [
         (OBS_STATE, f"`{n}`", unit(n) + (" (not looked at)" if n in unused else ""))
-        for n in state_names(config.joints)
+        for n in state_names(config.joints, config.chambers)
     ]
     if config.use_tactile:
         c, h, w = config.image_shape
         rows.append((TACTILE, f"{w} x {h} pixels, {c} channels, RGB", "0 to 1"))
     return rows + [
-        (ACTION, f"`{n}`", f"{_ACTION_UNITS.get(n, 'm/s')}, {low:g} to {high:g}")
-        for n, low, high in zip(ACTION_NAMES, *limits, strict=True)
+        (ACTION, f"`{n}`", f"{'kPa' if n in pressures else 'm/s'}, {low:g} to {high:g}")
+        for n, low, high in zip(action_names(config.chambers), *limits, strict=True)
     ]

@@ -19,7 +19,7 @@ from lerobot_robot_pneutac.policy.rest_image import check_same_sensor, rest_imag
 from lerobot_robot_pneutac.policy.scaling import Scaling
 from lerobot_robot_pneutac.policy.tactile_encoder import DIFFERENCE_SCALE, EMBEDDING, TactileEncoder
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import ACTION_NAMES, AREA, CONTROL_HZ, PIXELS, PRESSURE, state_names
+from pneutac_sim.features import CONTROL_HZ, PRESSURES, Places, action_names, state_names
 
 HIDDEN = 256
 REST = "encoder.rest_image"
@@ -59,21 +59,23 @@ class PneutacBCPolicy(PreTrainedPolicy):
             self._dataset_rest = rest_image_of(dataset_meta) if config.use_tactile else None
 
         self.encoder = TactileEncoder(config.image_shape) if config.use_tactile else None
-        size = len(state_names(config.joints))
-        contact = (size + AREA, size + PIXELS)
+        self._places = Places.of(config.chambers)
+        sizes = config.joints, config.chambers
+        size, actions = len(state_names(*sizes)), len(action_names(config.chambers))
+        contact = (size + self._places.area, size + self._places.pixels)
         channels = [i for i in range(size) if config.use_tactile or i not in contact]
         self.register_buffer("_channels", torch.tensor(channels), persistent=False)
         # Saved with the weights, which mean nothing with another scale.
         self._dataset_scaling = None if dataset_meta is None else Scaling.of(dataset_meta.stats)
-        for name, value in (self._dataset_scaling or Scaling.paper(config.joints)).tensors().items():
+        for name, value in (self._dataset_scaling or Scaling.paper(*sizes)).tensors().items():
             self.register_buffer(name, value)
-        width = len(channels) + len(ACTION_NAMES) + (EMBEDDING if config.use_tactile else 0)
+        width = len(channels) + actions + (EMBEDDING if config.use_tactile else 0)
         self.mlp = nn.Sequential(
             nn.Linear(width, HIDDEN),
             nn.ReLU(),
             nn.Linear(HIDDEN, HIDDEN),
             nn.ReLU(),
-            nn.Linear(HIDDEN, len(ACTION_NAMES)),
+            nn.Linear(HIDDEN, actions),
         )
         self._take_dataset_rest()
         self.reset()
@@ -153,13 +155,13 @@ class PneutacBCPolicy(PreTrainedPolicy):
     # ------------------------------------------------------------ training
 
     def forward(self, batch: dict[str, Tensor]) -> tuple[Tensor, dict[str, float]]:
-        """The paper's loss: mean of |1000 (dx - dx*)|^2 (mm^2 per step) plus mean of (p - p*)^2 (kPa^2).
+        """The paper's loss: mean of |1000 (dx - dx*)|^2 (mm^2 per step) plus mean of |p - p*|^2 (kPa^2).
 
         Args:
-            batch: `action` (B, 2, 4), the previous and the present one; `action_is_pad` (B, 2), true where
-                there is none; with `previous_action_in_data` instead `action` (B, 4) and
-                `observation.previous_action` (B, 4); `observation.state` (B, 2 N + 6) with N joints; the
-                tactile image (B, 3, H, W) in [0, 1].
+            batch: `action` (B, 2, 3 + C) of C chambers, the previous and the present one; `action_is_pad`
+                (B, 2), true where there is none; with `previous_action_in_data` instead `action` (B, 3 + C)
+                and `observation.previous_action` (B, 3 + C); `observation.state` (B, 2 N + 5 + C) with N
+                joints; the tactile image (B, 3, H, W) in [0, 1].
 
         Returns:
             loss, and its two terms by name.
@@ -181,15 +183,16 @@ class PneutacBCPolicy(PreTrainedPolicy):
         """What `forward` returns, of samples whose images are prepared.
 
         Args:
-            state: (B, 2 N + 6).
-            previous: action (B, 4) of the frame before.
+            state: (B, 2 N + 5 + C).
+            previous: action (B, 3 + C) of the frame before.
             hidden: (B,), true where there is none.
-            target: action (B, 4) to be learnt.
+            target: action (B, 3 + C) to be learnt.
             difference: (B, 3, 80, 60) from `TactileEncoder.difference`; None without touch.
         """
         if self.training:
             state = state.clone()
-            state[:, PRESSURE] += self.config.pressure_noise_kpa * torch.randn_like(state[:, PRESSURE])
+            pressure = state[:, self._places.pressure]
+            pressure += self.config.pressure_noise_kpa * torch.randn_like(pressure)
             drawn = torch.rand(len(hidden), device=hidden.device)
             hidden = hidden | (drawn < self.config.previous_action_dropout)
             if difference is not None:
@@ -201,7 +204,7 @@ class PneutacBCPolicy(PreTrainedPolicy):
         error = self._predict(state, difference, previous) - target
         # Velocity m/s to displacement per step mm.
         motion = (error[:, :3] * (1000 / self.config.control_hz)).square().sum(1).mean()
-        pressure = error[:, 3].square().mean()
+        pressure = error[:, PRESSURES].square().sum(1).mean()
         loss = motion + pressure
         if not loss.isfinite():
             raise InputError(
@@ -213,7 +216,7 @@ class PneutacBCPolicy(PreTrainedPolicy):
 
     @torch.no_grad()
     def select_action(self, batch: dict[str, Tensor], **kwargs) -> Tensor:
-        """The next action (B, 4), within the action limits; remembered as the previous one.
+        """The next action (B, 3 + C), within the action limits; remembered as the previous one.
 
         Raises:
             InputError: an observation is not finite or has another shape, or there is no rest image.
@@ -223,10 +226,10 @@ class PneutacBCPolicy(PreTrainedPolicy):
 
     @torch.no_grad()
     def predict_action_chunk(self, batch: dict[str, Tensor], **kwargs) -> Tensor:
-        """The next action as a chunk of one, (B, 1, 4); remembers nothing."""
+        """The next action as a chunk of one, (B, 1, 3 + C); remembers nothing."""
         self.eval()
         state = batch[OBS_STATE]
-        size = len(state_names(self.config.joints))
+        size = len(state_names(self.config.joints, self.config.chambers))
         if state.shape[1:] != (size,):
             raise InputError(f"The state has the shape {tuple(state.shape[1:])}; it must be ({size},).")
         previous = self._hold(state) if self._previous is None else self._previous
@@ -238,9 +241,9 @@ class PneutacBCPolicy(PreTrainedPolicy):
     # ------------------------------------------------------------ network
 
     def _hold(self, state: Tensor) -> Tensor:
-        """The action (B, 4) that holds still: no velocity, and the pressure that there is."""
-        hold = torch.zeros(len(state), len(ACTION_NAMES), device=state.device)
-        hold[:, 3] = state[:, PRESSURE]
+        """The action (B, 3 + C) that holds still: no velocity, and the pressures that there are."""
+        hold = torch.zeros(len(state), len(action_names(self.config.chambers)), device=state.device)
+        hold[:, PRESSURES] = state[:, self._places.pressure]
         return hold
 
     def _difference(self, batch: dict[str, Tensor]) -> Tensor | None:
@@ -252,7 +255,7 @@ class PneutacBCPolicy(PreTrainedPolicy):
         return self.encoder.difference(batch[TACTILE])
 
     def _predict(self, state: Tensor, difference: Tensor | None, previous: Tensor) -> Tensor:
-        """Action (B, 4), m/s and kPa, not clipped, from state (B, 2 N + 6), difference, previous action."""
+        """Action (B, 3 + C), m/s and kPa, not clipped, from state, difference and previous action."""
         parts = [
             ((state - self._state_centre) / self._state_scale)[:, self._channels],
             (previous - self._action_centre) / self._action_scale,

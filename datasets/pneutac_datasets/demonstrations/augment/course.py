@@ -30,7 +30,7 @@ class Course:
         frame: of the reference.
         offset_m: (3,) displacement of the reference's path now.
         in_contact: whether this frame belongs to a contact that has come.
-        answer: (4,) to be added to the action, as the touch is elsewhere on the gel than it was.
+        answer: (3 + C,) to be added to the action, as the touch is elsewhere on the gel than it was.
     """
 
     def __init__(self, reference: Reference, aside_m: float, reaction_hz: np.ndarray):
@@ -40,7 +40,7 @@ class Course:
         self._waited = self._lost = 0
         self._largest = 0.0
         self.frame, self.offset_m, self.in_contact = -1, np.zeros(3), False
-        self.answer = np.zeros(4)
+        self.answer = np.zeros(reference.action.shape[1])
 
     def advance(self, area: float, centre_mm: np.ndarray, flange_m: np.ndarray) -> bool:
         """Goes on to the next frame.
@@ -62,7 +62,7 @@ class Course:
 
     def _answer(self, centre_mm: np.ndarray) -> None:
         """Leads the way aside as the demonstrations do where the touch is elsewhere than it was."""
-        self.answer = np.zeros(4)
+        self.answer = np.zeros_like(self.answer)
         elsewhere = 1e-3 * (centre_mm - self._centre_mm[min(self.frame, len(self._centre_mm) - 1)])
         if self.in_contact and np.isfinite(elsewhere).all():
             self.answer[:3] = self._reaction_hz @ elsewhere

@@ -25,7 +25,7 @@ from pneutac_datasets.demonstrations.augment.scene import (
 from pneutac_datasets.demonstrations.augment.variant import Variant
 from pneutac_datasets.demonstrations.episodes import POINTS
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import ACTION_NAMES, AREA, MAX_PRESSURE_KPA
+from pneutac_sim.features import MAX_PRESSURE_KPA, PRESSURES, VELOCITY_NAMES, Places
 from pneutac_sim.gel.sensor import centre_mm
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.conditions import Conditions
@@ -85,7 +85,7 @@ class Attempt:
     """What came of a variant.
 
     Attributes:
-        state: (T, 20), action: (T, 4), images: uint8 (T, H, W, 3) as recorded.
+        state: (T, 2 N + 5 + C), action: (T, 3 + C), images: uint8 (T, H, W, 3) as recorded.
         reason: why it is not kept, or None.
         cost: mean of the plans' costs.
         area_rmse: root mean square error of the contact area from its onset on.
@@ -105,7 +105,7 @@ class Attempt:
     @property
     def area(self) -> np.ndarray:
         """(T,) contact areas before each action."""
-        return self.state[:, AREA]
+        return self.state[:, Places.of(self.action.shape[1] - len(VELOCITY_NAMES)).area]
 
 
 @dataclass
@@ -189,7 +189,7 @@ class Generator:
         observation = self.world.reset(scene.seed)
         begun = scene.seed, self.world.variation
         if self.world.blocked:
-            nothing = observation.state[None][:0], np.zeros((0, len(ACTION_NAMES))), None
+            nothing = observation.state[None][:0], r.action[:0], None
             return Attempt(*nothing, IN_THE_WAY, 0.0, 1.0, begun)
         ways = self._plan(r, variant, rng) if plan else iter(np.clip(r.action, *self.world.action_limits))
         states, actions, images, areas, more, self._costs = [], [], [], [], [], []
@@ -231,14 +231,14 @@ class Generator:
         return points | {f"{OBS_IMAGES}.{name}": p for name, p in self._scene.pictures().items()}
 
     def _plan(self, r: Reference, variant: Variant, rng: np.random.Generator):
-        """Yields the next action (4,) for what is, until it is over."""
+        """Yields the next action (3 + C,) for what is, until it is over."""
         config = self.setup.planner.at(r.control_hz)
         planner = CemPlanner(self.gantry, config, rng, r.control_hz)
         r = r.prolonged(r.frames(EXTRA_STEPS))
         demonstrated, course = self._warm(r, variant), Course(r, variant.shift_m[1], self.reaction_hz)
         steps, world = np.arange(config.horizon), self.world
         fades = (1 - FEEDBACK_HZ * world.dt_s) ** steps[:, None]
-        action, queue = np.zeros(4), []
+        action, queue = np.zeros(r.action.shape[1]), []
         while course.advance(world.touch.area, self._centre_mm(), world.flange_m) and course.frame < len(r):
             t = course.frame
             if not (course.in_contact and queue):
@@ -272,12 +272,12 @@ class Generator:
         return centre_mm(touch.depth_mm, self.world.sensor.model.window_mm)
 
     def _warm(self, r: Reference, variant: Variant) -> np.ndarray:
-        """The reference's actions (T, 4) with jittered peak pressure and friction feed-forward."""
+        """The reference's actions (T, 3 + C) with jittered peak pressure and friction feed-forward."""
         action = r.action.copy()
-        peak = np.abs(action[:, 3]).max()
+        peak = np.abs(action[:, PRESSURES]).max()
         if peak > 0:
             width = np.ptp(self.world.pressure_range_kpa) / MAX_PRESSURE_KPA
-            action[:, 3] += width * variant.peak_kpa * action[:, 3] / peak
+            action[:, PRESSURES] += width * variant.peak_kpa * action[:, PRESSURES] / peak
         touching = (r.area > 0)[:, None]
         speed = np.linalg.norm(action[:, :3], axis=1, keepdims=True)
         along = action[:, :3] / np.maximum(speed, 0.01)

@@ -14,7 +14,7 @@ import numpy as np
 
 from pneutac_datasets.demonstrations.augment.reference import frames_at
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import ACTION_HIGH, CONTROL_HZ, MAX_PRESSURE_KPA
+from pneutac_sim.features import ACTION_HIGH, CONTROL_HZ, MAX_PRESSURE_KPA, PRESSURES
 from pneutac_sim.world.gantry import Gantry
 
 SMALLEST_SPREAD = 0.1  # of the first spread, so that later iterations still look around
@@ -90,15 +90,15 @@ def demonstration_cost(
         area_goal: (H,) demonstrated ones c*; NaN where none is demonstrated, and touch costs nothing.
         position_m: (..., H, 3) flange positions x.
         position_goal_m: (H, 3) demonstrated ones x*.
-        actions: (..., H, 4) as `features.ACTION_NAMES`.
-        previous: (4,) the action before them.
+        actions: (..., H, 3 + C) as `features.action_names`.
+        previous: (3 + C,) the action before them.
         config: the weights.
-        scale: (4,) the largest action, by which changes are divided.
+        scale: (3 + C,) the largest action, by which changes are divided.
 
     Returns:
         (...,), one a trajectory.
     """
-    before = np.broadcast_to(previous, (*actions.shape[:-2], 1, 4))
+    before = np.broadcast_to(previous, (*actions.shape[:-2], 1, actions.shape[-1]))
     change = np.diff(actions, axis=-2, prepend=before) / scale
     return (
         config.area_weight * np.nansum((area - area_goal) ** 2, -1)
@@ -124,19 +124,22 @@ class CemPlanner:
         self, gantry: Gantry, config: PlannerConfig, rng: np.random.Generator, control_hz: int = CONTROL_HZ
     ):
         self._gantry, self._config, self._rng = gantry, config, rng
-        self._rest, self._memory = np.empty((0, 4)), MEMORY ** (CONTROL_HZ / control_hz)
+        self._rest, self._memory = (
+            np.empty((0, len(gantry.action_limits[0]))),
+            MEMORY ** (CONTROL_HZ / control_hz),
+        )
         self.cost = 0.0
 
     def plan(
         self, warm: np.ndarray, previous: np.ndarray, area_goal: np.ndarray, position_goal_m: np.ndarray
     ) -> np.ndarray:
-        """The best sequence of actions (H, 4) found from the gantry's mirrored state.
+        """The best sequence of actions (H, 3 + C) found from the gantry's mirrored state.
 
         The first iteration tries both the warm start itself and what is left of the last plan.
 
         Args:
-            warm: (H, 4) actions to start from.
-            previous: (4,) the last action that was carried out.
+            warm: (H, 3 + C) actions to start from.
+            previous: (3 + C,) the last action that was carried out.
             area_goal: (H,) demonstrated contact areas after each action, see `demonstration_cost`.
             position_goal_m: (H, 3) demonstrated flange positions after each action.
         """
@@ -145,11 +148,12 @@ class CemPlanner:
         mean[: len(self._rest)] = self._rest[: len(mean)]
         low, high = self._gantry.action_limits
         largest = np.maximum(-low, high)
-        first = np.array([c.jitter_m_s] * 3 + [c.jitter_kpa * (high[3] - low[3]) / MAX_PRESSURE_KPA])
+        widths_kpa = (high - low)[PRESSURES]
+        first = np.append([c.jitter_m_s] * 3, c.jitter_kpa * widths_kpa / MAX_PRESSURE_KPA)
         spread = np.tile(first, (len(warm), 1))
-        tried, costs = np.empty((0, len(warm), 4)), np.empty(0)
+        tried, costs = np.empty((0, *warm.shape)), np.empty(0)
         for iteration in range(c.iterations):
-            batch = mean + spread * self._noise(c.samples, len(warm))
+            batch = mean + spread * self._noise(c.samples, warm.shape)
             if iteration == 0:
                 batch[0], batch[1] = warm, mean
             batch = np.clip(batch, low, high)
@@ -164,9 +168,9 @@ class CemPlanner:
         self._rest = plan[c.replan :]
         return plan
 
-    def _noise(self, samples: int, steps: int) -> np.ndarray:
-        """Unit normal noise (samples, steps, 4), correlated in time."""
-        noise, memory = self._rng.standard_normal((samples, steps, 4)), self._memory
-        for t in range(1, steps):
+    def _noise(self, samples: int, shape: tuple[int, ...]) -> np.ndarray:
+        """Unit normal noise (samples, steps, 3 + C), correlated in time."""
+        noise, memory = self._rng.standard_normal((samples, *shape)), self._memory
+        for t in range(1, shape[0]):
             noise[:, t] = memory * noise[:, t - 1] + np.sqrt(1 - memory**2) * noise[:, t]
         return noise

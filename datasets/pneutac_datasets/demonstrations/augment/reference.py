@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import CONTROL_HZ
+from pneutac_sim.features import CONTROL_HZ, PRESSURES
 from pneutac_sim.gel.sensor import TactileSensor, centre_mm
 
 # Frames are of the paper's rate; at another they are as many as last as long, see `frames_at`.
@@ -33,7 +33,7 @@ class Reference:
         source: index of the episode.
         flange_m: (T, 3) flange positions.
         area: (T,) contact areas.
-        action: (T, 4) as `features.ACTION_NAMES`.
+        action: (T, 3 + C) as `features.action_names`.
         task: the instruction.
         centre_mm: (T, 2) middle of the imprint across and along the finger, from the middle of the image;
             NaN without touch. None where the images were not read.
@@ -103,7 +103,8 @@ class Reference:
         for part in np.split(frames, np.flatnonzero(np.diff(frames) > self.frames(LOSS)) + 1):
             if len(part):
                 firm = self.area[part] >= FIRM * self.area[part].max()
-                pressure = np.abs(self.action[part[0] : part[np.flatnonzero(firm)[-1]] + 1, 3])
+                held = self.action[part[0] : part[np.flatnonzero(firm)[-1]] + 1, PRESSURES]
+                pressure = np.abs(held).max(1)
                 vented = np.flatnonzero(pressure < VENTED * np.maximum.accumulate(pressure))
                 found.append((int(part[0]), int(part[0] + (vented[0] if len(vented) else len(pressure)))))
         return found

@@ -40,7 +40,7 @@ from pneutac_datasets.demonstrations.episodes import (
 from pneutac_datasets.demonstrations.naive import augment_naive
 from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import AREA, EE
+from pneutac_sim.features import VELOCITY_NAMES, Places
 from pneutac_sim.files import write_text
 from pneutac_sim.gel.contact import without_specks
 from pneutac_sim.gel.sensor import TactileSensor
@@ -71,13 +71,13 @@ def read_references(
     dataset = LeRobotDataset(repo_id, root, video_backend="pyav")
     table = dataset.hf_dataset.with_format("numpy")
     state, action = (np.stack(table[k]).astype(float) for k in (OBS_STATE, ACTION))
-    references = []
+    references, places = [], Places.of(action.shape[1] - len(VELOCITY_NAMES))
     for i in range(meta.total_episodes):
         row = meta.episodes[i]
         rows = slice(row["dataset_from_index"], row["dataset_to_index"])
         s = state[rows]
-        area = without_specks(s[:, AREA])
-        r = Reference(i, s[:, EE], area, action[rows], row["tasks"][0], control_hz=meta.fps)
+        area = without_specks(s[:, places.area])
+        r = Reference(i, s[:, places.ee], area, action[rows], row["tasks"][0], control_hz=meta.fps)
         if sensor is not None:
             r.centre_mm = imprint_centres_mm(load_episode(dataset, i).images, r.area, sensor)
         references.append(r)

@@ -63,10 +63,10 @@ class Scene:
 
 
 def follow(action: np.ndarray, flange_m: np.ndarray, goal_m: np.ndarray, dt_s: float) -> np.ndarray:
-    """The demonstrated actions (H, 4), led back to the demonstrated path from where the flange is.
+    """The demonstrated actions (H, 3 + C), led back to the demonstrated path from where the flange is.
 
     Args:
-        action: (H, 4) demonstrated actions.
+        action: (H, 3 + C) demonstrated actions.
         flange_m: (3,) where the flange is.
         goal_m: (3,) where the demonstration was.
         dt_s: duration of a control step.

@@ -15,7 +15,16 @@ import pandas as pd
 
 from pneutac_datasets.demonstrations.info import is_demonstrations
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import AREA, CONTROL_HZ, EE, PRESSURE, joint_count, task_names
+from pneutac_sim.features import (
+    AREA,
+    CONTROL_HZ,
+    EE,
+    PRESSURE,
+    chamber_count,
+    joint_count,
+    task_names,
+)
+from pneutac_sim.finger.inputs import CHAMBERS
 from pneutac_sim.twin import Twin
 
 if TYPE_CHECKING:
@@ -205,6 +214,12 @@ def _refuse(folder: Path, twin: Twin, station: Station, file: Path | None) -> No
         raise InputError(
             f"{folder / 'meta' / 'info.json'}: robot_type is '{robot}'; give demonstrations of a "
             f"'{ROBOT}' robot."
+        )
+    chambers = chamber_count(info.get("features", {}).get("action", {}).get("names") or [])
+    if max(chambers, CHAMBERS.get(twin.device, 1)) > 1:
+        raise InputError(
+            f"{folder}: demonstrations are measurements of fingers of one chamber alone, and this body has"
+            " several; compare it by a bench recording (--recording=)."
         )
     faults = demonstration_faults(folder, twin, info.get("fps"))
     if faults:
