@@ -22,6 +22,7 @@ from pneutac_sim.gel.sensor import TactileSensor
 # The gel's surface (80, 59) in mm under a press at a share of its depth (`GelModel.depth_scale`).
 Pressed = Callable[[Press, float], np.ndarray]
 
+SUBCELLS = 3  # along each side of a cell, over which a bench indenter's depth is averaged
 NEAR_RADII = 3.0  # pixels within so many contact radii tell about the gel, those beyond about the session
 
 
@@ -59,8 +60,11 @@ def to_grid(image: np.ndarray) -> np.ndarray:
 
 
 def press_depth(press: Press, gel: GelModel) -> np.ndarray:
-    """Probe grid (80, 59) in mm of a bench indenter on this gel."""
-    return press.depths(gel.window_mm, gel.thickness_mm)
+    """Probe grid (80, 59) in mm of a bench indenter on this gel: the mean over each cell, as of a photograph.
+
+    A depth at each cell's centre alone would move a punch's edge by up to half a cell and make it jagged.
+    """
+    return to_grid(press.depths(gel.window_mm, gel.thickness_mm, (SUBCELLS * ROWS, SUBCELLS * COLS)))
 
 
 def registered(press: Press, gel: GelModel) -> Press:

@@ -158,3 +158,10 @@ def test_resizing_keeps_the_physics(photograph):
     assert np.abs(large - photograph(GelModel.builtin(), BALL)).max() < 3
     with pytest.raises(InputError, match="crop"):
         gel.resized(320, 320)
+
+
+def test_a_punch_that_moves_by_less_than_a_cell_is_seen_to_move():
+    gel = GelModel.builtin()
+    at = [press_depth(Press("cube", 4.0, x, 0.0, 0.5), gel) for x in (0.0, 0.07, 0.14)]
+    middle = [(d.sum(0) @ np.arange(59)) / d.sum() * 12 / 59 for d in at]
+    np.testing.assert_allclose(np.diff(middle), 0.07, atol=0.01)
