@@ -47,7 +47,7 @@ class StudioConfig:
 def main(argv: list[str]) -> None:
     """Runs the verb until it is interrupted."""
     cfg, console = parse_options(StudioConfig, argv), Console()
-    Twin.load(cfg.twin)  # before there is an address: a misspelt folder has none
+    device = Twin.load(cfg.twin).device  # before there is an address: a misspelt folder has none
     try:
         from lerobot_pneutac.studio.app import Studio
     except ModuleNotFoundError as e:
@@ -61,7 +61,7 @@ def main(argv: list[str]) -> None:
     try:
         from lerobot_pneutac.studio.session import Session
 
-        bench = None if cfg.bench == "none" else make_bench(cfg.measure, Path("outputs/studio"), 0)[0]
+        bench = None if cfg.bench == "none" else make_bench(cfg.measure, Path("outputs/studio"), 0, device)[0]
         studio.show(Session(cfg.twin, cfg.recording, cfg.policy, cfg.demonstrations, bench))
         threading.Event().wait()
     finally:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from lerobot_pneutac.diagnosis.programs import HZ, Program, pressure_span, table
+from lerobot_pneutac.diagnosis.programs import HZ, Program, beside_one, pressure_span, table
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects import memories as by
 from pneutac_sim.effects.law_table import TABLE, Row
@@ -47,7 +47,7 @@ def law_program(recording: Recording, name: str, constants: Mapping[str, float])
             t, p = np.arange(2 * len(p)) / hz, np.tile(p, 2)
         change = {"temperature_c": np.where(np.arange(len(t)) < len(t) // 2, cold, cold + WARMER_C)}
         advice += f" Do the first half at {cold:.0f} °C, the second at {cold + WARMER_C:.0f} °C."
-    return Program(f"for {name}", advice, table(recording, t, p, change))
+    return Program(f"for {name}", advice + beside_one(recording), table(recording, t, p, change))
 
 
 def law_programs(recording: Recording, effects: Mapping[str, Mapping[str, float]]) -> list[Program]:

@@ -31,7 +31,19 @@ def menu(recording: Recording) -> list[Program]:
     low, top = pressure_span(recording)
     t = np.arange(round(SECONDS * HZ)) / HZ
     made = _pressure_programs(t, low, top) + _condition_programs(recording, _triangle(t, 60.0, low, top))
-    return [Program(name, advice, table(recording, t, p, change)) for name, advice, p, change in made]
+    beside = beside_one(recording)
+    return [
+        Program(name, advice + beside, table(recording, t, p, change)) for name, advice, p, change in made
+    ]
+
+
+def beside_one(recording: Recording) -> str:
+    """A sentence on which chamber is meant, with a space before it; empty where there is one."""
+    first, *others = recording.pressure_columns
+    if not others:
+        return ""
+    stay = " and ".join(f"{recording.samples[c].median():.3g}" for c in others)
+    return f" Do so in chamber 1, while the others stay at {stay} kPa."
 
 
 def pressure_span(recording: Recording) -> tuple[float, float]:

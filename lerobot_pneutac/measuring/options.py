@@ -126,7 +126,7 @@ class MeasureConfig:
         if self.bench != STANDIN:
             return self.pressure.count
         limits = max(np.size(self.max_kpa), np.size(self.min_kpa), self.pressure.count)
-        return program_chambers(self.program) or limits
+        return program_chambers(self.program, self.recording) or limits
 
     @property
     def range_kpa(self) -> tuple[np.ndarray, np.ndarray]:

@@ -38,10 +38,12 @@ class PressureTrial:
     conditions: Mapping[str, float] = field(default_factory=dict)
 
 
-def program_chambers(given: str) -> int:
-    """Chambers that a program's table has commands of; 0 where it is no table, or has none."""
-    if given in BUILTIN or Path(given).suffix == ".json" or not Path(given).is_file():
+def program_chambers(given: str, recording: Path | None = None) -> int:
+    """Chambers of a program, or of the recording whose diagnosis it is; 0 where neither tells."""
+    if given in BUILTIN or not Path(given).is_file():
         return 0
+    if Path(given).suffix == ".json":
+        return len(Recording.load(recording).pressure_columns) if recording is not None else 0
     return chambers_commanded(_read(Path(given)))
 
 
@@ -75,7 +77,7 @@ def read_program(
     elif not Path(given).is_file():
         raise InputError(f"program={given} is neither a file nor one of {', '.join(BUILTIN)}.")
     elif Path(given).suffix == ".json":
-        trials = [_proposed(Path(given), recording, hz)]
+        trials = [_proposed(Path(given), recording, hz, chambers)]
     else:
         trials = _table(Path(given), hz, chambers)
     for t in trials:
@@ -165,7 +167,7 @@ def _table(path: Path, hz: float, chambers: int) -> list[PressureTrial]:
     return trials
 
 
-def _proposed(path: Path, recording: Path | None, hz: float) -> PressureTrial:
+def _proposed(path: Path, recording: Path | None, hz: float, chambers: int) -> PressureTrial:
     """The program on the diagnosis' menu that its advice names."""
     try:
         told = json.loads(path.read_text())
@@ -175,6 +177,11 @@ def _proposed(path: Path, recording: Path | None, hz: float) -> PressureTrial:
     if recording is None:
         raise InputError("program=result.json needs recording, the folder that was diagnosed.")
     r = Recording.load(recording)
+    if len(r.pressure_columns) != chambers:
+        raise InputError(
+            f"{recording} has {plural(len(r.pressure_columns), 'chamber')}, and {chambers} would be driven;"
+            " give the bench of the device that was diagnosed."
+        )
     found = {e: {k: v["value"] for k, v in c.items()} for e, c in told.get("parameters", {}).items()}
     for p in [*menu(r), *law_programs(r, found)]:
         if p.advice in advice:

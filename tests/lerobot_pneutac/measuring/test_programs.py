@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from lerobot_pneutac.diagnosis.programs import menu
-from lerobot_pneutac.measuring.programs import read_program
+from lerobot_pneutac.measuring.programs import program_chambers, read_program
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 
@@ -117,3 +117,21 @@ def test_a_table_of_other_chambers_is_named(tmp_path, columns, chambers, said):
 def test_limits_of_another_number_of_chambers_are_named():
     with pytest.raises(InputError, match="max_kpa has 2 numbers for 3 chambers; give one for all"):
         read_program("steps", (15.0, 15.0), 15.0, chambers=3)
+
+
+def test_what_the_diagnosis_of_an_arm_proposes_says_which_chamber_and_drives_it(tmp_path):
+    time_s = np.arange(100) / 10
+    samples = pd.DataFrame({"trial": 0, "time_s": time_s})
+    for i in range(3):
+        samples[f"pressure_cmd_{i + 1}_kpa"] = 5 + 5 * np.sin(time_s + i)
+    samples["tip_x_mm"] = samples["tip_y_mm"] = samples["tip_z_mm"] = samples["pressure_cmd_1_kpa"]
+    folder = Recording(tmp_path, {"length_mm": 110.0}, samples, "arm").write(tmp_path / "r")
+    hold = next(p for p in menu(Recording.load(folder)) if p.name == "long hold")
+    assert "Do so in chamber 1, while the others stay at" in hold.advice
+    result = tmp_path / "result.json"
+    result.write_text(json.dumps({"next_experiment": f"To tell creep from leak: {hold.advice}"}))
+    (trial,) = read_program(str(result), 15.0, 15.0, folder, chambers=3)
+    assert trial.pressure_kpa.shape[1] == 3 and np.ptp(trial.pressure_kpa, axis=0)[1:].max() == 0
+    assert np.ptp(trial.pressure_kpa[:, 0]) > 5 and program_chambers(str(result), folder) == 3
+    with pytest.raises(InputError, match="r has 3 chambers, and 1 would be driven; give the bench"):
+        read_program(str(result), 15.0, 15.0, folder)
