@@ -11,6 +11,8 @@ from lerobot.robots import RobotConfig
 from lerobot_robot_pneutac.hardware.arms import ArmConfig
 from lerobot_robot_pneutac.hardware.limits import Limits
 from lerobot_robot_pneutac.options import (
+    chambers_of,
+    check_bend,
     check_station,
     check_twin_folder,
     contact_threshold,
@@ -95,9 +97,13 @@ class PressureConfig:
 class PneutacConfig(RobotConfig):
     """A Panda with the pneumatic finger and a DIGIT, for real.
 
+    A finger of several chambers has a pressure controller for each; actions are then `pressure_1.pos` and so
+    on.
+
     Attributes:
         arm: `--robot.arm.type=panda --robot.arm.ip=...`, or `simulated` for a dry run.
-        pressure: `--robot.pressure.type=pneutac_serial --robot.pressure.port=/dev/ttyACM0`, for example.
+        pressure: `--robot.pressure.type=pneutac_serial --robot.pressure.port=/dev/ttyACM0`, for example; of
+            several chambers `--robot.pressure.ports='[/dev/ttyACM0,/dev/ttyACM1,/dev/ttyACM2]'`.
         limits: kept below any policy; the set-points are the twin's where none are given.
         digit: the tactile camera: `--robot.digit.type=digit`, `elastomer` for any other under a gel, or any
             camera type of LeRobot's; its image keeps its size.
@@ -145,9 +151,10 @@ class PneutacConfig(RobotConfig):
             self.bend and self.twin is None,
             "--robot.bend=true needs --robot.twin, the folder of the finger's calibrated twin.",
         )
-        taken = {IMAGE_NAME, *state_names(self.joints)} & self.cameras.keys()
+        taken = {IMAGE_NAME, *state_names(self.joints, self.chambers)} & self.cameras.keys()
         refuse_if(bool(taken), f"--robot.cameras has '{', '.join(taken)}', which is taken; choose another.")
         self._check_contact()
+        self._check_chambers()
         self.limits = self.limits.of_twin(pressure_range("robot.twin", self.twin))
         check_station("robot.station", self.station)
         self._where = station_of(self.station)
@@ -164,6 +171,11 @@ class PneutacConfig(RobotConfig):
         return self.arm.joints
 
     @property
+    def chambers(self) -> int:
+        """Chambers of the finger, a pressure controller each."""
+        return self.pressure.count
+
+    @property
     def control_hz(self) -> int:
         """Control rate of the station; the paper's where there is none."""
         return self._where.control_hz
@@ -173,6 +185,16 @@ class PneutacConfig(RobotConfig):
         if self.contact_threshold is not None:
             return self.contact_threshold
         return contact_threshold(self.twin)
+
+    def _check_chambers(self) -> None:
+        has = chambers_of("robot.twin", self.twin) if self.twin is not None else 0
+        refuse_if(
+            has not in (0, self.chambers),
+            f"--robot.twin has {has} chamber{'s' * (has > 1)} and --robot.pressure drives {self.chambers};"
+            f" give {'one controller' if has == 1 else '--robot.pressure.ports, one for each chamber'}.",
+        )
+        if self.bend:
+            check_bend("robot", self.twin)
 
     def _check_contact(self) -> None:
         check_twin_folder("robot.twin", self.twin)

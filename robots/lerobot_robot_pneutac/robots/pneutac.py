@@ -13,20 +13,16 @@ from lerobot_robot_pneutac.cameras.tactile import Tactile
 from lerobot_robot_pneutac.hardware.safety import Guard, within
 from lerobot_robot_pneutac.robots.base_robot import (
     BEND_NAMES,
-    POSE_NAMES,
     BaseRobot,
     action_names,
+    pose_names,
 )
 from lerobot_robot_pneutac.robots.bend import BendCommands
 from lerobot_robot_pneutac.robots.config_pneutac import PneutacConfig
 from lerobot_robot_pneutac.robots.keeping import Keeper
+from pneutac_sim import features
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import (
-    ACTION_HIGH,
-    ACTION_LOW,
-    ACTION_NAMES,
-    IMAGE_NAME,
-)
+from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, IMAGE_NAME
 from pneutac_sim.twin import Twin
 
 LET_GO_S = 3.0  # a part that takes longer to let go is left behind
@@ -37,7 +33,7 @@ logger = logging.getLogger(__name__)
 class Pneutac(BaseRobot):
     """The real robot; its features are those of `pneutac_sim`, and so are its datasets and policies.
 
-    An action is a dict of `features.ACTION_NAMES`, with `--robot.bend=true` with `bend.pos` in place of the
+    An action is a dict of `features.action_names`, with `--robot.bend=true` with `bend.pos` in place of the
     pressure; a pose, as lerobot-rollout sends it between episodes,
     moves the arm towards that pose. Every action passes the `Guard`, which see for limits and faults.
 
@@ -143,19 +139,19 @@ class Pneutac(BaseRobot):
         """
         guard = self._need_guard()
         try:
-            names = action_names(action, self.config.bend)
+            names = action_names(action, self.config.bend, self.chambers)
             values = _numbers(action, names)
         except InputError:
             guard.halt()
             raise
         if names == BEND_NAMES:
             values[3] = self._bend.pressure_kpa(values[3])
-        if names == POSE_NAMES:
+        if names == pose_names(self.chambers):
             velocity = (values[:3] - guard.look()[0].flange_m) * self.config.control_hz
             # Far away is no fault of a pose, infinitely far is.
             near = np.clip(velocity, ACTION_LOW[:3], ACTION_HIGH[:3])
             values[:3] = np.where(np.isfinite(velocity), near, velocity)
-        sent = dict(zip(ACTION_NAMES, guard.act(values).tolist(), strict=True))
+        sent = dict(zip(features.action_names(self.chambers), guard.act(values).tolist(), strict=True))
         if self.config.bend:
             self._bend.sent(sent["pressure.pos"])
         if names == BEND_NAMES:

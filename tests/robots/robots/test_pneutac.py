@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from arms import arm_twin
 from draccus.utils import DecodingError
 from lerobot.cameras.opencv import OpenCVCameraConfig
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
@@ -19,12 +20,13 @@ from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.pneutac import Pneutac
 from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import ACTION_NAMES, STATE_NAMES, state_names
+from pneutac_sim.features import ACTION_NAMES, STATE_NAMES, action_names, state_names
 from pneutac_sim.gel.contact import quieted
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.twin import Twin
 
 EE = ("ee_x.pos", "ee_y.pos", "ee_z.pos")
+LOW = Limits(pressure_kpa=10.0)
 
 
 def config(tmp_path, **kwargs) -> PneutacConfig:
@@ -91,6 +93,50 @@ def test_features_equal_the_simulated_robots(tmp_path):
     assert real.name == simulated.name
     assert list(real.observation_features.items()) == list(simulated.observation_features.items())
     assert list(real.action_features.items()) == list(simulated.action_features.items())
+
+
+def test_three_chambers_are_three_actions_and_readings_and_are_vented_together(tmp_path, make_robot):
+    twin = arm_twin().save(tmp_path / "twin")
+    robot = make_robot(pressure=PressureConfig(type="simulated", chambers=3), twin=twin, limits=LOW)
+    names = action_names(3)
+    assert tuple(robot.action_features) == names
+    assert tuple(robot.observation_features)[:-1] == state_names(7, 3)
+    wanted = dict(zip(names, [0.0, 0.0, 0.0, 3.0, 12.0, 7.0], strict=True))
+
+    def there():
+        sent, seen = robot.send_action(wanted), robot.get_observation()
+        assert sent["pressure_2.pos"] <= 10.0
+        return all(abs(seen[n] - min(wanted[n], 10.0)) < 0.3 for n in names[3:])
+
+    assert until(there)
+    assert robot.send_action(wanted)["pressure_2.pos"] == 10.0  # the limit of each
+    with pytest.raises(InputError, match="the robot takes .*pressure_3.pos"):
+        robot.send_action(act())
+    assert until(lambda: (robot._pressure.pressure() < 0.01).all())
+    robot._pressure.controllers[1].pressure = lambda: 30.0
+    assert until(lambda: robot.guard.fault is not None)
+    assert "pressure in chamber 2 is 30.0 kPa" in str(robot.guard.fault)
+    assert all(c._target_kpa == 0.0 for c in robot._pressure.controllers)
+
+
+@pytest.mark.parametrize(
+    ("device", "chambers", "bend", "sentence"),
+    [
+        (
+            "arm",
+            1,
+            False,
+            "has 3 chambers and --robot.pressure drives 1; give --robot.pressure.ports",
+        ),
+        ("finger", 3, False, "robot.twin has 1 chamber and --robot.pressure drives 3; give one controller"),
+        ("arm", 3, True, "bend=true commands the bend of one chamber and --robot.twin has 3"),
+    ],
+)
+def test_a_twin_of_other_chambers_is_refused(tmp_path, device, chambers, bend, sentence):
+    twin = (arm_twin() if device == "arm" else Twin.builtin()).save(tmp_path / "twin")
+    pressure = PressureConfig(type="simulated", chambers=chambers)
+    with pytest.raises(DecodingError, match=sentence):
+        config(tmp_path, twin=twin, pressure=pressure, bend=bend)
 
 
 def test_an_arm_of_five_joints_runs_dry_within_its_stations_box(tmp_path, make_robot):
