@@ -170,7 +170,8 @@ class _Light:
         shadowed = coefficients[:, LEVEL] > 0
         cast = np.flatnonzero(shadowed | all_shadows)
         self._shadows = _Shadows(towards[:, cast], coefficients[cast, SLOPE], cell_mm, thickness_mm, device)
-        self._cast, self._dark = cast.tolist(), torch.tensor(shadowed[:, None, None], device=device)
+        self._cast = torch.tensor(cast, device=device)
+        self._dark = torch.tensor(shadowed[:, None, None], device=device)
 
     def of(self, u: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Light and height in mm of the shadow, zero where none was asked for: (B, 3, rows, columns)."""
@@ -189,8 +190,8 @@ class _Light:
             1,
         )
         heights = torch.zeros_like(s)
-        if self._cast:
-            heights[:, self._cast] = self._shadows.cast(u[:, 0])
+        if len(self._cast):
+            heights = heights.index_copy(1, self._cast, self._shadows.cast(u[:, 0]))
             d = (heights.clamp(min=0) / c[EDGE]).clamp(max=1)
             s = torch.where(self._dark, s - d * d * (3 - 2 * d) * (s + c[LEVEL]), s)
         s += c[DEPTH_LIGHT] * u + c[ALONG] * along**2 + c[ACROSS] * across**2 + c[DEEP] * u**2

@@ -82,5 +82,7 @@ def struct(**members):
 
 
 def _has_cuda() -> bool:
+    if os.environ.get("CUDA_VISIBLE_DEVICES") in ("", "-1"):  # Taichi sees the driver alone
+        return False
     with_arch = getattr(ti._lib.core, "with_cuda", None)
     return bool(with_arch and with_arch())
