@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from pneutac_sim.gel import layout
 from pneutac_sim.gel.batch import TactileBatch
 from pneutac_sim.gel.fit import fit_gel
 from pneutac_sim.gel.indenter import Press
@@ -44,10 +45,13 @@ def main() -> None:
     generated, press = GelModel.builtin(), Press("sphere", 3.0, 0.5, 0.5, 0.9)
     photograph = TactileSensor(generated).image(press_depth(press, generated))
     calibrated = fit_gel(generated.rest_image, photograph, press, generated.px_per_mm).gel
+    lent = layout.DIGIT.lent(generated.rest_image, layout.Orientation())
+    assert lent is not None
+    lent = lent.times(float(np.linalg.norm(calibrated.light)) / 2)
     gels = {
         "generated DIGIT": generated,
         "calibrated DIGIT, all optics effects": replace(calibrated, lent=None),
-        "the same with a residual field that its make lends": calibrated,
+        "the same with a residual field that its make lends": replace(calibrated, lent=lent),
     }
     rng = np.random.default_rng(0)
     presses = [

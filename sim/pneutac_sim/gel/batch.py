@@ -16,6 +16,7 @@ from pneutac_sim.effects.photometric_nonlinearity import ACROSS, ALONG, DEEP, DI
 from pneutac_sim.effects.shadow import EDGE, LEVEL, SLOPE
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel import residual
+from pneutac_sim.gel.batch_shadow import CastShadows
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.probe import COLS, ROWS
 from pneutac_sim.gel.residual import ResidualField
@@ -24,12 +25,14 @@ from pneutac_sim.twin import Twin
 
 DEPTH_LIGHT = 2  # c_d of a channel's row of coefficients, see `gel.optics`
 WARM_UP = 3  # runs before a CUDA graph is recorded
+DEEPER_MM = 0.5  # steps of the deepest imprint for which one is recorded
 
 
 class TactileBatch:
     """`TactileSensor.image` of B probe grids.
 
-    On CUDA the work is recorded once for each size of a batch and played back, since it is many small steps.
+    On CUDA the work is recorded once for each size of a batch and half millimetre of its deepest imprint, and
+    played back, since it is many small steps.
 
     Args:
         twin: a twin with a gel, or its gel alone; the generated DIGIT where it is None or has none.
@@ -56,12 +59,12 @@ class TactileBatch:
         width, height = m.window_mm
         self._cell_mm = width / COLS, height / ROWS
         coefficients, _, beside = m.lighting
-        self._light = _Light(coefficients, self._cell_mm, m.thickness_mm, beside is not None, self._device)
+        self._light = _Light(coefficients, self._cell_mm, beside is not None, self._device)
         fields = [f for f in (m.lent, m.residual) if f is not None]
         self._fields = [_Field(f, self._cell_mm, self._device) for f in fields]
         self._share = self._sent(m.field_share) if fields else None
         self._rest, self._weight = self._sent(m.rest_image), self._sent(m.weight)
-        self._recorded: dict[int, tuple] = {}
+        self._recorded: dict[tuple[int, float], tuple] = {}
 
     def image(self, depth_mm) -> torch.Tensor:
         """Tactile images of probe grids.
@@ -79,32 +82,34 @@ class TactileBatch:
         if depth.ndim != 3 or depth.shape[1:] != (ROWS, COLS):
             raise ValueError(f"probe grids have shape (B, {ROWS}, {COLS}); got {tuple(depth.shape)}")
         with torch.no_grad():
+            deepest = DEEPER_MM * math.ceil(depth.max().item() / DEEPER_MM) if len(depth) else 0.0
             if self._device.type != "cuda" or not len(depth):
-                return self._image(depth)
-            if len(depth) not in self._recorded:
-                self._recorded[len(depth)] = self._record(depth)
-            graph, given, image = self._recorded[len(depth)]
+                return self._image(depth, deepest)
+            key = len(depth), deepest
+            if key not in self._recorded:
+                self._recorded[key] = self._record(depth, deepest)
+            graph, given, image = self._recorded[key]
             given.copy_(depth)
             graph.replay()
             return image
 
-    def _record(self, depth: torch.Tensor) -> tuple:
+    def _record(self, depth: torch.Tensor, deepest: float) -> tuple:
         """A CUDA graph, the tensor that it reads and the one that it writes."""
         given, aside = depth.clone(), torch.cuda.Stream(self._device)
         aside.wait_stream(torch.cuda.current_stream(self._device))
         with torch.cuda.stream(aside):
             for _ in range(WARM_UP):
-                self._image(given)
+                self._image(given, deepest)
         torch.cuda.current_stream(self._device).wait_stream(aside)
         graph = torch.cuda.CUDAGraph()
         with torch.cuda.graph(graph):
-            image = self._image(given)
+            image = self._image(given, deepest)
         return graph, given, image
 
-    def _image(self, depth: torch.Tensor) -> torch.Tensor:
+    def _image(self, depth: torch.Tensor, deepest: float) -> torch.Tensor:
         drawn_back = (1 - self.model.depth_scale) * depth.amax((1, 2), keepdim=True)
         u = surfaces((depth - drawn_back).clamp(min=0), self._cell_mm, self.model.decay_mm)
-        light, shadows = self._light.of(u)
+        light, shadows = self._light.of(u, deepest)
         for field in self._fields:
             light += self._share * field.levels(u, shadows)
         pixels = F.interpolate(
@@ -150,12 +155,11 @@ class _Light:
     Args:
         coefficients: (3, 12), see `gel.optics`.
         cell_mm: grid spacing along x and y.
-        thickness_mm: no surface lies deeper.
         all_shadows: also those of channels that they do not darken, which a residual field reads.
         device: where.
     """
 
-    def __init__(self, coefficients, cell_mm, thickness_mm, all_shadows, device):
+    def __init__(self, coefficients, cell_mm, all_shadows, device):
         self._cell_mm = cell_mm
         y, x = ((np.arange(n) + 0.5 - n / 2) * h for n, h in zip((ROWS, COLS), cell_mm[::-1], strict=True))
         x, y = np.meshgrid(x, y)
@@ -169,12 +173,17 @@ class _Light:
         self._linear = np.isinf(coefficients[:, DIRECT]).tolist()
         shadowed = coefficients[:, LEVEL] > 0
         cast = np.flatnonzero(shadowed | all_shadows)
-        self._shadows = _Shadows(towards[:, cast], coefficients[cast, SLOPE], cell_mm, thickness_mm, device)
+        self._shadows = CastShadows(towards[:, cast], coefficients[cast, SLOPE], cell_mm, device)
         self._cast = torch.tensor(cast, device=device)
         self._dark = torch.tensor(shadowed[:, None, None], device=device)
 
-    def of(self, u: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Light and height in mm of the shadow, zero where none was asked for: (B, 3, rows, columns)."""
+    def of(self, u: torch.Tensor, deepest: float) -> tuple[torch.Tensor, torch.Tensor]:
+        """Light and height in mm of the shadow, zero where none was asked for: (B, 3, rows, columns).
+
+        Args:
+            u: surfaces (B, rows, columns), mm.
+            deepest: of them.
+        """
         c, (gx, gy) = self._c, slopes(u, self._cell_mm)
         gx, gy, u = gx[:, None], gy[:, None], u[:, None]
         along, across = self._ex * gx + self._ey * gy, self._ex * gy - self._ey * gx
@@ -191,77 +200,11 @@ class _Light:
         )
         heights = torch.zeros_like(s)
         if len(self._cast):
-            heights = heights.index_copy(1, self._cast, self._shadows.cast(u[:, 0]))
+            heights = heights.index_copy(1, self._cast, self._shadows.cast(u[:, 0], deepest))
             d = (heights.clamp(min=0) / c[EDGE]).clamp(max=1)
             s = torch.where(self._dark, s - d * d * (3 - 2 * d) * (s + c[LEVEL]), s)
         s += c[DEPTH_LIGHT] * u + c[ALONG] * along**2 + c[ACROSS] * across**2 + c[DEEP] * u**2
         return s, heights
-
-
-class _Shadows:
-    """`effects.shadow.cast` of some channels: cells hand on the shadow's height, those of a side at once.
-
-    The cells of a side are gone through as often as a shadow may be handed on from the first to the last of
-    them, or until one of the gel's thickness has ended.
-    """
-
-    def __init__(self, towards, slope, cell_mm, thickness_mm, device):
-        hx, hy = cell_mm
-        shape = towards.shape[1:]
-        k, i, j = np.indices(shape)
-        ex, ey = towards
-        di, dj = np.where(ey > 0, 1, -1), np.where(ex > 0, 1, -1)
-        px, py = np.abs(ex) / hx, np.abs(ey) / hy
-        wide = px >= py  # it leaves through the column beside
-        near_i, near_j = np.where(wide, i, i + di), np.where(wide, j + dj, j)
-        leaves = (near_i < 0) | (near_i >= ROWS) | (near_j < 0) | (near_j >= COLS)
-        index = lambda a, b: (k * ROWS + a.clip(0, ROWS - 1)) * COLS + b.clip(0, COLS - 1)  # noqa: E731
-        near, other = index(near_i, near_j), index(i + di, j + dj)
-        outside = (i + di < 0) | (i + di >= ROWS) | (j + dj < 0) | (j + dj >= COLS)
-        other = np.where(outside, near, other)
-        steep = np.maximum(np.maximum(px, py), 1e-9)
-        f = np.minimum(px, py) / steep
-        drop = slope[:, None, None] * np.hypot(ex, ey) / steep
-        side = 2 * (di < 0) + (dj < 0)
-        self._sides = []
-        for s in range(4):
-            acts = (side == s) & ~leaves
-            if acts.any():
-                times = min(
-                    _longest(near, other, acts), math.ceil(thickness_mm / max(drop[acts].min(), 1e-9))
-                )
-                self._sides.append(
-                    (
-                        torch.tensor(np.stack([near, other]).reshape(-1), device=device),
-                        torch.tensor(f.reshape(-1, 1), dtype=torch.float32, device=device),
-                        torch.tensor(
-                            np.where(acts, drop, np.inf).reshape(-1, 1), dtype=torch.float32, device=device
-                        ),
-                        times,
-                    )
-                )
-
-    def cast(self, u: torch.Tensor) -> torch.Tensor:
-        """Heights in mm over surfaces (B, rows, columns), (B, channels, rows, columns)."""
-        flat = u.reshape(len(u), -1).T
-        channels = len(self._sides[0][1]) // len(flat)
-        S = flat.repeat(channels, 1)
-        for cells, f, drop, times in self._sides:
-            for _ in range(times):
-                near, other = S.index_select(0, cells).view(2, *S.shape)
-                S = torch.maximum(S, torch.lerp(near, other, f).sub_(drop))
-        return (S.T.reshape(len(u), channels, -1) - flat.T[:, None]).reshape(len(u), channels, *u.shape[1:])
-
-
-def _longest(near: np.ndarray, other: np.ndarray, acts: np.ndarray) -> int:
-    """How many cells hand on, one after another, at most."""
-    steps, near, other, acts = np.zeros(near.size, int), near.ravel(), other.ravel(), acts.ravel()
-    for n in range(near.size):
-        longer = np.where(acts, 1 + np.maximum(steps[near], steps[other]), 0)
-        if (longer == steps).all():
-            return n
-        steps = longer
-    return near.size
 
 
 class _Field:
