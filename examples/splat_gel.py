@@ -1,4 +1,4 @@
-"""The gel as Gaussian splats: 61,360 particles, each with one Gaussian, move with a press and are drawn."""
+"""The gel as Gaussian splats: 18,880 particles, each with one Gaussian, move with a press and are drawn."""
 
 from pathlib import Path
 

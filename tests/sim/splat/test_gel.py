@@ -96,7 +96,7 @@ def test_bad_input_is_refused(sensor):
     with pytest.raises(InputError, match="layers"):
         SplatSensor(sensor.model, layers=1)
     with pytest.raises(InputError, match="colours"):
-        SplatSensor(sensor.model, layers=4, looks=sensor.looks)
+        SplatSensor(sensor.model, layers=5, looks=sensor.looks)
     with pytest.raises(InputError, match="displacement_mm"):
         sensor.image(REST[:5] + np.nan)
     with pytest.raises(InputError, match="thickness"):
