@@ -214,10 +214,13 @@ def test_options_that_do_not_fit_are_refused(tmp_path, options, sentence):
 
 
 def test_the_options_of_a_bench_come_from_a_file_as_the_page_shows_it(tmp_path):
-    (shown,) = (b.text for b in blocks("docs/how_to/ask_the_bench.md") if b.kind == "yaml")
+    shown, arm = (b.text for b in blocks("docs/how_to/ask_the_bench.md") if b.kind == "yaml")
     (tmp_path / "bench.yaml").write_text(shown)
     bench, usual = make_bench(tmp_path / "bench.yaml", tmp_path / "out", 0)
     assert bench.range_kpa == (0.0, 15.0) and bench.hz == 20.0 and bench.pause_s is None
+    (tmp_path / "bench.yaml").write_text(arm)
+    bench, usual = make_bench(tmp_path / "bench.yaml", tmp_path / "out", 0)
+    assert [x.tolist() for x in bench.range_kpa] == [[0, 0, 0], [15, 15, 12]]
     (tmp_path / "bench.yaml").write_text(shown.replace("max_kpa", "maximum_kpa"))
     with pytest.raises(InputError, match="maximum_kpa"):
         make_bench(tmp_path / "bench.yaml", tmp_path / "out", 0)
