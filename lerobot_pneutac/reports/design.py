@@ -32,12 +32,13 @@ def design_page(design) -> Report:
 
 
 def pressure_traces(time_s: np.ndarray, pressure_kpa: np.ndarray) -> list[go.Scatter]:
-    """What is commanded (n, chambers), one line a chamber."""
+    """What is commanded (n, chambers), one line a chamber, each narrower, so that equal ones are seen."""
     several = pressure_kpa.shape[1] > 1
+    widths = 2.0 + 2.5 * np.arange(pressure_kpa.shape[1])[::-1]
     return [
         go.Scatter(
             x=time_s, y=kpa, name=f"chamber {i + 1}", showlegend=several,
-            line={"shape": "hv", "color": colour},
+            line={"shape": "hv", "color": colour, "width": width},
         )
-        for i, (kpa, colour) in enumerate(zip(pressure_kpa.T, CHAMBERS, strict=False))
+        for i, (kpa, colour, width) in enumerate(zip(pressure_kpa.T, CHAMBERS, widths, strict=False))
     ]  # fmt: skip
