@@ -295,13 +295,13 @@ def test_a_run_is_a_recording_with_true_tips_that_compare_accepts(bench, tmp_pat
 
 @pytest.mark.slow
 def test_three_chambers_on_three_controllers_are_an_arm(bench, tmp_path, monkeypatch):
-    parts = {port: SimulatedPressure(max_kpa=12.0, time_constant_s=0.05) for port in "abc"}
-    BenchRendered.chamber = parts["a"]
+    parts = {port: SimulatedPressure(max_kpa=12.0, time_constant_s=0.05) for port in ("/a", "/b", "/c")}
+    BenchRendered.chamber = parts["/a"]
     monkeypatch.setattr(pressure_module, "make_pressure_controller", lambda type, port, **_: parts[port])
     columns = command_columns(3)
     rows = [(0, t, *p) for t, p in ((0, (0, 0, 0)), (0.3, (4, 0, 8)), (1.5, (9, 6, 3)), (3, (0, 0, 0)))]
     pd.DataFrame(rows, columns=["trial", "time_s", *columns]).to_csv(tmp_path / "stairs.csv", index=False)
-    measure.main([*bench, "--pressure.ports=a,b,c", "--max_kpa=10,8,9"])
+    measure.main([*bench, "--pressure.ports=/a,/b,/c", "--max_kpa=10,8,9"])
     r = Recording.load(tmp_path / "run")
     assert r.device == "arm" and r.pressure_columns == columns
     np.testing.assert_allclose(r.samples[columns].max(), [9, 6, 8])
@@ -309,7 +309,13 @@ def test_three_chambers_on_three_controllers_are_an_arm(bench, tmp_path, monkeyp
     assert [p._target_kpa for p in parts.values()] == [0.0, 0.0, 0.0]
     with pytest.raises(InputError, match="from 0 to 8 kPa in chamber 3; min_kpa and max_kpa allow 0 to 7"):
         measure.main(
-            [*bench[:4], f"--out={tmp_path / 'b'}", *bench[5:], "--pressure.ports=a,b,c", "--max_kpa=10,8,7"]
+            [
+                *bench[:4],
+                f"--out={tmp_path / 'b'}",
+                *bench[5:],
+                "--pressure.ports=/a,/b,/c",
+                "--max_kpa=10,8,7",
+            ]
         )
 
 

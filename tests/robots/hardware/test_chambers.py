@@ -133,10 +133,11 @@ def test_all_are_vented_where_one_cannot_be():
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        ({"ports": ("a", "b", "a")}, "ports names a for chambers 1 and 3; each chamber needs a controller"),
-        ({"ports": ("a", "b")}, "2 controllers are given; a finger has one chamber, an arm three"),
-        ({"ports": ("a", "b", "c"), "port": "a"}, "port and ports are both given"),
-        ({"ports": ("a", "b", "c"), "chambers": 2}, "ports has 3 for chambers=2"),
+        ({"ports": ("/a", "/b", "/a")}, "ports names /a for chambers 1 and 3; each chamber needs"),
+        ({"ports": tuple("/a,/b,/c")}, "ports is '/a,/b,/c'; write a list in brackets, such as"),
+        ({"ports": ("/a", "/b")}, "2 controllers are given; a finger has one chamber, an arm three"),
+        ({"ports": ("/a", "/b", "/c"), "port": "/a"}, "port and ports are both given"),
+        ({"ports": ("/a", "/b", "/c"), "chambers": 2}, "ports has 3 for chambers=2"),
         ({"port": "a", "chambers": 3}, "port is one for chambers=3; give ports"),
         (
             {"chambers": 3, "options": {"max_kpa": [1.0, 2.0]}},
