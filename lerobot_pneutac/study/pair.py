@@ -13,6 +13,7 @@ from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import an, plural
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import BodyData, Pipeline
+from pneutac_sim.finger.inputs import CHAMBERS
 from pneutac_sim.twin import Twin
 
 LONGER = "Record ten minutes with steps, slow and fast ramps and long holds, in several trials."
@@ -48,6 +49,17 @@ def same_device(twin: Twin, recording: Recording | Demonstrations, twin_name: st
         raise InputError(
             f"{recording.folder} is of {an(recording.device)} and {twin_name} of {an(twin.device)}; "
             f"{verb} a twin with a recording of its own device."
+        )
+
+
+def same_chambers(twin: Twin, driven: int) -> None:
+    """Raises InputError where a bench drives another number of chambers than the twin's device has."""
+    needed = CHAMBERS.get(twin.device, 0)
+    if needed != driven:
+        has = plural(needed, "chamber") if needed else "no chambers"
+        raise InputError(
+            f"The twin is of {an(twin.device)}, which has {has}, and the bench drives {driven}; give a bench"
+            " and a twin of one device."
         )
 
 

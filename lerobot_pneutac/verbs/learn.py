@@ -11,7 +11,7 @@ from lerobot_pneutac.diagnosis.design import NO_HANDS, Choice, Limits, choices
 from lerobot_pneutac.diagnosis.hands import Hands, instructions
 from lerobot_pneutac.diagnosis.result import Contender
 from lerobot_pneutac.reports.learn_film import FORESEEN
-from lerobot_pneutac.study.pair import same_body
+from lerobot_pneutac.study.pair import same_body, same_chambers
 from lerobot_pneutac.verbs.benches import Bench, save_program
 from lerobot_pneutac.verbs.contenders import load_contenders
 from lerobot_pneutac.verbs.diagnose import diagnose
@@ -20,11 +20,9 @@ from lerobot_pneutac.verbs.foreseen import error_of, not_as_asked, paths
 from lerobot_pneutac.verbs.learning import Learning, Round
 from pneutac_datasets.recording.joined import joined
 from pneutac_datasets.recording.recording import Recording
-from pneutac_datasets.recording.wording import an, plural
 from pneutac_sim.effects.laws import family
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import whole, write_json
-from pneutac_sim.finger.inputs import CHAMBERS
 from pneutac_sim.twin import Twin
 
 CONFIRMS = 1.5  # error over noise, before it was used, up to which a recording confirms what predicted it
@@ -71,12 +69,7 @@ def learn(
     """
     out = Path(out)
     limits = Limits(*bench.range_kpa, bench.hz, budget_s, program_s)
-    if (needed := CHAMBERS.get(twin.device)) != limits.chambers:
-        has = plural(needed, "chamber") if needed else "no chambers"
-        raise InputError(
-            f"The twin is of {an(twin.device)}, which has {has}, and the bench drives {limits.chambers}; give"
-            " a bench and a twin of one device."
-        )
+    same_chambers(twin, limits.chambers)
     rounds = Rounds(out, twin, bench, seed, jobs, progress, hands)
     while True:
         left_s = budget_s - sum(r.seconds for r in rounds.done)
