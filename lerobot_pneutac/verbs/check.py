@@ -13,7 +13,7 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.finger import Pipeline
 from pneutac_sim.finger.online import COMPUTED
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.twin import Twin
+from pneutac_sim.twin import PAPER_FINGER, Twin, Value
 from pneutac_sim.world.checks import check_networks, out_of_reach
 from pneutac_sim.world.station import Station, station_file
 from pneutac_sim.world.station_faults import station_faults
@@ -101,6 +101,12 @@ def _twin(path: Path) -> tuple[list[str], list[str]]:
             notes.append(f"The world needs {', '.join(missing)}, which `pneutac new` and `calibrate` write.")
         else:
             notes += _networks(twin)
+    stiffness = twin.parameters.get(WORLD[0])
+    if twin.device == "arm" and stiffness == Value(PAPER_FINGER[WORLD[0]]):
+        notes.append(
+            f"{WORLD[0]} is {stiffness.value:g}, assumed and not measured: it is how far a touch bends the"
+            " body in the world; measure it by a weight across the tip."
+        )
     return faults, notes
 
 

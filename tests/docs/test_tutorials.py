@@ -29,6 +29,7 @@ pytestmark = pytest.mark.timeout(1200)  # two busy cores; a page takes one or tw
         pytest.param("docs/how_to/command_a_bend.md", marks=NIGHTLY),
         pytest.param("docs/how_to/demonstrations.md", marks=NIGHTLY),
         pytest.param("docs/how_to/scene_cameras.md", marks=NIGHTLY),
+        pytest.param("docs/how_to/several_chambers.md", marks=NIGHTLY),
     ],
 )
 def test_blocks_run(page, tmp_path):

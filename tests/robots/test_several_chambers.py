@@ -1,21 +1,44 @@
 """A body of three chambers as LeRobot sees it: robot, scripted teleoperator, environment, dataset."""
 
+import json
+import subprocess
+import sys
+import time
+
 import numpy as np
 import pytest
+import torch
 from arms import arm_twin
 from draccus.utils import DecodingError
-from lerobot.datasets import LeRobotDataset
+from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
 from lerobot.envs.factory import make_env
 from lerobot.envs.utils import env_to_policy_features, preprocess_observation
+from lerobot.utils.feature_utils import dataset_to_policy_features
 
+from lerobot_pneutac.rl.options import PpoConfig
+from lerobot_pneutac.verbs.augment import AugmentConfig, DatasetRef
 from lerobot_robot_pneutac.env import PneutacEnvConfig
+from lerobot_robot_pneutac.policy.configuration_pneutac_bc import PneutacBCConfig
+from lerobot_robot_pneutac.policy.modeling_pneutac_bc import PneutacBCPolicy
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
 from lerobot_robot_pneutac.teleoperators.config_pneutac_scripted import PneutacScriptedConfig
 from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
+from lerobot_robot_pneutac.teleoperators.velocity_teleop import VelocityTeleop, VelocityTeleopConfig
+from pneutac_datasets.demonstrations.augment.planner import CemPlanner, PlannerConfig
+from pneutac_datasets.demonstrations.augment.run import read_references
+from pneutac_datasets.demonstrations.episodes import load_episode
+from pneutac_datasets.demonstrations.faults import demonstration_faults
+from pneutac_datasets.demonstrations.naive import vary
+from pneutac_datasets.demonstrations.pool import pool_demonstrations
 from pneutac_datasets.demonstrations.record import record_episodes
+from pneutac_datasets.demonstrations.replay.reading import load_demonstrations
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import action_names, state_names
+from pneutac_sim.gel.sensor import TactileSensor
+from pneutac_sim.twin import Twin
+from pneutac_sim.world.gantry import Gantry
+from pneutac_sim.world.varied import Variation, VariedWorld
 
 ACTIONS = ["dx.vel", "dy.vel", "dz.vel", "pressure_1.pos", "pressure_2.pos", "pressure_3.pos"]
 
@@ -59,16 +82,86 @@ def test_a_pose_with_its_pressures_moves_the_robot(robot):
     assert seen["pressure_2.pos"] == pytest.approx(15.0)
 
 
-def test_demonstrations_are_recorded(folder, tmp_path):
+@pytest.fixture(scope="module")
+def demonstrations(folder, tmp_path_factory):
+    """Two, of the button."""
     robot = PneutacSim(PneutacSimConfig(id="arm", task="button", twin=folder, fidelity="probe"))
     teleop = PneutacScripted(PneutacScriptedConfig(id="expert"))
     assert teleop.action_features == robot.action_features
-    root = record_episodes(robot, teleop, "local/arm", tmp_path / "data", 1, "press", False)
-    data = LeRobotDataset("local/arm", root=root)
+    root = tmp_path_factory.mktemp("demonstrations") / "data"
+    return record_episodes(robot, teleop, "local/arm", root, 2, "press", False)
+
+
+def test_demonstrations_are_recorded(demonstrations):
+    data = LeRobotDataset("local/arm", root=demonstrations)
     assert data.features["action"]["names"] == ACTIONS
     assert data.features["observation.state"]["names"] == list(state_names(7, 3))
     actions = np.stack([data[i]["action"] for i in range(len(data))])
     assert actions[:, 3:].min() >= 0 and actions[:, 3].max() > 20 and actions[:, 5].max() > 5
+
+
+def test_a_policy_is_sized_by_the_demonstrations(demonstrations, tmp_path):
+    meta = LeRobotDatasetMetadata("local/arm", demonstrations)
+    features = dataset_to_policy_features(meta.features)
+    config = PneutacBCConfig(device="cpu")
+    config.output_features = {"action": features.pop("action")}
+    config.input_features = features
+    policy = PneutacBCPolicy(config, dataset_meta=meta)
+    assert (config.joints, config.chambers) == (7, 3)
+    assert policy._action_high[3:].tolist() == pytest.approx(meta.stats["action"]["max"][3:], abs=1e-4)
+    assert policy._action_low[3:].tolist() == [0.0, 0.0, 0.0]
+    data = LeRobotDataset("local/arm", root=demonstrations, delta_timestamps={"action": [-1 / 15, 0.0]})
+    batch = torch.utils.data.default_collate([data[i] for i in (0, 40, 80)])
+    policy.train()
+    loss, terms = policy.forward(batch)
+    loss.backward()
+    assert loss.isfinite() and policy.mlp[0].weight.grad.abs().sum() > 0
+    seen = {k: v[:1] for k, v in batch.items() if k.startswith("observation")}
+    action = policy.select_action(seen)
+    assert action.shape == (1, 6) and (action <= policy._action_high).all()
+    policy.save_pretrained(tmp_path)
+    assert "`pressure_3.pos` | kPa" in (tmp_path / "README.md").read_text()
+
+
+def test_naive_augmentation_varies_all_pressures_alike(demonstrations):
+    data = LeRobotDataset("local/arm", root=demonstrations, return_uint8=True)
+    episode = load_episode(data, 0)
+    new = vary(episode, None, np.zeros((3, 7)), np.random.default_rng(3), (0.0, 50.0))
+    for pressures in (new.action[:, 3:], new.state[:, episode.places.pressure]):
+        ratio = pressures[:, 2].max() / pressures[:, 0].max()
+        assert ratio == pytest.approx(episode.action[:, 5].max() / episode.action[:, 3].max(), rel=0.01)
+        assert pressures.max() != pytest.approx(episode.action[:, 3:].max(), rel=1e-3)
+    assert new.state.shape[1] == 22 and new.action.shape[1] == 6
+
+
+def test_a_plan_follows_the_demonstrated_touch(demonstrations, folder):
+    """The planner moves all six numbers, and keeps within their limits."""
+    twin = Twin.load(folder)
+    _, references = read_references(demonstrations, "local/arm", TactileSensor(twin))
+    r = references[0]
+    world = VariedWorld("button", twin, "area", "probe")
+    world.variation = Variation(tuple(r.flange_m[0]))
+    world.reset(5)
+    gantry = Gantry(world)
+    gantry.mirror(world)
+    config = PlannerConfig(samples=4, elites=2, iterations=1, horizon=6)
+    planner = CemPlanner(gantry, config, np.random.default_rng(0))
+    warm = np.clip(r.action[20:26], *world.action_limits)
+    plan = planner.plan(warm, np.zeros(6), r.area[21:27], r.flange_m[21:27])
+    assert plan.shape == (6, 6) and np.isfinite(planner.cost)
+    assert (plan >= world.action_limits[0]).all() and (plan <= world.action_limits[1]).all()
+    for action in plan:  # the reduced world goes where the world goes
+        world.step(action)
+    gantry.rollout(plan)
+    np.testing.assert_allclose(gantry.spine_rad, world.spine_rad, atol=2e-3)
+    np.testing.assert_allclose(gantry.gel_m, world.gel_m, atol=1e-3)
+
+
+def test_demonstrations_of_another_body_are_told(demonstrations, folder):
+    faults = demonstration_faults(demonstrations, Twin.builtin())
+    told = "'action' has 3 pressures and the twin 1 chamber; give the twin of the body that was recorded."
+    assert any(f.endswith(told) for f in faults)
+    assert not demonstration_faults(demonstrations, Twin.load(folder))
 
 
 def test_the_environment_gives_what_its_config_promises(folder):
@@ -82,6 +175,39 @@ def test_the_environment_gives_what_its_config_promises(folder):
     env.close()
 
 
+def test_a_hand_leads_the_chambers_by_their_shares(folder, robot):
+    class Hand(VelocityTeleop):
+        name, config_class = "hand", VelocityTeleopConfig
+
+        def _open(self):
+            pass
+
+        def _close(self):
+            pass
+
+        def _read(self):
+            return np.array([1.0, 0.0, 0.0]), self.change
+
+    hand = Hand(VelocityTeleopConfig(id="hand", chamber_shares=[1, 0, 0.5], pressure_rate_kpa_s=100.0))
+    hand.change = 0.0
+    hand._let_go = True
+    hand.connect()
+    hand._let_go, hand.change = True, 1.0
+    time.sleep(0.05)
+    action = hand.get_action()
+    assert list(action) == ACTIONS == list(hand.action_features) and action["pressure_1.pos"] > 1.0
+    assert action["pressure_2.pos"] == 0 and action["pressure_3.pos"] == 0.5 * action["pressure_1.pos"]
+    robot.send_action(action)
+    few = "give 3 numbers from 0 to 1"
+    for wrong, said in (
+        ({"chamber_shares": [1.0]}, few),
+        ({"chamber_shares": [0.0, 0.0, 0.0]}, few),
+        ({"chamber_shares": [1, 0, 0], "bend_range_rad": (0.1, 1.0)}, "bend_range_rad is for one chamber"),
+    ):
+        with pytest.raises(DecodingError, match=said):
+            VelocityTeleopConfig(**wrong)
+
+
 def test_what_does_not_work_is_refused_before_any_work(folder):
     for kind, option in ((PneutacSimConfig, "robot"), (PneutacEnvConfig, "env")):
         with pytest.raises(
@@ -92,3 +218,41 @@ def test_what_does_not_work_is_refused_before_any_work(folder):
         DecodingError, match="--robot.bend=true commands the bend of one chamber and --robot.twin has"
     ):
         PneutacSimConfig(twin=folder, fidelity="probe", bend=True)
+    with pytest.raises(InputError, match="ppo trains fingers of one chamber and .* has several; record"):
+        PpoConfig(out=folder / "ppo", twin=folder)
+    given = {"dataset": DatasetRef("local/arm", folder), "output": DatasetRef("local/new", folder / "new")}
+    with pytest.raises(
+        InputError, match="Fidelity 'mpm' is for fingers of one chamber; this twin's arm has 3"
+    ):
+        AugmentConfig(**given, twin=folder, fidelity="probe", check_mpm=1)
+
+
+def test_demonstrations_of_several_chambers_are_no_measurements_yet(demonstrations, folder):
+    with pytest.raises(
+        InputError, match="of fingers of one chamber alone, and this body has several; compare it"
+    ):
+        load_demonstrations(demonstrations, "button", Twin.load(folder))
+
+
+@pytest.mark.nightly
+def test_a_policy_learns_to_press_the_button(folder, tmp_path):
+    """By LeRobot's commands, from thirty demonstrations: in at least eight of ten tries."""
+    robot = PneutacSim(PneutacSimConfig(id="arm", task="button", twin=folder, fidelity="probe"))
+    teleop = PneutacScripted(PneutacScriptedConfig(id="expert"))
+    record_episodes(robot, teleop, "local/arm", tmp_path / "data", 30, "press", False)
+    small = pool_demonstrations([tmp_path / "data"], tmp_path / "small", "local/small")
+    run = [sys.executable, "-m"]
+    subprocess.run(
+        [*run, "lerobot.scripts.lerobot_train", "--policy.type=pneutac_bc", "--policy.device=cpu",
+         "--policy.previous_action_in_data=true", "--dataset.repo_id=local/small", f"--dataset.root={small}",
+         f"--output_dir={tmp_path / 'policy'}", "--steps=2500", "--batch_size=64", "--num_workers=1",
+         "--save_freq=2500", "--env_eval_freq=0", "--wandb.enable=false"], check=True,
+    )  # fmt: skip
+    weights = tmp_path / "policy" / "checkpoints" / "last" / "pretrained_model"
+    subprocess.run(
+        [*run, "lerobot.scripts.lerobot_eval", f"--policy.path={weights}", "--policy.device=cpu",
+         "--env.type=pneutac", "--env.task=button", f"--env.twin={folder}", "--env.fidelity=probe",
+         "--eval.n_episodes=10", "--eval.batch_size=1", f"--output_dir={tmp_path / 'eval'}"], check=True,
+    )  # fmt: skip
+    told = json.loads((tmp_path / "eval" / "eval_info.json").read_text())["overall"]
+    assert told["pc_success"] >= 80.0

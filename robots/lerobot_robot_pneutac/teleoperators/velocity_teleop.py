@@ -13,7 +13,8 @@ from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnected
 from lerobot_robot_pneutac.options import refuse_if
 from lerobot_robot_pneutac.robots.base_robot import BEND_NAMES
 from lerobot_robot_pneutac.teleoperators.base_teleop import BaseTeleop
-from pneutac_sim.features import ACTION_NAMES, MAX_PRESSURE_KPA, MAX_SPEED_M_S
+from pneutac_sim.features import MAX_PRESSURE_KPA, MAX_SPEED_M_S, action_names
+from pneutac_sim.finger.inputs import CHAMBERS
 
 logger = logging.getLogger(__name__)
 
@@ -34,6 +35,8 @@ class VelocityTeleopConfig(TeleoperatorConfig):
         min_pressure_kpa: lowest set-point, 0 or, for a finger bent by vacuum, below.
         bend_range_rad: smallest and largest bend, such as [0.5, 1.2]; the person's hand then changes the bend
             and not the pressure, from the smallest on, for a robot with `--robot.bend=true`.
+        chamber_shares: shares of the set-point that each of several chambers gets, such as [1, 0, 0.5]; left
+            out for a finger of one chamber.
     """
 
     speed_m_s: float = 0.05
@@ -41,6 +44,7 @@ class VelocityTeleopConfig(TeleoperatorConfig):
     max_pressure_kpa: float = MAX_PRESSURE_KPA
     min_pressure_kpa: float = 0.0
     bend_range_rad: tuple[float, float] | None = None
+    chamber_shares: list[float] | None = None
 
     def __post_init__(self):
         refuse_if(
@@ -57,6 +61,16 @@ class VelocityTeleopConfig(TeleoperatorConfig):
         refuse_if(
             given is not None and not -np.inf < given[0] < given[1] < np.inf,
             f"--teleop.bend_range_rad is {given}; give the smaller bend first, as in [0.5,1.2].",
+        )
+        shares, several = self.chamber_shares, max(CHAMBERS.values())
+        refuse_if(
+            shares is not None
+            and (len(shares) != several or not all(0 <= s <= 1 for s in shares) or not any(shares)),
+            f"--teleop.chamber_shares is {shares}; give {several} numbers from 0 to 1, as in [1,0,0.5].",
+        )
+        refuse_if(
+            shares is not None and given is not None,
+            "--teleop.bend_range_rad is for one chamber; leave it out, or --teleop.chamber_shares.",
         )
         refuse_if(
             not 0 < self.pressure_rate_kpa_s < np.inf,
@@ -86,8 +100,9 @@ class VelocityTeleop(BaseTeleop):
 
     @property
     def action_features(self) -> dict[str, type]:
-        """Velocities (m/s) and pressure (kPa), with `bend_range_rad` bend (rad)."""
-        return dict.fromkeys(ACTION_NAMES if self.config.bend_range_rad is None else BEND_NAMES, float)
+        """Velocities (m/s) and pressures (kPa), with `bend_range_rad` bend (rad)."""
+        own = action_names(len(self.config.chamber_shares or [1]))
+        return dict.fromkeys(own if self.config.bend_range_rad is None else BEND_NAMES, float)
 
     @abstractmethod
     def _open(self) -> None:
@@ -139,7 +154,8 @@ class VelocityTeleop(BaseTeleop):
         velocity = self.config.speed_m_s * direction / max(1.0, float(np.linalg.norm(direction)))
         held = self._held + change * self._rate * min(tick_s, MAX_TICK_S)
         self._held = float(np.clip(held, self._low, self._high))
-        return dict(zip(self.action_features, [*velocity.tolist(), self._held], strict=True))
+        held = [share * self._held for share in self.config.chamber_shares or [1]]
+        return dict(zip(self.action_features, [*velocity.tolist(), *held], strict=True))
 
     def disconnect(self) -> None:
         """Lets go of the device."""

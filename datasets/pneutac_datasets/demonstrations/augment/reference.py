@@ -99,12 +99,13 @@ class Reference:
         where the demonstration lets the air out, whatever the finger brushes on its way back.
         """
         frames = np.flatnonzero(self.area > 0)
-        found = []
+        held, found = np.abs(self.action[:, PRESSURES]), []
+        # Several chambers may hold a bend that is no press: they are let go where they come near it.
+        held = held[:, 0] if held.shape[1] == 1 else held.max(1) - held.max(1).min()
         for part in np.split(frames, np.flatnonzero(np.diff(frames) > self.frames(LOSS)) + 1):
             if len(part):
                 firm = self.area[part] >= FIRM * self.area[part].max()
-                held = self.action[part[0] : part[np.flatnonzero(firm)[-1]] + 1, PRESSURES]
-                pressure = np.abs(held).max(1)
+                pressure = held[part[0] : part[np.flatnonzero(firm)[-1]] + 1]
                 vented = np.flatnonzero(pressure < VENTED * np.maximum.accumulate(pressure))
                 found.append((int(part[0]), int(part[0] + (vented[0] if len(vented) else len(pressure)))))
         return found
