@@ -60,6 +60,12 @@ new --twin=other --mesh=nowhere.stl --mesh_unit=inch
 new --twin=other --recording=nowhere
 measure
 measure --program=dance
+measure --bench=lab
+measure --bench=standin
+measure --bench=standin --out=other --max_kpa=much
+measure --bench=standin --out=other --max_kpa=15,15 --program=steps
+measure --bench=standin --out=other --max_kpa=90,90,90 --program=steps
+measure --pressure.type=simulated --pressure.ports=/a,/b,/a
 render
 render --twin=nowhere
 render --twin=finger --seconds=0

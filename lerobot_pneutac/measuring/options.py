@@ -11,7 +11,7 @@ from lerobot_pneutac.measuring.programs import program_chambers
 from lerobot_robot_pneutac import DigitConfig  # noqa: F401  registers the tactile cameras
 from lerobot_robot_pneutac.hardware.parts import COMMAND_S
 from lerobot_robot_pneutac.robots.config_pneutac import PressureConfig
-from pneutac_datasets.recording.chambers import per_chamber
+from pneutac_datasets.recording.chambers import device_with, per_chamber
 from pneutac_datasets.recording.mounts import CONDITIONS
 from pneutac_sim.errors import InputError, check_choice
 
@@ -117,8 +117,9 @@ class MeasureConfig:
             raise InputError(f"rest_s={self.rest_s} must be 0 or more.")
         if self.out is not None and self.out.exists() and (not self.out.is_dir() or any(self.out.iterdir())):
             raise InputError(f"out={self.out} is not empty; give a new folder.")
-        if self.bench != STANDIN:
-            self.range_kpa  # noqa: B018  raises where the limits are of other chambers
+        device_with(self.chambers)
+        per_chamber("min_kpa", self.min_kpa, self.chambers)
+        per_chamber("max_kpa", self.max_kpa, self.chambers)
 
     @property
     def chambers(self) -> int:

@@ -14,8 +14,8 @@ def device_with(chambers: int) -> str:
     for device, count in CHAMBERS.items():
         if count == chambers:
             return device
-    known = " and ".join(f"{count} (of {an(device)})" for device, count in CHAMBERS.items())
-    raise InputError(f"There is no device with {chambers} chambers; pressures are commanded of {known}.")
+    known = " and ".join(f"{an(device)} has {count}" for device, count in CHAMBERS.items())
+    raise InputError(f"There is no device with {chambers} chambers; {known}.")
 
 
 def command_columns(chambers: int) -> list[str]:
