@@ -88,7 +88,7 @@ class Studio:
                 pages["Touch"] = GelPage(self)
         if self.session.recording is not None:
             self._add_recorded(tabs, pages, self.session.recording.device in CHAMBERS)
-        if twin.device == "finger":
+        if twin.device in CHAMBERS:
             from lerobot_pneutac.studio.world_page import WorldPage
 
             with tabs.add_tab("World", viser.Icon.WORLD):

@@ -56,7 +56,7 @@ class PolicyPlayer:
         self._policy.reset()
 
     def action(self, observation: dict) -> np.ndarray:
-        """(4,) as `features.ACTION_NAMES`, by an observation of `TaskEnv`."""
+        """(3 + C,) as `features.action_names`, by an observation of `TaskEnv`."""
         batch = {"agent_pos": observation["agent_pos"][None], "pixels": dict(observation["pixels"])}
         prepared = self._before(preprocess_observation(batch) | {"task": [self._task]})
         with torch.inference_mode():

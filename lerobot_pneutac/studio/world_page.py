@@ -9,7 +9,8 @@ import numpy as np
 
 from lerobot_pneutac.studio.episode_panel import EpisodePanel
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import IMAGE_NAME, TRIAL_S, task_names
+from pneutac_sim.features import IMAGE_NAME, TRIAL_S, pressure_names, task_names
+from pneutac_sim.finger.inputs import CHAMBERS
 
 HEIGHT_PX = 280
 SPEED_M_S = 0.05  # of a button or key that is held
@@ -26,7 +27,7 @@ class WorldPage:
     """A task of the library, one control step after the other.
 
     Args:
-        studio: that it is a page of; its twin is a finger's.
+        studio: that it is a page of; its twin is a finger's or an arm's.
     """
 
     title = "World"
@@ -46,7 +47,10 @@ class WorldPage:
         hand = gui.add_folder("By hand", visible=False)
         with hand:
             gui.add_markdown("Hold a button, or its key; L and J change the pressure.")
-            self._pressure = gui.add_slider("pressure, kPa", float(low), float(high), 0.1, 0.0)
+            self._pressures = [
+                gui.add_slider(name.removesuffix(".pos").replace("_", " ") + ", kPa", low, high, 0.1, 0.0)
+                for name in pressure_names(CHAMBERS[studio.session.twin.device])
+            ]
         for key, name in KEYS.items():
             with hand:
                 button = gui.add_button(f"{name} ({key})")
@@ -70,10 +74,9 @@ class WorldPage:
         self._held[name] = time.monotonic()
 
     def _press(self, sign: int) -> None:
-        low, high = self._pressure.min, self._pressure.max
-        self._pressure.value = float(
-            np.clip(self._pressure.value + sign * PRESSURE_STEP * (high - low), low, high)
-        )
+        for slider in self._pressures:
+            low, high = slider.min, slider.max
+            slider.value = float(np.clip(slider.value + sign * PRESSURE_STEP * (high - low), low, high))
 
     def begin(self) -> None:
         """Another start of the task; the one before ends."""
@@ -116,12 +119,12 @@ class WorldPage:
         return lambda _: expert.action()
 
     def action(self) -> np.ndarray:
-        """(4,) of the buttons or keys that are held and of the slider, as `features.ACTION_NAMES`."""
+        """(3 + C,) of the buttons or keys that are held and of the sliders, as `features.action_names`."""
         velocity = np.zeros(3)
         for name, (axis, sign) in MOVES.items():
             if time.monotonic() - self._held.get(name, -np.inf) < HELD_S:
                 velocity[axis] += sign * SPEED_M_S
-        return np.append(velocity, self._pressure.value)
+        return np.append(velocity, [slider.value for slider in self._pressures])
 
     def _show(self, scene: np.ndarray, touch: np.ndarray, time_s: float, info: dict, done: bool) -> None:
         small = [

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from arms import arm_twin
 from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.utils.constants import ACTION, OBS_STATE
 
@@ -123,8 +124,19 @@ def test_what_the_bench_measures_is_weighed_from_then_on_and_only_the_button_wri
 def test_a_world_is_played_by_the_expert_and_moved_by_hand(opened, tmp_path):
     page = opened(Twin.builtin().save(tmp_path / "finger"), None).pages["World"]
     page._hold("up")
-    page._pressure.value = 5.0
+    page._pressures[0].value = 5.0
     np.testing.assert_allclose(page.action(), [0, 0, 0.05, 5.0])
+    page.begin()
+    until(lambda: "s of the task" in page.readout.content)
+    assert page.readout.content.startswith("switch, ") and np.ptp(page._picture.image) > 100
+
+
+@pytest.mark.slow
+def test_a_body_of_three_chambers_has_three_sliders_and_moves_in_the_world(opened, tmp_path):
+    page = opened(arm_twin().save(tmp_path / "body"), None).pages["World"]
+    page._pressures[1].value = 20.0
+    page._press(1)
+    np.testing.assert_allclose(page.action(), [0, 0, 0, 1.0, 21.0, 1.0])
     page.begin()
     until(lambda: "s of the task" in page.readout.content)
     assert page.readout.content.startswith("switch, ") and np.ptp(page._picture.image) > 100

@@ -17,6 +17,7 @@ from pneutac_sim.world.env import PneutacEnv
 from pneutac_sim.world.expert import ScriptedExpert, towards_gel
 from pneutac_sim.world.soft_finger import DEFAULTS, MATERIALS, gel_above_m, mjcf
 from pneutac_sim.world.spine import Spine, end_of, quaternions
+from pneutac_sim.world.station import Station
 from pneutac_sim.world.world import World
 
 SIX = arm_twin(angle_rad=0.35, gains=(0.9, 1.2))
@@ -248,6 +249,22 @@ def test_the_scripted_expert_does_the_task(task, angle_rad):
                 break
         done += bool(world.success and not world.failure)
     assert done == 3
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("station", [{"arm": "ur5"}, {"arm": "so101"}, {"control_hz": 60}, {"mount_mm": 60}])
+def test_it_hangs_at_any_station(station):
+    twin, where = arm_twin(0.35, joint_stiffness_nm_per_rad=0.76), Station(**station)
+    world, done = World("button", twin, touch="area", station=where), 0
+    for seed in range(4):
+        world.reset(seed)
+        expert = ScriptedExpert(world, np.random.default_rng(seed))
+        for _ in range(20 * where.control_hz):
+            world.step(expert.action())
+            if world.success or world.failure:
+                break
+        done += bool(world.success and not world.failure)
+    assert done == 4
 
 
 def test_it_is_pressed_as_deep_as_its_springs_and_the_gels_say():
