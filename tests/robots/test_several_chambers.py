@@ -16,7 +16,7 @@ from lerobot.envs.utils import env_to_policy_features, preprocess_observation
 from lerobot.utils.feature_utils import dataset_to_policy_features
 
 from lerobot_pneutac.rl.options import PpoConfig
-from lerobot_pneutac.verbs.augment import AugmentConfig, DatasetRef
+from lerobot_pneutac.verbs.augment import AugmentConfig, DatasetRef, augment
 from lerobot_robot_pneutac.env import PneutacEnvConfig
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import PneutacBCConfig
 from lerobot_robot_pneutac.policy.modeling_pneutac_bc import PneutacBCPolicy
@@ -235,6 +235,24 @@ def test_demonstrations_of_several_chambers_are_no_measurements_yet(demonstratio
 
 
 @pytest.mark.nightly
+@pytest.mark.timeout(1200)
+def test_demonstrations_are_augmented(folder, tmp_path):
+    """Flips of the switch, planned anew and kept only where the switch is flipped."""
+    robot = PneutacSim(PneutacSimConfig(id="arm", task="switch", twin=folder, fidelity="probe"))
+    text = "Flip the toggle switch."
+    teleop = PneutacScripted(PneutacScriptedConfig(id="expert"))
+    record_episodes(robot, teleop, "local/arm", tmp_path / "data", 3, text, False)
+    given = DatasetRef("local/arm", tmp_path / "data"), DatasetRef("local/new", tmp_path / "new")
+    made = augment(AugmentConfig(*given, twin=folder, fidelity="probe", workers=1, episodes=2))
+    assert made.summary["kept"] == 2 and made.share >= 0.3
+    new = LeRobotDataset("local/new", root=tmp_path / "new")
+    assert new.num_episodes == 2 and new.features["action"]["names"] == ACTIONS
+    actions = np.stack(new.hf_dataset.with_format("numpy")["action"])
+    assert actions[:, 3:].min() >= 0.0 and actions[:, 3:].max() <= 50.0
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(2400)
 def test_a_policy_learns_to_press_the_button(folder, tmp_path):
     """By LeRobot's commands, from thirty demonstrations: in at least eight of ten tries."""
     robot = PneutacSim(PneutacSimConfig(id="arm", task="button", twin=folder, fidelity="probe"))
