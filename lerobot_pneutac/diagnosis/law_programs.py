@@ -261,7 +261,7 @@ def _soak(row, c, low, top):
 
 
 _SHAPES: dict[int, Callable[..., tuple[str, Knots, float]]] = {
-    **dict.fromkeys((by.PLAIN, by.CUBE, by.POWER, by.TANH), _stairs),
+    **dict.fromkeys((by.PLAIN, by.CUBE, by.POWER, by.TANH, by.STEP), _stairs),
     **dict.fromkeys((by.LAG, by.LAG_PRESSURE, by.LAG_WARM, by.SPECTRUM, by.HELD), _after_steps),
     **dict.fromkeys((by.PLAY, by.PLAY_TWO, by.PLAY_CUBED, by.LOOP), _turns),
     **dict.fromkeys((by.TANH_OF, by.ROOT_LAG), _paces),

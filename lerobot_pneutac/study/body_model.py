@@ -10,7 +10,7 @@ from lerobot_pneutac.study.body_trials import ALIKE, TRIAL_RANGE, TrialProblem, 
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.finger.data import BodyData
 from pneutac_sim.finger.pipeline import Pipeline
-from pneutac_sim.finger.problem import Bounds, Problem
+from pneutac_sim.finger.problem import Bounds, Problem, past_jumps
 from pneutac_sim.finger.starts import rough_drive
 from pneutac_sim.least_squares import minimise
 from pneutac_sim.twin import Twin
@@ -34,6 +34,7 @@ PRIOR = {
 }
 LAW_WEIGHT = 1.0
 FAR = 0.3  # of a parameter's range: how far a fit without a fold may be from the whole one
+MANY = 3  # steps of each half of a fit from which on it also looks past jumps
 
 
 @dataclass(frozen=True)
@@ -250,7 +251,7 @@ class BodyFitter:
         theta = np.clip(self.start(form, pipeline, values), bounds.lower, bounds.upper)
         free = self.free(pipeline, data, form.own)
         problem = Problem(pipeline, data.thin(self.rows[::every]), theta, bounds, free)
-        v = bounds.scaled(theta, free)
+        v, jumps = bounds.scaled(theta, free), problem.steps
         centre, spread = self._prior(pipeline, free, bounds, p)
         if form.trials:
             trial = self.trial[self.rows[::every]]
@@ -263,6 +264,7 @@ class BodyFitter:
             for part in (steps // 2, steps - steps // 2):
                 weight = np.diag(np.mean(r**2) * ALIKE / spread**2)
                 v = minimise(problem.residual, problem.jacobian, v, part, 1e-4, (centre, weight)).v
+                v = past_jumps(problem.residual, jumps, v) if part >= MANY else v
                 r = problem.residual(v)
         J = problem.jacobian(v)
         weight = np.diag(np.mean(r**2) * ALIKE / spread**2)

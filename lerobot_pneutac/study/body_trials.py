@@ -24,16 +24,22 @@ def of_each_trial(pipeline: Pipeline, data: BodyData, run, widths: tuple[float, 
     out[:, range(d), range(d)] = offset * np.ptp(data.measured * data.scale, axis=0).max()
     share = u[data.inputs.rows].mean(axis=1, keepdims=True)
     out[:, :, d], out[:, :, d + 1] = gain * share * bent, zero * p * bent
-    out[:, :, d + 2] = clock * rate(u, data.inputs.dt_s)[data.inputs.rows].mean(axis=1, keepdims=True) * bent
+    drive = u[data.inputs.rows]
+    out[:, :, d + 2] = clock * rate(drive, data.inputs.sample_dt_s).mean(axis=1, keepdims=True) * bent
     return out
 
 
 def rate(u: np.ndarray, dt_s: np.ndarray) -> np.ndarray:
-    """(n, chambers) 1/s: change of the drive within a trial, over the step before and the one after."""
-    inside = np.isfinite(dt_s[1:]) & (dt_s[1:] > 0)
-    step = np.where(inside, dt_s[1:], np.inf)[:, None]
-    slope = np.diff(u, axis=0) / step
-    return 0.5 * (np.pad(slope, ((1, 0), (0, 0))) + np.pad(slope, ((0, 1), (0, 0))))
+    """(n, chambers) 1/s: change of the drive within a trial, to the sample before or the next, the smaller.
+
+    A step is on one side of a sample alone, and a clock that is a little off does not move it past one.
+    """
+    begins = ~np.isfinite(dt_s)
+    slope = np.diff(u, axis=0) / np.where(begins[1:], np.inf, dt_s[1:])[:, None]
+    before, after = np.pad(slope, ((1, 0), (0, 0))), np.pad(slope, ((0, 1), (0, 0)))
+    first, last = begins[:, None], np.r_[begins[1:], True][:, None]
+    before, after = np.where(first, after, before), np.where(last, before, after)
+    return np.where(before * after > 0, np.sign(before) * np.minimum(np.abs(before), np.abs(after)), 0.0)
 
 
 class TrialProblem:

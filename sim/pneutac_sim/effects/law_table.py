@@ -1,7 +1,7 @@
 """The table of laws that act on the pressure that bends a body, see `laws`."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from pneutac_sim.effects import memories as by
 from pneutac_sim.effects.effect import Parameter
@@ -69,12 +69,15 @@ TABLE = {
     "hinge(p)": Row(by.HINGE, (_BEND,), ((0.3,), (0.6,)), "contact", r"\max(p - a, 0)"),
     "p^2": Row(by.PLAIN, (), ((),), "stiffening", r"p^2/P - p", input=by.P_SQUARED),
     "p^3": Row(by.CUBE, (), ((),), "stiffening", r"p^3/P^2 - p", minus=1.0),
+    "step(p)": Row(
+        by.STEP, _FLIP[1:], ((0.2, 0.15), (0.5, 0.15), (0.8, 0.15)), "stiffening", r"P\tanh((p - a)/b)"
+    ),
     "play(p)": Row(
         by.PLAY, (_width(),), ((0.03,), (0.1,), (0.25,)), "hysteresis", r"\mathrm{play}_r(p) - p", minus=1.0
     ),
     "dead_band(p)": Row(
         by.DEAD_BAND,
-        (_width(0.05),),
+        (replace(_width(0.05), step=0.01),),
         ((0.02,), (0.06,), (0.15,)),
         "dead_band",
         r"\mathrm{band}_r(p) - p",

@@ -28,7 +28,7 @@ _TURNS = (
 )
 _PACES = "Go up and down at three paces, a factor of three apart, and stop: it differs by the pace alone."
 _SEEN_BY = {
-    **dict.fromkeys((by.PLAIN, by.CUBE, by.POWER, by.TANH), _FORM),
+    **dict.fromkeys((by.PLAIN, by.CUBE, by.POWER, by.TANH, by.STEP), _FORM),
     **dict.fromkeys((by.PLAY, by.PLAY_TWO, by.PLAY_CUBED, by.LOOP), _TURNS),
     by.HINGE: "Go up in small stairs through the threshold: each step differs above it, none below.",
     by.LAG: "Step to half and to full pressure, hold three time constants each, vent as long: the bend goes "

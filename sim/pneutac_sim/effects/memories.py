@@ -20,6 +20,7 @@ PLAIN, LAG, LAG_WARM, LAG_PRESSURE, SPECTRUM, FILL_VENT, MODE, PLAY, PLAY_TWO, L
 HELD, BELOW, FLIP, PLAY_CUBED, TANH_OF, POWER, TANH, HINGE, CUBE, ROOT_LAG, DEAD_BAND, FADING_TIME = range(
     12, 24
 )
+STEP = 24
 ADDED, GAIN = range(2)
 
 
@@ -195,6 +196,10 @@ def _remember(kind, f, late, dt, k, x, warm, scale, s, out):
         for t in range(n):
             for i in range(channels):
                 out[t, i] = scale * math.tanh(out[t, i] / k[0])
+    elif kind == STEP:
+        for t in range(n):
+            for i in range(channels):
+                out[t, i] = scale * math.tanh((f[t + 1, i] - k[0]) / k[1])
     elif kind == DEAD_BAND:
         for t in range(n):
             for i in range(channels):

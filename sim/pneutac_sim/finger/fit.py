@@ -14,7 +14,7 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.finger.confidence import Z95, Confidence, confidence, independent
 from pneutac_sim.finger.data import BodyData
 from pneutac_sim.finger.pipeline import Pipeline
-from pneutac_sim.finger.problem import Bounds, Problem
+from pneutac_sim.finger.problem import Bounds, Problem, past_jumps
 from pneutac_sim.finger.soft_body import SoftBody
 from pneutac_sim.finger.starts import rough_drive, starting_points
 from pneutac_sim.least_squares import minimise
@@ -163,6 +163,9 @@ def _search(
     best = min(range(len(found)), key=lambda i: found[i].cost)
     final = Problem(pipeline, whole.data, points[best], bounds, free)
     v = minimise(final.residual, final.jacobian, found[best].v).v
+    moved = past_jumps(final.residual, final.steps, v)
+    if not np.array_equal(moved, v):
+        v = minimise(final.residual, final.jacobian, moved).v
     return [first, whole, *tried, final], v
 
 

@@ -8,11 +8,11 @@ import numpy as np
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger.quantities import observations
+from pneutac_sim.finger.switches import switches
 
 CHAMBERS = {"finger": 1, "arm": 3}
 SOURCES = ("auto", "command", "measured")
 STARTS = ("auto", "held", "vented")
-STEP_SHARE = 0.02  # of the range: a smaller change from sample to sample is no step
 SWITCH_S = 1e-4  # a step of the command takes this long
 
 
@@ -63,7 +63,8 @@ class Inputs:
             trials: what is known of how single trials begin, see `recording.json`; goes before `start`.
             switch: where in the time between two samples a step of the command happens, 0 to 1, one for all
                 or (n,), NaN for a row before which there is none. None: the command goes straight from
-                sample to sample. Column `time_sent_s` goes before it.
+                sample to sample. Column `time_sent_s` goes before it, and every command, those of a ramp too,
+                is held until the next.
 
         Raises:
             InputError: a column is missing or time does not rise within a trial.
@@ -97,7 +98,7 @@ class Inputs:
             pressure_range_kpa=float(max([*largest, np.abs(pressure).max(), 1e-3])),
         )
         if not use_measured:
-            inputs = inputs._with_switches(_switch_instants(samples, time, pressure, first, switch))
+            inputs = inputs._with_switches(*switches(samples, time, pressure, first, switch))
         vented = start == "vented" or (start == "auto" and _starts_vented(pressure, first, samples, device))
         default = start if not isinstance(start, str) else math.inf if vented else math.nan
         return inputs._with_pauses(_pauses(trial[first], default, trials or {}))
@@ -158,14 +159,26 @@ class Inputs:
         at = np.flatnonzero(np.isin(np.arange(len(out.dt_s)), first[on] + np.arange(len(on))))[going_on]
         return out._insert(at, zero[going_on], np.full(len(at), normal))
 
-    def _with_switches(self, share: np.ndarray) -> "Inputs":
-        """The command steps within the time before a row (n,), at this share of it; NaN: it goes straight."""
-        at = np.flatnonzero(np.isfinite(share))
+    def _with_switches(
+        self, at: np.ndarray, share: np.ndarray, before: np.ndarray, after: np.ndarray
+    ) -> "Inputs":
+        """The command switches within the time before rows.
+
+        Args:
+            at: (k,) the rows, in rising order.
+            share: (k,) of that time, at which it switches; rising within one row's.
+            before: (k, chambers) command until then.
+            after: (k, chambers) and from then on.
+        """
         whole = self.dt_s[at]
-        until = np.clip(np.clip(share[at], 0, 1) * whole, SWITCH_S, whole - 2 * SWITCH_S)
+        start = np.clip(np.clip(share, 0, 1) * whole, SWITCH_S, whole - 2 * SWITCH_S)
+        apart = np.r_[True, (np.diff(at) > 0) | (np.diff(start) > 2 * SWITCH_S)][: len(at)]
+        at, whole, start, before, after = (x[apart] for x in (at, whole, start, before, after))
+        again = np.r_[False, np.diff(at) == 0][: len(at)]
+        until = start - np.where(again, np.roll(start, 1) + SWITCH_S, 0.0)
         dt = self.dt_s.copy()
-        dt[at] = whole - until - SWITCH_S
-        both = np.stack([self.pressure_kpa[at - 1], self.pressure_kpa[at]], axis=1)
+        dt[at] = whole - start - SWITCH_S  # of the last one before each row
+        both = np.stack([before, after], axis=1)
         steps = np.stack([until, np.full(len(at), SWITCH_S)], axis=1)
         return replace(self, dt_s=dt)._insert(
             np.repeat(at, 2), both.reshape(2 * len(at), self.pressure_kpa.shape[1]), steps.ravel()
@@ -243,31 +256,6 @@ def _session_time(time: np.ndarray, first: np.ndarray) -> np.ndarray:
         if a and time[a] + shift < out[a - 1]:
             shift = out[a - 1] - time[a]
         out[a:b] = time[a:b] + shift
-    return out
-
-
-def steps(pressure: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """Rows before which a pressure (n, chambers) steps: it changes much there and little beside.
-
-    Args:
-        pressure: commanded.
-        first: (n,) True where a trial begins.
-    """
-    change = np.abs(np.diff(pressure, axis=0, prepend=pressure[:1])).max(axis=1)
-    change[first] = 0.0
-    beside = np.maximum(np.r_[0.0, change[:-1]], np.r_[change[1:], 0.0])
-    return np.flatnonzero((change > STEP_SHARE * np.ptp(pressure)) & (change > 3 * beside))
-
-
-def _switch_instants(samples, time, pressure, first, switch) -> np.ndarray:
-    """(n,) share of the time before each row at which the command steps; NaN where it does not."""
-    out = np.full(len(time), math.nan)
-    at = steps(pressure, first)
-    if "time_sent_s" in samples:
-        sent = np.asarray(samples["time_sent_s"], dtype=float)
-        out[at] = (sent[at] - time[at - 1]) / (time[at] - time[at - 1])
-    elif switch is not None:
-        out[at] = np.broadcast_to(np.asarray(switch, dtype=float), len(time))[at]
     return out
 
 

@@ -5,8 +5,8 @@ from collections.abc import Callable
 import numpy as np
 
 from pneutac_sim.finger.data import BodyData
-from pneutac_sim.finger.inputs import steps
 from pneutac_sim.finger.pipeline import Pipeline
+from pneutac_sim.finger.switches import steps
 
 _AFTER = 6  # samples after a step that tell its instant
 _GRID = np.linspace(0, 1, 25)

@@ -1,10 +1,14 @@
 """A recording and a pipeline as a function from scaled parameters to residuals, with its Jacobian."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from pneutac_sim.finger.data import BodyData
 from pneutac_sim.finger.derivatives import changes
 from pneutac_sim.finger.pipeline import Pipeline, Run
+
+FINE = 1e-3  # share of a parameter's range: one that is moved farther answers in jumps
 
 
 class Bounds:
@@ -68,6 +72,11 @@ class Problem:
         self._last: Run | None = None
         self._taken: tuple[np.ndarray, np.ndarray] | None = None
 
+    @property
+    def steps(self) -> np.ndarray:
+        """(F,) share of its range by which each free parameter is moved to see what it does."""
+        return np.array([self.pipeline.specs[i].step for i in self.free])
+
     def theta(self, v: np.ndarray) -> np.ndarray:
         """All parameters (P,)."""
         theta = self._theta.copy()
@@ -91,17 +100,23 @@ class Problem:
         return float(r @ r)
 
     def jacobian(self, v: np.ndarray) -> np.ndarray:
-        """Derivative (m D, F) of the residual by one-sided differences."""
+        """Derivative (m D, F) of the residual by one-sided differences; two-sided where it comes in jumps."""
         if self._taken is not None and np.array_equal(self._taken[0], v):
             return self._taken[1]
         theta = self.theta(v)
         if self._last is None or not np.array_equal(self._last.theta, theta):
             self.residual(v)
-        steps = np.array([self.pipeline.specs[i].step for i in self.free])
+        steps = self.steps
         moved = v + np.where(v < 0.5, steps, -steps)
-        columns, values = self.data.columns, self.bounds.value(moved, self.free)
-        change = changes(self.pipeline, self.data.inputs, self.run, columns, self.free, values)
-        J = (change * self.data.scale[:, None] / (moved - v)).reshape(self._measured.size, len(v))
+        back = np.flatnonzero((steps > FINE) & (v >= steps) & (v <= 1 - steps))  # a jump is on one side
+        index, there = np.r_[np.arange(len(v)), back].astype(int), np.r_[moved, 2 * v[back] - moved[back]]
+        values = self.bounds.value(there, self.free[index])
+        change = changes(
+            self.pipeline, self.data.inputs, self.run, self.data.columns, self.free[index], values
+        )
+        slope = change * self.data.scale[:, None] / (there - v[index])
+        slope[:, :, back] = (slope[:, :, back] + slope[:, :, len(v) :]) / 2
+        J = slope[:, :, : len(v)].reshape(self._measured.size, len(v))
         self._taken = v.copy(), J
         self.evaluations += len(v)
         return J
@@ -115,3 +130,25 @@ class Problem:
 
     def _scaled(self, values: np.ndarray) -> np.ndarray:
         return (values * self.data.scale).ravel()
+
+
+def past_jumps(residual: Callable[[np.ndarray], np.ndarray], steps: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """The best v nearby along each parameter that answers in jumps, of which derivatives do not tell.
+
+    Args:
+        residual: of v.
+        steps: (F,) of the first F parameters, see `Problem.steps`.
+        v: from where.
+    """
+    jumpy = np.flatnonzero(steps > FINE)
+    least = float(np.square(residual(v)).sum()) if len(jumpy) else 0.0
+    for j in jumpy:
+        for width in (steps[j], steps[j] / 4, steps[j] / 16):
+            middle = v[j]
+            for away in (-3, -2, -1, 1, 2, 3):
+                tried = v.copy()
+                tried[j] = np.clip(middle + away * width, 0.0, 1.0)
+                cost = float(np.square(residual(tried)).sum())
+                if cost < least:
+                    v, least = tried, cost
+    return v

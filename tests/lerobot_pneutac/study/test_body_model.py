@@ -7,10 +7,10 @@ from pneutac_sim.twin import Twin
 from pneutac_truths import generate, write
 
 
-def test_the_rate_of_the_drive_stops_at_a_trial():
-    u = np.array([0.0, 1.0, 2.0, 10.0, 10.0])[:, None]
-    dt = np.array([np.inf, 0.5, 0.5, np.inf, 0.5])
-    np.testing.assert_allclose(rate(u, dt)[:, 0], [1.0, 2.0, 1.0, 0.0, 0.0])
+def test_the_rate_of_the_drive_stops_at_a_trial_and_leaves_steps_out():
+    u = np.array([0.0, 1.0, 3.0, 10.0, 10.0, 16.0, 16.0])[:, None]
+    dt = np.array([np.inf, 0.5, 0.5, np.inf, 0.5, 0.5, 0.5])
+    np.testing.assert_allclose(rate(u, dt)[:, 0], [2.0, 2.0, 4.0, 0.0, 0.0, 0.0, 0.0])
 
 
 def test_a_trial_of_which_no_row_was_fitted_has_no_numbers_of_its_own(tmp_path):

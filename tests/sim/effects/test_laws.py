@@ -278,6 +278,7 @@ def test_rates_are_those_of_the_line_since_the_sample_before():
         ("power(p)", {"exponent": 1.6}, lambda p: np.sign(p) * P * np.abs(p / P) ** 1.6),
         ("tanh(p)", {"slope": 2.0}, lambda p: P * np.tanh(2 * p / P) / 2),
         ("hinge(p)", {"threshold_kpa": 4.0}, lambda p: p + np.maximum(p - 4.0, 0)),
+        ("step(p)", {"centre_kpa": 4.0, "slope_kpa": 2.0}, lambda p: p + P * np.tanh((p - 4.0) / 2.0)),
         ("p^2", {}, lambda p: p + p * np.abs(p) / P),
         ("p^3", {}, lambda p: p**3 / P**2),
     ],

@@ -2,16 +2,31 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import BodyData, fit
 from pneutac_sim.finger.confidence import autocorrelation, independent
 from pneutac_sim.finger.fit import BY_IMAGES
 from pneutac_sim.least_squares import minimise
 from pneutac_sim.twin import Twin, Value
+from pneutac_truths import generate, write
 
 
 def blocks(n, size=200):
     return (np.arange(n) // size) % 3 > 0
+
+
+@pytest.mark.parametrize(
+    ("seed", "delay_s"), ((73, 0.020), (5, 0.075)), ids=("shorter than a sample", "longer")
+)
+def test_a_dead_time_without_any_lag_is_told_to_a_millisecond(tmp_path, seed, delay_s):
+    """A rod that follows at once moves the error in jumps; the truth has its delay in steps of 5 ms."""
+    truth = generate("rod", ["dead_time"], seed, minutes=1.0, tell_sent=True, gauge=False)
+    r = Recording.load(write(truth, tmp_path / "r"))
+    assert truth.effects["dead_time"]["size"] == pytest.approx(delay_s, abs=0.0025)
+    f = fit(Twin("finger", r.length_mm), r, ["dead_time"], starts=2)
+    assert f.twin.effects["dead_time"]["delay_s"].value == pytest.approx(delay_s, abs=0.001)
+    assert f.train < 1.05 * truth.noise_floor
 
 
 def test_static_parameters_come_back_within_their_intervals(program, recording):

@@ -4,7 +4,8 @@ import pytest
 from pneutac_sim.effects import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import BodyData, Inputs, simulate
-from pneutac_sim.finger.inputs import SWITCH_S, steps
+from pneutac_sim.finger.inputs import SWITCH_S
+from pneutac_sim.finger.switches import steps
 from pneutac_sim.twin import Twin
 
 
@@ -149,6 +150,24 @@ def test_each_step_may_have_its_own_instant_and_the_time_of_sending_goes_before_
     np.testing.assert_allclose(sent.dt_s, one.dt_s, atol=1e-12)
     np.testing.assert_array_equal(sent.pressure_kpa, one.pressure_kpa)
     assert one.dt_s[1:].sum() == pytest.approx(99 / 50)
+
+
+@pytest.mark.parametrize("tick", (0.037, 0.05), ids=("beside the log", "each command logged"))
+def test_commands_of_a_ramp_are_held_until_the_next_where_the_log_tells_when_each_was_sent(tick):
+    sent = np.arange(0.003, 10, tick)
+    height = 5 + 5 * np.sin(3 * sent)
+    fine = np.arange(0, 10, 1e-4)
+    last = np.maximum(np.searchsorted(sent, fine + 1e-9, side="right") - 1, 0)
+    rows = np.arange(500, len(fine), 500)  # 20 Hz
+    table = {"time_s": fine[rows], "pressure_cmd_kpa": height[last[rows]], "time_sent_s": sent[last[rows]]}
+    inputs = Inputs.from_samples(table, start="held")
+    clock = table["time_s"][0] + np.cumsum(np.r_[0, inputs.dt_s[1:]])
+    np.testing.assert_allclose(inputs.pressure_kpa[inputs.rows, 0], table["pressure_cmd_kpa"], atol=1e-12)
+
+    late, truth = fine[1000:], height[last[1000:]]
+    held = np.interp(late, clock, inputs.pressure_kpa[:, 0]) - truth
+    straight = np.interp(late, table["time_s"], table["pressure_cmd_kpa"]) - truth
+    assert np.sqrt(np.mean(held**2)) < 0.2 * np.sqrt(np.mean(straight**2))
 
 
 def test_ramps_and_new_trials_are_no_steps():
