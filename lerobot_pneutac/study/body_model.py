@@ -251,7 +251,7 @@ class BodyFitter:
         theta = np.clip(self.start(form, pipeline, values), bounds.lower, bounds.upper)
         free = self.free(pipeline, data, form.own)
         problem = Problem(pipeline, data.thin(self.rows[::every]), theta, bounds, free)
-        v, jumps = bounds.scaled(theta, free), problem.steps
+        v, jumps = bounds.scaled(theta, free), problem.jumps
         centre, spread = self._prior(pipeline, free, bounds, p)
         if form.trials:
             trial = self.trial[self.rows[::every]]

@@ -43,7 +43,7 @@ def run(x, dt, theta, conditions, state):
 EFFECT = BodyEffect(
     name="dead_time",
     stage="pneumatics",
-    parameters=(Parameter("delay_s", "s", default=0.15, lower=0.0, upper=1.5, step=0.01),),
+    parameters=(Parameter("delay_s", "s", default=0.15, lower=0.0, upper=1.5, step=0.003, jump=0.12),),
     run=run,
     apart=True,
     state_size=lambda channels: 3 + _KEPT * (channels + 1),

@@ -31,6 +31,8 @@ class Parameter:
         range_power: default and bounds are in units of (largest pressure in kPa) ** range_power.
         step: share of the range between bounds by which a fit moves it to see what it does; larger where the
             answer comes in jumps.
+        jump: share of that range within which a fit also tries values, where the error comes in jumps that no
+            derivative tells of; 0 for none.
     """
 
     name: str
@@ -43,6 +45,7 @@ class Parameter:
     fixed: bool = False
     range_power: int = 0
     step: float = 1e-5
+    jump: float = 0.0
 
     def __post_init__(self):
         if not (self.lower <= self.default <= self.upper and self.lower < self.upper):

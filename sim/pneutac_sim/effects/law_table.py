@@ -77,7 +77,7 @@ TABLE = {
     ),
     "dead_band(p)": Row(
         by.DEAD_BAND,
-        (replace(_width(0.05), step=0.01),),
+        (replace(_width(0.05), step=0.01, jump=0.1),),
         ((0.02,), (0.06,), (0.15,)),
         "dead_band",
         r"\mathrm{band}_r(p) - p",

@@ -8,8 +8,6 @@ from pneutac_sim.finger.data import BodyData
 from pneutac_sim.finger.derivatives import changes
 from pneutac_sim.finger.pipeline import Pipeline, Run
 
-FINE = 1e-3  # share of a parameter's range: one that is moved farther answers in jumps
-
 
 class Bounds:
     """Bounds of all parameters of a pipeline, and their map to [0, 1] (of the logarithm where that matters).
@@ -73,9 +71,9 @@ class Problem:
         self._taken: tuple[np.ndarray, np.ndarray] | None = None
 
     @property
-    def steps(self) -> np.ndarray:
-        """(F,) share of its range by which each free parameter is moved to see what it does."""
-        return np.array([self.pipeline.specs[i].step for i in self.free])
+    def jumps(self) -> np.ndarray:
+        """(F,) share of its range within which each free parameter is tried, see `past_jumps`."""
+        return np.array([self.pipeline.specs[i].jump for i in self.free])
 
     def theta(self, v: np.ndarray) -> np.ndarray:
         """All parameters (P,)."""
@@ -106,9 +104,9 @@ class Problem:
         theta = self.theta(v)
         if self._last is None or not np.array_equal(self._last.theta, theta):
             self.residual(v)
-        steps = self.steps
+        steps = np.array([self.pipeline.specs[i].step for i in self.free])
         moved = v + np.where(v < 0.5, steps, -steps)
-        back = np.flatnonzero((steps > FINE) & (v >= steps) & (v <= 1 - steps))  # a jump is on one side
+        back = np.flatnonzero((self.jumps > 0) & (v >= steps) & (v <= 1 - steps))  # a jump is on one side
         index, there = np.r_[np.arange(len(v)), back].astype(int), np.r_[moved, 2 * v[back] - moved[back]]
         values = self.bounds.value(there, self.free[index])
         change = changes(
@@ -132,18 +130,18 @@ class Problem:
         return (values * self.data.scale).ravel()
 
 
-def past_jumps(residual: Callable[[np.ndarray], np.ndarray], steps: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """The best v nearby along each parameter that answers in jumps, of which derivatives do not tell.
+def past_jumps(residual: Callable[[np.ndarray], np.ndarray], jumps: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """The best v nearby along each parameter that moves the error in jumps, of which derivatives do not tell.
 
     Args:
         residual: of v.
-        steps: (F,) of the first F parameters, see `Problem.steps`.
+        jumps: (F,) of the first F parameters, see `Problem.jumps`.
         v: from where.
     """
-    jumpy = np.flatnonzero(steps > FINE)
+    jumpy = np.flatnonzero(jumps)
     least = float(np.square(residual(v)).sum()) if len(jumpy) else 0.0
     for j in jumpy:
-        for width in (steps[j], steps[j] / 4, steps[j] / 16):
+        for width in jumps[j] / np.array([3, 12, 48, 192]):
             middle = v[j]
             for away in (-3, -2, -1, 1, 2, 3):
                 tried = v.copy()
