@@ -1,7 +1,7 @@
 """The table of laws that act on the pressure that bends a body, see `laws`."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from pneutac_sim.effects import memories as by
 from pneutac_sim.effects.effect import Parameter
@@ -77,7 +77,7 @@ TABLE = {
     ),
     "dead_band(p)": Row(
         by.DEAD_BAND,
-        (replace(_width(0.05), step=0.01, jump=0.1),),
+        (_width(0.05),),
         ((0.02,), (0.06,), (0.15,)),
         "dead_band",
         r"\mathrm{band}_r(p) - p",
