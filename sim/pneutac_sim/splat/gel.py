@@ -22,7 +22,7 @@ from pneutac_sim.splat.render import on
 
 CAMERA_MM = 22.0  # a DIGIT's camera before its gel surface
 # The paper has 13. By 4, photographs of two DIGITs are met as well (0.01 levels), a GelSight's nearly so
-# (0.13 in the contact), since the gel between window and coating is clear, in a third of the time.
+# (0.16 in the contact), since the gel between window and coating is clear, in a third of the time.
 LAYERS = 4
 SCALE_CELLS = (
     0.5  # standard deviation of a Gaussian over the spacing of particles: neighbours close the surface
