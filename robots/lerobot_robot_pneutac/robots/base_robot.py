@@ -80,6 +80,11 @@ def action_names(keys: Iterable[str], bend: bool = False, chambers: int = 1) -> 
             if names == BEND_NAMES and not bend:
                 raise InputError("The action has 'bend.pos'; give --robot.bend=true and the finger's twin.")
             return names
+    if chambers > 1 and "pressure.pos" in keys:
+        raise InputError(
+            f"The action has one pressure and the finger {chambers} chambers; by hand give"
+            " --teleop.chamber_shares, as in [1,0,0.5]; a policy must be of such demonstrations."
+        )
     raise InputError(
         f"The action has the keys {', '.join(keys)}; the robot takes {', '.join(own)}, or the pose"
         f" {', '.join(pose)}."
