@@ -7,7 +7,7 @@ beside it, and nothing where nothing was; a change of light must be told by the 
 
 import json
 from concurrent.futures import as_completed
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,7 @@ from lerobot_pneutac.verbs.diagnose import cores, diagnose
 from lerobot_robot_pneutac.standin.world import Physics, StandinWorld
 from pneutac_benchmarks.tables import markdown, terminal
 from pneutac_datasets.demonstrations.episodes import Episode
+from pneutac_datasets.demonstrations.replay.dragging import Dragging
 from pneutac_datasets.demonstrations.replay.imprint import light_drift
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations, checked
 from pneutac_datasets.generate.standin import write_finger, write_gel
@@ -48,6 +49,18 @@ CASES: dict[str, tuple[Physics, tuple[str, ...]]] = {
     "red light 15 % brighter": (Physics(brightness=(1.15, 1.0, 1.0)), ("light",)),
     "all light 10 % darker": (Physics(brightness=(0.9, 0.9, 0.9)), ("light",)),
     "half the friction of the gel": (Physics(friction=0.5), ("gel friction",)),
+    "finger of 70 % of its stiffness": (Physics(stiffness=0.7), ("compliance",)),
+    "finger of 80 % of its stiffness": (Physics(stiffness=0.8), ("compliance",)),
+    "finger of 140 % of its stiffness": (Physics(stiffness=1.4), ("compliance",)),
+}
+# Where the finger is dragged along the bar too: what is hidden, and whether the gel has less friction.
+DRAG_M, DRAG_S = 0.012, 15.0
+DRAGGED: dict[str, tuple[Physics, bool]] = {
+    **{f"nothing ({n})": (Physics(), False) for n in range(1, 4)},
+    "creep 3.5 times as large": (Physics(creep=0.50), False),
+    "finger of 70 % of its stiffness": (Physics(stiffness=0.7), False),
+    "70 % of the friction of the gel": (Physics(friction=0.7), True),
+    "half the friction of the gel": (Physics(friction=0.5), True),
 }
 
 
@@ -60,6 +73,7 @@ class BenchmarkDemonstrationsConfig:
         demonstrations: of each case.
         cases: so many of the cases, from the first on; all where left out.
         seed: of the demonstrations.
+        task: that they show; the twin is fitted to demonstrations of `button` whatever it is.
         jobs: number of processes; 0 for all cores.
     """
 
@@ -67,6 +81,7 @@ class BenchmarkDemonstrationsConfig:
     demonstrations: int = 10
     cases: int = len(CASES)
     seed: int = 0
+    task: str = "button"
     jobs: int = 0
 
     def __post_init__(self):
@@ -75,14 +90,20 @@ class BenchmarkDemonstrationsConfig:
         check_least(0, jobs=self.jobs)
 
 
-def show(count: int, seed: int, physics: Physics, task: str = "button") -> Demonstrations:
+def show(
+    count: int, seed: int, physics: Physics, task: str = "button", drag_m: float = 0.0
+) -> Demonstrations:
     """Demonstrations of a scripted expert on the stand-in; one that fails is shown anew."""
     world, episodes = StandinWorld(task, physics=physics), []
+    if drag_m:
+        world.task.drag_m = drag_m
     while len(episodes) < count:
         seen, actions = [world.reset(seed)], []
         expert = ScriptedExpert(world, np.random.default_rng(seed))
         seed += 1
-        while len(actions) < TRIAL_S * CONTROL_HZ and not (world.success or world.failure):
+        while len(actions) < (TRIAL_S + (DRAG_S if drag_m else 0)) * CONTROL_HZ and not (
+            world.success or world.failure
+        ):
             actions.append(expert.action())
             seen.append(world.step(actions[-1]))
         if world.success:
@@ -112,7 +133,7 @@ def measured_twin(folder: Path, count: int, seed: int) -> Twin:
 def run_case(twin: Twin, number: int, config: BenchmarkDemonstrationsConfig) -> dict:
     """One case: what is found, and errors before and after, of held-out episodes and of all touch."""
     name, (physics, right) = list(CASES.items())[number]
-    given = show(config.demonstrations, 1000 * config.seed + 100 + 37 * number, physics)
+    given = show(config.demonstrations, 1000 * config.seed + 100 + 37 * number, physics, config.task)
     found = diagnose(twin, given, jobs=1)
     corrected = add(twin, given, found)  # replays the episodes anew with the corrected twin
     before = found.before
@@ -131,6 +152,31 @@ def run_case(twin: Twin, number: int, config: BenchmarkDemonstrationsConfig) -> 
         "touch_after": after["touch"],
         "sentence": found.sentence,
     }
+
+
+def write_dragged(number: int, config: BenchmarkDemonstrationsConfig, file: Path) -> str:
+    """How imprints turn where the finger is dragged, of a number of `DRAGGED`, or of -1, as known before."""
+    name, (physics, _) = ("before", (Physics(), False)) if number < 0 else list(DRAGGED.items())[number]
+    given = show(config.demonstrations, 1000 * config.seed + 700 + 37 * number, physics, "button", DRAG_M)
+    dragging = Dragging.of(given.episodes)
+    write_json(file, {"case": name, **(asdict(dragging) if dragging else {})})
+    return f"dragged, {name}: {dragging}"
+
+
+def dragged_rows(files: dict[int, Path]) -> list[tuple[str, ...]]:
+    """A row a case: what was hidden, how imprints turned, whether the gel is said to slip, and rightly so."""
+    told = {n: json.loads(file.read_text()) for n, file in files.items()}
+    read = {n: Dragging(**{k: v for k, v in t.items() if k != "case"}) for n, t in told.items() if len(t) > 1}
+    rows = []
+    for n, t in told.items():
+        if n not in read:
+            rows.append((t["case"], "", "not told", "no"))
+            continue
+        slips = n >= 0 and read[n].slips(read[-1])
+        right = n < 0 or slips == list(DRAGGED.values())[n][1]
+        turn = f"{read[n].turn_deg_per_mm:.2f} ({read[n].error:.2f})"
+        rows.append((t["case"], turn, "slips" if slips else "", "yes" if right else "no"))
+    return rows
 
 
 def _write_case(twin: Twin, number: int, config: BenchmarkDemonstrationsConfig, file: Path) -> str:
@@ -153,11 +199,17 @@ def benchmark_demonstrations(config: BenchmarkDemonstrationsConfig) -> None:
     console = Console()
     twin = measured_twin(config.out / "twin", config.demonstrations, config.seed)
     files = {n: config.out / f"case_{n:02d}.json" for n in range(min(config.cases, len(CASES)))}
+    dragged = {n: config.out / f"dragged_{n + 1:02d}.json" for n in range(-1, len(DRAGGED))}
+    if config.task != "button" or config.cases < len(CASES):
+        dragged = {}
     todo = [n for n, file in files.items() if not file.is_file()]
     with process_pool(config.jobs or cores()) as pool:
         futures = [pool.submit(_write_case, twin, n, config, files[n]) for n in todo]
+        futures += [
+            pool.submit(write_dragged, n, config, file) for n, file in dragged.items() if not file.is_file()
+        ]
         for done, future in enumerate(as_completed(futures), 1):
-            console.print(f"{done} of {len(todo)}: {future.result()}", highlight=False)
+            console.print(f"{done} of {len(futures)}: {future.result()}", highlight=False)
     rows = [json.loads(file.read_text()) for file in files.values()]
     heads = ("hidden in the stand-in", "found", "right", "before (mm)", "after", "touch before", "after")
     shown = [
@@ -170,4 +222,10 @@ def benchmark_demonstrations(config: BenchmarkDemonstrationsConfig) -> None:
         for r in rows
     ]
     console.print(terminal("Physics hidden in the stand-in, by ten demonstrations", heads, shown, left=3))
-    write_text(config.out / "demonstrations.md", "\n".join(markdown(heads, shown)) + "\n")
+    written = markdown(heads, shown)
+    if dragged:
+        heads = ("hidden in the stand-in, the finger dragged", "turn (degrees a mm)", "told", "right")
+        rows = dragged_rows(dragged)
+        console.print(terminal("Friction of the gel, by dragging", heads, rows, left=1))
+        written += ["", *markdown(heads, rows)]
+    write_text(config.out / "demonstrations.md", "\n".join(written) + "\n")

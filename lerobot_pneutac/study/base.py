@@ -142,6 +142,14 @@ class EffectStudy(Study, ABC):
             "heldout": float(np.sqrt(self.test.value(model.squared))),
         }
 
+    def judges(self, selected: Sequence[str]) -> None:
+        """Is told what a diagnosis found, where errors depend on it."""
+        return
+
+    def noted(self, model: FittedModel) -> dict:
+        """What a twin's history keeps of a model beside its errors."""
+        return {}
+
     def interval(self, model: FittedModel) -> list[float]:
         """95 % interval of the held-out error."""
         return [float(np.sqrt(q)) for q in np.quantile(self.test.mse(model.squared), [0.025, 0.975])]

@@ -5,13 +5,14 @@ finger gives way. So each episode is replayed once for each of some bends beside
 any model of the finger makes of the touch is read between them, without a further simulation.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import lfilter
 
-from pneutac_datasets.demonstrations.replay.imprint import rest_image, strengths
+from pneutac_datasets.demonstrations.replay.imprint import brightness, rest_image, strengths
 from pneutac_datasets.demonstrations.replay.placing import find_place
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_datasets.demonstrations.replay.replaying import Place, ReplayWorld, late
@@ -57,8 +58,19 @@ class EpisodeData:
         return len(self.command_kpa)
 
 
-def episode_data(twin: Twin, given: Demonstrations, progress: Progress = no_progress) -> list[EpisodeData]:
+def episode_data(
+    twin: Twin,
+    given: Demonstrations,
+    progress: Progress = no_progress,
+    light: Sequence[float] | None = None,
+) -> list[EpisodeData]:
     """Replays every episode of the demonstrations in the twin's world.
+
+    Args:
+        twin: of the finger.
+        given: the episodes.
+        progress: is told how many are replayed.
+        light: brightness (3,) of the gel at rest, levels, as by which imprints are told; None for their own.
 
     Raises:
         InputError: an episode's objects cannot be placed.
@@ -68,7 +80,8 @@ def episode_data(twin: Twin, given: Demonstrations, progress: Progress = no_prog
         progress("replaying demonstrations", i, len(given.episodes))
         place = find_place(world, e)
         first, last = e.contact() or (0, 0)
-        frames = np.arange(len(e))
+        frames, rest = np.arange(len(e)), rest_image(e)
+        gain = np.ones(3) if light is None else np.array(light) / brightness(rest)
         out.append(
             EpisodeData(
                 place,
@@ -76,7 +89,7 @@ def episode_data(twin: Twin, given: Demonstrations, progress: Progress = no_prog
                 e.state[:, PRESSURE],
                 e.state[:, EE],
                 world.commanded(e),
-                strengths(e.images, rest_image(e)),
+                strengths(e.images, rest, gain),
                 e.state[:, -3],
                 _steady(np.stack([world.replay(e, place, m).press_n for m in MORE_RAD], 1)),
                 (frames >= first - BEFORE) & (frames <= last + AFTER),

@@ -15,6 +15,7 @@ from scipy.optimize import least_squares
 
 from lerobot_pneutac.diagnosis.search import Trial
 from lerobot_pneutac.study.demonstration_data import EpisodeData, inputs_of
+from lerobot_pneutac.study.demonstration_strength import Strength
 from lerobot_pneutac.study.demonstration_touch import TYPICAL, imprint_per_rad, stiffness_n_per_rad, touch
 from pneutac_sim.effects.effect import Parameter
 from pneutac_sim.features import CONTROL_HZ
@@ -213,11 +214,18 @@ class Fitter:
             residual[a:b, 3] = self.mm_per_kpa * (e.pressure_kpa - run.pressure_kpa[a:b, 0])
             if columns in (AIR, ARM):
                 continue
-            imprint[a:b] = touch(e, more[a:b], values["growth"], values["touch_late"])
+            imprint[a:b], _ = touch(e, more[a:b], values["growth"], values["touch_late"])
             residual[a:b, 4] = (
                 np.where(e.contact, (e.imprint - imprint[a:b]) / self.slope, 0.0) * self.mm_per_rad
             )
         return residual, {"pressure_kpa": run.pressure_kpa[:, 0], "imprint": imprint}
+
+    def strength(self, model: DemonstrationModel, growth: float) -> Strength:
+        """How strong the imprints of all episodes are, where they grow by that power of the force."""
+        more = self._run(self.twin, model.form.effects, model.values).markers[:, 3] - self._bent
+        rows = zip(self.episodes, self.ends, self.ends[1:], strict=False)
+        gains = [touch(e, more[a:b], growth, model.values["touch_late"])[1] for e, a, b in rows]
+        return Strength.of(np.array(gains), growth, self.twin)
 
     def fit(self, trial: Trial, columns: slice, steps: int = 12) -> DemonstrationModel:
         """A model, by bounded least squares with differences, on the columns `AIR` or `TOUCH`."""

@@ -17,8 +17,8 @@ LEAST_N = 0.1
 LEAST_PER_RAD = 0.05  # levels: fainter imprints tell nothing of the bend
 
 
-def touch(e: EpisodeData, more_rad: np.ndarray, growth: float, late: float) -> np.ndarray:
-    """Imprint strength (T,) predicted, with the episode's own gain and bend apart."""
+def touch(e: EpisodeData, more_rad: np.ndarray, growth: float, late: float) -> tuple[np.ndarray, float]:
+    """Imprint strength (T,) predicted, with the episode's own gain, levels/N^growth, and bend apart."""
     grid, y = np.array(MORE_RAD), e.imprint[e.contact]
     rows, back = (
         np.arange(len(e))[:, None],
@@ -40,7 +40,8 @@ def touch(e: EpisodeData, more_rad: np.ndarray, growth: float, late: float) -> n
         best = np.clip(tried[np.argmin(((y[:, None] - gain * B) ** 2).sum(0))], APART_RAD[0], APART_RAD[-1])
         tried, step = best + step * ZOOM, step / 5
     ground = shown(np.array([best]))[:, 0]
-    return ground * max(y @ ground[e.contact] / max(float((ground[e.contact] ** 2).sum()), 1e-12), 0.0)
+    gain = max(float(y @ ground[e.contact]) / max(float((ground[e.contact] ** 2).sum()), 1e-12), 0.0)
+    return gain * ground, gain
 
 
 def imprint_per_rad(episodes: list[EpisodeData], stiff_n_per_rad: float) -> float:

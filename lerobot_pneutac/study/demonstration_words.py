@@ -6,6 +6,7 @@ from lerobot_pneutac.diagnosis.model import FittedModel
 from lerobot_pneutac.diagnosis.result import Outcome
 from lerobot_pneutac.study.base import EffectStudy, with_unit
 from lerobot_pneutac.study.demonstration_model import LATE, Fitter, latency_s
+from lerobot_pneutac.study.demonstration_strength import COMPLIANCE, STIFFNESS
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_sim.effects.laws import family, is_law, law
 from pneutac_sim.effects.registry import body_effects, get_effect
@@ -21,7 +22,7 @@ MORE = "Record ten demonstrations or more that press and hold, at two pressures.
 
 def of_air(effect: str) -> bool:
     """Whether arm and gauge tell an effect; of the others touch does."""
-    return effect == LATE or get_effect(effect).of_air
+    return effect == LATE or (effect != COMPLIANCE and get_effect(effect).of_air)
 
 
 def bends(effect: str) -> bool:
@@ -57,11 +58,16 @@ class DemonstrationWords(EffectStudy):
         """Why an effect cannot be switched on."""
         if effect in self.candidates:
             return ""
+        if effect == COMPLIANCE:
+            return f"'{COMPLIANCE}' is told by a diagnosis alone; give its folder with --from."
         known = ", ".join(dict.fromkeys((LATE, *OF_AIR, *OF_BODY, *self.own)))
         return f"Demonstrations do not tell of '{effect}'; give one of {known}."
 
     def parameters(self, model: FittedModel, effect: str) -> dict[str, dict]:
-        """The latency of late commands; of others as ever."""
+        """The latency of late commands, the stiffness of a compliant finger; of others as ever."""
+        if effect == COMPLIANCE:
+            known = model.twin.parameters.get(STIFFNESS)
+            return {STIFFNESS: with_unit(known, "N m/rad")} if known else {}
         if effect != LATE:
             return super().parameters(model, effect)
         known = model.twin.parameters.get("command_latency_s")
@@ -76,6 +82,13 @@ class DemonstrationWords(EffectStudy):
         if effect == LATE:
             late = latency_s(model.twin)
             return f"Your commands act {late:.2g} s late, of arm and air alike."
+        if effect == COMPLIANCE:
+            share = model.twin.parameter(STIFFNESS) / self.twin.parameter(STIFFNESS)
+            return (
+                f"Your finger is {'softer' if share < 1 else 'stiffer'} than when the twin was fitted to "
+                f"demonstrations: as far as its imprints tell it presses with {share:.2g} times the force."
+                f"{' More creep than touch tells of would look alike.' if share > 1 else ''}"
+            )
         if effect in self.own:
             was, now = self.twin.effects[effect], model.twin.effects[effect]
             changes = ", ".join(
@@ -89,13 +102,20 @@ class DemonstrationWords(EffectStudy):
 
     def alike(self, effects: Sequence[str]) -> str:
         """What is told by touch alone may be the contact's instead, of which no model is fitted."""
-        kinds = dict.fromkeys(family(e).replace("_", " ") for e in effects if not of_air(e))
-        if not kinds:
-            return ""
-        return (
-            f"Touch does not tell {' and '.join(kinds)} apart from {', '.join(UNSEEN[:-1])} or {UNSEEN[-1]}; "
-            "a bench recording of the finger does."
-        )
+        body = [e for e in effects if e != COMPLIANCE and not of_air(e)]
+        kinds = dict.fromkeys(family(e).replace("_", " ") for e in body)
+        told = []
+        if kinds:
+            told.append(
+                f"Touch does not tell {' and '.join(kinds)} apart from {', '.join(UNSEEN[:-1])} or "
+                f"{UNSEEN[-1]}; a bench recording of the finger does."
+            )
+        if COMPLIANCE in effects:
+            told.append(
+                "A gel that has hardened makes imprints as faint, and one that has softened as strong; a "
+                "press of known force on the gel tells."
+            )
+        return " ".join(told)
 
     def experiment(self, model: FittedModel, effect: str) -> str:
         """What to record to see an effect apart from its rivals."""
@@ -103,6 +123,8 @@ class DemonstrationWords(EffectStudy):
             return (
                 "Command a step of the arm and of the pressure in one frame, and hold still before and after."
             )
+        if effect == COMPLIANCE:
+            return "Record the finger on the bench with a known weight at its tip, in a column payload_g."
         return super().experiment(model, effect)
 
     def too_little(self) -> str:

@@ -6,6 +6,7 @@ A sample is a frame; whole episodes are learnt from or held out. Errors are thos
 import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import cached_property, partial
 
 import numpy as np
@@ -30,6 +31,7 @@ from lerobot_pneutac.study.demonstration_model import (
 )
 from lerobot_pneutac.study.demonstration_noise import frame_noise
 from lerobot_pneutac.study.demonstration_space import DemonstrationSpace
+from lerobot_pneutac.study.demonstration_strength import COMPLIANCE, Strength
 from lerobot_pneutac.study.demonstration_words import (
     OF_AIR,
     OF_BODY,
@@ -39,6 +41,8 @@ from lerobot_pneutac.study.demonstration_words import (
     of_air,
     stopped,
 )
+from pneutac_datasets.demonstrations.replay.dragging import Dragging
+from pneutac_datasets.demonstrations.replay.imprint import brightness, rest_image
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_sim.effects.laws import family
 from pneutac_sim.effects.registry import of_body
@@ -67,6 +71,8 @@ class DemonstrationStudy(DemonstrationWords):
         owner: (N,) which episode each frame is of.
         remainder: the most, by its 95 % interval, that the twin left of the demonstrations that it was last
             fitted to; None where it was to none.
+        known: how strong the imprints were that the twin was last fitted to; None where they were none of
+            this task.
     """
 
     def __init__(
@@ -81,7 +87,11 @@ class DemonstrationStudy(DemonstrationWords):
         self.own = tuple(of_body(twin.effects))
         tried = dict.fromkeys((LATE, *OF_AIR, *OF_BODY, *(e for e in self.own if bends(e))))
         self.candidates = [e for e in tried if not adding or e in adding]
-        episodes = episode_data(twin, recording, progress)
+        self._last = ([{}] + [h for h in twin.history if h.get("unit") == UNIT])[-1]
+        self.known = Strength.known(self._last, recording.task)
+        self._strengths: dict[int, Strength] = {}  # by the identity of a model's twin
+        self.charged, self.light = False, self.known and self.known.light
+        episodes = episode_data(twin, recording, progress, self.light)
         self.owner = np.repeat(np.arange(len(episodes)), list(map(len, episodes)))
         order = np.random.default_rng([seed, 5]).permutation(len(episodes))
         away = order[: min(max(1, round(HELD_OUT * len(order))), len(order) - 1)]
@@ -89,16 +99,18 @@ class DemonstrationStudy(DemonstrationWords):
         self.parts = Parts(~test, ~test, test, self.owner, np.zeros(len(episodes), int))
         self.fitter = Fitter(twin, episodes, self.parts.train)
         self._bare_air, self._bare_touch = self.fitter.base(AIR), self.fitter.base(TOUCH)
-        self._last = ([{}] + [h for h in twin.history if h.get("unit") == UNIT])[-1]
         self.remainder = self._last.get("heldout_ci95", [None, None])[1]
         self.noise = frame_noise(self.fitter, self.remainder)
         self.findings = [*recording.warnings]
+        if dragging := Dragging.of(recording.episodes):
+            self.findings.append(dragging.sentence(Dragging.known(twin.history, recording.task)))
 
     def world_of(self, twin: Twin) -> Fitter:
         """Fits models to the episodes that are learnt from, as replayed in the world of a twin."""
         if twin is self.twin:
             return self.fitter
-        return Fitter(twin, episode_data(twin, self.recording), self.parts.train)
+        episodes = episode_data(twin, self.recording, light=self.light)
+        return Fitter(twin, episodes, self.parts.train)
 
     # ---------------------------------------------------------------- models
 
@@ -108,19 +120,37 @@ class DemonstrationStudy(DemonstrationWords):
         twin = self.fitter.twin_with(air, air.intervals(fold))
         replayed = Fitter(twin, fitter.episodes, fitter.rows) if fitter.twin is not twin else fitter
         found = (*air.form.effects, *touch.form.effects)
+        twin = replayed.twin_with(touch, touch.intervals(fold))
         return FittedModel(
             effects=tuple(dict.fromkeys((*self.own, *found))),
-            residual=fitter.predict(touch.form, touch.values)[0],
+            residual=self._residual(fitter, touch, twin),
             count=len(air.unit) + len(touch.unit),
-            twin=replayed.twin_with(touch, touch.intervals(fold)),
+            twin=twin,
             at_bound=[n for n in (*air.at_bound, *touch.at_bound) if stopped(n)],
         )
+
+    def _residual(self, fitter: Fitter, touch: DemonstrationModel, twin: Twin) -> np.ndarray:
+        """(N, 5) of the model of a twin; where compliance is judged, touch is charged with its strength."""
+        residual, curves = fitter.predict(touch.form, touch.values)
+        growth = self.known.growth if self.known else touch.values["growth"]
+        self._strengths[id(twin)] = fitter.strength(touch, growth)
+        if self.charged and (apart := self.stronger_by(twin)):
+            more = curves["imprint"] * (1 - np.exp(-apart)) / fitter.slope * fitter.mm_per_rad
+            contact = np.concatenate([e.contact for e in fitter.episodes])
+            residual[:, TOUCH] += np.where(contact, more, 0.0)[:, None]
+        return residual
+
+    def stronger_by(self, twin: Twin) -> float:
+        """Logarithm of how much stronger imprints are than was known, of a twin whose residual is known.
+
+        0 where that is no more than those of one finger differ by.
+        """
+        return self._strengths[id(twin)].apart(self.known) if self.known else 0.0
 
     def residual(self, twin: Twin) -> np.ndarray:
         """(N, 5) measured minus predicted by another twin of this finger."""
         fitter = self.world_of(twin)
-        model = fitter.base(TOUCH)
-        return fitter.predict(model.form, model.values)[0]
+        return self._residual(fitter, fitter.base(TOUCH), twin)
 
     def refit(self, effects: Sequence[str], start: FittedModel | None, steps: Steps) -> FittedModel:
         """The twin with these effects fitted, its own where they are named again."""
@@ -156,6 +186,18 @@ class DemonstrationStudy(DemonstrationWords):
         """Root mean square errors, beside the usual ones of arm and gauge and of touch, of all episodes."""
         parts = {"arm_and_gauge": AIR, "touch": TOUCH}
         return super().errors(model) | {k: rms(model.residual[:, c]) for k, c in parts.items()}
+
+    def noted(self, model: FittedModel) -> dict:
+        """How strong imprints are, which later demonstrations are held against."""
+        strength = self._strengths.get(id(model.twin))
+        if strength is None:
+            return {}
+        own = np.mean([brightness(rest_image(e)) for e in self.recording.episodes], 0)
+        return {"imprint": strength.kept(self.recording.task, own if self.light is None else self.light)}
+
+    def judges(self, selected: Sequence[str]) -> None:
+        """Errors are told with the strength of imprints where that was among what was found."""
+        self.charged = COMPLIANCE in selected
 
     def fall(self, before: FittedModel, after: FittedModel) -> tuple[float, float, float]:
         """Fall of the mean square error on episodes that no fit saw."""
@@ -212,13 +254,18 @@ class DemonstrationStudy(DemonstrationWords):
         models, base = [air.final.model, touch.final.model], touch.base.model
         after = self.fitted(models[0], models[1], fitter)
         if not self._lower(before, after):
-            models, after = [self._bare_air, self._bare_touch], before
+            models, after, fitter = [self._bare_air, self._bare_touch], before, self.fitter
         selected = [e for m in models for e in m.form.effects]
         ladder = [("as it is", before)]
         if models[0].form.effects:
             ladder.append((" + ".join(models[0].form.effects), self.fitted(models[0], base, fitter)))
         if models[1].form.effects:
             ladder.append((" + ".join(selected), after))
+        if (pressing := self._pressing(after, models[1], fitter)) is not None:
+            selected, after = [*selected, COMPLIANCE], pressing
+            self.judges(selected)
+            before = self.fitted(self._bare_air, self._bare_touch, self.fitter)
+            ladder = [("as it is", before), *ladder[1:], (" + ".join(selected), after)]
         votes = {}
         for found in (air, touch):
             votes |= chosen_in(found, self.owner[self.parts.train], self.noise.value, family)
@@ -243,6 +290,19 @@ class DemonstrationStudy(DemonstrationWords):
             seconds=time.perf_counter() - began,
             chosen_in=chosen,
         )
+
+    def _pressing(self, found: FittedModel, touch: DemonstrationModel, fitter: Fitter) -> FittedModel | None:
+        """The same with a finger that presses as hard as its imprints are strong; None where it does.
+
+        Imprints that are stronger where touch told more of the body may tell that it was not enough of that.
+        """
+        apart, strength = self.stronger_by(found.twin), self._strengths[id(found.twin)]
+        if self.known is None or not apart or (apart > 0 and touch.form.effects):
+            return None
+        twin = strength.pressing(found.twin, self.known)
+        self._strengths[id(twin)] = strength
+        uncharged = fitter.predict(touch.form, touch.values)[0]
+        return replace(found, twin=twin, residual=uncharged, count=found.count + 1)
 
     def _lower(self, before: FittedModel, after: FittedModel) -> bool:
         return self.test.value(after.squared) < self.test.value(before.squared)

@@ -19,6 +19,8 @@ from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.twin import Twin
 
+OF_DEMONSTRATIONS = ("late_commands", "compliance")  # parameters of a twin, no effects
+
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Addition(Result):
@@ -41,6 +43,7 @@ class Addition(Result):
         physics: what the effect does to this device, a sentence with the fitted numbers.
         findings: of the data check, one sentence each.
         objections: of the diagnosis that found it, one phrase each; empty where an effect was named.
+        noted: what the twin's history keeps of it beside the errors.
         recording: that was used.
         seed: that decided what was held out.
         saved_to: the twin's folder once it was saved.
@@ -64,6 +67,7 @@ class Addition(Result):
     physics: str = ""
     findings: tuple[str, ...] = ()
     objections: tuple[str, ...] = ()
+    noted: dict | None = None
     saved_to: Path | None = None
 
     def save(self, folder: str | Path) -> "Addition":
@@ -73,7 +77,7 @@ class Addition(Result):
         errors = {k: after[k] for k in ("train", "heldout", "arm_and_gauge", "touch") if k in after}
         if "touch" in after:  # of demonstrations, which others of the same finger are held against
             errors["heldout_ci95"] = list(after["heldout_ci95"])
-        errors |= {"unit": self.unit, "seed": self.seed}
+        errors |= {"unit": self.unit, "seed": self.seed} | (self.noted or {})
         twin.save_version(folder, f"added {self.effect}", self.recording, errors)
         return replace(self, twin=twin, saved_to=Path(folder))
 
@@ -219,7 +223,8 @@ def add(
         return _written(twin, same_body(twin, recording, "add to"), effect)
     effects = [effect] if isinstance(effect, str) else list(effect)
     for e in effects:
-        get_effect(e)
+        if not (isinstance(recording, Demonstrations) and e in OF_DEMONSTRATIONS):
+            get_effect(e)
     recording, steps = same_body(twin, recording, "add to"), Steps(progress)
     given = {"effect": ", ".join(effects), "recording": str(recording.folder), "seed": seed}
     study = study_of(twin, recording, seed, adding=effects)
@@ -236,6 +241,7 @@ def _written(twin: Twin, recording: Recording | Demonstrations, folder: Path) ->
     """All that a diagnosis wrote to a folder, judged on its own blocks."""
     written = read_found(folder, recording)
     study = study_of(twin, recording, written.told["seed"])
+    study.judges(written.told["selected"])
     before, after = (
         FittedModel(effects=tuple(t.effects), residual=study.residual(t), count=0, twin=t)
         for t in (written.before, written.found)
@@ -282,6 +288,7 @@ def _judged(study, twin, effects, before, after, fall, given) -> Addition:
         not_identified=after.not_identified,
         physics=" ".join(study.describe(after, e) for e in effects if e in after.effects),
         findings=tuple(study.findings),
+        noted=study.noted(after),
         **given,
     )
 

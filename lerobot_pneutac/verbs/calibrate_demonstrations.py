@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lerobot_pneutac.verbs.calibration import Calibration
+from pneutac_datasets.demonstrations.replay.dragging import Dragging
 from pneutac_datasets.demonstrations.replay.imprint import LightDrift, light_drift, rest_image
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_sim.errors import InputError
@@ -22,10 +23,16 @@ class LightCalibration(Calibration):
     Attributes:
         light: how the light had changed since the twin was made.
         before: error of the twin's own rest image on the held-out episodes, levels.
+        task: that was shown.
+        dragging: how imprints turned where the finger was dragged sideways; None where it was not.
+        dragged_before: the same as the twin knew it.
     """
 
     light: LightDrift
     before: float
+    task: str
+    dragging: Dragging | None = None
+    dragged_before: Dragging | None = None
 
     title = "The gel's light at rest"
 
@@ -50,10 +57,15 @@ class LightCalibration(Calibration):
 
     def remarks(self) -> list[str]:
         """What stays as it was."""
-        return [
+        out = [
             "How the light changes under a press stays as it was calibrated; presses of known objects on the "
             f"bench calibrate that{self._now()}."
         ]
+        return out + ([self.dragging.sentence(self.dragged_before)] if self.dragging else [])
+
+    def _noted(self) -> dict:
+        """How imprints turned under a drag, which later ones are held against."""
+        return {"dragging": self.dragging.kept(self.task)} if self.dragging else {}
 
     def to_dict(self) -> dict:
         """The content of `result.json`."""
@@ -110,4 +122,7 @@ def calibrate_demonstrations(twin: Twin, given: Demonstrations, seed: int = 0) -
         seed=seed,
         light=light,
         before=before,
+        task=given.task,
+        dragging=Dragging.of(given.episodes),
+        dragged_before=Dragging.known(twin.history, given.task),
     )

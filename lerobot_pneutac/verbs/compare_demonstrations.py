@@ -79,8 +79,7 @@ class DemonstrationComparison(Comparison):
     @cached_property
     def residual(self) -> np.ndarray:
         """(N, 5) measured minus predicted of all frames, mm at the tip: flange x, y, z, pressure, touch."""
-        base = self.study.fitter.base(TOUCH)
-        return self.study.fitter.predict(base.form, base.values)[0]
+        return self.study.residual(self.twin)
 
     @property
     def _squared(self) -> np.ndarray:
@@ -193,6 +192,12 @@ class DemonstrationComparison(Comparison):
                 "the second half of an episode than in the first, which the twin is charged with."
             )
         out.append(self.light.sentence)
+        apart = self.study.stronger_by(self.twin) if self.residual.size else 0.0
+        if apart:
+            out.append(
+                f"Imprints are {np.exp(apart):.2g} times as strong as in the demonstrations that the twin "
+                "was fitted to, which its touch is charged with; `pneutac diagnose` tells why."
+            )
         return out
 
     def to_dict(self) -> dict:

@@ -14,6 +14,7 @@ from lerobot_robot_pneutac.standin.finger import (
     CREEP,
     LENGTH_MM,
     ORIFICE,
+    PARTS,
     TIP_MM,
     RodBody,
     gel_force_n,
@@ -59,6 +60,7 @@ class Physics:
         brightness: factors on red, green and blue of the gel's light.
         object_mass: factor on the mass of moving objects.
         friction: factor on the friction of the gel.
+        stiffness: factor on the bending stiffness of the finger, which its air bends as far as before.
     """
 
     late_commands: int = LATE_COMMANDS
@@ -67,6 +69,7 @@ class Physics:
     brightness: tuple[float, float, float] = (1.0, 1.0, 1.0)
     object_mass: float = OBJECT_MASS
     friction: float = 1.0
+    stiffness: float = 1.0
 
 
 class StandinWorld:
@@ -135,6 +138,10 @@ class StandinWorld:
         self.model.body_mass[objects] *= self._physics.object_mass
         self.model.body_inertia[objects] *= self._physics.object_mass
         self.model.geom_friction[self.model.geom("pad").id, 0] *= self._physics.friction
+        springs = [self.model.joint(f"{way}_{n}") for way in ("bend", "across") for n in range(PARTS)]
+        for joint in springs:
+            joint.stiffness *= self._physics.stiffness
+            joint.damping *= self._physics.stiffness
         mujoco.mj_setConst(self.model, self.data)
         self.touch = GelTouch(
             self.model, touch, contact_threshold, self._physics.brightness, image_shape, window_mm, self.dt_s

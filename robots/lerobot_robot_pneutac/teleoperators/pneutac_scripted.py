@@ -73,6 +73,13 @@ class PneutacScripted(BaseTeleop):
 
             if robot.config.bend:
                 raise InputError("pneutac_scripted gives pressures; leave --robot.bend out.")
+            if self.config.drag_mm:
+                if not hasattr(robot.world.task, "drag_m"):
+                    raise InputError(
+                        f"The expert of the task '{robot.world.task.name}' does not drag; leave "
+                        "--teleop.drag_mm out, or record the task 'button'."
+                    )
+                robot.world.task.drag_m = 1e-3 * self.config.drag_mm
             self._expert, self._scene, self._tick = ScriptedExpert(robot.world, self._rng), scene, 0
         self._tick += 1
         limits = action_limits(robot.world.pressure_range_kpa, robot.chambers)

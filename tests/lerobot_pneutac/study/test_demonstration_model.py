@@ -1,12 +1,21 @@
 """Hidden lateness and creep are found in arm, gauge and touch that are made up for them."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from lerobot_pneutac.diagnosis.search import Trial
 from lerobot_pneutac.study.demonstration_data import MORE_RAD, EpisodeData, inputs_of
-from lerobot_pneutac.study.demonstration_model import AIR, LATE, TOUCH, Fitter, Form
-from lerobot_pneutac.study.demonstration_touch import imprint_per_rad, stiffness_n_per_rad
+from lerobot_pneutac.study.demonstration_model import (
+    AIR,
+    LATE,
+    TOUCH,
+    DemonstrationModel,
+    Fitter,
+    Form,
+)
+from lerobot_pneutac.study.demonstration_touch import TYPICAL, imprint_per_rad, stiffness_n_per_rad
 from lerobot_pneutac.study.demonstrations import DemonstrationStudy
 from pneutac_datasets.demonstrations.replay.replaying import Place
 from pneutac_sim.effects.registry import get_effect
@@ -134,3 +143,42 @@ def test_what_touch_alone_told_is_not_told_apart_from_the_contact():
     assert told.startswith("Touch does not tell creep and hysteresis apart from another friction of the gel,")
     assert "weight of the object" in told
     assert study.alike([LATE, "valve_slew"]) == study.alike([]) == ""
+
+
+@pytest.mark.parametrize(("share", "word"), [(0.7, "softer"), (1.5, "stiffer"), (0.95, "")])
+def test_imprints_that_are_all_fainter_tell_a_softer_finger(twin, monkeypatch, share, word):
+    from lerobot_pneutac.study import demonstrations
+    from lerobot_pneutac.study.demonstration_strength import COMPLIANCE
+    from lerobot_pneutac.study.demonstration_words import UNIT
+
+    def study_of(twin, gain):
+        episodes = [made(twin, twin, seed) for seed in range(6)]
+        for e in episodes:
+            e.imprint = gain * e.imprint
+        monkeypatch.setattr(demonstrations, "episode_data", lambda *_: episodes)
+        shown = SimpleNamespace(task="button", warnings=[], episodes=[], device="finger")
+        return DemonstrationStudy(twin, shown)
+
+    told = study_of(twin, 1.0)
+    kept = told._strengths[id(told._bare.twin)].kept("button", np.ones(3))
+    knows = twin.copy()
+    knows.history = [{"version": 0, "change": "added", "unit": UNIT, "imprint": kept}]
+    study = study_of(knows, share**TYPICAL)
+    bare = study._bare
+    uncharged = study.errors(bare)["heldout"]
+    assert uncharged == pytest.approx(told.errors(told._bare)["heldout"], rel=0.05)
+    study.judges([COMPLIANCE])
+    bare = study.fitted(study._bare_air, study._bare_touch, study.fitter)
+    found = study._pressing(bare, study._bare_touch, study.fitter)
+    assert (found is not None) == bool(word)
+    if found is None:
+        assert study.errors(bare)["heldout"] == uncharged
+        return
+    stiffness = found.twin.parameter("joint_stiffness_nm_per_rad")
+    assert stiffness == pytest.approx(share * twin.parameter("joint_stiffness_nm_per_rad"), rel=0.05)
+    assert study.errors(found)["heldout"] < 0.5 * study.errors(bare)["heldout"]
+    assert f"Your finger is {word}" in study.describe(found, COMPLIANCE)
+    assert "gel that has hardened" in study.alike([COMPLIANCE])
+    stronger_by_creep = DemonstrationModel(Form(("creep",)), {}, np.empty(0), np.empty(0), [], {})
+    if word == "stiffer":  # more creep may be what made them stronger
+        assert study._pressing(bare, stronger_by_creep, study.fitter) is None

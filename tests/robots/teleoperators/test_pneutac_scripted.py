@@ -132,6 +132,14 @@ def test_bad_options_are_named():
         PneutacScriptedConfig(episode_steps=0)
 
 
+def test_it_drags_where_the_expert_can(pair):
+    robot, teleoperator = pair
+    with pytest.raises(InputError, match="The expert of the task 'switch' does not drag; leave --teleop"):
+        teleoperator(drag_mm=12).get_action()
+    with pytest.raises(DecodingError, match="drag_mm is 30; it must be between 0 and 20"):
+        PneutacScriptedConfig(drag_mm=30)
+
+
 def test_it_gives_no_bends(tmp_path):
     robot = PneutacSim(PneutacSimConfig(id="sim", calibration_dir=tmp_path, fidelity="probe", bend=True))
     teleop = PneutacScripted(PneutacScriptedConfig(id="script", calibration_dir=tmp_path))

@@ -1,5 +1,6 @@
 """What images tell beside the contact area: how strong an imprint is, and how the light has drifted."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import cv2
@@ -12,6 +13,7 @@ REST_FRAMES, GAP = 12, 1  # frames before the first touch that show the gel at r
 DRIFT_LEVELS, SHAPE_LEVELS = 2.0, 2.0  # of a rest image: less is noise, rounding and slow wander of a camera
 FAINT_LEVELS = 5.0  # what noise changes
 APART = 4  # pixels of which the brightness is told
+LEAST_SHOWN = 0.02  # levels over the image, below which an imprint has no direction
 
 
 def rest_image(episode: Episode) -> np.ndarray:
@@ -31,7 +33,7 @@ def areas(images: np.ndarray, rest: np.ndarray) -> np.ndarray:
     return out
 
 
-def strengths(images: np.ndarray, rest: np.ndarray) -> np.ndarray:
+def strengths(images: np.ndarray, rest: np.ndarray, gain: np.ndarray | float = 1.0) -> np.ndarray:
     """How strong the imprints are (T,), levels: the mean change beyond `FAINT_LEVELS` over each image.
 
     Contact area counts pixels beside a threshold; this weighs them by what they change. The light drifts
@@ -41,14 +43,39 @@ def strengths(images: np.ndarray, rest: np.ndarray) -> np.ndarray:
     Args:
         images: uint8 (T, H, W, 3).
         rest: uint8 (H, W, 3).
+        gain: by which each colour (3,) is brighter in the light by which imprints are to be told.
     """
-    out, ground = np.empty(len(images)), np.maximum(rest, 1).astype(np.float32)
-    few = (slice(None, None, APART),) * 2
-    for t, image in enumerate(images):
-        brightness = np.median(image[few] / ground[few], axis=(0, 1)).astype(np.float32)
-        change = np.abs(cv2.blur(image / brightness - ground, (3, 3))).mean(2)
-        out[t] = np.maximum(change - FAINT_LEVELS, 0).mean()
+    return np.array([change.mean() for change in _changes(images, rest, gain)])
+
+
+def turns_deg(images: np.ndarray, rest: np.ndarray) -> np.ndarray:
+    """How imprints are turned in the image (T,), degrees: their long axis, by second moments; NaN where none.
+
+    Args:
+        images: uint8 (T, H, W, 3).
+        rest: uint8 (H, W, 3).
+    """
+    out = np.full(len(images), np.nan)
+    for t, change in enumerate(_changes(images, rest)):
+        m = cv2.moments(change)
+        if m["m00"] > LEAST_SHOWN * change.size:
+            out[t] = np.degrees(0.5 * np.arctan2(2 * m["mu11"], m["mu20"] - m["mu02"]))
     return out
+
+
+def brightness(rest: np.ndarray) -> np.ndarray:
+    """Of each colour (3,) of a rest image uint8 (H, W, 3), levels."""
+    return np.maximum(rest.mean((0, 1), dtype=float), 1.0)
+
+
+def _changes(images: np.ndarray, rest: np.ndarray, gain: np.ndarray | float = 1.0) -> Iterator[np.ndarray]:
+    """Change beyond `FAINT_LEVELS` of each image (H, W), levels; see `strengths`."""
+    ground = np.maximum(rest, 1).astype(np.float32)
+    few = (slice(None, None, APART),) * 2
+    for image in images:
+        shown = np.median(image[few] / ground[few], axis=(0, 1)).astype(np.float32)
+        change = (gain * np.abs(cv2.blur(image / shown - ground, (3, 3)))).mean(2)
+        yield np.maximum(change - FAINT_LEVELS, 0)
 
 
 @dataclass(frozen=True)

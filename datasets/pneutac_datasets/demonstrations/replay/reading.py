@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from pneutac_sim.world.station import Station
 
 ROBOT = "pneutac"
-BEGIN = 5  # frames in which nothing is touched yet
+BEGIN, SOON = 5, 10  # frames in which nothing is touched yet, and before which no touch is one
 JUMP_M = 0.03  # in a frame, four times the fastest
 LEAST_KPA = 0.5  # travel of a command of pressure that a gauge must show
 
@@ -189,7 +189,7 @@ def _touch_anew(given: Demonstrations) -> Demonstrations:
     """
     from pneutac_datasets.demonstrations.replay.imprint import areas
 
-    begun = [i for i, e in enumerate(given.episodes) if (e.state[:BEGIN, AREA] > 0).all()]
+    begun = [i for i, e in enumerate(given.episodes) if (e.contact() or (len(e),))[0] < SOON]
     if not begun:
         return given
     episodes = list(given.episodes)

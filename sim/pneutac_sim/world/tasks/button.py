@@ -11,6 +11,7 @@ POSITION_M = (0.53, 0.0, 0.0)
 HIGH_M = 0.12  # of its middle above the table
 BAR_M, HALF_M = 0.007, 0.016  # its radius and half its length
 TOUCH_MM = 0.3  # imprint at which the expert has found it
+DRAGS, DRAG_M_S = 2, 0.010  # how often it drags to both sides, and how fast
 
 
 @dataclass
@@ -22,6 +23,7 @@ class ButtonTask(Task):
         press_n: force that counts as a press.
         hold_s: for how long.
         limit_n: pressing it harder than this breaks it.
+        drag_m: how far the expert drags the finger sideways along the bar, to and fro, before it lets go.
         spread_x_m, spread_y_m, spread_z_m: half widths of the random start.
     """
 
@@ -34,6 +36,7 @@ class ButtonTask(Task):
     press_n: float = 0.5
     hold_s: float = 3.0
     limit_n: float = 6.0
+    drag_m: float = 0.0
     spread_x_m: float = 0.020
     spread_y_m: float = 0.002
     spread_z_m: float = 0.002
@@ -60,11 +63,17 @@ class ButtonTask(Task):
     @override
     def update(self, model, data, dt):
         self._force = lately(self._force, contact_force(model, data, "button"), dt)
-        if self._force[-1] >= self.press_n:
+        # While it is dragged along, a gel that slips and sticks lets go for a moment.
+        if (max(self._force) if self.drag_m else self._force[-1]) >= self.press_n:
             self._held_s += dt
         else:
             self.pressed += self.held
             self._held_s = 0.0
+
+    @property
+    def _drag_s(self) -> float:
+        """How long the expert drags."""
+        return 4 * DRAGS * self.drag_m / DRAG_M_S
 
     @property
     def held(self) -> bool:
@@ -83,6 +92,10 @@ class ButtonTask(Task):
 
     @override
     def expert(self, world, habits, pressure_kpa):
+        if self.pressed == self.presses - 1 and self.held and self._held_s < self.hold_s + self._drag_s:
+            share = (self._held_s - self.hold_s) / self._drag_s  # of a way to one side, the other, and back
+            way = 1.0 if int(4 * DRAGS * share + 1) // 2 % 2 == 0 else -1.0
+            return np.array([0.0, way * DRAG_M_S, 0.0]), habits.high_kpa
         if self.held or self.pressed >= self.presses:  # it lets go
             return np.zeros(3), 0.0
         if self.pressed or pressure_kpa > habits.low_kpa or world.press_mm > TOUCH_MM:
