@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from pneutac_truths.gel import solid
 from pneutac_truths.gel.punches import KINDS, Punch, polygon_distance
 
 pytest.importorskip("skfem", reason="needs scikit-fem (the dev extra)")
@@ -71,3 +72,21 @@ def test_rubber_that_is_pushed_away_bulges_beside_the_punch():
     face = press(Punch("cube", 2.0), 0.2, Rubber(2.0), 0.25)
     assert face.moved_mm[..., 2].max() > 0.003
     assert face.moved_mm[..., 2] == pytest.approx(face.moved_mm[::-1, :, 2])
+
+
+def test_a_step_that_finds_no_equilibrium_is_halved(monkeypatch):
+    settle, tried = solid._Mesh.settle, [0.0]
+
+    def timid(self, u, punch, depth_mm):
+        if depth_mm - tried[-1] > 0.15:
+            raise ArithmeticError("too far")
+        tried.append(depth_mm)
+        return settle(self, u, punch, depth_mm)
+
+    monkeypatch.setattr(solid._Mesh, "settle", timid)
+    found = press(Punch("sphere", 3.0), 0.4, Rubber(2.5, 40.0, 0.49), 0.8, 0.2)
+    np.testing.assert_allclose(tried, [0.0, 0.1, 0.2, 0.3, 0.4], atol=1e-12)
+    assert found.force_n > 0
+    with pytest.raises(ArithmeticError, match="too far"):
+        tried[:] = [-9.0]
+        press(Punch("sphere", 3.0), 0.4, Rubber(2.5, 40.0, 0.49), 0.8, 0.2)

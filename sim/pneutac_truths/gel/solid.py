@@ -16,6 +16,7 @@ from scipy.sparse.linalg import splu
 from pneutac_truths.gel.punches import Punch
 
 STIFF = 100.0  # penalty over mu / element size
+LEAST_STEP_MM = 0.01
 NEWTON, CLOSE = 30, 1e-3  # steps, and the share of the load's nodal forces that may be left
 
 
@@ -80,16 +81,25 @@ def press(
         depth_mm: of its lowest point below the resting face.
         rubber: what is pressed.
         fine_mm: size of the elements under and near the contact.
-        step_mm: by how much the depth grows at once.
+        step_mm: by how much the depth grows at once; by half of it where there is no equilibrium.
 
     Raises:
         ArithmeticError: no equilibrium was found.
     """
     mesh = _Mesh(punch, depth_mm, rubber, fine_mm)
     u = np.zeros(mesh.rest.shape)
-    depths = np.linspace(0, depth_mm, int(np.ceil(depth_mm / step_mm)) + 1)[1:]
-    for k, depth in enumerate(depths):
-        u = mesh.settle(u * (depth / depths[k - 1] if k else 1.0), punch, depth)
+    left = list(np.linspace(0, depth_mm, int(np.ceil(depth_mm / step_mm)) + 1)[:0:-1])
+    at = 0.0
+    while left:
+        depth = left[-1]
+        try:
+            u = mesh.settle(u * (depth / at if at else 1.0), punch, depth)
+        except ArithmeticError:
+            if depth - at < LEAST_STEP_MM:
+                raise
+            left.append((at + depth) / 2)
+        else:
+            at = left.pop()
     return mesh.face(u, punch, depth_mm)
 
 
