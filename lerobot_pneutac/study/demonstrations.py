@@ -261,7 +261,8 @@ class DemonstrationStudy(DemonstrationWords):
             ladder.append((" + ".join(models[0].form.effects), self.fitted(models[0], base, fitter)))
         if models[1].form.effects:
             ladder.append((" + ".join(selected), after))
-        if (pressing := self._pressing(after, models[1], fitter)) is not None:
+        pressing = self._pressing(after, models[1], fitter, selected)
+        if pressing is not None:
             selected, after = [*selected, COMPLIANCE], pressing
             self.judges(selected)
             before = self.fitted(self._bare_air, self._bare_touch, self.fitter)
@@ -291,13 +292,15 @@ class DemonstrationStudy(DemonstrationWords):
             chosen_in=chosen,
         )
 
-    def _pressing(self, found: FittedModel, touch: DemonstrationModel, fitter: Fitter) -> FittedModel | None:
+    def _pressing(
+        self, found: FittedModel, touch: DemonstrationModel, fitter: Fitter, selected: Sequence[str]
+    ) -> FittedModel | None:
         """The same with a finger that presses as hard as its imprints are strong; None where it does.
 
-        Imprints that are stronger where touch told more of the body may tell that it was not enough of that.
+        Imprints that are stronger where a slow valve or more of the body was found may tell of that.
         """
         apart, strength = self.stronger_by(found.twin), self._strengths[id(found.twin)]
-        if self.known is None or not apart or (apart > 0 and touch.form.effects):
+        if self.known is None or not apart or (apart > 0 and set(selected) - {LATE}):
             return None
         twin = strength.pressing(found.twin, self.known)
         self._strengths[id(twin)] = strength
