@@ -92,8 +92,9 @@ class ButtonTask(Task):
 
     @override
     def expert(self, world, habits, pressure_kpa):
-        if self.pressed == self.presses - 1 and self.held and self._held_s < self.hold_s + self._drag_s:
-            share = (self._held_s - self.hold_s) / self._drag_s  # of a way to one side, the other, and back
+        held_for = self._held_s - self.hold_s
+        if self.drag_m and self.pressed == self.presses - 1 and self.held and held_for < self._drag_s:
+            share = max(held_for, 0.0) / self._drag_s  # of a way to one side, the other, and back
             way = 1.0 if int(4 * DRAGS * share + 1) // 2 % 2 == 0 else -1.0
             return np.array([0.0, way * DRAG_M_S, 0.0]), habits.high_kpa
         if self.held or self.pressed >= self.presses:  # it lets go
