@@ -1,8 +1,5 @@
 """A body of three chambers as LeRobot sees it: robot, scripted teleoperator, environment, dataset."""
 
-import json
-import subprocess
-import sys
 import time
 
 import numpy as np
@@ -30,7 +27,6 @@ from pneutac_datasets.demonstrations.augment.run import read_references
 from pneutac_datasets.demonstrations.episodes import load_episode
 from pneutac_datasets.demonstrations.faults import demonstration_faults
 from pneutac_datasets.demonstrations.naive import vary
-from pneutac_datasets.demonstrations.pool import pool_demonstrations
 from pneutac_datasets.demonstrations.record import record_episodes
 from pneutac_datasets.demonstrations.replay.reading import load_demonstrations
 from pneutac_sim.errors import InputError
@@ -249,28 +245,3 @@ def test_demonstrations_are_augmented(folder, tmp_path):
     assert new.num_episodes == 2 and new.features["action"]["names"] == ACTIONS
     actions = np.stack(new.hf_dataset.with_format("numpy")["action"])
     assert actions[:, 3:].min() >= 0.0 and actions[:, 3:].max() <= 50.0
-
-
-@pytest.mark.nightly
-@pytest.mark.timeout(2400)
-def test_a_policy_learns_to_press_the_button(folder, tmp_path):
-    """By LeRobot's commands, from thirty demonstrations: in at least eight of ten tries."""
-    robot = PneutacSim(PneutacSimConfig(id="arm", task="button", twin=folder, fidelity="probe"))
-    teleop = PneutacScripted(PneutacScriptedConfig(id="expert"))
-    record_episodes(robot, teleop, "local/arm", tmp_path / "data", 30, "press", False)
-    small = pool_demonstrations([tmp_path / "data"], tmp_path / "small", "local/small")
-    run = [sys.executable, "-m"]
-    subprocess.run(
-        [*run, "lerobot.scripts.lerobot_train", "--policy.type=pneutac_bc", "--policy.device=cpu",
-         "--policy.previous_action_in_data=true", "--dataset.repo_id=local/small", f"--dataset.root={small}",
-         f"--output_dir={tmp_path / 'policy'}", "--steps=2500", "--batch_size=64", "--num_workers=1",
-         "--save_freq=2500", "--env_eval_freq=0", "--wandb.enable=false"], check=True,
-    )  # fmt: skip
-    weights = tmp_path / "policy" / "checkpoints" / "last" / "pretrained_model"
-    subprocess.run(
-        [*run, "lerobot.scripts.lerobot_eval", f"--policy.path={weights}", "--policy.device=cpu",
-         "--env.type=pneutac", "--env.task=button", f"--env.twin={folder}", "--env.fidelity=probe",
-         "--eval.n_episodes=10", "--eval.batch_size=1", f"--output_dir={tmp_path / 'eval'}"], check=True,
-    )  # fmt: skip
-    told = json.loads((tmp_path / "eval" / "eval_info.json").read_text())["overall"]
-    assert told["pc_success"] >= 80.0
