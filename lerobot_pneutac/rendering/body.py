@@ -19,7 +19,7 @@ from lerobot_pneutac.rendering.options import FPS, RenderConfig
 from lerobot_pneutac.rendering.photographs import photograph_painter, read_recorded
 from lerobot_pneutac.rendering.view import view_painter
 from pneutac_sim.errors import InputError
-from pneutac_sim.finger.inputs import CHAMBERS
+from pneutac_sim.features import CHAMBERS
 from pneutac_sim.splat.stretch import MOST_STRAIN
 from pneutac_sim.twin import Twin
 

@@ -8,7 +8,8 @@ from gymnasium import spaces
 
 from lerobot_pneutac.rl.reward import Moment, reward_terms, total
 from lerobot_pneutac.rl.task import TaskView
-from pneutac_sim.features import ACTION_NAMES, EE, PANDA_JOINTS, PRESSURE, action_limits
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import ACTION_NAMES, CHAMBERS, EE, PANDA_JOINTS, PRESSURE, action_limits
 from pneutac_sim.gel.probe import COLS, ROWS
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.conditions import Conditions
@@ -104,6 +105,10 @@ class PpoEnv(gymnasium.Env):
         Raises:
             InputError: the task is unknown, the arm does not reach it, or the twin is not a finger's.
         """
+        if twin is not None and CHAMBERS.get(twin.device, 1) > 1:
+            raise InputError(
+                f"An actor commands one chamber, and this twin is of an '{twin.device}'; give a finger's."
+            )
         self.world = VariedWorld(task, twin, "probe", "probe", conditions, station=station)
         self.view = TaskView(self.world)
         self.randomise, self._length = randomise, length or self.world.station.steps(EPISODE_S)

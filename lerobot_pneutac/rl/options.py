@@ -5,8 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from pneutac_sim.errors import InputError, check_choice, check_least
-from pneutac_sim.features import FIDELITIES, task_names
-from pneutac_sim.finger.inputs import CHAMBERS
+from pneutac_sim.features import CHAMBERS, FIDELITIES, task_names
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.checks import check_world
 from pneutac_sim.world.station import Station

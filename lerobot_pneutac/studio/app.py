@@ -17,6 +17,7 @@ from lerobot_pneutac.studio.colours import BRAND
 from lerobot_pneutac.studio.front import front_page
 from lerobot_pneutac.studio.gate import LOCAL, Gate
 from pneutac_sim.errors import InputError
+from pneutac_sim.features import CHAMBERS
 
 if TYPE_CHECKING:
     from lerobot_pneutac.studio.session import Session
@@ -73,8 +74,6 @@ class Studio:
         self._add_pages(self.server.gui.add_tab_group(), self.pages)
 
     def _add_pages(self, tabs, pages: dict) -> None:
-        from pneutac_sim.finger.inputs import CHAMBERS  # with the compiler of its equations
-
         twin = self.session.twin
         if twin.device in CHAMBERS:
             from lerobot_pneutac.studio.device_page import DevicePage

@@ -15,7 +15,7 @@ from lerobot_pneutac.studio.plots import Lines
 from lerobot_pneutac.studio.solid_panel import SolidPanel
 from pneutac_sim.effects.registry import body_effects, get_effect, of_body, of_sensor
 from pneutac_sim.errors import InputError
-from pneutac_sim.finger.inputs import CHAMBERS
+from pneutac_sim.features import CHAMBERS
 from pneutac_sim.finger.online import COMPUTED, OTHERS
 from pneutac_sim.twin import Twin
 

@@ -10,8 +10,8 @@ from lerobot_pneutac.studio.live import LiveBody, Skin, shape_of
 from lerobot_pneutac.verbs.compare import compare
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
+from pneutac_sim.features import CHAMBERS
 from pneutac_sim.finger import Pipeline
-from pneutac_sim.finger.inputs import CHAMBERS
 from pneutac_sim.twin import Twin
 
 MOST_FRAMES = 1500

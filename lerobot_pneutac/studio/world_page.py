@@ -9,8 +9,7 @@ import numpy as np
 
 from lerobot_pneutac.studio.episode_panel import EpisodePanel
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import IMAGE_NAME, TRIAL_S, pressure_names, task_names
-from pneutac_sim.finger.inputs import CHAMBERS
+from pneutac_sim.features import CHAMBERS, IMAGE_NAME, TRIAL_S, pressure_names, task_names
 
 HEIGHT_PX = 280
 SPEED_M_S = 0.05  # of a button or key that is held

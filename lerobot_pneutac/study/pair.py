@@ -12,8 +12,8 @@ from pneutac_datasets.demonstrations.replay.reading import Demonstrations, is_da
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import an, plural
 from pneutac_sim.errors import InputError
+from pneutac_sim.features import CHAMBERS
 from pneutac_sim.finger import BodyData, Pipeline
-from pneutac_sim.finger.inputs import CHAMBERS
 from pneutac_sim.twin import Twin
 
 LONGER = "Record ten minutes with steps, slow and fast ramps and long holds, in several trials."

@@ -40,7 +40,7 @@ def check_finger(option: str, twin: Path | None) -> None:
 
 def chambers_of(option: str, twin: Path | None) -> int:
     """Chambers of what a twin is of; 0 of a gel, 1 of the built-in finger where there is none."""
-    from pneutac_sim.finger.inputs import CHAMBERS
+    from pneutac_sim.features import CHAMBERS
     from pneutac_sim.twin import Twin
 
     try:

@@ -14,6 +14,7 @@ from importlib.metadata import entry_points
 
 import numpy as np
 
+CHAMBERS = {"finger": 1, "arm": 3}  # device to how many
 CONTROL_HZ = 15  # the paper's; a `Station` may have another
 RATES_HZ = (5, 60)  # lowest and highest: hardware stops 0.25 s after a command, images come at 60 Hz at most
 TRIAL_S = 20  # after which a trial has failed

@@ -9,8 +9,8 @@ from pneutac_datasets.generate.photo_plan import joints_of
 from pneutac_datasets.generate.photographs import Disturbances, write_photographs
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import in_order
+from pneutac_sim.features import CHAMBERS
 from pneutac_sim.finger import BodyData, Pipeline, fit
-from pneutac_sim.finger.inputs import CHAMBERS
 from pneutac_sim.mpm import devices
 from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import solve_equilibrium

@@ -9,6 +9,7 @@ import pyarrow.parquet as parquet
 
 from pneutac_datasets.demonstrations.info import ACTION, STATE, read_info
 from pneutac_sim.features import (
+    CHAMBERS,
     CONTROL_HZ,
     IMAGE_NAME,
     POINTS_KEY,
@@ -18,7 +19,6 @@ from pneutac_sim.features import (
     chamber_count,
     state_names_like,
 )
-from pneutac_sim.finger.inputs import CHAMBERS
 from pneutac_sim.gel.contact import without_specks
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.pace import pace_notes

@@ -5,7 +5,8 @@ import pandas as pd
 
 from pneutac_datasets.generate.photo_cameras import CAMERAS
 from pneutac_sim.errors import InputError
-from pneutac_sim.finger.inputs import CHAMBERS, Inputs, pressure_columns
+from pneutac_sim.features import CHAMBERS
+from pneutac_sim.finger.inputs import Inputs, pressure_columns
 from pneutac_sim.finger.pipeline import Pipeline
 from pneutac_sim.twin import PAPER_FINGER, Twin, Value
 

@@ -6,7 +6,8 @@ import numpy as np
 
 from pneutac_datasets.recording.wording import an, plural
 from pneutac_sim.errors import InputError
-from pneutac_sim.finger.inputs import CHAMBERS, pressure_columns
+from pneutac_sim.features import CHAMBERS
+from pneutac_sim.finger.inputs import pressure_columns
 
 
 def device_with(chambers: int) -> str:

@@ -12,6 +12,7 @@ from lerobot.utils.constants import ACTION, OBS_IMAGES, OBS_STATE
 from lerobot_robot_pneutac.options import refuse_if
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import (
+    CHAMBERS,
     IMAGE_NAME,
     IMAGE_SHAPE,
     STATE_NAMES,
@@ -21,7 +22,6 @@ from pneutac_sim.features import (
     joint_count,
     state_names_like,
 )
-from pneutac_sim.finger.inputs import CHAMBERS
 
 # The network sees means over the cells of such a grid, lying where the image does, 4 x 4 pixels of a DIGIT's.
 # A dataset may hold these means instead of images, and then says of what size these were.

@@ -13,8 +13,7 @@ from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnected
 from lerobot_robot_pneutac.options import refuse_if
 from lerobot_robot_pneutac.robots.base_robot import BEND_NAMES
 from lerobot_robot_pneutac.teleoperators.base_teleop import BaseTeleop
-from pneutac_sim.features import MAX_PRESSURE_KPA, MAX_SPEED_M_S, action_names
-from pneutac_sim.finger.inputs import CHAMBERS
+from pneutac_sim.features import CHAMBERS, MAX_PRESSURE_KPA, MAX_SPEED_M_S, action_names
 
 logger = logging.getLogger(__name__)
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pneutac_sim.errors import InputError
+from pneutac_sim.features import CHAMBERS
 from pneutac_sim.finger.quantities import observations
 from pneutac_sim.finger.switches import switches
 
-CHAMBERS = {"finger": 1, "arm": 3}
 SOURCES = ("auto", "command", "measured")
 STARTS = ("auto", "held", "vented")
 SWITCH_S = 1e-4  # a step of the command takes this long

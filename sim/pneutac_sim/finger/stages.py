@@ -12,8 +12,8 @@ import numpy as np
 from pneutac_sim.effects.body_effect import BodyEffect
 from pneutac_sim.effects.effect import Parameter
 from pneutac_sim.errors import InputError
+from pneutac_sim.features import CHAMBERS
 from pneutac_sim.finger import equilibrium
-from pneutac_sim.finger.inputs import CHAMBERS
 from pneutac_sim.finger.kinematics import forward_kinematics, forward_kinematics_spatial, gain_profile
 from pneutac_sim.finger.soft_body import SoftBody, controller_stiffness, loaded
 from pneutac_sim.twin import PAPER_FINGER

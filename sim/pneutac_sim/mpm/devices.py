@@ -15,7 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
-from pneutac_sim.finger.inputs import CHAMBERS, Inputs, pressure_columns
+from pneutac_sim.features import CHAMBERS
+from pneutac_sim.finger.inputs import Inputs, pressure_columns
 from pneutac_sim.finger.pipeline import Pipeline
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel

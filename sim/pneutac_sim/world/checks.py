@@ -3,8 +3,7 @@
 import numpy as np
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import task_names
-from pneutac_sim.finger.inputs import CHAMBERS
+from pneutac_sim.features import CHAMBERS, task_names
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.conditions import Conditions, conditions_for
 from pneutac_sim.world.station import MISSING_M, Station

@@ -11,8 +11,7 @@ import mujoco
 import numpy as np
 
 from pneutac_sim.errors import InputError, check_choice
-from pneutac_sim.features import FIDELITIES, PRESSURES, RENDERS, action_limits
-from pneutac_sim.finger.inputs import CHAMBERS
+from pneutac_sim.features import CHAMBERS, FIDELITIES, PRESSURES, RENDERS, action_limits
 from pneutac_sim.finger.online import PressurePipeline
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.twin import PAPER_FINGER, Twin, checked_range

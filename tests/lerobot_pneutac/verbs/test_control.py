@@ -27,7 +27,7 @@ def test_the_program_goes_from_the_report_to_the_bench_and_back(twin, tmp_path, 
     program = tmp_path / "out" / "program.csv"
     (trial,) = read_program(str(program), 15.0, 20.0)
     asked = pd.read_csv(program)
-    np.testing.assert_allclose(trial.pressure_kpa, asked["pressure_cmd_kpa"])
+    np.testing.assert_allclose(trial.pressure_kpa[:, 0], asked["pressure_cmd_kpa"])
     write_program(tmp_path / "bench", program)
     main(
         [

@@ -17,6 +17,7 @@ from pneutac_datasets.demonstrations.info import is_demonstrations
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import (
     AREA,
+    CHAMBERS,
     CONTROL_HZ,
     EE,
     PRESSURE,
@@ -24,7 +25,6 @@ from pneutac_sim.features import (
     joint_count,
     task_names,
 )
-from pneutac_sim.finger.inputs import CHAMBERS
 from pneutac_sim.twin import Twin
 
 if TYPE_CHECKING:
