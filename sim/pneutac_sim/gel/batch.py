@@ -211,7 +211,9 @@ class _Field:
     """`gel.residual.levels` of one field."""
 
     def __init__(self, field: ResidualField, cell_mm, device):
-        sent = lambda a: torch.tensor(a, dtype=torch.float32, device=device)  # noqa: E731
+        def sent(a):
+            return torch.tensor(a, dtype=torch.float32, device=device)
+
         squares = np.square(field.centres).sum(-1, keepdims=True)
         # so that one product of (z, -|z|^2 / 2, 1) with these is -|z - z_j|^2 / 2
         self._centres = sent(

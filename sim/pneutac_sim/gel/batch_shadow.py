@@ -30,7 +30,10 @@ class CastShadows:
         wide = px >= py  # it leaves through the column beside
         near_i, near_j = np.where(wide, i, i + di), np.where(wide, j + dj, j)
         leaves = (near_i < 0) | (near_i >= ROWS) | (near_j < 0) | (near_j >= COLS)
-        index = lambda a, b: (k * ROWS + a.clip(0, ROWS - 1)) * COLS + b.clip(0, COLS - 1)  # noqa: E731
+
+        def index(a, b):
+            return (k * ROWS + a.clip(0, ROWS - 1)) * COLS + b.clip(0, COLS - 1)
+
         near, other = index(near_i, near_j), index(i + di, j + dj)
         outside = (i + di < 0) | (i + di >= ROWS) | (j + dj < 0) | (j + dj >= COLS)
         other = np.where(outside, near, other)
@@ -39,7 +42,10 @@ class CastShadows:
         drop = slope[:, None, None] * np.hypot(ex, ey) / steep
         side = 2 * (di < 0) + (dj < 0)
         turn = np.stack([np.searchsorted(np.unique(s), s) for s in side]) if len(side) else side
-        sent = lambda a: torch.tensor(a.reshape(-1, 1), dtype=torch.float32, device=device)  # noqa: E731
+
+        def sent(a):
+            return torch.tensor(a.reshape(-1, 1), dtype=torch.float32, device=device)
+
         self._turns = []
         for t in range(4):
             acts = (turn == t) & ~leaves
