@@ -13,6 +13,8 @@ from lerobot_robot_pneutac.hardware.parts import COMMAND_S, HardwareFault
 from lerobot_robot_pneutac.hardware.pressure_limits import checked_kpa, positive
 
 STALE_S = 0.2  # a measured pressure older than this is none
+STALL_S = 0.1  # a turn of the port's thread that took longer: the computer was busy, not the controller silent
+BUSY_S = 0.6  # a measurement is waited for until the newest is so old, where the computer was busy
 POLL_S = 0.005
 REOPEN_S = 0.05
 FAREWELL_S = 0.06  # on disconnecting: long enough to repeat a lost vent twice
@@ -82,6 +84,7 @@ class SerialPressure:
         self._fault: str | None = None
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
+        self._turn_s = self._alive_s = 0.0  # when the thread last had its turn; was held up or heard something
 
     @property
     def max_kpa(self) -> float:
@@ -120,7 +123,13 @@ class SerialPressure:
             self._commanded_s = time.monotonic()
 
     def pressure(self) -> float:
-        """The newest measured pressure in kPa; raises HardwareFault where it is older than `STALE_S`."""
+        """The newest measured pressure in kPa, at most `STALE_S` old.
+
+        Where this computer was held up, or a new session is being opened, the next one is waited for.
+
+        Raises:
+            HardwareFault: the controller was silent for `STALE_S`, or there is none after `BUSY_S`.
+        """
         self._check_fresh()
         return self._exchange.measured_kpa
 
@@ -147,10 +156,24 @@ class SerialPressure:
             raise HardwareFault(f"{self} is not connected; call connect first.")
 
     def _check_fresh(self) -> None:
-        self._check_running()
-        age = time.monotonic() - self._exchange.measured_s
-        if age > STALE_S:
-            raise HardwareFault(f"{self}: the newest measurement is {age:.2f} s old; check cable and power.")
+        while True:
+            self._check_running()
+            now, measured_s = time.monotonic(), self._exchange.measured_s
+            if now - measured_s <= STALE_S:
+                return
+            silent = now - max(measured_s, self._alive_s) > STALE_S and now - self._turn_s <= STALL_S
+            if silent or now - measured_s > BUSY_S:
+                raise HardwareFault(
+                    f"{self}: the newest measurement is {now - measured_s:.2f} s old; check cable and power."
+                )
+            time.sleep(POLL_S)
+
+    def _take_turn(self, heard: bool = False) -> None:
+        """The port's thread runs, and may have heard something."""
+        now = time.monotonic()
+        if heard or now - self._turn_s > STALL_S:
+            self._alive_s = now
+        self._turn_s = now
 
     def _current(self, now_s: float) -> Command:
         with self._lock:
@@ -162,6 +185,7 @@ class SerialPressure:
         lost_s = time.monotonic()
         reason = ""
         while not self._stop.is_set():
+            self._take_turn()
             try:
                 # Without `exclusive` a second program at the port would eat half of the answers.
                 with serial.Serial(
@@ -192,6 +216,7 @@ class SerialPressure:
                 port.write(out)
             data = port.read(max(1, port.in_waiting))
             self._exchange.receive(data, time.monotonic())
+            self._take_turn(heard=bool(data))
             if self._exchange.fault:
                 self._fault = f"{self}: {self._exchange.fault}."
                 return

@@ -1,5 +1,6 @@
 """The driver at a pseudo-terminal in real time, against the firmware's own core."""
 
+import ctypes
 import os
 import pty
 import signal
@@ -56,6 +57,17 @@ def test_a_caller_that_hangs_keeps_no_pressure(program, tmp_path):
     with terminal(program, tmp_path / "rig"), connected(PneutacSerial(str(tmp_path / "rig"))) as controller:
         assert reaches(controller, 10)
         assert until(lambda: controller.pressure() < 0.5, 2.0)
+
+
+def test_a_computer_that_stalls_is_not_taken_for_a_silent_controller(program, tmp_path):
+    """A stall of 0.3 s: longer than a measurement is good for, and than the controller waits for a heartbeat."""
+    hold_the_interpreter = ctypes.PyDLL(None).usleep
+    with terminal(program, tmp_path / "rig"), connected(PneutacSerial(str(tmp_path / "rig"))) as controller:
+        assert reaches(controller, 8)
+        for _ in range(3):
+            hold_the_interpreter(300_000)
+            assert controller.pressure() < 8.5
+            assert reaches(controller, 8), "it was vented meanwhile, and is filled again"
 
 
 def test_replugging_reconnects_and_waits_for_a_new_set_point(program, tmp_path):
