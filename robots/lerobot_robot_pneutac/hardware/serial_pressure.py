@@ -13,7 +13,7 @@ from lerobot_robot_pneutac.hardware.parts import COMMAND_S, HardwareFault
 from lerobot_robot_pneutac.hardware.pressure_limits import checked_kpa, positive
 
 STALE_S = 0.2  # a measured pressure older than this is none
-STALL_S = 0.1  # a turn of the port's thread that took longer: the computer was busy, not the controller silent
+STALL_S = 0.1  # a turn of the port's thread that took longer: a busy computer, not a silent controller
 BUSY_S = 0.6  # a measurement is waited for until the newest is so old, where the computer was busy
 POLL_S = 0.005
 REOPEN_S = 0.05
@@ -84,7 +84,8 @@ class SerialPressure:
         self._fault: str | None = None
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
-        self._turn_s = self._alive_s = 0.0  # when the thread last had its turn; was held up or heard something
+        self._turn_s = 0.0  # when the thread last had its turn
+        self._alive_s = 0.0  # when it last heard something, or went on after a stall
 
     @property
     def max_kpa(self) -> float:

@@ -60,7 +60,7 @@ def test_a_caller_that_hangs_keeps_no_pressure(program, tmp_path):
 
 
 def test_a_computer_that_stalls_is_not_taken_for_a_silent_controller(program, tmp_path):
-    """A stall of 0.3 s: longer than a measurement is good for, and than the controller waits for a heartbeat."""
+    """For 0.3 s: longer than a measurement is good for, and than the controller waits for a heartbeat."""
     hold_the_interpreter = ctypes.PyDLL(None).usleep
     with terminal(program, tmp_path / "rig"), connected(PneutacSerial(str(tmp_path / "rig"))) as controller:
         assert reaches(controller, 8)
