@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from lerobot_pneutac.verbs.comparison import Comparison
     from lerobot_pneutac.verbs.control import Control, control
     from lerobot_pneutac.verbs.design import Design, design
+    from lerobot_pneutac.verbs.design_motion import MotionDesign, design_motion
     from lerobot_pneutac.verbs.design_press import PressDesign, design_press
     from lerobot_pneutac.verbs.diagnose import diagnose
     from lerobot_pneutac.verbs.diagnosis import Diagnosis
@@ -50,6 +51,8 @@ _MODULES = {
     "Control": "lerobot_pneutac.verbs.control",
     "design": "lerobot_pneutac.verbs.design",
     "Design": "lerobot_pneutac.verbs.design",
+    "design_motion": "lerobot_pneutac.verbs.design_motion",
+    "MotionDesign": "lerobot_pneutac.verbs.design_motion",
     "design_press": "lerobot_pneutac.verbs.design_press",
     "PressDesign": "lerobot_pneutac.verbs.design_press",
     "diagnose": "lerobot_pneutac.verbs.diagnose",
@@ -62,8 +65,8 @@ _MODULES = {
 
 __all__ = [
     "Addition", "Calibration", "Comparison", "Control", "Demonstrations", "Design", "Diagnosis", "InputError",
-    "Learning", "PressDesign", "Recording", "Twin", "add", "calibrate", "compare", "control", "design",
-    "design_press", "diagnose", "learn", "load_demonstrations",
+    "Learning", "MotionDesign", "PressDesign", "Recording", "Twin", "add", "calibrate", "compare", "control",
+    "design", "design_motion", "design_press", "diagnose", "learn", "load_demonstrations",
 ]  # fmt: skip
 
 

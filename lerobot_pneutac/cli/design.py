@@ -1,4 +1,4 @@
-"""`pneutac design`: chooses the program, or a gel's press, that tells most about what is missing."""
+"""`pneutac design`: the program, a gel's press or an arm's motions that tell most of what is missing."""
 
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -6,11 +6,13 @@ from pathlib import Path
 from rich.console import Console
 
 from lerobot_pneutac.cli.options import parse_options
+from lerobot_pneutac.cli.progress import progress_bar
 from lerobot_pneutac.cli.show import show, write
 from lerobot_pneutac.diagnosis.hands import GRAVITY, Hands, named
-from lerobot_pneutac.study.pair import load_bench_pair
+from lerobot_pneutac.study.pair import load_bench_pair, load_pair
 from lerobot_pneutac.verbs.design import design
 from lerobot_pneutac.verbs.design_press import design_press
+from pneutac_datasets.demonstrations.replay.reading import is_dataset
 from pneutac_sim.errors import InputError
 
 
@@ -20,8 +22,11 @@ class DesignConfig:
 
     Attributes:
         twin: folder of the twin that was diagnosed.
-        recording: folder of the recording that was diagnosed.
-        diagnosis: folder that `pneutac diagnose --out=` wrote.
+        recording: folder of the recording that was diagnosed; or of a LeRobotDataset of demonstrations, or
+            its name on the Hub, for which the next motions of the arm are chosen.
+        diagnosis: folder that `pneutac diagnose --out=` wrote; demonstrations need none.
+        task: of demonstrations: what stood in front of the robot, where their instruction does not tell.
+        station: of demonstrations: `station.yaml`, where their robot left none in them.
         out: folder for `program.csv` (of a gel `press.csv`), `result.json` and `report.html`; nothing is
             written without it.
         max_kpa: highest set-point, one for all chambers or one for each; that of the recording where none is
@@ -38,8 +43,10 @@ class DesignConfig:
 
     twin: Path
     recording: Path
-    diagnosis: Path
+    diagnosis: Path | None = None
     out: Path | None = None
+    task: str = ""
+    station: Path | None = None
     max_kpa: float | tuple[float, ...] | None = None
     min_kpa: float | tuple[float, ...] | None = None
     budget_s: float = 600.0
@@ -58,12 +65,23 @@ class DesignConfig:
 def main(argv: list[str]) -> None:
     """Runs the verb."""
     cfg, console = parse_options(DesignConfig, argv), Console()
+    if is_dataset(cfg.recording):
+        from lerobot_pneutac.verbs.design_motion import design_motion  # MuJoCo, which benches do not need
+
+        _take_no_more(cfg, 6, "the next demonstrations have")
+        if cfg.diagnosis:
+            raise InputError("diagnosis: motions are chosen by the twin alone; leave it out.")
+        twin, shown = load_pair(cfg.twin, cfg.recording, "design by", cfg.task, cfg.station)
+        with progress_bar(console) as progress:
+            motion = design_motion(twin, shown, progress)
+        show(motion, console)
+        return write(motion, cfg.out, "design", argv, console)
     twin, recording = load_bench_pair(cfg.twin, cfg.recording, "design by")
+    if cfg.diagnosis is None:
+        raise InputError("Give the folder that `pneutac diagnose --out=DIR` wrote, as --diagnosis=DIR.")
     limits = (cfg.max_kpa, cfg.min_kpa, cfg.budget_s, cfg.program_s, cfg.hz)
     if recording.device == "gel":
-        for option in fields(cfg)[4:]:
-            if getattr(cfg, option.name) != option.default:
-                raise InputError(f"{option.name}: a press of a gel has no such option; leave it out.")
+        _take_no_more(cfg, 4, "a press of a gel has")
         press = design_press(twin, recording, cfg.diagnosis)
         show(press, console)
         return write(press, cfg.out, "design", argv, console)
@@ -74,3 +92,10 @@ def main(argv: list[str]) -> None:
     result = design(twin, recording, cfg.diagnosis, *limits, hands)
     show(result, console)
     write(result, cfg.out, "design", argv, console)
+
+
+def _take_no_more(cfg: DesignConfig, first: int, has: str) -> None:
+    """Raises InputError where an option from the first on is given."""
+    for option in fields(cfg)[first:]:
+        if getattr(cfg, option.name) != option.default:
+            raise InputError(f"{option.name}: {has} no such option; leave it out.")

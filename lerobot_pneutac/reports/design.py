@@ -1,4 +1,4 @@
-"""The page of `pneutac design`: the program, and what each model in the running predicts of it."""
+"""The pages of `pneutac design`: a program, and what each model in the running predicts of it; motions."""
 
 import numpy as np
 import plotly.graph_objects as go
@@ -28,6 +28,25 @@ def design_page(design) -> Report:
         figure, "What each model predicts, with its probability before the program, and the program.", 520
     )
     report.table(design.rows(), "The programs that tell most for their time.")
+    return report
+
+
+def motion_page(design) -> Report:
+    """The report of a `MotionDesign`."""
+    report = Report(design.title)
+    report.lead(design.sentence)
+    for c in dict.fromkeys(design.chosen.values()):
+        drags = c.motion.drag_mm > 0
+        figure = go.Figure()
+        for name, felt in c.felt.items():
+            x, y = (felt.way_mm, felt.turn_deg) if drags else (felt.time_s, felt.force_n)
+            figure.add_trace(go.Scatter(x=x, y=y, name=name))
+        figure.update_xaxes(title_text="way of the arm sideways, mm" if drags else "time, s")
+        figure.update_yaxes(title_text="turn of the imprint, degrees" if drags else "force on the gel, N")
+        report.figure(figure, f"{c.motion.name}: the twin as it is, and with one thing changed.".capitalize())
+    report.table(design.rows(), "Standard deviations by which each motion tells a change.")
+    for remark in design.remarks():
+        report.text(remark)
     return report
 
 

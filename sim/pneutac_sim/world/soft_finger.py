@@ -45,9 +45,17 @@ MATERIALS = (
 )
 
 
-def mjcf(twin: Twin, mount_mm: float = 20.0) -> Finger:
-    """All of the finger of a twin, on an adapter of that length between the flange and its base."""
-    return Finger(body(twin, 1e-3 * mount_mm), DEFAULTS, MATERIALS, actuators(twin), tendons(twin))
+def mjcf(twin: Twin, mount_mm: float = 20.0, axes: int | None = None) -> Finger:
+    """All of the finger of a twin, on an adapter of that length between the flange and its base.
+
+    Args:
+        twin: of the body.
+        mount_mm: length of the adapter.
+        axes: bending axes of a joint; None for those about which its chambers bend it.
+    """
+    axes = axes or bending_axes(twin)
+    xml = body(twin, 1e-3 * mount_mm, axes)
+    return Finger(xml, DEFAULTS, MATERIALS, actuators(twin, axes), tendons(twin, axes))
 
 
 def bending_axes(twin: Twin) -> int:
@@ -66,7 +74,7 @@ def gel_above_m(twin: Twin) -> float:
     return GEL_ABOVE_M + half_width_m(twin) - 0.5e-3 * WIDTH_MM["finger"]
 
 
-def body(twin: Twin, mount_m: float) -> str:
+def body(twin: Twin, mount_m: float, axes: int) -> str:
     """MJCF of mount, finger and DIGIT for the flange: finger x along flange z, hanging down at home.
 
     The finger is turned by 45 degrees about the flange's axis, as Franka's own hand is, so that at home it
@@ -75,7 +83,7 @@ def body(twin: Twin, mount_m: float) -> str:
     s = np.asarray(twin.spine_joint_positions_mm) * 1e-3
     length = twin.length_mm * 1e-3
     ends, links = np.append(s, length), Links.of(bending_body(twin), s)
-    half, axes = half_width_m(twin), bending_axes(twin)
+    half, flat = half_width_m(twin), bending_axes(twin) == 1
 
     tip = '<site name="tip" size=".001" group="5"/>'
     xml = f'<body name="sensor" pos="{length - s[-1]} 0 0">{tip}{_digit(gel_above_m(twin))}</body>'
@@ -85,7 +93,7 @@ def body(twin: Twin, mount_m: float) -> str:
             ' gravcomp="1">'
             f"{mjcf_joint(n + 1, axes)}"
             f"{_inertial(links, n + 1, s[n], sensor(twin) if n == len(s) - 1 else None)}"
-            f"{_segment(ends[n + 1] - ends[n], half, axes)}{xml}</body>"
+            f"{_segment(ends[n + 1] - ends[n], half, flat)}{xml}</body>"
         )
     c = float(np.sqrt(0.5))
     mount = (
@@ -112,15 +120,14 @@ def sensor(twin: Twin) -> Links:
     return Links(mass, centre + [tip, 0.0, 0.0], np.array(inertia))
 
 
-def actuators(twin: Twin) -> str:
+def actuators(twin: Twin, axes: int) -> str:
     """MJCF motors of the spine joints: their control is the torque tau_mpm [N m]."""
-    axes = bending_axes(twin)
     return "".join(mjcf_motors(n + 1, axes) for n in range(len(twin.spine_joint_positions_mm)))
 
 
-def tendons(twin: Twin) -> str:
+def tendons(twin: Twin, axes: int) -> str:
     """MJCF tendons of length q_i + q_j, one for each two hinges, whose stiffness couples them."""
-    if bending_axes(twin) > 1:
+    if axes > 1:
         return ""
     ties = "".join(
         f'<fixed name="spine_{i + 1}_{j + 1}"><joint joint="spine_{i + 1}" coef="1"/>'
@@ -193,11 +200,11 @@ def _inertial(links: Links, k: int, joint_m: float, carried: Links | None = None
     return f'<inertial pos="{x} {y} {z}" mass="{mass}" fullinertia="{" ".join(map(str, full))}"/>'
 
 
-def _segment(length: float, half: float, axes: int) -> str:
+def _segment(length: float, half: float, flat: bool) -> str:
     """Bellows to look at and a capsule to touch, of the segment from x = 0 to `length`, half as wide."""
     rings = max(1, round(length / 0.0095))
     pitch = length / rings
-    if axes == 1:  # above a flat spine
+    if flat:  # bellows above a spine
         above, across, deep = 0.0015, 0.0115, 0.0105
         spine = f'<geom class="skin" type="box" pos="{length / 2} 0 -.0075" size="{length / 2} .010 .003"/>'
     else:

@@ -25,6 +25,7 @@ from pneutac_sim.world.following import Follower
 from pneutac_sim.world.observation import Observation
 from pneutac_sim.world.pad import Pad
 from pneutac_sim.world.placing import Placing
+from pneutac_sim.world.scene import Finger
 from pneutac_sim.world.senses import Senses
 from pneutac_sim.world.soft_finger import Springs, mjcf
 from pneutac_sim.world.spine import Spine
@@ -128,7 +129,7 @@ class World(Senses):
         self.model = mujoco.MjModel.from_xml_string(
             scene.build(
                 self.task,
-                mjcf(self.twin, self.station.mount_mm),
+                self._made(),
                 self.arm.body,
                 self.arm.servos,
                 self.station.control_hz,
@@ -198,10 +199,13 @@ class World(Senses):
         self.data.qpos[self._arm] = self._joints
         if self.finger is not None:
             self.finger.reset()
-        self._drive, self._rate = self._bend(self.spine_target_rad), np.zeros_like(self.spine_target_rad)
+        self._drive = self._bend(self.spine_target_rad)
+        self._rate = np.zeros_like(self._drive)
         self._bends.write(self.data, self._drive)
         if self._pipeline.moves:
-            self._placing.set(self.model, self._placing.find(self._pipeline, self._drive, self.dt_s))
+            self._placing.set(
+                self.model, self._placing.find(self._pipeline, self._in_plane(self._drive), self.dt_s)
+            )
         self.clipped = self.out_of_range = 0
         self.command = np.zeros(len(self.action_limits[0]))
         self._sent = deque([self.command] * self._late_commands)
@@ -293,7 +297,9 @@ class World(Senses):
         ctrl[:, self._spine] = torques + rest
         goal = self._placing.poses
         if self._pipeline.moves:
-            goal = self._placing.find(self._pipeline, self.spine_rad + drive - before, self.dt_s)
+            goal = self._placing.find(
+                self._pipeline, self._in_plane(self.spine_rad + drive - before), self.dt_s
+            )
         if self._placing.stays(goal):
             self._placing.set(self.model, goal)
             self._physics.run(ctrl)
@@ -317,9 +323,17 @@ class World(Senses):
         torque, J = self.finger.torque(drive, q)
         return self._controller - J, torque - J @ (q - drive)
 
+    def _made(self) -> Finger:
+        """The finger's MJCF."""
+        return mjcf(self.twin, self.station.mount_mm)
+
     def _bend(self, q_cmd: np.ndarray) -> np.ndarray:
         """Angles in rad at which the unloaded finger rests; here those that the pressure commands."""
         return q_cmd
+
+    def _in_plane(self, q: np.ndarray) -> np.ndarray:
+        """Those of joint angles that the pipeline has; here all."""
+        return q
 
     # ---------------------------------------------------------------- senses
 

@@ -8,7 +8,6 @@ import pytest
 
 from lerobot_pneutac import Demonstrations, InputError, Recording, Twin, add, calibrate, compare, diagnose
 from lerobot_pneutac.cli import compare as compare_verb
-from lerobot_pneutac.cli import design as design_verb
 from lerobot_pneutac.cli import report as report_verb
 from lerobot_robot_pneutac.standin.gel import new_gel
 from lerobot_robot_pneutac.standin.world import Physics, StandinWorld
@@ -147,9 +146,7 @@ def test_ten_demonstrations_reveal_what_is_hidden_in_the_stand_in(measured, hidd
     assert diagnosis.after["heldout"] <= left * diagnosis.before["heldout"]
 
 
-@pytest.mark.parametrize(
-    ("verb", "option"), [(compare_verb, "--later"), (design_verb, "--diagnosis"), (report_verb, "--rrd")]
-)
+@pytest.mark.parametrize(("verb", "option"), [(compare_verb, "--later"), (report_verb, "--rrd")])
 def test_what_takes_bench_recordings_alone_says_so(verb, option, tmp_path):
     twin, value = Twin.builtin().save(tmp_path / "twin"), tmp_path / "out.rrd"
     with pytest.raises(InputError, match="demos holds demonstrations; .* a bench recording of the device."):
