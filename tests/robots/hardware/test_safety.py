@@ -1,5 +1,6 @@
 """Every guarantee of docs/how_to/real_robot.md about limits and faults, with the fault injected."""
 
+import ctypes
 import itertools
 import logging
 import subprocess
@@ -377,6 +378,20 @@ def test_an_arm_whose_state_hangs_is_a_fault_within_300_ms(parts, guard, hangs_t
     assert until(parts.halted)
     assert_exit_waits_for_no_thread()
     guard.close()
+
+
+def test_an_interpreter_that_is_held_up_is_no_fault_of_the_arm(parts, guard):
+    """By a call into C that keeps it for longer than an arm may take."""
+    hold_the_interpreter = ctypes.PyDLL(None).usleep
+    quick = parts.state
+
+    def state():
+        hold_the_interpreter(300_000)
+        return quick()
+
+    parts.state = state
+    guard.act(MOVE)
+    assert guard.fault is None
 
 
 def test_a_halt_does_not_wait_for_a_stop_that_hangs(parts, guard):
