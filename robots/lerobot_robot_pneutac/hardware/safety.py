@@ -253,7 +253,7 @@ class _Failing:
 def within(limit_s: float, who: str, call: Callable[..., Any], *args: Any) -> Any:
     """What a call returns or raises; one that hangs is left to its own thread.
 
-    While this whole computer, or its interpreter, is held up, the clock stands still: that is no part's fault.
+    While this computer, or its interpreter, is held up the clock stands still: that is no part's fault.
 
     Raises:
         HardwareFault: it takes longer than `limit_s`.
