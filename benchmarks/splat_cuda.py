@@ -3,10 +3,9 @@
 import numpy as np
 import torch
 
+from pneutac_benchmarks.speed.device_time import device_ms
 from pneutac_benchmarks.speed.splats import OPACITY, finger, gel
 from pneutac_sim.splat.cuda import rasterise_tensors
-
-REPEATS = 200
 
 
 def main() -> None:
@@ -28,17 +27,7 @@ def main() -> None:
             image.square().sum().backward()
 
         for what, work in (("forward", forward), ("forward and backward", both)):
-            for _ in range(10):
-                work()
-            times = []
-            for _ in range(REPEATS):
-                a, b = (torch.cuda.Event(enable_timing=True) for _ in range(2))
-                a.record()
-                work()
-                b.record()
-                torch.cuda.synchronize()
-                times.append(a.elapsed_time(b))
-            print(f"{name}, {n:,} Gaussians, {what}: {np.median(times):.3f} ms")
+            print(f"{name}, {n:,} Gaussians, {what}: {device_ms(work):.3f} ms")
 
 
 if __name__ == "__main__":

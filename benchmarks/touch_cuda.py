@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from pneutac_benchmarks.speed.device_time import device_ms
 from pneutac_sim.gel import layout
 from pneutac_sim.gel.batch import TactileBatch
 from pneutac_sim.gel.fit import fit_gel
@@ -23,22 +24,7 @@ from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.photograph import press_depth
 from pneutac_sim.gel.sensor import TactileSensor
 
-BATCH, REPEATS, COPY_BYTES = 64, 200, 1 << 30
-
-
-def device_ms(work) -> float:
-    """Median milliseconds of `work()`, by device events."""
-    for _ in range(10):
-        work()
-    times = []
-    for _ in range(REPEATS):
-        a, b = (torch.cuda.Event(enable_timing=True) for _ in range(2))
-        a.record()
-        work()
-        b.record()
-        torch.cuda.synchronize()
-        times.append(a.elapsed_time(b))
-    return float(np.median(times))
+BATCH, COPY_BYTES = 64, 1 << 30
 
 
 def main() -> None:
