@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from awake import awake_s, until
 
 from lerobot_robot_pneutac.hardware import pressure_protocol as wire
 from lerobot_robot_pneutac.hardware.parts import HardwareFault
@@ -157,16 +158,6 @@ def terminal(program, link, *options):
         link.unlink(missing_ok=True)
 
 
-def until(condition, timeout_s):
-    """Whether the condition came true in time."""
-    end = time.monotonic() + timeout_s
-    while not condition():
-        if time.monotonic() > end:
-            return False
-        time.sleep(0.005)
-    return True
-
-
 @contextmanager
 def connected(controller):
     controller.connect()
@@ -195,8 +186,8 @@ def reaches(controller, kpa, timeout_s=5.0, within=0.3):
 
 def raised_by(controller, kpa, timeout_s=5.0):
     """The final fault of a control loop, past readings that are merely too old."""
-    end = time.monotonic() + timeout_s
-    while time.monotonic() < end:
+    end_s = awake_s() + timeout_s
+    while awake_s() < end_s:
         try:
             controller.set_pressure(kpa)
             controller.pressure()

@@ -18,7 +18,7 @@ from lerobot.utils.errors import DeviceNotConnectedError
 
 from lerobot_robot_pneutac.cameras.config_digit import STREAMS, DigitConfig
 from lerobot_robot_pneutac.cameras.digit_devices import DigitDevice, find_digits
-from lerobot_robot_pneutac.hardware.parts import HardwareFault
+from lerobot_robot_pneutac.hardware.parts import HardwareFault, soon
 from pneutac_sim.errors import InputError
 
 logger = logging.getLogger(__name__)
@@ -104,6 +104,8 @@ class Digit(OpenCVCamera):
             return super().async_read(min(timeout_ms, 1e3 * self._patience_s))
         except (TimeoutError, RuntimeError):
             self._check()
+            if self.new_frame_event.is_set():  # it came while this computer was held up
+                return super().async_read(0)
             raise
 
     def read_latest(self, max_age_ms: int = 500) -> np.ndarray:
@@ -164,6 +166,9 @@ class Digit(OpenCVCamera):
             return  # said by LeRobot's own check
         if self._fault:
             raise HardwareFault(self._fault)
-        age_s = time.perf_counter() - self._new_image_s
-        if age_s > self._patience_s:
-            raise HardwareFault(f"{self} has sent no new image for {age_s:.2f} s; plug it in afresh.")
+        if not soon(lambda: self._age_s <= self._patience_s, 1 / self.fps):
+            raise HardwareFault(f"{self} has sent no new image for {self._age_s:.2f} s; plug it in afresh.")
+
+    @property
+    def _age_s(self) -> float:
+        return time.perf_counter() - self._new_image_s

@@ -5,9 +5,10 @@ import time
 import numpy as np
 from lerobot.cameras import Camera
 
-from lerobot_robot_pneutac.hardware.parts import HardwareFault
+from lerobot_robot_pneutac.hardware.parts import TURNS, HardwareFault
 
 FRAME_S = 0.5  # an older picture is a lost camera
+RETRY_S = 0.03  # in which the next picture comes where the computer was held up, not the camera
 SAME_S = 1.0  # for so long the same picture to the last bit is a frozen camera: a live one has noise
 
 
@@ -31,7 +32,7 @@ class LiveCamera:
             HardwareFault: it is older than `FRAME_S`, cannot be had, or has been the same for `SAME_S`.
         """
         try:
-            image = self._camera.read_latest(max_age_ms=round(1000 * FRAME_S))
+            image = self._newest()
         except Exception as e:
             raise HardwareFault(f"The camera '{self._name}' gives no picture: {str(e).rstrip('.')}.") from e
         now_s = time.monotonic()
@@ -43,3 +44,11 @@ class LiveCamera:
                 " plug it in afresh, and look whether it is covered."
             )
         return image
+
+    def _newest(self) -> np.ndarray:
+        for _ in range(TURNS):
+            try:
+                return self._camera.read_latest(max_age_ms=round(1000 * FRAME_S))
+            except TimeoutError:
+                time.sleep(RETRY_S)
+        return self._camera.read_latest(max_age_ms=round(1000 * FRAME_S))

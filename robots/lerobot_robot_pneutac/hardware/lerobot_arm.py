@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from lerobot.robots import Robot
 
-from lerobot_robot_pneutac.hardware.parts import COMMAND_S, ArmState, HardwareFault
+from lerobot_robot_pneutac.hardware.parts import COMMAND_S, ArmState, HardwareFault, soon
 from pneutac_sim.world.arms.chain import Chain
 from pneutac_sim.world.arms.chain_ik import ChainIK
 
@@ -62,7 +62,7 @@ class LeRobotArm:
         self._need()
         if self._fault:
             raise self._fault
-        if time.monotonic() - self._read_s > COMMAND_S:
+        if not soon(lambda: time.monotonic() - self._read_s <= COMMAND_S, TICK_S):
             raise HardwareFault(f"{self._robot} sends no new state; check its cable and its power.")
         joints = self._joints
         return ArmState(joints, self._rates, self._seen.pose(joints)[1], 0.0)

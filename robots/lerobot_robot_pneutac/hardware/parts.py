@@ -1,5 +1,7 @@
 """What the robot `pneutac` asks of its parts, and how they say that something is wrong."""
 
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -80,3 +82,20 @@ class PressureController(Protocol):
 
 
 COMMAND_S = 0.25  # a command older than this is void: the arm stops, the chamber is vented
+TURNS = 3
+
+
+def soon(true: Callable[[], bool], turn_s: float) -> bool:
+    """Whether it is true now or within a few turns.
+
+    A computer that was held up finds everything too old, until the threads that listen have had their turn.
+
+    Args:
+        true: asked up to `TURNS` + 1 times.
+        turn_s: what a listening thread needs to hear from a part that is alive.
+    """
+    for _ in range(TURNS):
+        if true():
+            return True
+        time.sleep(turn_s)
+    return true()

@@ -1,7 +1,6 @@
 """`pneutac measure`: tip poses from rendered markers, camera calibration, what an end keeps."""
 
 import json
-import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -97,10 +96,24 @@ class BenchRenderedConfig(CameraConfig):
     height: int = SIZE[1]
 
 
+class Clock:
+    """In place of the module `time`: it moves only when one sleeps, so that no busy computer is late."""
+
+    def __init__(self):
+        self.now_s = 0.0
+
+    def monotonic(self):
+        return self.now_s
+
+    def sleep(self, seconds):
+        self.now_s += seconds
+
+
 class BenchRendered(Camera):
     """Sees a finger that follows the pressure in the chamber; writes down the true tips."""
 
     chamber: SimulatedPressure
+    clock: Clock
     truth: list
     ends: BaseException | None = None
     ends_after = 10**9
@@ -127,6 +140,7 @@ class BenchRendered(Camera):
         cls = BenchRendered
         if len(cls.truth) >= cls.ends_after:
             raise cls.ends
+        cls.clock.sleep(0.01)
         kpa = round(cls.chamber.pressure(), 1)  # few pictures, each drawn once
         cls.truth.append(tip_at(kpa)[0])
         if kpa not in PICTURES:
@@ -143,7 +157,9 @@ PICTURES: dict = {}
 @pytest.fixture
 def bench(tmp_path, monkeypatch):
     """Options of a run on simulated parts."""
-    BenchRendered.chamber = SimulatedPressure(time_constant_s=0.05)
+    BenchRendered.clock = clock = Clock()
+    monkeypatch.setattr(library, "time", clock)
+    BenchRendered.chamber = SimulatedPressure(time_constant_s=0.05, clock=clock.monotonic)
     BenchRendered.truth, BenchRendered.ends, BenchRendered.ends_after = [], None, 10**9
     monkeypatch.setattr(pressure_module, "make_pressure_controller", lambda type, **_: BenchRendered.chamber)
     make = camera_utils.make_device_from_device_class
@@ -295,7 +311,10 @@ def test_a_run_is_a_recording_with_true_tips_that_compare_accepts(bench, tmp_pat
 
 @pytest.mark.slow
 def test_three_chambers_on_three_controllers_are_an_arm(bench, tmp_path, monkeypatch):
-    parts = {port: SimulatedPressure(max_kpa=12.0, time_constant_s=0.05) for port in ("/a", "/b", "/c")}
+    parts = {
+        port: SimulatedPressure(12.0, time_constant_s=0.05, clock=BenchRendered.clock.monotonic)
+        for port in ("/a", "/b", "/c")
+    }
     BenchRendered.chamber.connect()  # which stays empty: one picture, drawn once
     monkeypatch.setattr(pressure_module, "make_pressure_controller", lambda type, port, **_: parts[port])
     columns = command_columns(3)
@@ -414,7 +433,7 @@ def test_a_slow_camera_costs_samples_and_not_the_programs_pace(bench, tmp_path, 
     read = BenchRendered.async_read
 
     def slow(self, timeout_ms=200):
-        time.sleep(0.2)
+        BenchRendered.clock.sleep(0.2)
         return read(self)
 
     monkeypatch.setattr(BenchRendered, "async_read", slow)
@@ -444,13 +463,12 @@ def test_an_end_within_the_first_trial_leaves_nothing(bench, tmp_path):
 
 def test_a_pressure_far_above_the_program_ends_the_run(bench, monkeypatch):
     true = SimulatedPressure.pressure
-    start = time.monotonic()
     monkeypatch.setattr(
         SimulatedPressure, "pressure", lambda self: true(self) + 30 * (BenchRendered.chamber._target_kpa > 3)
     )
     with pytest.raises(InputError, match="pressure reads"):
         measure.main(bench)
-    assert time.monotonic() - start < 5
+    assert BenchRendered.clock.now_s < 5
     assert BenchRendered.chamber._target_kpa == 0.0
 
 

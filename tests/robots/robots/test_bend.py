@@ -5,6 +5,7 @@ import time
 
 import numpy as np
 import pytest
+from awake import awake_s
 from draccus.utils import DecodingError
 
 from lerobot_robot_pneutac.cameras.config_digit_generated import DigitGeneratedConfig
@@ -89,10 +90,10 @@ def test_the_real_robot_turns_a_bend_into_pressure_and_refuses_nan(twin, tmp_pat
     robot.connect()
     try:
         target = np.mean(robot._bend._control.reach_rad)
-        end_s = time.monotonic() + 10.0
+        end_s = awake_s() + 10.0
         while robot.guard._target_kpa < 2.0:  # the limits let the pressure rise by so much a second
             assert robot.send_action(act(target)) == act(target)
-            assert time.monotonic() < end_s
+            assert awake_s() < end_s
             time.sleep(0.01)
         refused = robot.guard.refused
         robot.send_action(act(float("nan")))
