@@ -95,7 +95,9 @@ class PneutacSim(BaseRobot):
             raise DeviceAlreadyConnectedError(f"{self} is already connected.")
         self.recording = None
         self._keeper.connect()
+        logger.info("Building the world; on a new machine this takes a minute, once.")
         self.world = _world(self.config)
+        self.world.touch.prepare()
         self._scene = SceneCameras(self.world, self.config.sizes, self.config.randomise_look)
         self._spread = self._starts()
         self._begin(self.config.seed)

@@ -5,7 +5,7 @@ import numpy as np
 import trimesh
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.gel.probe import KINDS, MESH
+from pneutac_sim.gel.probe import COLS, KINDS, MESH, ROWS
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.world.scene import OBJECT_GROUP
 
@@ -62,6 +62,16 @@ class Touch:
                     f" {model.geom(g).name or 'without a name'} is open; close it, or choose another"
                     " fidelity."
                 )
+
+    def prepare(self) -> None:
+        """Draws a touch that nobody feels: what is compiled at the first one is so before a clock runs.
+
+        Not of material points, which keep pace with no clock.
+        """
+        if self._mode in ("image", "area") and self._full is None:
+            depth_mm = np.zeros((ROWS, COLS), np.float32)
+            depth_mm[ROWS // 2, COLS // 2] = 0.5
+            self.sensor.contact(self.sensor.image(depth_mm))
 
     @property
     def displacement_mm(self) -> np.ndarray:

@@ -1,5 +1,7 @@
 import logging
 import re
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -246,3 +248,31 @@ def test_each_episode_says_how_it_went(make_robot, caplog):
     first, second = (r.getMessage() for r in caplog.records if "Episode" in r.getMessage())
     assert first == "Episode 1: touch in 0 of 5 frames, the task not done."
     assert re.fullmatch(rf"Episode 2: touch in [1-9]\d* of {frames} frames, the task done\.", second)
+
+
+FIRST_TOUCH = """
+import numpy as np
+from numba.core.dispatcher import Dispatcher
+from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
+from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
+from pneutac_sim.features import ACTION_NAMES
+from pneutac_sim.world.expert import ScriptedExpert
+
+late = []
+compile = Dispatcher.compile
+for standin in (True, False):
+    robot = PneutacSim(PneutacSimConfig(id="sim", task="button", standin=standin, seed=1))
+    robot.connect()
+    Dispatcher.compile = lambda self, sig: late.append(self.py_func.__name__) or compile(self, sig)
+    expert = ScriptedExpert(robot.world, np.random.default_rng(0))
+    while robot.world.touch.pixels < 50:
+        robot.send_action(dict(zip(ACTION_NAMES, expert.action().tolist())))
+    Dispatcher.compile = compile
+    robot.disconnect()
+print(late)
+"""
+
+
+def test_nothing_is_compiled_at_the_first_touch_while_an_episode_is_recorded():
+    done = subprocess.run([sys.executable, "-c", FIRST_TOUCH], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
