@@ -19,7 +19,7 @@ def check_bench(bench: str, measure: Path | None) -> None:
     if bench not in BENCHES:
         raise InputError(f"bench={bench} must be one of {', '.join(BENCHES)}.")
     if (bench == MEASURE) != (measure is not None):
-        raise InputError("bench=measure and measure=FILE.yaml, the options of your bench, go together.")
+        raise InputError("bench=measure and --measure=FILE.yaml, the options of your bench, go together.")
 
 
 def make_bench(
@@ -43,6 +43,8 @@ def make_bench(
         from pneutac_datasets.generate.standin import HANGING
 
         return StandinBench(seed), dict(HANGING)
+    if not measure.is_file():
+        raise InputError(f"measure={measure} is no file; give a YAML file with the options of your bench.")
     from lerobot_pneutac.measuring.options import MeasureConfig
 
     config = parse_options(MeasureConfig, [f"--config_path={measure}", f"--out={out / 'round'}"])

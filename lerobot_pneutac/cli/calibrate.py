@@ -21,9 +21,9 @@ class CalibrateConfig:
 
     Attributes:
         twin: folder of the twin; a twin of a gel is begun where there is none.
-        recording: folder of the bench recording; without it, a gel's DIGIT photographs in $PNEUTAC_DATA, or
-            generated images. Of a LeRobotDataset of demonstrations, or its name on the Hub, the gel's light
-            at rest is taken.
+        recording: folder of the bench recording; without it a twin of a gel is begun, from the DIGIT
+            photographs in $PNEUTAC_DATA or generated images. Of a LeRobotDataset of demonstrations, or its
+            name on the Hub, the gel's light at rest is taken.
         task: of demonstrations: what stood in front of the robot, where their instruction does not tell.
         station: of demonstrations: `station.yaml` of the arm and its place; left out, the one that their
             robot left in them, or the paper's.

@@ -69,7 +69,7 @@ def main(argv: list[str]) -> None:
         console.print(f"{config.mesh}: {mesh_sentence(body)}", highlight=False, markup=False)
         for note in body.notes:
             console.print(f"[yellow]{escape(str(config.mesh))}:[/] {note}", highlight=False)
-    if twin.device != "gel":
+    if recording is not None and twin.device != "gel":
         console.print(range_sentence(twin.pressure_range_kpa), highlight=False)
     joints = len(twin.spine_joint_positions_mm)
     shape = f", {twin.length_mm:g} mm long with {joints} spine joints" if joints else ""

@@ -212,6 +212,9 @@ def _completed(options: dict[str, Option], argv: list[str]) -> list[str]:
             if not stands and kind is not bool:
                 raise InputError(f"--{name} has no value; write --{name}=VALUE.")
             value = rest.pop(0) if stands else "true"
+        if dataclasses.is_dataclass(kind) and not value.startswith("{"):
+            inside = [f"--{o}" for o in options if o.startswith(f"{name}.")]
+            raise InputError(f"--{name}={value} names none of its options; give {' or '.join(inside)}.")
         if _holds_a_list(kind) and value and value[0] not in "[{" and ("," in value or _is_list(kind)):
             value = f"[{value}]"
         out.append(f"--{name}={value}")

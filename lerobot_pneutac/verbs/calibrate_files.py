@@ -26,12 +26,17 @@ def recording_for(
 
     Without one the DIGIT photographs in $PNEUTAC_DATA, or images generated in folder `scratch` where that is
     unset.
+
+    Raises:
+        InputError: none was given for a twin that exists, which those do not measure; or as the readers.
     """
     if folder is not None and is_dataset(folder):
         known = Twin.load(twin) if twin and (twin / "twin.yaml").exists() else None
         return load_demonstrations(folder, task, known, station=station), ""
     if folder is not None:
         return Recording.load(folder), ""
+    if twin and (twin / "twin.yaml").exists():
+        raise InputError(f"Give --recording=DIR: which measurement is the twin at '{twin}' to be fitted to?")
     real = Path(os.environ.get("PNEUTAC_DATA", "/nonexistent")) / "tactile" / "digit_nagoya"
     if real.is_dir():
         return Recording.load(real), f"No --recording given: using the DIGIT photographs in {real}."

@@ -52,6 +52,8 @@ def check_path(path: str | Path, twin: Twin | None = None, station: Station | No
     path = Path(path)
     if path.suffix in (".yaml", ".yml") and path.is_file():
         return Checked(path, "station", *_station(path, twin or Twin.builtin()))
+    if path.is_file():
+        raise InputError(f"'{path}' is a file; give the folder that it is in, or a station.yaml.")
     if not path.is_dir():
         near = difflib.get_close_matches(path.name, [p.name for p in path.absolute().parent.glob("*")], n=1)
         raise InputError(f"There is no folder '{path}'" + (f"; is '{near[0]}' meant?" if near else "."))

@@ -214,10 +214,12 @@ def write(truth: Truth, folder: str | Path) -> Path:
     """Writes recording.json, samples.csv and, beside them, truth.json; returns the folder.
 
     Raises:
-        FileExistsError: the folder exists.
+        FileExistsError: something is in the folder.
     """
     folder = Path(folder)
-    folder.mkdir(parents=True)
+    folder.mkdir(parents=True, exist_ok=True)
+    if any(folder.iterdir()):
+        raise FileExistsError(f"{folder} is not empty")
     truth.samples.to_csv(folder / "samples.csv", index=False, float_format="%.6g", lineterminator="\n")
     (folder / "recording.json").write_text(json.dumps(truth.meta, indent=1) + "\n", encoding="utf-8")
     known = {

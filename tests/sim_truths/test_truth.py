@@ -129,6 +129,13 @@ def test_the_command_writes_a_new_folder_and_refuses_an_old_one(tmp_path, capsys
     assert "exists; name a new folder" in capsys.readouterr().err
 
 
+def test_an_empty_folder_is_as_good_as_a_new_one(tmp_path):
+    truth = generate("rod", ["plain"], 1, minutes=1)
+    assert (write(truth, tmp_path) / "truth.json").is_file()
+    with pytest.raises(FileExistsError, match="is not empty"):
+        write(truth, tmp_path)
+
+
 def test_importing_needs_no_pyelastica_and_nothing_of_the_product():
     code = "import sys, pneutac_truths; print(*[m for m in sys.modules if '.' not in m])"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout

@@ -111,4 +111,14 @@ class Effect:
 
     def describe(self, values: dict[str, float], device: str = "finger") -> str:
         """The summary with numbers, e.g. of a fit."""
-        return self.summary.format(device=device, **values, **self.derive(values))
+        shown = values | self.derive(values)
+        shown = {k: _Plain(v) if isinstance(v, float) else v for k, v in shown.items()}
+        return self.summary.format(device=device, **shown)
+
+
+class _Plain(float):
+    """A number that a sentence shows as 1280, not as 1.28e+03."""
+
+    def __format__(self, spec: str) -> str:
+        text = super().__format__(spec)
+        return f"{float(text):.0f}" if "e+" in text else text

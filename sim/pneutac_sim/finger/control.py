@@ -69,7 +69,7 @@ class BendController:
     def __init__(self, twin: Twin, dt_s: float, conditions: Mapping[str, float] | None = None):
         if twin.device != "finger":
             raise InputError(
-                f"The twin is of a '{twin.device}'; bend is commanded of a finger of one chamber."
+                f"The twin's device is '{twin.device}'; bend is commanded of a finger of one chamber."
             )
         if not 0 < dt_s < math.inf:
             raise InputError(f"dt_s={dt_s} must be a positive number of seconds.")

@@ -156,6 +156,8 @@ def test_without_a_recording_the_output_says_that_the_images_are_generated(tmp_p
     said = capsys.readouterr().out
     assert "GENERATED images, not photographs" in said and "real tactile" not in said
     assert Twin.load(tmp_path / "twin").history[-1]["recording"] == "generated images (seed 0)"
+    with pytest.raises(InputError, match="Give --recording=DIR: which measurement"):
+        main([f"--twin={tmp_path / 'twin'}"])
     page = (tmp_path / "out" / "report.html").read_text()
     assert "from two photographs" not in page and "Above real" not in page
     assert f"--out={tmp_path / 'out'}" in page and "/generated" not in page

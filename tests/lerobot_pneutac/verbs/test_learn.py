@@ -204,6 +204,7 @@ def test_what_a_hidden_arm_of_three_chambers_lacks_is_confirmed_and_it_ends_by_i
     [
         (["--bench=robot"], "bench=robot must be one of standin, measure"),
         (["--bench=measure"], "go together"),
+        (["--bench=measure", "--measure=nope.yaml"], "^measure=nope.yaml is no file"),
         (["--program_s=1"], "program_s is 1"),
     ],
 )

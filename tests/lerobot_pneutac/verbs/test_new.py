@@ -81,6 +81,11 @@ def test_written_geometry_comes_back_as_the_same_body(tmp_path, device):
     assert stored_mesh(b).volume == pytest.approx(body_mesh(a).volume, rel=1e-4)
 
 
+def test_only_what_was_measured_is_called_so(tmp_path, capsys):
+    new.main([f"--twin={tmp_path / 'twin'}"])
+    assert "was measured" not in capsys.readouterr().out
+
+
 def test_a_mesh_travels_with_its_twin_and_bends(tmp_path, capsule, capsys):
     new.main([f"--twin={tmp_path / 'twin'}", f"--mesh={capsule}", "--mesh_unit=m", "--mesh_axis=y"])
     said = " ".join(capsys.readouterr().out.split())
