@@ -95,7 +95,7 @@ class PpoEnv(gymnasium.Env):
         """An environment with a task.
 
         Args:
-            task: `switch`, `egg` or `card`.
+            task: a task's name, see `features.task_names`.
             twin: the finger with its gel; default the built-in one.
             randomise: whether friction and bend change with every episode.
             length: control steps after which a trial is cut off; where left out, those of `EPISODE_S`.

@@ -39,7 +39,7 @@ class PpoConfig:
 
     Attributes:
         out: folder of the actor, its curve and the checkpoint.
-        task: object in front of the robot: `switch`, `egg` or `card`, or of another package.
+        task: object in front of the robot: `switch`, `egg`, `card`, `fruit`, `cable`, `button`, or your own.
         twin: folder of the finger's twin; where left out, the built-in one.
         conditions: values that the twin's effects ask for, such as {temperature_c: 28}; every episode draws
             from a range [low, high].

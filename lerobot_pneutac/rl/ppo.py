@@ -159,7 +159,7 @@ def train_ppo(
     goes on starts new episodes, so its numbers are not those that an uninterrupted one would have had.
 
     Args:
-        task: `switch`, `egg` or `card`.
+        task: a task's name, see `features.task_names`.
         twin: the finger with its gel; None for the built-in one.
         seed: decides networks and starts.
         steps: control steps of all worlds together, at least.

@@ -62,7 +62,7 @@ def record_student(
 
     Args:
         actor_dir: folder of the actor.
-        task: `switch`, `egg` or `card`; must be the actor's.
+        task: such as `switch`; must be the actor's.
         twin: the finger with its gel; None for the built-in one.
         seed: of starts and noise.
         student: the dataset, how many demonstrations, fidelity and noise.

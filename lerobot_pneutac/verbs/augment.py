@@ -41,7 +41,8 @@ class AugmentConfig:
     Attributes:
         dataset: recorded demonstrations.
         output: new demonstrations, whose folder must not exist.
-        task: object in front of the robot: `switch`, `egg` or `card`, or of another package.
+        task: what stood in front of the robot, such as `switch`; where left out, the one that the
+            demonstrations' instruction names.
         method: `tactile` (planned in the simulator), or `naive` (varied without one, which looks at dataset,
             output, episodes and seed alone).
         episodes: number of new demonstrations.
@@ -64,7 +65,7 @@ class AugmentConfig:
 
     dataset: DatasetRef
     output: DatasetRef
-    task: str = "switch"
+    task: str = ""
     method: str = "tactile"
     episodes: int = 100
     seed: int = 0
@@ -79,7 +80,8 @@ class AugmentConfig:
     out: Path | None = None
 
     def __post_init__(self):
-        check_choice("task", self.task, task_names())
+        if self.task:
+            check_choice("task", self.task, task_names())
         check_choice("method", self.method, METHODS)
         check_choice("fidelity", self.fidelity, FIDELITIES)
         self.workers = self.workers if self.workers is not None else len(os.sched_getaffinity(0))
@@ -177,7 +179,7 @@ def augment(config: AugmentConfig, progress: Progress = no_progress) -> Augmenta
     """Augments a LeRobotDataset; writes the new one, and goes on where it was stopped.
 
     Raises:
-        InputError: a dataset cannot be read or exists, or too few variants succeed.
+        InputError: a dataset cannot be read or exists, names no task, or too few variants succeed.
     """
     progress("reading the demonstrations", 0, 1)
     from pneutac_datasets.demonstrations.augment.episode import AugmentSetup
@@ -187,6 +189,7 @@ def augment(config: AugmentConfig, progress: Progress = no_progress) -> Augmenta
         read_references,
     )
     from pneutac_datasets.demonstrations.episodes import POINTS, further_features
+    from pneutac_datasets.demonstrations.replay.reading import task_of
     from pneutac_sim.gel.sensor import TactileSensor
 
     sensor, file = None, station_file(config.dataset.root, config.station)
@@ -207,7 +210,7 @@ def augment(config: AugmentConfig, progress: Progress = no_progress) -> Augmenta
         further = further_features(meta)
         setup = AugmentSetup(
             [replace(r, flange_m=r.flange_m + base_m) for r in references],
-            config.task,
+            config.task or task_of(references[0].task, config.dataset.root),
             config.twin,
             config.fidelity,
             config.planner,

@@ -48,7 +48,7 @@ class PneutacTaskConfig(EnvConfig):
     """What every environment of this robot has.
 
     Attributes:
-        task: `switch`, `egg` or `card`, or of another package.
+        task: `switch`, `egg`, `card`, `fruit`, `cable`, `button`, or your own.
         fps: control rate, Hz; where left out, the station's, and there is no other.
         episode_length: control steps after which a trial counts as failed; where left out, those of 20 s.
         cameras: scene cameras beside the tactile image, such as [front,wrist].

@@ -106,7 +106,7 @@ class StandinWorld:
         """The stand-in before a task.
 
         Args:
-            task: `switch`, `egg` or `card`.
+            task: a task's name, see `features.task_names`.
             touch: `image`, `area` (contact area without an image) or `none`.
             contact_threshold: mean difference of R, G, B to the rest image, 8-bit levels, above which a pixel
                 is in contact; the calibrated one of a lab's twin, as on its real robot.

@@ -28,7 +28,7 @@ class PneutacEnv(TaskEnv):
         """An environment with a task.
 
         Args:
-            task: `switch`, `egg` or `card`.
+            task: a task's name, see `features.task_names`.
             touch: `image`, `area` or `none`, see `World`.
             twin: the finger, or an arm of several chambers, with its gel, or its folder; default the built-in
                 one.

@@ -81,7 +81,7 @@ class World(Senses):
         """A world with a task.
 
         Args:
-            task: `switch`, `egg` or `card`.
+            task: a task's name, see `features.task_names`.
             twin: the finger with its gel, or an arm of several chambers with a gel at its tip; default the
                 built-in finger.
             touch: `image`, `area` (contact area without an image, faster), `probe` (the

@@ -1,5 +1,6 @@
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -7,6 +8,7 @@ import time
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata, merge_datasets
 from lerobot.utils.constants import ACTION, OBS_STATE
@@ -17,7 +19,7 @@ from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
 from lerobot_robot_pneutac.teleoperators.config_pneutac_scripted import PneutacScriptedConfig
 from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
-from pneutac_datasets.demonstrations.augment import check
+from pneutac_datasets.demonstrations.augment import check, run
 from pneutac_datasets.demonstrations.augment.episode import Attempt, AugmentSetup
 from pneutac_datasets.demonstrations.augment.planner import PlannerConfig
 from pneutac_datasets.demonstrations.augment.work import Work
@@ -72,6 +74,28 @@ def made(recorded, tmp_path_factory):
         patch.setattr(check, "checking_world", lambda setup, real=check.checking_world: real(setup, "probe"))
         verb.main(options(recorded, folder / "more", "--episodes=3", "--seed=5", *checks))
     return folder
+
+
+@pytest.mark.parametrize(
+    ("instruction", "found"),
+    [("press the button", "button"), ("do it", "the instruction 'do it' names no task; say with task=")],
+)
+def test_the_task_is_the_one_that_the_instruction_names(recorded, tmp_path, instruction, found, monkeypatch):
+    root, asked = shutil.copytree(recorded, tmp_path / "demos"), []
+    tasks = pd.read_parquet(root / "meta" / "tasks.parquet")
+    tasks.rename(index={"flip the switch": instruction}).to_parquet(root / "meta" / "tasks.parquet")
+    for file in root.glob("meta/episodes/*/*.parquet"):
+        episodes = pd.read_parquet(file)
+        episodes["tasks"] = [[instruction]] * len(episodes)
+        episodes.to_parquet(file)
+
+    def plan(meta, setup, *more):
+        asked.append(setup.task)
+        raise InputError(setup.task)
+
+    monkeypatch.setattr(run, "augment_guided", plan)
+    with pytest.raises(InputError, match=found):
+        verb.main(options(root, tmp_path / "more"))
 
 
 def test_output_has_the_sources_features_and_merges(recorded, made, tmp_path):
