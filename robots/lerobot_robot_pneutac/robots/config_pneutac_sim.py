@@ -29,7 +29,7 @@ class PneutacSimConfig(RobotConfig):
     """An arm, a Panda where no station tells another, with the pneumatic finger and its gel, simulated.
 
     Attributes:
-        task: what stands in front of the robot: `switch`, `egg`, `card`, `fruit`, `cable`, `button`, or your own.
+        task: what stands in front: `switch`, `egg`, `card`, `fruit`, `cable`, `button`, or your own.
         seed: decides the random start of every episode.
         twin: folder of the finger's twin, or of an arm's of several chambers; default the built-in finger's.
             On the stand-in, as on the real robot, only its gel's contact threshold and the size of its images
