@@ -5,10 +5,12 @@ import os
 import re
 import shutil
 import tempfile
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from compiled_once import compile_once
 
 MATERIAL_POINTS = re.compile(r"pneutac_sim\.mpm(\.solve)? import .*(devices|solve)|--check_mpm=2")
 # Before LeRobot is imported: it reads these once.
@@ -18,6 +20,7 @@ os.environ["PNEUTAC_PRIORS"] = os.path.join(os.environ["HF_HOME"], "priors")
 # Processes that are started to run tests inherit it.
 FIRST = "PNEUTAC_TEST_RECORDINGS" not in os.environ
 os.environ.setdefault("PNEUTAC_TEST_RECORDINGS", tempfile.mkdtemp(prefix="pneutac_recordings_"))
+compile_once(Path(os.environ["PNEUTAC_TEST_RECORDINGS"]))
 
 
 def pytest_sessionfinish():
