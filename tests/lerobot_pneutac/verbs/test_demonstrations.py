@@ -65,10 +65,12 @@ def test_a_comparison_tells_phases_latency_and_light(two, tmp_path):
     page = result.report(tmp_path).read_text()
     assert "image/webp" in page and (tmp_path / "touch.png").is_file()
     assert "Commands acted 0.0" in " ".join(result.remarks())
+    assert result.drift_s == pytest.approx(0.0, abs=0.5 / CONTROL_HZ)
+    assert "clocks of camera and robot drift" not in " ".join(result.remarks())
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("frames", [0, 6, -4])
+@pytest.mark.parametrize("frames", [6, -4])
 def test_a_clock_of_the_camera_that_jumps_in_the_midst_is_told(two, frames):
     def apart(e):
         first, last = e.contact()
@@ -81,7 +83,7 @@ def test_a_clock_of_the_camera_that_jumps_in_the_midst_is_told(two, frames):
     told = compare(Twin.builtin(), replace(two, episodes=[apart(e) for e in two.episodes]))
     jump_s = 0.5 * frames / CONTROL_HZ
     assert told.drift_s == pytest.approx(jump_s, abs=0.5 / CONTROL_HZ)
-    assert ("clocks of camera and robot drift" in " ".join(told.remarks())) == (frames != 0)
+    assert "clocks of camera and robot drift" in " ".join(told.remarks())
 
 
 def test_two_demonstrations_claim_nothing(two):
