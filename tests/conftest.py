@@ -5,6 +5,7 @@ import os
 import re
 import shutil
 import tempfile
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 from compiled_once import compile_once
 
-MATERIAL_POINTS = re.compile(r"pneutac_sim\.mpm(\.solve)? import .*(devices|solve)|--check_mpm=2")
+MATERIAL_POINTS = re.compile(r"pneutac_sim\.mpm(\.solve)? import .*(devices|solve)")
 # Before LeRobot is imported: it reads these once.
 os.environ["HF_HOME"] = tempfile.mkdtemp(prefix="pneutac_hf_")
 os.environ["HF_HUB_OFFLINE"] = "1"
@@ -31,9 +32,17 @@ def pytest_sessionfinish():
 
 
 def pytest_collection_modifyitems(items):
-    """Files with slow tests begin first, so that at the end no process waits for another."""
+    """The longest work begins first, so that at the end no process waits for another.
+
+    That is what one process does alone, running material points; then the other files with slow tests.
+    """
     slow = {item.path for item in items if item.get_closest_marker("slow")}
-    items.sort(key=lambda item: item.path not in slow)
+    items.sort(key=lambda item: (not runs_material_points(item.path), item.path not in slow))
+
+
+@cache
+def runs_material_points(path):
+    return MATERIAL_POINTS.search(path.read_text()) is not None
 
 
 def pytest_xdist_make_scheduler(config, log):
@@ -43,7 +52,7 @@ def pytest_xdist_make_scheduler(config, log):
     class Files(LoadFileScheduling):
         def _split_scope(self, nodeid):
             file = super()._split_scope(nodeid)
-            return "material points" if MATERIAL_POINTS.search((config.rootpath / file).read_text()) else file
+            return "material points" if runs_material_points(config.rootpath / file) else file
 
     return Files(config, log)
 
