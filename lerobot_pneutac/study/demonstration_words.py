@@ -87,7 +87,6 @@ class DemonstrationWords(EffectStudy):
             return (
                 f"Your finger is {'softer' if share < 1 else 'stiffer'} than when the twin was fitted to "
                 f"demonstrations: as far as its imprints tell it presses with {share:.2g} times the force."
-                f"{' More creep than touch tells of would look alike.' if share > 1 else ''}"
             )
         if effect in self.own:
             was, now = self.twin.effects[effect], model.twin.effects[effect]
@@ -112,8 +111,8 @@ class DemonstrationWords(EffectStudy):
             )
         if COMPLIANCE in effects:
             told.append(
-                "A gel that has hardened makes imprints as faint, and one that has softened as strong; a "
-                "press of known force on the gel tells."
+                "A gel that has hardened makes imprints as faint; one that has softened, or more creep than "
+                "touch tells of, makes them as strong. A press of known force on the gel tells of the gel."
             )
         return " ".join(told)
 
