@@ -186,12 +186,14 @@ def augment(config: AugmentConfig, progress: Progress = no_progress) -> Augmenta
     from pneutac_datasets.demonstrations.augment.run import (
         augment_guided,
         augment_without_simulator,
+        check_new,
         read_references,
     )
     from pneutac_datasets.demonstrations.episodes import POINTS, further_features
     from pneutac_datasets.demonstrations.replay.reading import task_of
     from pneutac_sim.gel.sensor import TactileSensor
 
+    check_new(config.output.root, config.output.repo_id)
     sensor, file = None, station_file(config.dataset.root, config.station)
     station = Station.load(file) if file else Station()
     if config.method == "tactile":

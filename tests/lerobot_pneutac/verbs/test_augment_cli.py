@@ -98,6 +98,13 @@ def test_the_task_is_the_one_that_the_instruction_names(recorded, tmp_path, inst
         verb.main(options(root, tmp_path / "more"))
 
 
+@pytest.mark.parametrize("method", ["tactile", "naive"])
+def test_an_output_that_exists_is_refused_before_anything_is_read(tmp_path, method):
+    (tmp_path / "more").mkdir()
+    with pytest.raises(InputError, match="more' exists; give a new folder"):
+        verb.main(options(tmp_path / "not there", tmp_path / "more", f"--method={method}"))
+
+
 def test_output_has_the_sources_features_and_merges(recorded, made, tmp_path):
     old = LeRobotDatasetMetadata("local/demos", recorded)
     new = LeRobotDatasetMetadata("local/more", made / "more")

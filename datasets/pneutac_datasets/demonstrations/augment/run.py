@@ -84,6 +84,16 @@ def read_references(
     return meta, references
 
 
+def _work_folder(out_root: Path) -> Path:
+    return out_root.with_name(out_root.name + ".work")
+
+
+def check_new(out_root: Path, repo_id: str) -> None:
+    """Raises InputError where a new dataset's folder exists, and no run is left to be tidied up there."""
+    if out_root.exists() and not _work_folder(out_root).exists():
+        raise InputError(f"'{out_root}' exists; give a new folder for dataset '{repo_id}'.")
+
+
 def augment_guided(
     meta: LeRobotDatasetMetadata,
     setup: AugmentSetup,
@@ -117,12 +127,11 @@ def augment_guided(
     onset_sigma_m(setup.references)
     checks = min(checks, episodes)
     out_root, began = Path(out_root), time.monotonic()
-    work = Work(out_root.with_name(out_root.name + ".work"))
+    work = Work(_work_folder(out_root))
     part = out_root.with_name(out_root.name + ".part")
     if out_root.exists() and work.folder.exists():
         return _tidy_up(work, out_root, meta, setup, episodes, began) | _checked(work, checks)
-    if out_root.exists():
-        raise InputError(f"'{out_root}' exists; give a new folder for dataset '{out_repo_id}'.")
+    check_new(out_root, out_repo_id)
     work.open(_run(meta, setup))
     shutil.rmtree(part, ignore_errors=True)
     pool = process_pool(workers, begin, setup, work.folder)
