@@ -13,7 +13,9 @@ import numpy as np
 import pytest
 from compiled_once import compile_once
 
-MATERIAL_POINTS = re.compile(r"pneutac_sim\.mpm(\.solve)? import .*(devices|solve)")
+MATERIAL_POINTS = re.compile(
+    r"pneutac_sim\.mpm(\.solve)? import .*(devices|solve)|pneutac_sim\.photo_fit|\(photographed\b"
+)
 # Before LeRobot is imported: it reads these once.
 os.environ["HF_HOME"] = tempfile.mkdtemp(prefix="pneutac_hf_")
 os.environ["HF_HUB_OFFLINE"] = "1"
