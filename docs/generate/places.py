@@ -68,6 +68,8 @@ def places(name: str) -> tuple[str, ...]:
     if isinstance(effect, SensorEffect):
         if effect.of_session:
             return ("photographs", *("-",) * (len(PLACES) - 1))
+        if effect.late is not None:  # what was before is known step by step alone
+            return ("photographs", "-", "-", "image", "-")
         return ("image", "image", "image", "image", "area")
     given = dict.fromkeys(effect.columns, 1.0)
     pipeline = PressurePipeline(twin, given)

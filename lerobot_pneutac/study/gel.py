@@ -14,9 +14,16 @@ from lerobot_pneutac.diagnosis.verdict import MOST, Evidence, decide, too_few
 from lerobot_pneutac.diagnosis.votes import AS_GOOD, chosen_in
 from lerobot_pneutac.study import gel_maps
 from lerobot_pneutac.study.base import EffectStudy
-from lerobot_pneutac.study.gel_model import at_bound, for_twin, seen_by
+from lerobot_pneutac.study.gel_model import at_bound, for_twin, kept, seen_by
 from lerobot_pneutac.study.gel_noise import away, noise
-from lerobot_pneutac.study.gel_parts import APART, FOLDS, NEEDED, deal_photographs, photograph_folds
+from lerobot_pneutac.study.gel_parts import (
+    APART,
+    FOLDS,
+    NEEDED,
+    deal_photographs,
+    photograph_folds,
+    sort_candidates,
+)
 from lerobot_pneutac.study.gel_press import contenders
 from lerobot_pneutac.study.gel_space import FittedGel, GelSpace, Trial, mean_squares
 from pneutac_datasets.recording.gel import GelRecording
@@ -62,11 +69,11 @@ class GelStudy(EffectStudy):
         self.twin, self.recording, self.seed, self.data = twin, recording, seed, data
         self.findings = data.warnings
         self.own = tuple(of_sensor(twin.effects))
-        self.candidates, self.untested = [e for e in sensor_effects() if e not in self.own], []
+        self.candidates, self.untested = sort_candidates(data, self.own)
         self.parts = deal_photographs(recording, seed)
         self._stored = seen_by(GelModel.from_twin(twin), data)
         fold = photograph_folds(self.parts, seed)
-        gel = replace(self._stored, effects={})
+        gel = replace(self._stored, effects=kept(self._stored.effects))
         self.space = GelSpace(data, gel, twin, self.parts.train, fold, self.own, self.candidates)
         how = "images away from contacts, less each image's own smooth drift of light"
         self.noise = NoiseFloor(noise(self.space.photographs, data.px_per_mm), None, self.unit, how, {})
@@ -206,6 +213,9 @@ class GelStudy(EffectStudy):
 
     def refusal(self, effect: str) -> str:
         """Why an effect cannot be switched on."""
+        why = next((u.reason for u in self.untested if u.name == effect), "")
+        if why:
+            return f"'{effect}' {why}."
         if effect not in sensor_effects():
             return f"'{effect}' does not act on a gel's images; give one of {', '.join(sensor_effects())}."
         return self.already_on(effect)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from pneutac_datasets.recording.gel import GelRecording
-from pneutac_sim.effects.registry import get_effect
+from pneutac_sim.effects.registry import get_effect, sensor_effects
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.photograph import Predictor, Pressed, PressPhotograph
 from pneutac_sim.twin import Twin
@@ -32,7 +32,12 @@ def predict(gel: GelModel, data: GelRecording, pressed: Pressed | None = None) -
         pressed: gives the surfaces, see `Predictor`.
     """
     predictor = Predictor(gel, calibration_pairs(data), pressed)
-    return [predictor.image(s.press, s.rest, s.clock) for s in data.samples]
+    return [predictor.image(s.press, s.rest, s.clock, s.earlier) for s in data.samples]
+
+
+def kept(effects: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
+    """Effects whose values stay where photographs cannot tell them: of what earlier presses leave."""
+    return {name: values for name, values in effects.items() if sensor_effects()[name].late}
 
 
 def seen_by(gel: GelModel, data: GelRecording) -> GelModel:

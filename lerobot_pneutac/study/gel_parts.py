@@ -4,17 +4,31 @@ The calibration pair always trains and is never judged: every twin of the gel ha
 cross-validation over the other photographs. Where these are few they are tested by it as well.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from lerobot_pneutac.diagnosis.candidates import Untested
 from lerobot_pneutac.diagnosis.parts import Parts
 from lerobot_pneutac.diagnosis.votes import deal_folds
 from pneutac_datasets.recording import blocks
+from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.effects.registry import sensor_effects
 from pneutac_sim.errors import InputError
 
 NEEDED = 10  # photographs for a verdict, the calibration pair's among them
 APART = 24  # photographs from which a third is put aside for the report
 FOLDS = 5
+UNHELD = "cannot be tested, record column hold_s and a time_s that runs on"
+
+
+def sort_candidates(data: GelRecording, own: Sequence[str]) -> tuple[list[str], list[Untested]]:
+    """Effects to try that a twin has not got, and those that these photographs cannot test."""
+    others = {n: e for n, e in sensor_effects().items() if n not in own}
+    told = any(s.earlier for s in data.samples)
+    untested = [Untested(n, UNHELD) for n, e in others.items() if e.late and not told]
+    return [n for n, e in others.items() if told or not e.late], untested
 
 
 def deal_photographs(recording: Recording, seed: int) -> Parts:

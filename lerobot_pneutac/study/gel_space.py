@@ -170,7 +170,7 @@ class GelSpace:
         pairs = calibration_pairs(self.data)
         predictors = {id(g): Predictor(g, pairs) for g in gels}
         return [
-            predictors[id(g)].image(p.press, p.rest, p.clock).astype(np.int16) - p.image
+            predictors[id(g)].image(p.press, p.rest, p.clock, p.earlier).astype(np.int16) - p.image
             for g, p in zip(gels, self.photographs, strict=True)
         ]
 

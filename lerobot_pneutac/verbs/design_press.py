@@ -10,6 +10,7 @@ from lerobot_pneutac.diagnosis.design import LITTLE
 from lerobot_pneutac.diagnosis.result import Contender
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.reports.sentences import called
+from lerobot_pneutac.study.gel_held import HeldChoice, held_choice
 from lerobot_pneutac.study.gel_press import PressChoice, press_choices
 from lerobot_pneutac.study.pair import same_device
 from lerobot_pneutac.verbs.contenders import load_contenders
@@ -18,6 +19,7 @@ from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.files import whole
+from pneutac_sim.gel.indenter import Press
 from pneutac_sim.twin import Twin
 
 SHOWN = 8
@@ -32,12 +34,14 @@ class PressDesign(Result):
         recording: that was diagnosed.
         contenders: models in the running.
         choices: see `lerobot_pneutac.study.gel_press`.
+        held: the two presses that tell most about creep, see `lerobot_pneutac.study.gel_held`.
     """
 
     twin: Twin
     recording: Recording
     contenders: tuple[Contender, ...]
     choices: tuple[PressChoice, ...]
+    held: HeldChoice
 
     title = "The next press"
 
@@ -56,8 +60,15 @@ class PressDesign(Result):
         return self.best.rivals < LITTLE
 
     @property
+    def held_first(self) -> bool:
+        """Whether a model in the running has creep, and two presses tell more of it than any one."""
+        return not self.held.assumed and self.held.rivals > max(self.best.rivals, LITTLE)
+
+    @property
     def sentence(self) -> str:
         """What to press and what it will tell."""
+        if self.held_first:
+            return self.held.sentence
         if self.tells_little:
             return (
                 "No press of these indenters would tell the models in the running apart; press another "
@@ -83,20 +94,37 @@ class PressDesign(Result):
             for c in self.choices[:SHOWN]
         ]
 
+    def remarks(self) -> list[str]:
+        """What would tell creep, where that is not what is asked for first."""
+        return [] if self.held_first else [self.held.sentence]
+
     def to_dict(self) -> dict:
         """The content of `result.json`."""
         return {
-            "press": _row(self.best),
+            "press": _row(self.best.press),
             "nats_between_models": self.best.rivals,
             "tells_little": self.tells_little,
+            "creep": {
+                "presses": self._held_rows(),
+                "wait_s": self.held.wait_s,
+                "share_left": self.held.share,
+                "levels": self.held.levels,
+                "nats": self.held.rivals,
+                "assumed": self.held.assumed,
+                "first": self.held_first,
+            },
             "contenders": [{"terms": list(c.terms), "probability": c.probability} for c in self.contenders],
             "sentence": self.sentence,
         }
 
+    def _held_rows(self) -> list[dict]:
+        return [_row(p) | {"time_s": t, "hold_s": hold} for p, t, hold in self.held.rows()]
+
     def report(self, out: str | Path, command: str = "") -> Path:
-        """Writes `press.csv` too, a row as a gel's recording has it."""
+        """Writes `press.csv` too, a row a press as a gel's recording has it."""
         with whole(Path(out) / "press.csv") as part:
-            pd.DataFrame([_row(self.best)]).to_csv(part, index=False)
+            rows = self._held_rows() if self.held_first else [_row(self.best.press)]
+            pd.DataFrame(rows).to_csv(part, index=False)
         return super().report(out, command)
 
     def page(self) -> Report:
@@ -125,15 +153,20 @@ def design_press(twin: Twin, recording: Recording, diagnosis: str | Path | Diagn
     same_device(twin, recording, "the twin", "design for")
     found = isinstance(diagnosis, Diagnosis)
     contenders = list(diagnosis.outcome.contenders) if found else load_contenders(diagnosis)
-    choices = press_choices(GelRecording.load(recording), contenders)
-    return PressDesign(twin=twin, recording=recording, contenders=tuple(contenders), choices=tuple(choices))
+    data = GelRecording.load(recording)
+    return PressDesign(
+        twin=twin,
+        recording=recording,
+        contenders=tuple(contenders),
+        choices=tuple(press_choices(data, contenders)),
+        held=held_choice(data, contenders),
+    )
 
 
 def _named(contender: Contender) -> str:
     return " + ".join(map(called, contender.terms)) or "no effect"
 
 
-def _row(choice: PressChoice) -> dict:
-    p = choice.press
+def _row(p: Press) -> dict:
     size = "indenter_size_mm" if p.indenter in ("cube", "edge") else "indenter_radius_mm"
     return {"indenter": p.indenter, size: p.size_mm, "x_mm": p.x_mm, "y_mm": p.y_mm, "depth_mm": p.depth_mm}

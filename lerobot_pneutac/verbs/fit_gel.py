@@ -16,15 +16,16 @@ from lerobot_pneutac.reports.gel_told import (
     told_sentences,
 )
 from lerobot_pneutac.reports.page import Report
-from lerobot_pneutac.study.gel_model import at_bound, predict
+from lerobot_pneutac.study.gel_model import at_bound, kept, predict
 from lerobot_pneutac.study.gel_modulus import Modulus, keep_modulus, modulus_sentence
+from lerobot_pneutac.study.gel_parts import UNHELD
 from lerobot_pneutac.study.pasted import Pasted
 from lerobot_pneutac.verbs.calibration import Calibration
 from lerobot_pneutac.verbs.comparison import rms_of
 from lerobot_pneutac.verbs.gel_effects import EFFECTS, STANDARD, wanted
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.effects.registry import get_effect
+from pneutac_sim.effects.registry import get_effect, of_sensor
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.fit import fit_presses
 from pneutac_sim.gel.indenter import Press
@@ -237,7 +238,14 @@ def calibrate_gel(
     if points:
         progress("material points under the presses of the calibration", 0, 1)
     given = points and points.between
-    fit = fit_presses(presses, data.px_per_mm, names, data.thickness_mm, library(), given)
+    known = kept({n: {k: v.value for k, v in twin.effects[n].items()} for n in of_sensor(twin.effects)})
+    untold = [n for n in kept(dict.fromkeys(names or (), {})) if n not in known]
+    if untold and not any(p.earlier for p in presses):
+        raise InputError(
+            f"effects={','.join(names or ())}: '{untold[0]}' {UNHELD}, and give role 'calibration' to a "
+            "press that came after another."
+        )
+    fit = fit_presses(presses, data.px_per_mm, names, data.thickness_mm, library(), given, known)
     gel = fit.gel if image_size is None else fit.gel.resized(*image_size[::-1])
     seconds = time.monotonic() - start
     images = render(fit.gel, data)

@@ -59,6 +59,7 @@ CHANGED: dict[str, dict[str, str]] = {
         "tested_on": ALL_FITTED,
         "sentence": "the share of the avoidable error, and no longer the error before and after",
         "next_experiment": "a missing effect is to be confirmed",
+        "effects": "gel_creep is told to be untested where no hold_s is recorded",
     },
     "gel_compare": {
         "error.*": ALL_FITTED,

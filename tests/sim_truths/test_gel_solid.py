@@ -75,7 +75,7 @@ def test_rubber_that_is_pushed_away_bulges_beside_the_punch():
 
 
 def test_a_step_that_finds_no_equilibrium_is_halved(monkeypatch):
-    settle, tried = solid._Mesh.settle, [0.0]
+    settle, tried = solid.Mesh.settle, [0.0]
 
     def timid(self, u, punch, depth_mm):
         if depth_mm - tried[-1] > 0.15:
@@ -83,7 +83,7 @@ def test_a_step_that_finds_no_equilibrium_is_halved(monkeypatch):
         tried.append(depth_mm)
         return settle(self, u, punch, depth_mm)
 
-    monkeypatch.setattr(solid._Mesh, "settle", timid)
+    monkeypatch.setattr(solid.Mesh, "settle", timid)
     found = press(Punch("sphere", 3.0), 0.4, Rubber(2.5, 40.0, 0.49), 0.8, 0.2)
     np.testing.assert_allclose(tried, [0.0, 0.1, 0.2, 0.3, 0.4], atol=1e-12)
     assert found.force_n > 0

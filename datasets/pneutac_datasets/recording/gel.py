@@ -13,12 +13,14 @@ from pneutac_datasets.recording.wording import shown
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.figure import AnyFigure
 from pneutac_sim.gel.indenter import FIGURES, INDENTERS, Press
+from pneutac_sim.gel.late import Earlier
 from pneutac_sim.gel.pair import saturated, shows_contact
 from pneutac_sim.gel.photograph import PressPhotograph
 from pneutac_sim.gel.probe import THICKNESS_MM
 
 MIRROR_SAMPLES = 4  # photographs from which a mirrored axis can be told
 AGREE_MM = 0.5  # by which a contact's place in pixels and in millimetres may differ
+MOST_HELD_S = 1e5  # a day
 MOST_N = 100.0  # on a gel of a fingertip
 WINDOW_MM = (3.0, 200.0)  # smallest and largest width of a gel's image
 KNOWN = "known_depth"  # role of rows whose presses hold
@@ -47,6 +49,7 @@ class GelSample:
         radius_px: contact radius.
         sd: what is uncertain of the press, see `PressPhotograph`.
         force_n: on the indenter, along the gel's view; None where the row does not tell.
+        earlier: presses with the same rest image that were over before, where `hold_s` tells them.
     """
 
     name: str
@@ -60,11 +63,12 @@ class GelSample:
     radius_px: float
     sd: dict[str, float] = field(default_factory=dict)
     force_n: float | None = None
+    earlier: tuple[Earlier, ...] = ()
 
     @property
     def photograph(self) -> PressPhotograph:
         """What a fit needs of it."""
-        return PressPhotograph(self.press, self.image, self.rest, self.clock, self.sd)
+        return PressPhotograph(self.press, self.image, self.rest, self.clock, self.sd, self.earlier)
 
 
 @dataclass
@@ -119,6 +123,7 @@ class GelRecording:
                 rests[name] = recording.image(own, plain=True)
                 _same_size(rests[name], out.rest, f"{where}: rest image {shown(name)}")
             out.samples.append(_sample(recording, row, where, out, rests[name], clock))
+        _tell_earlier(recording, out.samples)
         out.warnings += _misplaced(out) or _doubtful(out)
         return out
 
@@ -151,6 +156,29 @@ def _clock(samples: pd.DataFrame) -> np.ndarray:
         if np.ptp(time) > 0 and (np.diff(time) >= 0).all():
             return (time - time[0]) / np.ptp(time)
     return np.arange(len(samples)) / max(len(samples) - 1, 1)
+
+
+def _tell_earlier(recording: Recording, samples: list[GelSample]) -> None:
+    """Fills in what came before each photograph, by `time_s` and `hold_s`; a new rest image begins anew."""
+    if not recording.has("hold_s"):
+        return
+    where, held = recording.folder, recording.samples["hold_s"].to_numpy(float)
+    time = recording.samples["time_s"].to_numpy(float)
+    for i, (t, hold) in enumerate(zip(time, held, strict=True)):
+        if not 0 < hold < MOST_HELD_S:
+            raise InputError(
+                f"{where}, row {i + 1}: hold_s is {hold:g}; give the seconds that the indenter was in the "
+                f"gel, above 0 and below {MOST_HELD_S:g}, in every row, or leave the column out."
+            )
+        if i and t - hold < time[i - 1]:
+            raise InputError(
+                f"{where}, row {i + 1}: with time_s {t:g} and hold_s {hold:g} it was pressed before the row "
+                f"above it was photographed, at {time[i - 1]:g} s; correct them, or leave hold_s out."
+            )
+    for i, s in enumerate(samples):
+        first = next((k for k in range(i, 0, -1) if samples[k - 1].rest is not s.rest), 0)
+        before = range(first, i)
+        s.earlier = tuple(Earlier(samples[k].press, float(held[k]), float(time[i] - time[k])) for k in before)
 
 
 def _misplaced(data: "GelRecording") -> list[str]:

@@ -7,7 +7,7 @@ Order within a stage (it matters: a leak is slowed by the lag behind it):
 - load (in static equilibrium with the joints): gravity, payload
 - material: thermal, cyclic_softening, creep; then elongation (of the finished pose)
 - observation: base_tilt, camera_misalignment
-- gel: registration_shift
+- gel: registration_shift, gel_creep
 - light: near_light, photometric_nonlinearity, shadow, rest_colour, illumination_drift
 
 Effects of other packages come last in their stage, in alphabetical order, then laws (`laws`).
@@ -49,6 +49,7 @@ BUILTIN = (
     "base_tilt",
     "camera_misalignment",
     "registration_shift",
+    "gel_creep",
     "near_light",
     "photometric_nonlinearity",
     "shadow",

@@ -2,7 +2,7 @@
 
 A photograph is made as follows; an effect has one hook or more of these and leaves the others out:
 
-    press  -> (press) -> probe grid -> imprint -> surface u -> (surface)
+    press  -> (press) -> probe grid -> imprint -> surface u, on what earlier presses left (late) -> (surface)
     u      -> compiled light, bent by (coefficients) -> (light) -> s, a colour channel at a time
     image  =  (rest + (weight) s) (gain)
 
@@ -23,7 +23,7 @@ from pneutac_sim.errors import InputError
 CHANNELS = ("red", "green", "blue")
 
 HOOKS = {
-    "gel": ("press", "surface", "steps"),
+    "gel": ("press", "late", "surface", "steps"),
     "light": ("lend", "coefficients", "light", "weight", "gain", "estimate"),
 }
 
@@ -67,6 +67,8 @@ class SensorEffect(Effect):
         lend: (make, channel number) -> name without the channel to (mean, standard deviation), what sensors
             of one make share; see `gel.layout.Layout`.
         press: (press, values) -> where and how it truly presses; see `gel.indenter.Press`.
+        late: (values) -> (share, time in s) of each branch by which a surface that was held comes back
+            late, see `gel.late`.
         surface: (u, cell_mm, values) -> changed displacement (rows, columns), mm into the gel.
         steps: farthest press from the centre in mm -> (p,) by which a fit moves the parameters of an effect
             of the stage `gel` to see what the images do; None for a thousandth of each range.
@@ -86,6 +88,7 @@ class SensorEffect(Effect):
     of_session: bool = False
     lend: Callable[[Any, int], dict[str, tuple[float, float]]] | None = None
     press: Callable[[Any, Values], Any] | None = None
+    late: Callable[[Values], Sequence[tuple[float, float]]] | None = None
     surface: Callable[[np.ndarray, tuple[float, float], Values], np.ndarray] | None = None
     steps: Callable[[float], Sequence[float]] | None = None
     coefficients: Callable[[np.ndarray, np.ndarray, Values], None] | None = None

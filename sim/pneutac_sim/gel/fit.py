@@ -64,6 +64,7 @@ def fit_presses(
     thickness_mm: float = THICKNESS_MM,
     makes: Sequence[Layout] = (DIGIT,),
     pressed: Pressed | None = None,
+    known: dict[str, dict[str, float]] | None = None,
 ) -> GelFit:
     """Fits a gel to one press or several, whose lights are the same and whose drifts are each one's own.
 
@@ -79,13 +80,16 @@ def fit_presses(
         makes: sensors whose lights are known.
         pressed: gives the surfaces, such as `mpm.pressed.PressedGel.between`; None for the closed form. The
             gel's decay is then that of the closed form nearest to them.
+        known: values of effects that stay where the presses cannot tell them, see `fit_photographs`.
 
     Raises:
         InputError: a pair is no rest and indentation image, see `check_pair`.
     """
     for p in presses:
         check_pair(p.rest, p.image, p.press, px_per_mm)
-    gel = GelModel(presses[0].rest, np.zeros((3, 2)), np.zeros(3), px_per_mm, thickness_mm)
+    gel = GelModel(
+        presses[0].rest, np.zeros((3, 2)), np.zeros(3), px_per_mm, thickness_mm, effects=known or {}
+    )
     names = standard_effects() if effects is None else effects
     fit = fit_photographs(gel, presses, names, makes, pressed=pressed)
     if effects is None and not fit.make and len(presses) == 1:
@@ -121,7 +125,8 @@ def fit_photographs(
     """Fits light, mechanics and these effects anew.
 
     Args:
-        gel: gives size, scale and thickness.
+        gel: gives size, scale and thickness, and the values of effects of which the photographs tell
+            nothing since no press came before.
         photographs: checked pairs of images; what is uncertain of their presses is found with the light.
         effects: of the sensor, to fit.
         makes: sensors whose lights are known.
@@ -129,9 +134,12 @@ def fit_photographs(
         quick: whether `near` has the same effects and almost the same photographs, so that few steps do.
         pressed: see `fit_presses`; presses stay where they are stated.
     """
-    chosen = in_order(of_sensor(effects))
+    chosen, known = in_order(of_sensor(effects)), gel.effects
     gel = replace(gel, effects=estimate_gains(gel, chosen, photographs))
-    of_contacts = [e for e in chosen if e.stage == "gel"]
+    told = any(p.earlier for p in photographs)
+    untold = [e for e in chosen if e.late and e.name in known and not told]
+    gel.effects |= {e.name: known[e.name] for e in untold}
+    of_contacts = [e for e in chosen if e.stage == "gel" and e not in untold]
     gel.effects |= {e.name: {p.name: p.neutral for p in e.parameters} for e in of_contacts}
     stated = [p.press for p in photographs]
     uncertain = pressed is None and any(p.sd for p in photographs)

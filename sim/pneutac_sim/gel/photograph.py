@@ -12,12 +12,15 @@ from dataclasses import dataclass, field, replace
 import cv2
 import numpy as np
 
+from pneutac_sim.effects.gel_creep import share_left
 from pneutac_sim.gel import metrics, optics
 from pneutac_sim.gel.indenter import Press
+from pneutac_sim.gel.late import LEAST_MM, Earlier, branches_of
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.pair import press_px
 from pneutac_sim.gel.probe import COLS, ROWS
 from pneutac_sim.gel.sensor import TactileSensor
+from pneutac_sim.gel.surface import surface
 
 # The gel's surface (80, 59) in mm under a press at a share of its depth (`GelModel.depth_scale`).
 Pressed = Callable[[Press, float], np.ndarray]
@@ -36,6 +39,7 @@ class PressPhotograph:
         rest: the image without contact of the same session, uint8 (H, W, 3).
         clock: when in the session, from 0 to 1.
         sd: attributes of the press to the standard deviation with which they are stated; all others hold.
+        earlier: presses since the rest image that were over before; empty where the recording does not tell.
     """
 
     press: Press
@@ -43,6 +47,7 @@ class PressPhotograph:
     rest: np.ndarray
     clock: float = 0.0
     sd: dict[str, float] = field(default_factory=dict)
+    earlier: tuple[Earlier, ...] = ()
 
     def near(self, px_per_mm: float, radii: float = NEAR_RADII) -> np.ndarray:
         """Pixels (H, W) within so many contact radii of the press."""
@@ -73,6 +78,40 @@ def registered(press: Press, gel: GelModel) -> Press:
         if effect.press is not None:
             press = effect.press(press, values)
     return press
+
+
+class Residues:
+    """What is left under photographs, by one gel's effects.
+
+    Args:
+        gel: gives effects, window and thickness.
+        earlier: of each photograph, the presses before it.
+    """
+
+    def __init__(self, gel: GelModel, earlier: Sequence[Sequence[Earlier]]):
+        branches, presses = branches_of(gel), {}
+        self._left: list[list[tuple[int, float]]] = []
+        for before in earlier:
+            row = []
+            for e in before if branches else ():
+                share = share_left(branches, e.held_s, e.since_s)
+                if share * e.press.depth_mm > LEAST_MM:
+                    presses[id(e.press)] = e.press
+                    row.append((id(e.press), share))
+            self._left.append(row)
+        self._depths = {k: press_depth(registered(p, gel), gel) for k, p in presses.items()}
+        self._cell = gel.window_mm[0] / COLS, gel.window_mm[1] / ROWS
+
+    def surfaces(self, gel: GelModel) -> list[np.ndarray | None]:
+        """Displacement (80, 59) in mm that is left under each photograph, None where it is none.
+
+        Args:
+            gel: gives decay and depth scale.
+        """
+        if not self._depths:
+            return [None] * len(self._left)
+        held = {k: surface(gel.imprint(d), self._cell, gel.decay_mm) for k, d in self._depths.items()}
+        return [np.float32(sum(share * held[k] for k, share in row)) if row else None for row in self._left]
 
 
 def session_light(pair: PressPhotograph, px_per_mm: float) -> np.ndarray:
@@ -163,16 +202,27 @@ class Predictor:
             rests = {id(p.rest): p.rest for p in pairs}
             self._drifts = {i: expected_drift(pairs, rest, gel.px_per_mm) for i, rest in rests.items()}
 
-    def image(self, press: Press, rest: np.ndarray, clock: float = 0.0) -> np.ndarray:
-        """Predicted photograph, uint8 (H, W, 3), of a press as stated and its session's rest image."""
+    def image(
+        self, press: Press, rest: np.ndarray, clock: float = 0.0, earlier: Sequence[Earlier] = ()
+    ) -> np.ndarray:
+        """Predicted photograph, uint8 (H, W, 3), of a press as stated and its session's rest image.
+
+        Args:
+            press: as the recording states it.
+            rest: of its session.
+            clock: when in the session, 0 to 1.
+            earlier: presses since the rest image.
+        """
         if id(rest) not in self._sensors:
             self._sensors[id(rest)] = rest, TactileSensor(replace(self._gel, rest_image=rest))
         sensor, press = self._sensors[id(rest)][1], registered(press, self._gel)
+        left = Residues(self._gel, [earlier]).surfaces(self._gel)[0]
         if self._pressed is None:
-            image = sensor.image(press_depth(press, self._gel))
+            image = sensor.image(press_depth(press, self._gel), left)
         else:
             width, height = self._gel.window_mm
             u = self._pressed(press, self._gel.depth_scale)
+            u = u if left is None else np.maximum(u, left)
             image = sensor.draw(self._gel.surface(u, (width / COLS, height / ROWS)))
         if drift_known(self._gel):
             image = image * gains(self._gel, clock)

@@ -10,6 +10,7 @@ from pneutac_sim.effects.registry import sensor_effects
 from pneutac_sim.effects.sensor_effect import SensorEffect
 from pneutac_sim.gel.channel import Channel, effects_of, priors
 from pneutac_sim.gel.indenter import Press
+from pneutac_sim.gel.late import pressed_on
 from pneutac_sim.gel.layout import Layout, Orientation, recognise, recognise_rest
 from pneutac_sim.gel.metrics import CONTACT_DISC
 from pneutac_sim.gel.model import GelModel
@@ -18,6 +19,7 @@ from pneutac_sim.gel.optics import light as light_of
 from pneutac_sim.gel.photograph import (
     Pressed,
     PressPhotograph,
+    Residues,
     drift_known,
     gains,
     press_depth,
@@ -27,7 +29,7 @@ from pneutac_sim.gel.photograph import (
 )
 from pneutac_sim.gel.probe import COLS, ROWS
 from pneutac_sim.gel.residual import Leftover
-from pneutac_sim.gel.surface import DECAY_MM, surface
+from pneutac_sim.gel.surface import DECAY_MM
 
 DECAY_RANGE_MM = (0.3, 4.0)  # from a skin-thin layer to nearly Hertz' half-space on a 16 mm window
 DEPTH_SCALE_RANGE = (0.5, 1.0)
@@ -103,6 +105,7 @@ class Problem:
         self.effects = [e for e in effects if e.of_channels]
         self.cell = gel.window_mm[0] / COLS, gel.window_mm[1] / ROWS
         self.depths = [press_depth(registered(p.press, gel), gel) for p in photographs]
+        self._residues = Residues(gel, [p.earlier for p in photographs])
         self.masks = [to_grid(p.near(gel.px_per_mm)) > 0.5 for p in photographs]
         self.rests = [to_grid(p.rest) for p in photographs]
         self.seen = []
@@ -121,7 +124,9 @@ class Problem:
 
     def _closed(self, decay_mm: float, depth_scale: float) -> list[np.ndarray]:
         gel = replace(self.gel, depth_scale=depth_scale)
-        return [surface(gel.imprint(d), self.cell, decay_mm) for d in self.depths]
+        left = self._residues.surfaces(replace(gel, decay_mm=decay_mm))
+        each = zip(self.depths, left, strict=True)
+        return [pressed_on(gel.imprint(d), r, self.cell, decay_mm) for d, r in each]
 
     def _given(self, depth_scale: float) -> list[np.ndarray]:
         assert self.pressed is not None

@@ -78,34 +78,43 @@ class TactileSensor:
             triangles=self.triangles,
         )
 
-    def displacement(self, depth_mm: np.ndarray) -> np.ndarray:
-        """Displacement of the gel surface in mm under a probe grid, float32 (80, 59)."""
+    def displacement(self, depth_mm: np.ndarray, left_mm: np.ndarray | None = None) -> np.ndarray:
+        """Displacement of the gel surface in mm under a probe grid, float32 (80, 59).
+
+        Args:
+            depth_mm: (80, 59).
+            left_mm: (80, 59) that earlier presses left, see `gel.late`; None for a gel at rest.
+        """
         if depth_mm.shape != (ROWS, COLS):
             raise ValueError(f"a probe grid has shape {(ROWS, COLS)}; got {depth_mm.shape}")
-        if not depth_mm.any():
+        if left_mm is None and not depth_mm.any():
             return np.zeros((ROWS, COLS), np.float32)
         imprint = self.model.imprint(depth_mm)
+        if left_mm is not None:
+            imprint = np.maximum(imprint - left_mm, 0)
         u = self._analytic(imprint) if self.surface is None else self.surface(imprint)
+        if left_mm is not None:
+            u = left_mm + u
         return self.model.surface(u, self._cell_mm)
 
     def _analytic(self, imprint: np.ndarray) -> np.ndarray:
         return surface(imprint, self._cell_mm, self.model.decay_mm)
 
-    def image(self, depth_mm: np.ndarray) -> np.ndarray:
-        """Tactile image of a probe grid (80, 59) in mm: uint8 (H, W, 3)."""
-        u = self.displacement(depth_mm)
+    def image(self, depth_mm: np.ndarray, left_mm: np.ndarray | None = None) -> np.ndarray:
+        """Tactile image of a probe grid (80, 59) in mm: uint8 (H, W, 3); arguments as of `displacement`."""
+        u = self.displacement(depth_mm, left_mm)
         return self.draw(u) if u.any() else self.rest_image.copy()
 
     def contact(self, image: np.ndarray) -> ContactArea:
         """Contact area of a tactile image of this sensor."""
         return contact_area(image, self.rest_image, self.model.threshold_levels)
 
-    def contact_from_depth(self, depth_mm: np.ndarray) -> ContactArea:
-        """Exactly `contact(image(depth_mm))` without keeping the image, where no other `draw` is set."""
+    def contact_from_depth(self, depth_mm: np.ndarray, left_mm: np.ndarray | None = None) -> ContactArea:
+        """Exactly `contact(image(...))` without keeping the image, where no other `draw` is set."""
         n = self.rest_image.shape[0] * self.rest_image.shape[1]
-        if not depth_mm.any():
+        if left_mm is None and not depth_mm.any():
             return ContactArea.of(0, n)
-        return ContactArea.of(self._pixels(self.displacement(depth_mm)), n)
+        return ContactArea.of(self._pixels(self.displacement(depth_mm, left_mm)), n)
 
     def areas(self, depth_mm: np.ndarray) -> np.ndarray:
         """`contact_from_depth(...).area` of probe grids (B, 80, 59), (B,); a network takes them together."""

@@ -4,21 +4,23 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from pneutac_sim.effects.sensor_effect import Quiet, SensorEffect
 from pneutac_sim.gel.indenter import Press
+from pneutac_sim.gel.late import pressed_on
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.optics import light
-from pneutac_sim.gel.photograph import PressPhotograph, press_depth, registered, to_grid
+from pneutac_sim.gel.photograph import PressPhotograph, Residues, press_depth, registered, to_grid
 from pneutac_sim.gel.probe import COLS, ROWS
 from pneutac_sim.gel.residual import ERROR_LEVELS, INDEPENDENT
-from pneutac_sim.gel.surface import surface
 
 FAR_ENOUGH = 0.1  # share of a photograph that must lie away from its contact to tell of its light
 # By which a press is moved to see what changes: about half a cell, since an indenter with a sharp edge covers
 # whole cells alone.
 MOVED_MM, DEEPER_MM = 0.1, 0.02
 SHALLOWEST_MM = 0.02  # to which a press may be corrected
+LEFT_RADII = 2.0  # contact radii of an earlier press within which it is looked for what is left of it
 STEP = 1e-3  # of a parameter's range, where its effect does not say how far to move it
 
 
@@ -74,21 +76,31 @@ def refine_contacts(
         moved = replace(gel, effects=gel.effects | values(x))
         out = []
         for p, rest in zip(photographs, rests, strict=True):
-            u = surface(moved.imprint(press_depth(registered(p.press, moved), moved)), cell, gel.decay_mm)
+            left = Residues(moved, [p.earlier]).surfaces(moved)[0]
+            imprint = moved.imprint(press_depth(registered(p.press, moved), moved))
+            u = pressed_on(imprint, left, cell, gel.decay_mm)
             s = light(moved.surface(u, cell), cell, *gel.lighting)
             out.append(s.transpose(1, 2, 0) * gel.weight_on(rest))
         return out
 
+    late = any(e.late for e in effects)
     base = predicted(now)
     moved = [predicted(now + step * unit) for step, unit in zip(steps, np.eye(len(now)), strict=True)]
     sd = np.concatenate([e.prior_sd for e in effects])
     A, b = [np.diag(1 / sd)], [(neutral - now) / sd]
-    for j, (mask, difference) in enumerate(zip(masks, seen, strict=True)):
-        scale = np.sqrt(INDEPENDENT / max(mask.sum(), 1)) / ERROR_LEVELS
+    for j, (near, difference) in enumerate(zip(masks, seen, strict=True)):
+        scale, mask = np.sqrt(INDEPENDENT / max(near.sum(), 1)) / ERROR_LEVELS, near
+        if late:
+            mask = near | _left_in(gel, photographs[j])
         slopes = [((m[j] - base[j]) / step)[mask].ravel() for m, step in zip(moved, steps, strict=True)]
         A.append(scale * np.stack(slopes, -1))
         b.append(scale * (difference - base[j])[mask].ravel())
-    x = now + np.linalg.lstsq(np.concatenate(A), np.concatenate(b), rcond=None)[0]
+    M, y = np.concatenate(A), np.concatenate(b)
+    if late:  # branches are much alike: without bounds one would stand against another
+        low, high = np.array([(p.lower, p.upper) for _, p in specs]).T
+        x = now + lsq_linear(M, y, (low - now, high - now)).x
+    else:
+        x = now + np.linalg.lstsq(M, y, rcond=None)[0]
     return {e.name: e.inside(v) for e, v in zip(effects, values(x).values(), strict=True)}
 
 
@@ -120,8 +132,11 @@ def refine_press(
         values = {n: getattr(now, n) + b for n, b in zip(names, by.tolist(), strict=True)}
         return replace(now, **values | {"depth_mm": max(values.get("depth_mm", now.depth_mm), SHALLOWEST_MM)})
 
+    left = Residues(gel, [photograph.earlier]).surfaces(gel)[0]
+
     def residual(press: Press) -> np.ndarray:
-        u = surface(gel.imprint(press_depth(registered(press, gel), gel)), cell, gel.decay_mm)
+        imprint = gel.imprint(press_depth(registered(press, gel), gel))
+        u = pressed_on(imprint, left, cell, gel.decay_mm)
         s = light(gel.surface(u, cell), cell, *gel.lighting).transpose(1, 2, 0)
         off = np.array([getattr(press, n) - getattr(stated, n) for n in names]) / sd
         return np.concatenate([scale * (s * weight - seen)[mask].ravel(), off])
@@ -137,6 +152,12 @@ def refine_press(
         if there @ there < here @ here:
             return moved(share * step)
     return now
+
+
+def _left_in(gel: GelModel, photograph: PressPhotograph) -> np.ndarray:
+    """Cells (80, 59) where earlier presses may have left something."""
+    near = [replace(photograph, press=e.press).near(gel.px_per_mm, LEFT_RADII) for e in photograph.earlier]
+    return to_grid(np.any(near, axis=0)) > 0.5 if near else np.zeros((ROWS, COLS), bool)
 
 
 def _steps(effect: SensorEffect, reach_mm: float) -> np.ndarray:

@@ -5,6 +5,7 @@ import numpy as np
 import trimesh
 
 from pneutac_sim.errors import InputError
+from pneutac_sim.gel.late import Memory, branches_of
 from pneutac_sim.gel.probe import COLS, KINDS, MESH, ROWS
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.world.scene import OBJECT_GROUP
@@ -23,6 +24,7 @@ class Touch:
         network: the gel's, a `GelSurrogate`, or None.
         felt, kinds, sizes: of the geoms that the gel can feel: ids (n,), and for `probe_grid` shapes (n,) and
             sizes (n, 3).
+        left_mm: (80, 59) displacement that earlier contacts left in a gel that creeps, or None.
         in_range: whether the last contact was one that the gel's network was trained for.
     """
 
@@ -39,7 +41,9 @@ class Touch:
         if mode not in MODES:
             raise InputError(f"There is no touch mode '{mode}'; the modes are {', '.join(MODES)}.")
         self.sensor = sensor
-        self.in_range = True
+        self.in_range, self.left_mm = True, None
+        branches = branches_of(sensor.model)
+        self._memory = Memory(branches) if branches else None
         self._mode, self.network, self._full = mode, None, None
         if gel is not None:
             sensor.surface = gel.displacement
@@ -76,7 +80,7 @@ class Touch:
     @property
     def displacement_mm(self) -> np.ndarray:
         """How far the gel's face is pressed in now, (80, 59) mm; not in the modes `probe` and `none`."""
-        return self.sensor.displacement(self.depth_mm)
+        return self.sensor.displacement(self.depth_mm, self.left_mm)
 
     def objects(self, data: mujoco.MjData) -> tuple[np.ndarray, ...]:
         """What may touch the gel, and the gel's pose, as `gel.probe.probe_grid` takes them."""
@@ -104,11 +108,14 @@ class Touch:
         if self.network is not None:
             imprint = self.sensor.model.imprint(self.depth_mm)
             self.in_range = not bool(self.network.out_of_range(imprint))
+        if self._memory is not None:
+            self.left_mm = self._memory.left_mm(float(data.time))
+            self._memory.hold(self.displacement_mm if self.depth_mm.any() else None)
         if self._mode == "image":
-            self.image = self.sensor.image(self.depth_mm)
+            self.image = self.sensor.image(self.depth_mm, self.left_mm)
             contact = self.sensor.contact(self.image)
         else:
-            contact = self.sensor.contact_from_depth(self.depth_mm)
+            contact = self.sensor.contact_from_depth(self.depth_mm, self.left_mm)
         self.pixels, self.area = contact.pixels, contact.area
 
 

@@ -54,7 +54,7 @@ def write_gel(
     if presses < 2:
         raise ValueError(f"{presses} presses are too few; give two or more, one of them to calibrate by.")
     folder.mkdir(parents=True)
-    sensor, rubber = _device(seed)
+    sensor, rubber = device(seed)
     s = _session(sensor, presses + 1, _rng(seed, "day", day, *names))
     drawn = {n: GEL_EFFECTS[n].draw(_rng(seed, n)) for n in names}
     for name, parameters in drawn.items():
@@ -104,7 +104,8 @@ def _write(folder: Path, sensor: Sensor, rubber: Rubber, rows: list[dict]) -> No
     (folder / "recording.json").write_text(json.dumps(meta, indent=1) + "\n", encoding="utf-8")
 
 
-def _device(seed: int) -> tuple[Sensor, Rubber]:
+def device(seed: int) -> tuple[Sensor, Rubber]:
+    """The sensor of a seed, and its gel."""
     rng = _rng(seed, "gel")
     z = -rng.uniform(6.0, 8.0, 3)
     sides = ("-x", "x", "y") if rng.random() < 0.5 else ("x", "-x", "-y")
@@ -143,7 +144,7 @@ def _plan(i: int, sensor: Sensor, rng: np.random.Generator) -> tuple[dict, Punch
 @lru_cache(maxsize=256)
 def _pressed(seed: int, day: int, i: int) -> tuple[dict, Face]:
     """Press number i of a day: how it is made, and the face under it."""
-    sensor, rubber = _device(seed)
+    sensor, rubber = device(seed)
     row, punch = _plan(i, sensor, _rng(seed, "press", day, i))
     return row, press(punch, row["depth_mm"], rubber)
 
@@ -151,7 +152,7 @@ def _pressed(seed: int, day: int, i: int) -> tuple[dict, Face]:
 @lru_cache(maxsize=64)
 def _plain_light(seed: int, day: int, k: int) -> np.ndarray:
     """Light of photograph k, 0 the rest image, in a sensor that is neither worn nor dusty nor tilted."""
-    sensor, _ = _device(seed)
+    sensor, _ = device(seed)
     x, y = grid(sensor)
     u = _turned(*reversed(_pressed(seed, day, k - 1)), x, y) if k else np.zeros((*x.shape, 3))
     return shine(sensor, u, Look(), seed)

@@ -86,7 +86,7 @@ def press(
     Raises:
         ArithmeticError: no equilibrium was found.
     """
-    mesh = _Mesh(punch, depth_mm, rubber, fine_mm)
+    mesh = Mesh(punch, depth_mm, rubber, fine_mm)
     u = np.zeros(mesh.rest.shape)
     left = list(np.linspace(0, depth_mm, int(np.ceil(depth_mm / step_mm)) + 1)[:0:-1])
     at = 0.0
@@ -114,7 +114,7 @@ def spaced(touched_mm: float, end_mm: float, fine_mm: float, wider: float) -> np
     return np.array(nodes)
 
 
-class _Mesh:
+class Mesh:
     """Hexahedra below one indenter: half or a quarter of the gel where that mirrors the rest."""
 
     def __init__(self, punch: Punch, depth_mm: float, rubber: Rubber, fine_mm: float):

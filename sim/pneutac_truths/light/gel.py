@@ -50,10 +50,19 @@ class Gel:
         self._paint = _uneven(image_shape)
         self.rest_image = self.image(np.zeros(self.shape))
 
-    def press(self, kinds, sizes_mm, places_mm, turns) -> tuple[np.ndarray, float]:
-        """Displacement (rows, columns) of the face in mm and the force in N, see `objects.reach_below`."""
+    def press(self, kinds, sizes_mm, places_mm, turns, left_mm=0.0) -> tuple[np.ndarray, float]:
+        """Displacement (rows, columns) of the face in mm and the force in N, see `objects.reach_below`.
+
+        Args:
+            kinds: of the objects.
+            sizes_mm: of each.
+            places_mm: of each.
+            turns: of each.
+            left_mm: (rows, columns) displacement that is left of what came before.
+        """
         reach = reach_below(kinds, sizes_mm, places_mm, turns, self.xs_mm, self.ys_mm)
-        return self._body.press(reach + self.rest_mm)
+        moved, force = self._body.press(reach + self.rest_mm - left_mm)
+        return left_mm + moved, force
 
     def image(self, displacement_mm: np.ndarray) -> np.ndarray:
         """Picture uint8 (H, W, 3) of a displaced face."""

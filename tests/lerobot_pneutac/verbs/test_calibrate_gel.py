@@ -289,6 +289,10 @@ def test_bad_options_get_one_sentence(generated, tmp_path):
             [f"--twin={tmp_path}", f"--recording={generated}", "--effects=shadow,illumination_drift"],
             "'illumination_drift' needs more than one pair",
         ),
+        (
+            [f"--twin={tmp_path}", f"--recording={generated}", "--effects=gel_creep"],
+            "'gel_creep' cannot be tested, record column hold_s",
+        ),
         ([f"--twin={tmp_path}", f"--recording={generated}", "--through=splats"], "through is 'splats'"),
         ([f"--twin={tmp_path}", f"--out={generated / 'rest.png'}"], "is a file"),
     ]:

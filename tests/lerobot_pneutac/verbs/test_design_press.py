@@ -10,6 +10,7 @@ from generated import once
 
 from lerobot_pneutac.cli.design import main as design
 from lerobot_pneutac.diagnosis.result import Contender
+from lerobot_pneutac.study.gel_held import held_choice
 from lerobot_pneutac.study.gel_press import press_choices
 from lerobot_pneutac.verbs.contenders import save_contenders
 from pneutac_datasets.generate.gel import write_gel_recording
@@ -17,7 +18,10 @@ from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.fit import fit_presses
+from pneutac_sim.gel.model import GelModel
 from pneutac_sim.twin import Twin
+
+CREEP = {"late_4s": 0.05, "late_20s": 0.1, "late_100s": 0.05}
 
 
 @pytest.fixture(scope="module")
@@ -73,3 +77,35 @@ def test_models_that_predict_the_same_are_told_apart_by_none(recording, models, 
         design([*common, f"--diagnosis={tmp_path / 'apart'}", "--max_kpa=10"])
     with pytest.raises(InputError, match="contenders.json; give the folder"):
         design([*common, f"--diagnosis={tmp_path / 'nothing'}"])
+
+
+def test_two_presses_are_asked_for_where_creep_is_in_question(recording, models, tmp_path, capsys):
+    """The first is held, the second comes soon and elsewhere; of one press nobody could tell."""
+    data = GelRecording.load(recording)
+    proposed = held_choice(data, models)
+    assert (
+        proposed.assumed
+        and proposed.seen
+        and "To tell whether it creeps, hold the sphere" in proposed.sentence
+    )
+    assert (proposed.hold_s, proposed.wait_s) == (60.0, 3.0)
+    assert proposed.first.depth_mm > proposed.press.depth_mm
+    gel = GelModel.from_twin(models[0].twin)
+    faint = replace(gel, effects=gel.effects | {"gel_creep": dict.fromkeys(CREEP, 1e-3)})
+    strong = replace(gel, effects=gel.effects | {"gel_creep": CREEP})
+    made = []
+    for g, terms in ((strong, ("gel_creep",)), (gel, ())):
+        twin = Twin("gel", 16.0)
+        g.into_twin(twin)
+        made.append(Contender(twin, terms, 0.5))
+    faint.into_twin(twin := Twin("gel", 16.0))
+    small = held_choice(data, [Contender(twin, ("gel_creep",), 0.5), made[1]])
+    assert not small.seen and "too little to see" in small.sentence
+    save_contenders(tmp_path / "creep", made)
+    given = [f"--twin={made[1].twin.save(tmp_path / 'twin')}", f"--recording={recording.folder}"]
+    design([*given, f"--diagnosis={tmp_path / 'creep'}", f"--out={tmp_path / 'out'}"])
+    assert "for 60 s and lift it" in " ".join(capsys.readouterr().out.split())
+    rows = pd.read_csv(tmp_path / "out" / "press.csv")
+    samples = recording.samples.iloc[:2].reset_index(drop=True).assign(**rows)
+    first, then = GelRecording.load(Recording(recording.folder, recording.meta, samples, "gel")).samples
+    assert [(e.press, e.held_s, e.since_s) for e in then.earlier] == [(first.press, 60.0, 5.0)]

@@ -173,7 +173,11 @@ def test_the_report_scores_photographs_that_chose_nothing(tmp_path):
 
 @pytest.mark.parametrize(
     ("effect", "said"),
-    [("creep", "does not act on a gel"), ("shadows", "There is no effect 'shadows'")],
+    [
+        ("creep", "does not act on a gel"),
+        ("gel_creep", "'gel_creep' cannot be tested, record column hold_s"),
+        ("shadows", "There is no effect 'shadows'"),
+    ],
 )
 def test_other_effects_are_refused(effect, said, tmp_path):
     recording = once(write_hidden_gel, tmp_path / "recording", [], images=2)

@@ -55,6 +55,42 @@ def test_a_row_says_what_of_its_press_is_uncertain(write):
         write({"depth_sd_mm": [0.1, -1.0, 0.1]})
 
 
+# ---------------------------------------------------------------- what came before
+
+
+def test_holds_tell_what_was_pressed_before_since_the_rest_image(write):
+    times = {"time_s": [20.0, 25.0, 60.0], "hold_s": [20.0, 2.0, 30.0]}
+    first, second, third = write(times).samples
+    assert first.photograph.earlier == ()
+    assert [(e.press, e.held_s, e.since_s) for e in third.photograph.earlier] == [
+        (first.press, 20.0, 40.0),
+        (second.press, 2.0, 35.0),
+    ]
+    assert not any(s.earlier for s in write({"time_s": times["time_s"]}).samples)
+    anew = write(times | {"rest_image": ["", "later.png", "later.png"]}).samples
+    assert [len(s.earlier) for s in anew] == [0, 0, 1], "its own rest image shows what was left before it"
+
+
+@pytest.mark.parametrize(
+    ("times", "says"),
+    [
+        (
+            {"hold_s": [20.0, "", 2.0]},
+            "row 2: hold_s is nan; give the seconds that the indenter was in the gel",
+        ),
+        ({"hold_s": [20.0, -1.0, 2.0]}, "row 2: hold_s is -1; give the seconds"),
+        (
+            {"hold_s": [20.0, 10.0, 2.0]},
+            "row 2: with time_s 25 and hold_s 10 it was pressed before the row above",
+        ),
+        ({"hold_s": [20.0, "long", 2.0]}, "hold_s"),
+    ],
+)
+def test_holds_that_cannot_be_are_one_sentence(times, says, write):
+    with pytest.raises(InputError, match=says):
+        write({"time_s": [20.0, 25.0, 60.0]} | times)
+
+
 # ---------------------------------------------------------------- rest images
 
 
