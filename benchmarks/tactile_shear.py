@@ -13,7 +13,7 @@ import numpy as np
 from pneutac_truths.gel.drag import drag
 from pneutac_truths.gel.punches import Punch
 from pneutac_truths.gel.scene import Look, Sensor, grid, shine
-from pneutac_truths.gel.session import BLUR_PX, device
+from pneutac_truths.gel.session import device
 from pneutac_truths.gel.solid import Face
 
 PRESSES = ((Punch("sphere", 3.0), 0.9),)
@@ -21,15 +21,16 @@ DRAGS_MM = [0.0, 0.2, 0.5, 1.0]
 FRICTION = 1.0  # of tacky silicone; it slides at about 0.5 mm
 AT_MM = (0.5, -0.4)  # of the punch in the photograph
 MOVED_MM, DEEPER_MM = 0.1, 0.05
+SMOOTH_MM = 0.2
 FINE_MM = 0.35  # of the elements: a tenth of the time that 0.25 takes
 
 
-def image(sensor: Sensor, face: Face | None, x_mm: float, seed: int, scale: float = 0.0) -> np.ndarray:
-    """Levels (H, W, 3) without the chip's noise."""
+def image(sensor: Sensor, face: Face | None, x_mm: float, seed: int, scale: float) -> np.ndarray:
+    """Levels (H, W, 3) without the chip's noise; smoothed, since rays are noisier than any chip."""
     x, y = grid(sensor)
     u = np.zeros((*x.shape, 3)) if face is None else face.at(x - x_mm, y - AT_MM[1])
     light = np.einsum("lhw,lc->hwc", shine(sensor, u, Look(), seed), np.array(sensor.colours))
-    return 255 * 0.62 * cv2.GaussianBlur(light, (0, 0), BLUR_PX) / (scale or np.quantile(light, 0.9))
+    return 255 * 0.62 * cv2.GaussianBlur(light, (0, 0), SMOOTH_MM * sensor.px_per_mm) / scale
 
 
 def measured(seed: int, punch: Punch, depth_mm: float) -> list[dict]:

@@ -5,6 +5,7 @@ from pneutac_truths.gel import solid
 from pneutac_truths.gel.punches import KINDS, Punch, polygon_distance
 
 pytest.importorskip("skfem", reason="needs scikit-fem (the dev extra)")
+from pneutac_truths.gel.drag import drag
 from pneutac_truths.gel.solid import Rubber, press
 
 TRIANGLE = ((-1.5, -1.0), (1.5, -1.0), (0.0, 1.6))
@@ -90,3 +91,14 @@ def test_a_step_that_finds_no_equilibrium_is_halved(monkeypatch):
     with pytest.raises(ArithmeticError, match="too far"):
         tried[:] = [-9.0]
         press(Punch("sphere", 3.0), 0.4, Rubber(2.5, 40.0, 0.49), 0.8, 0.2)
+
+
+def test_a_dragged_ball_takes_the_face_along_and_piles_it_up_in_front():
+    rubber = Rubber(2.0, 40.0, 0.49)
+    before, after = drag(Punch("sphere", 3.0), 0.6, [0.0, 0.3], rubber, friction=1.0, fine_mm=0.8)
+    (slid,) = drag(Punch("sphere", 3.0), 0.6, [0.3], rubber, friction=0.0, fine_mm=0.8)
+    x, y = np.array([-2.5, 0.0, 3.1]), np.zeros(3)  # behind, under and in front of it, where it stands then
+    assert np.allclose(before.at(x[1:2], y[1:2])[:, 0], 0, atol=1e-6)
+    assert 0.2 < after.at(x[1:2], y[1:2])[0, 0] < 0.31 and slid.at(x[1:2], y[1:2])[0, 0] < 0.1
+    up = after.at(x, y)[:, 2] - slid.at(x, y)[:, 2]
+    assert up[2] > 0.005 and up[2] > up[0]
