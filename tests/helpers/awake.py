@@ -47,13 +47,19 @@ def until(true, seconds=2.0):
     return True
 
 
-def undisturbed(attempt, tries=8):
-    """What an attempt returns; it is made again where it fails while the process was held up."""
+def undisturbed(attempt, tries=8, own_s=0.0):
+    """What an attempt returns; it is made again where it fails while the process was held up.
+
+    Args:
+        attempt: called without arguments.
+        tries: at most.
+        own_s: for which the attempt itself holds the process up.
+    """
     for _ in range(tries - 1):
         before_s = held_up_s()
         try:
             return attempt()
-        except AssertionError:
-            if held_up_s() - before_s < HELD_S:
+        except Exception:
+            if held_up_s() - before_s < own_s + HELD_S:
                 raise
     return attempt()
