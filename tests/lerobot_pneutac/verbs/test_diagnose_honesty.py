@@ -8,6 +8,7 @@ from generated import twin_of
 
 from lerobot_pneutac.cli import diagnose as verb
 from lerobot_pneutac.diagnosis.experiment import separations
+from lerobot_pneutac.study.by_device import study_of
 from lerobot_pneutac.study.pair import same_body
 from lerobot_pneutac.verbs.diagnose import diagnose
 from pneutac_datasets.recording.recording import Recording
@@ -73,8 +74,8 @@ def test_effects_without_their_column_are_listed_with_the_remedy(bench):
     poor = Recording(
         recording.folder, recording.meta, recording.samples.drop(columns=["temperature_c"]), "finger"
     )
-    d = diagnose(twin_of(recording), poor, jobs=1)
-    assert "record column temperature_c" in next(u.reason for u in d.study.untested if u.name == "thermal")
+    untested = study_of(twin_of(recording), poor, 0).untested
+    assert "record column temperature_c" in next(u.reason for u in untested if u.name == "thermal")
 
 
 def test_the_proposed_experiment_separates_the_rivals(bench):
