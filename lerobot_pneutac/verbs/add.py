@@ -124,6 +124,12 @@ class Addition(Result):
             out.append(f"[yellow]the diagnosis objects:[/] {'; '.join(self.objections)}")
         if self.saved_to:
             out.append(f"wrote version {self.twin.history[-1]['version']} of {self.saved_to}")
+        bench = [h["recording"] for h in self.twin.history if h["change"] == "calibrated"]
+        if self.accepted and bench and "touch" in (self.after or {}):
+            out.append(
+                "Touch told this of the pressed finger, and its free bend may be off now; fit that anew with "
+                f"`{command_on('calibrate', self.twin, bench[-1])}`."
+            )
         return out
 
     def to_dict(self) -> dict:

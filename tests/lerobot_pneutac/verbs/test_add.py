@@ -8,6 +8,7 @@ from generated import once
 from lerobot_pneutac import add, compare
 from lerobot_pneutac.cli import add as verb
 from lerobot_pneutac.cli import calibrate
+from lerobot_pneutac.verbs.add import Addition
 from lerobot_pneutac.verbs.found import BEFORE, FOUND
 from pneutac_datasets.generate.gel import write_gel_recording
 from pneutac_datasets.generate.hidden.generate import generate
@@ -61,6 +62,17 @@ def test_what_speaks_against_a_diagnosis_is_told_where_its_finding_is_added(pair
         ]
         assert (objection in added.page().fragment()) is bool(objections)
     assert not named.objections
+
+
+def test_what_touch_told_asks_for_the_bench_again(tmp_path):
+    bench = {"version": 0, "change": "calibrated", "recording": "bench/finger"}
+    twin = Twin("finger", 110.0, (13.75, 41.25, 68.75, 96.25), history=[bench])
+    after = {"train": 0.5, "heldout": 0.6, "heldout_ci95": (0.5, 0.7)}
+    given = {"effect": "creep", "accepted": True, "reason": "", "twin": twin, "recording": "demos", "seed": 0}
+    named = Addition(**given, after=after).save(tmp_path / "a").remarks()
+    told = Addition(**given, after=after | {"touch": 0.3}).save(tmp_path / "b").remarks()
+    assert not [r for r in named if "free bend" in r]
+    assert f"`pneutac calibrate --twin={tmp_path / 'b'} --recording=bench/finger`" in told[-1]
 
 
 def test_what_the_data_check_found_is_told(pair, tmp_path, capsys):
