@@ -1,15 +1,20 @@
 """What earlier presses leave in a gel that creeps."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from pneutac_datasets.generate.hidden_gel import write_hidden_gel
+from pneutac_datasets.recording.gel import GelRecording
 from pneutac_sim.effects import get_effect
 from pneutac_sim.effects.gel_creep import share_left
 from pneutac_sim.gel.fit import fit_photographs
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.late import Earlier, Memory, branches_of, pressed_on
+from pneutac_sim.gel.metrics import rmse
+from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.photograph import Predictor, PressPhotograph, Residues, press_depth
 from pneutac_sim.gel.probe import COLS, ROWS
 from pneutac_sim.gel.surface import surface
@@ -93,3 +98,19 @@ def test_the_shares_are_found_in_a_session_and_stay_where_no_press_came_before(c
     assert kept == CREEP
     none = fit_photographs(linear, photographs(linear), ["gel_creep"], makes=()).gel.effects["gel_creep"]
     assert share_left(get_effect("gel_creep").late(none), 60.0, 3.0) < 0.01
+
+
+def test_a_generated_recording_that_hides_creep_tells_its_holds_and_is_predicted(tmp_path):
+    recording = write_hidden_gel(tmp_path / "recording", ["gel_creep"], seed=1, images=4)
+    data, truth = (
+        GelRecording.load(recording),
+        json.loads((tmp_path / "truth" / "recording.json").read_text()),
+    )
+    assert recording.samples["hold_s"].tolist() == [60.0, 2.0, 60.0, 2.0] and data.samples[1].earlier
+    gel, last = GelModel.builtin(), data.samples[1].photograph
+    gel.effects = truth
+    errors = [
+        rmse(Predictor(gel).image(last.press, last.rest, last.clock, earlier), last.image)
+        for earlier in (last.earlier, ())
+    ]
+    assert errors[0] < 0.9 * errors[1]
