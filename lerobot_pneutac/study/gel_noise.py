@@ -1,12 +1,15 @@
 """What photographs of a gel show away from contacts, where no gel moves: noise, and drifts of light."""
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from pneutac_sim.gel import optics
 from pneutac_sim.gel.photograph import PressPhotograph, session_light
-from pneutac_sim.gel.session import FAR_ENOUGH
+from pneutac_sim.gel.session import FAR_ENOUGH, LEFT_RADII
+
+RECENT = 3  # presses before, of which something may be left that is no noise
 
 
 def away(
@@ -16,6 +19,8 @@ def away(
     out = []
     for p, difference in zip(photographs, differences, strict=True):
         far = ~p.near(px_per_mm)
+        for e in p.earlier[-RECENT:]:
+            far &= ~replace(p, press=e.press).near(px_per_mm, LEFT_RADII)
         if far.mean() > FAR_ENOUGH:
             out.append(np.mean(np.square(difference[far].astype(float))))
     return float(np.sqrt(np.mean(out))) if out else 0.0

@@ -1,9 +1,12 @@
 """Creep of another form than ours, on a face and under a light that are not ours either."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from lerobot_pneutac import Recording, Twin, diagnose
+from lerobot_pneutac.study.gel_noise import noise
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_sim.effects import get_effect
 from pneutac_sim.effects.gel_creep import share_left
@@ -43,3 +46,15 @@ def test_creep_is_named(tmp_path):
     recording = Recording.load(write_creeping(tmp_path / "creeps", 0.25, seed=1))
     twin = Twin("gel", 16.0)
     assert "gel_creep" in diagnose(twin, recording).selected
+
+
+def test_what_is_left_of_earlier_presses_is_no_noise(tmp_path):
+    floors = []
+    for name, share in (("creeps", 0.25), ("does_not", 0.0)):
+        data = GelRecording.load(Recording.load(write_creeping(tmp_path / name, share, seed=1, presses=6)))
+        floors.append(noise([s.photograph for s in data.samples], data.px_per_mm))
+        told = [replace(s.photograph, earlier=()) for s in data.samples]
+        floors.append(noise(told, data.px_per_mm))
+    creeps, taken_in, plain, all_of_it = floors
+    assert creeps - plain < 0.5 * (taken_in - all_of_it), floors
+    assert taken_in > 1.05 * all_of_it and plain == pytest.approx(all_of_it, rel=0.1), floors
