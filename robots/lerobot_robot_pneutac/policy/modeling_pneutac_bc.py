@@ -23,6 +23,7 @@ from pneutac_sim.features import CONTROL_HZ, PRESSURES, Places, action_names, st
 
 HIDDEN = 256
 REST = "encoder.rest_image"
+SCALES = "_state_centre", "_action_centre"  # as long as state and action
 
 
 class PneutacBCPolicy(PreTrainedPolicy):
@@ -85,17 +86,25 @@ class PneutacBCPolicy(PreTrainedPolicy):
         """Loads weights; a rest image from the present dataset outlives the one in the file.
 
         Raises:
-            InputError: the file lacks weights or holds others, or the two rest images cannot be of the same
-                kind of sensor.
+            InputError: the file lacks weights or holds others, or those of another body, or the two rest images
+                cannot be of the same kind of sensor.
         """
         with safe_open(model_file, "pt") as file:
             if model.encoder is not None and REST in file.keys():
                 model.config.check_size(tuple(file.get_slice(REST).get_shape()), str(model_file))
             other = sorted(set(file.keys()) ^ set(model.state_dict()))
+            sizes = [file.get_slice(k).get_shape()[0] for k in SCALES if k in file.keys()]
         if other:
             raise InputError(
                 f"'{model_file}' does not hold the weights of this policy (differs in {', '.join(other)});"
                 " its use_tactile was another, or another version trained it: train anew."
+            )
+        now = [len(model.state_dict()[k]) for k in SCALES]
+        if sizes != now:
+            raise InputError(
+                f"'{model_file}' was trained on {sizes[0]} numbers of state and {sizes[1]} of action, and here"
+                f" are {now[0]} and {now[1]}: an arm with other joints, or a body with other chambers. Give those"
+                " of its demonstrations (--env.twin, --env.station), or train anew."
             )
         model = super()._load_as_safetensor(model, model_file, map_location, strict)
         if model._dataset_scaling is not None:

@@ -407,3 +407,12 @@ def test_a_checkpoint_that_lacks_something_is_refused(tmp_path, gone):
     save_file({k: v for k, v in load_file(file).items() if k != gone}, file)
     with pytest.raises(InputError, match=rf"model.safetensors'.*differs in {gone}\)"):
         PneutacBCPolicy.from_pretrained(tmp_path)
+
+
+def test_weights_of_another_body_are_named(tmp_path):
+    make_ready_policy().save_pretrained(tmp_path)
+    arm = make_config()
+    arm.input_features[OBS_STATE] = PolicyFeature(FeatureType.STATE, (22,))
+    arm.output_features[ACTION] = PolicyFeature(FeatureType.ACTION, (6,))
+    with pytest.raises(InputError, match="on 20 numbers of state and 4 of action, and here are 22 and 6"):
+        PneutacBCPolicy.from_pretrained(tmp_path, config=arm)
