@@ -86,7 +86,7 @@ class PneutacBCPolicy(PreTrainedPolicy):
         """Loads weights; a rest image from the present dataset outlives the one in the file.
 
         Raises:
-            InputError: the file lacks weights or holds others, or those of another body, or the two rest images
+            InputError: the file lacks weights or holds others, those of another body, or the two rest images
                 cannot be of the same kind of sensor.
         """
         with safe_open(model_file, "pt") as file:
@@ -102,9 +102,9 @@ class PneutacBCPolicy(PreTrainedPolicy):
         now = [len(model.state_dict()[k]) for k in SCALES]
         if sizes != now:
             raise InputError(
-                f"'{model_file}' was trained on {sizes[0]} numbers of state and {sizes[1]} of action, and here"
-                f" are {now[0]} and {now[1]}: an arm with other joints, or a body with other chambers. Give those"
-                " of its demonstrations (--env.twin, --env.station), or train anew."
+                f"'{model_file}' was trained on {sizes[0]} numbers of state and {sizes[1]} of action, and"
+                f" here are {now[0]} and {now[1]}: an arm of other joints, or other chambers. Give those of"
+                " its demonstrations (--env.twin, --env.station), or train anew."
             )
         model = super()._load_as_safetensor(model, model_file, map_location, strict)
         if model._dataset_scaling is not None:
