@@ -58,7 +58,7 @@ def test_a_denser_body_is_heavier():
     twin.parameters["density_kg_m3"] = Value(2 * 1145.0)
     masses = []
     for each in (Twin.builtin(), twin):
-        parts = [p.split('"')[0] for p in body(each, 0.02).split(' mass="')[1:]]
+        parts = [p.split('"')[0] for p in body(each, 0.02, axes=1).split(' mass="')[1:]]
         masses.append(sum(float(p) for p in parts if 0 < float(p) < 0.1 and p != str(MASS_KG)))
     assert masses[1] - DIGIT_MASS == pytest.approx(2 * (masses[0] - DIGIT_MASS), rel=1e-6)
     assert 0.040 < masses[0] - DIGIT_MASS < 0.046, "of about 37 cm3 of Agilus30"
