@@ -44,11 +44,16 @@ def main() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else the exit would flush, too
         sys.exit(1)
     except KeyboardInterrupt:
-        sys.exit(130)
+        _interrupted()
     except RuntimeError as e:  # an interrupt inside a lock, as of a wait, ends in "release unlocked lock"
         if not isinstance(e.__context__, KeyboardInterrupt):
             raise
-        sys.exit(130)
+        _interrupted()
+
+
+def _interrupted() -> None:
+    print(f"{sys.argv[0]}: interrupted.", file=sys.stderr)
+    sys.exit(130)
 
 
 def _dispatch(argv: list[str]) -> None:

@@ -8,7 +8,7 @@ import pytest
 from lerobot_pneutac import cli
 
 
-def test_an_interrupt_inside_a_lock_is_an_interrupt(monkeypatch):
+def test_an_interrupt_inside_a_lock_is_an_interrupt(monkeypatch, capsys):
     def verb(argv):
         lock = threading.Lock()
         with lock:  # as where the interrupt comes between a wait's release and its taking the lock back
@@ -20,3 +20,4 @@ def test_an_interrupt_inside_a_lock_is_an_interrupt(monkeypatch):
     with pytest.raises(SystemExit) as stopped:
         cli.main()
     assert stopped.value.code == 130
+    assert capsys.readouterr().err == "pneutac: interrupted.\n"
