@@ -16,6 +16,7 @@ from sensors import wide_twin
 from lerobot_robot_pneutac.cameras.config_pneutac_scene import PneutacSceneConfig
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.pneutac_sim import HOME_RADIUS_M, PneutacSim
+from lerobot_robot_pneutac.standin.gel import GelTouch
 from lerobot_robot_pneutac.standin.world import StandinWorld
 from pneutac_sim.effects import get_effect
 from pneutac_sim.errors import InputError
@@ -24,6 +25,7 @@ from pneutac_sim.gel.contact import contact_area, quieted
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.expert import ScriptedExpert
+from pneutac_sim.world.touch import Touch
 
 EE = ("ee_x.pos", "ee_y.pos", "ee_z.pos")
 
@@ -273,6 +275,15 @@ print(late)
 """
 
 
+@pytest.mark.nightly
 def test_nothing_is_compiled_at_the_first_touch_while_an_episode_is_recorded():
     done = subprocess.run([sys.executable, "-c", FIRST_TOUCH], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize(("touch", "standin"), [(Touch, False), (GelTouch, True)])
+def test_a_touch_is_drawn_while_connecting(touch, standin, monkeypatch, make_robot):
+    drawn, prepare = [], touch.prepare
+    monkeypatch.setattr(touch, "prepare", lambda self: drawn.append(prepare(self)))
+    make_robot(task="button", standin=standin)
+    assert len(drawn) == 1
