@@ -6,9 +6,11 @@ import numpy as np
 import pandas as pd
 
 from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.finger.switches import steps
 
 SECONDS = 120.0
 HZ = 10.0
+GOLDEN = 0.618034  # its multiples' fractions fill an interval as evenly as any
 
 
 @dataclass
@@ -117,7 +119,7 @@ def table(recording: Recording, t: np.ndarray, p: np.ndarray, change: dict) -> p
     """
     table = pd.DataFrame({"trial": np.zeros(len(t), int), "time_s": t})
     if recording.has("time_sent_s"):
-        table["time_sent_s"] = t
+        table["time_sent_s"] = sent_s(t, p)
     for i, c in enumerate(recording.pressure_columns):
         table[c] = p[:, i] if p.ndim > 1 else p if i == 0 else float(recording.samples[c].median())
     for c in recording.samples.columns:
@@ -133,3 +135,21 @@ def table(recording: Recording, t: np.ndarray, p: np.ndarray, change: dict) -> p
     for c, v in change.items():
         table[c] = v
     return table
+
+
+def sent_s(t: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """When the command of each sample is sent, (n,) s: at the sample, but a step up to a sample before it.
+
+    Each step keeps another lead, so that together they are seen at all ages: samples that come at one age
+    alone tell a delay no better than to the time between two of them (equivalent-time sampling).
+
+    Args:
+        t: (n,) s of the samples.
+        p: (n, chambers) commanded, or (n,) of one chamber.
+    """
+    p = np.reshape(p, (len(t), -1))
+    at = steps(p, np.arange(len(t)) == 0)
+    lead = (np.random.default_rng(at).random() + GOLDEN * np.arange(len(at))) % 1
+    out = np.array(t, float)
+    out[at] -= lead * (t[at] - t[at - 1])
+    return out

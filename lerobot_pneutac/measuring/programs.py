@@ -11,7 +11,7 @@ import pandas as pd
 from lerobot_pneutac.diagnosis.common_programs import sampled, turning
 from lerobot_pneutac.diagnosis.law_programs import law_programs
 from lerobot_pneutac.diagnosis.limits import Limits
-from lerobot_pneutac.diagnosis.programs import menu
+from lerobot_pneutac.diagnosis.programs import menu, sent_s
 from pneutac_datasets.recording.chambers import chambers_commanded, command_columns, per_chamber
 from pneutac_datasets.recording.mounts import CONDITIONS
 from pneutac_datasets.recording.recording import Recording
@@ -27,14 +27,16 @@ class PressureTrial:
 
     Attributes:
         program: its label.
-        time_s: (n,) rising from 0.
+        time_s: (n,) of the samples, rising from 0.
         pressure_kpa: (n, chambers) set-points.
+        sent_s: (n,) when each is sent: at its sample, or a part of a sample before.
         conditions: that it asks for, such as `payload_g`; somebody has to see to them.
     """
 
     program: str
     time_s: np.ndarray
     pressure_kpa: np.ndarray
+    sent_s: np.ndarray
     conditions: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -118,12 +120,16 @@ def _builtin(name: str, top: np.ndarray, hz: float) -> list[PressureTrial]:
         knots_s, share = (np.array(points) * [unit_s, 1.0]).T
         time_s = np.arange(round(knots_s[-1] * hz) + 1) / hz
         along = np.interp(time_s, knots_s, share)[:, None]
-        trials += [PressureTrial(name, time_s, along * alone * top) for alone in np.eye(len(top))]
+        trials += [_trial(name, time_s, along * alone * top) for alone in np.eye(len(top))]
     if name == "loops" and len(top) > 1:
         for turn_s in (4.0, 12.0):
             turn = turning(len(top), turn_s, 1.0, 2.0)
-            trials.append(PressureTrial(name, *sampled(turn, Limits(0.0, top, hz))))
+            trials.append(_trial(name, *sampled(turn, Limits(0.0, top, hz))))
     return trials
+
+
+def _trial(name: str, time_s: np.ndarray, pressure_kpa: np.ndarray) -> PressureTrial:
+    return PressureTrial(name, time_s, pressure_kpa, sent_s(time_s, pressure_kpa))
 
 
 def _read(path: Path) -> pd.DataFrame:
@@ -162,8 +168,9 @@ def _table(path: Path, hz: float, chambers: int) -> list[PressureTrial]:
         # A command holds until the next row's: steps stay steps.
         latest = np.searchsorted(time_s, grid + 1e-9, side="right") - 1
         label = str(rows["program"].iloc[0]) if "program" in rows else path.stem
+        sent = np.where(np.diff(latest, prepend=-1) > 0, time_s[latest], grid)
         asked = {c: float(rows[c].iloc[0]) for c in CONDITIONS if c in rows}
-        trials.append(PressureTrial(label, grid, rows[commands].to_numpy(float)[latest], asked))
+        trials.append(PressureTrial(label, grid, rows[commands].to_numpy(float)[latest], sent, asked))
     return trials
 
 
@@ -188,7 +195,5 @@ def _proposed(path: Path, recording: Path | None, hz: float, chambers: int) -> P
             time_s = p.samples["time_s"].to_numpy(float)
             grid = np.arange(round(time_s[-1] * hz) + 1) / hz
             commands = p.samples[r.pressure_columns].to_numpy(float).T
-            return PressureTrial(
-                p.name, grid, np.stack([np.interp(grid, time_s, x) for x in commands], axis=1)
-            )
+            return _trial(p.name, grid, np.stack([np.interp(grid, time_s, x) for x in commands], axis=1))
     raise InputError(f"{path} proposes what no pressure program does; read and do it by hand: {advice}")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 import pandas as pd
 
+from lerobot_pneutac.diagnosis.programs import sent_s
 from pneutac_datasets.recording.chambers import command_columns
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.features import MAX_PRESSURE_KPA
@@ -97,18 +98,18 @@ def save_program(
     kind: str,
     conditions: Mapping[str, float] = MappingProxyType({}),
 ) -> None:
-    """Writes a program as `pneutac measure --program=` reads it.
+    """Writes a program as `pneutac measure --program=` reads it, its steps between samples (`sent_s`).
 
     Args:
-        file: CSV with `time_s`, `pressure_cmd_kpa` or of several chambers `pressure_cmd_1_kpa` and so on,
+        file: CSV with `time_s`, when a command is sent, `pressure_cmd_kpa` or of several chambers `pressure_cmd_1_kpa` and so on,
             `program`, and conditions.
-        time_s: (n,) s.
+        time_s: (n,) s of the samples.
         pressure_kpa: (n, chambers) commanded; (n,) of one chamber.
         kind: name of the program.
         conditions: that it asks for, such as `payload_g`.
     """
     commands = np.reshape(pressure_kpa, (len(time_s), -1)).T
     columns = dict(zip(command_columns(len(commands)), commands, strict=True))
-    table = pd.DataFrame({"time_s": time_s} | columns | {"program": kind} | dict(conditions))
+    table = pd.DataFrame({"time_s": sent_s(time_s, pressure_kpa)} | columns | {"program": kind} | dict(conditions))
     with whole(file) as part:
         table.to_csv(part, index=False, float_format="%.6g")

@@ -149,11 +149,12 @@ class BenchDriver:
         rows, taken, k, start_s = [], 0, 0, time.monotonic()
         started, command, sent_s = self._started(start_s), None, None
         while k < len(trial.time_s):
-            time.sleep(max(0.0, start_s + trial.time_s[k] - time.monotonic()))
+            _wait_until(start_s + trial.sent_s[k])
             sample, before, command, taken = k, command, trial.pressure_kpa[k], taken + 1
             if sent_s is None or (command != before).any():  # one sent again counts from the first time
                 sent_s = time.monotonic() - start_s
             self._pressure.set_pressure(command)
+            _wait_until(start_s + trial.time_s[k])
             images = {name: _image(c, name) for name, c in self._cameras.items()}
             now_s, kpa = time.monotonic() - start_s, self._pressure.pressure()
             self._check_pressure(kpa)
@@ -219,6 +220,10 @@ class BenchDriver:
         for name in names[::-1] if (self._config.out / "samples.csv").exists() else names:
             (new / name).replace(self._config.out / name)
         new.rmdir()
+
+
+def _wait_until(clock_s: float) -> None:
+    time.sleep(max(0.0, clock_s - time.monotonic()))
 
 
 def _connect(camera: Camera, name: str) -> None:

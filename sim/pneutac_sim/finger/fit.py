@@ -14,7 +14,7 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.finger.confidence import Z95, Confidence, confidence, independent
 from pneutac_sim.finger.data import BodyData
 from pneutac_sim.finger.pipeline import Pipeline
-from pneutac_sim.finger.problem import Bounds, Problem, past_jumps
+from pneutac_sim.finger.problem import Bounds, Problem, level_stretch, past_jumps
 from pneutac_sim.finger.soft_body import SoftBody
 from pneutac_sim.finger.starts import rough_drive, starting_points
 from pneutac_sim.least_squares import minimise
@@ -106,12 +106,20 @@ def fit(
     _check_enough(int(mask.sum()), len(data.columns), len(free))
     start = pipeline.theta(twin, data.inputs.pressure_range_kpa)
     problems, v = _search(start, pipeline, data, np.flatnonzero(mask), bounds, free, starts, seed)
-    final = problems[-1]
+    final, v, level = problems[-1], v.copy(), {}
+    for j in np.flatnonzero(final.jumps):  # the error knows no better than a stretch: its middle is taken
+        level[j] = np.array(level_stretch(final.residual, v, j, final.jumps[j]))
+        v[j] = level[j].mean()
     theta = final.theta(v)
     residual = data.measured - pipeline.outputs(pipeline.run(data.inputs, theta), data.columns)
     edge = (v < _EDGE) | (v > 1 - _EDGE)
     known = confidence(final.jacobian(v), residual[mask] * data.scale, data.adjacent[mask], edge)
     ci95 = _intervals(pipeline, bounds, final.free, v, known.sd)
+    for j, ends in level.items():
+        i = final.free[j]
+        low, high = bounds.value(ends, np.array([i, i]))
+        told = ci95[pipeline.names[i]]
+        ci95[pipeline.names[i]] = (min(told[0], float(low)), max(told[1], float(high)))
     unknown = dict.fromkeys((pipeline.names[i] for i in free if i not in final.free), _DEPENDENT)
     for j in np.flatnonzero((2 * Z95 * known.sd > 1) & ~edge):
         unknown[pipeline.names[final.free[j]]] = "its interval spans everything that physics allows"
