@@ -101,8 +101,8 @@ def save_program(
     """Writes a program as `pneutac measure --program=` reads it, its steps between samples (`sent_s`).
 
     Args:
-        file: CSV with `time_s`, when a command is sent, `pressure_cmd_kpa` or of several chambers `pressure_cmd_1_kpa` and so on,
-            `program`, and conditions.
+        file: CSV with `time_s`, when a command is sent, `pressure_cmd_kpa` or of several chambers
+            `pressure_cmd_1_kpa` and so on, `program`, and conditions.
         time_s: (n,) s of the samples.
         pressure_kpa: (n, chambers) commanded; (n,) of one chamber.
         kind: name of the program.
@@ -110,6 +110,7 @@ def save_program(
     """
     commands = np.reshape(pressure_kpa, (len(time_s), -1)).T
     columns = dict(zip(command_columns(len(commands)), commands, strict=True))
-    table = pd.DataFrame({"time_s": sent_s(time_s, pressure_kpa)} | columns | {"program": kind} | dict(conditions))
+    times = {"time_s": sent_s(time_s, pressure_kpa)}
+    table = pd.DataFrame(times | columns | {"program": kind} | dict(conditions))
     with whole(file) as part:
         table.to_csv(part, index=False, float_format="%.6g")
