@@ -84,7 +84,7 @@ def write_program(folder: str | Path, program: str | Path, seed: int = 0) -> Rec
         folder: where the recording goes.
         program: CSV with `time_s`, when a command is sent, and `pressure_cmd_kpa`, as `pneutac control` and
             `pneutac design` write it; the finger hears it at the next sample, which come at the pace of most
-            rows. By `gravity_x`, `gravity_y` and `gravity_z` the base is turned, `payload_g` hangs at the tip.
+            rows. By `gravity_x`, `gravity_y`, `gravity_z` the base is turned, `payload_g` hangs at the tip.
         seed: decides the noise.
 
     Raises:

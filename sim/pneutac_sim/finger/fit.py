@@ -108,18 +108,15 @@ def fit(
     problems, v = _search(start, pipeline, data, np.flatnonzero(mask), bounds, free, starts, seed)
     final, v, level = problems[-1], v.copy(), {}
     for j in np.flatnonzero(final.jumps):  # the error knows no better than a stretch: its middle is taken
-        level[j] = np.array(level_stretch(final.residual, v, j, final.jumps[j]))
-        v[j] = level[j].mean()
+        if (ends := level_stretch(final.residual, v, j, final.jumps[j])) is not None:
+            v[j], level[j] = np.mean(ends), np.ptp(ends) / 2
     theta = final.theta(v)
     residual = data.measured - pipeline.outputs(pipeline.run(data.inputs, theta), data.columns)
     edge = (v < _EDGE) | (v > 1 - _EDGE)
     known = confidence(final.jacobian(v), residual[mask] * data.scale, data.adjacent[mask], edge)
+    for j, half in level.items():  # where there is no slope from which to tell its spread
+        known.sd[j] = max(half / Z95, known.sd[j] if np.isfinite(known.sd[j]) else 0.0)
     ci95 = _intervals(pipeline, bounds, final.free, v, known.sd)
-    for j, ends in level.items():
-        i = final.free[j]
-        low, high = bounds.value(ends, np.array([i, i]))
-        told = ci95[pipeline.names[i]]
-        ci95[pipeline.names[i]] = (min(told[0], float(low)), max(told[1], float(high)))
     unknown = dict.fromkeys((pipeline.names[i] for i in free if i not in final.free), _DEPENDENT)
     for j in np.flatnonzero((2 * Z95 * known.sd > 1) & ~edge):
         unknown[pipeline.names[final.free[j]]] = "its interval spans everything that physics allows"

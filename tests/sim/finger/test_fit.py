@@ -29,6 +29,20 @@ def test_a_dead_time_without_any_lag_is_told_to_a_millisecond(tmp_path, seed, de
     assert f.train < 1.05 * truth.noise_floor
 
 
+def test_a_delay_that_no_sample_tells_is_the_middle_of_what_is_possible(program, recording, with_effects):
+    """Commands that are all sent just at a sample: a delay of up to a sample is seen at the next one."""
+    truth = with_effects(Twin.builtin(), {"dead_time": {"delay_s": 0.071}})
+    steps = program()
+    steps["pressure_cmd_kpa"] = 6.0 * (np.arange(len(steps["time_s"])) // 40 % 2)
+    steps["time_sent_s"] = steps["time_s"]
+    r = recording(truth, steps, noise=0.1)
+    dt = float(np.median(np.diff(r.samples["time_s"])))
+    f = fit(Twin.builtin(), r, ["dead_time"], only=["dead_time"], starts=2)
+    low, high = f.ci95["dead_time.delay_s"]
+    assert low < 0.071 < high and high - low == pytest.approx(dt, rel=0.1)
+    assert f.twin.effects["dead_time"]["delay_s"].value == pytest.approx((low + high) / 2, abs=0.01 * dt)
+
+
 def test_static_parameters_come_back_within_their_intervals(program, recording):
     truth = Twin.builtin()
     rec = recording(truth, program(), noise=0.1)
