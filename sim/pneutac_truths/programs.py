@@ -85,8 +85,13 @@ def given(programs: list[tuple[str, np.ndarray, np.ndarray]], pause_s: float) ->
         commands = np.reshape(np.asarray(share, float), (len(time_s), -1))
         new = np.r_[True, (np.diff(commands, axis=0) != 0).any(axis=1)]
         sent = np.asarray(time_s)[np.maximum.accumulate(np.where(new, np.arange(len(time_s)), 0))]
-        trials.append((commands[latest], sent[latest]))
+        trials.append((commands[latest], _on_grid(sent)[latest]))
     return _joined(trials, [name for name, *_ in programs], [0.0, *[pause_s] * (len(programs) - 1)])
+
+
+def _on_grid(sent_s: np.ndarray) -> np.ndarray:
+    """When commands really come: at the next instant of the fine grid, which the log then tells."""
+    return np.ceil(sent_s / DT_S - 1e-9) * DT_S
 
 
 def _joined(trials, programs, pauses) -> Plan:
@@ -118,7 +123,7 @@ def _trial(rng, kind, seconds, chambers, tick) -> tuple[np.ndarray, np.ndarray]:
     sent = ticks[np.maximum.accumulate(np.where(new, np.arange(len(ticks)), 0))]
     last = np.searchsorted(ticks, t + 1e-9, side="right") - 1
     held = np.where((last >= 0)[:, None], wanted[np.maximum(last, 0)], 0.0)
-    return held, np.where(last >= 0, sent[np.maximum(last, 0)], 0.0)
+    return held, np.where(last >= 0, _on_grid(sent)[np.maximum(last, 0)], 0.0)
 
 
 def _levels(rng, n) -> np.ndarray:
