@@ -17,7 +17,7 @@ from lerobot_pneutac.verbs.contenders import load_contenders
 from lerobot_pneutac.verbs.diagnose import diagnose
 from lerobot_pneutac.verbs.diagnosis import Diagnosis
 from lerobot_pneutac.verbs.foreseen import error_of, not_as_asked, paths
-from lerobot_pneutac.verbs.learning import Learning, Round
+from lerobot_pneutac.verbs.learning import CONFIRMS, Learning, Round
 from pneutac_datasets.recording.joined import joined
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.laws import family
@@ -25,7 +25,6 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.files import whole, write_json
 from pneutac_sim.twin import Twin
 
-CONFIRMS = 1.5  # error over noise, before it was used, up to which a recording confirms what predicted it
 NEEDED = 1.2  # by so much worse the best contender without a law must have foreseen it to confirm that law
 DOUBT = 0.1  # probability that an unconfirmed law is not there, when the next program is chosen
 GIVE_UP = 4  # programs in a row, foreseen badly and no better, after which it ends
@@ -282,6 +281,8 @@ class Rounds:
             probabilities={" + ".join(c.terms): c.probability for c in found.outcome.contenders},
             needed_by={e: needed_by[family(e)] for e in found.selected if family(e) in needed_by},
         )
+        if r.refutes:
+            return replace(r, needed_by={}, confirmed_by={})
         confirmed = {e: k for e, k in r.needed_by.items() if r.suffices or family(e) in sure}
         return replace(r, confirmed_by=confirmed)
 

@@ -12,6 +12,7 @@ from lerobot_pneutac.verbs.result import Result
 from pneutac_sim.twin import Twin
 
 KNOWN = ("adequate", "missing_effect")
+CONFIRMS = 1.5  # error over noise, before it was used, up to which a recording confirms what predicted it
 LEFT = 1.15  # error over noise, on all that was measured, above which something unknown is at work
 
 
@@ -39,7 +40,7 @@ class Round:
         hand: what a hand had changed for it, see `hands.HANDS`; empty for nothing.
         needed_by: effect to the number of the round whose recording was predicted with it, and not without.
         confirmed_by: those of them found while the form sufficed and noise alone was left: else a law may
-            stand in for another.
+            stand in for another. A recording that `refutes` ends that.
     """
 
     number: int
@@ -70,6 +71,12 @@ class Round:
     def foreseen(self) -> bool:
         """Whether this recording was predicted to the noise before it was used."""
         return self.predicted_error is not None and self.predicted_error <= LITTLE * self.noise
+
+    @property
+    def refutes(self) -> bool:
+        """Whether this recording was predicted badly, and nothing that was found then explains everything."""
+        badly = self.predicted_error is not None and self.predicted_error > CONFIRMS * self.noise
+        return badly and not self.suffices
 
     @property
     def unconfirmed(self) -> list[str]:

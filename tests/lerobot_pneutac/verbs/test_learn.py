@@ -3,6 +3,7 @@
 import json
 import shutil
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -166,6 +167,23 @@ def test_a_law_is_not_confirmed_by_what_another_model_without_it_foresaw_as_well
     again = Rounds(out, Twin.builtin(), Mirror(), 0, 1, None).drive(None)  # what was measured is kept
     assert again.predicted_error == last.predicted_error and last.confirmed_by
     assert not again.confirmed_by and again.unconfirmed == again.selected
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("foreseen", "left", "stays"), [(1.6, 1.3, False), (1.6, 1.0, True), (1.4, 1.3, True)],
+    ids=["badly foreseen, unexplained", "badly foreseen, then explained", "foreseen, something left"],
+)  # fmt: skip
+def test_a_law_stays_confirmed_until_a_program_contradicts_it(learnt, foreseen, left, stays):
+    rounds, last = Rounds(learnt.folder, Twin.builtin(), Mirror(), 0, 1, None), learnt.last
+    told = {"program": "another", "kind": "another", "seconds": 20.0, "pause_s": None}
+    found = SimpleNamespace(
+        study=SimpleNamespace(noise=SimpleNamespace(value=last.noise), unit="mm"), verdict=last.verdict,
+        selected=last.selected, sentence="", after={"heldout": left * last.noise},
+        outcome=SimpleNamespace(contenders=()),
+    )  # fmt: skip
+    seen = {"predicted_error": foreseen * last.noise, "bare_error": 9.0, "without": {}}
+    assert last.confirmed_by and bool(rounds._judged(told, found, seen).confirmed_by) == stays
 
 
 @pytest.mark.slow
