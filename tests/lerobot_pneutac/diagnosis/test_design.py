@@ -7,7 +7,7 @@ import pytest
 from lerobot_pneutac.diagnosis.common_programs import common_programs, first_program
 from lerobot_pneutac.diagnosis.design import choices, nats_between
 from lerobot_pneutac.diagnosis.limits import Limits, visited
-from lerobot_pneutac.diagnosis.programs import table
+from lerobot_pneutac.diagnosis.programs import sent_s, table
 from lerobot_pneutac.diagnosis.result import Contender
 from pneutac_datasets.recording.chambers import command_columns, device_with
 from pneutac_datasets.recording.joined import joined
@@ -63,7 +63,7 @@ def test_what_is_planned_is_sent_when_it_is_due(tmp_path):
     driven = recording(tmp_path, t, p)
     driven.samples["time_sent_s"] = np.maximum.accumulate(np.where(np.diff(p[:, 0], prepend=1) != 0, t, 0))
     planned = table(driven, t, p, {})
-    assert planned["time_sent_s"].tolist() == t.tolist()
+    assert planned["time_sent_s"].tolist() == sent_s(t, p).tolist()
     assert "time_sent_s" not in table(recording(tmp_path, t, p), t, p, {})
 
 
