@@ -141,7 +141,8 @@ def _rounds(name, strategy, cfg, tmp, twin, judge, floor) -> list[dict]:
                 "min": spent_s / 60, "verdict": r.verdict, "selected": r.selected, "ratio": ratio,
                 "confirmed": list(r.confirmed_by), "probability": max(r.probabilities.values()),
                 "program": r.program, "kind": r.kind, "error": r.error, "noise": r.noise,
-                "predicted": r.predicted_error, "without": r.without,
+                "predicted": r.predicted_error, "without": r.without, "likely_right": r.likely_right,
+                "rivals": r.probabilities,
             }
         )  # fmt: skip
 

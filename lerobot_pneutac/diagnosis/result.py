@@ -87,6 +87,8 @@ class Outcome:
         base_model: how the device bends before any effect, in numbers.
         contenders: the final model, its nearest others, and last the twin as it is, re-fitted;
             empty for demonstrations.
+        likely_right: probability that the headline is the physics of the device, see `belief`; None where
+            nothing was found or the noise is not known, and for gels and demonstrations.
     """
 
     before: FittedModel
@@ -102,3 +104,4 @@ class Outcome:
     chosen_in: dict[str, float] = field(default_factory=dict)
     base_model: dict = field(default_factory=dict)
     contenders: list[Contender] = field(default_factory=list)
+    likely_right: float | None = None

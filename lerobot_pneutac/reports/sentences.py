@@ -94,8 +94,15 @@ def how_sure(study: EffectStudy, outcome: Outcome) -> str:
     )
     return (
         f"{sure}. It removes {_removed(study, o)} of the squared error above the noise, on stretches of time "
-        f"that no fit saw{votes if o.selected[0] in o.chosen_in else ''}."
+        f"that no fit saw{votes if o.selected[0] in o.chosen_in else ''}.{_belief(o)}"
     )
+
+
+def _belief(outcome: Outcome) -> str:
+    if outcome.likely_right is None:
+        return ""
+    share = 100 * outcome.likely_right
+    return f" Of foreign devices with a finding like this {share:.0f} % had the physics that was named first."
 
 
 def not_explained(study: EffectStudy, outcome: Outcome) -> str:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lerobot_pneutac.diagnosis.belief import likely_right
 from lerobot_pneutac.diagnosis.experiment import predict
 from lerobot_pneutac.diagnosis.model import FittedModel
 from lerobot_pneutac.diagnosis.result import Contender, Outcome, Tested
@@ -40,6 +41,7 @@ def body_outcome(
     ladder = [("as it is", before)]
     if helps:
         ladder += _ladder(study, done, after)
+    verdict, contenders = decide(evidence), _contenders(study, search, start, done if helps else None)
     return Outcome(
         before=before,
         after=after,
@@ -48,13 +50,20 @@ def body_outcome(
         tested=_tested(study, search, done, before),
         rivals=rivals(done.found, study.noise.value, done.terms, family, lambda s: study.fitted(s.model)),
         evidence=evidence,
-        verdict=decide(evidence),
+        verdict=verdict,
         twin=after.twin,
         seconds=time.perf_counter() - began,
         chosen_in=done.chosen_in,
         base_model=_base(done) if helps else {},
-        contenders=_contenders(study, search, start, done if helps else None),
+        contenders=contenders,
+        likely_right=_belief(evidence, verdict, contenders[0]),
     )
+
+
+def _belief(evidence: Evidence, verdict: str, best: Contender) -> float | None:
+    if not evidence.selected or not evidence.noise_known or evidence.poor:
+        return None
+    return likely_right(evidence.after, best.probability, verdict == "missing_effect")
 
 
 def _after(study: "BodyStudy", done: Searched, model: BodyModel) -> FittedModel:

@@ -178,6 +178,7 @@ class Diagnosis(Result):
                 "share_of_rest": o.evidence.left_to_black_box,
                 "unfinished": o.evidence.unfinished,
             },
+            "likely_right": o.likely_right,
             "objections": o.evidence.objections,
             "findings": list(self.findings),
             "notes": study.caveats(o),

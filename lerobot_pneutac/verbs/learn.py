@@ -279,6 +279,7 @@ class Rounds:
             selected=list(found.selected),
             sentence=found.sentence,
             probabilities={" + ".join(c.terms): c.probability for c in found.outcome.contenders},
+            likely_right=found.outcome.likely_right,
             needed_by={e: needed_by[family(e)] for e in found.selected if family(e) in needed_by},
         )
         if r.refutes:

@@ -36,11 +36,12 @@ class Round:
         verdict: now.
         selected: effects found now, the most important first.
         sentence: what was found.
-        probabilities: each contender's, its terms joined by ` + `.
+        probabilities: each contender's beside the others, its terms joined by ` + `.
         hand: what a hand had changed for it, see `hands.HANDS`; empty for nothing.
         needed_by: effect to the number of the round whose recording was predicted with it, and not without.
         confirmed_by: those of them found while the form sufficed and noise alone was left: else a law may
             stand in for another. A recording that `refutes` ends that.
+        likely_right: see `Outcome`.
     """
 
     number: int
@@ -61,6 +62,7 @@ class Round:
     hand: str = ""
     needed_by: dict[str, int] = field(default_factory=dict)
     confirmed_by: dict[str, int] = field(default_factory=dict)
+    likely_right: float | None = None
 
     @property
     def suffices(self) -> bool:
@@ -155,6 +157,7 @@ class Learning(Result):
                 f"after, {r.unit}": f"{r.error:.3g}",
                 "noise": f"{r.noise:.3g}",
                 "found": ", ".join(f"{e}{'*' if e in r.confirmed_by else ''}" for e in r.selected) or "-",
+                "right": "" if r.likely_right is None else f"{100 * r.likely_right:.0f} %",
                 "verdict": r.verdict,
             }
             for r in self.rounds
@@ -163,6 +166,7 @@ class Learning(Result):
     def remarks(self) -> list[str]:
         """Where things lie."""
         return [
+            "right: share of foreign devices with such a finding that had the physics named first",
             "* confirmed: a recording of another kind was predicted with it before it was used",
             f"twin: {self.folder / 'twin'}, a version for each round",
         ]

@@ -180,7 +180,7 @@ def test_a_law_stays_confirmed_until_a_program_contradicts_it(learnt, foreseen, 
     found = SimpleNamespace(
         study=SimpleNamespace(noise=SimpleNamespace(value=last.noise), unit="mm"), verdict=last.verdict,
         selected=last.selected, sentence="", after={"heldout": left * last.noise},
-        outcome=SimpleNamespace(contenders=()),
+        outcome=SimpleNamespace(contenders=(), likely_right=None),
     )  # fmt: skip
     seen = {"predicted_error": foreseen * last.noise, "bare_error": 9.0, "without": {}}
     assert last.confirmed_by and bool(rounds._judged(told, found, seen).confirmed_by) == stays
