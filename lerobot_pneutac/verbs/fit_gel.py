@@ -114,8 +114,9 @@ class GelCalibration(Calibration):
 
     def _told_of(self) -> list[str]:
         through = (
-            f"The light was fitted to surfaces of material points ({self.material}). The twin draws by the "
-            f"closed form nearest to them, of decay {self.gel.decay_mm:.2f} mm; '{MPM}' by theirs."
+            f"The light was fitted to surfaces of material points ({self.material}). {self._refined} "
+            f"The twin draws by the closed form nearest to them, of decay {self.gel.decay_mm:.2f} mm; "
+            f"'{MPM}' by theirs."
         )
         first = [make_sentence(self.fit), through if self.material else ""]
         rows, columns = self.gel.rest_image.shape[:2]
@@ -125,6 +126,15 @@ class GelCalibration(Calibration):
         moved = moved_sentences([s.photograph for s in self.data.presses], self.fit)
         first.append(residual_sentence(self.fit))
         return [*filter(None, first), *moved, *told_sentences(self.told, self.fit.make)]
+
+    @property
+    def _refined(self) -> str:
+        if self.fit.refined:
+            return "It was refined through the splat renderer, which held-back parts of the presses bear out."
+        return (
+            "What refining it through the splat renderer finds is not borne out by held-back parts of the "
+            "presses and was not taken."
+        )
 
     def save_prior(self, name: str) -> Path:
         """Keeps the sensor's lights as those of a make, for later calibrations; returns the file.
@@ -165,6 +175,7 @@ class GelCalibration(Calibration):
             "orientation": str(self.fit.orientation) if self.fit.make else "",
             "make_likeness": self.fit.likeness,
             "make_by": ("rest image" if self.fit.by_rest else "light") if self.fit.make else "",
+            "refined": self.fit.refined,
             "untold": list(self.told.untold),
             "next_press": _described(self.told.add) | {"where": self.told.where, "deeper": self.told.deeper},
             "presses": [_described(press) for press in self.fit.presses],
@@ -246,6 +257,11 @@ def calibrate_gel(
             "press that came after another."
         )
     fit = fit_presses(presses, data.px_per_mm, names, data.thickness_mm, library(), given, known)
+    if points:
+        from pneutac_sim.splat.refine import refine_fit  # numba takes a second to start
+
+        progress("the light refined through the splat renderer", 0, 1)
+        refine_fit(fit, presses, given)
     gel = fit.gel if image_size is None else fit.gel.resized(*image_size[::-1])
     seconds = time.monotonic() - start
     images = render(fit.gel, data)

@@ -11,6 +11,7 @@ from pneutac_benchmarks.baselines.tacchi import Tacchi
 from pneutac_benchmarks.baselines.taxim import Taxim
 from pneutac_datasets.recording.gel import GelRecording, GelSample
 from pneutac_sim.gel.fit import fit_presses
+from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.layout import DIGIT, Layout
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.pair import Pair
@@ -18,6 +19,7 @@ from pneutac_sim.gel.photograph import Predictor, Pressed, expected_drift, press
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.mpm.pressed import PressedGel
 from pneutac_sim.splat.gel import SplatSensor
+from pneutac_sim.splat.refine import refine_fit
 from pneutac_sim.twin import Twin
 
 Predict = Callable[[GelSample], np.ndarray]
@@ -68,9 +70,12 @@ def own_gel(
     makes: tuple[Layout, ...] = (DIGIT,),
     pressed: Pressed | None = None,
 ) -> GelModel:
-    """This library's gel, fitted to a recording's calibration pair."""
+    """This library's gel, fitted to a recording's calibration pair; refined by splats where `pressed`."""
     pair = data.calibration.photograph
-    return fit_presses([pair], data.px_per_mm, effects, data.thickness_mm, makes, pressed).gel
+    fit = fit_presses([pair], data.px_per_mm, effects, data.thickness_mm, makes, pressed)
+    if pressed is not None:
+        refine_fit(fit, [pair], pressed)
+    return fit.gel
 
 
 def _model(
@@ -83,13 +88,15 @@ def _model(
     return fit
 
 
-def _through_mpm(effects: tuple[str, ...] | None = None, drawn: bool = True):
+def _through_mpm(effects: tuple[str, ...] | None = None, drawn: bool = True, splats: bool = False):
     """Light fitted to the surface of material points; where `drawn`, predictions are of theirs, too."""
 
     def fit(name: str, data: GelRecording) -> Predict:
         sizes = GelModel(data.rest, np.zeros((3, 2)), np.zeros(3), data.px_per_mm)
         points = PressedGel(sizes, Twin("gel"))
         gel = own_gel(data, effects, pressed=points.between)
+        if splats:
+            return _by_splats(gel, data, lambda press: points.surface(press, gel.depth_scale))
         predictor = Predictor(gel, [data.calibration.photograph], points.surface if drawn else None)
         return lambda s: predictor.image(s.press, s.rest, s.clock)
 
@@ -121,8 +128,13 @@ def _baseline(kind: type):
 
 def _splats(name: str, data: GelRecording) -> Predict:
     """The same fit, mechanics and drift of light, drawn by Gaussians that move with the gel."""
-    gel, c = own_gel(data), data.calibration
+    gel = own_gel(data)
     surface = TactileSensor(gel)
+    return _by_splats(gel, data, lambda press: surface.displacement(press_depth(press, gel)))
+
+
+def _by_splats(gel: GelModel, data: GelRecording, surface: Callable[[Press], np.ndarray]) -> Predict:
+    c = data.calibration
     pair = c.photograph
     drift = expected_drift([pair], pair.rest, gel.px_per_mm)
     sensors = {id(c.rest): SplatSensor(gel)}
@@ -130,7 +142,7 @@ def _splats(name: str, data: GelRecording) -> Predict:
     def predict(s: GelSample) -> np.ndarray:
         if id(s.rest) not in sensors:
             sensors[id(s.rest)] = SplatSensor(replace(gel, rest_image=s.rest))
-        image = sensors[id(s.rest)].image(surface.displacement(press_depth(registered(s.press, gel), gel)))
+        image = sensors[id(s.rest)].image(surface(registered(s.press, gel)))
         return np.clip(np.round(image + drift * (s.rest is c.rest)), 0, 255).astype(np.uint8)
 
     return predict
@@ -144,9 +156,11 @@ METHODS = {
     "dot_sim": Method("DOT-Sim", _baseline(DotSim), seconds=35),
     "linear": Method("paper, linear model", _model(effects=()), seconds=2),
     "linear_mpm": Method("paper, material points", _through_mpm(effects=()), seconds=60),
+    "chain": Method("paper, whole chain", _through_mpm(effects=(), splats=True), seconds=70),
     "model": Method("this model", _model(), ours=True, seconds=5),
     "splats": Method("this model, splats", _splats, ours=True, seconds=9),
     "model_mpm": Method("this model, material points", _through_mpm(), ours=True, seconds=60),
+    "model_chain": Method("this model, whole chain", _through_mpm(splats=True), ours=True, seconds=70),
     "light_mpm": Method("this model, light through mpm", _through_mpm(drawn=False), seconds=15),
     "no_drift": Method("this model, no drift", _without_drift, seconds=5),
     "no_make": Method(

@@ -79,10 +79,13 @@ class Channel:
         masks: one (rows, columns) a photograph, where it is fitted.
         seen: (rows, columns, 3) what the contact changes, levels.
         rests: (rows, columns, 3) rest image.
+
+    Attributes:
+        prior: as given.
     """
 
     def __init__(self, k: int, effects: Sequence[SensorEffect], prior: dict, cell_mm, masks, seen, rests):
-        self._k, self._effects, self._prior, self._cell = k, effects, prior, cell_mm
+        self._k, self._effects, self.prior, self._cell = k, effects, prior, cell_mm
         self._default, self._sd, self._lower, self._upper = (
             np.array([p[i] for p in prior.values()], float) for i in range(4)
         )
@@ -108,7 +111,7 @@ class Channel:
     @property
     def values(self) -> dict[Unknown, float]:
         """The unknowns as found."""
-        return dict(zip(self._prior, self._x.tolist(), strict=True))
+        return dict(zip(self.prior, self._x.tolist(), strict=True))
 
     @property
     def row(self) -> np.ndarray:
@@ -118,7 +121,7 @@ class Channel:
     def _of_effects(self, x: np.ndarray) -> dict[str, dict[str, float]]:
         """Effect to its values in this channel."""
         out: dict[str, dict[str, float]] = {e.name: {} for e in self._effects}
-        for (effect, name), value in zip(self._prior, x, strict=True):
+        for (effect, name), value in zip(self.prior, x, strict=True):
             if effect:
                 out[effect][name] = value
         return out
@@ -192,12 +195,12 @@ class Channel:
 
     def deviations(self) -> dict[Unknown, float]:
         """Unknown to the standard deviation that the photographs and the priors leave it."""
-        return dict(zip(self._prior, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+        return dict(zip(self.prior, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
     def learnt(self) -> dict[Unknown, float]:
         """Unknown to the share of its prior's variance that the photographs removed, where it has a prior."""
         share = 1 - np.diag(self.covariance) / self._sd**2
-        return {k: float(s) for k, s, has in zip(self._prior, share, self._with_prior, strict=True) if has}
+        return {k: float(s) for k, s, has in zip(self.prior, share, self._with_prior, strict=True) if has}
 
     def gram(self, displacement_mm: np.ndarray, rest: np.ndarray, mask: np.ndarray) -> np.ndarray:
         """Mean of g g^T (F, F) over a mask, g the derivatives of the predicted light by the unknowns.

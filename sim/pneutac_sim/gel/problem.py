@@ -57,6 +57,7 @@ class GelFit:
         presses: where the photographs' presses were found to be, within what is uncertain of them.
         leftovers: what the light alone leaves over of each, where there are enough to learn from.
         lent: the share of the make's residual field that was taken.
+        refined: whether its light was refined through splats, see `splat.refine`; None where nobody tried.
     """
 
     gel: GelModel
@@ -70,6 +71,7 @@ class GelFit:
     presses: list[Press] = field(default_factory=list, repr=False)
     leftovers: list[Leftover] = field(default_factory=list, repr=False)
     lent: float = 0.0
+    refined: bool | None = None
 
 
 def slope_light(gel: GelModel, pair: PressPhotograph, pressed: Pressed | None = None) -> np.ndarray:

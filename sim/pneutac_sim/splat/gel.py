@@ -17,7 +17,7 @@ from pneutac_sim.gel.probe import COLS, ROWS
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.colours import fit_looks
 from pneutac_sim.splat.cuda import CudaSplats
-from pneutac_sim.splat.rasteriser import Splats, numbers
+from pneutac_sim.splat.rasteriser import Rendering, Splats, numbers
 from pneutac_sim.splat.render import on
 
 CAMERA_MM = 22.0  # a DIGIT's camera before its gel surface
@@ -98,7 +98,7 @@ class SplatSensor:
             InputError: a shape is wrong, a number not finite or a displacement too large.
         """
         displacement_mm = self._checked(displacement_mm)
-        return self.render(displacement_mm, self._light(displacement_mm))
+        return self.render(displacement_mm, self.increment(displacement_mm))
 
     def render(self, displacement_mm: np.ndarray, increment: np.ndarray) -> np.ndarray:
         """Tactile image of a displacement with any light.
@@ -134,6 +134,15 @@ class SplatSensor:
         moved[..., 2] -= np.float32(1e-3) * self._fraction.reshape(-1, ROWS * COLS) * u.ravel()
         return self._on(self.camera, means, self._covariances, self.looks[1])
 
+    def bare(self, splats: Splats | CudaSplats) -> Rendering:
+        """Moved Gaussians in the light of the rest image: levels (H, W, 3) float32, and their coverage."""
+        image, alpha = splats.render(self.looks[0], self._background)
+        return Rendering(np.float32(255) * (image + self._residual), alpha)
+
+    def lit(self, splats: Splats | CudaSplats, alpha: np.ndarray, increment: np.ndarray) -> np.ndarray:
+        """What an increment adds to `bare`, levels (H, W, 3) float32, linear in it; unrounded `render`."""
+        return splats.render(self.take(splats, increment)).image + (1 - alpha)[..., None] * increment
+
     def take(self, splats: Splats | CudaSplats, picture: np.ndarray) -> np.ndarray:
         """A picture (H, W, 3) float32 where each Gaussian is seen, (n, 3)."""
         spots = self.camera.project(splats.means)[0].astype(np.float32)
@@ -150,10 +159,16 @@ class SplatSensor:
             )
         return u
 
-    def _light(self, displacement_mm: np.ndarray) -> np.ndarray:
-        model = self.model
+    def increment(self, displacement_mm: np.ndarray, gel: GelModel | None = None) -> np.ndarray:
+        """What contact adds to the picture, (H, W, 3) float32 levels.
+
+        Args:
+            displacement_mm: (80, 59).
+            gel: with another light than this sensor's but the same weight w; the sensor's where None.
+        """
+        model, lighting = self.model, self._lighting if gel is None else gel.lighting
         cell_mm = model.window_mm[0] / COLS, model.window_mm[1] / ROWS
-        grid = light(displacement_mm, cell_mm, *self._lighting).transpose(1, 2, 0)
+        grid = light(displacement_mm, cell_mm, *lighting).transpose(1, 2, 0)
         height, width = model.rest_image.shape[:2]
         return self._model_weight * cv2.resize(
             np.ascontiguousarray(grid), (width, height)

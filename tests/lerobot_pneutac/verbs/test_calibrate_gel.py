@@ -267,6 +267,8 @@ def test_a_light_through_material_points_is_scored_beside_the_closed_form(genera
     assert found.gel.decay_mm == pytest.approx(0.6, abs=0.02) and found.change.endswith("material points")
     assert ours < 0.7 * rest and points == pytest.approx(ours, rel=0.01)
     assert "material points (Poisson's ratio 0.46, assumed)" in " ".join(found.remarks())
+    assert "the splat renderer" in " ".join(found.remarks())
+    assert found.to_dict()["refined"] is found.fit.refined is not None
     twin = found.twin
     twin.effects = {"registration_shift": get_effect("registration_shift").start(1.0)}
     twin.history = [{"unit": "levels"}]
