@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from lerobot_pneutac.diagnosis.model import FittedModel
 from lerobot_pneutac.diagnosis.result import Outcome
 from lerobot_pneutac.study.base import EffectStudy, with_unit
-from lerobot_pneutac.study.demonstration_model import LATE, Fitter, latency_s
+from lerobot_pneutac.study.demonstration_model import LATE, latency_s
 from lerobot_pneutac.study.demonstration_strength import COMPLIANCE, STIFFNESS
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_sim.effects.laws import family, is_law, law
@@ -37,18 +37,13 @@ def stopped(name: str) -> bool:
 
 
 class DemonstrationWords(EffectStudy):
-    """The sentences of a `DemonstrationStudy`.
-
-    Attributes:
-        fitter: fits models to the episodes that are learnt from.
-    """
+    """The sentences of a `DemonstrationStudy`."""
 
     unit = UNIT
     unknown_where = "moves your {device}"
     more_data = repeat = MORE
     nothing_left = "Nothing needs to be recorded."
     recording: Demonstrations  # pyright: ignore[reportIncompatibleVariableOverride]
-    fitter: Fitter
 
     def twin_of(self, model: FittedModel) -> Twin:
         """The twin as it is to be written."""
@@ -128,7 +123,7 @@ class DemonstrationWords(EffectStudy):
 
     def too_little(self) -> str:
         """Why the demonstrations are too few for any claim."""
-        n = len(self.fitter.episodes)
+        n = len(self.recording.episodes)
         return "" if n >= LEAST else f"{n} demonstrations are too few to tell what is missing. {MORE}"
 
     def how_tested(self, outcome: Outcome) -> str:

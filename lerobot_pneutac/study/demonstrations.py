@@ -44,6 +44,7 @@ from lerobot_pneutac.study.demonstration_words import (
 from pneutac_datasets.demonstrations.replay.dragging import Dragging
 from pneutac_datasets.demonstrations.replay.imprint import brightness, rest_image
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
+from pneutac_datasets.recording.noise import NoiseFloor
 from pneutac_sim.effects.laws import family
 from pneutac_sim.effects.registry import of_body
 from pneutac_sim.finger.quantities import rms
@@ -67,7 +68,6 @@ class DemonstrationStudy(DemonstrationWords):
         progress: is told how many episodes are replayed.
 
     Attributes:
-        fitter: fits models to the episodes that are learnt from, as replayed in the twin's world.
         owner: (N,) which episode each frame is of.
         remainder: the most, by its 95 % interval, that the twin left of the demonstrations that it was last
             fitted to; None where it was to none.
@@ -91,19 +91,36 @@ class DemonstrationStudy(DemonstrationWords):
         self.known = Strength.known(self._last, recording.task)
         self._strengths: dict[int, Strength] = {}  # by the identity of a model's twin
         self.charged, self.light = False, self.known and self.known.light
-        episodes = episode_data(twin, recording, progress, self.light)
+        self._progress = progress
+        episodes = recording.episodes
         self.owner = np.repeat(np.arange(len(episodes)), list(map(len, episodes)))
         order = np.random.default_rng([seed, 5]).permutation(len(episodes))
         away = order[: min(max(1, round(HELD_OUT * len(order))), len(order) - 1)]
         test = np.isin(self.owner, away)
         self.parts = Parts(~test, ~test, test, self.owner, np.zeros(len(episodes), int))
-        self.fitter = Fitter(twin, episodes, self.parts.train)
-        self._bare_air, self._bare_touch = self.fitter.base(AIR), self.fitter.base(TOUCH)
         self.remainder = self._last.get("heldout_ci95", [None, None])[1]
-        self.noise = frame_noise(self.fitter, self.remainder)
         self.findings = [*recording.warnings]
         if dragging := Dragging.of(recording.episodes):
             self.findings.append(dragging.sentence(Dragging.known(twin.history, recording.task)))
+
+    @cached_property
+    def fitter(self) -> Fitter:
+        """Fits models to the episodes that are learnt from; they are replayed when it is first asked for."""
+        episodes = episode_data(self.twin, self.recording, self._progress, self.light)
+        return Fitter(self.twin, episodes, self.parts.train)
+
+    @cached_property
+    def noise(self) -> NoiseFloor:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """What the frames' own noise adds to the errors."""
+        return frame_noise(self.fitter, self.remainder)
+
+    @cached_property
+    def _bare_air(self) -> DemonstrationModel:
+        return self.fitter.base(AIR)
+
+    @cached_property
+    def _bare_touch(self) -> DemonstrationModel:
+        return self.fitter.base(TOUCH)
 
     def world_of(self, twin: Twin) -> Fitter:
         """Fits models to the episodes that are learnt from, as replayed in the world of a twin."""

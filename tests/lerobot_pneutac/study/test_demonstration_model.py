@@ -155,7 +155,8 @@ def test_imprints_that_are_all_fainter_tell_a_softer_finger(twin, monkeypatch, s
         for e in episodes:
             e.imprint = gain * e.imprint
         monkeypatch.setattr(demonstrations, "episode_data", lambda *_: episodes)
-        shown = SimpleNamespace(task="button", warnings=[], episodes=[], device="finger")
+        monkeypatch.setattr(demonstrations.Dragging, "of", lambda _: None)
+        shown = SimpleNamespace(task="button", warnings=[], episodes=episodes, device="finger")
         return DemonstrationStudy(twin, shown)
 
     told = study_of(twin, 1.0)
