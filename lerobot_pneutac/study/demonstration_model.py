@@ -1,40 +1,14 @@
-"""A model of the finger against demonstrations: flange, pressure and touch predicted together.
+"""What a fit of demonstrations finds: values, residuals and how they move, intervals."""
 
-All errors are in mm at the finger's tip: the flange's own; a pressure's by the bend that it makes in the
-twin; a touch's by the bend that would make it. What belongs to an episode and not to the finger is fitted
-beside it, from that episode alone: by how much its object stands elsewhere, as a bend, and how strong its
-imprints show where it pressed. Touch is shown `touch_late` frames late, and grows as a power of the force,
-alike in all.
-"""
-
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.optimize import least_squares
 
-from lerobot_pneutac.diagnosis.search import Trial
-from lerobot_pneutac.study.demonstration_data import EpisodeData, inputs_of
-from lerobot_pneutac.study.demonstration_strength import Strength
-from lerobot_pneutac.study.demonstration_touch import TYPICAL, imprint_per_rad, stiffness_n_per_rad, touch
-from pneutac_sim.effects.effect import Parameter
-from pneutac_sim.features import CONTROL_HZ
-from pneutac_sim.finger import Pipeline
 from pneutac_sim.finger.confidence import Z95
-from pneutac_sim.twin import Twin, Value
 
-LATE = "late_commands"  # arm and air alike
-LATENCY = Parameter("latency_s", "s", default=0.1, lower=0.0, upper=0.8)
-GROWTH = Parameter("growth", "", default=TYPICAL, lower=0.5, upper=5.0)
-MOST_LATE = 24.0  # frames by which clocks may have run apart
-TOUCH_LATE = Parameter("touch_late", "frames", default=1.0, lower=0.0, upper=6.0)
-# Of a residual's columns: the flange's x, y, z, and pressure; touch.
-ARM, AIR, TOUCH = slice(0, 3), slice(0, 4), slice(4, 5)
-START = {"growth": GROWTH.default, "touch_late": TOUCH_LATE.default}
-STEP = 1e-3
 TRUST = 0.3  # of the range of what is free: no step is longer
 SHARES = (1.0, 0.5, 0.25, 0.1)
-BEGIN = 4  # frames
 
 
 @dataclass(frozen=True)
@@ -66,6 +40,7 @@ class DemonstrationModel:
             are `logarithmic`.
         logarithmic: names.
         residual_at: (n, k) of it so far from what was found, (P,) in units of the range.
+        bench: of what the free bend off the bench's counts: half the slope (P,), and the curvature (P, P).
     """
 
     form: Form
@@ -76,6 +51,7 @@ class DemonstrationModel:
     unit: dict[str, tuple[float, float]]
     logarithmic: frozenset[str] = frozenset()
     residual_at: Callable[[np.ndarray], np.ndarray] = lambda step: np.empty(0)  # noqa: E731
+    bench: tuple[np.ndarray, np.ndarray] = field(default_factory=lambda: (np.zeros(0), np.zeros((0, 0))))
 
     @property
     def cost(self) -> int:
@@ -90,12 +66,12 @@ class DemonstrationModel:
         squared = (self.residual**2).sum(1)
         if not self.jacobian.shape[2]:
             return squared
-        out = squared.copy()
+        out, (slope, curved) = squared.copy(), self.bench
         for k, step in zip(np.unique(fold), self._steps(fold), strict=True):
             mine = fold == k
             for share in SHARES:
-                there = (self.residual_at(share * step) ** 2).sum(1)
-                if there[~mine].sum() <= squared[~mine].sum():
+                there, way = (self.residual_at(share * step) ** 2).sum(1), share * step
+                if there[~mine].sum() + 2 * slope @ way + way @ curved @ way <= squared[~mine].sum():
                     out[mine] = there[mine]
                     break
         return out
@@ -103,11 +79,12 @@ class DemonstrationModel:
     def _steps(self, fold: np.ndarray) -> np.ndarray:
         """(folds, P) Gauss-Newton steps from the whole fit to those without each fold."""
         J, r, out = self.jacobian, self.residual, []
+        slope, curved = self.bench
         for k in np.unique(fold):
             rest = J[fold != k].reshape(-1, J.shape[2])
-            H = rest.T @ rest
+            H = rest.T @ rest + curved
             ridge = 1e-6 * np.trace(H) / max(len(H), 1) + 1e-12
-            step = -np.linalg.solve(H + ridge * np.eye(len(H)), rest.T @ r[fold != k].ravel())
+            step = -np.linalg.solve(H + ridge * np.eye(len(H)), rest.T @ r[fold != k].ravel() + slope)
             out.append(np.clip(step, -TRUST, TRUST))
         return np.array(out)
 
@@ -124,217 +101,3 @@ class DemonstrationModel:
             log = name in self.logarithmic
             out[name] = (value * np.exp(-wide), value * np.exp(wide)) if log else (value - wide, value + wide)
         return out
-
-
-class Fitter:
-    """Fits models of one twin to episodes.
-
-    Args:
-        twin: as it is; what a form does not free stays as it has it.
-        episodes: all of them.
-        rows: (N,) mask of the frames that are fitted, over all episodes in a row.
-    """
-
-    def __init__(self, twin: Twin, episodes: list[EpisodeData], rows: np.ndarray):
-        self.twin, self.episodes, self.rows = twin, episodes, rows
-        self.known_s = latency_s(twin)
-        self.ends = np.cumsum([0, *map(len, episodes)])
-        self.slope = imprint_per_rad(episodes, stiffness_n_per_rad(twin))
-        self._bent = self._run(twin, (), {}).markers[:, 3]
-        tip = self._run(twin, (), {}).markers[:, [0, 2]]
-        reach = np.ptp(self._bent) or 1.0
-        self.mm_per_rad = float(np.linalg.norm(np.ptp(tip, axis=0)) / reach)
-        pressure = np.concatenate([e.pressure_kpa for e in episodes])
-        self.mm_per_kpa = self.mm_per_rad * reach / max(float(np.ptp(pressure)), 1.0)
-
-    # ---------------------------------------------------------------- parameters
-
-    def free(self, form: Form, columns: slice = TOUCH) -> list[tuple[str, Parameter]]:
-        """Names and specifications of what a form fits to these columns."""
-        out = [("growth", GROWTH), ("touch_late", TOUCH_LATE)] if columns == TOUCH else []
-        pipeline = self._pipeline(form.effects)
-        for effect in form.effects:
-            if effect == LATE:
-                out.append((f"{LATE}.latency_s", LATENCY))
-            for name, spec in zip(pipeline.names, pipeline.specs, strict=True):
-                if name.rpartition(".")[0] == effect and not spec.fixed:
-                    out.append((name, spec))
-        return out
-
-    def start(self, effect: str) -> dict[str, float]:
-        """Where an effect's parameters begin: as the twin has them, or at their defaults."""
-        own = self.twin.effects.get(effect, {})
-        range_kpa = self._range
-        return {
-            name: own[name.rpartition(".")[2]].value
-            if name.rpartition(".")[2] in own
-            else (self.known_s or LATENCY.default)
-            if effect == LATE
-            else spec.limits(range_kpa)[0]
-            for name, spec in self.free(Form((effect,)), AIR)
-            if name.startswith(f"{effect}.")
-        }
-
-    @property
-    def _range(self) -> float:
-        return float(max(np.abs(e.command_kpa).max() for e in self.episodes))
-
-    def _pipeline(self, effects: Sequence[str]) -> Pipeline:
-        more = [e for e in effects if e != LATE and e not in self.twin.effects]
-        columns = set(inputs_of(self.episodes[:1], 0.0, self.twin).columns)
-        names = [*self.twin.effects, *more]
-        whole = Pipeline.of(self.twin, None, names)
-        return Pipeline(whole.geometry, names, False, columns)
-
-    def _run(self, twin: Twin, effects: Sequence[str], values: Mapping[str, float]):
-        pipeline = self._pipeline(effects)
-        theta = pipeline.theta(twin, self._range)
-        for i, name in enumerate(pipeline.names):
-            theta[i] = values.get(name, theta[i])
-        latency = values.get(f"{LATE}.latency_s", self.known_s)
-        return pipeline.run(inputs_of(self.episodes, latency, twin), theta)
-
-    # ---------------------------------------------------------------- prediction
-
-    def predict(
-        self, form: Form, values: Mapping[str, float], columns: slice = slice(None)
-    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """Residual (N, 5) of all frames, measured - predicted in mm, and the curves behind it, (N,) each.
-
-        Columns that are not asked for may be left 0.
-        """
-        run = self._run(self.twin, form.effects, values)
-        latency = values.get(f"{LATE}.latency_s", self.known_s) * CONTROL_HZ
-        more, residual = run.markers[:, 3] - self._bent, np.zeros((self.ends[-1], 5))
-        imprint = np.zeros(self.ends[-1])
-        for e, a, b in zip(self.episodes, self.ends, self.ends[1:], strict=False):
-            frames = np.arange(len(e))
-            path = np.stack([np.interp(frames - latency, frames, c) for c in e.commanded_m.T], 1)
-            residual[a:b, :3] = 1e3 * (moved(e.flange_m) - moved(path))
-            residual[a:b, 3] = self.mm_per_kpa * (e.pressure_kpa - run.pressure_kpa[a:b, 0])
-            if columns in (AIR, ARM):
-                continue
-            imprint[a:b], _ = touch(e, more[a:b], values["growth"], values["touch_late"])
-            residual[a:b, 4] = (
-                np.where(e.contact, (e.imprint - imprint[a:b]) / self.slope, 0.0) * self.mm_per_rad
-            )
-        return residual, {"pressure_kpa": run.pressure_kpa[:, 0], "imprint": imprint}
-
-    def strength(self, model: DemonstrationModel, growth: float) -> Strength:
-        """How strong the imprints of all episodes are, where they grow by that power of the force."""
-        more = self._run(self.twin, model.form.effects, model.values).markers[:, 3] - self._bent
-        rows = zip(self.episodes, self.ends, self.ends[1:], strict=False)
-        gains = [touch(e, more[a:b], growth, model.values["touch_late"])[1] for e, a, b in rows]
-        return Strength.of(np.array(gains), growth, self.twin)
-
-    def fit(self, trial: Trial, columns: slice, steps: int = 12) -> DemonstrationModel:
-        """A model, by bounded least squares with differences, on the columns `AIR` or `TOUCH`."""
-        names, specs = zip(*self.free(trial.form, columns), strict=True)
-        known = ("", *trial.form.effects)
-        given = {n: v for n, v in trial.values.items() if n.rpartition(".")[0] in known}
-        low, high = np.array([_bounds(s, self._range) for s in specs]).T
-
-        def free(v: np.ndarray) -> dict[str, float]:
-            found = zip(names, specs, low + v * (high - low), strict=True)
-            return given | {n: _value(s, x) for n, s, x in found}
-
-        start = [_inside(s, given[n], self._range) for n, s in zip(names, specs, strict=True)]
-
-        def residual(v: np.ndarray) -> np.ndarray:
-            return self.predict(trial.form, free(v), columns)[0][self.rows, columns].ravel()
-
-        def slopes(v: np.ndarray) -> np.ndarray:  # by steps of the range, not of what may be nearly 0
-            steps = np.where(v < 0.5, STEP, -STEP)
-            here = residual(v)
-            return np.stack([residual(v + d) - here for d in np.diag(steps)], 1) / steps
-
-        found = least_squares(
-            residual,
-            np.clip(start, 1e-4, 1 - 1e-4),
-            slopes,
-            bounds=(0, 1),
-            x_scale=0.1,
-            max_nfev=steps,
-            loss="linear",
-        )
-        r = found.fun.reshape(int(self.rows.sum()), -1)
-        edge = [n for n, v in zip(names, found.x, strict=True) if v < STEP or v > 1 - STEP]
-        J = found.jac.reshape(*r.shape, -1)
-        moving = (found.x > STEP) & (found.x < 1 - STEP)
-        kept = free(found.x)
-        log = frozenset(n for n, s in zip(names, specs, strict=True) if s.log)
-        unit = {n: (a, b) for n, a, b, m in zip(names, low, high, moving, strict=True) if m}
-
-        def residual_at(step: np.ndarray) -> np.ndarray:
-            there = found.x.copy()
-            there[moving] = np.clip(there[moving] + step, 0, 1)
-            return residual(there).reshape(r.shape)
-
-        return DemonstrationModel(trial.form, kept, r, J[:, :, moving], edge, unit, log, residual_at)
-
-    def base(self, columns: slice) -> DemonstrationModel:
-        """The twin as it is."""
-        if columns == AIR:
-            r = self.predict(Form(), START, AIR)[0][self.rows, AIR]
-            return DemonstrationModel(Form(), dict(START), r, np.zeros((*r.shape, 0)), [], {})
-        return self.fit(Trial(Form(), dict(START)), TOUCH, 20)
-
-    def lateness(self, kept: list[np.ndarray]) -> float:
-        """By how many frames touch is shown late in some frames of the episodes, (T,) masks each.
-
-        How imprints grow is not fitted: where clocks part, that bends to make up for it.
-        """
-        episodes = [replace(e, contact=m) for e, m in zip(self.episodes, kept, strict=True)]
-        part = Fitter(self.twin, episodes, np.concatenate(kept))
-        tried = np.arange(0.0, MOST_LATE, 0.25)
-        errors = []
-        for late in tried:
-            r = part.predict(Form(), START | {"touch_late": float(late)}, TOUCH)[0][part.rows, TOUCH]
-            errors.append(float(np.abs(r).sum()))  # by squares the few frames of chatter would decide
-        best = tried[int(np.argmin(errors))]
-        near = np.abs(tried - best) <= 1.0  # between frames errors are a little jagged: a parabola is not
-        curve, slope, _ = np.polyfit(tried[near] - best, np.array(errors)[near], 2)
-        return float(np.clip(best - slope / (2 * curve), 0.0, MOST_LATE)) if curve > 0 else float(best)
-
-    def twin_with(self, model: DemonstrationModel, ci95: Mapping[str, tuple[float, float]]) -> Twin:
-        """The twin with a model's effects and their intervals."""
-        twin, fitted = self.twin.copy(), {}
-        pipeline = self._pipeline(model.form.effects)
-        theta = pipeline.theta(twin, self._range)
-        for name, value in zip(pipeline.names, theta, strict=True):
-            effect, _, parameter = name.rpartition(".")
-            if effect in model.form.effects:
-                found = model.values[name] if name in model.values else float(value)
-                fitted.setdefault(effect, {})[parameter] = Value(found, ci95.get(name))
-        twin.effects = twin.effects | fitted
-        if LATE in model.form.effects:
-            known = model.values[f"{LATE}.latency_s"]
-            twin.parameters = twin.parameters | {
-                "command_latency_s": Value(known, ci95.get(f"{LATE}.latency_s"))
-            }
-        return replace(twin)
-
-
-def latency_s(twin: Twin) -> float:
-    """By which the twin's commands act late."""
-    known = twin.parameters.get("command_latency_s")
-    return known.value if known else 0.0
-
-
-def moved(path: np.ndarray) -> np.ndarray:
-    """A path (T, 3) from where it begins, the mean of its first frames."""
-    return path - path[:BEGIN].mean(0)
-
-
-def _bounds(spec: Parameter, range_kpa: float) -> tuple[float, float]:
-    _, low, high = spec.limits(range_kpa)
-    return (np.log(low), np.log(high)) if spec.log else (low, high)
-
-
-def _value(spec: Parameter, x: float) -> float:
-    return float(np.exp(x)) if spec.log else float(x)
-
-
-def _inside(spec: Parameter, value: float, range_kpa: float) -> float:
-    low, high = _bounds(spec, range_kpa)
-    return ((np.log(max(value, 1e-12)) if spec.log else value) - low) / (high - low)

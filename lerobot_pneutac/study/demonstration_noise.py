@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from lerobot_pneutac.study.demonstration_model import Fitter
+from lerobot_pneutac.study.demonstration_fit import Fitter
 from lerobot_pneutac.study.demonstration_words import UNIT
 from pneutac_datasets.recording.noise import NoiseFloor
 

@@ -3,7 +3,8 @@
 from collections.abc import Callable, Sequence
 
 from lerobot_pneutac.diagnosis.search import Scored, Trial
-from lerobot_pneutac.study.demonstration_model import DemonstrationModel, Fitter, Form
+from lerobot_pneutac.study.demonstration_fit import Fitter
+from lerobot_pneutac.study.demonstration_model import DemonstrationModel, Form
 
 
 class DemonstrationSpace:

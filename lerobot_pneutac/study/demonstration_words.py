@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from lerobot_pneutac.diagnosis.model import FittedModel
 from lerobot_pneutac.diagnosis.result import Outcome
 from lerobot_pneutac.study.base import EffectStudy, with_unit
-from lerobot_pneutac.study.demonstration_model import LATE, latency_s
+from lerobot_pneutac.study.demonstration_fit import LATE, Fitter, latency_s
 from lerobot_pneutac.study.demonstration_strength import COMPLIANCE, STIFFNESS
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_sim.effects.laws import family, is_law, law
@@ -14,7 +14,8 @@ from pneutac_sim.twin import Twin
 
 UNIT = "mm at the tip"
 OF_AIR = ("dead_time", "valve_lag", "valve_slew", "leak")
-OF_BODY = ("creep", "power_law_memory(p)", "hysteresis", "stiffening", "friction")
+CREEP = "creep"
+OF_BODY = (CREEP, "power_law_memory(p)", "hysteresis", "stiffening", "friction")
 UNSEEN = ("another friction of the gel", "another stiffness of the finger", "another weight of the object")
 LEAST = 5  # demonstrations from which anything can be told
 MORE = "Record ten demonstrations or more that press and hold, at two pressures."
@@ -37,13 +38,18 @@ def stopped(name: str) -> bool:
 
 
 class DemonstrationWords(EffectStudy):
-    """The sentences of a `DemonstrationStudy`."""
+    """The sentences of a `DemonstrationStudy`.
+
+    Attributes:
+        fitter: fits models to the episodes that are learnt from.
+    """
 
     unit = UNIT
     unknown_where = "moves your {device}"
     more_data = repeat = MORE
     nothing_left = "Nothing needs to be recorded."
     recording: Demonstrations  # pyright: ignore[reportIncompatibleVariableOverride]
+    fitter: Fitter
 
     def twin_of(self, model: FittedModel) -> Twin:
         """The twin as it is to be written."""
@@ -123,7 +129,7 @@ class DemonstrationWords(EffectStudy):
 
     def too_little(self) -> str:
         """Why the demonstrations are too few for any claim."""
-        n = len(self.recording.episodes)
+        n = len(self.fitter.episodes)
         return "" if n >= LEAST else f"{n} demonstrations are too few to tell what is missing. {MORE}"
 
     def how_tested(self, outcome: Outcome) -> str:

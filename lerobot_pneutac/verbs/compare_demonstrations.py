@@ -8,7 +8,8 @@ import numpy as np
 from lerobot_pneutac.diagnosis.search import Trial
 from lerobot_pneutac.reports.compare_demonstrations import demonstrations_page, film_frames
 from lerobot_pneutac.reports.page import Report
-from lerobot_pneutac.study.demonstration_model import ARM, LATE, TOUCH, Form
+from lerobot_pneutac.study.demonstration_fit import ARM, LATE, TOUCH
+from lerobot_pneutac.study.demonstration_model import Form
 from lerobot_pneutac.study.demonstrations import UNIT, DemonstrationStudy
 from lerobot_pneutac.verbs.comparison import Comparison, rms_of
 from pneutac_datasets.demonstrations.episodes import Episode

@@ -1,6 +1,5 @@
 """Options of the environments `pneutac` and `pneutac_standin` for lerobot-eval and lerobot-train."""
 
-import multiprocessing
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -42,9 +41,6 @@ from pneutac_sim.features import (
     state_names,
     task_names,
 )
-
-# What the processes of asynchronous environments import: their server does it once, in place of each of them.
-SHARED = ["lerobot.scripts.lerobot_eval", __name__, "pneutac_sim.world.world"]
 
 
 @dataclass
@@ -100,11 +96,6 @@ class PneutacTaskConfig(EnvConfig):
             key = f"pixels/{name}"
             self.features[key] = PolicyFeature(FeatureType.VISUAL, (*size, 3))
             self.features_map[key] = f"{OBS_IMAGES}.{name}"
-
-    def create_envs(self, n_envs: int, use_async_envs: bool = False) -> dict:
-        """As LeRobot's, {type: {0: its vector of environments}}."""
-        multiprocessing.set_forkserver_preload(SHARED)
-        return super().create_envs(n_envs, use_async_envs)
 
     @property
     def gym_kwargs(self) -> dict:

@@ -51,16 +51,3 @@ def test_the_bench_verbs_need_neither_taichi_nor_torch_nor_lerobot(bench):
     )
     assert done.returncode == 0, done.stderr[-3000:]
     assert all((bench / v / "result.json").is_file() for v in verbs)
-
-
-def test_the_networks_of_a_world_need_no_compiler_of_kernels():
-    """It takes three seconds to import beside LeRobot, at every start of a robot or an environment."""
-    code = """
-import sys
-sys.modules["taichi"] = sys.modules["quadrants"] = None
-from pneutac_sim.twin import Twin
-from pneutac_sim.world import World
-World("switch", twin=Twin.builtin(), fidelity="surrogate").reset(0)
-"""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr[-3000:]

@@ -1,6 +1,4 @@
-import multiprocessing
 from dataclasses import replace
-from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -30,13 +28,6 @@ def test_environment_gives_what_the_config_promises():
         *_, truncated, _ = env.step(np.zeros((1, 4), np.float32))
         assert truncated[0] == (step == 2)
     env.close()
-
-
-def test_processes_of_asynchronous_environments_import_lerobot_once(monkeypatch):
-    asked = []
-    monkeypatch.setattr(multiprocessing, "set_forkserver_preload", asked.extend)
-    make_env(PneutacEnvConfig(task="switch", fidelity="probe"), n_envs=1)["pneutac"][0].close()
-    assert "lerobot_robot_pneutac.env" in asked and all(map(find_spec, asked))
 
 
 def test_the_tactile_image_has_the_size_of_the_twins_sensor(tmp_path):

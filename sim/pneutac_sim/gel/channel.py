@@ -100,7 +100,7 @@ class Channel:
                 (
                     box,
                     centre,
-                    np.flatnonzero(mask[box]),
+                    mask[box],
                     difference[..., k][mask],
                     np.log(bright / bright.mean())[mask],
                     scale,
@@ -116,7 +116,7 @@ class Channel:
     @property
     def row(self) -> np.ndarray:
         """The coefficients (12,) of `optics.light` as found."""
-        return self.light(self._x, self._of_effects(self._x))[0]
+        return self.light(self._x)[0]
 
     def _of_effects(self, x: np.ndarray) -> dict[str, dict[str, float]]:
         """Effect to its values in this channel."""
@@ -126,12 +126,10 @@ class Channel:
                 out[effect][name] = value
         return out
 
-    def light(
-        self, x: np.ndarray, of: dict[str, dict[str, float]]
-    ) -> tuple[np.ndarray, list[optics.Further]]:
-        """The row (12,) of `optics.light` and what acts after it, of unknowns x (F,), by effect in `of`."""
+    def light(self, x: np.ndarray) -> tuple[np.ndarray, list[optics.Further]]:
+        """The row (12,) of `optics.light` and what acts after it, of unknowns x (F,)."""
         strength, direction, depth_light = x[:3]
-        towards = np.array([np.cos(direction), np.sin(direction)])
+        towards, of = np.array([np.cos(direction), np.sin(direction)]), self._of_effects(x)
         row = np.array(optics.NEUTRAL)
         row[:2], row[2] = -strength * towards, depth_light
         for effect in self._effects:
@@ -140,8 +138,8 @@ class Channel:
         further = [further_light(e, lambda k, e=e: of[e.name]) for e in self._effects if e.light]
         return row, further
 
-    def _weight(self, of: dict[str, dict[str, float]], log_rest: np.ndarray) -> np.ndarray | float:
-        factor = 1.0
+    def _weight(self, x: np.ndarray, log_rest: np.ndarray) -> np.ndarray | float:
+        factor, of = 1.0, self._of_effects(x)
         for effect in self._effects:
             if effect.weight is not None:
                 factor = factor * effect.weight(log_rest, of[effect.name])
@@ -152,22 +150,17 @@ class Channel:
         cropped = [np.ascontiguousarray(u[part[0]]) for u, part in zip(surfaces, self._parts, strict=True)]
         size = self._upper - self._lower
 
-        last = there = np.empty(0)  # where `residual` was called last, and what it gave
-
         def residual(v: np.ndarray) -> np.ndarray:
-            nonlocal last, there
             x = self._lower + size * v
-            of = self._of_effects(x)
-            c, further = self.light(x, of)
+            c, further = self.light(x)
             out = []
-            for u, (_, centre, at, seen, log_rest, scale) in zip(cropped, self._parts, strict=True):
-                s = optics.channel(u, self._cell, c - centre, self._k, further).ravel()[at]
-                out.append(scale * (self._weight(of, log_rest) * s - seen))
-            last, there = v, np.concatenate(out)
-            return there
+            for u, (_, centre, mask, seen, log_rest, scale) in zip(cropped, self._parts, strict=True):
+                s = optics.channel(u, self._cell, c - centre, self._k, further)[mask]
+                out.append(scale * (self._weight(x, log_rest) * s - seen))
+            return np.concatenate(out)
 
         def jacobian(v: np.ndarray) -> np.ndarray:
-            here = there if np.array_equal(v, last) else residual(v)
+            here = residual(v)
             steps = np.where(v + step < 1, step, -step)
             return np.stack([(residual(v + h) - here) / h.sum() for h in np.diag(steps)], -1)
 
@@ -183,8 +176,8 @@ class Channel:
         """This channel with other differences, (rows, columns, 3) each, at the same solution."""
         out = copy.copy(self)
         out._parts = [
-            (box, centre, at, difference[..., self._k][box].ravel()[at], *rest)
-            for (box, centre, at, _, *rest), difference in zip(self._parts, seen, strict=True)
+            (box, centre, mask, difference[..., self._k][box][mask], *rest)
+            for (box, centre, mask, _, *rest), difference in zip(self._parts, seen, strict=True)
         ]
         return out
 
@@ -224,9 +217,8 @@ class Channel:
         log_rest = np.log(bright / bright.mean())
 
         def predicted(x: np.ndarray) -> np.ndarray:
-            of = self._of_effects(x)
-            c, further = self.light(x, of)
-            return self._weight(of, log_rest) * optics.channel(u, self._cell, c, self._k, further)
+            c, further = self.light(x)
+            return self._weight(x, log_rest) * optics.channel(u, self._cell, c, self._k, further)
 
         slopes = []
         for i, step in enumerate(0.05 * np.sqrt(np.diag(self.covariance)) + 1e-9):

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.mpm.parameters import parameter
+from pneutac_sim.mpm import devices
 from pneutac_sim.surrogate import programs
 from pneutac_sim.surrogate.fingerprint import fingerprint
 from pneutac_sim.surrogate.network import ActionNetwork
@@ -35,7 +35,7 @@ def network_of(twin: Twin, network: ActionNetwork) -> ActionNetwork | None:
     """
     if network.fingerprint != fingerprint(twin, network.modulus_mpa):
         return None
-    modulus = parameter(twin, "youngs_modulus_mpa")
+    modulus = devices.parameter(twin, "youngs_modulus_mpa")
     if network.modulus_mpa in (None, modulus):
         return network
     ratio = modulus / network.modulus_mpa

@@ -7,7 +7,7 @@ import numpy as np
 
 from pneutac_sim.gel.material import MATERIAL, MODULUS
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.mpm.parameters import parameter
+from pneutac_sim.mpm import devices
 from pneutac_sim.mpm.user_mesh import FACES, VERTICES
 from pneutac_sim.twin import Twin
 
@@ -33,7 +33,7 @@ def fingerprint(twin: Twin, modulus_mpa: float | None = None) -> str:
         twin: of a finger.
         modulus_mpa: Young's modulus in place of the twin's.
     """
-    body = {n: parameter(twin, n) for n in BODY}
+    body = {n: devices.parameter(twin, n) for n in BODY}
     if modulus_mpa is not None:
         body["youngs_modulus_mpa"] = modulus_mpa
     what = {
@@ -56,7 +56,7 @@ def gel_fingerprint(twin: Twin) -> str:
     gel = GelModel.from_twin(twin)
     what = {
         "model": MODEL,
-        "body": {n: parameter(twin, n) for n in GEL} | {MODULUS: MATERIAL[MODULUS]},
+        "body": {n: devices.parameter(twin, n) for n in GEL} | {MODULUS: MATERIAL[MODULUS]},
         "window_mm": list(gel.window_mm),
         "thickness_mm": gel.thickness_mm,
     }

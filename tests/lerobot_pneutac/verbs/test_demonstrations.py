@@ -104,8 +104,7 @@ def test_light_at_rest_is_taken_and_a_drift_is_told(two):
     assert not calibrate(drifted.twin, replace(two, episodes=red)).light.drifted
 
 
-def test_what_does_not_go_with_demonstrations_is_refused_before_any_is_replayed(two, monkeypatch):
-    monkeypatch.delattr("lerobot_pneutac.study.demonstrations.episode_data")
+def test_what_does_not_go_with_demonstrations_is_refused(two):
     with pytest.raises(InputError, match="fidelity=mpm does not replay demonstrations"):
         compare(Twin.builtin(), two, fidelity="mpm")
     with pytest.raises(InputError, match="is of a finger and the twin of an arm"):
