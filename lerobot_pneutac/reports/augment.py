@@ -99,7 +99,7 @@ def _scene_row(reference: Reference, scene: dict) -> dict:
 def _states(repo_id: str, root: Path) -> list[np.ndarray]:
     """(T, 2 N + 5 + C) of each demonstration."""
     dataset = LeRobotDataset(repo_id, root, video_backend="pyav")
-    state = np.stack(dataset.hf_dataset.with_format("numpy")[OBS_STATE])
+    state = np.stack(dataset.hf_dataset.with_format("numpy")[OBS_STATE][:])
     rows = (dataset.meta.episodes[i] for i in range(dataset.num_episodes))
     return [state[r["dataset_from_index"] : r["dataset_to_index"]] for r in rows]
 

@@ -112,8 +112,8 @@ def _meta(root: Path, repo_id: str) -> LeRobotDatasetMetadata:
 def _numbers(meta: LeRobotDatasetMetadata) -> dict[str, np.ndarray]:
     dataset = LeRobotDataset(meta.repo_id, meta.root, video_backend="pyav", revision=meta.revision)
     table = dataset.hf_dataset.with_format("numpy")
-    state, action = (np.stack(table[k]).astype(np.float32) for k in (OBS_STATE, ACTION))
-    episode, first = np.asarray(table["episode_index"]), np.asarray(table["frame_index"]) == 0
+    state, action = (np.stack(table[k][:]).astype(np.float32) for k in (OBS_STATE, ACTION))
+    episode, first = table["episode_index"][:], table["frame_index"][:] == 0
     previous = np.where(first[:, None], action, np.roll(action, 1, axis=0))
     return {"state": state, "action": action, "previous": previous, "first": first, "episode": episode}
 

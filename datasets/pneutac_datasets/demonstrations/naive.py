@@ -199,6 +199,6 @@ def _joint_slope(dataset: LeRobotDataset, like: Episode) -> np.ndarray:
     With the orientation held this is the arm's inverse Jacobian where the demonstrations are; directions in
     which they hardly move stay out (singular values under 1 %).
     """
-    state = np.stack(dataset.hf_dataset.with_format("numpy")[OBS_STATE])
+    state = np.stack(dataset.hf_dataset.with_format("numpy")[OBS_STATE][:])
     state = state - state.mean(0)
     return np.linalg.lstsq(state[:, like.places.ee], state[:, like.angles], rcond=0.01)[0]

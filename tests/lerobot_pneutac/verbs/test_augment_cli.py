@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from functools import partialmethod
 
 import numpy as np
 import pandas as pd
@@ -32,7 +33,16 @@ from pneutac_sim.world.varied import Variation, VariedWorld
 
 pytestmark = pytest.mark.slow
 
+FEW = 12
 QUICK = ["--planner.samples=4", "--planner.elites=2", "--planner.iterations=1", "--planner.horizon=6"]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_scenes():
+    """A quarter of the scenes are drawn: that objects are found where they stood is the planner's test."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(AugmentSetup, "__init__", partialmethod(AugmentSetup.__init__, candidates=FEW))
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +72,7 @@ def options(recorded, out, *more) -> list[str]:
 def table(root) -> tuple[np.ndarray, np.ndarray]:
     dataset = LeRobotDataset(f"local/{root.name}", root, video_backend="pyav")
     rows = dataset.hf_dataset.with_format("numpy")
-    return np.stack(rows[OBS_STATE]), np.stack(rows[ACTION])
+    return np.stack(rows[OBS_STATE][:]), np.stack(rows[ACTION][:])
 
 
 @pytest.fixture(scope="module")
@@ -125,7 +135,7 @@ def test_output_has_the_sources_features_and_merges(recorded, made, tmp_path):
 def test_touch_as_data_is_made_where_the_demonstrations_have_it(recorded, made):
     for name, root in (("demos", recorded), ("more", made / "more")):
         rows = LeRobotDataset(f"local/{name}", root, video_backend="pyav").hf_dataset.with_format("numpy")
-        points, area = np.stack(rows[POINTS]), np.stack(rows[OBS_STATE])[:, 17]
+        points, area = np.stack(rows[POINTS][:]), np.stack(rows[OBS_STATE][:])[:, 17]
         assert points.shape[1:] == (16 * 12 * 6,) and not points[0].any()
         most = points[area.argmax()].reshape(16, 12, 6)
         assert most[..., 2].min() < -0.2 and most[..., 5].sum() < -0.2  # mm, N
@@ -164,7 +174,7 @@ def test_provenance_and_report_tell_what_was_done(made):
 
 def test_an_image_is_that_of_its_state(made):
     dataset = LeRobotDataset("local/more", made / "more", video_backend="pyav")
-    state = np.stack(dataset.hf_dataset.with_format("numpy")[OBS_STATE])
+    state = np.stack(dataset.hf_dataset.with_format("numpy")[OBS_STATE][:])
     rest = dataset[0][TACTILE].numpy()
     touching = int(state[:, 17].argmax())
     changed = np.abs(dataset[touching][TACTILE].numpy() - rest).mean(0) > 12 / 255
@@ -172,7 +182,15 @@ def test_an_image_is_that_of_its_state(made):
 
 
 def command(recorded, out) -> list[str]:
-    code = "from lerobot_pneutac.cli.augment import main; import sys; main(sys.argv[1:])"
+    code = f"""
+import sys
+from functools import partialmethod
+from lerobot_pneutac.cli.augment import main
+from pneutac_datasets.demonstrations.augment.episode import AugmentSetup
+
+AugmentSetup.__init__ = partialmethod(AugmentSetup.__init__, candidates={FEW})
+main(sys.argv[1:])
+"""
     return [sys.executable, "-c", code, *options(recorded, out, "--episodes=3", "--seed=5")]
 
 

@@ -59,7 +59,7 @@ def demonstrations(task: str, count: int, late: int = 0) -> list[Reference]:
 def of_the_switch(count):
     """Generator with so many demonstrations of the switch, acted late by a control step, and their scenes."""
     recorded = demonstrations("switch", count, late=1)
-    setup = AugmentSetup(recorded, "switch", None, "probe", PlannerConfig(), 1, candidates=24)
+    setup = AugmentSetup(recorded, "switch", None, "probe", PlannerConfig(), 1, candidates=16)
     generator = Generator(setup, touch="area")
     return generator, [generator.scene(i) for i in range(count)]
 

@@ -70,7 +70,7 @@ def read_references(
     demonstration_features(meta)
     dataset = LeRobotDataset(repo_id, root, video_backend="pyav")
     table = dataset.hf_dataset.with_format("numpy")
-    state, action = (np.stack(table[k]).astype(float) for k in (OBS_STATE, ACTION))
+    state, action = (np.stack(table[k][:]).astype(float) for k in (OBS_STATE, ACTION))
     references, places = [], Places.of(action.shape[1] - len(VELOCITY_NAMES))
     for i in range(meta.total_episodes):
         row = meta.episodes[i]
