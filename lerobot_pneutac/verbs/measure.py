@@ -104,7 +104,7 @@ def _on_the_standin(config: MeasureConfig, trials: list[PressureTrial]) -> Recor
     from pneutac_datasets.generate.standin import write_trials
     from pneutac_datasets.generate.truth_bench import standin_arm
 
-    given = [(t.program, t.time_s, t.pressure_kpa) for t in trials]
+    given = [(t.program, t.sent_s, t.pressure_kpa) for t in trials]
     if config.chambers > 1:
         return standin_arm(config.seed).measure(given, config.out)
     conditions = config.conditions | dict(trials[0].conditions)
