@@ -29,7 +29,7 @@ BLUR_MM = 1.0
 INDEPENDENT, ERROR_LEVELS = 100, 5.0
 REACH_MM = 1.5  # R
 MOVED_MM = 0.05  # A: a surface that moves less has less of the field
-CENTRES, STRENGTH_LEVELS = 128, 8.0
+CENTRES, STRENGTH_LEVELS = 128, 16.0  # of a sensor's own field; how far it is believed, its presses tell
 LEAST_WEIGHT = 0.1  # where w is less, the field fades with it, since a pixel's w may be far from its cell's
 FEATURES, SHADOW, PLACE = 7, 4, slice(5, 7)  # of z; the shadow's height, x and y among them
 LEAST_MM = 3e-3  # a surface that moves less has nothing of the field
@@ -164,8 +164,10 @@ def trusted_share(tried: Sequence[tuple[ResidualField, Leftover]]) -> float:
     return float(np.clip(share - sd, 0, 1))
 
 
-def learn(seen: Sequence[Leftover], cells: int = CENTRES) -> ResidualField:
-    """The field of some photographs, round so many of their cells."""
+def learn(
+    seen: Sequence[Leftover], cells: int = CENTRES, strength_levels: float = STRENGTH_LEVELS
+) -> ResidualField:
+    """The field of some photographs, round so many of their cells, of this standard deviation."""
     worth = np.concatenate([np.full(s.levels.shape[1], 1 / s.levels.shape[1]) for s in seen])
     worth *= INDEPENDENT / ERROR_LEVELS**2
     centres, weights = [], []
@@ -178,7 +180,7 @@ def learn(seen: Sequence[Leftover], cells: int = CENTRES) -> ResidualField:
             len(z), min(cells, len(z)), p=factor**2 / np.square(factor).sum(), replace=False
         )
         A, K = factor[:, None] * _kernel(z, z[chosen]), _kernel(z[chosen], z[chosen])
-        damping = (K + 1e-4 * np.eye(len(K))) / STRENGTH_LEVELS**2
+        damping = (K + 1e-4 * np.eye(len(K))) / strength_levels**2
         centres.append(z[chosen])
         weights.append(np.linalg.solve(A.T @ (worth[:, None] * A) + damping, A.T @ (worth * left)))
     return ResidualField(np.array(centres, np.float32), np.array(weights, np.float32))

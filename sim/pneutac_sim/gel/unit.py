@@ -8,7 +8,8 @@ import numpy as np
 
 from pneutac_sim.gel.residual import FEATURES, Leftover, ResidualField, learn
 
-CELLS = 48  # of a field that is lent; a finer one holds more that is the sensor's own
+# Of a field that is lent: a finer or stronger one holds more that is the sensor's own.
+CELLS, STRENGTH_LEVELS = 48, 8.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +27,7 @@ class Unit:
     @classmethod
     def of(cls, rest: np.ndarray, leftovers: Sequence[Leftover], strength: float) -> "Unit":
         """From what a fit leaves over, of a light of this strength (levels per unit slope)."""
-        return cls(rest, learn(leftovers, cells=CELLS).times(1 / strength))
+        return cls(rest, learn(leftovers, CELLS, STRENGTH_LEVELS).times(1 / strength))
 
     @classmethod
     def read(cls, content: dict[str, str], shape: tuple[int, int, int]) -> "Unit":
