@@ -79,7 +79,9 @@ def forward_kinematics(
     links = _links(joint_positions, length)
     x = joint_positions[0] + np.cos(heading) @ links
     z = np.sin(heading) @ links
-    return np.stack([x, z], axis=-1), heading[..., -1]
+    tip = np.empty((*x.shape, 2))
+    tip[..., 0], tip[..., 1] = x, z
+    return tip, heading[..., -1]
 
 
 def forward_kinematics_spatial(

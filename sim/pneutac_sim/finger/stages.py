@@ -6,6 +6,7 @@ Effects sit between them. Every link reads its parameters from one vector `theta
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -141,6 +142,9 @@ class EffectLink:
         )
 
 
+_profile = lru_cache(256)(gain_profile)  # a fit asks for the same again and again
+
+
 @dataclass(frozen=True)
 class Drive:
     """Pressure to free joint angles, q_n = G r_n(alpha, beta) (1 + d_n) (p + p0) + curl / N.
@@ -182,7 +186,7 @@ class Drive:
     def _constants(self, theta) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Profile (N,), direction of each chamber (chambers, axes), rest pressure (axes,)."""
         values, n = theta[list(self.indices)], self.geometry.n_joints
-        profile = gain_profile(n, values[1], values[2]) * (1 + values[-1 - n : -1])
+        profile = _profile(n, float(values[1]), float(values[2])) * (1 + values[-1 - n : -1])
         if self.geometry.device == "finger":
             return profile, np.ones((1, 1)), values[3:4]
         ratios, turn = np.array([1.0, values[6], values[7]]), np.array([0.0, values[9], values[10]])
