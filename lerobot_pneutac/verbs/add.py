@@ -127,8 +127,8 @@ class Addition(Result):
         bench = [h["recording"] for h in self.twin.history if h["change"] == "calibrated"]
         if self.accepted and bench and "touch" in (self.after or {}):
             out.append(
-                "Touch told this of the pressed finger, and its free bend may be off now; fit that anew with "
-                f"`{command_on('calibrate', self.twin, bench[-1])}`."
+                "Touch told this of the pressed finger; the bench tells more of its free bend, with the new "
+                f"effects too: `{command_on('calibrate', self.twin, bench[-1])}`."
             )
         return out
 
