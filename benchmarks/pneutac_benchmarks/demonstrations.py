@@ -164,7 +164,7 @@ def write_dragged(number: int, config: BenchmarkDemonstrationsConfig, file: Path
 
 
 def dragged_rows(files: dict[int, Path]) -> list[tuple[str, ...]]:
-    """A row a case: what was hidden, how imprints turned, whether the gel is said to slip, and rightly so."""
+    """A row a case: what was hidden, how imprints turned, what is told of the gel, and whether rightly."""
     told = {n: json.loads(file.read_text()) for n, file in files.items()}
     read = {n: Dragging(**{k: v for k, v in t.items() if k != "case"}) for n, t in told.items() if len(t) > 1}
     rows = []
@@ -172,10 +172,11 @@ def dragged_rows(files: dict[int, Path]) -> list[tuple[str, ...]]:
         if n not in read:
             rows.append((t["case"], "", "not told", "no"))
             continue
-        slips = n >= 0 and read[n].slips(read[-1])
-        right = n < 0 or slips == list(DRAGGED.values())[n][1]
+        less = n >= 0 and read[n].less(read[-1])
+        right = n < 0 or less == list(DRAGGED.values())[n][1]
         turn = f"{read[n].turn_deg_per_mm:.2f} ({read[n].error:.2f})"
-        rows.append((t["case"], turn, "slips" if slips else "", "yes" if right else "no"))
+        how = "slips" if less and read[n].slips(read[-1]) else "sticks less" if less else ""
+        rows.append((t["case"], turn, how, "yes" if right else "no"))
     return rows
 
 

@@ -58,6 +58,11 @@ class Dragging:
         far = SURE * float(np.hypot(self.error, SLIPS * known.error))
         return self.turn_deg_per_mm + far < SLIPS * known.turn_deg_per_mm
 
+    def less(self, known: Self) -> bool:
+        """Whether imprints surely turn less than they did."""
+        far = SURE * float(np.hypot(self.error, known.error))
+        return self.turn_deg_per_mm + far < known.turn_deg_per_mm
+
     def sentence(self, known: Self | None) -> str:
         """What it tells of the gel's friction."""
         told = (
@@ -68,6 +73,8 @@ class Dragging:
         was = f"{known.turn_deg_per_mm:.2g} ({known.error:.1g}) before"
         if self.slips(known):
             return f"{told}, {was}: the gel has less friction than it had and slips."
+        if self.less(known):
+            return f"{told}, {was}: the gel sticks less than it did; by how much is not told."
         return f"{told}, {was}: no less friction of the gel shows."
 
     def kept(self, task: str) -> dict:

@@ -53,6 +53,9 @@ def test_a_gel_that_slips_turns_less_than_one_that_sticks():
     assert slips.slips(sticks) and not sticks.slips(sticks) and not sticks.slips(slips)
     assert "less friction than it had" in slips.sentence(sticks)
     assert "no less friction" in sticks.sentence(sticks)
+    fewer = Dragging(0.4, 0.03, 8)
+    assert fewer.less(Dragging(0.5, 0.03, 8)) and not fewer.less(Dragging(0.45, 0.03, 8))
+    assert "sticks less than it did" in fewer.sentence(Dragging(0.5, 0.03, 8))
     assert "`pneutac calibrate` keeps that" in sticks.sentence(None)
 
 
