@@ -1,5 +1,7 @@
 """Networks and full gel in the world: near the full simulation, same spaces, flags, foreign networks."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 import trimesh
@@ -184,7 +186,9 @@ def test_signed_distances_of_the_shapes_of_a_world(kind, size, surface):
         signed_distance(0, np.ones(3), points)
 
 
-def test_the_full_gel_feels_a_ball_as_the_material_points_under_an_indenter_do():
+def test_the_full_gel_feels_a_ball_as_the_material_points_under_an_indenter_do(monkeypatch):
+    """Both with an eighth of the particles."""
+    monkeypatch.setattr(devices, "gel", partial(devices.gel, counts=(30, 40, 7)))
     twin, depth = Twin.builtin(), 0.7
     ball = ([2], np.array([[4e-3, 0, 0]]), np.array([[1e-3, 2e-3, 4e-3 - 1e-3 * depth]]), np.eye(3)[None])
     placed = (*ball, np.zeros(3), np.eye(3))
