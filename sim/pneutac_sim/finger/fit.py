@@ -108,7 +108,8 @@ def fit(
     problems, v = _search(start, pipeline, data, np.flatnonzero(mask), bounds, free, starts, seed)
     final, v, level = problems[-1], v.copy(), {}
     for j in np.flatnonzero(final.jumps):  # the error knows no better than a stretch: its middle is taken
-        if (ends := level_stretch(final.residual, v, j, final.jumps[j])) is not None:
+        ends = level_stretch(final.residual, v, j, final.jumps[j])
+        if ends is not None and ends[1] < 1 - _EDGE:  # what stopped at its upper bound says so
             v[j], level[j] = np.mean(ends), np.ptp(ends) / 2
     theta = final.theta(v)
     residual = data.measured - pipeline.outputs(pipeline.run(data.inputs, theta), data.columns)

@@ -81,7 +81,7 @@ def test_other_bad_input_is_refused_in_a_sentence(twin, tmp_path):
     program = tmp_path / "program.csv"
     for rows, sentence in (
         ("time_s,pressure_cmd_kpa\n0,1\n0.05,99\n", "in 0 to 15"),
-        ("time_s,pressure_cmd_kpa\n0,1\n3,2\n", "rise evenly, by at most 0.2 s"),
+        ("time_s,pressure_cmd_kpa\n0,1\n3,2\n", "must rise, most times by the same and by at most 0.2 s"),
         ("time_s\n0\n", "must be a table"),
     ):
         program.write_text(rows)
