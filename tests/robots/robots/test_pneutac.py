@@ -431,14 +431,19 @@ def test_what_is_no_action_halts_and_is_named(robot, action, said):
 
 @pytest.mark.parametrize("bad", [np.nan, -np.inf, 10**400])
 def test_an_action_that_is_no_number_empties_the_chamber_within_350_ms(robot, bad):
-    def emptied_in_time():
+    for _ in range(4):
         assert until(lambda: robot.send_action(act(pressure=15.0)) and robot._pressure.pressure() > 14.5)
-        start_s = awake_s()
+        start_s, looks = awake_s(), []
         assert list(robot.send_action(act(pressure=bad)).values()) == [0, 0, 0, 0]
-        return until(lambda: robot._pressure.pressure() < 1.0, 0.35 - (awake_s() - start_s))
-
-    # The simulated chamber is a part of this busy process too; what is too slow of itself never manages.
-    assert any(emptied_in_time() for _ in range(3))
+        sent_s = awake_s() - start_s
+        emptied = until(
+            lambda looks=looks: looks.append(1) or robot._pressure.pressure() < 1.0, 0.35 - sent_s
+        )
+        # Threads that wait for a core make it late: then sending takes more than its millisecond, or it is
+        # looked at less often than every 8 ms (5 asked for). Undisturbed the first attempt counts.
+        if emptied or (sent_s < 0.01 and len(looks) > 43):
+            break
+    assert emptied
     with pytest.raises(HardwareFault, match="5 of the last .* were refused"):
         for _ in range(8):  # every second one
             robot.send_action(act())

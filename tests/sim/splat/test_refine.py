@@ -61,7 +61,10 @@ def test_what_held_back_parts_do_not_bear_out_is_not_taken(sensor, monkeypatch):
     photograph = photographed(sensor)
     fit = fitted(sensor, [photograph])
     before = fit.gel
-    wrong = lambda gel, *rest: replace(gel, light=0.8 * gel.light)  # noqa: E731
+
+    def wrong(gel, *rest):
+        return replace(gel, light=0.8 * gel.light)
+
     monkeypatch.setattr(refine, "refine_light", wrong)
     refine_fit(fit, [photograph], pressed)
     assert fit.refined is False and fit.gel is before
