@@ -72,6 +72,27 @@ def deal(recording: Recording, seed: int) -> Parts:
     return Parts(train, validation, test, unit, stratum[first])
 
 
+def conditions(recording: Recording) -> np.ndarray:
+    """Number (n,) of the physical condition of each sample: direction of gravity, load, level of temperature."""
+    samples, key = recording.samples, [np.zeros(len(recording), int)]
+    for name in ("gravity_x", "gravity_y", "gravity_z", *blocks.LEVELS):
+        if name in samples:
+            v = samples[name].to_numpy(float)
+            span = np.ptp(v) if name in blocks.LEVELS else 2.0
+            key.append(np.round(2 * (v - v.min()) / max(span, 1e-12)).astype(int))
+    return np.unique(np.stack(key, 1), axis=0, return_inverse=True)[1].reshape(-1)
+
+
+def out_of_time(condition: np.ndarray, begin: int) -> np.ndarray:
+    """(N,) folds that leave out (0) the rows from `begin` on; all others are fitted (-1).
+
+    Later rows whose condition never occurred before `begin` stay in the fit: what the first load or the first
+    turn of the base does cannot be predicted from rows without it.
+    """
+    later = np.arange(len(condition)) >= begin
+    return np.where(later & np.isin(condition, condition[:begin]), 0, -1)
+
+
 def _refine(recording: Recording, block: np.ndarray) -> np.ndarray:
     """Finer blocks (n,) where a condition has too few of them for every part to get some."""
     stratum = blocks.strata(recording.samples, block)

@@ -12,6 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from lerobot_pneutac.diagnosis.bootstrap import Resampler
+from lerobot_pneutac.diagnosis.parts import out_of_time
 
 MOST_TERMS = 6
 BEAM = 3
@@ -123,13 +124,22 @@ class Search:
         floor: noise, in the unit of the error.
         run: like `map`, perhaps in parallel.
         tell: called with a line of progress.
+        condition: (N,) number of each row's physical condition, see `parts.conditions`; None for one alone.
     """
 
     def __init__(
-        self, space, judge: Resampler, fold, floor: float, run: Callable = map, tell=lambda text: None
+        self,
+        space,
+        judge: Resampler,
+        fold,
+        floor: float,
+        run: Callable = map,
+        tell=lambda text: None,
+        condition: np.ndarray | None = None,
     ):
         self.space, self.judge, self.fold, self.floor2 = space, judge, fold, floor**2
         self.run, self.tell = run, tell
+        self.condition = np.zeros(len(fold), int) if condition is None else condition
 
     def score(self, model) -> Scored:
         """A model with its worth."""
@@ -151,7 +161,7 @@ class Search:
             room = best.value - self.floor2
             if room < 0.06 * self.floor2:
                 break
-            done = [d for d in self._round(beam) if self._foretells(best, d)]
+            done = [d for d in self._round(beam) if self._improves_out_of_time(best, d)]
             if not done:
                 break
             taken = self._accepted(best, done, room, start)
@@ -238,17 +248,18 @@ class Search:
                 return d
         return None
 
-    def _foretells(self, now: Scored, after: Scored) -> bool:
+    def _improves_out_of_time(self, now: Scored, after: Scored) -> bool:
         """Whether a model errs less than the one it replaces in the last of `AHEAD`, and in all together.
 
         Blocks dealt at random lie between others that were fitted: there any slow course does well, one of
         time or one of a long memory.
         """
-        n, falls = len(self.fold), []
+        n, drops = len(self.fold), []
         for begin, end in pairwise((np.array(AHEAD) * n).astype(int)):
-            fold = np.where(np.arange(n) < begin, -1, 0)
-            falls.append(float((now.model.crossed(fold) - after.model.crossed(fold))[:end].sum()))
-        return min(falls[-1], sum(falls)) > 0
+            fold = out_of_time(self.condition, begin)
+            if (fold[:end] == 0).any():
+                drops.append(float((now.model.crossed(fold) - after.model.crossed(fold))[:end].sum()))
+        return not drops or min(drops[-1], sum(drops)) > 0
 
     def _surely(self, before: Scored, after: Scored, least: float) -> bool:
         return before.value - after.value > least and self.judge.surely(before.crossed, after.crossed)

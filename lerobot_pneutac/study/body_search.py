@@ -1,6 +1,5 @@
 """The search for what a finger or an arm lacks: air from the measured pressure, body from the pose."""
 
-import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
@@ -9,6 +8,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from lerobot_pneutac.diagnosis.bootstrap import Resampler
+from lerobot_pneutac.diagnosis.parts import conditions, out_of_time
 from lerobot_pneutac.diagnosis.search import Found, Scored, Search, Trial
 from lerobot_pneutac.diagnosis.votes import chosen_in, deal_folds
 from lerobot_pneutac.study.body_model import BodyFitter, BodyModel, Reading
@@ -76,7 +76,7 @@ class BodySearch:
         self.unit = study.parts.unit[self.rows]
         self.fold = deal_folds(self.unit, 5, study.seed)
         self.judge = Resampler(np.ones(len(self.rows), bool), self.unit, study.parts.stratum, study.seed)
-        self.began = time.perf_counter()
+        self.condition = conditions(study.recording)[self.rows]
 
     def find(self) -> Searched | None:
         """Looks for what the twin lacks; None where the recording was amended, so that it must begin anew."""
@@ -109,7 +109,8 @@ class BodySearch:
     def engine(self, space: BodySpace, floor: float | None = None, unit: str = "") -> Search:
         """Searches a space; by the study's noise and unit where no others are given."""
         floor, unit = self.study.noise.value if floor is None else floor, unit or self.study.unit
-        return Search(space, self.judge, self.fold, floor, self.run, lambda text: self.tell(f"{text} {unit}"))
+        tell = lambda text: self.tell(f"{text} {unit}")  # noqa: E731
+        return Search(space, self.judge, self.fold, floor, self.run, tell, self.condition)
 
     def _air(self) -> Found:
         """What lies between command and measured pressure."""
@@ -248,8 +249,10 @@ class BodySearch:
         """Fitted to the first 60 % of the rows, at least half of the fall of the error stays in the rest."""
         if not done.terms:
             return True
-        fold = np.where(np.arange(len(self.rows)) < 0.6 * len(self.rows), -1, 0)
+        fold = out_of_time(self.condition, int(0.6 * len(self.rows)))
         later = fold == 0
+        if not later.any():
+            return True
         before, after = (float(s.model.crossed(fold)[later].mean()) for s in (done.found.base, done.model))
         fall = done.found.base.value - done.model.value
         return fall <= 0 or before - after > 0.5 * fall * (before / max(done.found.base.value, 1e-12))
