@@ -73,7 +73,7 @@ def deal(recording: Recording, seed: int) -> Parts:
 
 
 def conditions(recording: Recording) -> np.ndarray:
-    """Number (n,) of the physical condition of each sample: direction of gravity, load, level of temperature."""
+    """Number (n,) of each sample's physical condition: direction of gravity, load, level of temperature."""
     samples, key = recording.samples, [np.zeros(len(recording), int)]
     for name in ("gravity_x", "gravity_y", "gravity_z", *blocks.LEVELS):
         if name in samples:

@@ -53,6 +53,25 @@ class Rival:
 
 
 @dataclass
+class Contribution:
+    """What one term of a model is worth: the model is re-fitted without it and compared on the test part.
+
+    Attributes:
+        name: of the effect, or `bend_profile` for a profile of the device's own.
+        known: whether it is a known cause, see `Outcome.known`.
+        error_without: test error of the model re-fitted without it.
+        error_with: test error of the whole model.
+        drop: fall of the test mean square error by the term: value, lower 1 % bound, upper 99 % bound.
+    """
+
+    name: str
+    known: bool
+    error_without: float
+    error_with: float
+    drop: tuple[float, float, float]
+
+
+@dataclass
 class Contender:
     """A model that a search fitted well, and how likely it is beside the others.
 
@@ -76,7 +95,14 @@ class Outcome:
         before: the twin as it is, re-fitted; of a body from the command.
         after: with all effects found.
         ladder: label and model from the start to the end.
-        selected: effects found, the most important first.
+        selected: effects that the twin lacks, known causes among them, the most important first.
+        known: those of them that the recording shows as a cause (weight, payload, base pose, stretch), and
+            `bend_profile` where the device bends by a profile of its own.
+        baseline: the twin with the known causes alone, re-fitted; None where there are none.
+        contributions: what each term is worth beside all others, the largest first; of bodies.
+        run_terms: what single runs have of their own, no part of the device: `offset`, `gain`, `pressure_kpa`
+            and `clock_s` (root mean squares), and `error`, the test error once they are removed; None where
+            runs do not differ.
         tested: all candidates, the best first, then effects of the twin.
         rivals: rivals of each selected effect.
         evidence: numbers behind the verdict.
@@ -101,6 +127,10 @@ class Outcome:
     verdict: str
     twin: Twin
     seconds: float
+    known: list[str] = field(default_factory=list)
+    baseline: FittedModel | None = None
+    contributions: list[Contribution] = field(default_factory=list)
+    run_terms: dict[str, float] | None = None
     chosen_in: dict[str, float] = field(default_factory=dict)
     base_model: dict = field(default_factory=dict)
     contenders: list[Contender] = field(default_factory=list)
