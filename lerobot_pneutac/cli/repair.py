@@ -16,10 +16,12 @@ class RepairConfig:
     Attributes:
         dataset: folder of the dataset; nothing else may be writing there.
         like: folder of a whole dataset of the same robot and frame rate, wanted only where info.json is torn.
+        drop: leave out episodes whose videos are missing; their numbers move to the folder left_out.
     """
 
     dataset: Path
     like: Path | None = None
+    drop: bool = False
 
 
 def main(argv: list[str]) -> None:
@@ -27,7 +29,7 @@ def main(argv: list[str]) -> None:
     config, console = parse_options(RepairConfig, argv), Console()
     from pneutac_datasets.demonstrations.repair.dataset import repair_dataset
 
-    repaired = repair_dataset(config.dataset, config.like)
+    repaired = repair_dataset(config.dataset, config.like, config.drop)
     for remark in repaired.remarks:
         console.print(escape(remark), highlight=False)
     console.print(

@@ -18,6 +18,8 @@ from pneutac_sim.errors import CONTROL, InputError
 
 MOST_YAML_BYTES = 2**20
 LOCK_S = 60.0  # how long another process's writing is waited for
+# How the small text files begin that stand for files which Git has not fetched, and the command that does.
+POINTERS = {b"version https://git-lfs": "git lfs pull", b"/annex/objects/": "git annex get ."}
 
 
 def read_yaml(file: Path):
@@ -56,6 +58,18 @@ class _Loader(yaml.SafeLoader):
                 None, None, "control characters are not read", node.start_mark
             )
         return value
+
+
+def refuse_pointer(file: Path) -> None:
+    """Raises InputError where a file stands for another one that Git LFS or git-annex has not fetched."""
+    with file.open("rb") as f:
+        begin = f.read(32)
+    for mark, command in POINTERS.items():
+        if begin.startswith(mark):
+            raise InputError(
+                f"{file} is a {'Git LFS' if b'lfs' in mark else 'git-annex'} pointer and not the file itself;"
+                f" run `{command}` in its repository."
+            )
 
 
 def inside(folder: Path, file: Path) -> bool:

@@ -1,6 +1,8 @@
 """Datasets whose recording was killed: `pneutac repair` finds every finished episode."""
 
+import errno
 import json
+import os
 import shutil
 
 import numpy as np
@@ -103,11 +105,186 @@ def test_a_video_torn_while_it_was_copied_is_found_where_it_was_made(torn, tmp_p
     assert video.read_bytes() == data
 
 
-def test_an_episode_without_its_video_is_left_out(torn):
-    for video in torn.rglob("*.mp4"):
-        video.unlink()
-    repaired = repair_dataset(torn)
-    assert repaired.episodes == 0 and "has no video; it is left out" in " ".join(repaired.remarks)
+def _bytes(root):
+    return {f.relative_to(root): f.read_bytes() for f in root.rglob("*") if f.is_file()}
+
+
+def _cut_in_half(video):
+    video.write_bytes(video.read_bytes()[: video.stat().st_size // 2])
+
+
+def _overwritten(video):
+    data = video.read_bytes()
+    begin = data.index(b"mdat") + 4
+    video.write_bytes(data[:begin] + bytes(len(data) - begin))
+
+
+def _pointer(file):
+    file.write_text(f"version https://git-lfs.github.com/spec/v1\noid sha256:{64 * '0'}\nsize 12\n")
+
+
+DAMAGE = {
+    "none": (lambda video: shutil.rmtree(video.parents[2]), "is missing"),
+    "pointer": (_pointer, "is a Git LFS pointer and not the file itself; run `git lfs pull`"),
+    "annex": (lambda video: video.write_text("/annex/objects/MD5E-s1--0.mp4\n"), "git annex get"),
+    "half": (_cut_in_half, "of the 5 frames of episode|cannot be opened"),
+    "overwritten": (_overwritten, "cannot be decoded"),
+    "text": (lambda video: video.write_text("404 not found"), "cannot be opened as a video"),
+    "empty": (lambda video: video.write_bytes(b""), "cannot be opened as a video"),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+@pytest.mark.parametrize("finished", [False, True])
+def test_missing_videos_are_named_and_nothing_is_changed(whole, torn, tmp_path, damage, finished):
+    root = torn
+    if finished:
+        root = tmp_path / "finished"
+        shutil.copytree(whole, root)
+    (video,) = root.rglob("*.mp4")
+    content = video.read_bytes()
+    hurt, reason = DAMAGE[damage]
+    hurt(video)
+    before = _bytes(root)
+    with pytest.raises(InputError, match=f"episode.* are missing: .*({reason})") as refused:
+        repair_dataset(root)
+    assert "Put the videos back and repeat, or give --drop" in str(refused.value)
+    assert _bytes(root) == before
+    video.parent.mkdir(parents=True, exist_ok=True)
+    video.write_bytes(content)
+    repaired = repair_dataset(root)
+    assert (repaired.episodes, repaired.frames) == (2, 10)
+
+
+def test_episodes_without_video_are_dropped_when_asked_and_their_numbers_stored(torn):
+    shutil.rmtree(torn / "videos")
+    repaired = repair_dataset(torn, drop=True)
+    assert repaired.episodes == 0 and "the numbers are in left_out/" in " ".join(repaired.remarks)
+    numbers = [pq.read_table(f)["action"].to_pylist() for f in sorted((torn / "left_out").glob("*.parquet"))]
+    assert numbers == [[[e] * 4] * 5 for e in (0.0, 1.0)]
+
+
+def _three(root, files_mb):
+    """Three episodes, each in a video of its own where `files_mb` is tiny."""
+    with quiet_encoders():
+        dataset = LeRobotDataset.create("local/three", 15, FEATURES, root=root, video_backend="pyav")
+        dataset.meta.info.video_files_size_in_mb = files_mb
+        for episode in range(3):
+            for i in range(5):
+                image = np.full((64, 64, 3), 40 * episode + i, np.uint8)
+                action = np.full(4, episode, np.float32)
+                dataset.add_frame({"action": action, "observation.images.tactile": image, "task": "press"})
+            dataset.save_episode()
+        dataset.finalize()
+    return root
+
+
+@pytest.mark.parametrize("gone", [0, 1, 2])
+def test_an_episode_in_the_middle_is_dropped_and_the_others_are_numbered_anew(tmp_path, gone):
+    root = _three(tmp_path / "three", 1e-6)
+    assert len(list(root.rglob("*.mp4"))) == 3
+    (root / f"videos/observation.images.tactile/chunk-000/file-00{gone}.mp4").unlink()
+    with pytest.raises(InputError, match=f"the videos of episode {gone} .*file-00{gone}.mp4 is missing"):
+        repair_dataset(root)
+    repaired = repair_dataset(root, drop=True)
+    assert (repaired.episodes, repaired.recovered) == (2, 0)
+    dataset = LeRobotDataset("local/three", root, video_backend="pyav", return_uint8=True)
+    stay = [e for e in range(3) if e != gone]
+    assert [int(dataset[i]["action"][0]) for i in range(10)] == [e for e in stay for _ in range(5)]
+    assert [int(dataset[i]["index"]) for i in range(10)] == list(range(10))
+    shown = [float(dataset[i]["observation.images.tactile"].float().mean()) for i in (0, 5)]
+    np.testing.assert_allclose(shown, [40 * e for e in stay], atol=3)
+    assert pq.read_table(root / f"left_out/episode-00000{gone}.parquet")["action"][0].as_py() == [gone] * 4
+
+
+@pytest.mark.parametrize("damage", [_cut_in_half, lambda video: video.unlink()])
+def test_no_episode_is_shown_another_ones_images_after_a_damaged_file(tmp_path, damage):
+    """In a killed recording nothing says how many episodes a damaged file held."""
+    root = _three(tmp_path / "three", 1e-6)
+    shutil.rmtree(root / "meta" / "episodes")
+    first = root / "videos/observation.images.tactile/chunk-000/file-000.mp4"
+    content = first.read_bytes()
+    damage(first)
+    with pytest.raises(InputError, match="the videos of episodes 0, 1, 2 .* are missing"):
+        repair_dataset(root)
+    first.write_bytes(content)
+    assert repair_dataset(root).recovered == 3
+
+
+def test_the_episode_that_was_being_written_is_left_out_with_its_pictures(tmp_path):
+    """LeRobot deletes an episode's pictures when its video is made."""
+    root = _three(tmp_path / "three", 1e-6)
+    shutil.rmtree(root / "meta" / "episodes")
+    (root / "videos/observation.images.tactile/chunk-000/file-002.mp4").unlink()
+    pictures = root / "images/observation.images.tactile/episode-000002"
+    pictures.mkdir(parents=True)
+    (pictures / "frame-000000.png").write_bytes(b"a picture")
+    repaired = repair_dataset(root)
+    assert repaired.episodes == 2 and "Episode 2 was being written" in " ".join(repaired.remarks)
+    left = {f.name for f in (root / "left_out").iterdir()}
+    assert left == {"episode-000002.parquet", "observation.images.tactile-episode-000002"}
+    assert not list((root / "images").glob("*/episode-*"))
+
+
+def test_what_a_robot_left_in_meta_stays(torn):
+    for name in ("station.yaml", "achieved_rate.json"):
+        (torn / "meta" / name).write_text("{}\n")
+    repair_dataset(torn)
+    assert all((torn / "meta" / n).read_text() == "{}\n" for n in ("station.yaml", "achieved_rate.json"))
+
+
+def test_times_that_do_not_fit_the_videos_are_counted_anew(whole, tmp_path):
+    root = tmp_path / "demo"
+    shutil.copytree(whole, root)
+    file = root / "meta/episodes/chunk-000/file-000.parquet"
+    table = pq.read_table(file).to_pandas()
+    table["videos/observation.images.tactile/from_timestamp"] += 0.0003
+    table.to_parquet(file)
+    repaired = repair_dataset(root)
+    assert repaired.episodes == 2 and "did not fit the videos" in " ".join(repaired.remarks)
+    LeRobotDataset("local/demo", root, video_backend="pyav")[9]
+
+
+@pytest.mark.parametrize("version", ["v2.0", "v2.1", "v4.0", None, "3", 3])
+def test_other_versions_are_refused(whole, tmp_path, version):
+    root = tmp_path / "demo"
+    shutil.copytree(whole, root)
+    file = root / "meta/info.json"
+    file.write_text(json.dumps(json.loads(file.read_text()) | {"codebase_version": version}))
+    before = _bytes(root)
+    with pytest.raises(InputError, match="codebase_version is .*, and v3.0 is read here"):
+        repair_dataset(root)
+    assert _bytes(root) == before
+
+
+@pytest.mark.parametrize("number", [errno.EROFS, errno.EACCES])
+def test_a_folder_that_cannot_be_written_is_one_sentence(torn, monkeypatch, number):
+    def refuse(*args, **options):
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr("tempfile.TemporaryDirectory", refuse)
+    with pytest.raises(InputError, match="cannot be written .*; copy the dataset to where you may write"):
+        repair_dataset(torn)
+
+
+@pytest.mark.parametrize("file", ["data/chunk-000/file-000.parquet", "meta/info.json"])
+def test_pointers_in_place_of_numbers_are_refused(torn, file):
+    _pointer(torn / file)
+    before = _bytes(torn)
+    with pytest.raises(InputError, match=f"{file} is a Git LFS pointer"):
+        repair_dataset(torn)
+    assert _bytes(torn) == before
+
+
+def test_rows_that_the_metadata_count_and_the_data_lack_are_refused(whole, tmp_path):
+    root = tmp_path / "demo"
+    shutil.copytree(whole, root)
+    file = root / "data/chunk-000/file-000.parquet"
+    pq.write_table(pq.read_table(file).slice(0, 8), file)
+    before = _bytes(root)
+    with pytest.raises(InputError, match="data/ holds 3 of the 5 rows of episode 1; restore data/"):
+        repair_dataset(root)
+    assert _bytes(root) == before
 
 
 @pytest.mark.parametrize("share", [0.2, 0.5, 0.9])
@@ -131,6 +308,7 @@ def test_a_parquet_file_cut_anywhere_keeps_its_whole_row_groups(tmp_path, share)
     cut = int(share * ends[-1])
     file.write_bytes(file.read_bytes()[:cut])
     whole_groups = sum(end <= cut for end in ends)
-    assert mend(file, tables[0].schema) == whole_groups
+    whole_bytes = max(end for end in [4, *ends] if end <= cut)
+    assert mend(file, tables[0].schema, tmp_path / "new") == (whole_groups, cut - whole_bytes)
     if whole_groups:
-        assert pq.read_table(file).equals(pa.concat_tables(tables[:whole_groups]))
+        assert pq.read_table(tmp_path / "new").equals(pa.concat_tables(tables[:whole_groups]))

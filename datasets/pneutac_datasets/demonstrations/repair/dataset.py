@@ -3,12 +3,18 @@
 LeRobot 0.6 writes an episode's numbers (and images that are no video) as one row group of a Parquet file that
 it ends only when the recording ends, then its videos, and keeps up to ten episodes' metadata in memory. After
 a kill, numbers and videos are therefore there, and what says where they lie is not. It is made anew here.
+
+Everything is made in a folder of its own and takes its place at the end: a refusal changes nothing. What is
+taken out of the dataset moves to its folder `left_out`.
 """
 
+import errno
 import json
 import shutil
 import tempfile
-from dataclasses import dataclass
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,13 +24,16 @@ from lerobot.datasets.feature_utils import get_hf_features_from_features
 from lerobot.datasets.utils import DatasetInfo
 
 import datasets
+from pneutac_datasets.demonstrations.info import refuse_version
 from pneutac_datasets.demonstrations.repair.description import begin_metadata, describe
 from pneutac_datasets.demonstrations.repair.parquet_footer import is_whole, mend
 from pneutac_datasets.demonstrations.repair.videos import Rows, place_videos, tell_of_videos
 from pneutac_sim.errors import InputError
-from pneutac_sim.files import flush
+from pneutac_sim.files import flush, refuse_pointer
 
 ASIDE = "meta.before_repair"  # what was there, until the new one is in place
+LEFT_OUT = "left_out"  # numbers and pictures of episodes without a video, which no reader opens
+NOT_WRITABLE = (errno.EROFS, errno.EACCES, errno.EPERM)
 
 
 @dataclass(frozen=True)
@@ -44,74 +53,101 @@ class Repaired:
     remarks: tuple[str, ...]
 
 
-def repair_dataset(root: str | Path, like: str | Path | None = None) -> Repaired:
+def repair_dataset(root: str | Path, like: str | Path | None = None, drop: bool = False) -> Repaired:
     """Makes a dataset whole whose recording was killed, so that it can be read and resumed offline.
 
     Args:
         root: the dataset's folder; nothing else may be writing there.
         like: a whole dataset of the same robot and frame rate, wanted only where `meta/info.json` is torn.
+        drop: leave out episodes whose videos are missing; their numbers move to `left_out`.
 
     Raises:
-        InputError: the folder is no dataset of LeRobot, `info.json` is torn and `like` is missing or other.
+        InputError: the folder is no dataset of LeRobot or cannot be written, `info.json` is torn and `like`
+            is missing or other, or videos are missing and `drop` is False. Nothing is changed then.
     """
     root = Path(root)
-    _finish_an_earlier_repair(root)
-    info, remarks = _read_info(root, like)
-    known = _known_episodes(root, remarks)
-    found = _episodes_on_disk(root, info, remarks)
-    before = len(known)
-    if len(found) < before:
-        raise InputError(f"'{root}' tells of {before} episodes, data/ holds {len(found)}; restore it.")
-    videos = place_videos(root, info, known, found, remarks)
-    complete = min([len(found), *(before + len(v) for v in videos.values())])
-    if complete < len(found):
-        remarks.append(f"Episode {complete} was being written and has no video; it is left out.")
-        _drop(found[complete:], found[:complete], info)
-    found = found[:complete]
-
-    tell_of_videos(root, info, videos)
-    with tempfile.TemporaryDirectory(dir=root, prefix=".repair-") as work:
-        meta = begin_metadata(Path(work), root, info, known, remarks)
-        for rows in found[before:]:
-            describe(meta, root, info, rows, {k: v[rows.episode - before] for k, v in videos.items()})
+    if not ((root / "meta").is_dir() or (root / ASIDE).is_dir()):
+        raise InputError(f"'{root}' is no dataset of LeRobot: it has no folder meta.")
+    with _work_folder(root) as work:
+        info, remarks = _read_info(root, like)
+        known = _known_episodes(root, remarks)
+        found = _episodes_on_disk(root, work, info, remarks)
+        _refuse_lost_rows(root, known, found)
+        places, lacking = place_videos(root, info, known, found, remarks)
+        before = len(known)
+        if lacking and known:
+            anew, none = place_videos(root, info, [], found, [])
+            if not none:
+                known, places, lacking = [], anew, {}
+                remarks.append("meta/episodes did not fit the videos; all episodes are described anew.")
+        if lacking:
+            _refuse_lacking(root, found, lacking, before, drop, remarks)
+            if min(lacking) < before:
+                known = []  # what follows is numbered and described anew
+            found, places = _without(work, found, places, set(lacking))
+        tell_of_videos(root, info, places)
+        meta = begin_metadata(work, root, info, known, remarks)
+        for rows in found[len(known) :]:
+            describe(meta, root, info, rows, {k: v[rows.episode] for k, v in places.items()})
         meta.finalize()
-        _put_in_place(root, Path(work) / "meta")
-    _clear(root, remarks)
-    return Repaired(complete, sum(r.length for r in found), complete - before, tuple(remarks))
+        _put_in_place(root, work)
+        _clear(root, set(lacking), remarks)
+    recovered = len(found) - (before - sum(e < before for e in lacking))
+    return Repaired(len(found), sum(r.length for r in found), recovered, tuple(remarks))
 
 
-def _finish_an_earlier_repair(root: Path) -> None:
-    if (root / ASIDE).is_dir():
-        if not (root / "meta").exists():  # it was killed between its two renames
-            (root / ASIDE).rename(root / "meta")
-        else:
-            shutil.rmtree(root / ASIDE)
-    for work in root.glob(".repair-*"):
-        shutil.rmtree(work)
+@contextmanager
+def _work_folder(root: Path) -> Iterator[Path]:
+    """A folder in the dataset for all that is made; an earlier repair that was killed is finished before."""
+    try:
+        if (root / ASIDE).is_dir():
+            if not (root / "meta").exists():  # it was killed between its two renames
+                (root / ASIDE).rename(root / "meta")
+            else:
+                shutil.rmtree(root / ASIDE)
+        for work in root.glob(".repair-*"):
+            shutil.rmtree(work)
+        with tempfile.TemporaryDirectory(dir=root, prefix=".repair-") as work:
+            yield Path(work)
+    except OSError as e:
+        if e.errno not in NOT_WRITABLE:
+            raise
+        raise InputError(
+            f"'{root}' cannot be written ({e.strerror}); copy the dataset to where you may write and repeat."
+        ) from e
 
 
 def _read_info(root: Path, like: str | Path | None) -> tuple[DatasetInfo, list[str]]:
     file = root / "meta" / "info.json"
-    if not (root / "meta").is_dir():
-        raise InputError(f"'{root}' is no dataset of LeRobot: it has no folder meta.")
     try:
-        return DatasetInfo.from_dict(json.loads(file.read_text())), []
+        return _info(file), []
+    except InputError:
+        raise
     except (OSError, ValueError, TypeError, AttributeError) as e:
+        if file.is_file():
+            refuse_pointer(file)
         if like is None:
             raise InputError(
                 f"{file} is torn; give --like=DATASET, a whole dataset of the same robot and frame rate."
             ) from e
     try:
-        info = DatasetInfo.from_dict(json.loads((Path(like) / "meta" / "info.json").read_text()))
+        info = _info(Path(like) / "meta" / "info.json")
     except (OSError, ValueError, TypeError, AttributeError) as e:
         raise InputError(f"like={like} is no whole dataset of LeRobot ({e}).") from e
     return info, [f"info.json was torn; robot, features and frame rate are those of {like}."]
+
+
+def _info(file: Path) -> DatasetInfo:
+    content = json.loads(file.read_text(encoding="utf-8"))
+    refuse_version(file, content)
+    return DatasetInfo.from_dict(content)
 
 
 def _known_episodes(root: Path, remarks: list[str]) -> list[dict]:
     """Metadata of the episodes that earlier sessions have ended; later files without an end are left out."""
     rows = []
     for file in sorted((root / "meta" / "episodes").glob("chunk-*/file-*.parquet")):
+        refuse_pointer(file)
         if is_whole(file):
             rows += pq.read_table(file).to_pylist()
         else:
@@ -122,15 +158,22 @@ def _known_episodes(root: Path, remarks: list[str]) -> list[dict]:
     return rows
 
 
-def _episodes_on_disk(root: Path, info: DatasetInfo, remarks: list[str]) -> list[Rows]:
+def _episodes_on_disk(root: Path, work: Path, info: DatasetInfo, remarks: list[str]) -> list[Rows]:
+    """Every episode whose rows are complete; files without an end are given one in the work folder."""
     schema = _schema(info)
     found: list[Rows] = []
     for file in sorted((root / "data").glob("chunk-*/file-*.parquet")):
+        refuse_pointer(file)
         if not is_whole(file):
-            groups = mend(file, schema)
-            remarks.append(f"{file.relative_to(root)} had no end; {groups} episodes of it are whole.")
+            source, file = file, work / file.relative_to(root)
+            file.parent.mkdir(parents=True, exist_ok=True)
+            groups, cut = mend(source, schema, file)
+            remarks.append(f"{source.relative_to(root)} had no end; {groups} episodes of it are whole.")
+            if cut:  # a part of an episode
+                (work / LEFT_OUT).mkdir(exist_ok=True)
+                shutil.copy(source, work / LEFT_OUT / f"torn-{source.parent.name}-{source.name}")
             if not groups:
-                file.unlink()
+                file.touch()  # nothing of it stays
                 continue
         parquet = pq.ParquetFile(file)
         for group in range(parquet.num_row_groups):
@@ -148,30 +191,128 @@ def _schema(info: DatasetInfo) -> pa.Schema:
     return datasets.Dataset.from_dict({key: [] for key in features}, features=features).data.schema
 
 
-def _drop(rows: list[Rows], kept: list[Rows], info: DatasetInfo) -> None:
-    """Takes the last episodes out of the data files."""
-    for file in {r.file for r in rows}:
-        groups = sum(r.file == file for r in kept)
-        if groups:
-            mend(file, _schema(info), groups)
+def _refuse_lost_rows(root: Path, known: list[dict], found: list[Rows]) -> None:
+    """Raises InputError where data/ holds fewer rows than the metadata count."""
+    if len(found) < len(known):
+        raise InputError(
+            f"'{root}': meta/episodes has {len(known)} episodes, data/ holds {len(found)}; restore data/."
+        )
+    for row, rows in zip(known, found, strict=False):
+        if row["length"] != rows.length:
+            raise InputError(
+                f"'{root}': data/ holds {rows.length} of the {row['length']} rows of episode {rows.episode};"
+                " restore data/."
+            )
+
+
+def _refuse_lacking(
+    root: Path, found: list[Rows], lacking: dict[int, str], before: int, drop: bool, remarks: list[str]
+) -> None:
+    """Raises InputError where videos are missing that nobody wants to leave out."""
+    which = sorted(lacking)
+    frames, last, one = sum(found[e].length for e in which), len(found) - 1, len(which) == 1
+    if which == [last] and last >= before and _was_being_written(root, last):
+        remarks.append(
+            f"Episode {last} was being written and has no video; it is left out, its numbers are in"
+            f" {LEFT_OUT}/."
+        )
+        return
+    numbers = f"episode {which[0]}" if one else f"episodes {', '.join(map(str, which))}"
+    reasons = " ".join(dict.fromkeys(lacking[e] for e in which))
+    if not drop:
+        raise InputError(
+            f"'{root}': the videos of {numbers} ({frames} frames) are missing: {reasons} Nothing is changed."
+            f" Put the videos back and repeat, or give --drop, which leaves {'it' if one else 'them'} out and"
+            f" moves the numbers to {LEFT_OUT}/."
+        )
+    remarks.append(f"{reasons} Without {numbers}: the numbers are in {LEFT_OUT}/.")
+
+
+def _was_being_written(root: Path, episode: int) -> bool:
+    """Whether LeRobot has left the pictures or the new video of this episode, which it deletes at its end."""
+    left = [*root.glob(f"images/*/episode-{episode:06d}"), *root.glob(f"tmp*/*_{episode:03d}.mp4")]
+    return bool(left) or (episode > 0 and any(root.glob("tmp*/*_streaming.mp4")))
+
+
+def _without(
+    work: Path, found: list[Rows], places: dict[str, list[dict]], dropped: set[int]
+) -> tuple[list[Rows], dict[str, list[dict]]]:
+    """The episodes that stay, numbered from 0; those that are dropped become files of their own."""
+    stay: list[Rows] = []
+    root, first_row = work.parent, 0
+    (work / LEFT_OUT).mkdir(exist_ok=True)
+    for file in dict.fromkeys(r.file for r in found):
+        mine = [r for r in found if r.file == file]
+        if mine[-1].episode < min(dropped):
+            stay, first_row = [*stay, *mine], first_row + sum(r.length for r in mine)
+            continue
+        out = work / file.relative_to(work if file.is_relative_to(work) else root)
+        out.parent.mkdir(parents=True, exist_ok=True)
+        part, writer = out.with_suffix(".part"), None
+        for rows in mine:
+            table = rows.table()
+            if rows.episode in dropped:
+                pq.write_table(table, work / LEFT_OUT / f"episode-{rows.episode:06d}.parquet")
+                continue
+            for name, values in (
+                ("episode_index", np.full(rows.length, len(stay))),
+                ("index", first_row + np.arange(rows.length)),
+            ):
+                at = table.schema.get_field_index(name)
+                table = table.set_column(
+                    at, table.schema.field(at), pa.array(values, table.schema.field(at).type)
+                )
+            writer = writer or pq.ParquetWriter(part, table.schema, compression="snappy", use_dictionary=True)
+            writer.write_table(table)
+            group = sum(r.file == out for r in stay)
+            stay.append(replace(rows, episode=len(stay), file=out, group=group))
+            first_row += rows.length
+        if writer:
+            writer.close()
+            part.replace(out)
         else:
-            file.unlink()
+            out.write_bytes(b"")
+    return stay, {k: [p for e, p in enumerate(v) if e not in dropped] for k, v in places.items()}
 
 
-def _put_in_place(root: Path, meta: Path) -> None:
-    for file in meta.rglob("*"):
+def _put_in_place(root: Path, work: Path) -> None:
+    for file in work.rglob("*"):
         flush(file)
+    left_out = list((work / LEFT_OUT).glob("*"))
+    for file in left_out:
+        (root / LEFT_OUT).mkdir(exist_ok=True)
+        file.replace(_free(root / LEFT_OUT / file.name))
+    for file in sorted((work / "data").rglob("*.parquet")):
+        old = root / file.relative_to(work)
+        if file.stat().st_size:
+            file.replace(old)
+        else:
+            old.unlink()
     (root / "meta").rename(root / ASIDE)
-    meta.rename(root / "meta")
+    (work / "meta").rename(root / "meta")
     flush(root)
     shutil.rmtree(root / ASIDE)
 
 
-def _clear(root: Path, remarks: list[str]) -> None:
-    """Deletes the pictures of the episode that was not finished: the next one would take them for its own."""
-    left = list((root / "images").glob("*/episode-*")) if (root / "images").is_dir() else []
-    left += [f for f in root.glob("tmp*") if f.is_dir()]
-    for folder in left:
+def _free(file: Path) -> Path:
+    """A name that no earlier repair has taken."""
+    names = (file.with_name(f"{file.stem}-{i}{file.suffix}") for i in range(1, 10_000))
+    return file if not file.exists() else next(f for f in names if not f.exists())
+
+
+def _clear(root: Path, left_out: set[int], remarks: list[str]) -> None:
+    """Takes away the pictures of unfinished episodes: the next one would take them for its own.
+
+    Those of episodes whose numbers are in `left_out` go there; others have no numbers, and are deleted.
+    """
+    films = [f for f in root.glob("tmp*") if f.is_dir()]
+    pictures = {f: int(f.name.removeprefix("episode-")) for f in root.glob("images/*/episode-*")}
+    going = [*(films if left_out else []), *(f for f, episode in pictures.items() if episode in left_out)]
+    for folder in going:
+        name = folder.name if folder in films else f"{folder.parent.name}-{folder.name}"
+        shutil.move(folder, _free(root / LEFT_OUT / name))
+    deleted = [f for f in (*films, *pictures) if f not in going]
+    for folder in deleted:
         shutil.rmtree(folder)
-    if left:
+    if deleted:
         remarks.append("Pictures of the unfinished episode are deleted; its numbers were in memory.")

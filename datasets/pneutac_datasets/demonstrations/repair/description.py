@@ -1,5 +1,6 @@
 """Metadata and statistics of recovered episodes, by LeRobot's own functions."""
 
+import contextlib
 import shutil
 import tempfile
 from pathlib import Path
@@ -7,7 +8,6 @@ from pathlib import Path
 import av
 import numpy as np
 import pandas as pd
-import pyarrow.parquet as pq
 from lerobot.datasets import LeRobotDatasetMetadata
 from lerobot.datasets.compute_stats import aggregate_stats, compute_episode_stats
 from lerobot.datasets.io_utils import cast_stats_to_numpy, write_info, write_stats, write_tasks
@@ -15,6 +15,9 @@ from lerobot.datasets.utils import DatasetInfo
 
 from pneutac_datasets.demonstrations.repair.parquet_footer import is_whole
 from pneutac_datasets.demonstrations.repair.videos import Rows, file_numbers, video_file
+from pneutac_sim.errors import InputError
+
+WRITTEN = ("info.json", "stats.json", "tasks.parquet")  # by LeRobot, in `meta`
 
 
 def begin_metadata(
@@ -22,10 +25,14 @@ def begin_metadata(
 ) -> LeRobotDatasetMetadata:
     """Metadata of the known episodes in a folder of its own, to which LeRobot appends."""
     for file in sorted((root / "meta" / "episodes").glob("chunk-*/file-*.parquet")):
-        if is_whole(file):
+        if known and is_whole(file):
             copy = work / file.relative_to(root)
             copy.parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(file, copy)
+    for file in (root / "meta").iterdir():  # station.yaml, achieved_rate.json
+        if file.is_file() and file.name not in WRITTEN:
+            (work / "meta").mkdir(exist_ok=True)
+            shutil.copy(file, work / "meta")
     tasks = _tasks(root, known, remarks)
     info.total_episodes, info.total_frames = len(known), sum(r["length"] for r in known)
     info.total_tasks, info.splits = len(tasks), {"train": f"0:{len(known)}"}
@@ -54,7 +61,7 @@ def _stats(row: dict) -> dict:
 
 def describe(meta: LeRobotDatasetMetadata, root: Path, info: DatasetInfo, rows: Rows, video: dict) -> None:
     """Describes one episode anew, with its statistics, as LeRobot does when it is saved."""
-    table = pq.ParquetFile(rows.file).read_row_group(rows.group)
+    table = rows.table()
     numbers = np.unique(table["task_index"])
     names = [] if meta.tasks is None else list(meta.tasks.index)
     names += [f"task {i}" for i in range(len(names), int(numbers.max()) + 1)]
@@ -91,9 +98,11 @@ def _write_images(cells: list[dict], folder: Path) -> list[str]:
 def _write_frames(video: Path, first: int, length: int, folder: Path) -> list[str]:
     folder.mkdir()
     paths = []
-    with av.open(str(video)) as container:
+    with contextlib.suppress(av.FFmpegError), av.open(str(video)) as container:
         for i, frame in enumerate(container.decode(video=0)):
             if first <= i < first + length:
                 paths.append(str(folder / f"{i}.png"))
                 frame.to_image().save(paths[-1], compress_level=1)
+    if len(paths) < length:
+        raise InputError(f"{video}: frame {first + len(paths)} cannot be decoded; restore the video.")
     return paths

@@ -43,38 +43,38 @@ def is_whole(file: Path) -> bool:
     return True
 
 
-def mend(file: Path, schema: pa.Schema, keep: int | None = None) -> int:
-    """Gives a file a footer for its complete row groups; bytes behind them are cut off.
+def mend(file: Path, schema: pa.Schema, out: Path) -> tuple[int, int]:
+    """Writes the complete row groups of a file without a footer to another one, with a footer.
 
     Args:
         file: as `pyarrow.parquet.ParquetWriter` wrote it with dictionaries, one row group a call.
         schema: of the tables that were written.
-        keep: most row groups that stay; all complete ones where it is None.
+        out: the new file; it is not written where no row group is complete.
 
     Returns:
-        The number of row groups; where it is 0 the file is left as it is.
+        The number of row groups, and how many bytes follow them.
 
     Raises:
         InputError: the schema has a column that is written without a dictionary.
     """
     footer = _template(schema)
     chunks = footer[4][1][1][0][1][1][1]  # row_groups -> the only one -> columns
-    groups = _row_groups(_pages(file), len(chunks))[:keep]
+    groups = _row_groups(_pages(file), len(chunks))
     if not groups:
-        return 0
+        return 0, max(0, file.stat().st_size - len(MAGIC))
     footer[3] = (I64, sum(map(_rows, groups)))
     footer[4] = (LIST, (STRUCT, [_row_group(chunks, group) for group in groups]))
     tail = io.BytesIO()
     _write_struct(tail, footer)
     end = groups[-1][-1][-1].end
-    with whole(file) as part, file.open("rb") as old, part.open("wb") as new:
+    with whole(out) as part, file.open("rb") as old, part.open("wb") as new:
         left = end
         while left:
             block = old.read(min(left, 2**24))
             new.write(block)
             left -= len(block)
         new.write(tail.getvalue() + struct.pack("<I", tail.tell()) + MAGIC)
-    return len(groups)
+    return len(groups), file.stat().st_size - end
 
 
 def _template(schema: pa.Schema) -> dict:

@@ -6,16 +6,22 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-import av
-from lerobot.datasets.utils import DatasetInfo
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+from lerobot.datasets.utils import DatasetInfo, update_chunk_file_indices
 from lerobot.datasets.video_utils import get_video_info
 
+from pneutac_datasets.demonstrations.films import Film, frame_size, read_film
+from pneutac_sim.errors import InputError
 from pneutac_sim.files import flush
 
 FILE_NUMBERS = re.compile(r"chunk-(\d+)/file-(\d+)\.\w+$")
+PLACE = ("chunk_index", "file_index", "from_timestamp", "to_timestamp")
 
 
-@dataclass
+@dataclass(frozen=True)
 class Rows:
     """One episode's rows in a data file: `group` counts the file's row groups."""
 
@@ -24,39 +30,94 @@ class Rows:
     file: Path
     group: int
 
+    def table(self) -> pa.Table:
+        """The rows themselves."""
+        table = pq.ParquetFile(self.file).read_row_group(self.group)
+        return table.filter(pc.equal(table["episode_index"], self.episode))
+
 
 def place_videos(
     root: Path, info: DatasetInfo, known: list[dict], found: list[Rows], remarks: list[str]
-) -> dict[str, list[dict]]:
-    """Where each episode that is not known lies in each camera's videos; the list ends where they do."""
-    keys = [k for k, f in info.features.items() if f["dtype"] == "video"]
-    places: dict[str, list[dict]] = {key: [] for key in keys}
-    for key in keys:
-        last = (-1, -1)
-        if known:
-            last = tuple(known[-1][f"videos/{key}/{n}_index"] for n in ("chunk", "file"))
-        files = sorted((root / "videos" / key).glob("chunk-*/file-*.mp4"))
-        files = [f for f in files if file_numbers(f) > last]
-        left, at, file = 0, 0, None
-        for rows in found[len(known) :]:
-            if left < rows.length:
-                if not files:
-                    break
-                file, at = files.pop(0), 0
-                left = _frames(file, rows.length, remarks)
-                if left < rows.length:
-                    break
-            chunk_index, file_index = file_numbers(file)
-            places[key].append(
-                {
-                    f"videos/{key}/chunk_index": chunk_index,
-                    f"videos/{key}/file_index": file_index,
-                    f"videos/{key}/from_timestamp": at / info.fps,
-                    f"videos/{key}/to_timestamp": (at + rows.length) / info.fps,
-                }
-            )
-            at, left = at + rows.length, left - rows.length
-    return places
+) -> tuple[dict[str, list[dict]], dict[int, str]]:
+    """Where each episode lies in each camera's videos, all of which are opened.
+
+    Returns:
+        Camera to one place for each episode, as LeRobot's metadata state it, and episode to the reason why a
+        video of it is missing.
+    """
+    places: dict[str, list[dict]] = {}
+    lacking: dict[int, str] = {}
+    for key in (k for k, f in info.features.items() if f["dtype"] == "video"):
+        film = _Films(root, info, key)
+        places[key] = [{f"videos/{key}/{n}": row.get(f"videos/{key}/{n}") for n in PLACE} for row in known]
+        places[key] += film.place(known, found[len(known) :], remarks)
+        for rows, place in zip(found, places[key], strict=True):
+            try:
+                film.look(rows, place)
+            except InputError as e:
+                lacking.setdefault(rows.episode, str(e))
+    return places, lacking
+
+
+class _Films:
+    """One camera's videos, each opened once."""
+
+    def __init__(self, root: Path, info: DatasetInfo, key: str):
+        self.root, self.info, self.key = root, info, key
+        self._read: dict[Path, Film | InputError] = {}
+
+    def place(self, known: list[dict], new: list[Rows], remarks: list[str]) -> list[dict]:
+        """Where episodes that are not known lie: one after another in the files after the last known one.
+
+        How many episodes a missing or torn file held is not known, so that none is looked for after it.
+        """
+        numbers = (
+            self._next(tuple(known[-1][f"videos/{self.key}/{n}"] for n in PLACE[:2])) if known else (0, 0)
+        )
+        out, at, begun = [], 0, False
+        for rows in new:
+            if begun:
+                film, following = self._film(self._file(numbers)), self._next(numbers)
+                ended = isinstance(film, Film) and not film.torn and len(film.times_s) - at < rows.length
+                if ended and self._file(following).is_file():
+                    numbers, at, begun = following, 0, False
+            if not begun:
+                _take_whole_one(self._file(numbers), rows.length, remarks)
+                begun = True
+            times = at / self.info.fps, (at + rows.length) / self.info.fps
+            out.append({f"videos/{self.key}/{n}": v for n, v in zip(PLACE, (*numbers, *times), strict=True)})
+            at += rows.length
+        return out
+
+    def look(self, rows: Rows, place: dict) -> None:
+        """Raises InputError where the frames of an episode are not all in its video, or are damaged."""
+        chunk, number, begin, _ = (place[f"videos/{self.key}/{n}"] for n in PLACE)
+        if None in (chunk, number, begin):
+            raise InputError(f"meta/episodes does not say where '{self.key}' of episode {rows.episode} is.")
+        file = self._file((chunk, number))
+        film = self._film(file)
+        if isinstance(film, InputError):
+            raise film
+        wanted = begin + np.arange(rows.length) / self.info.fps
+        there = int((~film.lacks(wanted)).sum())
+        if there < rows.length:
+            raise InputError(f"{file} holds {there} of the {rows.length} frames of episode {rows.episode}.")
+        frame_size(file, wanted[[0, -1]])
+
+    def _film(self, file: Path) -> Film | InputError:
+        if file not in self._read:
+            try:
+                self._read[file] = read_film(file)
+            except InputError as e:
+                self._read[file] = e
+        return self._read[file]
+
+    def _file(self, numbers: tuple[int, int]) -> Path:
+        path = self.info.video_path.format(video_key=self.key, chunk_index=numbers[0], file_index=numbers[1])
+        return self.root / path
+
+    def _next(self, numbers: tuple[int, int]) -> tuple[int, int]:
+        return update_chunk_file_indices(*numbers, self.info.chunks_size)
 
 
 def tell_of_videos(root: Path, info: DatasetInfo, videos: dict[str, list[dict]]) -> None:
@@ -79,11 +140,10 @@ def file_numbers(file: Path) -> tuple[int, int]:
     return int(chunk), int(number)
 
 
-def _frames(file: Path, least: int, remarks: list[str]) -> int:
-    """Frames of a video; one that was torn while it was copied from another disk is taken from there."""
-    frames = _count(file)
-    if frames >= least:
-        return frames
+def _take_whole_one(file: Path, least: int, remarks: list[str]) -> None:
+    """A video that was torn while it was copied from another disk is taken from there."""
+    if not file.is_file() or _count(file) >= least:
+        return
     start = file.read_bytes()
     for source in Path(tempfile.gettempdir()).glob("tmp*.mp4"):
         with source.open("rb") as f:
@@ -92,14 +152,11 @@ def _frames(file: Path, least: int, remarks: list[str]) -> int:
             shutil.copy(source, file)
             flush(file)
             remarks.append(f"{file.name} of {file.parents[1].name} was torn; {source} is the whole one.")
-            return _count(file)
-    return frames
+            return
 
 
 def _count(video: Path) -> int:
     try:
-        with av.open(str(video)) as container:
-            stream = container.streams.video[0]
-            return stream.frames or sum(1 for p in container.demux(stream) if p.size)
-    except (av.FFmpegError, IndexError, OSError):
+        return len(read_film(video).times_s)
+    except InputError:
         return 0
