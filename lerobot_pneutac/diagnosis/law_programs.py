@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from lerobot_pneutac.diagnosis.programs import HZ, Program, beside_one, pressure_span, table
+from pneutac_datasets.recording.pressures import supply_limits
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects import memories as by
 from pneutac_sim.effects.law_table import TABLE, Row
@@ -30,7 +31,7 @@ def law_program(recording: Recording, name: str, constants: Mapping[str, float])
         constants: its parameters, by name.
 
     Returns:
-        None for what is no law of the drive.
+        None for what is no law of the drive, or lies beyond the supply.
     """
     row = TABLE.get(name.partition(" #")[0])
     if row is None:
@@ -38,6 +39,8 @@ def law_program(recording: Recording, name: str, constants: Mapping[str, float])
     low, top = pressure_span(recording)
     advice, knots, hz = _shape(row)(row, constants, low, top)
     time_s, kpa = np.array([(0.0, low), *knots]).T
+    if supply_limits(recording) and kpa.max() > top + 1e-6:
+        return None  # no supply gives more
     time_s = np.cumsum(time_s)
     t = np.arange(int(min(time_s[-1], MOST_S) * hz)) / hz
     p, change = np.interp(t, time_s, kpa), {}

@@ -5,11 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from pneutac_datasets.recording.pressures import supply_limits
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.finger.switches import steps
 
 SECONDS = 120.0
 HZ = 10.0
+HIGHER = "higher"
 GOLDEN = 0.618034  # its multiples' fractions fill an interval as evenly as any
 
 
@@ -35,7 +37,9 @@ def menu(recording: Recording) -> list[Program]:
     made = _pressure_programs(t, low, top) + _condition_programs(recording, _triangle(t, 60.0, low, top))
     beside = beside_one(recording)
     return [
-        Program(name, advice + beside, table(recording, t, p, change)) for name, advice, p, change in made
+        Program(name, advice + beside, table(recording, t, p, change))
+        for name, advice, p, change in made
+        if name != HIGHER or not supply_limits(recording)  # no supply gives more
     ]
 
 
@@ -80,7 +84,7 @@ def _pressure_programs(t: np.ndarray, low: float, top: float) -> list[tuple[str,
         ("long hold", f"Step to {high:.3g} kPa, hold 80 s, step to {low:.3g} kPa and hold 40 s.",
          np.where(t < 80, high, low), {}),
         ("steps", f"Step between {low:.3g} and {most:.3g} kPa every 10 s.", steps, {}),
-        ("higher", f"Go up in stairs to {higher:.3g} kPa if the device may bear it, and down again.",
+        (HIGHER, f"Go up in stairs to {higher:.3g} kPa if the device may bear it, and down again.",
          _stairs(t, low, higher), {}),
         ("small reversals", "Make small back-and-forth moves around two pressures.", middle, {}),
         ("back to zero", "Come back to 0 kPa for 10 s every half minute.", zero, {}),

@@ -13,6 +13,8 @@ from lerobot_pneutac.study import gauge
 from lerobot_pneutac.study.base import EffectStudy
 from lerobot_pneutac.study.pair import LONGER
 from lerobot_pneutac.study.reading import read
+from pneutac_datasets.recording.pressures import supply_limits
+from pneutac_datasets.recording.wording import listed
 
 REPEAT = "Run the same program twice, an hour apart: what comes back is the device, what does not is the lab."
 
@@ -27,7 +29,18 @@ class BodyWords(EffectStudy):
     measured: list[str]
     unknown_where = "moves your {device}"
     more_data, repeat = LONGER, REPEAT
-    nothing_left = "Nothing needs to be recorded; go to higher pressure to find where the twin ends."
+
+    @property
+    def nothing_left(self) -> str:
+        """The range is all that could grow, unless the supply ends there."""
+        more = self._supply or "; go to higher pressure to find where the twin ends"
+        return f"Nothing needs to be recorded{more}."
+
+    @property
+    def _supply(self) -> str:
+        """Where the supply ends, as the end of a sentence; empty where nothing shows it."""
+        ends = supply_limits(self.recording).values()
+        return f": the supply ends at {listed(f'{kpa:.3g}' for kpa in ends)} kPa" if ends else ""
 
     def size(self, model: FittedModel, effect: str) -> str:
         """What the effect does to the prediction that another gain and offset could not."""
@@ -44,7 +57,8 @@ class BodyWords(EffectStudy):
         """By the law's own program where it is one and was found."""
         constants = {k: v.value for k, v in model.twin.effects.get(effect, {}).items()}
         program = law_program(self.recording, effect, constants) if constants else None
-        return program.advice if program else super().experiment(model, effect)
+        advice = program.advice if program else super().experiment(model, effect)
+        return f"{advice} Go no higher{self._supply}." if self._supply else advice
 
     def at_bound(self, model: FittedModel, effects: Sequence[str]) -> list[str]:
         """Parameters stopped by a bound."""

@@ -18,6 +18,7 @@ from lerobot_pneutac.verbs.diagnosis import Diagnosis
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.recording.chambers import per_chamber
 from pneutac_datasets.recording.noise import noise_floor
+from pneutac_datasets.recording.pressures import usable
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin
@@ -154,6 +155,7 @@ def design(
     contenders = list(diagnosis.outcome.contenders) if found else load_contenders(diagnosis)
     if not contenders:
         raise InputError("The diagnosis is of demonstrations; give one of a bench recording.")
+    recording = usable(recording)[0]  # no program goes beyond the supply by itself
     command = recording.samples[recording.pressure_columns].to_numpy(float)
     limits = Limits(
         per_chamber(

@@ -2,15 +2,19 @@
 
 import math
 
+from pneutac_datasets.recording.pressures import usable
 from pneutac_datasets.recording.recording import Recording
 
 DIGITS = 2  # the range is rounded outwards to so many: valves and programs hardly ever stop at a round number
 
 
 def measured_range(recording: Recording) -> tuple[float, float] | None:
-    """Lowest and highest commanded pressure in kPa, 0 (vented) among them; None where nothing is driven."""
+    """Lowest and highest commanded pressure in kPa, 0 (vented) among them; None where nothing is driven.
+
+    It ends where the supply does.
+    """
     columns = recording.pressure_columns
-    pressures = recording.samples[columns].to_numpy(float)
+    pressures = usable(recording)[0].samples[columns].to_numpy(float)
     if not pressures.size or not pressures.any():
         return None
     return 0.0 - _outwards(-min(pressures.min(), 0.0)), _outwards(max(pressures.max(), 0.0))

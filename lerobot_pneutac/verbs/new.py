@@ -56,7 +56,7 @@ def new_twin(
         return twin
     top_kpa = 0.0
     if recording is not None:
-        top_kpa = float(recording.samples[recording.pressure_columns].abs().to_numpy().max())
+        top_kpa = max(map(abs, measured_range(recording) or (0.0,)))
     pipeline = Pipeline.of(twin)
     twin = pipeline.update(twin, pipeline.theta(twin, top_kpa or USUAL_RANGE_KPA))
     if device == "finger":  # no recording tells it, and the world needs it

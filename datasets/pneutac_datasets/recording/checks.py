@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pneutac_datasets.recording import gauges, loops, poses, tracker
+from pneutac_datasets.recording import gauges, loops, poses, pressures, tracker
 from pneutac_datasets.recording.finding import Finding
 from pneutac_datasets.recording.recording import Recording
 
@@ -11,11 +11,9 @@ LOOKS = (
     tracker.frozen,
     tracker.stale,
     gauges.saturated,
-    gauges.ceiling,
     gauges.clipped_command,
     gauges.coarse,
     gauges.repeated,
-    gauges.other_unit,
     loops.clock,
     loops.closed_loop,
     loops.late_command,
@@ -28,11 +26,11 @@ def check(recording: Recording) -> tuple[Recording, list[str]]:
     """Finds faults and undoes those that are certain.
 
     Returns:
-        The recording without rows where the tracker jumped away and came back or stood still, and with angles
-        that do not wrap; and one plain sentence for each finding (the loader's warnings first).
+        The recording without rows where the tracker jumped away and came back or stood still, with angles
+        that do not wrap, and with pressures as `pressures.usable` gives them; and one plain sentence for each
+        finding (the loader's warnings first).
     """
-    found = findings(recording)
-    clean = poses.unwrap(recording)[0] if recording.device != "gel" else recording
+    clean, found = _looked(recording)
     keep = np.ones(len(recording), bool)
     for f in found:
         if f.kind == "frozen" or (f.kind == "jumps" and not f.numbers["kept"]):
@@ -46,14 +44,22 @@ def findings(recording: Recording) -> list[Finding]:
 
     Rows count those of this recording. A gel's is looked at where its images are read.
     """
+    return _looked(recording)[1]
+
+
+def _looked(recording: Recording) -> tuple[Recording, list[Finding]]:
+    """The recording with its angles and pressures as they may be used, and all that is found."""
     if recording.device == "gel":
-        return []
+        return recording, []
+    measured = pressures.measured_pressures(recording)
     recording, found = poses.unwrap(recording)
+    recording, more = pressures.usable(recording)
+    found += more
     for look in LOOKS:
         found += look(recording)
-    if not any(recording.has(c.replace("cmd_", "")) for c in recording.pressure_columns):
+    if not measured:
         text = (
             "There is no measured pressure, so a slow valve and a creeping body look alike; log pressure_kpa."
         )
         found.append(Finding("no_measured_pressure", text, tuple(recording.pressure_columns)))
-    return found
+    return recording, found

@@ -1,4 +1,4 @@
-"""Faults of sensors as such: saturation, coarse steps, readings that stand, a pressure in another unit."""
+"""Faults of sensors as such: saturation, coarse steps, readings that stand, a clipped command."""
 
 from collections.abc import Iterator
 
@@ -6,26 +6,13 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from pneutac_datasets.recording.finding import Finding
+from pneutac_datasets.recording.pressures import measured_pressures
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.tracker import is_moving
 
-BINS = 20  # of the command's range
 COARSE = 1e-3  # of the range: smaller steps are the digits of the file
 GATHERED = 0.7
 STANDS = 12  # rows: readings that stand for longer may be pressures that stand
-UNITS = {  # kPa in one of them
-    "psi": 6.894757,
-    "mbar": 0.1,
-    "bar": 100.0,
-    "mmHg": 0.1333224,
-    "kgf/cm2": 98.0665,
-}
-
-
-def measured_pressures(recording: Recording) -> dict[str, str]:
-    """Column of measured pressure to that of its command."""
-    pairs = {c.replace("cmd_", ""): c for c in recording.pressure_columns}
-    return {m: c for m, c in pairs.items() if recording.has(m)}
 
 
 def _measured(recording: Recording) -> list[str]:
@@ -48,30 +35,6 @@ def saturated(recording: Recording) -> list[Finding]:
                     "while the command varies: the sensor saturates there."
                 )
                 found.append(Finding("saturated", text, (name,), np.flatnonzero(at), {"at": float(extreme)}))
-    return found
-
-
-def ceiling(recording: Recording) -> list[Finding]:
-    """Gauges that stay, but for their noise, where they are while their commands go on up."""
-    found = []
-    for measured, name in measured_pressures(recording).items():
-        p, u = recording.column(measured).astype(float), recording.column(name).astype(float)
-        edges = np.linspace(u.min(), u.max(), BINS + 1)
-        bins = np.clip(np.searchsorted(edges, u, side="right") - 1, 0, BINS - 1)
-        level = np.array(
-            [np.median(p[bins == i]) if (bins == i).sum() >= 20 else np.nan for i in range(BINS)]
-        )
-        slope = np.diff(level) / np.diff(edges)[0]
-        flat = int(np.argmax(~(np.abs(slope[::-1]) < 0.1)))  # steps at the top without a rise
-        below = slope[: len(slope) - flat]
-        if flat < 2 or not np.isfinite(below).any() or np.nanmedian(below) < 0.5:
-            continue
-        at = np.flatnonzero(bins >= BINS - flat)
-        text = (
-            f"Column '{measured}' stays at {level[-1]:.4g} while '{name}' goes on from "
-            f"{edges[-flat - 1]:.4g} to {edges[-1]:.4g} kPa: the gauge saturates, or the supply ends there."
-        )
-        found.append(Finding("saturated", text, (measured,), at, {"at": float(level[-1])}))
     return found
 
 
@@ -204,24 +167,3 @@ def _lasts(x: np.ndarray, u: np.ndarray, least: float) -> np.ndarray:
     lasts, change = np.diff(new)[1:], np.abs(np.diff(x[new]))
     ideal = (np.diff(u, prepend=u[0]) != 0)[new[1:-1]] & (u[new[2:] - 1] == u[new[1:-1]]) & (lasts > 1)
     return lasts[(lasts <= STANDS) & (np.minimum(change[:-1], change[1:]) >= least) & ~ideal]
-
-
-def other_unit(recording: Recording) -> list[Finding]:
-    """Measured pressures that are exactly a unit's factor times their commands."""
-    found = []
-    for measured, name in measured_pressures(recording).items():
-        p, u = recording.column(measured).astype(float), recording.column(name).astype(float)
-        # between quantiles, so that neither lag nor a spike tells the range
-        reach = [float(np.subtract(*np.quantile(x, [0.98, 0.02]))) for x in (p, u)]
-        if min(reach) < 1e-6 or np.corrcoef(p, u)[0, 1] < 0.9:
-            continue
-        ratio = reach[0] / reach[1]
-        for unit, kpa in UNITS.items():
-            for factor, wrong in ((1 / kpa, measured), (kpa, name)):
-                if abs(np.log(ratio / factor)) < 0.03:
-                    text = (
-                        f"Column '{measured}' moves {ratio:.3g} times as far as '{name}', as kPa and {unit} "
-                        f"do: '{wrong}' seems to be in {unit}; multiply it by {kpa:.6g}."
-                    )
-                    found.append(Finding("other_unit", text, (wrong,), numbers={"ratio": ratio}))
-    return found

@@ -272,9 +272,13 @@ def test_a_pressure_in_another_unit_than_the_other_is_named(clean, column, facto
     assert f.kind == "other_unit" and f"'{column}' seems to be in {unit}" in f.sentence
 
 
-def test_a_gauge_whose_scale_is_off_is_in_no_other_unit(clean):
-    for factor in (0.5, 0.8, 1.3, 4.0):
-        assert findings(by_trial(clean, "pressure_kpa", lambda x, f=factor: f * x)) == []
+def test_a_gauge_whose_scale_is_off_is_in_no_other_unit_and_left_out(clean):
+    for factor in (0.5, 1.3, 4.0):
+        r = by_trial(clean, "pressure_kpa", lambda x, f=factor: f * x)
+        f = only(r)
+        assert f.kind == "gauge_scale" and f.numbers["ratio"] == pytest.approx(factor, rel=0.02)
+        assert not check(r)[0].has("pressure_kpa")
+    assert findings(by_trial(clean, "pressure_kpa", lambda x: 0.9 * x)) == []
 
 
 def test_a_gels_recording_has_no_findings_here():

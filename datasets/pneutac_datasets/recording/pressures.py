@@ -1,0 +1,435 @@
+"""Measured pressures against their commands and against the motion: which of them may drive a fit, and how.
+
+A fit is driven by the measured pressure and judged by the commanded one, so the two must agree. A gauge that
+does not follow its command is left out, a constant offset is taken off, and commands beyond what the supply
+delivers count as what it delivers.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
+from scipy.signal import lfilter
+
+from pneutac_datasets.recording.finding import Finding
+from pneutac_datasets.recording.memory import regress, static_columns
+from pneutac_datasets.recording.noise import headline
+from pneutac_datasets.recording.recording import Recording
+
+BINS = 20  # of the command's range
+LEAST_ROWS = 5  # of a bin that counts
+FLAT = 0.1  # slope of the gauge over the command, relative to that below, at which it stands still
+WIDE = 0.15  # share of the command's range over which it must do so
+STANDS, FOLLOWS = 0.25, 0.5  # slope of the motion over the command, relative: the device stands, or goes on
+PIECE = 0.3  # share of the command's range that makes a piece in which a gauge must move
+SUSTAINED_S = 1.5  # that it stays beyond either end of that
+STUCK = 0.1  # share of the usual motion below which it does not
+LEAST_CORRELATION = 0.6
+SCALES = 0.8, 1.25  # of a gauge over its command, within which air explains the difference
+SAME_UNIT = 0.02  # by which a scale may differ from that of a unit, as a logarithm
+OFFSET = 0.04  # share of the command's range that counts as an offset
+LAGS_S = 0.0, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2  # time constants of the air that are tried
+MOST_AHEAD = 3  # rows by which a log may write a command too late
+LATE_S = 0.15  # by which a gauge comes late, at least
+ATMOSPHERE_KPA = 90.0, 108.0  # at sea level and in the mountains
+UNITS = {  # kPa in one of them
+    "psi": 6.894757,
+    "mbar": 0.1,
+    "bar": 100.0,
+    "mmHg": 0.1333224,
+    "kgf/cm2": 98.0665,
+}
+SUPPLY = "supply_kpa"  # field of a recording's `meta` that `usable` writes
+ALONE = "fits use the command alone"
+
+
+def measured_pressures(recording: Recording) -> dict[str, str]:
+    """Column of measured pressure to that of its command."""
+    pairs = {c.replace("cmd_", ""): c for c in recording.pressure_columns}
+    return {m: c for m, c in pairs.items() if recording.has(m)}
+
+
+def usable(recording: Recording) -> tuple[Recording, list[Finding]]:
+    """The recording as fits may use it, and a finding for each pressure that another measurement contradicts.
+
+    Returns:
+        The recording without the gauges that do not follow their commands, without constant offsets, and
+        with commands that end where the supply does (field `supply_kpa` of its `meta`: column to level).
+    """
+    found: list[Finding] = []
+    for measured, command in measured_pressures(recording).items():
+        recording, more = _judged(recording, measured, command)
+        found += more
+    return recording, found + _absolute(recording, {c for f in found for c in f.columns})
+
+
+def supply_limits(recording: Recording) -> dict[str, float]:
+    """Column of a command to the pressure at which its supply ends, of those that `usable` found."""
+    found = recording.meta.get(SUPPLY, {})
+    return found if isinstance(found, dict) else {}
+
+
+@dataclass(frozen=True)
+class _Pair:
+    """A gauge and its command.
+
+    Attributes:
+        p: (n,) measured, kPa.
+        u: (n,) commanded, kPa, behind the lag with which the gauge follows best.
+        range_kpa: of the command.
+        dt_s: usual time between two rows.
+        trials: rows of each trial.
+    """
+
+    p: np.ndarray
+    u: np.ndarray
+    range_kpa: float
+    dt_s: float
+    trials: tuple[slice, ...]
+
+    def line(self, rows: np.ndarray) -> tuple[float, float, float]:
+        """Slope, value at a command of 0, and correlation over some rows (mask)."""
+        u, p = self.u[rows], self.p[rows]
+        if len(u) < 2 or np.ptp(u) < 1e-9 or np.ptp(p) < 1e-9:
+            return 0.0, float(np.median(p)) if len(p) else 0.0, 0.0
+        slope, at_zero = np.polyfit(u, p, 1)
+        return float(slope), float(at_zero), float(np.corrcoef(u, p)[0, 1])
+
+
+def _judged(recording: Recording, measured: str, command: str) -> tuple[Recording, list[Finding]]:
+    """The recording with one gauge and its command as they may be used, and why."""
+    raw = recording.column(command).astype(float)
+    pair = _lagged(recording, measured, command)
+    without = replace(recording, samples=recording.samples.drop(columns=measured))
+
+    def left_out(kind: str, text: str, rows=(), **numbers: float) -> tuple[Recording, list[Finding]]:
+        return without, [Finding(kind, text, (measured,), np.array(rows, int), numbers)]
+
+    if pair.range_kpa <= 1e-3:
+        return recording, []
+    if np.ptp(pair.p) < 1e-6 * pair.range_kpa:
+        return left_out(
+            "gauge_stuck",
+            f"Column '{measured}' stands at {pair.p[0]:.4g} in every row while '{command}' moves: the gauge "
+            f"tells nothing; {ALONE}.",
+            at=float(pair.p[0]),
+        )
+    flat = _ends(pair)
+    for end in flat:
+        way = _device_goes_on(recording, pair, end.rows)
+        if way is False:
+            continue
+        to = f"{end.begin:.4g} to {end.far:.4g} kPa"
+        goes = "" if way is None else f" and the {recording.device} follows the command"
+        why = "the gauge saturates" + ("" if way else ", or the supply ends there")
+        return left_out(
+            "saturated",
+            f"Column '{measured}' stays at {end.level:.4g} while '{command}' goes on from {to}{goes}: "
+            f"{why}; {ALONE}.",
+            np.flatnonzero(end.rows),
+            at=end.level,
+        )
+    inside = ~np.any([end.rows for end in flat], axis=0) if flat else np.ones(len(pair.p), bool)
+    stuck = _stuck(pair, inside)
+    if len(stuck):
+        whole = len(stuck) > 0.9 * inside.sum()
+        first, n = int(stuck[0]), len(stuck)
+        trial, t = recording.column("trial")[first], recording.column("time_s")[first]
+        when = (
+            "throughout"
+            if whole
+            else f"in {n / len(pair.p):.0%} of the rows (first in trial {trial} at {t:.2f} s)"
+        )
+        return left_out(
+            "gauge_stuck",
+            f"Column '{measured}' stands near {np.median(pair.p[stuck]):.4g} {when} while '{command}' moves: "
+            f"the gauge was stuck; {ALONE}.",
+            stuck,
+            at=float(np.median(pair.p[stuck])),
+        )
+    late = _late(recording, measured, inside)
+    if late:
+        return left_out(
+            "gauge_late",
+            f"Column '{measured}' shows each change {late:.2g} s after the {recording.device} has moved: it "
+            f"is read late; {ALONE}.",
+            late_s=late,
+        )
+    slope, at_zero, correlation = pair.line(inside)
+    if abs(correlation) < LEAST_CORRELATION:
+        return left_out(
+            "gauge_alone",
+            f"Column '{measured}' does not follow '{command}' (correlation {correlation:.2f}): {ALONE}.",
+            correlation=correlation,
+        )
+    rest = float(raw[np.argmin(np.abs(raw))])
+    offset = at_zero + (slope - 1) * rest
+    for unit, kpa in UNITS.items():
+        for factor, wrong in ((1 / kpa, measured), (kpa, command)):
+            if slope > 0 and abs(np.log(slope / factor)) < SAME_UNIT:
+                text = (
+                    f"Column '{measured}' moves {slope:.3g} times as far as '{command}', as kPa and {unit} "
+                    f"do: '{wrong}' seems to be in {unit}; multiply it by {kpa:.6g}. Until then {ALONE}."
+                )
+                return without, [Finding("other_unit", text, (wrong,), numbers={"ratio": slope})]
+    if not SCALES[0] < slope < SCALES[1]:
+        return left_out("gauge_scale", _other_scale(measured, command, raw, slope, at_zero), ratio=slope)
+    found = []
+    noise = float(np.median(np.abs(np.diff(pair.p)))) if len(pair.p) > 1 else 0.0
+    if abs(offset) > max(OFFSET * pair.range_kpa, 5 * noise):
+        wrong, other = (
+            (command, measured)
+            if raw.min() > -offset / 2 and _is_atmosphere(-offset)
+            else (measured, command)
+        )
+        more = abs(offset) if wrong == command or offset > 0 else offset
+        absolute = ": absolute?" if _is_atmosphere(more) else ": its zero is off."
+        text = (
+            f"Column '{wrong}' reads {abs(more):.3g} kPa {'more' if more > 0 else 'less'} than '{other}' at "
+            f"rest{absolute} Fits take it {abs(more):.3g} kPa {'lower' if more > 0 else 'higher'}; correct "
+            "it in the table."
+        )
+        found.append(Finding("pressure_offset", text, (wrong,), numbers={"offset_kpa": float(more)}))
+        recording = replace(
+            recording, samples=recording.samples.assign(**{wrong: recording.column(wrong) - more})
+        )
+    for end in flat:
+        recording, finding = _clipped(recording, command, measured, end, (slope, at_zero))
+        found.append(finding)
+    return recording, found
+
+
+def _is_atmosphere(kpa: float) -> bool:
+    return ATMOSPHERE_KPA[0] < kpa < ATMOSPHERE_KPA[1]
+
+
+def _other_scale(measured: str, command: str, u: np.ndarray, slope: float, at_zero: float) -> str:
+    counts = (u == np.round(u)).all() and u.min() >= 0
+    most = next((m for m in (100, 255, 1023, 4095) if 0.6 * m < u.max() <= m), None)
+    if slope < 0:
+        guess = "its sign is wrong, or its wires are exchanged"
+    elif slope < SCALES[0] and counts and most:
+        what = "percent" if most == 100 else "PWM"
+        guess = f"'{command}' holds whole numbers up to {u.max():.0f}: {what} and not kPa?"
+    else:
+        guess = f"one of them is not in kPa ({'volts' if slope < 1 else 'counts'}?), or its scale is off"
+    return (
+        f"Column '{measured}' moves {slope:.2g} times as far as '{command}' and reads {at_zero:.3g} at a "
+        f"command of 0: {guess}; give both in kPa. Until then {ALONE}."
+    )
+
+
+def _lagged(recording: Recording, measured: str, command: str) -> _Pair:
+    """The command behind a first-order lag, the one with which the gauge agrees best."""
+    p, u = recording.column(measured).astype(float), recording.column(command).astype(float)
+    trials = tuple(recording.trials().values())
+    time = recording.column("time_s")
+    steps = np.concatenate([np.diff(time[rows]) for rows in trials])
+    dt = float(np.median(steps)) if len(steps) else 1.0
+    best, most = u, -1.0
+    for behind in _behind(u, trials, dt):
+        spread = float(np.std(behind) * np.std(p))
+        agree = float(np.mean((behind - behind.mean()) * (p - p.mean()))) / spread if spread > 1e-12 else 0.0
+        if abs(agree) > most + 1e-6:
+            best, most = behind, abs(agree)
+    return _Pair(p, best, float(np.ptp(u)), dt, trials)
+
+
+def _behind(u: np.ndarray, trials: tuple[slice, ...], dt: float) -> Iterator[np.ndarray]:
+    """A command behind each of some lags, and ahead by a few rows, as one that was written late."""
+    for lag in LAGS_S:
+        keep = np.exp(-dt / lag) if lag else 0.0
+        out = np.empty_like(u)
+        for rows in trials:
+            out[rows] = lfilter([1 - keep], [1, -keep], u[rows], zi=[keep * u[rows.start]])[0]
+        yield out
+    for ahead in range(1, MOST_AHEAD + 1):
+        out = np.empty_like(u)
+        for rows in trials:
+            out[rows] = np.r_[u[rows][ahead:], np.full(min(ahead, rows.stop - rows.start), u[rows.stop - 1])]
+        yield out
+
+
+# ---------------------------------------------------------------- where a gauge stops
+
+
+@dataclass(frozen=True)
+class _End:
+    """An end of a command's range at which the gauge stands still.
+
+    Attributes:
+        level: where it stands.
+        begin: command at which that begins.
+        far: command at the end.
+        rows: (n,) mask of rows beyond `begin`.
+        sign: 1 at the upper end, -1 at the lower one.
+    """
+
+    level: float
+    begin: float
+    far: float
+    rows: np.ndarray
+    sign: int
+
+
+def _ends(pair: _Pair) -> list[_End]:
+    """Both ends of the command's range, where the gauge stays while the command goes on."""
+    return [end for sign in (1, -1) if (end := _end(pair, sign)) is not None]
+
+
+def _end(pair: _Pair, sign: int) -> _End | None:
+    u, p = sign * pair.u, sign * pair.p
+    edges = np.linspace(u.min(), u.max(), BINS + 1)
+    bins = np.clip(np.searchsorted(edges, u, side="right") - 1, 0, BINS - 1)
+    used = [i for i in range(BINS) if (bins == i).sum() >= LEAST_ROWS]
+    if len(used) < 3:
+        return None
+    at, level = (np.array([np.median(x[bins == i]) for i in used]) for x in (u, p))
+    slope = np.diff(level) / np.maximum(np.diff(at), 1e-9)
+    usual = float(np.median(slope[slope > np.median(slope) / 2])) if (slope > 0).any() else 0.0
+    flat = int(np.argmin(np.r_[np.abs(slope[::-1]) < FLAT * max(usual, FLAT), False]))
+    below = slope[: len(slope) - flat]
+    if not flat or not len(below) or np.median(below) < 0.5 * usual or usual < 0.02:
+        return None
+    stands = float(np.median(p[bins >= used[-flat]]))
+    rising = u < at[-flat - 1]
+    if rising.sum() < LEAST_ROWS or np.ptp(u[rising]) < 1e-9:
+        return None
+    a, b = np.polyfit(at[: len(at) - flat], level[: len(at) - flat], 1)
+    begin = (stands - b) / a if a > 0.1 * usual else at[-flat - 1]
+    begin = float(np.clip(begin, at[-flat - 2] if flat + 2 <= len(at) else at[0], at[-flat]))
+    if u.max() - begin < WIDE * pair.range_kpa:
+        return None
+    return _End(sign * stands, sign * begin, float(sign * u.max()), u > begin, sign)
+
+
+def _device_goes_on(recording: Recording, pair: _Pair, beyond: np.ndarray) -> bool | None:
+    """Whether the device moves on with the command where its gauge stays; None where nothing tells."""
+    columns = headline(recording)[0]
+    if not columns or min(beyond.sum(), (~beyond).sum()) < LEAST_ROWS:
+        return None
+    y = recording.samples[columns].to_numpy(float)
+
+    def slope(rows: np.ndarray) -> np.ndarray:
+        return (
+            np.polyfit(pair.u[rows], y[rows], 1)[0] if np.ptp(pair.u[rows]) > 1e-9 else np.zeros(y.shape[1])
+        )
+
+    ratio = np.linalg.norm(slope(beyond)) / max(np.linalg.norm(slope(~beyond)), 1e-12)
+    return False if ratio < STANDS else True if ratio > FOLLOWS else None
+
+
+def _clipped(
+    recording: Recording, command: str, measured: str, end: _End, line: tuple[float, float]
+) -> tuple[Recording, Finding]:
+    """Commands beyond the supply count as what it delivers."""
+    u = recording.column(command).astype(float)
+    level = float(recording.column(measured)[end.rows].mean())
+    u = np.minimum(u, level) if end.sign > 0 else np.maximum(u, level)
+    limits = supply_limits(recording) | {command: level}
+    text = (
+        f"Column '{measured}' stays at {level:.4g} kPa while '{command}' goes on from {end.begin:.4g} to "
+        f"{end.far:.4g} kPa, and the {recording.device} stays too: the supply ends there. Commands beyond "
+        f"count as {level:.4g} kPa; no program should ask for more."
+    )
+    clipped = replace(
+        recording,
+        samples=recording.samples.assign(**{command: u}),
+        meta=recording.meta | {SUPPLY: limits},
+    )
+    return clipped, Finding("supply_limit", text, (command,), np.flatnonzero(end.rows), {"at": level})
+
+
+# ---------------------------------------------------------------- whether it follows
+
+
+def _pieces(pair: _Pair, inside: np.ndarray) -> Iterator[tuple[np.ndarray, float]]:
+    """Row numbers of stretches in which the command moves by `PIECE` of its range, and the gauge's share.
+
+    A level counts where the command stays above, or below it, for `SUSTAINED_S`.
+    """
+    n = max(LEAST_ROWS, round(SUSTAINED_S / max(pair.dt_s, 1e-6)))
+    for rows in pair.trials:
+        at = np.arange(rows.start, rows.stop)[inside[rows]]
+        if len(at) < 2 * n:
+            continue
+        u = pair.u[at]
+        # over the last rows: what the command did not fall below, and did not exceed
+        least, most = (f(u, n, origin=(n - 1) // 2) for f in (minimum_filter1d, maximum_filter1d))
+        start, low, high = 0, np.inf, -np.inf
+        for i in range(len(at)):
+            if i - start < n - 1:
+                continue
+            low, high = min(low, most[i]), max(high, least[i])
+            if high - low > PIECE * pair.range_kpa:
+                piece, v = at[start : i + 1], u[start : i + 1]
+                near = 0.1 * (high - low)
+                top, bottom = (np.median(pair.p[piece[x]]) for x in (v > high - near, v < low + near))
+                yield piece, float(top - bottom) / (high - low)
+                start, low, high = i + 1, np.inf, -np.inf
+
+
+def _stuck(pair: _Pair, inside: np.ndarray) -> np.ndarray:
+    """Numbers of the rows in which the gauge stands while its command moves."""
+    pieces = list(_pieces(pair, inside))
+    if not pieces:
+        return np.zeros(0, int)
+    ratio = np.abs([r for _, r in pieces])
+    usual = float(np.median(ratio[ratio >= ratio.max() / 2]))
+    found = [rows for (rows, _), r in zip(pieces, ratio, strict=True) if r < STUCK * usual]
+    return np.concatenate(found) if found else np.zeros(0, int)
+
+
+def _late(recording: Recording, measured: str, inside: np.ndarray) -> float:
+    """Seconds by which a gauge comes after the motion that its pressure makes; 0 where it does not.
+
+    A device moves with its pressure or later, so what a later reading explains better was read late.
+    """
+    columns = headline(recording)[0]
+    if not columns:
+        return 0.0
+    p = recording.column(measured).astype(float)
+    y = recording.samples[columns].to_numpy(float)
+    time, trials = recording.column("time_s"), list(recording.trials().values())
+    steps = np.concatenate([np.diff(time[rows]) for rows in trials])
+    dt = float(np.median(steps)) if len(steps) else 0.0
+    if dt <= 0:
+        return 0.0
+    most = min(round(2.0 / dt), 200)
+    shifts = sorted({0, *np.unique(np.round(np.geomspace(1, max(most, 1), 16)).astype(int))})
+    left = {}
+    for k in shifts:
+        now = [
+            np.arange(rows.start, rows.stop - most) for rows in trials if rows.stop - rows.start > most + 20
+        ]
+        if not now:
+            return 0.0
+        rows = np.concatenate(now)
+        rows = rows[inside[rows]]
+        if len(rows) < 50:
+            return 0.0
+        design = static_columns(p[rows + k, None] / max(float(np.abs(p).max()), 1e-9))
+        left[k] = float(((y[rows] - design @ regress(design, y[rows])) ** 2).sum())
+    best = min(left, key=left.__getitem__)
+    return best * dt if best * dt >= LATE_S and best >= 2 and left[best] < 0.5 * left[0] else 0.0
+
+
+def _absolute(recording: Recording, named: set[str]) -> list[Finding]:
+    """Commands that never go below the pressure of the surroundings, as absolute ones do."""
+    found = []
+    for name in recording.pressure_columns:
+        u = recording.column(name).astype(float)
+        low = float(u.min())
+        if (
+            name not in named
+            and _is_atmosphere(low)
+            and np.ptp(u) > 1e-3
+            and (u < low + 0.02 * np.ptp(u)).mean() > 0.02
+        ):
+            text = (
+                f"Column '{name}' never falls below {low:.4g} kPa: is it absolute? Then subtract the "
+                "pressure of the surroundings, about 101 kPa; all pressures here are above it."
+            )
+            found.append(Finding("pressure_offset", text, (name,), numbers={"offset_kpa": low}))
+    return found
