@@ -6,7 +6,7 @@ from enum import StrEnum
 from lerobot_pneutac.diagnosis.experiment import Separation
 from lerobot_pneutac.diagnosis.result import Outcome
 from lerobot_pneutac.study.base import EffectStudy
-from pneutac_datasets.recording.wording import listed
+from pneutac_datasets.recording.wording import joined
 from pneutac_sim.effects.laws import family, is_law
 
 RIGHT = 0.8  # calibrated probability of the headline below which it is not called confirmed
@@ -200,7 +200,7 @@ def _headline(s: State) -> str:
             )
         case Kind.UNDECIDED:
             return (
-                f"This recording cannot decide what is missing: {listed(s.near_miss)} would lower the test "
+                f"This recording cannot decide what is missing: {joined(s.near_miss)} would lower the test "
                 f"error of {error} ({noise}), but not significantly."
             )
         case Kind.UNKNOWN:
@@ -216,7 +216,7 @@ def _headline(s: State) -> str:
         case Kind.PARTIAL:
             return (
                 f"Most of the error is unexplained: {error} remain ({noise}). The best model found adds "
-                f"{listed(s.causes)} and removes {_removed(s)}."
+                f"{joined(s.causes)} and removes {_removed(s)}."
             )
     n = len(s.causes)
     verb = "may be" if s.confidence is Confidence.INCONCLUSIVE else "is" if n == 1 else "are"
@@ -252,7 +252,7 @@ def warnings(s: State) -> list[str]:
         if s.right is not None and s.right < RIGHT and s.causes:
             out.append(_right(s.right))
         if s.agreed is not None and s.agreed < AGREED:
-            out.append(f"{100 * s.agreed:.0f} % of repeated searches found the first-listed cause.")
+            out.append(f"{100 * s.agreed:.0f} % of repeated searches found the first-joined cause.")
         if s.noise is None:
             out.append(f"The noise {s.noise_how}.")
         elif not s.noise_measured:
@@ -282,7 +282,7 @@ def alternatives(s: State) -> str:
         return " ".join(f"The data fit {b} about as well as {a}." for a, b in s.rivals)
     if s.lower:
         return (
-            f"By itself {listed(s.lower)} reaches a slightly lower test error than any cause by itself. "
+            f"By itself {joined(s.lower)} reaches a slightly lower test error than any cause by itself. "
             "The choice was made by cross-validation on other blocks."
         )
     return "No other effect that was tried has a test error as low."
@@ -307,7 +307,7 @@ def _removed(s: State) -> str:
 
 def _right(share: float) -> str:
     return (
-        f"In tests with similar results the first-listed cause was right in {100 * share:.0f} of 100 cases."
+        f"In tests with similar results the first-joined cause was right in {100 * share:.0f} of 100 cases."
     )
 
 
