@@ -12,6 +12,9 @@ from dataclasses import dataclass, field
 MOST = 0.5  # share of the avoidable error that effects must remove to carry the headline
 CLOSE = 1.5  # error over noise up to which a law may be named
 LITTLE = 1.2  # error over noise up to which nothing need be missing
+AT_NOISE = (
+    1.1  # error over noise of the twin as it is up to which nothing is named: a floor is known no better
+)
 UNFINISHED = 0.2  # share of what is left that a black box may remove without a word
 FEW_UNITS = 6  # held-out pieces of time below which no bootstrap means much
 FEW_SAMPLES = 60
@@ -23,7 +26,8 @@ class Evidence:
 
     Attributes:
         poor: whether the recording is too poor for any claim, see `too_few`.
-        before: held-out error over the noise: the best of the twin as it is, re-fitted, and a constant.
+        before: held-out error over the noise: the best of the twin as it is, re-fitted, and a constant; None
+            where the noise cannot be determined.
         after: the same with what was found.
         selected: effects and laws found, the most important first.
         removed: share of the avoidable error that they remove together.
@@ -36,8 +40,8 @@ class Evidence:
         noise_known: whether the noise was declared or measured by repeats.
     """
 
-    before: float
-    after: float
+    before: float | None
+    after: float | None
     selected: list[str]
     removed: float
     poor: bool = False
@@ -52,7 +56,17 @@ class Evidence:
     @property
     def is_noise(self) -> bool:
         """Whether what is left is called noise, wherever it is spoken of."""
-        return self.after <= LITTLE
+        return self.after is not None and self.after <= LITTLE
+
+    @property
+    def at_noise(self) -> bool:
+        """Whether the error before is noise already, so that nothing can be named.
+
+        Where the noise is unknown, so is what could be avoided: a small fall of the error names nothing.
+        """
+        if self.before is None:
+            return self.removed < MOST
+        return self.before <= (LITTLE if self.removed < MOST else AT_NOISE)
 
     @property
     def unfinished(self) -> bool:
@@ -64,7 +78,7 @@ class Evidence:
     def objections(self) -> list[str]:
         """Why what was found may not be called the missing effect, one phrase each."""
         out = []
-        if self.noise_known and self.after > CLOSE:
+        if self.noise_known and self.after is not None and self.after > CLOSE:
             out.append(f"the error stays at {self.after:.2g} times the noise")
         if not self.noise_known and self.unfinished:
             out.append("the noise is not known")
@@ -98,9 +112,11 @@ def decide(e: Evidence) -> str:
     if e.poor:
         return "ambiguous"
     if not e.selected:
-        if e.is_noise or not e.noise_known and not e.unfinished:
+        if e.is_noise:
             return "adequate"
-        return "ambiguous" if e.near_miss else "unknown_effect"
-    if e.removed < MOST:
+        if e.near_miss:
+            return "ambiguous"
+        return "unknown_effect" if e.noise_known or e.unfinished else "adequate"
+    if e.removed < MOST and not e.is_noise:
         return "unknown_effect"
     return "insufficient_form" if e.objections else "missing_effect"

@@ -26,7 +26,7 @@ def comparison_page(c) -> Report:
             {"part": part, f"error, {unit}": c.error[key]}
             for part, key in (("held out", "heldout"), ("train", "train"), ("all", "all"))
         ]
-        + [{"part": "noise floor", f"error, {unit}": c.noise.value}],
+        + [{"part": "noise floor", f"error, {unit}": c.noise.value if c.noise.value else "unknown"}],
         f"Root mean square distance, simulated {c.simulated}. Noise floor: {c.noise.how}. The held-out part "
         "is made of whole blocks of time."
         + (f" Inside the 95 % band: {inside_band(c)}." if c.coverage is not None else ""),
@@ -256,7 +256,7 @@ def by_condition(by: dict[str, list[dict]], c) -> go.Figure:
                 x=x, y=[b[key] for b in bins], name=name, marker_color=colour, legendgroup=name,
                 showlegend=k == 0, **at,
             )  # fmt: skip
-        if c.noise.value > 0:
+        if c.noise.value:
             figure.add_hline(y=c.noise.value, line={"color": FLOOR, "dash": "dash", "width": 1.5}, **at)
         figure.update_xaxes(type="category", tickfont={"size": 10}, **at)
     return figure
@@ -297,7 +297,7 @@ def ladder(c) -> go.Figure:
     """Train and held-out error of each version that was judged in the unit of this comparison."""
     known = [e for e in c.history if e["unit"] == c.unit]
     figure = history([e for e in known if e["heldout"] is not None or e["train"] is not None], c.unit)
-    if c.noise_floor > 0:
+    if c.noise_floor:
         figure.add_hline(y=c.noise_floor, line={"color": FLOOR, "dash": "dash"}, annotation_text="noise")
     return figure
 

@@ -28,7 +28,7 @@ def sentence(c) -> str:
             "The commanded pressure never moves in this recording, so nothing about bending can be learnt "
             f"from it; record steps or ramps. {text}."
         )
-    if c.noise.value > 0:
+    if c.noise.value:
         times = error / c.noise.value
         if times < 1.1:
             return f"{text}: no more than the noise of the measurement ({c.noise.value:.2g} {c.unit})."

@@ -6,7 +6,7 @@ import plotly.graph_objects as go
 from lerobot_pneutac.diagnosis.experiment import Separation
 from lerobot_pneutac.diagnosis.result import Outcome
 from lerobot_pneutac.reports.page import Report, span
-from lerobot_pneutac.reports.sentences import State, alternatives, evidence, meaning, percent
+from lerobot_pneutac.reports.sentences import percent
 from lerobot_pneutac.study.base import EffectStudy
 
 BLUE, GREY, RED = "#0b6e99", "#9aa5b1", "#b8442f"
@@ -19,11 +19,9 @@ def diagnosis_page(d, separation: Separation | None) -> Report:
     study, o = d.study, d.outcome
     page = Report("What is missing")
     page.lead(d.sentence)
-    page.text(f"**Confidence: {d.confidence}.** {meaning(d.state)} {evidence(d.state)}")
-    page.bullets("Warnings", d.warnings)
-    page.next_here()
-    if not d.next_command:
-        page.text(f"**Do next.** {d.do_next}")
+    page.text(f"**How sure.** {d.how_sure} Verdict: `{d.verdict}`.")
+    page.text(f"**Not explained.** {' '.join([d.not_explained, *study.caveats(o)])}")
+    page.text(f"**Record next.** {d.next_experiment}")
     page.figure(
         ladder(study, o),
         "The error as more is added, where nothing was fitted; whiskers: 95 % interval, dashed: noise.",
@@ -38,12 +36,13 @@ def diagnosis_page(d, separation: Separation | None) -> Report:
         _over_time(page, study, o)
     for picture, caption in study.pictures(o):
         page.image(picture, caption)
-    _rivals(page, o, d.state)
+    _rivals(page, o)
     _parameters(page, study, o)
     if separation is not None:
         page.figure(proposed(separation), f"Predictions of the two rivals: {separation.advice}")
     page.heading("The recording")
-    page.text(f"Noise floor {study.noise.value:.3g} {study.unit}: {study.noise.how}.")
+    size = "" if study.noise.value is None else f" {study.noise.value:.3g} {study.unit}:"
+    page.text(f"Noise floor{size} {study.noise.how}.")
     for sentence in d.findings or ["The data check found nothing to complain about."]:
         page.text(sentence)
     return page
@@ -75,9 +74,10 @@ def _over_time(page: Report, study: EffectStudy, o: Outcome) -> None:
         page.figure(against(study, o, name, x), height=300)
 
 
-def _rivals(page: Report, o: Outcome, state: State) -> None:
-    page.heading("Alternatives")
-    page.text(alternatives(state))
+def _rivals(page: Report, o: Outcome) -> None:
+    page.heading("Rivals")
+    if not o.rivals:
+        page.text("No other effect explains the test part as well.")
     page.table(
         [
             {
@@ -124,7 +124,8 @@ def ladder(study: EffectStudy, o: Outcome) -> go.Figure:
             error_y={"type": "data", "array": up, "arrayminus": down, "color": "#333"},
         )
     )  # fmt: skip
-    figure.add_hline(y=study.noise.value, line_dash="dash", line_color=RED, annotation_text="noise")
+    if study.noise.value is not None:
+        figure.add_hline(y=study.noise.value, line_dash="dash", line_color=RED, annotation_text="noise")
     return figure.update_yaxes(title=f"error ({study.unit})", rangemode="tozero")
 
 
@@ -199,7 +200,8 @@ def against(study: EffectStudy, o: Outcome, name: str, x: np.ndarray) -> go.Figu
     for label, r, colour in (("before", o.before, GREY), ("after", o.after, BLUE)):
         rms = np.sqrt(np.bincount(index, r.squared) / count)
         figure.add_scatter(x=centre, y=rms, name=label, mode="lines+markers", line={"color": colour})
-    figure.add_hline(y=study.noise.value, line_dash="dash", line_color=RED)
+    if study.noise.value is not None:
+        figure.add_hline(y=study.noise.value, line_dash="dash", line_color=RED)
     return figure.update_xaxes(title=name).update_yaxes(title=f"error ({study.unit})", rangemode="tozero")
 
 

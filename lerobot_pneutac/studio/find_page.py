@@ -3,12 +3,12 @@
 from pathlib import Path
 
 from lerobot_pneutac.reports.diagnosis import ladder, reductions
-from lerobot_pneutac.reports.sentences import alternatives, meaning
 from lerobot_pneutac.studio.experiment_panel import ExperimentPanel
 from lerobot_pneutac.studio.tables import table
 from lerobot_pneutac.verbs.add import add
 from lerobot_pneutac.verbs.compare import compare
 from lerobot_pneutac.verbs.diagnose import diagnose
+from pneutac_datasets.recording.noise import noise_text
 from pneutac_sim.errors import InputError
 
 FOUND = "all that was found"
@@ -168,14 +168,13 @@ class FindPage:
             self.error.content = "How far is the twin from the recording?"
             return
         name, value = ("Held-out error", c.heldout) if c.heldout is not None else ("Error", c.train)
-        self.error.content = f"**{name} {value:.3g} {c.unit}** (noise {c.noise_floor:.3g} {c.unit})"
+        self.error.content = f"**{name} {value:.3g} {c.unit}** (noise {noise_text(c.noise_floor)} {c.unit})"
 
     def _tell_diagnosis(self) -> None:
         d = self._studio.session.diagnosis
-        warned = "\n".join(f"- {w}" for w in d.warnings)
         self.sentence.content = (
-            f"**{d.sentence}**\n\n{meaning(d.state)}\n\n**Warnings.**\n\n{warned or 'None.'}\n\n"
-            f"**Do next.** {d.do_next}"
+            f"**{d.sentence}**\n\n**How sure.** {d.how_sure}\n\n**Not explained.** {d.not_explained}\n\n"
+            f"**Record next.** {d.next_experiment}"
         )
         self._clear()
         rivals = [
@@ -187,8 +186,8 @@ class FindPage:
                 figure.update_layout(template="plotly_white", height=height, font={"size": 10},
                                      margin={"l": 90, "r": 10, "t": 20, "b": 40})  # fmt: skip
                 self._figures.append(self._gui.add_plotly(figure, aspect=440 / height))
-            text = table(rivals) or alternatives(d.state)
-            self._figures.append(self._gui.add_markdown(f"**Alternatives.** \n\n{text}"))
+            text = table(rivals) if rivals else "No other effect explains the test part as well."
+            self._figures.append(self._gui.add_markdown(f"**Rivals.** \n\n{text}"))
         self._evidence.visible = True
         tested = [t.name for t in d.outcome.tested if t.name not in d.selected]
         self._choice.options = (FOUND, *d.selected, *tested)[: 1 + SHOWN]

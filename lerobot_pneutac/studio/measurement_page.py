@@ -148,7 +148,7 @@ class MeasurementPage:
             x = t[at]
             main = c.measured[:, self._main], c.model[:, self._main]
             self._charts[0].show(x, *(values[at] for values in main), now=t[i])
-            self._charts[1].show(x, self._error[at], np.full(len(at), c.noise_floor))
+            self._charts[1].show(x, self._error[at], np.full(len(at), c.noise_floor or np.nan))
             self._charts[2].show(x, *self._pressure[at].T)
             drawn = f"  \nDrawn: one sample of {every}." if every > 1 else ""
             self.readout.content = self._told(i) + drawn

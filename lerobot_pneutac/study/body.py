@@ -209,7 +209,7 @@ class BodyStudy(BodyWords):
             found += [search.score(space.settle_line(m)) for m in models]
         plain, rich = found[0], found[-1]
         needed = search.judge.surely(plain.crossed, rich.crossed)
-        best = rich if needed and plain.value - rich.value > 0.03 * self.noise.value**2 else plain
+        best = rich if needed and plain.value - rich.value > 0.03 * self.noise.floor**2 else plain
         self._crossed = self._before.crossed, best.crossed, search.judge
         steps.done()
         return self.fitted(best.model)

@@ -39,4 +39,4 @@ def features(study: "BodyStudy") -> np.ndarray:
 def left_to_black_box(study: "BodyStudy", residual: np.ndarray) -> float:
     """Share of what a model leaves that a black box removes on test blocks."""
     parts = study.parts
-    return share_left(residual, features(study), parts.learnt, parts.test, study.noise.value)
+    return share_left(residual, features(study), parts.learnt, parts.test, study.noise.floor)

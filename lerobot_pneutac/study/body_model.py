@@ -9,6 +9,7 @@ from scipy.optimize import lsq_linear
 from lerobot_pneutac.study.body_trials import ALIKE, TRIAL_RANGE, TrialProblem, of_each_trial
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.finger.data import BodyData
+from pneutac_sim.finger.instants import StepRows
 from pneutac_sim.finger.pipeline import Pipeline
 from pneutac_sim.finger.problem import Bounds, Problem, past_jumps
 from pneutac_sim.finger.starts import rough_drive
@@ -106,6 +107,7 @@ class BodyModel:
         counted: columns that count in the error.
         bounds: of the parameters.
         of_trials: (trials, D + 3) offset of each output, gain, zero and clock of the drive, in their widths.
+        fitter: that fitted it; None where no instants of steps were fitted.
     """
 
     form: Form
@@ -120,6 +122,7 @@ class BodyModel:
     counted: int
     bounds: Bounds = field(repr=False)
     of_trials: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
+    fitter: "BodyFitter | None" = field(default=None, repr=False)
 
     @property
     def values(self) -> dict[str, float]:
@@ -137,10 +140,18 @@ class BodyModel:
         """(F, F) normal matrix with the prior."""
         return self.jacobian.T @ self.jacobian + self.weight
 
+    @cached_property
+    def judged(self) -> np.ndarray:
+        """(N, D) residual in which no step's instant was fitted to the row itself, see `finger.instants`."""
+        if self.fitter is None or not isinstance(self.form.reading.switch, tuple):
+            return self.residual
+        return self.fitter.judged(self)
+
     def crossed(self, fold: np.ndarray) -> np.ndarray:
         """(N,) squared errors, each by a fit without its own fold, one Gauss-Newton step from the whole one.
 
-        The step stays within bounds and within `FAR`, where a linear model says something.
+        The errors are those of `judged`. The step stays within bounds and within `FAR`, where a linear model
+        says something.
 
         Args:
             fold: (N,) number of each row's fold; rows of a negative one stay out and count 0.
@@ -151,7 +162,7 @@ class BodyModel:
         low, high = np.maximum(-self.v, -FAR)[moves], np.minimum(1 - self.v, FAR)[moves]
         use = np.r_[moves, of_trials]
         if not len(use):
-            return np.where(fold >= 0, (self.residual[:, : self.counted] ** 2).sum(axis=1), 0.0)
+            return np.where(fold >= 0, (self.judged[:, : self.counted] ** 2).sum(axis=1), 0.0)
         J = self.jacobian.reshape(len(fold), d, -1)[:, :, use]
         H = self.normal[np.ix_(use, use)]
         H = H + 1e-9 * np.trace(H) / len(H) * np.eye(len(H))
@@ -160,7 +171,7 @@ class BodyModel:
             mine = fold == k
             Jk, rk = J[mine].reshape(-1, len(use)), self.residual[mine]
             step = _least_within(H - Jk.T @ Jk, Jk.T @ rk.ravel() - slope[use], low, high)
-            moved = rk + (Jk @ step).reshape(rk.shape)
+            moved = self.judged[mine] + (Jk @ step).reshape(rk.shape)
             out[mine] = (moved[:, : self.counted] ** 2).sum(axis=1)
         return out
 
@@ -194,6 +205,9 @@ class BodyFitter:
         self.recording, self.twin, self.rows = recording, twin, rows
         self.trial = np.unique(np.asarray(recording.samples["trial"]), return_inverse=True)[1]
         self._data: dict[Reading, BodyData] = {}
+        self._steps: dict[Reading, StepRows] = {}
+        between = np.diff(np.asarray(recording.samples["time_s"], dtype=float))[np.diff(self.trial) == 0]
+        self.row_s = float(np.median(between)) if len(between) else None
 
     def data(self, reading: Reading) -> BodyData:
         """The whole recording, read so."""
@@ -207,6 +221,24 @@ class BodyFitter:
             )
             self._data[reading] = data
         return data
+
+    def steps(self, reading: Reading) -> StepRows:
+        """The rows just after the command's steps, read so but for the instants."""
+        key = replace(reading, switch=None)
+        if key not in self._steps:
+            self._steps[key] = StepRows(self.recording, lambda s: self.data(replace(reading, switch=s)))
+        return self._steps[key]
+
+    def judged(self, model: BodyModel) -> np.ndarray:
+        """(N, D) `BodyModel.judged` of a model with instants of steps, fitted to all `rows`."""
+        reading, out = model.form.reading, model.residual.copy()
+        step = self.steps(reading)
+        now = step.residual(self.data(reading).thin(step.rows.ravel()), model.pipeline, model.theta)
+        change = step.judged(model.pipeline, model.theta)[1] - now
+        at = np.minimum(np.searchsorted(self.rows, step.rows), len(self.rows) - 1)
+        use = step.own & (self.rows[at] == step.rows)
+        out[at[use]] += change[use]
+        return out
 
     def twin_with(self, joints: int) -> Twin:
         """The twin with so many joints, in the middle of equal segments where that is not its own number."""
@@ -247,7 +279,7 @@ class BodyFitter:
         """
         data, pipeline = self.data(form.reading), self.pipeline(form)
         p = data.inputs.pressure_range_kpa
-        bounds = Bounds(pipeline, p)
+        bounds = Bounds(pipeline, p, self.row_s)
         theta = np.clip(self.start(form, pipeline, values), bounds.lower, bounds.upper)
         free = self.free(pipeline, data, form.own)
         problem = Problem(pipeline, data.thin(self.rows[::every]), theta, bounds, free)
@@ -283,12 +315,13 @@ class BodyFitter:
             pull=weight @ (v - centre),
             counted=data.counted,
             bounds=bounds,
+            fitter=self if every == 1 else None,
         )
 
     def rough(self, form: Form) -> dict[str, float]:
         """Gain, rest pressure and directions of chambers from a coarse grid, by name."""
         data, pipeline = self.data(form.reading), self.pipeline(form)
-        bounds = Bounds(pipeline, data.inputs.pressure_range_kpa)
+        bounds = Bounds(pipeline, data.inputs.pressure_range_kpa, self.row_s)
         theta = self.start(form, pipeline, {})
         thin = data.thin(self.rows[:: max(1, len(self.rows) // 400)])
         theta = rough_drive(pipeline, thin, theta, bounds, self.free(pipeline, data, form.own))

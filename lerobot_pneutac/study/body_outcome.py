@@ -36,8 +36,12 @@ def body_outcome(
     helps = helps and study.test.value(after.squared) < study.test.value(before.squared)
     if not helps:
         after, done.terms = before, []
-    done.black_box = left_to_black_box(study, after.residual)
     evidence = _evidence(study, before, after, done)
+    if done.terms and evidence.at_noise:
+        helps, after, near_miss, done.terms = False, before, done.terms, []
+        evidence = _evidence(study, before, after, done)
+        evidence.near_miss = near_miss if evidence.before is None else []
+    done.black_box = evidence.left_to_black_box = left_to_black_box(study, after.residual)
     ladder = [("as it is", before)]
     if helps:
         ladder += _ladder(study, done, after)
@@ -48,7 +52,7 @@ def body_outcome(
         ladder=ladder,
         selected=done.terms,
         tested=_tested(study, search, done, before),
-        rivals=rivals(done.found, study.noise.value, done.terms, family, lambda s: study.fitted(s.model)),
+        rivals=rivals(done.found, study.noise.floor, done.terms, family, lambda s: study.fitted(s.model)),
         evidence=evidence,
         verdict=verdict,
         twin=after.twin,
@@ -61,7 +65,7 @@ def body_outcome(
 
 
 def _belief(evidence: Evidence, verdict: str, best: Contender) -> float | None:
-    if not evidence.selected or not evidence.noise_known or evidence.poor:
+    if not evidence.selected or not evidence.noise_known or evidence.poor or evidence.after is None:
         return None
     return likely_right(evidence.after, best.probability, verdict == "missing_effect")
 
@@ -169,7 +173,7 @@ def _tested(study: "BodyStudy", search: BodySearch, done: Searched, before: Fitt
 
 def _evidence(study: "BodyStudy", before: FittedModel, after: FittedModel, done: Searched) -> Evidence:
     """What the verdict rests on: errors of test blocks, which nothing was fitted or chosen on."""
-    test, floor = study.test, max(study.noise.value, 1e-12)
+    test, floor, known = study.test, study.noise.floor, study.noise.value is not None
     data = BodyData.of(study.recording, study.twin, source="command")
     constant = data.measured[:, : data.counted] - data.measured[~study.parts.test, : data.counted].mean(
         axis=0
@@ -182,8 +186,8 @@ def _evidence(study: "BodyStudy", before: FittedModel, after: FittedModel, done:
     agreed = [done.chosen_in.get(t, 1.0) for t in done.terms[:1]]
     return Evidence(
         poor=bool(study.too_little()),
-        before=float(np.sqrt(worst)) / floor,
-        after=float(np.sqrt(test.value(after.squared))) / floor,
+        before=float(np.sqrt(worst)) / floor if known else None,
+        after=float(np.sqrt(test.value(after.squared))) / floor if known else None,
         selected=done.terms,
         removed=float(np.clip(removed, -1, 1)) if done.terms else 0.0,
         at_bound=[n for n in after.at_bound if n.rpartition(".")[0] in done.terms],

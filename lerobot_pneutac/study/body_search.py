@@ -108,7 +108,7 @@ class BodySearch:
 
     def engine(self, space: BodySpace, floor: float | None = None, unit: str = "") -> Search:
         """Searches a space; by the study's noise and unit where no others are given."""
-        floor, unit = self.study.noise.value if floor is None else floor, unit or self.study.unit
+        floor, unit = self.study.noise.floor if floor is None else floor, unit or self.study.unit
         tell = lambda text: self.tell(f"{text} {unit}")  # noqa: E731
         return Search(space, self.judge, self.fold, floor, self.run, tell, self.condition)
 
@@ -171,7 +171,16 @@ class BodySearch:
             fold = fitter.trial[self.rows]
             alone, zeros = (float(f.final.model.crossed(fold).mean()) for f in (found, beside))
             found, space.trials = (beside, space.trials) if zeros < alone else (found, ())
-        return Searched(space, found, self._settled(space, self._simplified(space, found, own)))
+        final = self._settled(space, self._simplified(space, found, own))
+        return Searched(space, found, self._without_idle(space, final, own))
+
+    def _without_idle(self, space: BodySpace, model: Scored, own: tuple[str, ...]) -> Scored:
+        """The model without terms that ended where they do nothing, at the same instants of steps."""
+        for term in model.model.form.effects:
+            if term not in own and term not in space.base and space.idle(model.model, term):
+                form, values = model.model.form.without(term), model.model.values
+                model = self.score(space.fitter.fit(form, values, 8))
+        return model
 
     def _settled(self, space: BodySpace, model: Scored) -> Scored:
         """The model with its air fitted to the moments after steps, or another line if surely better.
@@ -190,7 +199,7 @@ class BodySearch:
 
         Of the widths tried, those that predict best what no fit saw.
         """
-        now, floor2 = found.final, self.study.noise.value**2
+        now, floor2 = found.final, self.study.noise.floor**2
         if now.value < NEAR**2 * floor2 or self.study.recording.samples["trial"].nunique() < 4:
             return ()
         form, values = now.model.form, now.model.values
@@ -203,7 +212,7 @@ class BodySearch:
         """The final model with the paper's base, and without parts of the base, where that is as good."""
         search = self.engine(space)
         final = found.final
-        floor2 = self.study.noise.value**2
+        floor2 = self.study.noise.floor**2
         form = replace(final.model.form, own=False, trials=space.trials)
         values = {k: v for k, v in final.model.values.items() if not k.startswith(("bend_", "curl"))}
         plain = search.fits([Trial(form, values), Trial(form, values | space.fitter.rough(form))], 12)
@@ -234,7 +243,7 @@ class BodySearch:
         done.terms = sorted(terms, key=lambda t: -done.importance[t])
         done.chosen_in = dict.fromkeys(terms, 1.0) | {
             t: share
-            for t, share in chosen_in(done.found, self.unit, study.noise.value, family).items()
+            for t, share in chosen_in(done.found, self.unit, study.noise.floor, family).items()
             if t in terms
         }
         done.forward = self._holds_forward(done)

@@ -10,7 +10,7 @@ from lerobot_pneutac.diagnosis.search import Trial
 from lerobot_pneutac.study.body_model import BodyFitter, BodyModel, Form, Reading
 from pneutac_sim.effects.laws import is_law, starts
 from pneutac_sim.effects.registry import get_effect
-from pneutac_sim.finger.instants import StepErrors, instants, step_rows
+from pneutac_sim.finger.instants import by_row, step_rows
 
 LINES = (
     (),
@@ -23,6 +23,9 @@ LINES = (
     ("dead_time", "valve_slew"),
 )
 AWAY, TRIES = 0.03, 40  # of the air's parameters: first move, share of the range; and evaluations each
+EDGE = 1e-3  # of a parameter's range: nearer to a bound it is at it
+IDLE = 0.02  # of the rms residual: a term that moves the prediction by less does nothing
+QUICKER = ("s", "rad/s", "1/s", "kPa/s")  # units of times and rates, each of which does nothing at one bound
 PAUSES_S = (0.0, 2.0, 4.0, 6.0, 9.0, 15.0, 30.0, 100.0)
 
 
@@ -258,8 +261,7 @@ class BodySpace:
         ]  # fmt: skip
         if not air or not len(self._steps):
             return model
-        read = lambda share: self.fitter.data(replace(model.form.reading, switch=share))  # noqa: E731
-        steps, index = StepErrors(self.fitter.recording, read, model.pipeline), model.free[air]
+        steps, index = self.fitter.steps(model.form.reading), model.free[air]
 
         def theta(v: np.ndarray) -> np.ndarray:
             out = model.theta.copy()
@@ -269,14 +271,14 @@ class BodySpace:
         first = model.v[air]
         away = np.where(first < 0.5, AWAY, -AWAY) * np.eye(len(air))
         best = minimize(
-            lambda v: steps.least(theta(v)),
+            lambda v: steps.error(model.pipeline, theta(v)),
             first,
             method="Nelder-Mead",
             options={
                 "initial_simplex": np.vstack([first, first + away]),
                 "maxfev": TRIES * len(air),
                 "xatol": 1e-5,
-                "fatol": 1e-4 * steps.least(model.theta),
+                "fatol": 1e-4 * steps.error(model.pipeline, model.theta),
             },
         ).x
         values = replace(model, theta=theta(best)).values
@@ -307,17 +309,33 @@ class BodySpace:
         left = self.fitter.fit(model.form.without(effect), model.values, 8)
         return self.settle_line(left) if get_effect(effect).stage == "pneumatics" else left
 
+    def idle(self, model: BodyModel, effect: str) -> bool:
+        """Whether an effect ended where it does nothing: it moves no prediction or is too quick to show."""
+        pipe, data = model.pipeline, self.fitter.data(model.form.reading).thin(self.fitter.rows)
+        off = []
+        for i, v in zip(model.free, model.v, strict=True):
+            spec = pipe.specs[i]
+            if pipe.names[i].rpartition(".")[0] == effect and spec.unit in QUICKER:
+                off.append(v > 1 - EDGE if spec.neutral > model.bounds.upper[i] else v < EDGE)
+        if off and all(off):
+            return True
+        bare = self.fitter.pipeline(model.form.without(effect))
+        theta = np.array([model.values[n] for n in bare.names])
+        seen, without = (
+            self._values(p, p.run(data.inputs, x), data) for p, x in ((pipe, model.theta), (bare, theta))
+        )
+        moved = (seen - without)[:, : model.counted]
+        return bool((moved**2).mean() < IDLE**2 * (model.residual[:, : model.counted] ** 2).mean())
+
     # ---------------------------------------------------------------- how it was recorded
 
     def with_instants(self, model: BodyModel, every: int) -> BodyModel:
         """The model with the instant of each step of the command, within its sample, re-fitted once."""
-        if model.form.reading.switch is None:
+        reading, recording = model.form.reading, self.fitter.recording
+        if reading.switch is None or not len(self._steps) or "time_sent_s" in recording.samples:
             return model
-        read = lambda share: self.fitter.data(replace(model.form.reading, switch=share))  # noqa: E731
-        share = instants(self.fitter.recording, read, model.pipeline, model.theta)
-        if share is None:
-            return model
-        form = replace(model.form, reading=replace(model.form.reading, switch=tuple(share)))
+        share = by_row(recording, self.fitter.steps(reading), model.pipeline, model.theta)
+        form = replace(model.form, reading=replace(reading, switch=tuple(share)))
         return self.fitter.fit(form, model.values, 6, every)
 
 

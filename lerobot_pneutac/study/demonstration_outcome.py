@@ -66,7 +66,7 @@ def demonstration_outcome(
         others.insert(0, _stiffer(study, study.fitted(models[0], base, fitter), after))
     votes = {}
     for found in (air, touch):
-        votes |= chosen_in(found, study.owner[study.parts.train], study.noise.value, family)
+        votes |= chosen_in(found, study.owner[study.parts.train], study.noise.floor, family)
     chosen = {t: votes.get(t, 1.0) for t in selected}
     evidence = _evidence(study, before, after, selected, chosen)
     return Outcome(
@@ -113,7 +113,7 @@ def _stiffer(study: "DemonstrationStudy", plain: FittedModel, found: FittedModel
 
 
 def _evidence(study: "DemonstrationStudy", before, after, selected, chosen) -> Evidence:
-    floor = max(study.noise.value, 1e-12)
+    floor = max(study.noise.floor, 1e-12)
     worst, left = study.test.value(before.squared), study.test.value(after.squared)
     room = worst - floor**2
     removed = 1 - max(left - floor**2, 0.0) / room if selected and room > 0 else float(bool(selected))

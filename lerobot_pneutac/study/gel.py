@@ -53,6 +53,7 @@ class GelStudy(EffectStudy):
     """
 
     unit = "levels"
+    unknown_where = "is in these images"
     more_data = (
         f"Press one ball at {NEEDED} places all over the window, to several depths; note where and how deep."
     )
@@ -92,7 +93,7 @@ class GelStudy(EffectStudy):
             space,
             self.judge,
             space.fold,
-            self.noise.value,
+            self.noise.floor,
             tell=lambda text: steps.expect(f"{text} {self.unit}", 0),
         )
         steps.expect("the twin as it is, and with each effect", 1 + len(self.candidates))
@@ -102,7 +103,7 @@ class GelStudy(EffectStudy):
         alone = {e: space.fit(space.plus(base, e)) for e in self.candidates}
         steps.expect("what each effect of the twin is good for", len(self.own))
         taken = {e: space.without(base, e) for e in self.own}
-        votes = chosen_in(found, self.parts.unit, self.noise.value, str)
+        votes = chosen_in(found, self.parts.unit, self.noise.floor, str)
         added = [e for e in _in_order_found(found) if e not in self.own]
         selected = sorted(added, key=lambda e: -found.without[e].value)
         evidence = self._evidence(base, final, selected, votes, alone)
@@ -162,7 +163,7 @@ class GelStudy(EffectStudy):
     def _as_good(self, before: Scored, taken: Scored, other: Scored) -> bool:
         """Whether another model helps for sure, and the one that was taken does not surely help more."""
         more, low, _ = self.judge.drop(other.crossed, taken.crossed)
-        room = max(before.value - self.noise.value**2, 0.0)
+        room = max(before.value - self.noise.floor**2, 0.0)
         return self.judge.drop(before.crossed, other.crossed)[1] > 0 and (low <= 0 or more < AS_GOOD * room)
 
     def _evidence(
@@ -174,8 +175,8 @@ class GelStudy(EffectStudy):
         alone: dict[str, FittedGel],
     ) -> Evidence:
         """Errors of photographs that no fit saw, over a noise that counts drifts of light too."""
-        floor = max(self.noise.value, self._far(final))
-        room = self.judge.value(base.squared) - self.noise.value**2
+        floor = max(self.noise.floor, self._far(final))
+        room = self.judge.value(base.squared) - self.noise.floor**2
         falls = {e: self.judge.drop(base.squared, fit.squared)[0] for e, fit in alone.items()}
         return Evidence(
             poor=bool(self.too_little()),
@@ -191,7 +192,7 @@ class GelStudy(EffectStudy):
     def explained(self, model: FittedGel) -> float:
         """Share of what a contact changes that a model predicts on test photographs."""
         rest = mean_squares(p.image.astype(float) - p.rest for p in self.space.photographs)
-        return self.test.reduction(rest, model.squared, self.noise.value)[0]
+        return self.test.reduction(rest, model.squared, self.noise.floor)[0]
 
     def _far(self, model: FittedGel) -> float:
         """Error of a model away from contacts on test photographs, levels."""
@@ -260,6 +261,10 @@ class GelStudy(EffectStudy):
             f"are chosen and judged on {tested}, each predicted by a fit without its fifth of them, so the "
             "errors are a little optimistic."
         )
+
+    def caveats(self, outcome: Outcome) -> list[str]:
+        """What was fitted to what."""
+        return [self.how_tested(outcome)]
 
     def as_written(self, parameters: dict[str, dict]) -> dict[str, float]:
         """Values alone, as there is no interval."""

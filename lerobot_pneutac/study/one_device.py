@@ -33,7 +33,7 @@ def move_back(study: "BodyStudy", search: "BodySearch", found: Scored) -> bool:
     residual, trial = study.fitted(model).residual, np.asarray(study.recording.samples["trial"])
     predicted = study.recording.samples[columns].to_numpy(float) - residual
     J = J.reshape(-1, J.shape[2])
-    slip = find_slip(residual, predicted, trial, search.rows, J, study.noise.value)
+    slip = find_slip(residual, predicted, trial, search.rows, J, study.noise.floor)
     if slip is None or len(was[1]) - study.checked >= MOST_SLIPS:
         return False
     row, shift = slip
@@ -66,7 +66,7 @@ def keep_one_device(study: "BodyStudy", search: "BodySearch", found: Scored) -> 
     for rows in (search.rows[:at], search.rows[at:]):
         part = BodyFitter(study.recording, study.twin, rows).fit(model.form, model.values, 8)
         left += (part.residual[:, : part.counted] ** 2).sum() / len(search.rows)
-    if found.value - left < ONCE * (found.value - study.noise.value**2):
+    if found.value - left < ONCE * (found.value - study.noise.floor**2):
         return False
     row, rows = int(search.rows[at]), np.arange(len(study.recording))
     before, after = rows <= search.rows[at - 1], rows >= row
@@ -84,6 +84,6 @@ def keep_one_device(study: "BodyStudy", search: "BodySearch", found: Scored) -> 
 
 def _change(study: "BodyStudy", found: Scored) -> int | None:
     """Row of the search from which on it is another device, where a model says so."""
-    floor2 = study.noise.value**2
+    floor2 = study.noise.floor**2
     near = found.value < CLOSE**2 * floor2
     return None if near else find_change(found.model, ONCE * (found.value - floor2))

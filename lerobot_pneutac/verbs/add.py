@@ -15,6 +15,7 @@ from lerobot_pneutac.verbs.diagnosis import Diagnosis
 from lerobot_pneutac.verbs.found import read_found
 from lerobot_pneutac.verbs.result import Result, command_on
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
+from pneutac_datasets.recording.noise import noise_text
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.twin import Twin
@@ -32,7 +33,7 @@ class Addition(Result):
         reason: why it was refused, a sentence; empty where it was accepted.
         twin: with the effect, re-fitted and not yet written; the one that was given where it was refused.
         unit: of the errors.
-        noise_floor: error that the measurement's own noise makes.
+        noise_floor: error that the measurement's own noise makes; None where it is unknown.
         before: error without the effect: `train`, `heldout`, `heldout_ci95`; None where nothing was fitted.
         after: the same with it.
         reduction: share of the avoidable error that it removes.
@@ -56,7 +57,7 @@ class Addition(Result):
     recording: str
     seed: int
     unit: str = ""
-    noise_floor: float = 0.0
+    noise_floor: float | None = None
     before: dict | None = None
     after: dict | None = None
     reduction: float = 0.0
@@ -103,7 +104,10 @@ class Addition(Result):
         rows = []
         for name, e in (("before", self.before), (f"with {self.effect}", self.after)):
             if e is not None:
-                row = {f"error, {self.unit} (noise {self.noise_floor:.3g})": name, "train": e["train"]}
+                row = {
+                    f"error, {self.unit} (noise {noise_text(self.noise_floor)})": name,
+                    "train": e["train"],
+                }
                 row |= {"test": e["heldout"], "95 % interval": span(e["heldout_ci95"])}
                 rows.append(row | ({"contact": e["heldout_contact"]} if "heldout_contact" in e else {}))
         return rows
@@ -191,7 +195,8 @@ class Addition(Result):
             a, b = e["heldout_ci95"]
             error = {"type": "data", "array": [b - e["heldout"]], "arrayminus": [e["heldout"] - a]}
             figure.add_bar(x=[name], y=[e["heldout"]], error_y=error, marker_color=colour, showlegend=False)
-        figure.add_hline(y=self.noise_floor, line_dash="dash", annotation_text="noise")
+        if self.noise_floor is not None:
+            figure.add_hline(y=self.noise_floor, line_dash="dash", annotation_text="noise")
         return figure.update_yaxes(title=f"test error ({self.unit})", rangemode="tozero")
 
 

@@ -53,7 +53,7 @@ def prediction_band(twin: Twin, bench: BodyData, train: np.ndarray, noise: Noise
     Returns:
         None where neither intervals nor noise are known.
     """
-    sensor = np.array([noise.by_column[c] for c in bench.columns[: bench.counted]])
+    sensor = np.array([noise.by_column.get(c, 0.0) for c in bench.columns[: bench.counted]])
     moved = _moved(twin, bench)
     if moved.shape[-1] == 0:
         how = "the noise alone, as no parameter of the twin has an interval"

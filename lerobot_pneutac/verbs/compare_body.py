@@ -88,8 +88,8 @@ class BodyComparison(Comparison):
         return self.twin, Path(self.recording.folder)
 
     @property
-    def noise_floor(self) -> float:
-        """Error that the measurement's own noise makes."""
+    def noise_floor(self) -> float | None:
+        """Error that the measurement's own noise makes; None where it is unknown."""
         return self.noise.value
 
     @property
@@ -158,7 +158,10 @@ class BodyComparison(Comparison):
 
         rows = [("simulated", self.simulated)] if self.fidelity != "pipeline" else []
         rows += [("held-out error", number(self.heldout)), ("train error", number(self.train))]
-        rows.append(("noise floor", f"{number(self.noise.value)} ({self.noise.how})"))
+        noise = (
+            self.noise.how if self.noise.value is None else f"{number(self.noise.value)} ({self.noise.how})"
+        )
+        rows.append(("noise floor", noise))
         if self.coverage is not None:
             rows.append(("inside the 95 % band", inside_band(self)))
         if self.pressure_error:

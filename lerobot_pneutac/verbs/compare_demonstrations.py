@@ -66,7 +66,7 @@ class DemonstrationComparison(Comparison):
     @property
     def noise_floor(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
         """Error that the measurement's own noise makes."""
-        return self.study.noise.value
+        return self.study.noise.floor
 
     @property
     def title(self) -> str:

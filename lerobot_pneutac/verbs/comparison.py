@@ -15,12 +15,12 @@ class Comparison(Result):
     Attributes:
         twin: that was compared.
         unit: of the errors.
-        noise_floor: error that the measurement's own noise makes.
+        noise_floor: error that the measurement's own noise makes; None where it is unknown.
     """
 
     twin: Twin
     unit: str
-    noise_floor: float
+    noise_floor: float | None
 
     @property
     @abstractmethod

@@ -167,13 +167,13 @@ def design(
         program_s,
     )
     noise = noise_floor(recording)
-    ranked = choices(recording, contenders, noise.value, limits, hands)
+    ranked = choices(recording, contenders, noise.needed(recording.folder), limits, hands)
     return Design(
         twin=twin,
         recording=recording,
         contenders=tuple(contenders),
         choices=tuple(ranked),
-        noise=noise.value,
+        noise=noise.needed(recording.folder),
         unit=noise.unit,
         hands=hands,
     )

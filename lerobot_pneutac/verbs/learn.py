@@ -260,7 +260,7 @@ class Rounds:
         }
 
     def _judged(self, told: dict, found: Diagnosis, foreseen: dict) -> Round:
-        noise, needed_by, sure = found.study.noise.value, {}, set()
+        noise, needed_by, sure = found.study.noise.needed(found.study.recording.folder), {}, set()
         if self.done:
             needed_by = {family(e): k for e, k in self.done[-1].needed_by.items()}
             sure = {family(e) for e in self.done[-1].confirmed_by}

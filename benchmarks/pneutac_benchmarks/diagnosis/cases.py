@@ -6,7 +6,7 @@ from pathlib import Path
 
 from pneutac_sim.errors import InputError
 
-SETS = ("truths", "hidden", "real", "extrapolation", "own_form_out", "rivals")
+SETS = ("truths", "hidden", "real", "extrapolation", "own_form_out", "rivals", "logs")
 DEVICES = ("rod", "arm", "cosserat")
 
 
@@ -17,11 +17,12 @@ class BenchmarkDiagnosisConfig:
     Attributes:
         set: `truths` (devices that share nothing with the twin, judged on another day), `hidden` (devices
             built like the twin), `real` ($PNEUTAC_DATA/soft), `extrapolation` (truths, learnt below 60 % of
-            the pressure), `own_form_out` (without the truth's families) or `rivals` (other methods).
+            the pressure), `own_form_out` (without the truth's families), `rivals` (other methods) or `logs`
+            (ordinary logs of plain fingers, which must raise no alarm, and some with one effect).
         out: folder of the table; finished cases in it are not repeated. Where left out,
             outputs/benchmark_diagnosis/SET.
         fast: one seed, few cases and four-minute recordings only.
-        seeds: devices or recordings of each kind; splits of a real one.
+        seeds: devices or recordings of each kind; splits of a real one; of `logs`, plain fingers.
         first_seed: seed of the first device or recording; another one makes another, equally blind test.
         minutes: length of each recording; a cosserat rod is always recorded for two.
         devices: names of devices, of truths, with commas between.

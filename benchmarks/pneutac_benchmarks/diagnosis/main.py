@@ -25,6 +25,7 @@ SETS = {
     "extrapolation": ("truths", "table_truths"),
     "own_form_out": ("truths", "table_truths"),
     "rivals": ("rivals", "table_rivals"),
+    "logs": ("logs", "table_logs"),
 }
 
 

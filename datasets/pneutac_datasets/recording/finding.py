@@ -27,7 +27,7 @@ class Finding:
 KINDS = {
     "wrapped_angle": "an angle jumps by a whole turn; `unwrapped` 1 where that was undone",
     "jumps": "the tracker jumps away and comes back; the rows are left out, unless `kept` is 1",
-    "shift": "the marker moves without a change of pressure and stays there",
+    "shift": "the marker moves without a change of pressure that explains it and stays there",
     "frozen": "the tracker stands still while the pressure moves; the rows are left out",
     "stale_pose": "rows repeat the pose of the row before: `share` of all",
     "saturated": "a sensor sticks to its extreme `at`",

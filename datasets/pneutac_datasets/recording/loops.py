@@ -10,6 +10,7 @@ from pneutac_datasets.recording.tracker import where
 from pneutac_datasets.recording.wording import plural
 
 LAGS = 6
+ROUNDING = 1e-5  # of the command's range: what its own past leaves of a smooth program is rounding
 ANSWERED = 0.15  # share of the command's steps that feedback explains and a program does not
 
 
@@ -74,6 +75,8 @@ def closed_loop(recording: Recording) -> list[Finding]:
         target = u[at][LAGS:]
         # the last pose but one and all before it are known: what is news in the last is noise, or feedback
         known = np.hstack([_past(u[at], 1), _past(u[at] ** 2, 1), _past(y[at - 1], 1)])
+        if _left(target, known).std(axis=0).max() < ROUNDING * max(np.ptp(u), 1e-9):
+            continue
         before, left = _gain(target, known, y[at - 1][LAGS:])
         shown = (y @ _answer(u, y))[at][LAGS:]  # (n, chambers), each growing with its chamber's pressure
         same, sign = _same_row(left, np.hstack([known, y[at - 1][LAGS:]]), shown)

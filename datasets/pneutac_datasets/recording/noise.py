@@ -1,22 +1,57 @@
 """How well a measurement repeats: the error below which no model can be told from the truth.
 
-Half the variance of the difference between two repeats is the variance of one of them. Slow differences
-(creep left over, drift of the session) are physics that a model may yet explain, so the floor is the fast
-part; the whole difference is reported beside it.
+Three sources, in this order: repeats of a program, what `recording.json` declares, and local contrasts.
+
+Repeats: half the variance of the difference between two equal runs is the variance of one of them. Slow
+differences (creep left over, drift of the session) are physics that a model may yet explain, so the floor is
+the fast part; the whole difference is reported as `session`.
+
+Local contrasts need neither repeats nor quiet holds. Over rows i - s, i, i + s of one trial,
+
+    c_i = (y_i - w y_(i-s) - (1 - w) y_(i+s)) / sqrt(1 + w^2 + (1 - w)^2)
+    w = (t_(i+s) - t_i) / (t_(i+s) - t_(i-s))
+
+removes what is a straight line in time over 2 s rows; white noise of deviation sigma gives contrasts of that
+deviation. The same contrasts of what usual responses to the commanded pressure are made of (powers, delays,
+lags, plays) are regressed out. With the hat matrix H and the known correlation C C' of the contrasts (C makes
+them from y), sigma^2 = |(I - H) c|^2 / tr((I - H) C C').
 """
 
 from dataclasses import dataclass
 from itertools import combinations
+from pathlib import Path
 
 import numpy as np
+from scipy.signal import lfilter
 
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import plural
+from pneutac_sim.errors import InputError
 from pneutac_sim.finger import quantities
 
-HOLD_S = 1.0  # pressure at rest for this long before a sample counts as held
 WINDOW_S = 0.4
 MAX_PAIRS = 12
+LAGS_ROWS = (0.7, 1.5, 3.0, 6.0, 12.0, 25.0)  # of the responses that are regressed out
+DELAYS_ROWS = (1, 2, 3)
+PLAY_WIDTHS = (0.03, 0.1, 0.25, 0.5)  # share of the command's range
+QUIET_S = (
+    0.0,
+    0.15,
+    0.3,
+    0.6,
+    1.2,
+    2.4,
+)  # after a step: a response that no feature follows is over at one of them
+WIDE_S, WIDE_ROWS = (
+    0.2,
+    3,
+)  # half of the window in which noise that is correlated from row to row is looked for
+CORRELATED = 1.25  # ratio of the wide to the narrow contrast from which on noise counts as correlated
+OUTLIER = 6.0  # robust standard deviations beyond which a contrast is a jump of the marker, not noise
+LEAST_DOF = 40  # degrees of freedom of an estimate
+LEAST_ROWS = 120  # in fewer an estimate by contrasts is not within 20 %
+MOST_ROWS, PIECE_ROWS = 20_000, 2_000  # of a longer recording so many are used, in pieces
+RECORD_MORE = "record two minutes or more, run one program twice, or declare 'noise' in recording.json"
 MAD = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
 
 
@@ -25,20 +60,36 @@ class NoiseFloor:
     """Noise of the headline measurement.
 
     Attributes:
-        value: root mean square Euclidean distance caused by noise alone, in `unit`.
+        value: root mean square Euclidean distance caused by noise alone, in `unit`; None where this recording
+            cannot determine it.
         session: the same including slow differences between repeats, None without repeats.
         unit: `mm`, `rad` or `1/m`.
-        how: one plain sentence: how it was found.
-        by_column: standard deviation of each observed column.
-        known: whether it was stated or measured by repeats, not only seen as the fast part of the motion.
+        how: how it was found, or what to record to find it.
+        by_column: standard deviation of each observed column; those that cannot be determined are left out.
+        known: whether it was declared or measured by repeats, not estimated by local contrasts.
     """
 
-    value: float
+    value: float | None
     session: float | None
     unit: str
     how: str
     by_column: dict[str, float]
     known: bool = True
+
+    @property
+    def floor(self) -> float:
+        """`value`, or 0 where it is unknown: then the whole error counts as avoidable."""
+        return self.value or 0.0
+
+    def needed(self, folder: str | Path) -> float:
+        """`value`, for what cannot do without it.
+
+        Raises:
+            InputError: it is unknown.
+        """
+        if self.value is None:
+            raise InputError(f"{folder}: the noise {self.how}.")
+        return self.value
 
 
 def headline(recording: Recording) -> tuple[list[str], str]:
@@ -47,32 +98,41 @@ def headline(recording: Recording) -> tuple[list[str], str]:
 
 
 def noise_floor(recording: Recording) -> NoiseFloor:
-    """Estimates the noise from repeats, else from what the file states, else from held pressure."""
+    """Estimates the noise from repeats, else from what the file declares, else from local contrasts."""
     columns, unit = headline(recording)
     numeric = [c for c in recording.observations if not c.startswith("image")]
     pairs = repeats(recording)
-    stated = recording.meta.get("noise") or {}
+    declared = recording.meta.get("noise") or {}
+    by: dict[str, float] = {}
     session = None
     if pairs:
-        fast = {c: [] for c in numeric}
-        whole = {c: [] for c in numeric}
-        for a, b, window in pairs:
-            for c in numeric:
-                d = recording.column(c)[a] - recording.column(c)[b]
-                fast[c].append(_detrended(d, window))
-                whole[c].append(d)
-        by = {c: MAD * float(np.median(np.abs(np.concatenate(fast[c])))) / np.sqrt(2) for c in numeric}
-        slow = {c: float(np.sqrt(np.mean(np.concatenate(whole[c]) ** 2) / 2)) for c in numeric}
-        session = _norm(slow, columns)
+        for c in numeric:
+            a = [recording.column(c)[first] - recording.column(c)[second] for first, second, _ in pairs]
+            fast = np.concatenate([_detrended(d, window) for d, (*_, window) in zip(a, pairs, strict=True)])
+            by[c] = MAD * float(np.median(np.abs(fast))) / np.sqrt(2)
+        whole = {
+            c: np.concatenate([recording.column(c)[a] - recording.column(c)[b] for a, b, _ in pairs])
+            for c in columns
+        }
+        session = _norm({c: float(np.sqrt(np.mean(d**2) / 2)) for c, d in whole.items()}, columns)
         pair = plural(len(pairs), "pair")
         how = f"what differs from moment to moment between equal runs, {pair} of them"
-    elif all(c in stated for c in columns):
-        by = {c: float(stated[c]) for c in numeric if c in stated}
+    elif all(c in declared for c in columns):
+        by = {c: float(declared[c]) for c in numeric if c in declared}
         how = "stated in recording.json"
     else:
-        by, how = _from_holds(recording, numeric)
-    known = bool(pairs) or all(c in stated for c in columns)
-    return NoiseFloor(_norm(by, columns), session, unit, how, by, known)
+        by = contrasts(recording, numeric)
+        how = "what the neighbouring rows and the commanded pressure do not predict of a row"
+    value = _norm(by, columns) if columns and all(by.get(c, 0.0) > 0 for c in columns) else None
+    if value is None:
+        how = f"cannot be determined from this recording; {RECORD_MORE}"
+    known = value is not None and (bool(pairs) or all(c in declared for c in columns))
+    return NoiseFloor(value, session, unit, how, by, known)
+
+
+def noise_text(value: float | None) -> str:
+    """A noise floor as tables show it."""
+    return "unknown" if value is None else f"{value:.3g}"
 
 
 def _norm(by: dict[str, float], columns: list[str]) -> float:
@@ -142,39 +202,169 @@ def _detrended(x: np.ndarray, window: int) -> np.ndarray:
     return ((x - (x @ q) @ q.T) * np.sqrt(window / max(window - 2, 1))).ravel()
 
 
-def at_rest_mask(recording: Recording) -> np.ndarray:
-    """Mask (n,): the commanded pressure has not moved for `HOLD_S` before this sample."""
-    out = np.zeros(len(recording), bool)
-    command = recording.samples[recording.pressure_columns].to_numpy(float)
-    for rows in recording.trials().values():
-        t = recording.column("time_s")[rows]
-        p = command[rows]
-        moved = np.r_[True, np.abs(np.diff(p, axis=0)).max(1) > 1e-3 * max(float(np.ptp(p)), 1e-9)]
-        last = t[np.maximum.accumulate(np.where(moved, np.arange(len(t)), 0))]
-        out[rows] = t - last >= HOLD_S
+# ---------------------------------------------------------------- local contrasts
+
+
+def contrasts(recording: Recording, columns: list[str]) -> dict[str, float]:
+    """Standard deviation of the noise of columns; those that cannot be determined are left out."""
+    rows, trial = _pieces(recording)
+    if len(rows) < LEAST_ROWS or not columns:
+        return {}
+    t = recording.column("time_s")[rows].astype(float)
+    first = np.r_[True, trial[1:] != trial[:-1]]
+    step_s = np.diff(t)[~first[1:]]
+    if len(step_s) < LEAST_ROWS // 2:
+        return {}
+    u = recording.samples[recording.pressure_columns].to_numpy(float)[rows]
+    Y = recording.samples[columns].to_numpy(float)[rows]
+    F = np.concatenate([_responses(c, first) for c in u.T], axis=1)
+    quiet = _quiet_s(t, first, u)
+    wide = max(WIDE_ROWS, round(WIDE_S / float(np.median(step_s))))
+    near, far = _Contrasts(t, trial, F, Y, 1), _Contrasts(t, trial, F, Y, wide)
+    out = {}
+    for k, name in enumerate(columns):
+        sigma = near.deviation(k, quiet, (None, *QUIET_S))
+        slow = far.deviation(k, quiet, QUIET_S)  # contrasts this wide need rows without steps
+        if sigma is not None and slow is not None and slow > CORRELATED * sigma:
+            sigma = slow
+        if sigma is not None:
+            out[name] = max(sigma, _resolution(Y[:, k], first) / np.sqrt(12))
     return out
 
 
-def _from_holds(recording: Recording, columns: list[str]) -> tuple[dict[str, float], str]:
-    mask = at_rest_mask(recording)
-    at_rest = mask.mean() > 0.02 and mask.sum() >= 40
-    still = np.ptp(recording.samples[recording.pressure_columns].to_numpy(float), axis=0).max() < 1e-3
-    how = "the fast part of the motion" + (
-        ", as the commanded pressure never moves" if still
-        else " while the commanded pressure is held" if at_rest
-        else ", since the commanded pressure is hardly ever held"
-    )  # fmt: skip
-    use = mask if at_rest else np.ones(len(recording), bool)
-    residuals: dict[str, list[np.ndarray]] = {c: [np.zeros(1)] for c in columns}
-    for rows in recording.trials().values():
-        t = recording.column("time_s")[rows]
-        step = float(np.median(np.diff(t))) if len(t) > 1 else 1.0
-        window = max(8, round((WINDOW_S if at_rest else WINDOW_S / 2) / max(step, 1e-6)))
-        index = np.flatnonzero(use[rows]) + rows.start
-        for piece in np.split(index, np.flatnonzero(np.diff(index) > 1) + 1):
-            if len(piece) >= window:
-                for c in columns:
-                    residuals[c].append(_detrended(recording.column(c)[piece], window))
-    if all(len(r) == 1 for r in residuals.values()):
-        how = "unknown, the recording is too short to tell it"
-    return {c: float(np.sqrt(np.mean(np.concatenate(r) ** 2))) for c, r in residuals.items()}, how
+def _pieces(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
+    """Rows that are used, and a number of the trial or piece of one in which each lies."""
+    trials = list(recording.trials().values())
+    if len(recording) > MOST_ROWS:
+        cut = [
+            slice(a, min(a + PIECE_ROWS, rows.stop))
+            for rows in trials
+            for a in range(rows.start, rows.stop, PIECE_ROWS)
+        ]
+        trials = [
+            cut[i] for i in np.unique(np.linspace(0, len(cut) - 1, MOST_ROWS // PIECE_ROWS).astype(int))
+        ]
+    rows = [np.arange(s.start, s.stop) for s in trials]
+    return np.concatenate(rows), np.repeat(np.arange(len(rows)), [len(r) for r in rows])
+
+
+def _responses(u: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """(n, f) what usual responses to a command u (n,) are made of; `first` (n,) marks where trials begin."""
+    x, out = (u - u.min()) / max(float(np.ptp(u)), 1e-9), []
+    edges = np.r_[np.flatnonzero(first), len(x)]
+    for a, b in zip(edges[:-1], edges[1:], strict=True):
+        v = x[a:b]
+        columns = [v, v**2, v**3]
+        columns += [
+            np.r_[np.full(min(k, b - a), z[0]), z[:-k]][: b - a] for k in DELAYS_ROWS for z in (v, v**2)
+        ]
+        for lag in LAGS_ROWS:
+            g = 1 - np.exp(-1 / lag)
+            columns += [lfilter([g], [1, g - 1], z, zi=[(1 - g) * z[0]])[0] for z in (v, v**2)]
+        columns += [_play(v, width) for width in PLAY_WIDTHS]
+        out.append(np.stack(columns, axis=1))
+    return np.concatenate(out)
+
+
+def _play(x: np.ndarray, width: float) -> np.ndarray:
+    out, state = np.empty_like(x), x[0]
+    for i, v in enumerate(x):
+        out[i] = state = min(max(state, v - width / 2), v + width / 2)
+    return out
+
+
+def _quiet_s(t: np.ndarray, first: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """(n,) seconds since a command last changed; 0 in the row of the change."""
+    moved = np.r_[True, (np.abs(np.diff(u, axis=0)) > 1e-3 * max(float(np.ptp(u)), 1e-9)).any(axis=1)]
+    last = np.maximum.accumulate(np.where(moved | first, np.arange(len(t)), 0))
+    return t - t[last]
+
+
+def _resolution(y: np.ndarray, first: np.ndarray) -> float:
+    """Least step of a column that often repeats itself from row to row, else 0."""
+    steps = np.abs(np.diff(y)[~first[1:]])
+    moves = steps[steps > 0]
+    return float(moves.min()) if len(moves) and (steps == 0).mean() > 0.2 else 0.0
+
+
+class _Contrasts:
+    """Contrasts of columns and of responses over rows i - s, i, i + s.
+
+    Args:
+        t: (n,) times.
+        trial: (n,) trial numbers.
+        F: (n, f) responses.
+        Y: (n, k) columns.
+        s: rows from the middle to either end.
+    """
+
+    def __init__(self, t, trial, F, Y, s: int):
+        i = np.arange(s, len(t) - s)
+        i = i[trial[i - s] == trial[i + s]]
+        w = (t[i + s] - t[i]) / (t[i + s] - t[i - s])
+        W = np.stack([-w, np.ones(len(i)), w - 1], axis=1)
+        self.W = W / np.linalg.norm(W, axis=1, keepdims=True)
+        self.i, self.s, self.t = i, s, t
+        self.X, self.c = (sum(self.W[:, [k]] * z[i + d] for k, d in enumerate((-s, 0, s))) for z in (F, Y))
+        self._basis: dict[float | None, np.ndarray] = {}
+
+    def deviation(self, k: int, quiet: np.ndarray, after_s: tuple[float | None, ...]) -> float | None:
+        """Of the noise of column k, from all rows (None) or those so long after a step.
+
+        A response that no feature follows can only enlarge an estimate, so the first of those that are not
+        significantly above the least is taken. None where too few rows are left.
+        """
+        i, s, t = self.i, self.s, self.t
+        found = []
+        for wait in after_s:
+            use = np.ones(len(i), bool)
+            if wait is not None:
+                held = quiet[i + s] - quiet[i - s] > 0.99 * (t[i + s] - t[i - s])
+                use = held & (quiet[i - s] >= wait)
+            found.append(self._estimate(k, use, wait) if use.sum() >= LEAST_DOF else None)
+        found = [f for f in found if f is not None]
+        if not found:
+            return None
+        upper = [sigma * (1 + 2 / np.sqrt(dof)) for sigma, dof in found]
+        return next(sigma for sigma, _ in found if sigma <= min(upper))
+
+    def _estimate(self, k: int, use: np.ndarray, wait: float | None) -> tuple[float, float] | None:
+        """Deviation and its degrees of freedom; contrasts beyond `OUTLIER` are left out once."""
+        at = np.flatnonzero(use)
+        if wait not in self._basis:
+            self._basis[wait] = self._directions(at)
+        Q = self._basis[wait]
+        found = self._spread(k, at, Q)
+        if found is None:
+            return None
+        sigma, dof, left = found
+        robust = MAD * float(np.median(np.abs(left))) * np.sqrt(len(at) / dof)
+        usual = np.abs(left) < OUTLIER * robust
+        if robust <= 0 or usual.all():
+            return sigma, dof
+        found = self._spread(k, at[usual], self._directions(at[usual]))
+        return found and found[:2]
+
+    def _directions(self, at: np.ndarray) -> np.ndarray:
+        """(m, r) orthonormal basis of the responses' contrasts in these rows."""
+        size = np.linalg.norm(self.X, axis=0)
+        X = self.X[at][:, size > 1e-9] / size[size > 1e-9]
+        if not X.shape[1]:
+            return np.zeros((len(at), 0))
+        U, S, _ = np.linalg.svd(X, full_matrices=False)
+        return U[:, S > 1e-6 * S[0]] if S[0] > 0 else U[:, :0]
+
+    def _spread(self, k: int, at: np.ndarray, Q: np.ndarray) -> tuple[float, float, np.ndarray] | None:
+        """Deviation, tr((I - H) C C') and what the regression leaves."""
+        c, W, rows, s = self.c[at, k], self.W[at], self.i[at], self.s
+        left = c - Q @ (Q.T @ c)
+        trace = len(at) - float((Q**2).sum())
+        for d in (s, 2 * s):  # contrasts that share rows are correlated
+            b = np.minimum(np.searchsorted(rows, rows + d), max(len(rows) - 1, 0))
+            a = np.flatnonzero(rows[b] == rows + d)
+            b = b[a]
+            shared = W[a, 2] * W[b, 0] if d == 2 * s else W[a, 1] * W[b, 0] + W[a, 2] * W[b, 1]
+            trace -= 2 * float((shared * (Q[a] * Q[b]).sum(axis=1)).sum())
+        if trace < LEAST_DOF:
+            return None
+        return float(np.sqrt((left @ left) / trace)), trace, left

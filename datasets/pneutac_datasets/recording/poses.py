@@ -106,7 +106,7 @@ def drift(recording: Recording) -> list[Finding]:
     moved = {}
     for i, name in enumerate(columns):
         total, steady = _trend(static_columns(p), y[:, i : i + 1], done, block)
-        if steady and abs(total) > max(5 * floor[name], 0.02 * np.ptp(y[:, i])):
+        if steady and abs(total) > max(5 * floor.get(name, 0.0), 0.02 * np.ptp(y[:, i])):
             moved[name] = total
     if not moved:
         return []

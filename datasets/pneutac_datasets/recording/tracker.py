@@ -56,9 +56,9 @@ def jumps(recording: Recording) -> list[Finding]:
         found.append(Finding("jumps", text, tuple(columns), at, {"kept": 0}))
     if slips:
         text = (
-            f"The marker shifts suddenly {plural(len(slips), 'time')} without a change of pressure and stays "
-            f"there (first in {where(recording, slips[0])}); these rows are kept: a slipped marker or the "
-            "device itself."
+            f"The marker shifts suddenly {plural(len(slips), 'time')} without a change of pressure that "
+            f"explains it and stays there (first in {where(recording, slips[0])}); these rows are kept: a "
+            "slipped marker or the device itself."
         )
         found.append(Finding("shift", text, tuple(columns), np.array(slips)))
     return found
@@ -86,7 +86,9 @@ def excursions(t: np.ndarray, y: np.ndarray, p: np.ndarray) -> list[tuple[int, i
     change = np.r_[0.0, np.abs(np.diff(p, axis=0)).max(1)]
     change *= change > 3 * _local_median(change, window)
     change = np.cumsum(change)
-    change -= change[np.searchsorted(t, t - 0.15)]
+    # at least the row's own change: in a slow log it is more than 0.15 s long
+    since = np.maximum(np.minimum(np.searchsorted(t, t - 0.15), np.arange(len(t)) - 1), 0)
+    change -= change[since]
     change *= 3 * span / max(float(np.ptp(p, axis=0).max()), 1e-9)
     found, end = [], 0
     for i in np.flatnonzero(sudden):
@@ -104,7 +106,8 @@ def excursions(t: np.ndarray, y: np.ndarray, p: np.ndarray) -> list[tuple[int, i
         if len(home):
             # no device leaves and comes back by itself; a pulse of pressure or the swing after a step does
             end = i + int(home[0])
-            if change[back[i] : end + 1].max() < reach or (end - i <= 3 and _lonely(y, i, end)):
+            lonely = end - i <= 3 and not _pulse(p, i, end) and _lonely(y, i, end)
+            if change[back[i] : end + 1].max() < reach or lonely:
                 end = min(len(t), end + round(0.3 * (end - i)))
                 found.append((int(i), int(end), True))
             else:
@@ -113,6 +116,13 @@ def excursions(t: np.ndarray, y: np.ndarray, p: np.ndarray) -> list[tuple[int, i
             found.append((int(i), int(peak + 1), False))
             end = peak + 1
     return found
+
+
+def _pulse(p: np.ndarray, i: int, end: int) -> bool:
+    """Whether a pressure leaves in row i or the one before and is back in row `end`, as the marker does."""
+    before, after = p[max(i - 2, 0)], p[min(end, len(p) - 1)]
+    away = np.abs(p[max(i - 1, 0) : end] - before).max()
+    return bool(away > 0.05 * np.ptp(p, axis=0).max() and away > 3 * np.abs(after - before).max())
 
 
 def _lonely(y: np.ndarray, i: int, end: int) -> bool:

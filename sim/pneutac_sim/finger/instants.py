@@ -1,4 +1,11 @@
-"""When a command stepped: between two samples, at an instant that nobody wrote down."""
+"""When a command stepped: between two samples, at an instant that nobody wrote down.
+
+An instant for each step, fitted to the few rows after it, also fits their noise, so a model may not be judged
+by these rows at that instant. Two rules:
+
+1. A row is judged at the instant that the other rows after the same step choose (leave one out).
+2. One instant serves all steps unless instants of their own predict better under rule 1.
+"""
 
 from collections.abc import Callable
 
@@ -8,7 +15,7 @@ from pneutac_sim.finger.data import BodyData
 from pneutac_sim.finger.pipeline import Pipeline
 from pneutac_sim.finger.switches import steps
 
-_AFTER = 6  # samples after a step that tell its instant
+_AFTER = 6  # samples after a step that show its instant
 _GRID = np.linspace(0, 1, 25)
 
 
@@ -20,48 +27,77 @@ def step_rows(recording) -> np.ndarray:
     return steps(command, np.r_[True, trial[1:] != trial[:-1]])
 
 
-class StepErrors:
-    """Errors of a model just after each step of the command, by the instant at which it stepped.
+class StepRows:
+    """The samples just after each step of the command, read with the step at several instants.
 
     Args:
         recording: with `.samples`.
         read: share of all steps to the recording read so.
-        pipeline: the model.
 
     Attributes:
         at: rows before which the command steps.
-        told: whether `time_sent_s` tells the instants.
+        rows: (steps, 6) rows from there on.
+        own: (steps, 6) whether a row belongs to the step: the same trial, before the next step.
     """
 
-    def __init__(self, recording, read: Callable[[float], BodyData], pipeline: Pipeline):
-        self.at, self.told = step_rows(recording), "time_sent_s" in recording.samples
+    def __init__(self, recording, read: Callable[[float], BodyData]):
+        self.at = step_rows(recording)
         trial = np.asarray(recording.samples["trial"])
-        rows = np.minimum(self.at[:, None] + np.arange(_AFTER), len(trial) - 1)
-        self._same = trial[rows] == trial[self.at][:, None]
-        grid = _GRID[:1] if self.told else _GRID
-        self._data = [read(float(share)).thin(rows.ravel()) for share in grid]
-        self._pipeline = pipeline
+        wanted = self.at[:, None] + np.arange(_AFTER)
+        self.rows = np.minimum(wanted, len(trial) - 1)
+        end = np.r_[self.at[1:], len(trial)][: len(self.at)]
+        self.own = (wanted < end[:, None]) & (trial[self.rows] == trial[self.at][:, None])
+        grid = _GRID[:1] if "time_sent_s" in recording.samples else _GRID
+        self._data = [read(float(share)).thin(self.rows.ravel()) for share in grid]
 
-    def of(self, theta: np.ndarray) -> np.ndarray:
-        """(shares, steps) sums of squares over the six samples after a step, at parameters (P,)."""
-        errors = []
-        for data in self._data:
-            run = self._pipeline.run(data.inputs, theta)
-            r = (self._pipeline.outputs(run, data.columns) - data.measured) * data.scale
-            errors.append(((r**2).sum(axis=1).reshape(self._same.shape) * self._same).sum(axis=1))
-        return np.stack(errors)
+    def residual(self, data: BodyData, pipeline: Pipeline, theta: np.ndarray) -> np.ndarray:
+        """(steps, 6, D) model - measured in these rows, in the unit of the error.
 
-    def least(self, theta: np.ndarray) -> float:
-        """Sum over all steps, each at the instant that suits it best."""
-        return float(self.of(theta).min(axis=0).sum())
+        Args:
+            data: these rows of the recording.
+            pipeline: the model.
+            theta: (P,) its parameters.
+        """
+        run = pipeline.run(data.inputs, theta)
+        r = (pipeline.outputs(run, data.columns) - data.measured) * data.scale
+        return r.reshape(*self.rows.shape, -1)
+
+    def judged(self, pipeline: Pipeline, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The instants of a model's steps, and the residual by which it may be judged.
+
+        Returns:
+            share of the sample's time at which each step happens (steps,); residual (steps, 6, D).
+        """
+        R = np.stack([self.residual(data, pipeline, theta) for data in self._data])
+        E = (R**2).sum(axis=-1) * self.own  # (shares, steps, 6)
+        if len(E) == 1:
+            return np.zeros(len(self.at)), R[0]
+        total = E.sum(axis=2)
+        shared = total.sum(axis=1)
+        one = int(shared.argmin())
+        left_out = (total[..., None] - E).argmin(axis=0)  # chosen by the other rows of the step
+        if shared[one] <= np.take_along_axis(E, left_out[None], 0).sum():
+            return np.full(len(self.at), _least(shared[:, None])[0]), R[one]
+        return _least(total), np.take_along_axis(R, left_out[None, ..., None], 0)[0]
+
+    def error(self, pipeline: Pipeline, theta: np.ndarray) -> float:
+        """Sum of the squared residuals by which a model may be judged."""
+        return float(((self.judged(pipeline, theta)[1] ** 2).sum(axis=-1) * self.own).sum())
+
+
+def _least(E: np.ndarray) -> np.ndarray:
+    """(k,) shares at which errors (shares, k) are least, between those of the grid by a parabola."""
+    best = E.argmin(axis=0)
+    inner, k = np.clip(best, 1, len(_GRID) - 2), np.arange(E.shape[1])
+    a, b, c = E[inner - 1, k], E[inner, k], E[inner + 1, k]
+    x = _GRID[inner] + 0.5 * (a - c) / np.maximum(a - 2 * b + c, 1e-12) * _GRID[1]
+    return np.where(best == inner, np.clip(x, 0, 1), _GRID[best])
 
 
 def instants(
     recording, read: Callable[[float], BodyData], pipeline: Pipeline, theta: np.ndarray
 ) -> np.ndarray | None:
     """The share of the time between two samples at which each step happened, as a model sees it.
-
-    Each step has one number of its own, within one sample's time, found by the six samples after it.
 
     Args:
         recording: with `.samples`.
@@ -70,16 +106,15 @@ def instants(
         theta: (P,) its parameters.
 
     Returns:
-        (n,), NaN where there is no step; None where there are none, or `time_sent_s` tells them.
+        (n,), NaN where there is no step; None where there are none, or `time_sent_s` gives them.
     """
     if "time_sent_s" in recording.samples or not len(step_rows(recording)):
         return None
-    steps = StepErrors(recording, read, pipeline)
-    E = steps.of(theta)
-    best = E.argmin(axis=0)
-    inner, step = np.clip(best, 1, len(_GRID) - 2), np.arange(len(steps.at))
-    a, b, c = E[inner - 1, step], E[inner, step], E[inner + 1, step]
-    x = _GRID[inner] + 0.5 * (a - c) / np.maximum(a - 2 * b + c, 1e-12) * _GRID[1]
+    return by_row(recording, StepRows(recording, read), pipeline, theta)
+
+
+def by_row(recording, step: StepRows, pipeline: Pipeline, theta: np.ndarray) -> np.ndarray:
+    """`instants` where the rows after steps have been read already."""
     out = np.full(len(recording.samples["trial"]), np.nan)
-    out[steps.at] = np.round(np.where(best == inner, np.clip(x, 0, 1), _GRID[best]), 3)
+    out[step.at] = np.round(step.judged(pipeline, theta)[0], 3)
     return out

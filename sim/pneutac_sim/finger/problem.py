@@ -9,9 +9,18 @@ from pneutac_sim.finger.data import BodyData
 from pneutac_sim.finger.derivatives import changes
 from pneutac_sim.finger.pipeline import Pipeline, Run
 
+SHORTEST_ROWS = 0.25  # of a time that a recording can show, in its time between rows
+SHORTEST_PERIOD_ROWS = 4.0
+
 
 class Bounds:
     """Bounds of all parameters of a pipeline, and their map to [0, 1] (of the logarithm where that matters).
+
+    Args:
+        pipeline: the model.
+        pressure_range_kpa: of the recording.
+        row_s: time between rows; times and periods that are too short to show stay outside the bounds. None
+            takes the effects' own bounds.
 
     Attributes:
         default: (P,) starting values for the recording's pressure range.
@@ -19,8 +28,13 @@ class Bounds:
         upper: (P,) bounds.
     """
 
-    def __init__(self, pipeline: Pipeline, pressure_range_kpa: float):
+    def __init__(self, pipeline: Pipeline, pressure_range_kpa: float, row_s: float | None = None):
         bounds = np.array([p.limits(pressure_range_kpa) for p in pipeline.specs])
+        for (_, low, high), bound, spec in zip(bounds.copy(), bounds, pipeline.specs, strict=True):
+            if row_s is not None and spec.unit == "s":
+                bound[1] = min(max(low, SHORTEST_ROWS * row_s), 0.9 * high)
+            elif row_s is not None and spec.unit == "rad/s":
+                bound[2] = max(min(high, 2 * np.pi / (SHORTEST_PERIOD_ROWS * row_s)), 1.1 * low)
         self._log = np.array([p.log for p in pipeline.specs])
         self.default, self.lower, self.upper = bounds.T
         every = np.arange(len(bounds))
