@@ -12,7 +12,7 @@ from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.demonstrations.augment.planner import PlannerConfig
 from pneutac_datasets.demonstrations.faults import demonstration_faults
 from pneutac_sim.errors import InputError, check_choice, check_least
-from pneutac_sim.features import FIDELITIES, chamber_count, joint_count, task_names
+from pneutac_sim.features import FIDELITIES, task_names
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.checks import check_bends, check_world
@@ -198,7 +198,7 @@ def augment(config: AugmentConfig, progress: Progress = no_progress) -> Augmenta
     station = Station.load(file) if file else Station()
     if config.method == "tactile":
         twin = Twin.load(config.twin) if config.twin else Twin.builtin()
-        faults = demonstration_faults(config.dataset.root, twin, station.control_hz)
+        faults = demonstration_faults(config.dataset.root, twin, station)
         if faults:
             raise InputError(" ".join(faults))
         sensor = TactileSensor(twin)
@@ -207,7 +207,6 @@ def augment(config: AugmentConfig, progress: Progress = no_progress) -> Augmenta
     if config.method == "naive":
         summary = augment_without_simulator(meta, *new, config.seed, progress)
     else:
-        _check_arm(meta, station)
         base_m = np.array(station.base_m)  # demonstrations tell places in the arm's frame
         further = further_features(meta)
         setup = AugmentSetup(
@@ -229,14 +228,3 @@ def augment(config: AugmentConfig, progress: Progress = no_progress) -> Augmenta
     if file:
         station.save(config.output.root / "meta")
     return Augmentation(config, summary, references)
-
-
-def _check_arm(meta, station: Station) -> None:
-    """Raises InputError where demonstrations were recorded with an arm of another number of joints."""
-    names = meta.features["observation.state"]["names"]
-    joints = joint_count(len(names), chamber_count(names))
-    if joints != station.joints:
-        raise InputError(
-            f"Dataset '{meta.repo_id}' was recorded with an arm of {joints} joints, and the station's has"
-            f" {station.joints}; give its station by --station=."
-        )

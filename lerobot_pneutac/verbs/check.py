@@ -62,8 +62,8 @@ def check_path(path: str | Path, twin: Twin | None = None, station: Station | No
     if not (path / "recording.json").is_file() and is_demonstrations(path):
         left = station_file(path)
         station = station or (Station.load(left) if left else Station())
-        faults = demonstration_faults(path, twin or Twin.builtin(), station.control_hz)
-        return Checked(path, "demonstrations", faults, demonstration_notes(path))
+        faults = demonstration_faults(path, twin or Twin.builtin(), station)
+        return Checked(path, "demonstrations", faults, [] if faults else demonstration_notes(path, station))
     inside = [d.name for d in sorted(path.iterdir()) if any((d / mark).is_file() for mark in MARKS)]
     if inside and not (path / "recording.json").is_file():
         raise InputError(f"'{path}' is a folder of folders; give one of them: {', '.join(inside)}.")

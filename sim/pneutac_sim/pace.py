@@ -10,7 +10,7 @@ import numpy as np
 from pneutac_sim.errors import InputError
 
 PACE_FILE = "achieved_rate.json"  # in a dataset's `meta`; LeRobot drops what it does not know from info.json
-SHORT = 0.95  # of the rate that was asked for: less is told
+SHORT, FAST = 0.95, 1.05  # of the rate that was asked for: less and more are reported
 LATE = 1.5  # periods after which a frame is late
 
 
@@ -22,11 +22,13 @@ class Pace:
         achieved_hz: mean rate of its frames by the clock.
         late_frames: how many came more than half a period late.
         longest_s: the longest time between two.
+        simulated: whether the robot stood still between two frames and moved on by one period with each.
     """
 
     achieved_hz: float
     late_frames: int
     longest_s: float
+    simulated: bool = False
 
     @classmethod
     def of(cls, times_s: Sequence[float], fps: float) -> "Pace":
@@ -39,6 +41,11 @@ class Pace:
 def short_of(pace: Pace, fps: float) -> bool:
     """Whether an episode fell short of its rate."""
     return pace.achieved_hz < SHORT * fps
+
+
+def faster_than(pace: Pace, fps: float) -> bool:
+    """Whether an episode has more frames a second than its rate."""
+    return pace.achieved_hz > FAST * fps
 
 
 def read_pace(meta: Path) -> dict[int, Pace]:
@@ -56,13 +63,30 @@ def read_pace(meta: Path) -> dict[int, Pace]:
 
 
 def pace_notes(meta: Path, fps: float) -> list[str]:
-    """A sentence where episodes of a dataset fell short of their rate."""
-    slow = {k: p for k, p in read_pace(meta).items() if short_of(p, fps)}
-    if not slow:
-        return []
-    each = ", ".join(f"{k} ({p.achieved_hz:.1f} Hz, {p.late_frames} frames late)" for k, p in slow.items())
-    return [
-        f"The loop fell short of {fps:g} Hz in {'episode' if len(slow) == 1 else 'episodes'} {each}, so their"
-        " motions are stored as faster than they were: free the computer (fewer or smaller cameras, video"
-        " encoding afterwards) and record them anew."
-    ]
+    """A sentence where episodes of a dataset were slower than their rate, and one where they were faster."""
+    paces, notes = read_pace(meta), []
+
+    def which(chosen: dict[int, Pace]) -> str:
+        each = (f"{k} ({p.achieved_hz:.1f} Hz, {p.late_frames} frames late)" for k, p in chosen.items())
+        return f"{'episode' if len(chosen) == 1 else 'episodes'} {', '.join(each)}"
+
+    if slow := {k: p for k, p in paces.items() if short_of(p, fps)}:
+        notes.append(
+            f"The loop fell short of {fps:g} Hz in {which(slow)}, so their motions are stored as faster than"
+            " they were: free the computer (fewer or smaller cameras, video encoding afterwards) and record"
+            " them anew."
+        )
+    fast = {k: p for k, p in paces.items() if faster_than(p, fps)}
+    if real := {k: p for k, p in fast.items() if not p.simulated}:
+        notes.append(
+            f"The loop ran faster than {fps:g} Hz in {which(real)}, so their motions are stored as slower"
+            " than they were: record them anew without --interpolation_multiplier, and with --fps and"
+            f" --dataset.fps of {fps:g}."
+        )
+    if simulated := {k: p for k, p in fast.items() if p.simulated}:
+        notes.append(
+            f"The loop ran faster than {fps:g} Hz in {which(simulated)} of a simulated robot, which moves on"
+            f" by 1/{fps:g} s a frame: the policy acted less often than at {fps:g} Hz. Record them anew"
+            " without --interpolation_multiplier."
+        )
+    return notes

@@ -1,7 +1,9 @@
 """Demonstrations in memory: a LeRobotDataset's episodes as arrays, and back."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
@@ -128,13 +130,17 @@ def demonstration_features(meta: LeRobotDatasetMetadata) -> dict:
             f"Dataset '{meta.repo_id}' has the features {', '.join(features)}; demonstrations have exactly"
             f" {OBS_STATE}, {ACTION} and {TACTILE}."
         )
-    own = state_names_like(features[OBS_STATE]["names"])
+    there = features[OBS_STATE]["names"]
+    own = state_names_like(there if isinstance(there, list) else [])
     for key, names in ((OBS_STATE, own), (ACTION, action_names(chamber_count(own)))):
-        if list(features[key]["names"]) != list(names):
+        if features[key]["names"] != list(names):
             raise InputError(
                 f"Dataset '{meta.repo_id}': '{key}' has the names {features[key]['names']}; it must have"
                 f" {list(names)}."
             )
+    shape = tuple(features[TACTILE]["shape"])
+    if len(shape) != 3 or shape[2] != 3:
+        raise InputError(f"Dataset '{meta.repo_id}': '{TACTILE}' is {shape}; it must be (height, width, 3).")
     features[TACTILE] = _before_encoding(features[TACTILE])
     return features
 
@@ -153,6 +159,25 @@ def _before_encoding(feature: dict) -> dict:
 def points_feature(window_mm: tuple[float, float]) -> dict:
     """LeRobot's description of `POINTS`, of a gel whose window has that width and height."""
     return {"dtype": "float32", "shape": (POINTS_SIZE,), "names": None, "info": points_info(window_mm)}
+
+
+@contextmanager
+def readable(folder: str | Path) -> Iterator[None]:
+    """While LeRobot reads a dataset: what it raises, of Arrow, FFmpeg or the Hub, becomes one sentence.
+
+    Raises:
+        InputError: it could not be read.
+    """
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as e:
+        reason = " ".join(str(e).split())[:200]
+        raise InputError(
+            f"{folder} cannot be read by LeRobot ({type(e).__name__}: {reason}); restore it, or see what"
+            f" `pneutac check {folder}` and `pneutac repair --dataset={folder}` say."
+        ) from e
 
 
 def load_episode(dataset: LeRobotDataset, index: int) -> Episode:

@@ -7,16 +7,18 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as parquet
 
-from pneutac_datasets.demonstrations.info import ACTION, STATE, read_info
+from pneutac_datasets.demonstrations.info import ACTION, OWN, STATE, column, dataset_faults, read_info
+from pneutac_sim.errors import shown
 from pneutac_sim.features import (
     CHAMBERS,
-    CONTROL_HZ,
     IMAGE_NAME,
     POINTS_KEY,
     PRESSURES,
+    VELOCITY_NAMES,
     Places,
     action_names,
     chamber_count,
+    joint_count,
     state_names_like,
 )
 from pneutac_sim.gel.contact import without_specks
@@ -24,49 +26,80 @@ from pneutac_sim.gel.model import GelModel
 from pneutac_sim.pace import pace_notes
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.cameras import SCENE_CAMERAS
+from pneutac_sim.world.station import Station
 
 TACTILE = f"observation.images.{IMAGE_NAME}"
 # Which demonstrations may have too.
 FURTHER = (f"observation.{POINTS_KEY}", *(f"observation.images.{name}" for name in SCENE_CAMERAS))
-OWN = ("timestamp", "frame_index", "episode_index", "index", "task_index")  # LeRobot's, in every dataset
 ROUNDING_KPA = 0.01  # share of the range by which a command may be beyond it
+ROBOT = "pneutac"
+MOST_SPEED_M_S = 0.45  # of the flange between two frames, four times the fastest that is commanded
+LEAST_KPA = 0.5  # travel of a command of pressure that a gauge must show
+WINDOW_S, MOVES_MM = 0.5, 3.0  # over which motion and command are compared, and the least motion that tells
+SLIGHT = 0.1  # ratio of motion and command below which one of the two is missing
+LEAST_FOLLOWING = 0.5  # correlation of motion and command; the stand-in's, which lags, is above 0.95
+MOST_FACTOR, NOTED_FACTOR = 3.0, 1.5  # of motion and command: more is refused, or noted
+MOST_RAD = 8.0  # of a joint; robots turn by one turn and a little
+OFF_MM, MOST_POSES = 10.0, 500  # by which joints and flange may disagree, and how many frames are compared
 
 
-def demonstration_faults(folder: str | Path, twin: Twin, control_hz: int = CONTROL_HZ) -> list[str]:
+def demonstration_faults(
+    folder: str | Path, twin: Twin, station: Station | None = None, any_rate: bool = False
+) -> list[str]:
     """One sentence for each fault of recorded demonstrations.
 
     Args:
         folder: root of the LeRobotDataset.
         twin: on which they are to be augmented.
-        control_hz: of the station.
+        station: in which they were recorded; left out, the paper's.
+        any_rate: whether their rate may differ from the station's.
     """
     folder = Path(folder)
     file = folder / "meta" / "info.json"
     if not file.is_file():
         return [f"'{folder}' holds no LeRobotDataset (no meta/info.json)."]
     info = read_info(file)
-    chambers = CHAMBERS.get(twin.device, 1)
-    found = _of_features(info.get("features", {}), file, GelModel.from_twin(twin).rest_image.shape, chambers)
-    if info.get("fps") != control_hz:
-        found.append(f"{file}: {wrong_rate(info.get('fps'), control_hz)}")
-    parts = sorted((folder / "data").glob("**/*.parquet"))
-    if not parts:
-        return [*found, f"{folder / 'data'} holds no .parquet file; record at least two demonstrations."]
-    if any(name in sentence for sentence in found for name in (f"'{STATE}'", f"'{ACTION}'")):
-        return found  # which numbers are which is not known
-    tables = [parquet.read_table(p, columns=["episode_index", STATE, ACTION]) for p in parts]
-    episode = np.concatenate([t["episode_index"].to_numpy() for t in tables])
-    state, action = (np.concatenate([np.stack(t[k].to_numpy()) for t in tables]) for k in (STATE, ACTION))
-    episodes = np.unique(episode)
+    station, chambers = station or Station(), CHAMBERS.get(twin.device, 1)
+    found = _of_features(info["features"], file, GelModel.from_twin(twin).rest_image.shape, chambers)
+    if not any_rate and info.get("fps") != station.control_hz:
+        found.append(f"{file}: {wrong_rate(info.get('fps'), station.control_hz)}")
+    damaged = dataset_faults(folder, info)
+    if damaged or any(f"'{name}'" in sentence for sentence in found for name in (STATE, ACTION)):
+        return damaged + found  # which numbers are which is not known
+    joints = joint_count(len(info["features"][STATE]["names"]), chambers)
+    if joints != station.joints:
+        found.append(
+            f"{file}: the arm has {joints} joints, and that of the station {station.joints}; give the"
+            " station.yaml in which they were recorded by --station=, or lay it in the dataset's folder meta."
+        )
+    episodes = _read_episodes(folder, info)
     if len(episodes) < 2:
         found.append(
             f"{folder} has {len(episodes)} demonstration; the spread of the contacts needs two or more."
         )
-    return found + _of_episodes(
-        {int(e): (state[episode == e], action[episode == e]) for e in episodes},
-        twin.pressure_range_kpa,
-        Places.of(chambers).area,
-    )
+    found += _of_episodes(episodes, twin.pressure_range_kpa, Places.of(chambers).area)
+    return found + _of_motion(folder, info, episodes)[0]
+
+
+def motion_faults(folder: str | Path) -> list[str]:
+    """One sentence for each command that the flange does not follow, and for joints that are no radians.
+
+    Args:
+        folder: root of a LeRobotDataset without damage, of this robot's features.
+    """
+    info = read_info(Path(folder) / "meta" / "info.json")
+    return _of_motion(Path(folder), info, _read_episodes(Path(folder), info))[0]
+
+
+def _read_episodes(folder: Path, info: dict) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+    """State (T, S) and action (T, A) of each episode."""
+    parts: dict[str, list[np.ndarray]] = {"episode_index": [], STATE: [], ACTION: []}
+    for file in sorted((folder / "data").glob("*/*.parquet")):
+        table = parquet.read_table(file, columns=list(parts), partitioning=None)
+        for key, values in parts.items():
+            values.append(column(file, table, key, info["features"][key]["shape"]))
+    episode, state, action = (np.concatenate(values) for values in parts.values())
+    return {int(e): (state[episode == e], action[episode == e]) for e in np.unique(episode)}
 
 
 def wrong_rate(fps: Any, control_hz: int) -> str:
@@ -77,10 +110,139 @@ def wrong_rate(fps: Any, control_hz: int) -> str:
     )
 
 
-def demonstration_notes(folder: str | Path) -> list[str]:
-    """What is poor but usable: episodes whose control loop fell short of the dataset's rate."""
-    meta = Path(folder) / "meta"
-    return pace_notes(meta, float(read_info(meta / "info.json").get("fps") or CONTROL_HZ))
+def demonstration_notes(folder: str | Path, station: Station) -> list[str]:
+    """What is poor but usable in demonstrations without faults.
+
+    Episodes whose control loop was slower or faster than the dataset's rate, commands that move the flange
+    less or more than they say, joints that put it elsewhere than the state says, and what cannot serve as a
+    measurement.
+    """
+    folder = Path(folder)
+    info = read_info(folder / "meta" / "info.json")
+    episodes = _read_episodes(folder, info)
+    return [
+        *pace_notes(folder / "meta", float(info["fps"])),
+        *_of_motion(folder, info, episodes)[1],
+        *_of_joints(folder, episodes, station),
+        *_unmeasured(folder, info, episodes),
+    ]
+
+
+def _joints(state: np.ndarray, action: np.ndarray) -> int:
+    return joint_count(state.shape[1], action.shape[1] - len(VELOCITY_NAMES))
+
+
+def _unmeasured(folder: Path, info: dict, episodes: dict[int, tuple[np.ndarray, np.ndarray]]) -> list[str]:
+    """What `compare`, `diagnose` and `calibrate` refuse, which measure by demonstrations."""
+    found, verbs = [], "compare, diagnose and calibrate refuse"
+    if info.get("robot_type") != ROBOT:
+        found.append(
+            f"{folder}: robot_type is {shown(info.get('robot_type'))}; {verbs} demonstrations of another"
+            f" robot than '{ROBOT}'."
+        )
+    for number, (state, action) in episodes.items():
+        reason = unmeasurable(state, action, float(info["fps"]))
+        if reason:
+            found.append(f"{folder}: in episode {number} {reason} Until then {verbs} it.")
+    return found
+
+
+def unmeasurable(state: np.ndarray, action: np.ndarray, fps: float) -> str:
+    """Why an episode of state (T, S) and action (T, 4) is no measurement; empty where it is one."""
+    places = Places.of(action.shape[1] - len(VELOCITY_NAMES))
+    step_m = np.linalg.norm(np.diff(state[:, places.ee], axis=0), axis=1)
+    if step_m.max() > MOST_SPEED_M_S / fps:
+        return (
+            f"the flange jumps by {1e3 * step_m.max():.0f} mm at {step_m.argmax() / fps:.1f} s, as where"
+            " frames were lost or the scene was started afresh; leave it out with lerobot-edit-dataset."
+        )
+    gauge = state[:, places.pressure]
+    if np.ptp(action[:, PRESSURES]) > LEAST_KPA and np.ptp(gauge) < 1e-6:
+        return (
+            f"pressure.pos stays at {gauge.ravel()[0]:g} kPa while the command moves; log the gauge of the"
+            " chamber, or leave the episode out."
+        )
+    return ""
+
+
+def _of_motion(
+    folder: Path, info: dict, episodes: dict[int, tuple[np.ndarray, np.ndarray]]
+) -> tuple[list[str], list[str]]:
+    """Faults and notes where the flange does not move as it was commanded.
+
+    Displacements in windows of half a second are compared with the integral of the commanded velocity.
+    """
+    window = max(1, round(info["fps"] * WINDOW_S))
+    moved, commanded = [], []
+    for state, action in episodes.values():
+        if len(action) > window and np.isfinite(state).all() and np.isfinite(action).all():
+            ee = state[:, Places.of(action.shape[1] - len(VELOCITY_NAMES)).ee]
+            way = np.vstack([np.zeros(3), np.cumsum(action[:-1, :3], 0)]) / info["fps"]
+            moved.append(ee[window:] - ee[:-window])
+            commanded.append(way[window:] - way[:-window])
+    faults, notes = [], []
+    turned = [
+        number
+        for number, (state, action) in episodes.items()
+        if np.nanmax(np.abs(state[:, : _joints(state, action)]), initial=0) > MOST_RAD
+    ]
+    if turned:
+        faults.append(
+            f"{folder}: 'joint_1.pos' and so on go beyond {MOST_RAD:g} rad in the episodes {turned}, as"
+            " degrees do; record radians."
+        )
+    if not moved:
+        return faults, notes
+    for name, axis, went, asked in zip(
+        VELOCITY_NAMES, "xyz", np.vstack(moved).T, np.vstack(commanded).T, strict=True
+    ):
+        went_mm, asked_mm = (1e3 * float(np.sqrt(np.mean(x**2))) for x in (went, asked))
+        if max(went_mm, asked_mm) < MOVES_MM:
+            continue
+        begin = f"{folder}: action '{name}' and observation.state 'ee_{axis}.pos' do not fit:"
+        how = f"in {WINDOW_S:g} s the flange moves by {went_mm:.3g} mm and the command says {asked_mm:.3g} mm"
+        if min(went_mm, asked_mm) < SLIGHT * max(went_mm, asked_mm):
+            faults.append(f"{begin} {how}; record velocities in m/s and places in m, of the same axes.")
+            continue
+        follows = float(went @ asked / np.sqrt((went @ went) * (asked @ asked)))
+        factor = float(went @ asked / (asked @ asked))
+        if follows < LEAST_FOLLOWING:
+            does = "moves against" if follows < -LEAST_FOLLOWING else "does not follow"
+            faults.append(
+                f"{begin} the flange {does} the command (correlation {follows:.2f}); record velocities along"
+                " the axes of the arm's frame."
+            )
+        elif not 1 / MOST_FACTOR < factor < MOST_FACTOR:
+            faults.append(f"{begin} {how}; record velocities in m/s and places in m.")
+        elif not 1 / NOTED_FACTOR < factor < NOTED_FACTOR:
+            rate = "faster" if factor < 1 else "slower"
+            notes.append(
+                f"{begin} the flange moves {factor:.2g} times as far as the command says. Was the loop {rate}"
+                f" than the dataset's {info['fps']:g} fps, or was the arm held back?"
+            )
+    return faults, notes
+
+
+def _of_joints(
+    folder: Path, episodes: dict[int, tuple[np.ndarray, np.ndarray]], station: Station
+) -> list[str]:
+    """A note where the joints of the station's arm put the flange elsewhere than the state says."""
+    states = np.vstack([state for state, _ in episodes.values()])
+    chambers = next(iter(episodes.values()))[1].shape[1] - len(VELOCITY_NAMES)
+    joints = joint_count(states.shape[1], chambers)
+    if joints != station.joints or not np.isfinite(states).all():
+        return []
+    rows = states[np.linspace(0, len(states) - 1, min(len(states), MOST_POSES)).astype(int)]
+    solver, ee = station.make_arm().solver(), rows[:, Places.of(chambers).ee]
+    off_mm = 1e3 * np.linalg.norm([solver.pose(q)[1] for q in rows[:, :joints]] - ee, axis=1)
+    if np.median(off_mm) < OFF_MM:
+        return []
+    arm = station.arm if isinstance(station.arm, str) else Path(station.arm.urdf).name
+    return [
+        f"{folder}: the joint angles put the flange of '{arm}' {np.median(off_mm):.3g} mm away from ee_x.pos,"
+        " ee_y.pos, ee_z.pos. Check the joints' zeros, order and signs, or give the station of the arm by"
+        " --station=."
+    ]
 
 
 def _of_features(features: dict, file: Path, image_shape: tuple[int, ...], chambers: int) -> list[str]:
@@ -98,8 +260,14 @@ def _of_features(features: dict, file: Path, image_shape: tuple[int, ...], chamb
             " lerobot-edit-dataset --operation.type=remove_feature."
         )
     for key in (STATE, ACTION):
-        there = (features.get(key) or {}).get("names") or []
-        there = list(there.values())[0] if isinstance(there, dict) else list(there)
+        there = (features.get(key) or {}).get("names")
+        if key in features and not (isinstance(there, list) and all(isinstance(n, str) for n in there)):
+            found.append(
+                f"{file}: '{key}' has the names {shown(there)}; write one list of the numbers' names,"
+                f" {list(state_names_like([]) if key == STATE else action_names(1))}."
+            )
+            continue
+        there = there or []
         there_are = chamber_count(there)
         names = state_names_like(map(str, there)) if key == STATE else action_names(there_are)
         if there_are != chambers:
@@ -111,8 +279,18 @@ def _of_features(features: dict, file: Path, image_shape: tuple[int, ...], chamb
             missing = [f"'{n}'{_close(n, there)}" for n in names if n not in there]
             what = f"lacks {', '.join(missing)}" if missing else f"has the names {there} in another order"
             found.append(f"{file}: '{key}' {what}; it must have {list(names)}.")
+        elif key in features and features[key].get("shape") != [len(names)]:
+            found.append(
+                f"{file}: '{key}' has {len(names)} names and the shape"
+                f" {shown(features[key].get('shape'))}; it must be [{len(names)}]."
+            )
     shape = tuple((features.get(TACTILE) or {}).get("shape", image_shape))
-    if shape != image_shape:
+    if len(shape) == 3 and shape[0] == 3 and shape[2] != 3:
+        found.append(
+            f"{file}: the shape of '{TACTILE}' is {list(shape)}, channels first; write"
+            f" {[*shape[1:], 3]} and the names height, width, channels."
+        )
+    elif shape != image_shape:
         found.append(
             f"{file}: the images '{TACTILE}' are {shape} and those of the twin's sensor {image_shape}; give"
             " the twin of the sensor that recorded them, at their size."

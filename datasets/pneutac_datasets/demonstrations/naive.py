@@ -19,8 +19,11 @@ from pneutac_datasets.demonstrations.episodes import (
     Episode,
     demonstration_features,
     load_episode,
+    readable,
     save_episode,
 )
+from pneutac_datasets.demonstrations.faults import motion_faults
+from pneutac_datasets.demonstrations.info import refuse_damaged
 from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import (
@@ -67,12 +70,19 @@ def augment_naive(
     Raises:
         InputError: the source is not there or has other features, or `out_root` exists.
     """
-    if not (Path(dataset_root) / "meta" / "info.json").is_file():
-        raise InputError(f"'{dataset_root}' holds no LeRobotDataset (no meta/info.json).")
-    meta = LeRobotDatasetMetadata(repo_id, dataset_root)
-    features = demonstration_features(meta)
-    source = LeRobotDataset(repo_id, dataset_root, video_backend="pyav", return_uint8=True)
-    load = lru_cache(maxsize=16)(lambda i: load_episode(source, i))
+    refuse_damaged(dataset_root)
+    with readable(dataset_root):
+        meta = LeRobotDatasetMetadata(repo_id, dataset_root)
+        features = demonstration_features(meta)
+        source = LeRobotDataset(repo_id, dataset_root, video_backend="pyav", return_uint8=True)
+    if faults := motion_faults(dataset_root):
+        raise InputError(faults[0])
+
+    @lru_cache(maxsize=16)
+    def load(index: int) -> Episode:
+        with readable(dataset_root):
+            return load_episode(source, index)
+
     slope = _joint_slope(source, load(0))
     longest = int(np.ceil(max(meta.episodes["length"]) / SPEED[0])) + 1
     use_videos = features[TACTILE]["dtype"] == "video"

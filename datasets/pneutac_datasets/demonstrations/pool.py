@@ -26,6 +26,7 @@ from pneutac_datasets.demonstrations.episodes import (
     load_episode,
     save_episode,
 )
+from pneutac_datasets.demonstrations.info import refuse_damaged
 from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError
 
@@ -45,8 +46,7 @@ def pool_demonstrations(sources: list[Path], out: str | Path, repo_id: str) -> P
         InputError: a source is no such dataset, frame rates or sizes differ, or `out` exists.
     """
     for root in sources:
-        if not (Path(root) / "meta" / "info.json").is_file():
-            raise InputError(f"'{root}' holds no LeRobotDataset (no meta/info.json).")
+        refuse_damaged(root)
     metas = [LeRobotDatasetMetadata(f"local/{Path(root).name}", root) for root in sources]
     features = demonstration_features(metas[0])
     whole = tuple(features[TACTILE]["shape"])

@@ -11,6 +11,7 @@ import json
 import logging
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import override
 from weakref import ref
@@ -19,7 +20,7 @@ from lerobot_robot_pneutac.options import station_of
 from lerobot_robot_pneutac.robots.base_robot import BaseRobot
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import whole
-from pneutac_sim.pace import PACE_FILE, Pace, read_pace, short_of
+from pneutac_sim.pace import PACE_FILE, Pace, faster_than, read_pace, short_of
 
 # So lerobot-record and lerobot-rollout announce that an episode begins, and that one has ended.
 BEGINS, ENDS = "Recording episode", ("Reset the environment", "Stop recording")
@@ -36,7 +37,7 @@ class Keeper(logging.Handler):
         control_hz: of the robot, at which the dataset is to be recorded.
         robot: is told of episodes by its method `announced`; a dataset knows it by its `name`.
         waits: the robot stands still between frames, as a simulated one does: a slow loop makes its episodes
-            shorter and their motions no faster, so no pace is kept.
+            shorter and their motions no faster, so that only the pace of a loop that was too fast is stored.
     """
 
     def __init__(self, control_hz: int, robot: BaseRobot, waits: bool = False):
@@ -111,14 +112,26 @@ class Keeper(logging.Handler):
         )
 
     def _keep(self, meta: Path, episode: int, fps: float, times_s: list[float]) -> None:
-        pace = Pace.of(times_s, fps)
-        if self._waits:
-            if short_of(pace, fps):
-                logger.warning(
-                    "Episode %d ran at %.1f Hz and not at %g, so its %d frames are %.1f s of the simulated"
-                    " world; where that is too short, give a longer --dataset.episode_time_s.",
-                    *(episode, pace.achieved_hz, fps, len(times_s), len(times_s) / fps),
-                )
+        pace = replace(Pace.of(times_s, fps), simulated=self._waits)
+        short, fast = short_of(pace, fps), faster_than(pace, fps)
+        if self._waits and short:
+            logger.warning(
+                "Episode %d ran at %.1f Hz and not at %g, so its %d frames are %.1f s of the simulated world;"
+                " where that is too short, give a longer --dataset.episode_time_s.",
+                *(episode, pace.achieved_hz, fps, len(times_s), len(times_s) / fps),
+            )
+        elif self._waits and fast:
+            logger.warning(
+                "Episode %d ran at %.1f Hz and not at %g, so its %d frames are %.1f s of the simulated world,"
+                " in which the policy acted less often than at %g Hz; leave out --interpolation_multiplier.",
+                *(episode, pace.achieved_hz, fps, len(times_s), len(times_s) / fps, fps),
+            )
+        elif short or fast:
+            logger.warning(
+                "Episode %d ran at %.1f Hz and not at %g: its motions are stored as %s than they were.",
+                *(episode, pace.achieved_hz, fps, "faster" if short else "slower"),
+            )
+        if self._waits and not fast:
             return
         try:
             kept = {**read_pace(meta), episode: pace}
@@ -128,11 +141,6 @@ class Keeper(logging.Handler):
         content = {str(k): vars(p) for k, p in sorted(kept.items())}
         with whole(meta / PACE_FILE) as part:
             part.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-        if short_of(pace, fps):
-            logger.warning(
-                "Episode %d ran at %.1f Hz and not at %g: its motions are stored as faster than they were.",
-                *(episode, pace.achieved_hz, fps),
-            )
 
 
 def keep_station(robot: BaseRobot, meta: Path) -> None:

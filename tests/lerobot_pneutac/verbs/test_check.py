@@ -1,58 +1,38 @@
 """`pneutac check`: what later verbs would refuse, all of it, of whatever a folder holds."""
 
-import json
 import shutil
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as parquet
 import pytest
 from arms import arm_twin
+from demonstration_sets import write_demonstrations
 from sensors import wide_twin
 
 from lerobot_pneutac.cli import check as verb
 from lerobot_pneutac.verbs.check import check_path
-from pneutac_datasets.demonstrations.faults import TACTILE, demonstration_faults
-from pneutac_datasets.demonstrations.info import ACTION, STATE
+from pneutac_datasets.demonstrations.faults import demonstration_faults
 from pneutac_sim.effects import get_effect
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import ACTION_NAMES, STATE_NAMES
+from pneutac_sim.features import STATE_NAMES
 from pneutac_sim.twin import Twin, Value
 
 GOLDEN = Path(__file__).parents[2] / "golden" / "recordings"
 
 
-def demonstrations(folder, pressures=(12.0, 12.0), area=0.1, names=STATE_NAMES, fps=15):
-    """A LeRobotDataset without its images, an episode of five frames for each pressure."""
-    (folder / "meta").mkdir(parents=True)
-    (folder / "data").mkdir()
-    shapes = {STATE: [20], ACTION: [4], TACTILE: [320, 240, 3]}
-    features = {k: {"shape": s, "names": None} for k, s in shapes.items()}
-    features[STATE]["names"], features[ACTION]["names"] = list(names), list(ACTION_NAMES)
-    (folder / "meta" / "info.json").write_text(json.dumps({"fps": fps, "features": features}))
-    n = 5 * len(pressures)
-    state, action = np.zeros((n, 20), np.float32), np.zeros((n, 4), np.float32)
-    state[:, STATE_NAMES.index("contact_area.pos")] = np.repeat(np.broadcast_to(area, len(pressures)), 5)
-    action[:, 3] = np.repeat(pressures, 5)
-    columns = {"episode_index": np.repeat(range(len(pressures)), 5), STATE: list(state), ACTION: list(action)}
-    parquet.write_table(pa.table(columns), folder / "data" / "file-000.parquet")
-    return folder
-
-
 def test_good_demonstrations_pass_and_recorded_ones_too(tmp_path):
-    assert demonstration_faults(demonstrations(tmp_path / "d"), Twin.builtin()) == []
+    assert demonstration_faults(write_demonstrations(tmp_path / "d"), Twin.builtin()) == []
     assert check_path(GOLDEN / "demos").kind == "demonstrations"
     assert check_path(GOLDEN / "demos").faults == []
 
 
 def test_all_faults_of_demonstrations_are_told_at_once(tmp_path):
     names = ["joint_1.pose" if n == "joint_1.pos" else n for n in STATE_NAMES]
-    spoilt = demonstrations(tmp_path / "a", names=names, fps=30)
+    spoilt = write_demonstrations(tmp_path / "a", names=names, fps=30)
     text = " ".join(demonstration_faults(spoilt, Twin.builtin()))
     assert "30 fps, but the station's control rate is 15 Hz" in text
     assert "lacks 'joint_1.pos' (there is 'joint_1.pose')" in text
-    spoilt = demonstrations(tmp_path / "b", (12.0, 40.0, 12.0, np.nan), (0.1, 0.1, 0.0, 0.1))
+    spoilt = write_demonstrations(tmp_path / "b", (12.0, 40.0, 12.0, np.nan), (0.1, 0.1, 0.0, 0.1))
     text = " ".join(demonstration_faults(spoilt, Twin.builtin()))
     assert "Episode 1 commands pressures beyond the 0 to 15 kPa" in text
     assert "Episode 2 never touches anything" in text
@@ -125,7 +105,7 @@ def test_the_command_tells_each_folder_and_ends_with_one_where_there_is_a_fault(
     verb.main([str(tmp_path / "bench")])
     assert "(bench recording): good" in capsys.readouterr().out
     with pytest.raises(SystemExit) as stopped:
-        verb.main([str(tmp_path / "bench"), str(demonstrations(tmp_path / "d", (20.0, 9.0)))])
+        verb.main([str(tmp_path / "bench"), str(write_demonstrations(tmp_path / "d", (20.0, 9.0)))])
     assert stopped.value.code == 1
     assert "fault: Episode 0 commands pressures beyond" in " ".join(capsys.readouterr().out.split())
     with pytest.raises(InputError, match="is 'bench' meant"):

@@ -87,6 +87,23 @@ def test_a_dataset_keeps_the_station_and_what_waits_has_no_pace(keeper, monkeypa
     assert "ran at 5.0 Hz and not at 15, so its 3 frames are 0.2 s of the simulated world" in caplog.text
 
 
+@pytest.mark.parametrize("waits", [False, True])
+def test_a_loop_that_is_too_fast_is_stored_and_noted(keeper, monkeypatch, tmp_path, caplog, waits):
+    """As `lerobot-rollout --interpolation_multiplier=2` records twice as many frames a second."""
+    keeper._waits = waits
+    save(tmp_path, 0, 0)
+    logging.info("Recording episode 0")
+    observe(keeper, monkeypatch, [k / 30 for k in range(61)])
+    save(tmp_path, 1, 61)
+    assert (
+        read_pace(tmp_path)[0].achieved_hz == pytest.approx(30) and read_pace(tmp_path)[0].simulated == waits
+    )
+    (note,) = pace_notes(tmp_path, 15)
+    assert "ran faster than 15 Hz in episode 0 (30.0 Hz" in note and "--interpolation_multiplier" in note
+    assert ("of a simulated robot" in note) == waits == ("of the simulated world" in caplog.text)
+    assert ("stored as slower than they were" in note) != waits
+
+
 def test_what_was_not_announced_has_no_rate(keeper, monkeypatch, tmp_path):
     """Strategies that record all the time save in the midst of it, and our own recorder has no clock."""
     save(tmp_path, 0, 0)

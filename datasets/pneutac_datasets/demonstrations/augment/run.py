@@ -35,8 +35,10 @@ from pneutac_datasets.demonstrations.episodes import (
     demonstration_features,
     further_features,
     load_episode,
+    readable,
     save_episode,
 )
+from pneutac_datasets.demonstrations.info import refuse_damaged
 from pneutac_datasets.demonstrations.naive import augment_naive
 from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError
@@ -64,11 +66,11 @@ def read_references(
         InputError: there is no dataset, its features are not those of the robot, or an episode is
             not finite.
     """
-    if not (Path(root) / "meta" / "info.json").is_file():
-        raise InputError(f"'{root}' holds no LeRobotDataset (no meta/info.json).")
-    meta = LeRobotDatasetMetadata(repo_id, root)
-    demonstration_features(meta)
-    dataset = LeRobotDataset(repo_id, root, video_backend="pyav")
+    refuse_damaged(root)
+    with readable(root):
+        meta = LeRobotDatasetMetadata(repo_id, root)
+        demonstration_features(meta)
+        dataset = LeRobotDataset(repo_id, root, video_backend="pyav")
     table = dataset.hf_dataset.with_format("numpy")
     state, action = (np.stack(table[k][:]).astype(float) for k in (OBS_STATE, ACTION))
     references, places = [], Places.of(action.shape[1] - len(VELOCITY_NAMES))
@@ -79,7 +81,9 @@ def read_references(
         area = without_specks(s[:, places.area])
         r = Reference(i, s[:, places.ee], area, action[rows], row["tasks"][0], control_hz=meta.fps)
         if sensor is not None:
-            r.centre_mm = imprint_centres_mm(load_episode(dataset, i).images, r.area, sensor)
+            with readable(root):
+                images = load_episode(dataset, i).images
+            r.centre_mm = imprint_centres_mm(images, r.area, sensor)
         references.append(r)
     return meta, references
 

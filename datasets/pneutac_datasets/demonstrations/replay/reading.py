@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -13,8 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from pneutac_datasets.demonstrations.info import is_demonstrations
-from pneutac_sim.errors import InputError
+from pneutac_datasets.demonstrations.info import ACTION, is_demonstrations, read_info
+from pneutac_sim.errors import InputError, shown
 from pneutac_sim.features import (
     AREA,
     CHAMBERS,
@@ -22,7 +21,6 @@ from pneutac_sim.features import (
     EE,
     PRESSURE,
     chamber_count,
-    joint_count,
     task_names,
 )
 from pneutac_sim.twin import Twin
@@ -31,10 +29,7 @@ if TYPE_CHECKING:
     from pneutac_datasets.demonstrations.episodes import Episode
     from pneutac_sim.world.station import Station
 
-ROBOT = "pneutac"
 BEGIN, SOON = 5, 10  # frames in which nothing is touched yet, and before which no touch is one
-JUMP_M = 0.03  # in a frame, four times the fastest
-LEAST_KPA = 0.5  # travel of a command of pressure that a gauge must show
 
 
 def _paper() -> Station:
@@ -124,7 +119,8 @@ def load_demonstrations(
     from huggingface_hub.errors import HfHubHTTPError
     from lerobot.datasets import LeRobotDataset
 
-    from pneutac_datasets.demonstrations.episodes import load_episode
+    from pneutac_datasets.demonstrations.episodes import load_episode, readable
+    from pneutac_datasets.demonstrations.faults import demonstration_notes
     from pneutac_sim.world.station import Station, station_file
 
     folder = Path(name)
@@ -137,17 +133,20 @@ def load_demonstrations(
             ) from e
     file = station_file(folder, station)
     where = replace(Station.load(file) if file else Station(), control_hz=CONTROL_HZ)
-    _refuse(folder, twin or Twin.builtin(), where, file)
-    dataset = LeRobotDataset(f"local/{folder.name}", folder, video_backend="pyav", return_uint8=True)
+    _refuse(folder, twin or Twin.builtin(), where)
+    notes = demonstration_notes(folder, where)
+    with readable(folder):
+        dataset = LeRobotDataset(f"local/{folder.name}", folder, video_backend="pyav", return_uint8=True)
     count = dataset.meta.total_episodes
     if missing := [i for i in only or () if not 0 <= i < count]:
         raise InputError(f"{name} has no episode {missing[0]}; it has {count}, the first is 0.")
     numbers = range(count) if only is None else only
-    episodes = [load_episode(dataset, i).resampled(CONTROL_HZ) for i in numbers]
+    with readable(folder):
+        episodes = [load_episode(dataset, i).resampled(CONTROL_HZ) for i in numbers]
     for e in episodes:
         e.state[:, EE] += where.base_m  # demonstrations tell places in the arm's frame
     task = task or task_of(episodes[0].task, folder)
-    return checked(Demonstrations(Path(name), task, episodes, station=where))
+    return checked(Demonstrations(Path(name), task, episodes, warnings=notes, station=where))
 
 
 def checked(given: Demonstrations) -> Demonstrations:
@@ -156,6 +155,7 @@ def checked(given: Demonstrations) -> Demonstrations:
     Raises:
         InputError: one has not, or there is no such task.
     """
+    from pneutac_datasets.demonstrations.faults import unmeasurable
     from pneutac_sim.world.tasks import make_task
 
     make_task(given.task)
@@ -167,18 +167,8 @@ def checked(given: Demonstrations) -> Demonstrations:
             "throughout), so it tells nothing of the finger; leave it out with lerobot-edit-dataset."
         )
     for i, e in enumerate(given.episodes):
-        step_m = np.linalg.norm(np.diff(e.state[:, EE], axis=0), axis=1)
-        if step_m.max() > JUMP_M:
-            raise InputError(
-                f"{given.folder}: in episode {i} the flange jumps by {1e3 * step_m.max():.0f} mm at "
-                f"{step_m.argmax() / CONTROL_HZ:.1f} s, as where frames were lost or the scene was started "
-                "afresh; leave it out with lerobot-edit-dataset."
-            )
-        if np.ptp(e.action[:, 3]) > LEAST_KPA and np.ptp(e.state[:, PRESSURE]) < 1e-6:
-            raise InputError(
-                f"{given.folder}: in episode {i} pressure.pos stays at {e.state[0, PRESSURE]:g} kPa while "
-                "the command moves; log the gauge of the chamber, or leave the episode out."
-            )
+        if reason := unmeasurable(e.state, e.action, CONTROL_HZ):
+            raise InputError(f"{given.folder}: in episode {i} {reason}")
     return given
 
 
@@ -205,31 +195,22 @@ def _touch_anew(given: Demonstrations) -> Demonstrations:
     return replace(given, episodes=episodes, warnings=[*given.warnings, told])
 
 
-def _refuse(folder: Path, twin: Twin, station: Station, file: Path | None) -> None:
-    from pneutac_datasets.demonstrations.faults import demonstration_faults
+def _refuse(folder: Path, twin: Twin, station: Station) -> None:
+    from pneutac_datasets.demonstrations.faults import ROBOT, demonstration_faults
 
-    info = json.loads((folder / "meta" / "info.json").read_text(encoding="utf-8"))
+    file = folder / "meta" / "info.json"
+    info = read_info(file)
     robot = info.get("robot_type")
     if robot != ROBOT:
-        raise InputError(
-            f"{folder / 'meta' / 'info.json'}: robot_type is '{robot}'; give demonstrations of a "
-            f"'{ROBOT}' robot."
-        )
-    chambers = chamber_count(info.get("features", {}).get("action", {}).get("names") or [])
-    if max(chambers, CHAMBERS.get(twin.device, 1)) > 1:
+        raise InputError(f"{file}: robot_type is {shown(robot)}; give demonstrations of a '{ROBOT}' robot.")
+    names = info["features"].get(ACTION, {}).get("names")
+    if max(chamber_count(names if isinstance(names, list) else []), CHAMBERS.get(twin.device, 1)) > 1:
         raise InputError(
             f"{folder}: demonstrations are measurements of fingers of one chamber alone, and this body has"
             " several; compare it by a bench recording (--recording=)."
         )
-    faults = demonstration_faults(folder, twin, info.get("fps"))
-    if faults:
+    if faults := demonstration_faults(folder, twin, station, any_rate=True):
         raise InputError(faults[0])
-    joints = joint_count(len(info["features"]["observation.state"]["names"]))
-    if joints != station.joints:
-        raise InputError(
-            f"{folder / 'meta' / 'info.json'}: the arm has {joints} joints, and that of {file or 'the paper'}"
-            f" {station.joints}; lay the station.yaml in which they were recorded beside it."
-        )
 
 
 def task_of(instruction: str, folder: Path) -> str:

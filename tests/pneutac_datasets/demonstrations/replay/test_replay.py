@@ -1,15 +1,16 @@
 """Episodes of the independent stand-in, replayed in the twin's world."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from demonstration_sets import write_demonstrations
 
 from lerobot_pneutac.verbs.compare_demonstrations import FELT_MM
 from lerobot_robot_pneutac.standin.world import StandinWorld
-from pneutac_datasets.demonstrations import faults
 from pneutac_datasets.demonstrations.episodes import Episode
 from pneutac_datasets.demonstrations.replay.imprint import light_drift, rest_image, strengths
 from pneutac_datasets.demonstrations.replay.placing import find_place
@@ -23,19 +24,18 @@ from pneutac_datasets.demonstrations.replay.reading import (
 from pneutac_datasets.demonstrations.replay.replaying import ReplayWorld, late
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import (
-    ACTION_NAMES,
     AREA,
     CONTROL_HZ,
     EE,
-    IMAGE_SHAPE,
     N_PIXELS,
     PRESSURE,
-    STATE_NAMES,
     state_names,
 )
 from pneutac_sim.twin import Twin, Value
 from pneutac_sim.world.expert import ScriptedExpert
 from pneutac_sim.world.station import Station
+
+DEMOS = Path(__file__).parents[3] / "golden" / "recordings" / "demos"
 
 
 @pytest.fixture(scope="module")
@@ -178,29 +178,23 @@ def test_a_folder_that_is_not_there_is_no_name_on_the_hub(tmp_path):
     assert is_dataset("user/demonstrations")
 
 
-def test_a_dataset_of_another_robot_is_refused_before_any_work(tmp_path, monkeypatch):
+def test_a_dataset_of_another_robot_is_refused_before_any_work(tmp_path):
+    file = Path(shutil.copytree(DEMOS, tmp_path / "demos")) / "meta" / "info.json"
+    info = json.loads(file.read_text())
+
     def described(**more):
-        (tmp_path / "meta").mkdir(exist_ok=True)
-        features = {"observation.state": {"names": ["ee_x.pos"]}, "action": {"names": list(ACTION_NAMES)}}
-        info = {"robot_type": "pneutac", "fps": 15, "features": features} | more
-        (tmp_path / "meta" / "info.json").write_text(json.dumps(info))
-        return tmp_path
+        file.write_text(json.dumps(info | more))
+        return file.parents[1]
 
     with pytest.raises(InputError, match="robot_type is 'so101'; give demonstrations of a 'pneutac' robot"):
         load_demonstrations(described(robot_type="so101"))
-    names = list(STATE_NAMES)
-    features = {
-        "observation.state": {"names": names},
-        "action": {"names": list(ACTION_NAMES)},
-        "observation.images.tactile": {"shape": list(IMAGE_SHAPE)},
-    }
-    blind = {k: v for k, v in features.items() if "tactile" not in k}
+    blind = {k: v for k, v in info["features"].items() if "tactile" not in k}
     with pytest.raises(InputError, match="feature 'observation.images.tactile' is missing"):
         load_demonstrations(described(features=blind))
-    features["observation.state"] = {"names": names[:-1]}
+    state = info["features"]["observation.state"]
+    short = {"observation.state": state | {"names": state["names"][:-1]}}
     with pytest.raises(InputError, match="'observation.state' lacks 'pressure.pos'"):
-        load_demonstrations(described(features=features))
-    features["observation.state"] = {"names": list(state_names(6))}
-    monkeypatch.setattr(faults, "demonstration_faults", lambda *_: [])
-    with pytest.raises(InputError, match="6 joints, and that of the paper 7; lay the station.yaml in which"):
-        load_demonstrations(described(features=features))
+        load_demonstrations(described(features=info["features"] | short))
+    six = write_demonstrations(tmp_path / "six", names=state_names(6))
+    with pytest.raises(InputError, match="the arm has 6 joints, and that of the station 7; give the station"):
+        load_demonstrations(six)

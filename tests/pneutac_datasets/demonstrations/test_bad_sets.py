@@ -1,0 +1,305 @@
+"""LeRobotDatasets with damage, of other versions or with wrong numbers: `check` says what verbs refuse."""
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from demonstration_sets import write_demonstrations
+
+from lerobot_pneutac.verbs.check import check_path
+from pneutac_datasets.demonstrations.augment.run import read_references
+from pneutac_datasets.demonstrations.faults import TACTILE
+from pneutac_datasets.demonstrations.info import ACTION, STATE
+from pneutac_datasets.demonstrations.naive import augment_naive
+from pneutac_datasets.demonstrations.repair.dataset import repair_dataset
+from pneutac_datasets.demonstrations.replay.reading import load_demonstrations
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import STATE_NAMES
+from pneutac_sim.pace import PACE_FILE, Pace
+
+DEMOS = Path(__file__).parents[2] / "golden" / "recordings" / "demos"
+DATA, EPISODES = "data/chunk-000/file-000.parquet", "meta/episodes/chunk-000/file-000.parquet"
+VIDEO = f"videos/{TACTILE}/chunk-000/file-000.mp4"
+EE = slice(STATE_NAMES.index("ee_x.pos"), STATE_NAMES.index("ee_x.pos") + 3)
+
+
+def info(**changes):
+    """Changes `info.json`; a value of None takes a field away."""
+
+    def damage(root):
+        file = root / "meta/info.json"
+        content = json.loads(file.read_text()) | changes
+        file.write_text(json.dumps({k: v for k, v in content.items() if v is not None}))
+
+    return damage
+
+
+def feature(key, **changes):
+    def damage(root):
+        features = json.loads((root / "meta/info.json").read_text())["features"]
+        features[key] = features[key] | changes
+        info(features=features)(root)
+
+    return damage
+
+
+def without(name):
+    def damage(root):
+        (shutil.rmtree if (root / name).is_dir() else Path.unlink)(root / name)
+
+    return damage
+
+
+def half(name):
+    def damage(root):
+        (root / name).write_bytes((root / name).read_bytes()[: (root / name).stat().st_size // 2])
+
+    return damage
+
+
+def pointer(name):
+    def damage(root):
+        (root / name).write_text(
+            f"version https://git-lfs.github.com/spec/v1\noid sha256:{64 * '0'}\nsize 9\n"
+        )
+
+    return damage
+
+
+def text(name, content):
+    return lambda root: (root / name).write_text(content)
+
+
+def rows(change, name=DATA):
+    """Changes a table of the dataset, as pandas has it."""
+
+    def damage(root):
+        schema = pq.read_schema(root / name)
+        table = change(pq.read_table(root / name).to_pandas())
+        fits = list(table.columns) == schema.names
+        new = pa.Table.from_pandas(table, schema if fits else None, preserve_index=False)
+        pq.write_table(new, root / name)
+
+    return damage
+
+
+def numbers(key, change):
+    """Changes one column of vectors, (n, k)."""
+
+    def changed(table):
+        return table.assign(**{key: list(change(np.stack(table[key]).astype(np.float64)).astype(np.float32))})
+
+    return rows(changed)
+
+
+def times(factor, columns):
+    return lambda x: np.hstack([x[:, c : c + 1] * (factor if c in columns else 1) for c in range(x.shape[1])])
+
+
+def shifted(by, columns):
+    return lambda x: x + by * np.isin(np.arange(x.shape[1]), columns)
+
+
+def column(name, change, file=EPISODES):
+    return rows(lambda table: table.assign(**{name: change(table[name])}), file)
+
+
+def other_tasks(root):
+    file = root / "meta/tasks.parquet"
+    table = pd.read_parquet(file)
+    table.assign(task_index=table["task_index"] + 3).to_parquet(file)
+
+
+def narrow(root):
+    table = pq.read_table(root / DATA)
+    vectors = pa.array([a[:3] for a in table[ACTION].to_pylist()], pa.list_(pa.float32()))
+    pq.write_table(table.set_column(table.schema.names.index(ACTION), ACTION, vectors), root / DATA)
+
+
+SHORT = "breaks off: it holds"
+FROM = f"videos/{TACTILE}/from_timestamp"
+BAD = {
+    "v2.0": (info(codebase_version="v2.0"), "codebase_version is 'v2.0'.*first to v2.1"),
+    "v2.1": (info(codebase_version="v2.1"), "convert_dataset_v21_to_v30 --repo-id=local/demos"),
+    "v4.0": (info(codebase_version="v4.0"), "recorded with a newer LeRobot"),
+    "no version": (info(codebase_version=None), "codebase_version is None"),
+    "info is a pointer": (pointer("meta/info.json"), "info.json is a Git LFS pointer"),
+    "info is cut": (half("meta/info.json"), "is not valid JSON"),
+    "info is a list": (text("meta/info.json", "[]"), "must hold a JSON object"),
+    "features are a list": (info(features=[]), "'features' must be an object"),
+    "a feature is a text": (info(features={STATE: "x", ACTION: "y"}), "'features' must be an object"),
+    "no dtype": (feature(ACTION, dtype=None), "'action' lacks 'dtype' or 'shape'"),
+    "shape is a number": (feature(STATE, shape=20), "lacks 'dtype' or 'shape'"),
+    "no fps": (info(fps=None), "'fps' is None"),
+    "fps 0": (info(fps=0), "'fps' is 0"),
+    "fps 30": (info(fps=30), "30 fps, but the station's|timestamp"),
+    "no video path": (info(video_path=None), "'video_path' is None"),
+    "5 episodes": (info(total_episodes=5), "2 episodes and info.json counts 5"),
+    "99 frames": (info(total_frames=99), "110 rows and info.json counts 99"),
+    "no count of tasks": (info(total_tasks=0), "1 tasks and info.json counts 0"),
+    "count is a text": (info(total_episodes="two"), "must be a whole number"),
+    "names null": (feature(STATE, names=None), "'observation.state' has the names None; write one list"),
+    "names of motors": (feature(STATE, names={"motors": list(STATE_NAMES)}), "has the names {'motors'"),
+    "action's names null": (feature(ACTION, names=None), "'action' has the names None"),
+    "channels first": (feature(TACTILE, shape=[3, 320, 240]), r"channels first; write \[320, 240, 3\]"),
+    "other image size": (feature(TACTILE, shape=[480, 640, 3]), "those of the twin's sensor"),
+    "shape of 19": (feature(STATE, shape=[19]), "20 names and the shape .19.; it must be .20."),
+    "no tasks": (without("meta/tasks.parquet"), "tasks.parquet is missing"),
+    "tasks cut": (half("meta/tasks.parquet"), "tasks.parquet is cut short or damaged"),
+    "tasks pointer": (pointer("meta/tasks.parquet"), "tasks.parquet is a Git LFS pointer"),
+    "tasks of other numbers": (other_tasks, "has the task number 0"),
+    "no episodes": (without("meta/episodes"), "episodes holds no .parquet file"),
+    "episodes cut": (half(EPISODES), "is cut short or damaged"),
+    "episodes pointer": (pointer(EPISODES), "is a Git LFS pointer"),
+    "an episode less": (rows(lambda t: t.iloc[:1], EPISODES), "1 episodes and info.json counts 2"),
+    "lengths": (column("length", lambda x: x - 1), "rows of episode 0 and meta/episodes counts"),
+    "from index": (column("dataset_from_index", lambda x: x + 1), "places episode 0 in the rows 1"),
+    "no place of the video": (rows(lambda t: t.drop(columns=FROM), EPISODES), "lacks the column 'videos/"),
+    "from_timestamp": (column(FROM, lambda x: x + 0.0003), r"has no frame at .*\(from_timestamp\)"),
+    "from_timestamp a frame later": (column(FROM, lambda x: x + 1 / 15), SHORT),
+    "no stats": (without("meta/stats.json"), "stats.json is missing; run `pneutac repair"),
+    "stats cut": (half("meta/stats.json"), "is not valid JSON"),
+    "stats of nothing": (text("meta/stats.json", "{}"), "'observation.state' lacks 'min'"),
+    "no data": (without("data"), "data holds no .parquet file"),
+    "data cut": (half(DATA), "is cut short or damaged, and no Parquet file; restore it"),
+    "data pointer": (pointer(DATA), "is a Git LFS pointer"),
+    "data empty": (text(DATA, ""), "is empty; restore it"),
+    "80 of 110 rows": (rows(lambda t: t.iloc[:80]), "rows of episode 1 and meta/episodes counts"),
+    "a row in the midst is missing": (rows(lambda t: t.drop(index=20)), "rows of episode 0"),
+    "rows shuffled": (rows(lambda t: t.sample(frac=1, random_state=0)), "out of order"),
+    "no action": (rows(lambda t: t.drop(columns=ACTION)), "lacks the column 'action'"),
+    "a column more": (rows(lambda t: t.assign(extra=0)), "has a column 'extra'"),
+    "timestamps": (column("timestamp", lambda x: x + 0.002, DATA), "has timestamp 0.0020 s"),
+    "task numbers": (column("task_index", lambda x: x + 1, DATA), "has the task number 1"),
+    "vectors of 3": (narrow, "does not hold .4. numbers"),
+    "no videos": (without("videos"), "mp4 is missing"),
+    "video cut": (half(VIDEO), SHORT),
+    "video pointer": (pointer(VIDEO), "mp4 is a Git LFS pointer"),
+    "video is a text": (text(VIDEO, "404"), "cannot be opened as a video"),
+    "joints in degrees": (numbers(STATE, times(57.3, range(14))), "as degrees do; record radians"),
+    "velocities in mm/s": (numbers(ACTION, times(1000, range(3))), "do not fit: in 0.5 s the flange moves"),
+    "velocities reversed": (numbers(ACTION, times(-1, [0])), "'dx.vel' .* moves against the command"),
+    "no velocities": (numbers(ACTION, times(0, range(3))), "the command says 0 mm"),
+    "axes swapped": (numbers(ACTION, lambda a: a[:, [2, 1, 0, 3]]), "do not fit"),
+    "places in mm": (numbers(STATE, times(1000, range(EE.start, EE.stop))), "do not fit"),
+}  # fmt: skip
+
+
+def copied(folder):
+    return Path(shutil.copytree(DEMOS, folder / "demos"))
+
+
+@pytest.mark.parametrize("bad", BAD)
+def test_check_says_what_the_verbs_refuse(tmp_path, bad):
+    damage, said = BAD[bad]
+    root = copied(tmp_path)
+    damage(root)
+    try:
+        faults = check_path(root).faults
+    except InputError as e:
+        faults = [str(e)]
+    assert re.search(said, " ".join(faults), re.DOTALL), faults
+    refused = []
+    for read in (
+        lambda: load_demonstrations(root, task="switch"),
+        lambda: read_references(root, "local/demos"),
+        lambda: augment_naive(root, "local/demos", tmp_path / "new", "local/new", 1, 0),
+    ):
+        try:
+            read()
+        except InputError as e:  # any other exception fails the test
+            refused.append(str(e))
+    assert refused
+    assert not any("cannot be read by LeRobot" in sentence for sentence in refused)
+
+
+REPAIRED = "5 episodes,99 frames,no episodes,episodes cut,no stats,stats cut,from_timestamp".split(",")
+
+
+@pytest.mark.parametrize("bad", REPAIRED)
+def test_repair_mends_what_check_sends_to_it(tmp_path, bad):
+    root = copied(tmp_path)
+    BAD[bad][0](root)
+    assert "pneutac repair --dataset=" in " ".join(check_path(root).faults) or bad == "stats cut"
+    assert repair_dataset(root).frames == 110
+    assert check_path(root).faults == []
+
+
+def test_images_in_parquet_are_opened(tmp_path):
+    root = write_demonstrations(tmp_path / "demos")
+    assert check_path(root).faults == []
+    name = next(str(f.relative_to(root)) for f in (root / "data").rglob("*.parquet"))
+
+    def emptied(table):
+        table[TACTILE] = [{"bytes": b"\x89PNG", "path": "x.png"} for _ in range(len(table))]
+        return table
+
+    rows(emptied, name)(root)
+    (fault,) = check_path(root).faults
+    assert "cannot be read as an image" in fault and "row 0" in fault
+
+
+def notes_of(root, *damages):
+    for damage in damages:
+        damage(root)
+    found = check_path(root)
+    assert found.faults == []
+    return " ".join(found.notes)
+
+
+def test_joints_that_do_not_belong_to_the_flange_are_noted(tmp_path):
+    root = copied(tmp_path)
+    assert notes_of(root) == ""
+    noted = notes_of(root, numbers(STATE, shifted(np.radians(10.0), [1])))
+    assert "the joint angles put the flange of 'panda'" in noted and "mm away from ee_x.pos" in noted
+    assert any("joint angles put" in w for w in load_demonstrations(root, task="switch").warnings)
+
+
+def test_a_loop_of_another_rate_is_noted(tmp_path):
+    """Frames of a loop at 30 Hz that the dataset counts as 15 a second."""
+    half_as_far = notes_of(copied(tmp_path), numbers(ACTION, times(2.0, range(3))))
+    assert "the flange moves 0.5 times as far as the command says. Was the loop faster" in half_as_far
+
+
+@pytest.mark.parametrize(
+    "hz,said", [(14.5, ""), (13.0, "fell short of 15 Hz"), (15.5, ""), (28.5, "ran faster than 15 Hz")]
+)
+def test_achieved_rates_above_and_below_are_noted(tmp_path, hz, said):
+    root = copied(tmp_path)
+    (root / "meta" / PACE_FILE).write_text(json.dumps({"0": vars(Pace(hz, 0, 0.1))}))
+    noted = notes_of(root)
+    assert said in noted and bool(said) == bool(noted)
+
+
+@pytest.mark.parametrize(
+    "damage,said",
+    [
+        (
+            info(robot_type="so101_follower"),
+            "robot_type is 'so101_follower'; compare",
+        ),
+        (numbers(STATE, times(0, [STATE_NAMES.index("pressure.pos")])), "pressure.pos stays at 0 kPa"),
+        (
+            numbers(STATE, lambda s: s + 0.05 * np.outer(np.arange(len(s)) > 30, np.arange(20) == EE.start)),
+            "the flange jumps by 5",
+        ),
+    ],
+)
+def test_what_is_no_measurement_is_noted_and_refused(tmp_path, damage, said):
+    root = copied(tmp_path)
+    assert said in notes_of(root, damage)
+    with pytest.raises(InputError):
+        load_demonstrations(root, task="switch")
+
+
+def test_episodes_by_pandas_are_read_too(tmp_path):
+    """A table that pandas wrote anew, in one row group, is a whole one."""
+    root = copied(tmp_path)
+    pd.read_parquet(root / EPISODES).to_parquet(root / EPISODES)
+    assert check_path(root).faults == []
