@@ -14,8 +14,8 @@ from pneutac_sim.errors import printable
 
 
 def show(result, console: Console, sentence: bool = True) -> None:
-    """Prints findings, sentence, table and remarks of a `Result`."""
-    for finding in result.findings:
+    """Prints notes, sentence, table and remarks of a `Result`."""
+    for finding in result.findings_shown:
         console.print(f"[yellow]note:[/] {escape(printable(finding))}", highlight=False)
     if sentence and result.sentence:
         console.print(f"\n[bold]{escape(printable(result.sentence))}[/]\n", highlight=False)

@@ -6,7 +6,7 @@ import plotly.graph_objects as go
 from lerobot_pneutac.diagnosis.experiment import Separation
 from lerobot_pneutac.diagnosis.result import Outcome
 from lerobot_pneutac.reports.page import Report, span
-from lerobot_pneutac.reports.sentences import percent
+from lerobot_pneutac.reports.sentences import State, alternatives, evidence, meaning, percent
 from lerobot_pneutac.study.base import EffectStudy
 
 BLUE, GREY, RED = "#0b6e99", "#9aa5b1", "#b8442f"
@@ -19,9 +19,11 @@ def diagnosis_page(d, separation: Separation | None) -> Report:
     study, o = d.study, d.outcome
     page = Report("What is missing")
     page.lead(d.sentence)
-    page.text(f"**How sure.** {d.how_sure} Verdict: `{d.verdict}`.")
-    page.text(f"**Not explained.** {' '.join([d.not_explained, *study.caveats(o)])}")
-    page.text(f"**Record next.** {d.next_experiment}")
+    page.text(f"**Confidence: {d.confidence}.** {meaning(d.state)} {evidence(d.state)}")
+    page.bullets("Warnings", d.warnings)
+    page.next_here()
+    if not d.next_command:
+        page.text(f"**Do next.** {d.do_next}")
     page.figure(
         ladder(study, o),
         "The error as more is added, where nothing was fitted; whiskers: 95 % interval, dashed: noise.",
@@ -36,7 +38,7 @@ def diagnosis_page(d, separation: Separation | None) -> Report:
         _over_time(page, study, o)
     for picture, caption in study.pictures(o):
         page.image(picture, caption)
-    _rivals(page, o)
+    _rivals(page, o, d.state)
     _parameters(page, study, o)
     if separation is not None:
         page.figure(proposed(separation), f"Predictions of the two rivals: {separation.advice}")
@@ -74,10 +76,9 @@ def _over_time(page: Report, study: EffectStudy, o: Outcome) -> None:
         page.figure(against(study, o, name, x), height=300)
 
 
-def _rivals(page: Report, o: Outcome) -> None:
-    page.heading("Rivals")
-    if not o.rivals:
-        page.text("No other effect explains the test part as well.")
+def _rivals(page: Report, o: Outcome, state: State) -> None:
+    page.heading("Alternatives")
+    page.text(alternatives(state))
     page.table(
         [
             {

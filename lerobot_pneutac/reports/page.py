@@ -3,6 +3,7 @@
 import base64
 import io
 import re
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
@@ -25,6 +26,7 @@ class Report:
         self.title = title
         self.about = ""  # of what, a line under the title
         self._sections: list[dict] = []
+        self._next_at: int | None = None
 
     def _add(self, kind: str, text: str = "", **content) -> None:
         self._sections.append({"kind": kind, "text": text, **content})
@@ -41,6 +43,21 @@ class Report:
         """Paragraphs separated by blank lines; `code` and **bold** are understood, all else is literal."""
         for paragraph in re.split(r"\n\s*\n", text.strip()):
             self._add("text", paragraph)
+
+    def bullets(self, heading: str, items: Sequence[str]) -> None:
+        """A short list under a bold heading; nothing where it is empty."""
+        if items:
+            self._add("list", heading, entries=items)
+
+    def next_here(self) -> None:
+        """The place of the next command, if there is one; without it that is the end of the page."""
+        self._next_at = len(self._sections)
+
+    def next_command(self, command: str) -> None:
+        """What to run next."""
+        at = len(self._sections) if self._next_at is None else self._next_at
+        kind, title = ("heading", "Next") if self._next_at is None else ("text", "**Do next**")
+        self._sections[at:at] = [{"kind": kind, "text": title}, {"kind": "code", "text": command}]
 
     def code(self, text: str) -> None:
         """A block to copy."""

@@ -1,138 +1,325 @@
-"""What a diagnosis found, in words that a newcomer understands."""
+"""What a diagnosis found, in words: headline, confidence, warnings, next step, all from one `State`."""
+
+from dataclasses import dataclass
+from enum import StrEnum
 
 from lerobot_pneutac.diagnosis.experiment import Separation
 from lerobot_pneutac.diagnosis.result import Outcome
 from lerobot_pneutac.study.base import EffectStudy
-from pneutac_datasets.recording.wording import plural
+from pneutac_datasets.recording.wording import joined
 from pneutac_sim.effects.laws import family, is_law
 
-
-def lead(study: EffectStudy, outcome: Outcome) -> str:
-    """The one sentence (or two) at the top, and what the recording does not tell apart from what is named."""
-    return f"{_lead(study, outcome)} {study.alike(outcome.selected)}".rstrip()
-
-
-def _lead(study: EffectStudy, outcome: Outcome) -> str:
-    device, unit, evidence = study.recording.device, study.unit, outcome.evidence
-    after = f"{study.errors(outcome.after)['heldout']:.3g} {unit}"
-    noise = "unknown" if study.noise.value is None else f"{study.noise.value:.3g} {unit}"
-    if outcome.verdict == "adequate" and not evidence.is_noise:
-        return (
-            f"Nothing is missing that this recording could show: what is left of the {device}'s error, "
-            f"{after}, follows nothing that was commanded; how much of it is noise is not known."
-        )
-    if outcome.verdict == "adequate":
-        return (
-            f"Nothing is missing that this recording could show: the {device}'s error of {after} is the "
-            f"noise of the measurement ({noise})."
-        )
-    if outcome.verdict == "ambiguous":
-        if evidence.poor:
-            return study.too_little()
-        why = (
-            "the fall of the error may be chance"
-            if study.noise.value is not None
-            else f"the noise {study.noise.how}"
-        )
-        return (
-            f"This recording cannot tell what is missing: {_names(evidence.near_miss)} would help, but {why}."
-        )
-    if outcome.verdict == "unknown_effect":
-        tried = (
-            f" The best that was found to stand in for it, {_names(outcome.selected)}, removes "
-            f"{_removed(study, outcome)} of it."
-            if outcome.selected
-            else " No effect of the library and no law makes it surely smaller."
-        )
-        where = study.unknown_where.format(device=device)
-        return (
-            f"Something that no known effect describes {where}: an error of {after} stays where the noise "
-            f"is {noise}.{tried}"
-        )
-    form = f" Its form is not the whole truth: {after} stay where the noise is {noise}."
-    if not outcome.selected:
-        return f"What the twin has explains most of the {device}'s error, and no other effect more.{form}"
-    first = outcome.selected[0]
-    before = f"{study.errors(outcome.before)['heldout']:.3g} {unit}"
-    others = list(dict.fromkeys(_kind(e) for e in outcome.selected[1:] if _kind(e) != _kind(first)))
-    text = (
-        f"{plainly(study, outcome, first)}{f' It also shows {_listed(others)}.' if others else ''} With this "
-        f"the error where nothing was fitted falls from {before} to {after}; the noise of the measurement "
-        f"{'is' if study.noise.value is None else 'makes'} {noise}."
-    )
-    rivals = sorted({r.rival for r in outcome.rivals if r.effect == first})
-    if rivals:
-        text += f" As far as this recording can tell it may be {' or '.join(map(called, rivals))} instead."
-    return text + (" Its form is not the whole truth." if outcome.verdict == "insufficient_form" else "")
+RIGHT = 0.8  # calibrated probability of the headline below which it is not called confirmed
+EVEN = 0.5  # below which it is not called likely
+AGREED = 0.7  # share of repeated searches below which it is not called confirmed
+COUNTS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
 
 
-def plainly(study: EffectStudy, outcome: Outcome, effect: str) -> str:
-    """What an effect does and how much, without its equation."""
-    text = study.describe(outcome.after, effect)
-    if is_law(effect):
-        text = text.partition(": ")[0].rstrip(".") + "."
-    size = study.size(outcome.after, effect)
-    return f"{text} {size}" if size else text
+class Confidence(StrEnum):
+    """How far the headline can be trusted."""
+
+    CONFIRMED = "confirmed"
+    LIKELY = "likely"
+    UNNAMED = "explained but unnamed"
+    INCONCLUSIVE = "inconclusive"
 
 
-def how_sure(study: EffectStudy, outcome: Outcome) -> str:
-    """How far what was found can be trusted."""
+MEANING = {
+    Confidence.CONFIRMED: "What remains is noise, every check passed and no other effect fits as well.",
+    Confidence.LIKELY: "The improvement is significant and no check failed; a warning says what is open.",
+    Confidence.UNNAMED: "Something like this is missing. Which equation describes it is open.",
+    Confidence.INCONCLUSIVE: "This recording does not decide what is missing.",
+}
+NOTHING = {
+    Confidence.CONFIRMED: "What remains is noise.",
+    Confidence.LIKELY: "Nothing lowers the error significantly, but the noise was not measured.",
+}
+
+
+class Kind(StrEnum):
+    """What the headline is about."""
+
+    POOR = "too little data"
+    NOTHING = "nothing to add"
+    CAUSES = "causes found"
+    PARTIAL = "most of the error is unexplained, something lowers it"
+    UNKNOWN = "the error is unexplained"
+    UNDECIDED = "effects that help, but not significantly"
+    REST = "an error that remains although the twin explains most"
+
+
+@dataclass(frozen=True, kw_only=True)
+class State:
+    """All that the sentences of a diagnosis depend on, computed once.
+
+    Attributes:
+        device: `finger`, `arm` or `gel`.
+        unit: of the errors.
+        verdict: one of five, see `diagnosis.verdict`.
+        poor: why the recording is too poor for any claim; empty where it is not.
+        causes: what is missing, as noun phrases, the largest first.
+        known: how many of them are known causes, such as the finger's weight.
+        before: test error of the twin as it is.
+        after: test error with all causes.
+        rest: `after` without what single runs have of their own; `after` where they have nothing.
+        noise: of the measurement; None where the recording does not determine it.
+        noise_how: how it was found, or why it was not.
+        noise_measured: whether it was declared or measured by repeats.
+        at_noise: whether what remains is called noise.
+        removed: share of the squared error above the noise that the causes remove, with its 95 % interval.
+        rivals: pairs of a cause and of another effect that explains the data as well.
+        lower: effects that alone have a lower test error than the best of the causes alone.
+        near_miss: effects that help, but not significantly.
+        agreed: share of repeated searches that found the first cause; None where none were made.
+        right: calibrated probability that the first cause is the device's physics; None where unknown.
+        objections: checks that failed, one phrase each.
+        black_box: share of the remaining error that a black box predicts; 0 where it is little.
+        untested: what could not be tested, and why.
+        notes: of the recording, one sentence each.
+        confusable: whether this kind of recording cannot separate the causes from others; a note says so.
+        optimistic: whether there was no test part of its own.
+        experiment: what to record next.
+    """
+
+    device: str
+    unit: str
+    verdict: str
+    before: float
+    after: float
+    rest: float
+    noise: float | None
+    noise_how: str = ""
+    noise_measured: bool = True
+    at_noise: bool = False
+    poor: str = ""
+    causes: tuple[str, ...] = ()
+    known: int = 0
+    removed: tuple[float, tuple[float, float]] = (0.0, (0.0, 0.0))
+    rivals: tuple[tuple[str, str], ...] = ()
+    lower: tuple[str, ...] = ()
+    near_miss: tuple[str, ...] = ()
+    agreed: float | None = None
+    right: float | None = None
+    objections: tuple[str, ...] = ()
+    black_box: float = 0.0
+    untested: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    confusable: bool = False
+    optimistic: bool = False
+    experiment: str = ""
+
+    @property
+    def kind(self) -> Kind:
+        """What the headline is about."""
+        if self.poor:
+            return Kind.POOR
+        if not self.causes:
+            if self.at_noise or self.verdict == "adequate":
+                return Kind.NOTHING
+            if self.verdict == "ambiguous":
+                return Kind.UNDECIDED
+            return Kind.UNKNOWN if self.verdict == "unknown_effect" else Kind.REST
+        return Kind.PARTIAL if self.verdict == "unknown_effect" and not self.at_noise else Kind.CAUSES
+
+    @property
+    def confidence(self) -> Confidence:
+        """The one word for it."""
+        sure = self.at_noise and self.noise_measured and not self.objections
+        if self.kind is Kind.NOTHING:
+            return Confidence.CONFIRMED if sure else Confidence.LIKELY
+        if self.kind is not Kind.CAUSES or self.verdict in ("ambiguous", "unknown_effect"):
+            return Confidence.INCONCLUSIVE
+        right, agreed = (1.0 if x is None else x for x in (self.right, self.agreed))
+        if self.verdict == "insufficient_form" or right < EVEN:
+            return Confidence.UNNAMED
+        sure = sure and not self.rivals and not self.confusable and right >= RIGHT and agreed >= AGREED
+        return Confidence.CONFIRMED if sure else Confidence.LIKELY
+
+
+def state_of(study: EffectStudy, outcome: Outcome) -> State:
+    """Everything that the sentences of one diagnosis depend on."""
     o, e = outcome, outcome.evidence
-    if e.poor:
-        return "Not at all: the recording is too poor for any claim."
-    if not o.selected:
-        tried = f"{plural(len(o.tested), 'effect')} came closest" if o.tested else "no effect came close"
-        return f"Nothing that was tried surely lowers the error; {tried}."
-    if e.is_noise:
-        explained = "Very: it explains all that is more than noise"
-    elif e.noise_known and e.after is not None:
-        explained = f"Fairly: what is left is {e.after:.3g} times the noise"
-    else:
-        explained = "Fairly: what is left follows nothing that was commanded, but the noise is not known"
-    sure = {
-        "missing_effect": explained,
-        "insufficient_form": "That something of this kind is there, yes; of its form, no",
-        "unknown_effect": "Not at all: it only stands in for what is there",
-    }.get(o.verdict, "Hardly: it may be chance")
-    votes = (
-        f"; {100 * o.chosen_in[o.selected[0]]:.0f} % of repeated searches on other parts of the data chose it"
+    after = study.errors(o.after)["heldout"]
+    order = [c.name for c in sorted(o.contributions, key=lambda c: -c.drop[0])]
+    named = [n for n in dict.fromkeys([*order, *o.selected, *o.known]) if n in o.selected or n in o.known]
+    alone = {t.name: t.heldout for t in o.tested if t.reduction is not None}
+    best = min((x for n, x in alone.items() if n in o.selected), default=None)
+    lower = [n for n, x in alone.items() if n not in o.selected and best is not None and x < best]
+    alike = study.alike(o.selected)
+    return State(
+        device=study.recording.device,
+        unit=study.unit,
+        verdict=o.verdict,
+        poor=study.too_little() if e.poor else "",
+        causes=tuple(dict.fromkeys(study.cause(o.after, n) for n in named)),
+        known=len(o.known),
+        before=study.errors(o.before)["heldout"],
+        after=after,
+        rest=(o.run_terms or {}).get("error", after),
+        noise=study.noise.value,
+        noise_how=study.noise.how,
+        noise_measured=e.noise_known and study.noise.value is not None,
+        at_noise=e.is_noise and study.noise.value is not None,
+        removed=study.reduction(o.before, o.after) if named else (0.0, (0.0, 0.0)),
+        rivals=tuple((called(r.effect), called(r.rival)) for r in o.rivals),
+        lower=tuple(map(called, lower)),
+        near_miss=tuple(map(called, e.near_miss)),
+        agreed=o.chosen_in.get(o.selected[0]) if o.selected else None,
+        right=o.likely_right,
+        objections=tuple(e.objections) if named else (),
+        black_box=e.left_to_black_box if e.unfinished else 0.0,
+        untested=tuple(f"{called(u.name)}: {u.reason}" for u in study.untested),
+        notes=tuple(dict.fromkeys(n for n in (*study.findings, alike, *study.caveats(o)) if n)),
+        confusable=bool(alike),
+        optimistic=not study.parts.has_test,
+        experiment=next_experiment(study, o)[0],
     )
+
+
+def headline(s: State) -> str:
+    """The causes by size, the error and one confidence word."""
+    return f"{_headline(s)} Confidence: {s.confidence}."
+
+
+def _headline(s: State) -> str:
+    error = f"{s.rest:.3g} {s.unit}"
+    noise = f"noise {s.noise:.3g} {s.unit}" if s.noise is not None else "noise unknown"
+    match s.kind:
+        case Kind.POOR:
+            return s.poor
+        case Kind.NOTHING if s.at_noise:
+            kind = "" if s.noise_measured else "estimated "
+            return (
+                f"Nothing is missing that this recording can show: the test error of {error} is at the "
+                f"{kind}noise ({s.noise:.3g} {s.unit})."
+            )
+        case Kind.NOTHING:
+            return (
+                f"Nothing is missing that this recording can show: the test error of {error} does not follow "
+                "the command. How much of it is noise is not known."
+            )
+        case Kind.UNDECIDED if s.noise is None:
+            return (
+                f"This recording cannot decide what is missing: {joined(s.near_miss)} would lower the test "
+                f"error of {error}, but the noise {s.noise_how}."
+            )
+        case Kind.UNDECIDED:
+            return (
+                f"This recording cannot decide what is missing: {joined(s.near_miss)} would lower the test "
+                f"error of {error} ({noise}), but not significantly."
+            )
+        case Kind.UNKNOWN:
+            return (
+                f"The model is missing something that no known effect describes: a test error of {error} "
+                f"remains ({noise}), and nothing that was tried lowers it significantly."
+            )
+        case Kind.REST:
+            return (
+                f"The twin explains most of the {s.device}'s error, and no further effect lowers it "
+                f"significantly: a test error of {error} remains ({noise})."
+            )
+        case Kind.PARTIAL:
+            return (
+                f"Most of the error is unexplained: {error} remain ({noise}). The best model found adds "
+                f"{joined(s.causes)} and removes {_removed(s)}."
+            )
+    n = len(s.causes)
+    verb = "may be" if s.confidence is Confidence.INCONCLUSIVE else "is" if n == 1 else "are"
+    count = COUNTS[n] if n < len(COUNTS) else f"{n}"
+    each = s.causes[0] if n == 1 else "; ".join(f"({i}) {c}" for i, c in enumerate(s.causes, 1))
+    runs = "" if s.rest == s.after else f", and to {error} without each run's own offset"
+    things = f"{count.capitalize()} {'thing' if n == 1 else 'things'}"
+    these = "it" if n == 1 else "both" if n == 2 else f"all {count}"
     return (
-        f"{sure}. It removes {_removed(study, o)} of the squared error above the noise, on stretches of time "
-        f"that no fit saw{votes if o.selected[0] in o.chosen_in else ''}.{_belief(o)}"
+        f"{things} {verb} missing from the model: {each}. With {these} the test error falls from "
+        f"{s.before:.3g} to {s.after:.3g} {s.unit}{runs} ({noise})."
     )
 
 
-def _belief(outcome: Outcome) -> str:
-    if outcome.likely_right is None:
+def meaning(s: State) -> str:
+    """What the confidence word says of this headline."""
+    if s.kind is Kind.NOTHING:
+        return NOTHING[s.confidence]
+    return MEANING[s.confidence]
+
+
+def warnings(s: State) -> list[str]:
+    """What speaks against the headline, what it leaves open and what the recording lacks."""
+    out = []
+    if not s.poor:
+        out += [f"A check failed: {o}." for o in s.objections]
+        if s.kind is Kind.CAUSES and not s.at_noise and s.noise and not s.objections:
+            out.append(f"The error that remains is {s.rest / s.noise:.2g} times the noise.")
+        out += [f"The data fit {b} about as well as {a}." for a, b in s.rivals]
+        if s.black_box:
+            share = f"{100 * s.black_box:.0f} %"
+            out.append(f"A black box predicts {share} of the remaining error from the inputs.")
+        if s.right is not None and s.right < RIGHT and s.causes:
+            out.append(_right(s.right))
+        if s.agreed is not None and s.agreed < AGREED:
+            out.append(f"{100 * s.agreed:.0f} % of repeated searches found the first-joined cause.")
+        if s.noise is None:
+            out.append(f"The noise {s.noise_how}.")
+        elif not s.noise_measured:
+            out.append(f"The noise is an estimate: {s.noise_how}. Record one program twice to measure it.")
+        if s.optimistic:
+            out.append("The recording is too short for a test part of its own; the errors are optimistic.")
+    out += s.notes
+    if s.untested:
+        out.append(f"Not tested: {'; '.join(s.untested)}.")
+    return out
+
+
+def do_next(s: State, command: str) -> str:
+    """One command or one experiment; `command` adds the causes to the twin."""
+    if s.kind is Kind.CAUSES and s.confidence is not Confidence.INCONCLUSIVE:
+        return command
+    if s.kind is Kind.NOTHING and s.noise is not None:
+        return "Record another day and compare the twin with it."
+    return s.experiment
+
+
+def alternatives(s: State) -> str:
+    """Whether another effect would do as well, a sentence; empty where nothing was found."""
+    if not s.causes or s.poor:
         return ""
-    share = 100 * outcome.likely_right
-    return f" Of foreign devices with a finding like this {share:.0f} % had the physics that was named first."
+    if s.rivals:
+        return " ".join(f"The data fit {b} about as well as {a}." for a, b in s.rivals)
+    if s.lower:
+        return (
+            f"By itself {joined(s.lower)} reaches a slightly lower test error than any cause by itself. "
+            "The choice was made by cross-validation on other blocks."
+        )
+    return "No other effect that was tried has a test error as low."
 
 
-def not_explained(study: EffectStudy, outcome: Outcome) -> str:
-    """What stays, and what could not be looked for."""
-    unit = study.unit
-    after, noise = study.errors(outcome.after)["heldout"], study.noise.value
-    if outcome.evidence.is_noise:
-        text = f"Nothing that this recording could show: the error of {after:.3g} {unit} is the noise."
-    elif noise is None:
-        text = f"The error is {after:.3g} {unit}; how much of it is noise {study.noise.how}."
-    else:
-        left = max(after**2 - noise**2, 0.0) ** 0.5
-        text = f"{left:.2g} {unit} beside the noise (the error is {after / noise:.3g} times the noise)."
-    if study.untested:
-        text += f" Not looked for, as it was not recorded: {_names([u.name for u in study.untested])}."
-    return text
+def evidence(s: State) -> str:
+    """Numbers behind the confidence, sentences."""
+    if not s.causes or s.poor:
+        return ""
+    out = [f"The causes remove {_removed(s)}, on test blocks."]
+    if s.agreed is not None:
+        share = f"{100 * s.agreed:.0f} %"
+        out.append(f"Repeated on other splits of the data, {share} of the searches found the first cause.")
+    if s.right is not None:
+        out.append(_right(s.right))
+    return " ".join(out)
+
+
+def _removed(s: State) -> str:
+    return f"{percent(*s.removed)} of the squared error{'' if s.noise is None else ' above the noise'}"
+
+
+def _right(share: float) -> str:
+    return (
+        f"In tests with similar results the first-joined cause was right in {100 * share:.0f} of 100 cases."
+    )
 
 
 def called(name: str) -> str:
     """An effect by its name, a law by its family and its name."""
-    return f"{_kind(name)} as {name}" if is_law(name) else _kind(name)
-
-
-def _kind(name: str) -> str:
-    return family(name).replace("_", " ")
+    kind = family(name).replace("_", " ")
+    return f"{kind} ({name})" if is_law(name) else kind
 
 
 def next_experiment(study: EffectStudy, outcome: Outcome) -> tuple[str, Separation | None]:
@@ -143,29 +330,16 @@ def next_experiment(study: EffectStudy, outcome: Outcome) -> tuple[str, Separati
         rival = outcome.rivals[0]
         best = study.separation(rival)
         if best:
-            return f"To tell {called(rival.effect)} from {called(rival.rival)}: {best.advice}", best
-    if outcome.verdict == "unknown_effect":
+            return f"To separate {called(rival.effect)} from {called(rival.rival)}: {best.advice}", best
+    if outcome.verdict == "unknown_effect" and not outcome.evidence.is_noise:
         return study.repeat, None
     hints = outcome.selected or outcome.evidence.near_miss
-    aim = {"ambiguous": "see", "insufficient_form": "see", "missing_effect": "confirm"}.get(outcome.verdict)
-    if aim is None or not hints:
+    if outcome.verdict == "adequate" or not hints:
         return study.nothing_left, None
-    return f"To {aim} {called(hints[0])}: {study.experiment(outcome.after, hints[0])}", None
-
-
-def _removed(study: EffectStudy, outcome: Outcome) -> str:
-    return percent(*study.reduction(outcome.before, outcome.after))
+    return f"To confirm {called(hints[0])}: {study.experiment(outcome.after, hints[0])}", None
 
 
 def percent(share: float, interval: tuple[float, float]) -> str:
     """`87 % [81 to 92]`; the interval is left out where it rounds to the number itself."""
     value, lo, hi = (round(100 * x) for x in (share, *interval))
     return f"{value} %" if lo == value == hi else f"{value} % [{lo} to {hi}]"
-
-
-def _names(names: list[str]) -> str:
-    return _listed([called(n) for n in names])
-
-
-def _listed(words: list[str]) -> str:
-    return words[0] if len(words) == 1 else ", ".join(words[:-1]) + " and " + words[-1]

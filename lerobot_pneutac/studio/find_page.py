@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from lerobot_pneutac.reports.diagnosis import ladder, reductions
+from lerobot_pneutac.reports.sentences import alternatives, meaning
 from lerobot_pneutac.studio.experiment_panel import ExperimentPanel
 from lerobot_pneutac.studio.tables import table
 from lerobot_pneutac.verbs.add import add
@@ -172,9 +173,10 @@ class FindPage:
 
     def _tell_diagnosis(self) -> None:
         d = self._studio.session.diagnosis
+        warned = "\n".join(f"- {w}" for w in d.warnings)
         self.sentence.content = (
-            f"**{d.sentence}**\n\n**How sure.** {d.how_sure}\n\n**Not explained.** {d.not_explained}\n\n"
-            f"**Record next.** {d.next_experiment}"
+            f"**{d.sentence}**\n\n{meaning(d.state)}\n\n**Warnings.**\n\n{warned or 'None.'}\n\n"
+            f"**Do next.** {d.do_next}"
         )
         self._clear()
         rivals = [
@@ -186,8 +188,8 @@ class FindPage:
                 figure.update_layout(template="plotly_white", height=height, font={"size": 10},
                                      margin={"l": 90, "r": 10, "t": 20, "b": 40})  # fmt: skip
                 self._figures.append(self._gui.add_plotly(figure, aspect=440 / height))
-            text = table(rivals) if rivals else "No other effect explains the test part as well."
-            self._figures.append(self._gui.add_markdown(f"**Rivals.** \n\n{text}"))
+            text = table(rivals) or alternatives(d.state)
+            self._figures.append(self._gui.add_markdown(f"**Alternatives.** \n\n{text}"))
         self._evidence.visible = True
         tested = [t.name for t in d.outcome.tested if t.name not in d.selected]
         self._choice.options = (FOUND, *d.selected, *tested)[: 1 + SHOWN]

@@ -72,7 +72,6 @@ class EffectStudy(Study, ABC):
     Attributes:
         twin: as it was given.
         noise: as in every study, but always known.
-        unknown_where: end of a sentence, where an effect that nobody knows shows.
         more_data: what to record where there is too little.
         repeat: what to record where nothing explains the error.
         nothing_left: what to say where nothing needs to be recorded.
@@ -80,7 +79,6 @@ class EffectStudy(Study, ABC):
 
     twin: Twin
     noise: NoiseFloor
-    unknown_where: str
     more_data: str
     repeat: str
     nothing_left: str
@@ -163,8 +161,13 @@ class EffectStudy(Study, ABC):
         values = {k: p["value"] for k, p in self.parameters(model, effect).items()}
         return get_effect(effect).describe(values, self.recording.device)
 
+    def cause(self, model: FittedModel, effect: str) -> str:
+        """What is missing, as a noun phrase with the fitted numbers."""
+        values = {k: p["value"] for k, p in self.parameters(model, effect).items()}
+        return get_effect(effect).as_cause(values, self.recording.device)
+
     def size(self, model: FittedModel, effect: str) -> str:
-        """How much an effect moves the device, a sentence; empty where it cannot be told."""
+        """How much an effect moves the device, a sentence; empty where that is not known."""
         return ""
 
     def alike(self, effects: Sequence[str]) -> str:

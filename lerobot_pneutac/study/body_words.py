@@ -15,8 +15,12 @@ from lerobot_pneutac.study.pair import LONGER
 from lerobot_pneutac.study.reading import read
 from pneutac_datasets.recording.pressures import supply_limits
 from pneutac_datasets.recording.wording import listed
+from pneutac_sim.effects.laws import family
+from pneutac_sim.effects.registry import get_effect
 
-REPEAT = "Run the same program twice, an hour apart: what comes back is the device, what does not is the lab."
+LATE = ("creep", "valve_lag", "ringing", "leak")  # families that air and body may both cause
+PROFILE = "bend_profile"  # a known cause that is no effect
+REPEAT = "Repeat one test after an hour. Differences between the two come from the setup, not the device."
 
 
 class BodyWords(EffectStudy):
@@ -27,7 +31,6 @@ class BodyWords(EffectStudy):
     """
 
     measured: list[str]
-    unknown_where = "moves your {device}"
     more_data, repeat = LONGER, REPEAT
 
     @property
@@ -42,6 +45,16 @@ class BodyWords(EffectStudy):
         ends = supply_limits(self.recording).values()
         return f": the supply ends at {listed(f'{kpa:.3g}' for kpa in ends)} kPa" if ends else ""
 
+    def cause(self, model: FittedModel, effect: str) -> str:
+        """What is missing, as a noun phrase with the fitted numbers."""
+        return "a bend that is uneven along its length" if effect == PROFILE else super().cause(model, effect)
+
+    def alike(self, effects: Sequence[str]) -> str:
+        """The finding that lags of air and of body look alike, where such a lag was found."""
+        late = [e for e in effects if family(e) in LATE or get_effect(e).stage == "pneumatics"]
+        missing = (f for f in self.findings if "no measured pressure" in f)
+        return next(missing, "") if late else ""
+
     def size(self, model: FittedModel, effect: str) -> str:
         """What the effect does to the prediction that another gain and offset could not."""
         data = read(self.recording, model.twin)
@@ -50,6 +63,8 @@ class BodyWords(EffectStudy):
         left = seen - ground @ np.linalg.lstsq(ground, seen, rcond=None)[0]
         what = {"mm": "tip", "rad": "bend", "1/m": "curvature"}[self.unit]
         moved = np.linalg.norm(left, axis=1)
+        if moved.max() < 1e-6:  # such as a turned base, which an offset does as well
+            return ""
         typically = f"{np.sqrt((moved**2).mean()):.2g} {self.unit}"
         return f"That moves its {what} by {typically} typically and {moved.max():.2g} {self.unit} at most."
 
@@ -86,46 +101,22 @@ class BodyWords(EffectStudy):
         )
 
     def caveats(self, outcome: Outcome) -> list[str]:
-        """What is not explained, what the pressure tells, and whether there was a test part."""
-        e, out = outcome.evidence, []
-        if outcome.selected and e.objections:
-            out.append(f"Not the whole truth: {'; '.join(e.objections)}.")
-        if e.unfinished:
-            out.append(
-                f"Unfinished: {100 * e.left_to_black_box:.0f} % of what is left still follows the inputs, as "
-                "a black box shows; a form is missing that neither library nor laws have."
-            )
-        if self.noise.value is None:
-            out.append(f"The noise {self.noise.how}.")
-        elif not e.noise_known:
-            out.append("The noise is an estimate: it was neither declared nor measured by repeated programs.")
-        if not self.measured:
-            out.append(self._pressure_note())
-        if not self.parts.has_test:
-            out.append(
-                "The recording is too short for a part of its own for the report; the errors are optimistic."
-            )
-        return out
-
-    def _pressure_note(self) -> str:
+        """What the pressure log leaves open, where there is one."""
         logged = [c.replace("cmd_", "") for c in self.recording.pressure_columns]
-        if not all(map(self.recording.has, logged)):
-            return (
-                "The pressure was not measured, so a slow valve and a creeping body hide each other: a lag "
-                f"may be creep in part. Log {', '.join(logged)} to tell them apart."
-            )
+        if self.measured or not all(map(self.recording.has, logged)):
+            return []
         if self._moves:
-            return (
-                "The measured pressure hardly moves while the command does and was left aside; a slow valve "
-                "and a creeping body hide each other: a lag may be creep in part."
-            )
+            return [
+                "The measured pressure hardly moves while the command does and was left out, so a slow valve "
+                "and a creeping body look alike."
+            ]
         moved = max(np.ptp(self.recording.column(c)) for c in logged)
         if moved > max(1e-3, 10 * gauge.sensor_noise(self.recording, logged)):
-            return (
-                "The measured pressure moves although the commanded one never does, so the model had nothing "
-                "to follow: check that pressure_cmd_kpa is what was asked for."
-            )
-        return "The measured pressure does not move either."
+            return [
+                "The measured pressure moves although the commanded one never does: check that "
+                "pressure_cmd_kpa is what was asked for."
+            ]
+        return ["The measured pressure does not move either."]
 
     def how_tested(self, outcome: Outcome) -> str:
         """On what the candidates were tried."""

@@ -45,7 +45,6 @@ class DemonstrationWords(EffectStudy):
     """
 
     unit = UNIT
-    unknown_where = "moves your {device}"
     more_data = repeat = MORE
     nothing_left = "Nothing needs to be recorded."
     recording: Demonstrations  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -99,6 +98,17 @@ class DemonstrationWords(EffectStudy):
             kind = family(effect).replace("_", " ")
             return f"Your finger's {kind} differs from the twin's ({effect}: {changes})."
         return super().describe(model, effect)
+
+    def cause(self, model: FittedModel, effect: str) -> str:
+        """What is missing, as a noun phrase with the fitted numbers."""
+        if effect == LATE:
+            return f"a delay of {latency_s(model.twin):.2g} s of all commands"
+        if effect == COMPLIANCE:
+            share = model.twin.parameter(STIFFNESS) / self.twin.parameter(STIFFNESS)
+            return f"a finger that presses with {share:.2g} times the force"
+        if effect in self.own:
+            return f"a change of the twin's {family(effect).replace('_', ' ')}"
+        return super().cause(model, effect)
 
     def alike(self, effects: Sequence[str]) -> str:
         """What is told by touch alone may be the contact's instead, of which no model is fitted."""

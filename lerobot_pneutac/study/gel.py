@@ -53,7 +53,6 @@ class GelStudy(EffectStudy):
     """
 
     unit = "levels"
-    unknown_where = "is in these images"
     more_data = (
         f"Press one ball at {NEEDED} places all over the window, to several depths; note where and how deep."
     )
@@ -261,10 +260,6 @@ class GelStudy(EffectStudy):
             f"are chosen and judged on {tested}, each predicted by a fit without its fifth of them, so the "
             "errors are a little optimistic."
         )
-
-    def caveats(self, outcome: Outcome) -> list[str]:
-        """What was fitted to what."""
-        return [self.how_tested(outcome)]
 
     def as_written(self, parameters: dict[str, dict]) -> dict[str, float]:
         """Values alone, as there is no interval."""

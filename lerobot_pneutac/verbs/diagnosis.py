@@ -5,18 +5,22 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
+from rich.markup import escape
+
 from lerobot_pneutac.diagnosis.experiment import Separation
 from lerobot_pneutac.diagnosis.result import Outcome, Tested
+from lerobot_pneutac.reports import sentences
 from lerobot_pneutac.reports.page import Report
-from lerobot_pneutac.reports.sentences import how_sure, lead, next_experiment, not_explained, percent
+from lerobot_pneutac.reports.sentences import Confidence, State, next_experiment
 from lerobot_pneutac.study.base import EffectStudy
+from lerobot_pneutac.study.body_words import PROFILE
 from lerobot_pneutac.verbs.contenders import save_contenders
 from lerobot_pneutac.verbs.found import BEFORE, FOUND
 from lerobot_pneutac.verbs.result import Result, command_on
 from pneutac_datasets.recording.noise import noise_text
 from pneutac_sim.twin import Twin
 
-LITTLE_ALONE = 0.03  # share of the avoidable error: an effect that alone removes less looks like nothing
+SHOWN = 3  # warnings on the console; the report has all
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -82,75 +86,77 @@ class Diagnosis(Result):
         return tuple(self.study.findings)
 
     @property
+    def findings_shown(self) -> tuple[str, ...]:
+        """Nothing: findings are among the warnings."""
+        return ()
+
+    @property
     def title(self) -> str:
         """Heading of the table."""
-        return f"error on test blocks, {self.study.unit} (noise {noise_text(self.study.noise.value)})"
+        return f"test error, {self.study.unit} (noise {noise_text(self.study.noise.value)})"
+
+    @cached_property
+    def state(self) -> State:
+        """All that the sentences depend on."""
+        return sentences.state_of(self.study, self.outcome)
 
     @property
     def sentence(self) -> str:
-        """What was found, in a sentence or two."""
-        return lead(self.study, self.outcome)
+        """The causes by size, the error and one confidence word."""
+        return sentences.headline(self.state)
 
     @property
-    def how_sure(self) -> str:
-        """How far what was found can be trusted."""
-        return how_sure(self.study, self.outcome)
+    def confidence(self) -> Confidence:
+        """`confirmed`, `likely`, `explained but unnamed` or `inconclusive`."""
+        return self.state.confidence
 
     @property
-    def not_explained(self) -> str:
-        """What stays, and what could not be looked for."""
-        return not_explained(self.study, self.outcome)
+    def warnings(self) -> list[str]:
+        """What speaks against the headline, what it leaves open and what the recording lacks."""
+        return sentences.warnings(self.state)
+
+    @property
+    def do_next(self) -> str:
+        """One command or one experiment."""
+        return sentences.do_next(self.state, self._add_command)
 
     def subject(self) -> tuple[Twin, Path]:
         """The twin as it was given, and the recording."""
         return self.study.twin, self.study.recording.folder
 
     @property
-    def next_command(self) -> str:
-        """To add what was found; where nothing was, to see where the twin fails."""
-        if not self.selected:
-            return command_on("compare", *self.subject())
-        found = f"--from={self.saved_to}" if self.saved_to else f"--effect={','.join(self.selected)}"
+    def _add_command(self) -> str:
+        named = [e for e in self.selected if e != PROFILE]
+        found = f"--from={self.saved_to}" if self.saved_to else f"--effect={','.join(named)}"
         return command_on("add", *self.subject(), found)
 
-    def rows(self) -> list[dict]:
-        """The effects found and some others."""
-        chosen = [t for t in self.outcome.tested if t.name in self.selected]
-        rest = [t for t in self.outcome.tested if t.name not in self.selected][: max(2, 6 - len(chosen))]
-        rows = [("(re-fitted)", self.before, "", "", "")]
-        for t in chosen + rest:
-            shown = [(k, v["value"]) for k, v in t.parameters.items() if k != "scale_kpa"][:3]
-            values = ", ".join(f"{k} {value:.3g}" for k, value in shown)
-            share = "" if t.reduction is None or t.ci95 is None else percent(t.reduction, t.ci95)
-            rows.append((t.name, t.errors, share, values, self._how_found(t)))
-        if self.selected:
-            rows.append(("(all found)", self.after, "", "", ""))
-        out = []
-        for name, errors, share, values, how in rows:
-            contact = errors.get("heldout_contact")
-            row = {"effect": name, "test": f"{errors['heldout']:.3g}"}
-            row |= {} if contact is None else {"contact": f"{contact:.3g}"}
-            out.append(row | {"alone removes": share, "constants": values, "": how})
-        return out
+    @property
+    def next_command(self) -> str:
+        """To add what was found; empty where an experiment is needed first."""
+        return self.do_next if self.do_next == self._add_command else ""
 
-    def _how_found(self, t: Tested) -> str:
-        """Some effects show only once others are there."""
-        if t.reduction is None:
-            return "in the twin; error without it"
-        if t.name not in self.selected:
-            return ""
-        return "found" if t.reduction > LITTLE_ALONE or len(self.selected) == 1 else "found, with the others"
+    def rows(self) -> list[dict]:
+        """The test error before, with known causes, with all, and without each cause."""
+        o, rows = self.outcome, [("before", self.before)]
+        if o.baseline is not None and o.known:
+            rows.append(("with known causes", self.study.errors(o.baseline)))
+        if self.selected or o.known:
+            rows.append(("with all", self.after))
+        worth = sorted(o.contributions, key=lambda c: -c.drop[0])
+        rows += [(f"without {c.name}", {"heldout": c.error_without}) for c in worth] if len(worth) > 1 else []
+        contact = any("heldout_contact" in errors for _, errors in rows)
+        return [
+            {"model": name, "error": f"{errors['heldout']:.3g}"}
+            | ({"in the contact": f"{errors['heldout_contact']:.3g}"} if contact else {})
+            for name, errors in rows
+        ]
 
     def remarks(self) -> list[str]:
-        """How sure it is, what is not explained, the next experiment, what was not tested, the verdict."""
-        return [
-            f"[bold]How sure:[/] {self.how_sure}",
-            f"[bold]Not explained:[/] {self.not_explained}",
-            *self.study.caveats(self.outcome),
-            f"[bold]Record next:[/] {self.next_experiment}",
-            *(f"  {u.name}: {u.reason}" for u in self.study.untested),
-            f"verdict: {self.verdict}   ({self.outcome.seconds:.0f} s)",
-        ]
+        """Warnings and the next step."""
+        told = self.warnings
+        more = [f"- {len(told) - SHOWN} more in the report (--out=DIR)"] if len(told) > SHOWN else []
+        said = [*(f"- {escape(w)}" for w in told[:SHOWN]), *more]
+        return [*(["[bold]Warnings[/]", *said] if said else []), f"[bold]Do next:[/] {escape(self.do_next)}"]
 
     def to_dict(self) -> dict:
         """The content of `result.json`."""
@@ -158,14 +164,21 @@ class Diagnosis(Result):
         return {
             "verdict": o.verdict,
             "sentence": self.sentence,
-            "how_sure": self.how_sure,
-            "not_explained": self.not_explained,
+            "confidence": self.confidence.value,
+            "warnings": self.warnings,
+            "do_next": self.do_next,
             "unit": study.unit,
             "noise_floor": study.noise.value,
             "noise_floor_how": study.noise.how,
             "baseline": self.before,
+            "known_causes": {
+                "names": o.known,
+                "errors": None if o.baseline is None else study.errors(o.baseline),
+            },
             "selected": o.selected,
             "after": self.after,
+            "contributions": [vars(c) for c in o.contributions],
+            "run_terms": o.run_terms,
             "reduction": self.reduction[0],
             "reduction_ci95": list(self.reduction[1]),
             "parameters": {e: study.as_written(study.parameters(o.after, e)) for e in o.selected},
@@ -182,7 +195,6 @@ class Diagnosis(Result):
             "likely_right": o.likely_right,
             "objections": o.evidence.objections,
             "findings": list(self.findings),
-            "notes": study.caveats(o),
             "next_experiment": self.next_experiment,
             "rows": len(study.recording),
             "seed": study.seed,

@@ -29,6 +29,11 @@ class Result:
         if "to_dict" in vars(cls):
             cls.to_dict = _plainly(cls.to_dict)
 
+    @property
+    def findings_shown(self) -> tuple[str, ...]:
+        """What is printed before the sentence: the findings, where no remark has them."""
+        return self.findings
+
     def subject(self) -> tuple[Twin | None, str | Path]:
         """The twin that it is about, and the recording's folder; None and empty where there is none."""
         return None, ""
@@ -80,8 +85,7 @@ class Result:
         page = self.page()
         page.about = about(*self.subject())
         if self.next_command:
-            page.heading("Next")
-            page.code(_going_on(self.next_command, command))
+            page.next_command(_going_on(self.next_command, command))
         if command:
             page.heading("Do it again")
             page.code(command)

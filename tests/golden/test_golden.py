@@ -36,7 +36,6 @@ IGNORED = {"seconds", "time", "wall_s", "demonstrations_per_minute", "evaluation
 #  "finger_add": {"reduction*": "of test blocks alone"}}.
 ALL_FITTED = "all twelve photographs are fitted and not six; each is judged by a fit that did not see it"
 CHANGED: dict[str, dict[str, str]] = {
-    "finger_diagnose": {"not_explained": "up to 1.2 times the noise it is called noise, as in the verdict"},
     "gel_add": {
         "before.*": ALL_FITTED,
         "after.*": ALL_FITTED,

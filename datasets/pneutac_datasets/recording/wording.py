@@ -32,3 +32,9 @@ def listed(names) -> str:
     """`a, b, c`, of more than twelve names the first and how many more."""
     names = [cut(str(n), 40) for n in names]
     return ", ".join(names[:12]) + (f" and {len(names) - 12} more" if len(names) > 12 else "")
+
+
+def joined(names) -> str:
+    """`a, b and c`."""
+    *most, last = map(str, names)
+    return f"{', '.join(most)} and {last}" if most else last

@@ -35,7 +35,8 @@ EFFECT = BodyEffect(
     apart=True,
     state_size=lambda channels: SLOTS * channels,
     equation=r"\ddot p + 2\zeta\omega\,\dot p + \omega^2 (p - p_{cmd}) = 0",
-    summary="Your pressure swings: its line and chamber resonate at {frequency_rad_per_s:.3g} rad/s (damping "
-    "ratio {damping_ratio:.2g}).",
+    cause="pressure oscillation in hose and chamber, {hz:.2g} Hz, damping ratio {damping_ratio:.2g}",
+    summary="Your pressure oscillates in hose and chamber at {hz:.2g} Hz, damping ratio {damping_ratio:.2g}.",
     experiment="Log the measured pressure at 50 Hz or more after a step: it overshoots, or arrives in an S.",
+    derive=lambda v: {"hz": v["frequency_rad_per_s"] / (2 * math.pi)},
 )

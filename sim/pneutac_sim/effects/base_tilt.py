@@ -38,7 +38,8 @@ EFFECT = BodyEffect(
     ),
     run=run,
     equation=r"x \to R\,x + t",
-    summary="Your {device}'s base is mounted askew: turned by {degrees:.1f} degrees in the bending plane "
+    cause="a tilted or shifted base",
+    summary="Your {device}'s base is tilted by {degrees:.1f} degrees in the bending plane "
     "and shifted by {shift_x_mm:.1f}, {shift_z_mm:.1f} mm along x, z.",
     experiment="Mark two points on the base itself and measure them with the tip, at zero pressure.",
     derive=lambda v: {"degrees": math.degrees(v["pitch_rad"])},

@@ -43,6 +43,7 @@ EFFECT = BodyEffect(
     run=run,
     columns=("length_mm",),
     equation=r"P \to z\,\frac{P'}{z'}, \quad P' = \delta R\,P + \delta t",
+    cause="a tilted camera",
     summary="Your camera stands askew: turned by {roll:.1f}, {pan:.1f}, {tilt:.1f} degrees "
     "(roll, pan, tilt).",
     experiment="Photograph a printed ruler in the bending plane, in two directions, and compare its lengths.",

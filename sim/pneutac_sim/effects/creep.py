@@ -68,6 +68,7 @@ EFFECT = BodyEffect(
     run=run,
     state_size=lambda channels: channels * (1 + len(TIMES_S)),
     equation=r"q = \frac{q_{el} + \sum_i w_i\,s_i}{1 + \sum_i w_i}, \quad \tau_i\,\dot s_i = q_{el} - s_i",
+    cause="creep, {late_percent:.0f} % of the bend over about {settle_s:.2g} s",
     summary="Your {device} creeps: after a step it keeps bending for about {settle_s:.2g} s, and "
     "{late_percent:.0f} % of the bend arrives late.",
     experiment="Step to a high pressure, hold two minutes and log the measured pressure: the bend goes on.",

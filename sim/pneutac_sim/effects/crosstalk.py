@@ -29,6 +29,7 @@ EFFECT = BodyEffect(
     run=run,
     columns=OTHERS,
     equation=r"p \to p + \sum_i s_i\,p_i",
+    cause="crosstalk between chambers",
     summary="Other chambers bend your {device} too: each kPa there counts as {share_1:.2g}, {share_2:.2g}, "
     "{share_3:.2g} kPa here.",
     experiment="Step one chamber at a time while all others stay at zero.",

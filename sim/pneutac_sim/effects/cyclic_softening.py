@@ -54,6 +54,7 @@ EFFECT = BodyEffect(
     state_size=lambda channels: 3,
     equation=r"q \to \frac{q}{\eta}\,\left(1 + g\,(1 - e^{-n / n_0})\right), \quad \eta = 1 - "
     r"m\,\mathrm{erf}\left(\frac{1 - W / W_{max}}{u}\right)",
+    cause="softening with use, {percent:.0f} %",
     summary="Your {device} softens with use: below its largest bend so far it bends up to {percent:.0f} % "
     "more, and {cycle_percent:+.0f} % after many cycles.",
     experiment="After a night's rest go up and down ten times, to half the pressure, then to the full one.",

@@ -77,7 +77,8 @@ class Effect:
         summary: one sentence for a newcomer, with `{device}` and `{parameter}` placeholders.
         experiment: what to record to see the effect apart from its rivals.
         equation: in LaTeX, for the catalogue of effects; an arrow leads from a signal to what becomes of it.
-        derive: parameter values to further values that `summary` shows.
+        cause: the summary as a noun phrase, for a list of causes; the name where it is empty.
+        derive: parameter values to further values that `summary` and `cause` show.
     """
 
     stages = STAGES
@@ -88,6 +89,7 @@ class Effect:
     summary: str
     experiment: str
     equation: str = ""
+    cause: str = ""
     derive: Callable[[dict[str, float]], dict[str, float]] = nothing_more
 
     def __post_init__(self):
@@ -111,9 +113,16 @@ class Effect:
 
     def describe(self, values: dict[str, float], device: str = "finger") -> str:
         """The summary with numbers, e.g. of a fit."""
+        return self._filled(self.summary, values, device)
+
+    def as_cause(self, values: dict[str, float], device: str = "finger") -> str:
+        """The cause with numbers, e.g. `creep, time constant 8 s`."""
+        return self._filled(self.cause or self.name.replace("_", " "), values, device)
+
+    def _filled(self, text: str, values: dict[str, float], device: str) -> str:
         shown = values | self.derive(values)
         shown = {k: _Plain(v) if isinstance(v, float) else v for k, v in shown.items()}
-        return self.summary.format(device=device, **shown)
+        return text.format(device=device, **shown)
 
 
 class _Plain(float):

@@ -26,6 +26,7 @@ EFFECT = BodyEffect(
     run=run,
     columns=("bending_pressure_kpa",),
     equation=r"x \to (1 + e\,p)\,x",
+    cause="change of length under pressure, {percent:+.2g} % per kPa",
     summary="Your {device} changes its length under pressure, by {percent:+.2g} % for each kPa.",
     experiment="Mark the base and the tip, pressurise in steps and measure the arc between the marks.",
     derive=lambda v: {"percent": 100 * v["strain_1_per_kpa"]},

@@ -39,6 +39,7 @@ EFFECT = BodyEffect(
     apart=True,
     state_size=lambda channels: 2 * channels,
     equation=r"x \to p - c\,\mathrm{sign}(p - x) \text{ where } |p - x| > c \text{ (at rest: } c + b)",
+    cause="friction, dead band {band:.2g} kPa",
     summary="Your {device} sticks: on each reversal it waits until the pressure has changed by {band:.2g} "
     "kPa.",
     experiment="Make small back-and-forth moves around one pressure: below the dead band nothing moves.",

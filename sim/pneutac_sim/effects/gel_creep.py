@@ -39,6 +39,7 @@ EFFECT = SensorEffect(
     steps=lambda reach_mm: (0.02,) * len(TIMES_S),
     late=late,
     equation=r"u \to u + \sum_j u_j \sum_i a_i\,(1 - e^{-T_j / \tau_i})\,e^{-s_j / \tau_i}",
+    cause="creep of the gel",
     summary="Your {device} creeps: of what was pressed in for a minute {after_1:.1f} % are still there a "
     "second after the release and {after_60:.1f} % after a minute.",
     experiment="Hold a deep press for a minute, lift it, press elsewhere within three seconds and "

@@ -45,6 +45,7 @@ EFFECT = BodyEffect(
     apart=True,
     state_size=lambda channels: 5 * channels,
     equation=r"p \to \frac{p + \sum_i w_i\,\mathrm{play}_{r_i}(p)}{1 + \sum_i w_i}",
+    cause="hysteresis, loop of {percent:.0f} % of the bend",
     summary="Your {device} has hysteresis: it bends differently when pressure rises and falls, however "
     "slowly (loop of {percent:.0f} % of the bend).",
     experiment="Run one loop up and down at two speeds, ten times apart: a loop that stays is hysteresis.",

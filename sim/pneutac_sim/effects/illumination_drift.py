@@ -45,6 +45,7 @@ EFFECT = SensorEffect(
     gain=gain,
     estimate=estimate,
     equation=r"I \to (g + d\,t)\,I",
+    cause="drift of light or exposure",
     summary="The light or exposure of your {device} drifts: against the rest image it begins at "
     "{gain_red:.3f}, {gain_green:.3f} and {gain_blue:.3f} times and changes by {drift_red:+.1%}, "
     "{drift_green:+.1%} and {drift_blue:+.1%} over the session.",

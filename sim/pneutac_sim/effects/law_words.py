@@ -22,6 +22,36 @@ WORDS = {
     "warm_up": "bends otherwise in the first minutes of a session",
 }
 
+# Family to what it is called in a list of causes, and how a constant is shown there.
+CAUSES = {
+    "stiffening": "a gain that changes with pressure",
+    "gain_saturation": "saturation",
+    "contact": "another gain above a pressure",
+    "hysteresis": "hysteresis",
+    "snap": "snap-through",
+    "creep": "creep",
+    "valve_lag": "a slow valve",
+    "ringing": "oscillation after a step",
+    "leak": "loss of pressure during holds",
+    "friction": "friction",
+    "rate": "dependence on the rate",
+    "cyclic_softening": "softening with use",
+    "self_heating": "dependence on recent motion",
+    "thermal": "temperature",
+    "dead_band": "a dead band",
+    "warm_up": "change over the first minutes",
+}
+CONSTANTS = {
+    "time_s": "time constant {time_s:.2g} s",
+    "frequency_rad_per_s": "{hz:.2g} Hz",
+    "damping_ratio": "damping ratio {damping_ratio:.2g}",
+    "fill_time_s": "{fill_time_s:.2g} s to fill",
+    "vent_time_s": "{vent_time_s:.2g} s to vent",
+    "threshold_kpa": "from {threshold_kpa:.2g} kPa",
+    "width_kpa": "width {width_kpa:.2g} kPa",
+    "centre_kpa": "at {centre_kpa:.2g} kPa",
+}
+
 _FORM = "Go up and down in ten equal stairs: what depends on the pressure alone is the same on both ways."
 _TURNS = (
     "Go back and forth by small and by large steps, slowly and quickly: the loop is as wide at both paces."

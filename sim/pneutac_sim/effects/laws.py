@@ -12,13 +12,14 @@ with a twin is executed.
 The memories and their sources are in `memories`.
 """
 
+import math
 from functools import cache
 
 from pneutac_sim.effects import memories as by
 from pneutac_sim.effects.body_effect import BodyEffect
 from pneutac_sim.effects.effect import Parameter
 from pneutac_sim.effects.law_table import TABLE
-from pneutac_sim.effects.law_words import WORDS, seen_by
+from pneutac_sim.effects.law_words import CAUSES, CONSTANTS, WORDS, seen_by
 
 REFERENCE_C = 23.0
 
@@ -69,6 +70,7 @@ def law(name: str) -> BodyEffect:
             parameters=(Parameter("time_s", "s", 0.1, 0.005, 2.0, log=True),),
             state_size=lambda channels: 2 * channels,
             equation=r"\tau\,\dot y = x - y",
+            cause="a slow tracker, time constant {time_s:.2g} s",
             summary="What tracks your {device} lags by {time_s:.2g} s.",
             experiment="Watch a thing that is moved by hand with the tracker and with a ruler's shutter.",
         )
@@ -85,6 +87,9 @@ def law(name: str) -> BodyEffect:
             codes=(float(out), float(feature), *_COUNTED[columns]),
             columns=("length_mm", *columns),
             equation=structure.replace("+=", r"\mathrel{+}="),
+            cause="a sag to the side"
+            if "g_y" in structure
+            else f"an error of the measured {'tip' if of_tip else 'bend'}",
             summary=f"The {'tip' if of_tip else 'bend'} of your {{device}} is off: "
             + structure.replace("+=", "gains {weight:.2g} times")
             + ".",
@@ -108,10 +113,23 @@ def law(name: str) -> BodyEffect:
         apart=True,
         linear="weight",
         equation=rf"p \to p + w\,({row.equation})",
+        cause=", ".join(
+            [
+                "creep over many time scales" if row.memory == by.SPECTRUM else CAUSES[row.family],
+                *(CONSTANTS[p.name] for p in row.constants if p.name in CONSTANTS),
+            ]
+        ),
         summary=f"Your {{device}} {WORDS[row.family]}: the pressure p that bends it becomes "
         f"p + {{weight:.3g}} [{structure}]" + (f", {constants}." if constants else "."),
         experiment=seen_by(row.input, row.memory, row.role),
+        derive=_hz,
     )
+
+
+def _hz(values: dict[str, float]) -> dict[str, float]:
+    """A frequency in Hz, of a law that has one."""
+    w = values.get("frequency_rad_per_s")
+    return {} if w is None else {"hz": w / (2 * math.pi)}
 
 
 def family(name: str) -> str:

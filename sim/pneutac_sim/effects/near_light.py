@@ -40,6 +40,7 @@ EFFECT = SensorEffect(
     lend=lambda make, k: {"distance_mm": (np.hypot(*make.positions_mm[k]), make.distances_sd_mm[k])},
     coefficients=place,
     equation=r"t = -|L|\,e \cdot \nabla u, \quad e = \frac{p - x}{|p - x|}",
+    cause="lights close to the gel",
     summary="The lights of your {device} are near: {distance_red_mm:.3g} mm (red), "
     "{distance_green_mm:.3g} mm (green) and {distance_blue_mm:.3g} mm (blue) from the window's centre, so "
     "their direction turns over the image.",

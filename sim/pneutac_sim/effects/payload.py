@@ -20,7 +20,8 @@ EFFECT = BodyEffect(
     run=run,
     columns=("payload_g", "gravity_x", "gravity_y", "gravity_z"),
     equation=r"K\,(q - q_{el}) = J_{tip}^T\,m\,g",
-    summary="The payload bends your {device}, {share:.2g} times as much as its weight would at the set "
-    "stiffness.",
+    cause="the weight at the tip",
+    summary="The weight at the tip bends your {device} {share:.2g} times as far as the fitted stiffness "
+    "predicts.",
     experiment="Hang two known masses at the tip, repeat one program with each, and write payload_g.",
 )

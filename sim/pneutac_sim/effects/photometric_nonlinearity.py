@@ -40,6 +40,7 @@ EFFECT = SensorEffect(
     standard=True,
     coefficients=direct_and_squares,
     equation=r"t \to \varphi\,\left(\frac{\max(0, 1 + t / \varphi)}{\sqrt{1 + |\nabla u|^2}} - 1\right)",
+    cause="a nonlinear response to the surface slope",
     summary="The light of your {device} follows Lambert's cosine, not the slope: sides that face away go "
     "dark and no darker, by {direct_red_levels:.3g}, {direct_green_levels:.3g} and {direct_blue_levels:.3g} "
     "levels.",

@@ -24,6 +24,7 @@ EFFECT = SensorEffect(
     lend=lambda make, k: {"exponent": (make.exponents[k], make.exponents_sd[k])},
     weight=weight,
     equation=r"w = (I_{rest} / \bar I_{rest})^\gamma",
+    cause="light that follows the colour at rest",
     summary="The light of your {device} is stronger where its rest image is brighter: it goes with the rest "
     "colour to the power {exponent_red:.2g} (red), {exponent_green:.2g} (green), {exponent_blue:.2g} (blue).",
     experiment="Press the same ball to the same depth at a bright and at a dark place of the rest image.",

@@ -31,6 +31,7 @@ EFFECT = BodyEffect(
     columns=("session_time_s",),
     of_gauge=True,
     equation=r"p = (p_{read} - o - d\,t) / s",
+    cause="drift of the pressure sensor, {per_hour:.2g} kPa per hour",
     summary="Your pressure sensor drifts: its zero moves by {per_hour:.2g} kPa an hour.",
     experiment="Vent to the surroundings (0 kPa) every few minutes: a drift moves the bend at rest.",
     derive=lambda v: {"per_hour": 3600 * v["drift_kpa_per_s"]},

@@ -92,6 +92,7 @@ EFFECT = SensorEffect(
     standard=True,
     coefficients=level_and_edge,
     equation=r"t \to t - (3 d^2 - 2 d^3)\,(t + \lambda), \quad d = \min(1, h / h_0)",
+    cause="shadows of imprints",
     summary="Imprints cast shadows in your {device}: {shadow_red_levels:.3g}, {shadow_green_levels:.3g} and "
     "{shadow_blue_levels:.3g} levels are missing behind them; the lights stand at slopes of "
     "{elevation_red:.2g}, {elevation_green:.2g} and {elevation_blue:.2g} over the gel.",

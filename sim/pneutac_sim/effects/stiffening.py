@@ -28,6 +28,7 @@ EFFECT = BodyEffect(
     run=run,
     apart=True,
     equation=r"p \to p\,(1 + a\,|p| + b\,p^2)",
+    cause="a gain that changes with pressure, {percent_per_kpa:+.2g} % per kPa",
     summary="Your {device}'s gain changes with pressure: by {percent_per_kpa:+.2g} % for each kPa at low "
     "pressure.",
     experiment="Go up in small steps to a higher pressure, wait at each, and plot bend against pressure.",

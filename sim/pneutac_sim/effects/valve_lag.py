@@ -40,6 +40,7 @@ EFFECT = BodyEffect(
     apart=True,
     state_size=lambda channels: 2 * channels,
     equation=r"\tau\,\dot p = p_{cmd} - p",
+    cause="a slow valve, {fill_time_s:.2g} s to fill and {vent_time_s:.2g} s to vent",
     summary="Your pressure lags its command: filling takes about {fill_time_s:.2g} s, venting "
     "{vent_time_s:.2g} s.",
     experiment="Log the measured pressure in single steps up and down: a lag shows in it, creep does not.",

@@ -59,6 +59,7 @@ EFFECT = BodyEffect(
     apart=True,
     state_size=lambda channels: 2 * channels,
     equation=r"\dot p = k\,\mathrm{clip}(p_{cmd} - p,\, -b,\, b)",
+    cause="a valve that fills at {fill_rate_kpa_per_s:.3g} kPa/s at most",
     summary="Your valve is slow for large steps: at most {fill_rate_kpa_per_s:.3g} kPa/s in and "
     "{vent_rate_kpa_per_s:.3g} kPa/s out, proportional within {band_kpa:.2g} kPa.",
     experiment="Step to several pressures and log the measured pressure: it rises in straight lines.",

@@ -237,7 +237,7 @@ def test_what_the_demo_leaves_is_opened_by_its_last_line_and_mended(browser, tmp
         seen.button("1. Compare").click()
         error = seen.heldout_mm()
         seen.button("2. Diagnose").click()
-        expect(seen.page.get_by_text("How sure.").first).to_be_visible(timeout=600_000)
+        expect(seen.page.get_by_text("Do next.").first).to_be_visible(timeout=600_000)
         seen.button("3. Try it").click()
         expect(seen.button("4. Keep it")).to_be_visible(timeout=300_000)
         assert len(Twin.load(before).history) == len(Twin.load(demo.twin).history)
