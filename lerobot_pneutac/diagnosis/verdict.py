@@ -12,9 +12,7 @@ from dataclasses import dataclass, field
 MOST = 0.5  # share of the avoidable error that effects must remove to carry the headline
 CLOSE = 1.5  # error over noise up to which a law may be named
 LITTLE = 1.2  # error over noise up to which nothing need be missing
-AT_NOISE = (
-    1.1  # error over noise of the twin as it is up to which nothing is named: a floor is known no better
-)
+AT_NOISE = 1.1  # error over noise of the twin as it is up to which nothing is named
 UNFINISHED = 0.2  # share of what is left that a black box may remove without a word
 FEW_UNITS = 6  # held-out pieces of time below which no bootstrap means much
 FEW_SAMPLES = 60

@@ -234,7 +234,7 @@ class BodyFitter:
         reading, out = model.form.reading, model.residual.copy()
         step = self.steps(reading)
         now = step.residual(self.data(reading).thin(step.rows.ravel()), model.pipeline, model.theta)
-        change = step.judged(model.pipeline, model.theta)[1] - now
+        change = step.judged(model.pipeline, model.theta) - now
         at = np.minimum(np.searchsorted(self.rows, step.rows), len(self.rows) - 1)
         use = step.own & (self.rows[at] == step.rows)
         out[at[use]] += change[use]

@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from lerobot_pneutac.diagnosis.bootstrap import Resampler
 from lerobot_pneutac.diagnosis.parts import conditions, out_of_time
-from lerobot_pneutac.diagnosis.search import Found, Scored, Search, Trial
+from lerobot_pneutac.diagnosis.search import WORTH_OF_FLOOR, Found, Scored, Search, Trial
 from lerobot_pneutac.diagnosis.votes import chosen_in, deal_folds
 from lerobot_pneutac.study.body_model import BodyFitter, BodyModel, Reading
 from lerobot_pneutac.study.body_space import LINES, BodySpace
@@ -264,7 +264,9 @@ class BodySearch:
             return True
         before, after = (float(s.model.crossed(fold)[later].mean()) for s in (done.found.base, done.model))
         fall = done.found.base.value - done.model.value
-        return fall <= 0 or before - after > 0.5 * fall * (before / max(done.found.base.value, 1e-12))
+        if fall <= WORTH_OF_FLOOR * self.study.noise.floor**2:
+            return True  # the air was found before any term, and with it the base errs no more
+        return before - after > 0.5 * fall * (before / max(done.found.base.value, 1e-12))
 
 
 NAMED = (

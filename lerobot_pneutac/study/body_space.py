@@ -268,17 +268,20 @@ class BodySpace:
             out[index] = model.bounds.value(np.clip(v, 0.0, 1.0), index)
             return out
 
+        def least(x: np.ndarray) -> float:
+            return float(steps.errors(model.pipeline, x).min(axis=0).sum())
+
         first = model.v[air]
         away = np.where(first < 0.5, AWAY, -AWAY) * np.eye(len(air))
         best = minimize(
-            lambda v: steps.error(model.pipeline, theta(v)),
+            lambda v: least(theta(v)),
             first,
             method="Nelder-Mead",
             options={
                 "initial_simplex": np.vstack([first, first + away]),
                 "maxfev": TRIES * len(air),
                 "xatol": 1e-5,
-                "fatol": 1e-4 * steps.error(model.pipeline, model.theta),
+                "fatol": 1e-4 * least(model.theta),
             },
         ).x
         values = replace(model, theta=theta(best)).values

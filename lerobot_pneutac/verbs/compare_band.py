@@ -51,8 +51,10 @@ def prediction_band(twin: Twin, bench: BodyData, train: np.ndarray, noise: Noise
         noise: of the recording.
 
     Returns:
-        None where neither intervals nor noise are known.
+        None where the noise is unknown, or neither intervals nor noise are there.
     """
+    if noise.value is None:
+        return None
     sensor = np.array([noise.by_column.get(c, 0.0) for c in bench.columns[: bench.counted]])
     moved = _moved(twin, bench)
     if moved.shape[-1] == 0:

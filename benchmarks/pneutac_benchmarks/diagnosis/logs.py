@@ -217,7 +217,7 @@ def solve(case: Case) -> dict:
     answer = asdict(case) | {"log": asdict(log), "rows": len(recording), "noise": noise}
     try:
         d = diagnosed(Twin("finger", recording.length_mm or 100.0), recording, case.seed)
-        text = [d.sentence, d.how_sure, d.not_explained, d.next_experiment]
+        text = [d.sentence, *d.remarks()]
     except Exception as e:
         return answer | {"crash": repr(e), "where": traceback.format_exc(limit=-3)}
     evidence, floor = d.outcome.evidence, d.study.noise

@@ -48,6 +48,7 @@ WIDE_S, WIDE_ROWS = (
 )  # half of the window in which noise that is correlated from row to row is looked for
 CORRELATED = 1.25  # ratio of the wide to the narrow contrast from which on noise counts as correlated
 OUTLIER = 6.0  # robust standard deviations beyond which a contrast is a jump of the marker, not noise
+EXACT = 1e-9  # of a column's range: smaller noise is rounding of computed numbers
 LEAST_DOF = 40  # degrees of freedom of an estimate
 LEAST_ROWS = 120  # in fewer an estimate by contrasts is not within 20 %
 MOST_ROWS, PIECE_ROWS = 20_000, 2_000  # of a longer recording so many are used, in pieces
@@ -123,9 +124,16 @@ def noise_floor(recording: Recording) -> NoiseFloor:
     else:
         by = contrasts(recording, numeric)
         how = "what the neighbouring rows and the commanded pressure do not predict of a row"
-    value = _norm(by, columns) if columns and all(by.get(c, 0.0) > 0 for c in columns) else None
+    exact = [c for c in by if by[c] <= EXACT * float(np.ptp(recording.column(c)))]
+    by = {c: sigma for c, sigma in by.items() if c not in exact}
+    value = _norm(by, columns) if columns and all(c in by for c in columns) else None
     if value is None:
         how = f"cannot be determined from this recording; {RECORD_MORE}"
+        if exact:
+            how = (
+                f"cannot be determined: column '{exact[0]}' repeats to the last digit, as computed numbers "
+                "do; declare 'noise' in recording.json"
+            )
     known = value is not None and (bool(pairs) or all(c in declared for c in columns))
     return NoiseFloor(value, session, unit, how, by, known)
 
@@ -281,10 +289,14 @@ def _quiet_s(t: np.ndarray, first: np.ndarray, u: np.ndarray) -> np.ndarray:
 
 
 def _resolution(y: np.ndarray, first: np.ndarray) -> float:
-    """Least step of a column that often repeats itself from row to row, else 0."""
+    """Least step of a column that often repeats itself from row to row and moves in such steps, else 0."""
     steps = np.abs(np.diff(y)[~first[1:]])
     moves = steps[steps > 0]
-    return float(moves.min()) if len(moves) and (steps == 0).mean() > 0.2 else 0.0
+    if not len(moves) or (steps == 0).mean() < 0.2:
+        return 0.0
+    least = float(moves.min())
+    counts = moves / least
+    return least if (np.abs(counts - np.round(counts)) < 0.02).mean() > 0.95 else 0.0
 
 
 class _Contrasts:

@@ -144,6 +144,8 @@ def _trend(design: np.ndarray, y: np.ndarray, done: np.ndarray, block: np.ndarra
     share = (done - done.min()) / max(np.ptp(done), 1e-9)
     left = y - design @ regress(design, y)
     clock = share[:, None] - design @ regress(design, share[:, None])
+    if (clock**2).mean() < 1e-6:
+        return 0.0, False  # the pressure itself runs with the clock
     total = float((clock * left).sum() / max((clock**2).sum(), 1e-12))
     numbers = np.unique(block, return_inverse=True)[1]
     n = np.bincount(numbers)

@@ -1,7 +1,7 @@
 """When a command stepped: between two samples, at an instant that nobody wrote down.
 
-An instant for each step, fitted to the few rows after it, also fits their noise, so a model may not be judged
-by these rows at that instant. Two rules:
+Each step has an instant of its own, fitted to the few rows after it. That also fits their noise, so a model
+is fitted and reported at these instants, but never chosen by them. It is judged by two rules:
 
 1. A row is judged at the instant that the other rows after the same step choose (leave one out).
 2. One instant serves all steps unless instants of their own predict better under rule 1.
@@ -62,27 +62,24 @@ class StepRows:
         r = (pipeline.outputs(run, data.columns) - data.measured) * data.scale
         return r.reshape(*self.rows.shape, -1)
 
-    def judged(self, pipeline: Pipeline, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The instants of a model's steps, and the residual by which it may be judged.
+    def errors(self, pipeline: Pipeline, theta: np.ndarray) -> np.ndarray:
+        """(shares, steps) sums of squares over the rows of a step."""
+        squared = (self._residuals(pipeline, theta) ** 2).sum(axis=-1) * self.own
+        return squared.sum(axis=2)
 
-        Returns:
-            share of the sample's time at which each step happens (steps,); residual (steps, 6, D).
-        """
-        R = np.stack([self.residual(data, pipeline, theta) for data in self._data])
+    def judged(self, pipeline: Pipeline, theta: np.ndarray) -> np.ndarray:
+        """(steps, 6, D) residual by which a model may be judged."""
+        R = self._residuals(pipeline, theta)
         E = (R**2).sum(axis=-1) * self.own  # (shares, steps, 6)
-        if len(E) == 1:
-            return np.zeros(len(self.at)), R[0]
         total = E.sum(axis=2)
-        shared = total.sum(axis=1)
-        one = int(shared.argmin())
+        one = int(total.sum(axis=1).argmin())
         left_out = (total[..., None] - E).argmin(axis=0)  # chosen by the other rows of the step
-        if shared[one] <= np.take_along_axis(E, left_out[None], 0).sum():
-            return np.full(len(self.at), _least(shared[:, None])[0]), R[one]
-        return _least(total), np.take_along_axis(R, left_out[None, ..., None], 0)[0]
+        if total[one].sum() <= np.take_along_axis(E, left_out[None], 0).sum():
+            return R[one]
+        return np.take_along_axis(R, left_out[None, ..., None], 0)[0]
 
-    def error(self, pipeline: Pipeline, theta: np.ndarray) -> float:
-        """Sum of the squared residuals by which a model may be judged."""
-        return float(((self.judged(pipeline, theta)[1] ** 2).sum(axis=-1) * self.own).sum())
+    def _residuals(self, pipeline: Pipeline, theta: np.ndarray) -> np.ndarray:
+        return np.stack([self.residual(data, pipeline, theta) for data in self._data])
 
 
 def _least(E: np.ndarray) -> np.ndarray:
@@ -116,5 +113,5 @@ def instants(
 def by_row(recording, step: StepRows, pipeline: Pipeline, theta: np.ndarray) -> np.ndarray:
     """`instants` where the rows after steps have been read already."""
     out = np.full(len(recording.samples["trial"]), np.nan)
-    out[step.at] = np.round(step.judged(pipeline, theta)[0], 3)
+    out[step.at] = np.round(_least(step.errors(pipeline, theta)), 3)
     return out

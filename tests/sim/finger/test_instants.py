@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from pneutac_sim.finger import BodyData, Pipeline
-from pneutac_sim.finger.instants import instants, step_rows
+from pneutac_sim.finger.instants import StepRows, instants, step_rows
 from pneutac_sim.twin import Twin, Value
 
 HZ, HOLD, STEPS = 25, 40, 24
@@ -56,3 +56,40 @@ def test_where_the_time_of_sending_is_known_nothing_is_sought(made):
     assert instants(SimpleNamespace(samples=sent, device="finger"), read, pipeline, theta) is None
     still = recording.samples.assign(pressure_cmd_kpa=np.linspace(0, 5, len(recording.samples)))
     assert instants(SimpleNamespace(samples=still, device="finger"), read, pipeline, theta) is None
+
+
+@pytest.fixture(scope="module")
+def quick():
+    """A finger without a valve, seen by a model with a quick one: rows after steps, pipeline, theta."""
+    rng, hold = np.random.default_rng(1), 8
+    p = np.repeat(rng.uniform(0, 15, 150), hold)
+    samples = pd.DataFrame({"trial": 0, "time_s": np.arange(len(p)) / 10, "pressure_cmd_kpa": p})
+    samples["bend_angle_rad"] = 0.0
+    recording = SimpleNamespace(samples=samples, device="finger", meta={})
+    plain, twin = Twin.builtin(), Twin.builtin()
+    twin.effects["valve_lag"] = {"fill_time_s": Value(0.015), "vent_time_s": Value(0.015)}
+    data = BodyData.of(recording, plain)
+    pipeline = Pipeline.of(plain, data.inputs)
+    bend = pipeline.outputs(pipeline.run(data.inputs, pipeline.theta(plain)), data.columns)[:, 0]
+    samples["bend_angle_rad"] = bend + 0.01 * rng.normal(size=len(p))
+    step = StepRows(recording, lambda s: BodyData.of(recording, twin, start="held", switch=s))
+    pipeline = Pipeline.of(twin, BodyData.of(recording, twin, start="held", switch=0.5).inputs)
+    return step, pipeline, pipeline.theta(twin)
+
+
+def test_an_instant_fitted_to_a_row_hides_its_noise_and_a_judged_one_does_not(quick):
+    step, pipeline, theta = quick
+    fitted = step.errors(pipeline, theta).min(axis=0).sum() / step.own.sum()
+    judged = ((step.judged(pipeline, theta)[..., 0] * step.own) ** 2).sum() / step.own.sum()
+    assert fitted < 0.95 * 0.01**2 <= judged < 1.2 * 0.01**2
+
+
+def test_the_rows_of_a_step_end_at_the_next_one_and_with_the_trial():
+    p = np.repeat([0.0, 5.0, 1.0, 9.0], [10, 3, 2, 15])
+    samples = pd.DataFrame(
+        {"trial": np.arange(30) // 26, "time_s": np.arange(30) / 10, "pressure_cmd_kpa": p}
+    )
+    samples["bend_angle_rad"] = 0.0
+    recording = SimpleNamespace(samples=samples, device="finger", meta={})
+    step = StepRows(recording, lambda s: BodyData.of(recording, Twin.builtin(), switch=s))
+    assert step.at.tolist() == [10, 13, 15] and step.own.sum(axis=1).tolist() == [3, 2, 6]

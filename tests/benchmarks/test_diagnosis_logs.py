@@ -1,0 +1,95 @@
+"""Ordinary logs: what is drawn, the table, and a fixed part of the benchmark itself."""
+
+import json
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from pneutac_benchmarks.diagnosis import logs, main, table_logs
+from pneutac_benchmarks.diagnosis.cases import BenchmarkDiagnosisConfig, Case
+from pneutac_sim.errors import InputError
+
+PLAIN = (2, 3, 5, 8, 14, 17, 18, 21, 23, 26, 29, 31, 33, 36)  # quick ones, of all rates to 20 Hz
+EFFECTS = (("creep", 120), ("hysteresis", 140), ("valve", 160))
+
+
+def test_each_level_comes_at_least_forty_times_in_600_plain_logs():
+    made = logs.cases(BenchmarkDiagnosisConfig(set="logs", seeds=600))
+    drawn = [logs.drawn(c) for c in made if c.kind == "plain"]
+    assert len(drawn) == 600 and len({c.key for c in made}) == len(made) == 720
+    levels = {
+        "hz": logs.RATES_HZ, "hold_s": logs.HOLDS_S, "program": logs.PROGRAMS, "trials": (1, 2, 3, 6),
+        **dict.fromkeys(("repeats", "gauge", "sent", "stated", "tips"), (False, True)),
+    }  # fmt: skip
+    for name, values in levels.items():
+        for value in values:
+            assert sum(getattr(x, name) == value for x in drawn) >= 40, (name, value)
+
+
+def test_a_plain_log_is_a_straight_line_and_noise():
+    for seed in range(6):
+        log, r, noise = logs.made(Case("logs", "plain", "plain", seed))
+        if log.tips:
+            continue
+        line = np.c_[r.column("pressure_cmd_kpa"), np.ones(len(r))]
+        left = r.column("bend_angle_rad")
+        left = left - line @ np.linalg.lstsq(line, left, rcond=None)[0]
+        assert left.std() == pytest.approx(noise, rel=0.1)
+        assert ("time_sent_s" in r.samples) == log.sent and ("pressure_kpa" in r.samples) == log.gauge
+        assert ("noise" in r.meta) == log.stated and r.samples["trial"].nunique() == log.trials
+
+
+def test_an_effect_is_five_times_the_noise():
+    for effect in logs.ACCEPTED:
+        log, r, noise = logs.made(Case("logs", "effect", effect, 3))
+        if not log.tips:
+            line = np.c_[r.column("pressure_cmd_kpa"), np.ones(len(r))]
+            left = r.column("bend_angle_rad")
+            left = left - line @ np.linalg.lstsq(line, left, rcond=None)[0]
+            assert left.std() / noise == pytest.approx(26**0.5, rel=0.1)
+
+
+def test_other_effects_are_refused_in_one_sentence():
+    with pytest.raises(InputError, match="'cooking' must be one of plain, creep, hysteresis, valve"):
+        logs.cases(BenchmarkDiagnosisConfig(set="logs", effects=("cooking",)))
+
+
+def test_a_crash_is_an_answer_and_the_table_counts_it(tmp_path, monkeypatch):
+    def fails(*_):
+        raise ZeroDivisionError("division by zero")
+
+    monkeypatch.setattr(logs, "diagnosed", fails)
+    config = BenchmarkDiagnosisConfig(set="logs", seeds=1, jobs=1, out=tmp_path)
+    cases = logs.cases(config)
+    (tmp_path / "cases").mkdir()
+    for c in cases:
+        main.solve(c, tmp_path / "cases")
+    answers = [json.loads((tmp_path / "cases" / f"{c.key}.json").read_text()) for c in cases]
+    assert all("ZeroDivisionError" in a["crash"] for a in answers)
+    quiet = answers[0] | {
+        "verdict": "adequate", "selected": [], "right": [], "floor": 1.1 * answers[0]["noise"],
+        "error_over_noise": [1.0, 1.0], "seconds": 3.0,
+    }  # fmt: skip
+    quiet.pop("crash")
+    table_logs.write_table([*answers, quiet], tmp_path, Console(quiet=True))
+    text = (tmp_path / "table.md").read_text()
+    assert "| all plain | 2 | 0 | 1 | 0 | 0 |" in text and "| 1 | 0 | 0 | 0 | 0 | 1 |" in text
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", PLAIN)
+def test_nothing_is_named_where_nothing_is(seed):
+    a = logs.solve(Case("logs", "plain", "plain", seed))
+    assert "crash" not in a, a.get("where")
+    assert (a["verdict"], a["selected"]) == ("adequate", [])
+    assert a["floor"] == pytest.approx(a["noise"], rel=0.2)
+    assert all("no measured pressure" in f for f in a["findings"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("effect", "seed"), EFFECTS)
+def test_an_effect_of_five_times_the_noise_is_found(effect, seed):
+    a = logs.solve(Case("logs", "effect", effect, seed))
+    assert "crash" not in a, a.get("where")
+    assert a["right"] and a["error_over_noise"][1] < 1.5

@@ -1,0 +1,123 @@
+"""The noise floor, and the checks, on ordinary logs: of any rate and hold, with nothing hidden in them."""
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from pneutac_benchmarks.diagnosis.cases import Case
+from pneutac_benchmarks.diagnosis.logs import made
+from pneutac_datasets.recording.checks import check
+from pneutac_datasets.recording.noise import noise_floor
+from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.errors import InputError
+
+
+def stepped(hz=20, hold_s=2.0, rows=1200, trials=1, noise=0.01, seed=0):
+    """A finger whose bend follows steps of pressure at once, with white noise."""
+    rng, k = np.random.default_rng(seed), rows // trials
+    p = np.repeat(rng.uniform(0, 15, rows), int(hold_s * hz))[:rows].round(3)
+    return recording(p, 0.04 * (p + 3) + rng.normal(0, noise, rows), hz, np.repeat(np.arange(trials), k))
+
+
+def recording(p, bend, hz, trial=0, **more):
+    n = len(p)
+    trial = np.broadcast_to(trial, n)
+    t = (np.arange(n) - np.searchsorted(trial, trial)) / hz
+    s = pd.DataFrame({"trial": trial, "time_s": t, "pressure_cmd_kpa": p, "bend_angle_rad": bend, **more})
+    return Recording(Path("log"), {"device": "finger", "length_mm": 100.0}, s, "finger")
+
+
+@pytest.mark.parametrize(("hz", "hold_s"), [(10, 1.5), (10, 0.5), (20, 1.2), (5, 2.0), (4, 0.5), (100, 0.5)])
+def test_the_noise_of_a_log_of_short_holds_is_within_a_tenth(hz, hold_s):
+    floor = noise_floor(stepped(hz, hold_s))
+    assert floor.value == pytest.approx(0.01, rel=0.1) and not floor.known
+    assert floor.by_column == {"bend_angle_rad": floor.value}
+
+
+@pytest.mark.parametrize("effect", ["plain", "creep", "hysteresis", "valve"])
+def test_the_noise_of_drawn_logs_is_within_a_fifth(effect):
+    for seed in range(8):
+        log, r, noise = made(Case("logs", "plain" if effect == "plain" else "effect", effect, seed))
+        if effect == "valve" and log.hold_s < 2:
+            continue  # a valve that is slower than the holds hides the noise
+        r.meta.pop("noise", None)
+        assert noise_floor(r).value == pytest.approx(noise, rel=0.2), seed
+
+
+def test_noise_that_is_correlated_from_row_to_row_is_seen_in_quiet_rows():
+    r, rng = stepped(hz=50, hold_s=4.0, rows=6000, noise=0.0), np.random.default_rng(0)
+    filtered = np.convolve(rng.normal(0, 1, 6002), np.ones(3) / 3**0.5, "valid")
+    r.samples["bend_angle_rad"] += 0.01 * filtered
+    assert noise_floor(r).value == pytest.approx(0.01, rel=0.15)
+
+
+def test_jumps_of_the_marker_are_no_noise():
+    r = stepped(rows=1200)
+    r.samples.loc[r.samples.index[100::150], "bend_angle_rad"] += 0.5
+    assert noise_floor(r).value == pytest.approx(0.01, rel=0.1)
+
+
+def test_where_the_noise_cannot_be_determined_it_is_unknown_and_says_what_to_record():
+    short = noise_floor(stepped(rows=100))
+    assert short.value is None and short.floor == 0.0 and not short.known and short.by_column == {}
+    assert "cannot be determined" in short.how and "record two minutes" in short.how
+    with pytest.raises(InputError, match="log: the noise cannot be determined"):
+        short.needed("log")
+    computed = noise_floor(recording(p := np.linspace(0, 10, 600), 0.02 * p, 20))
+    assert computed.value is None and "'bend_angle_rad' repeats to the last digit" in computed.how
+
+
+def test_long_recordings_are_sampled_in_pieces():
+    assert noise_floor(stepped(hz=20, rows=60_000, seed=2)).value == pytest.approx(0.01, rel=0.05)
+
+
+# ---------------------------------------------------------------- nothing is found where nothing is
+
+
+@pytest.mark.parametrize("hz", [4, 5, 6, 7, 10, 20])
+def test_a_step_of_a_slow_log_is_no_shift_of_the_marker(hz):
+    said = check(r := stepped(hz, 2.0, rows=300, noise=0.002))[1]
+    assert len(said) == 1 and "no measured pressure" in said[0] and len(check(r)[0]) == len(r)
+
+
+@pytest.mark.parametrize("hz", [5, 10, 20])
+@pytest.mark.parametrize("rows", [1, 2, 3])
+def test_a_commanded_pulse_is_no_jump_of_the_tracker(hz, rows):
+    rng, p = np.random.default_rng(0), np.zeros(600)
+    for i in range(30, 600, 60):
+        p[i : i + rows] = rng.uniform(8, 15)
+    r = recording(p, 0.04 * (p + 3) + rng.normal(0, 0.004, 600), hz)
+    assert len(check(r)[0]) == len(r)
+
+
+def test_an_outlier_at_a_step_is_still_left_out():
+    r = stepped(hz=10, hold_s=3.0, rows=600, noise=0.004)
+    r.samples.loc[r.samples.index[300], "bend_angle_rad"] += 1.0
+    clean, said = check(r)
+    assert 0 < len(r) - len(clean) < 5 and any("jumps away and comes back 1 time" in s for s in said)
+
+
+@pytest.mark.parametrize("tips", [False, True])
+def test_an_open_loop_cosine_with_all_digits_is_no_feedback(tips):
+    t = np.arange(1200) / 20
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        p = rng.uniform(5, 15) * (1 - np.cos(2 * np.pi * t / rng.uniform(3, 12)))
+        r = recording(p, 0.02 * p + rng.normal(0, 0.002, 1200), 20)
+        if tips:
+            b = np.maximum(r.samples.pop("bend_angle_rad"), 1e-6)
+            r.samples["tip_x_mm"] = 100 * np.sin(b) / b + rng.normal(0, 0.1, 1200)
+            r.samples["tip_z_mm"] = 100 * (1 - np.cos(b)) / b + rng.normal(0, 0.1, 1200)
+        assert not any("follows the measured motion" in s for s in check(r)[1]), seed
+
+
+@pytest.mark.parametrize("trials", [1, 2])
+def test_a_ramp_without_any_noise_has_no_finding_and_no_warning(trials):
+    p = np.tile(np.linspace(0, 20, 600 // trials), trials)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        said = check(recording(p, 0.02 * p, 20, np.repeat(np.arange(trials), 600 // trials)))[1]
+    assert len(said) == 1 and "no measured pressure" in said[0]
