@@ -27,6 +27,7 @@ class AddConfig:
         task: of demonstrations: what stood in front of the robot, where their instruction does not tell.
         station: of demonstrations: `station.yaml` of the arm and its place; left out, the one that their
             robot left in them, or the paper's.
+        anyway: stores the version although the error does not fall significantly, marked as unconfirmed.
         out: folder for `result.json` and `report.html`.
         seed: seed of the choice of what is held out, and of the bootstrap.
     """
@@ -37,6 +38,7 @@ class AddConfig:
     diagnosis: Path | None = None
     task: str = ""
     station: Path | None = None
+    anyway: bool = False
     out: Path | None = None
     seed: int = 0
 
@@ -57,10 +59,12 @@ def main(argv: list[str]) -> None:
         get_effect(e)
     twin, recording = load_pair(cfg.twin, cfg.recording, "add to", cfg.task, cfg.station)
     with progress_bar(console) as progress:
-        result = add(twin, recording, cfg.diagnosis or effects, seed=cfg.seed, progress=progress)
-    if result.accepted:
+        result = add(
+            twin, recording, cfg.diagnosis or effects, seed=cfg.seed, anyway=cfg.anyway, progress=progress
+        )
+    if result.accepted or result.unconfirmed:
         result = result.save(cfg.twin)
-    show(result, console, sentence=result.accepted)
     write(result, cfg.out, "add", argv, console)
-    if not result.accepted:
+    show(result, console, sentence=result.accepted or result.unconfirmed)
+    if not (result.accepted or result.unconfirmed):
         raise InputError(result.reason)

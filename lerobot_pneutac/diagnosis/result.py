@@ -6,6 +6,8 @@ from lerobot_pneutac.diagnosis.model import FittedModel
 from lerobot_pneutac.diagnosis.verdict import Evidence
 from pneutac_sim.twin import Twin
 
+PROFILE = "bend_profile"  # among known causes: the device bends by a profile of its own, which is no effect
+
 
 @dataclass
 class Tested:
@@ -69,6 +71,30 @@ class Contribution:
     error_without: float
     error_with: float
     drop: tuple[float, float, float]
+
+
+@dataclass
+class Refits:
+    """A twin re-fitted without and with named effects.
+
+    Attributes:
+        before: the twin as it is.
+        baseline: with the known causes that the recording shows; `before` where there are none.
+        after: with these and the named effects.
+        known: known causes that were switched on, see `Outcome.known`.
+        contributions: what each term is worth beside all others, the largest first.
+        significant: whether the step from `baseline` to `after` is significant in cross-validation.
+        better: another effect that explains significantly more by itself, beside which the named ones add
+            nothing, with its model; None where there is none.
+    """
+
+    before: FittedModel
+    baseline: FittedModel
+    after: FittedModel
+    known: list[str] = field(default_factory=list)
+    contributions: list[Contribution] = field(default_factory=list)
+    significant: bool = True
+    better: tuple[str, FittedModel] | None = None
 
 
 @dataclass

@@ -261,6 +261,11 @@ class Search:
                 drops.append(float((now.model.crossed(fold) - after.model.crossed(fold))[:end].sum()))
         return not drops or min(drops[-1], sum(drops)) > 0
 
+    def is_worth(self, now: Scored, after: Scored) -> bool:
+        """Whether a step between models is significant, large enough and improves out of time."""
+        least = max(WORTH_OF_ROOM * (now.value - self.floor2), WORTH_OF_FLOOR * self.floor2)
+        return self._surely(now, after, least) and self._improves_out_of_time(now, after)
+
     def _surely(self, before: Scored, after: Scored, least: float) -> bool:
         return before.value - after.value > least and self.judge.surely(before.crossed, after.crossed)
 

@@ -11,7 +11,7 @@ from lerobot_pneutac.diagnosis.candidates import Untested
 from lerobot_pneutac.diagnosis.experiment import Separation
 from lerobot_pneutac.diagnosis.model import FittedModel
 from lerobot_pneutac.diagnosis.parts import Parts
-from lerobot_pneutac.diagnosis.result import Outcome, Rival
+from lerobot_pneutac.diagnosis.result import Contribution, Outcome, Refits, Rival
 from lerobot_pneutac.diagnosis.steps import Steps
 from pneutac_datasets.recording.noise import NoiseFloor
 from pneutac_datasets.recording.recording import Recording
@@ -55,6 +55,11 @@ class Study:
     excluded: Sequence[str] = ()
     findings: Sequence[str] = ()
 
+    @property
+    def given_rows(self) -> int:
+        """Rows, photographs or frames of the recording as it was given."""
+        return len(self.recording)
+
     @cached_property
     def judge(self) -> Resampler:
         """Resamples the validation part."""
@@ -83,7 +88,6 @@ class EffectStudy(Study, ABC):
     repeat: str
     nothing_left: str
 
-    @abstractmethod
     def refit(self, effects: Sequence[str], start: FittedModel | None, steps: Steps) -> FittedModel:
         """All parameters of the twin and of these effects, fitted to the training part.
 
@@ -92,6 +96,7 @@ class EffectStudy(Study, ABC):
             start: a model to begin from; the twin where None.
             steps: counts the fit.
         """
+        raise NotImplementedError
 
     def residual(self, twin: Twin) -> np.ndarray:
         """(n, k) measured minus predicted by another twin of this device; a gel's has an image a row instead.
@@ -129,9 +134,25 @@ class EffectStudy(Study, ABC):
     def too_little(self) -> str:
         """Why the recording is too poor for any claim, a sentence; empty where it is not."""
 
-    def fall(self, before: FittedModel, after: FittedModel) -> tuple[float, float, float]:
-        """Fall of the mean square error that decides: value, lower 1 % bound, upper 99 % bound."""
-        return self.judge.drop(before.squared, after.squared)
+    def refits(self, effects: Sequence[str], steps: Steps) -> Refits:
+        """The twin re-fitted as it is and with these effects, and what each adds to the others."""
+        before = self.refit(self.own, None, steps)
+        after = self.refit((*self.own, *effects), before, steps)
+        significant = self.significant(before, after)
+        without = dict.fromkeys(effects, before)
+        for e in effects if len(effects) > 1 else ():
+            without[e] = self.refit((*self.own, *(o for o in effects if o != e)), before, Steps(None))
+        error = self.errors(after)["heldout"]
+        contributions = [
+            Contribution(e, False, self.errors(m)["heldout"], error, self.test.drop(m.squared, after.squared))
+            for e, m in without.items()
+        ]
+        contributions.sort(key=lambda c: -c.drop[0])
+        return Refits(before, before, after, contributions=contributions, significant=significant)
+
+    def significant(self, before: FittedModel, after: FittedModel) -> bool:
+        """Whether the error falls significantly on the validation part."""
+        return self.judge.drop(before.squared, after.squared)[1] > 0
 
     def errors(self, model: FittedModel) -> dict[str, float]:
         """Root mean square errors: `train`, and `heldout`, which is the test part."""
@@ -140,8 +161,13 @@ class EffectStudy(Study, ABC):
             "heldout": float(np.sqrt(self.test.value(model.squared))),
         }
 
-    def judges(self, selected: Sequence[str]) -> None:
-        """Is told what a diagnosis found, where errors depend on it."""
+    def prepare(self, selected: Sequence[str], breaks: Sequence[dict]) -> None:
+        """Takes over what a written diagnosis found, where its errors depend on it.
+
+        Args:
+            selected: effects that it found.
+            breaks: corrections of the recording, see `BodyStudy.apply_break`.
+        """
         return
 
     def noted(self, model: FittedModel) -> dict:
@@ -177,6 +203,10 @@ class EffectStudy(Study, ABC):
     def experiment(self, model: FittedModel, effect: str) -> str:
         """What to record to see an effect apart from its rivals."""
         return get_effect(effect).experiment
+
+    def idle(self, model: FittedModel, effect: str) -> bool:
+        """Whether an effect's constants ended where it does nothing to this device."""
+        return False
 
     def already_on(self, effect: str) -> str:
         """A sentence where the twin has this effect."""

@@ -1,7 +1,7 @@
 """A recording of a finger or an arm under judgement; a sample is a row."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
@@ -11,8 +11,8 @@ from lerobot_pneutac.diagnosis.candidates import sort_candidates
 from lerobot_pneutac.diagnosis.experiment import predict
 from lerobot_pneutac.diagnosis.model import FittedModel
 from lerobot_pneutac.diagnosis.parts import deal
-from lerobot_pneutac.diagnosis.result import Outcome
-from lerobot_pneutac.diagnosis.search import Scored
+from lerobot_pneutac.diagnosis.result import PROFILE, Contribution, Outcome, Refits
+from lerobot_pneutac.diagnosis.search import Found, Scored, Trial
 from lerobot_pneutac.diagnosis.steps import Steps
 from lerobot_pneutac.study import gauge
 from lerobot_pneutac.study.body_model import BodyFitter, BodyModel, Form, Reading
@@ -27,7 +27,7 @@ from pneutac_datasets.recording.checks import check
 from pneutac_datasets.recording.mounts import on_one_mount
 from pneutac_datasets.recording.noise import noise_floor
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.effects.laws import starts
+from pneutac_sim.effects.laws import family, starts
 from pneutac_sim.effects.registry import body_effects, get_effect, of_body
 from pneutac_sim.finger.confidence import Z95, confidence
 from pneutac_sim.finger.data import BodyData
@@ -39,6 +39,11 @@ OF_TRIALS = (
     "what was found, errors are counted beside them (told by its learning rows), before it they are not."
 )
 EDGE = 1e-3
+
+
+def _of(parameter: str) -> str:
+    """The effect that a parameter of a pipeline belongs to."""
+    return parameter.rpartition(".")[0]
 
 
 class BodyStudy(BodyWords):
@@ -55,13 +60,15 @@ class BodyStudy(BodyWords):
         checked: number of findings before a search.
         start: how trials are taken to begin, before a search asks.
         joints: of the spine, tried beside the twin's own number.
+        breaks: corrections of the recording for this judgement, see `apply_break`.
 
     Raises:
         InputError: the recording has too few rows to fit the twin at all, or is of another device.
     """
 
     def __init__(self, twin: Twin, recording: Recording, seed: int = 0, adding: Sequence[str] = ()):
-        self.twin, self.seed = twin, seed
+        self.twin, self.seed, self._given = twin, seed, recording
+        self.breaks: tuple[dict, ...] = ()
         self.recording, self.findings = check(recording)
         self.parts = deal(self.recording, seed)
         self.own = tuple(of_body(twin.effects))
@@ -83,18 +90,48 @@ class BodyStudy(BodyWords):
         self.joints = 8 if twin.device == "finger" else len(twin.spine_joint_positions_mm)
 
     @property
+    def given_rows(self) -> int:
+        """Rows of the recording as it was given."""
+        return len(self._given)
+
+    @property
     def air_noise(self) -> float:
         """Noise of the measured pressure, kPa."""
         return gauge.sensor_noise(self.recording, self.measured)
 
+    def prepare(self, selected: Sequence[str], breaks: Sequence[dict]) -> None:
+        """Corrects the recording as a written diagnosis did."""
+        for correction in breaks:
+            self.apply_break(correction)
+
+    def apply_break(self, correction: dict) -> None:
+        """Corrects the recording where it is not of one device seen by one marker.
+
+        Args:
+            correction: `from_row` and `shift` (mm or rad by column) of a marker that slipped, or `first_row`
+                and `last_row` of what stands on one side of a change for good.
+        """
+        if "shift" in correction:
+            samples = self.recording.samples.copy()
+            for name, shift in correction["shift"].items():
+                samples.loc[samples.index[correction["from_row"] :], name] -= shift
+            self.recording = replace(self.recording, samples=samples)
+        else:
+            rows = np.arange(len(self.recording))
+            keep = (rows >= correction["first_row"]) & (rows <= correction["last_row"])
+            self.recording = self.recording.keep(keep)
+            self.parts = deal(self.recording, self.seed)
+        self.breaks = (*self.breaks, correction)
+
     # ---------------------------------------------------------------- models
 
     def fitted(self, model: BodyModel) -> FittedModel:
-        """A model of the search, run on all samples from the command."""
+        """A model of the search on all samples: from the command as its twin runs, else by the gauge."""
         twin = self.twin_with(model)
-        fitter = BodyFitter(self.recording, self.twin, np.zeros(1, int))
-        data = fitter.data(model.form.reading)
-        residual = (data.measured - fitter.predict(model))[:, : data.counted]
+        if model.form.reading.source == "command":
+            residual = self.residual(twin)
+        else:
+            residual = self.residual_with_runs(model)
         names = [model.pipeline.names[i] for i in model.free]
         edge = (model.v < EDGE) | (model.v > 1 - EDGE)
         bound = [
@@ -105,6 +142,12 @@ class BodyStudy(BodyWords):
         return FittedModel(
             effects=model.form.effects, residual=residual, count=len(names), twin=twin, at_bound=bound
         )
+
+    def residual_with_runs(self, model: BodyModel) -> np.ndarray:
+        """(n, k) measured minus predicted, with what single runs have of their own."""
+        fitter = BodyFitter(self.recording, self.twin, np.zeros(1, int))
+        data = fitter.data(model.form.reading)
+        return (data.measured - fitter.predict(model))[:, : data.counted]
 
     def twin_with(self, model: BodyModel) -> Twin:
         """The twin with a model's parameters, their intervals, and how its recordings begin."""
@@ -171,53 +214,84 @@ class BodyStudy(BodyWords):
             if done is not None:
                 return search, done
 
-    def refit(self, effects: Sequence[str], start: FittedModel | None, steps: Steps) -> FittedModel:
-        """All parameters of the twin and of these effects, fitted to all but the test part.
+    def refits(self, effects: Sequence[str], steps: Steps) -> Refits:
+        """The twin re-fitted as it is, with the known causes, and with these effects too.
 
-        With new effects the body's own base is tried beside the paper's; the simpler is kept unless the other
-        is surely better.
+        Known causes are chosen with the effects in place: those without which the cross-validated error rises
+        significantly.
         """
         search = BodySearch(self, map, lambda text: None)
-        if start is None:
-            self._before = self.as_it_is(search)
-            while move_back(self, search, self._before):
-                self._before = self.as_it_is(search)
-            steps.done()
-            return self.fitted(self._before.model)
-        fitter = BodyFitter(self.recording, self.twin, search.rows)
-        new = [e for e in effects if e not in self.own]
-        base = (*self.own, *(e for e in base_effects(self) if e not in self.own and e not in new))
-        space = BodySpace(
-            fitter,
-            base,
-            [len(self.twin.spine_joint_positions_mm)],
-            [],
-            ((),),
-            self._before.model.form.reading,
-        )
-        found = []
-        for own, ground in ((self._before.model.form.own, self.own), (True, base)):
-            form = replace(self._before.model.form, effects=tuple(ground), own=own)
-            values = self._before.model.values
-            for name in new:
-                form = form.plus(name)
-                fits = [space.trial(form, values, name, s) for s in starts(name)]
-                best = search.engine(space).fits(fits, 8)
-                if best:
-                    values = best[0].model.values
-            models = [space.settle(s.model) for s in best[:1]]
-            found += [search.score(space.settle_line(m)) for m in models]
-        plain, rich = found[0], found[-1]
-        needed = search.judge.surely(plain.crossed, rich.crossed)
-        best = rich if needed and plain.value - rich.value > 0.03 * self.noise.floor**2 else plain
-        self._crossed = self._before.crossed, best.crossed, search.judge
+        start = self.as_it_is(search)
+        while move_back(self, search, start):
+            start = self.as_it_is(search)
         steps.done()
-        return self.fitted(best.model)
+        fitter = BodyFitter(self.recording, self.twin, search.rows)
+        causes = [e for e in base_effects(self) if e not in (*self.own, *effects)]
+        form = replace(start.model.form, effects=(*self.own, *causes), own=True)
+        joints = [len(self.twin.spine_joint_positions_mm)]
+        space = BodySpace(fitter, form.effects, joints, self.candidates, ((),), form.reading)
+        engine, values, new = search.engine(space), start.model.values, []
+        rich = engine.fits([Trial(form, values), Trial(form, values | fitter.rough(form))], 8)
+        for name in effects:
+            form = form.plus(name)
+            new.append(form.effects[-1])
+            values = rich[0].model.values if rich else values
+            rich = engine.fits([space.trial(form, values, name, s) for s in starts(name)], 8)
+        rich = [search.score(space.settle_line(space.settle(s.model))) for s in rich[:1]] or [start]
+        whole = search.simplified(space, Found(start, [start], rich[0]), (*self.own, *new))
+        model, terms = whole.model, [e for e in whole.model.form.effects if e not in self.own]
+        without = {t: search.score(space.without(model, t)) for t in terms}
+        known = [t for t in terms if t not in new]
+        if model.form.own and not start.model.form.own:
+            known.append(PROFILE)
+            if (plain := search.plain(space, model)) is not None:
+                without[PROFILE] = plain
+        base = start
+        if known:
+            base = without[new[0]] if len(new) == 1 else search.score(space.without(model, *new))
+        better = None
+        significant = engine.is_worth(base, whole)
+        if significant and new:
+            better = self._better(search, space, base, whole, set(map(family, new)))
+        after = self.fitted(model)
+        steps.done()
+        return Refits(
+            before=self.fitted(start.model),
+            baseline=self.fitted(base.model),
+            after=after,
+            known=known,
+            contributions=self.contributions(
+                after, {t: self.fitted(s.model) for t, s in without.items()}, known
+            ),
+            significant=significant,
+            better=better and (better[0], self.fitted(better[1].model)),
+        )
 
-    def fall(self, before: FittedModel, after: FittedModel) -> tuple[float, float, float]:
-        """Fall of the mean square error on blocks that no fit saw: value, lower 1 % and upper 99 % bound."""
-        a, b, judge = self._crossed
-        return judge.drop(a, b)
+    def _better(
+        self, search: BodySearch, space: BodySpace, base: Scored, whole: Scored, kinds: set[str]
+    ) -> tuple[str, Scored] | None:
+        """Another mechanism that explains significantly more by itself and beside which these add nothing."""
+        engine = search.engine(space)
+        space.candidates = [e for e in space.candidates if family(e) not in kinds]
+        others = engine.fits(space.grow(base.model, 12, 0), 8)
+        if not others or not search.judge.surely(whole.crossed, others[0].crossed):
+            return None
+        added = [e for e in whole.model.form.effects if e not in base.model.form.effects]
+        values = others[0].model.values | {k: v for k, v in whole.model.values.items() if _of(k) in added}
+        both = engine.fits([Trial(others[0].model.form.plus(*added), values)], 8)
+        if both and engine.is_worth(others[0], both[0]):
+            return None
+        return others[0].model.form.effects[-1], others[0]
+
+    def contributions(
+        self, after: FittedModel, without: Mapping[str, FittedModel], known: Sequence[str]
+    ) -> list[Contribution]:
+        """What each term is worth on the test part, by the models re-fitted without it; the largest first."""
+        error, out = self.errors(after)["heldout"], []
+        for name, model in without.items():
+            drop = self.test.drop(model.squared, after.squared)
+            out.append(Contribution(name, name in known, self.errors(model)["heldout"], error, drop))
+        return sorted(out, key=lambda c: -c.drop[0])
 
     def refusal(self, effect: str) -> str:
         """Why an effect cannot be switched on."""

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,13 +10,13 @@ import numpy as np
 from lerobot_pneutac.diagnosis.belief import likely_right
 from lerobot_pneutac.diagnosis.experiment import predict
 from lerobot_pneutac.diagnosis.model import FittedModel
-from lerobot_pneutac.diagnosis.result import Contender, Outcome, Tested
+from lerobot_pneutac.diagnosis.result import PROFILE, Contender, Contribution, Outcome, Tested
 from lerobot_pneutac.diagnosis.search import Scored
 from lerobot_pneutac.diagnosis.verdict import Evidence, decide
 from lerobot_pneutac.diagnosis.votes import rivals
 from lerobot_pneutac.study.body_black_box import left_to_black_box
-from lerobot_pneutac.study.body_model import BodyModel
-from lerobot_pneutac.study.body_search import BodySearch, Searched
+from lerobot_pneutac.study.body_model import BodyFitter, BodyModel
+from lerobot_pneutac.study.body_search import BodySearch, Searched, base_effects
 from lerobot_pneutac.study.reading import read
 from pneutac_sim.effects.laws import family, is_law, starts
 from pneutac_sim.finger.data import BodyData
@@ -36,12 +37,17 @@ def body_outcome(
     helps = helps and study.test.value(after.squared) < study.test.value(before.squared)
     if not helps:
         after, done.terms = before, []
-    evidence = _evidence(study, before, after, done)
+    runs, left = _run_terms(study, done.model.model) if helps else None, after.squared
+    if runs is not None:
+        left = (study.residual_with_runs(done.model.model) ** 2).sum(axis=1)
+        runs["error"] = float(np.sqrt(study.test.value(left)))
+    evidence = _evidence(study, before, after, done, left)
     if done.terms and evidence.at_noise:
-        helps, after, near_miss, done.terms = False, before, done.terms, []
-        evidence = _evidence(study, before, after, done)
+        helps, after, near_miss, done.terms, runs = False, before, done.terms, [], None
+        evidence = _evidence(study, before, after, done, after.squared)
         evidence.near_miss = near_miss if evidence.before is None else []
     done.black_box = evidence.left_to_black_box = left_to_black_box(study, after.residual)
+    known = _known(study, start, done) if helps else []
     ladder = [("as it is", before)]
     if helps:
         ladder += _ladder(study, done, after)
@@ -57,11 +63,72 @@ def body_outcome(
         verdict=verdict,
         twin=after.twin,
         seconds=time.perf_counter() - began,
+        known=known,
+        baseline=_baseline(study, search, start, done, known) if helps else None,
+        contributions=_contributions(study, search, done, after, known) if helps else [],
+        run_terms=runs,
         chosen_in=done.chosen_in,
         base_model=_base(done) if helps else {},
         contenders=contenders,
         likely_right=_belief(evidence, verdict, contenders[0]),
     )
+
+
+def _known(study: "BodyStudy", start: Scored, done: Searched) -> list[str]:
+    """Known causes among what the final model needed and the twin lacks."""
+    causes = base_effects(study)
+    own_profile = done.model.model.form.own and not start.model.form.own
+    return [*(t for t in done.terms if t in causes), *([PROFILE] if own_profile else [])]
+
+
+def _baseline(
+    study: "BodyStudy", search: BodySearch, start: Scored, done: Searched, known: Sequence[str]
+) -> FittedModel | None:
+    """The twin with the known causes alone, re-fitted from the command; None where there are none."""
+    if not known:
+        return None
+    form = replace(start.model.form, own=start.model.form.own or PROFILE in known)
+    form = form.plus(*(k for k in known if k != PROFILE))
+    values = start.model.values | {
+        k: v for k, v in done.model.model.values.items() if k.rpartition(".")[0] in known
+    }
+    fitter = BodyFitter(study.recording, study.twin, search.rows)
+    fits = [fitter.fit(form, v, 12) for v in (values, values | fitter.rough(form))]
+    return study.fitted(min(map(search.score, fits), key=lambda s: s.value).model)
+
+
+def _contributions(
+    study: "BodyStudy", search: BodySearch, done: Searched, after: FittedModel, known: Sequence[str]
+) -> list[Contribution]:
+    """What each term is worth beside all others; of the air too where the gauge drove the body."""
+    models = {t: _after(study, done, s.model) for t, s in done.without.items() if t in done.terms}
+    if PROFILE in known and (plain := search.plain(done.space, done.model.model)) is not None:
+        models[PROFILE] = _after(study, done, plain.model)
+    if done.driven and done.air is not None:
+        for term, air in done.air.without.items():
+            if term in done.terms and term not in models:
+                twin = study.with_air(done.model.model, air.model)
+                models[term] = FittedModel(
+                    effects=tuple(twin.effects), residual=study.residual(twin), count=0, twin=twin
+                )
+    return study.contributions(after, models, known)
+
+
+def _run_terms(study: "BodyStudy", model: BodyModel) -> dict[str, float] | None:
+    """Root mean squares over runs of what single runs have of their own; None where runs do not differ."""
+    if not model.form.trials:
+        return None
+    data = BodyFitter(study.recording, study.twin, np.zeros(1, int)).data(model.form.reading)
+    d, p = len(data.columns), data.inputs.pressure_range_kpa
+    offset, gain, zero, clock = model.form.trials
+    travel = float(np.ptp(data.measured * data.scale, axis=0).max())
+    rms = np.sqrt((model.of_trials**2).mean(axis=0))
+    return {
+        "offset": offset * travel * float(np.linalg.norm(rms[: data.counted])),
+        "gain": gain * float(rms[d]),
+        "pressure_kpa": zero * p * float(rms[d + 1]),
+        "clock_s": clock * float(rms[d + 2]),
+    }
 
 
 def _belief(evidence: Evidence, verdict: str, best: Contender) -> float | None:
@@ -171,8 +238,13 @@ def _tested(study: "BodyStudy", search: BodySearch, done: Searched, before: Fitt
     return out
 
 
-def _evidence(study: "BodyStudy", before: FittedModel, after: FittedModel, done: Searched) -> Evidence:
-    """What the verdict rests on: errors of test blocks, which nothing was fitted or chosen on."""
+def _evidence(
+    study: "BodyStudy", before: FittedModel, after: FittedModel, done: Searched, left: np.ndarray
+) -> Evidence:
+    """What the verdict rests on: errors of test blocks, which nothing was fitted or chosen on.
+
+    `left` (n,) are the squared errors of the final model, without what single runs have of their own.
+    """
     test, floor, known = study.test, study.noise.floor, study.noise.value is not None
     data = BodyData.of(study.recording, study.twin, source="command")
     constant = data.measured[:, : data.counted] - data.measured[~study.parts.test, : data.counted].mean(
@@ -180,14 +252,14 @@ def _evidence(study: "BodyStudy", before: FittedModel, after: FittedModel, done:
     )
     worst = min(test.value(before.squared), test.value((constant**2).sum(axis=1)))
     if done.model.model.form.trials:  # what zeros of trials take away, no law did
-        worst = min(worst, test.value(study.fitted(done.found.base.model).squared))
-    left = test.value(after.squared) - floor**2
-    removed = 1 - max(left, 0.0) / (worst - floor**2) if worst > 1.02 * floor**2 else 0.0
+        worst = min(worst, test.value((study.residual_with_runs(done.found.base.model) ** 2).sum(axis=1)))
+    excess = test.value(left) - floor**2
+    removed = 1 - max(excess, 0.0) / (worst - floor**2) if worst > 1.02 * floor**2 else 0.0
     agreed = [done.chosen_in.get(t, 1.0) for t in done.terms[:1]]
     return Evidence(
         poor=bool(study.too_little()),
         before=float(np.sqrt(worst)) / floor if known else None,
-        after=float(np.sqrt(test.value(after.squared))) / floor if known else None,
+        after=float(np.sqrt(test.value(left))) / floor if known else None,
         selected=done.terms,
         removed=float(np.clip(removed, -1, 1)) if done.terms else 0.0,
         at_bound=[n for n in after.at_bound if n.rpartition(".")[0] in done.terms],

@@ -162,22 +162,27 @@ class BodySearch:
         ):
             self.tell(f"{study.findings[-1].partition(':')[0]}; the search begins anew")
             return None
-        space.trials = self._trials_differ(space, found)
-        if space.trials:
-            self.tell("each trial seems to have a zero of its own; the search begins anew beside that")
-            beside = self.engine(space).find()
-            # Zeros of trials also swallow what differs from trial to trial for a reason, such as a payload:
-            # only trials that were left out tell.
+        widths, plain = self._trials_differ(space, found), self.simplified(space, found, own)
+        if widths:
+            # An offset of a run also absorbs what differs from run to run for a reason, such as a payload:
+            # the known causes that are needed without offsets stay, and only runs that were left out decide.
+            self.tell("each run seems to have an offset of its own; the search begins anew with that")
+            causes = tuple(e for e in plain.model.form.effects if e in base_effects(study))
+            space.trials, space.kept = widths, space.base
+            with_offsets = self.engine(space).find()
             fold = fitter.trial[self.rows]
-            alone, zeros = (float(f.final.model.crossed(fold).mean()) for f in (found, beside))
-            found, space.trials = (beside, space.trials) if zeros < alone else (found, ())
-        final = self._settled(space, self._simplified(space, found, own))
-        return Searched(space, found, self._without_idle(space, final, own))
+            alone, better = (float(f.final.model.crossed(fold).mean()) for f in (found, with_offsets))
+            if better < alone:
+                own = (*own, *(e for e in causes if e not in own))
+                found, plain = with_offsets, self.simplified(space, with_offsets, own)
+            else:
+                space.trials = ()
+        return Searched(space, found, self._without_idle(space, self._settled(space, plain), own))
 
     def _without_idle(self, space: BodySpace, model: Scored, own: tuple[str, ...]) -> Scored:
         """The model without terms that ended where they do nothing, at the same instants of steps."""
         for term in model.model.form.effects:
-            if term not in own and term not in space.base and space.idle(model.model, term):
+            if term not in own and space.idle(model.model, term):
                 form, values = model.model.form.without(term), model.model.values
                 model = self.score(space.fitter.fit(form, values, 8))
         return model
@@ -208,23 +213,26 @@ class BodySearch:
         differ = now.value - beside.value > 0.3 * (now.value - floor2)
         return beside.model.form.trials if differ and self.judge.surely(now.crossed, beside.crossed) else ()
 
-    def _simplified(self, space: BodySpace, found: Found, own: tuple[str, ...]) -> Scored:
+    def simplified(self, space: BodySpace, found: Found, own: tuple[str, ...]) -> Scored:
         """The final model with the paper's base, and without parts of the base, where that is as good."""
         search = self.engine(space)
         final = found.final
         floor2 = self.study.noise.floor**2
-        form = replace(final.model.form, own=False, trials=space.trials)
-        values = {k: v for k, v in final.model.values.items() if not k.startswith(("bend_", "curl"))}
-        plain = search.fits([Trial(form, values), Trial(form, values | space.fitter.rough(form))], 12)
-        kept = final
-        if plain:
+        plain, kept = self.plain(space, final.model), final
+        if plain is not None:
             room = max(found.base.value - floor2, 0.0)
-            fall, needed = plain[0].value - final.value, self.judge.surely(plain[0].crossed, final.crossed)
-            if not needed or fall < max(0.01 * room, 0.03 * floor2):
-                kept = plain[0]
-        removable = [e for e in space.base if e not in own and (not kept.model.form.own or e in NAMED)]
-        space.kept = tuple(e for e in space.base if e not in removable)
+            drop, needed = plain.value - final.value, self.judge.surely(plain.crossed, final.crossed)
+            if not needed or drop < max(0.01 * room, 0.03 * floor2):
+                kept = plain
+        space.kept = own
         return search.pruned(kept, found)
+
+    def plain(self, space: BodySpace, model: BodyModel) -> Scored | None:
+        """The model re-fitted with the paper's bend profile; None where it cannot be fitted."""
+        form = replace(model.form, own=False)
+        values = {k: v for k, v in model.values.items() if not k.startswith(("bend_", "curl"))}
+        trials = [Trial(form, values), Trial(form, values | space.fitter.rough(form))]
+        return next(iter(self.engine(space).fits(trials, 12)), None)
 
     # ---------------------------------------------------------------- what it means
 
@@ -232,15 +240,14 @@ class BodySearch:
         """Which terms count as found, how sure each is, and what is left."""
         study, space, model = self.study, done.space, done.model
         own = set(study.own)
-        parts_of_base = set() if not model.model.form.own else {e for e in space.base if e not in NAMED}
-        terms = [e for e in model.model.form.effects if e not in own and e not in parts_of_base]
+        terms = [e for e in model.model.form.effects if e not in own]
         without = dict(self.run(lambda t: (t, self.score(space.without(model.model, t))), terms))
         done.without = without
         done.importance = {t: s.value - model.value for t, s in without.items()}
         if done.air is not None and done.driven:
             terms += [e for e in done.air.final.model.form.effects if e not in own]
             done.importance |= {e: 0.0 for e in terms if e not in done.importance}
-        done.terms = sorted(terms, key=lambda t: -done.importance[t])
+        done.terms = sorted(terms, key=lambda t: (t == "base_tilt", -done.importance[t]))
         done.chosen_in = dict.fromkeys(terms, 1.0) | {
             t: share
             for t, share in chosen_in(done.found, self.unit, study.noise.floor, family).items()
@@ -269,16 +276,14 @@ class BodySearch:
         return before - after > 0.5 * fall * (before / max(done.found.base.value, 1e-12))
 
 
-NAMED = (
-    "gravity",
-    "payload",
-    "elongation",
-)  # parts of the base that count as effects where they show
-
-
 def base_effects(study: "BodyStudy") -> tuple[str, ...]:
-    """What belongs to how a body bends: its mount, its weight, its stretch, as far as they can be seen."""
-    recording, out = study.recording, []
+    """Known causes that a study's recording shows, see `known_causes`."""
+    return tuple(e for e in known_causes(study.recording) if e not in study.excluded)
+
+
+def known_causes(recording: Recording) -> tuple[str, ...]:
+    """Effects that belong to how any body bends: its mount, weight, load and stretch, as far as they show."""
+    out = []
     tip = all(recording.has(f"tip_{a}_mm") for a in "xz")
     if tip:
         out.append("base_tilt")
@@ -291,7 +296,7 @@ def base_effects(study: "BodyStudy") -> tuple[str, ...]:
             out.append("payload")
     if tip:
         out.append("elongation")
-    return tuple(e for e in out if e not in study.excluded)
+    return tuple(out)
 
 
 def _lines(own: tuple[str, ...], excluded: Iterable[str]) -> tuple[tuple[str, ...], ...]:

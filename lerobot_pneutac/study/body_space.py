@@ -307,10 +307,14 @@ class BodySpace:
         """Effects that the model might do without."""
         return [e for e in model.form.effects if e not in self.kept]
 
-    def without(self, model: BodyModel, effect: str) -> BodyModel:
-        """The model re-fitted without an effect; without one of the air, steps seem to come otherwise."""
-        left = self.fitter.fit(model.form.without(effect), model.values, 8)
-        return self.settle_line(left) if get_effect(effect).stage == "pneumatics" else left
+    def without(self, model: BodyModel, *effects: str) -> BodyModel:
+        """The model re-fitted without effects; without one of the air, steps seem to come otherwise."""
+        form = model.form
+        for e in effects:
+            form = form.without(e)
+        left = self.fitter.fit(form, model.values, 8)
+        of_air = any(get_effect(e).stage == "pneumatics" for e in effects)
+        return self.settle_line(left) if of_air else left
 
     def idle(self, model: BodyModel, effect: str) -> bool:
         """Whether an effect ended where it does nothing: it moves no prediction or is too quick to show."""

@@ -7,7 +7,7 @@ import numpy as np
 from lerobot_pneutac.diagnosis.experiment import Separation, predict, separations
 from lerobot_pneutac.diagnosis.law_programs import law_program
 from lerobot_pneutac.diagnosis.model import FittedModel
-from lerobot_pneutac.diagnosis.result import Outcome, Rival
+from lerobot_pneutac.diagnosis.result import PROFILE, Outcome, Rival
 from lerobot_pneutac.diagnosis.verdict import too_few
 from lerobot_pneutac.study import gauge
 from lerobot_pneutac.study.base import EffectStudy
@@ -19,8 +19,8 @@ from pneutac_sim.effects.laws import family
 from pneutac_sim.effects.registry import get_effect
 
 LATE = ("creep", "valve_lag", "ringing", "leak")  # families that air and body may both cause
-PROFILE = "bend_profile"  # a known cause that is no effect
 REPEAT = "Repeat one test after an hour. Differences between the two come from the setup, not the device."
+STILL = 0.02  # of the noise: an effect that moves the prediction by less ended where it does nothing
 
 
 class BodyWords(EffectStudy):
@@ -28,9 +28,11 @@ class BodyWords(EffectStudy):
 
     Attributes:
         measured: columns of measured pressure, empty where it tells nothing.
+        breaks: corrections of the recording for this judgement, see `BodyStudy.apply_break`.
     """
 
     measured: list[str]
+    breaks: tuple[dict, ...]
     more_data, repeat = LONGER, REPEAT
 
     @property
@@ -67,6 +69,14 @@ class BodyWords(EffectStudy):
             return ""
         typically = f"{np.sqrt((moved**2).mean()):.2g} {self.unit}"
         return f"That moves its {what} by {typically} typically and {moved.max():.2g} {self.unit} at most."
+
+    def idle(self, model: FittedModel, effect: str) -> bool:
+        """Whether an effect moves the prediction by less than `STILL` of the noise."""
+        if effect not in model.twin.effects:
+            return False
+        data = read(self.recording, model.twin)
+        seen, plain = (predict(t, data)[0] for t in (model.twin, model.twin.without(effect)))
+        return bool(np.sqrt(((seen - plain) ** 2).sum(axis=1).mean()) < STILL * (self.noise.value or 0.0))
 
     def experiment(self, model: FittedModel, effect: str) -> str:
         """By the law's own program where it is one and was found."""
@@ -133,4 +143,8 @@ class BodyWords(EffectStudy):
 
     def details(self, outcome: Outcome) -> dict:
         """What only a body's `result.json` has."""
-        return {"measured_pressure": bool(self.measured), "base_model": outcome.base_model}
+        return {
+            "measured_pressure": bool(self.measured),
+            "base_model": outcome.base_model,
+            "data_breaks": list(self.breaks),
+        }

@@ -52,7 +52,7 @@ def demonstration_outcome(
     pressing = pressing_as(study, after, models[1], fitter, selected)
     if pressing is not None:
         selected, after = [*selected, COMPLIANCE], pressing
-        study.judges(selected)
+        study.prepare(selected, ())
         before = study.fitted(study.bare_air, study.bare_touch, study.fitter)
         ladder = [("as it is", before), *ladder[1:], (" + ".join(selected), after)]
     others = rivals(

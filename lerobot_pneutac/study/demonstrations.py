@@ -192,13 +192,13 @@ class DemonstrationStudy(DemonstrationWords):
         own = np.mean([brightness(rest_image(e)) for e in self.recording.episodes], 0)
         return {"imprint": strength.kept(self.recording.task, own if self.light is None else self.light)}
 
-    def judges(self, selected: Sequence[str]) -> None:
-        """Errors are told with the strength of imprints where that was among what was found."""
+    def prepare(self, selected: Sequence[str], breaks: Sequence[dict]) -> None:
+        """Errors include the strength of imprints where that was among what was found."""
         self.charged = COMPLIANCE in selected
 
-    def fall(self, before: FittedModel, after: FittedModel) -> tuple[float, float, float]:
-        """Fall of the mean square error on episodes that no fit saw."""
-        return self._learnt().drop(*self._errors)
+    def significant(self, before: FittedModel, after: FittedModel) -> bool:
+        """Whether the error falls significantly on episodes that their fit did not see."""
+        return self._learnt().drop(*self._errors)[1] > 0
 
     def _learnt(self) -> Resampler:
         owner = self.owner[self.parts.train]

@@ -1,11 +1,9 @@
 """A recording of one device, seen by one marker: slips are taken back, a change for good is cut off."""
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lerobot_pneutac.diagnosis.parts import deal
 from lerobot_pneutac.diagnosis.search import Scored
 from lerobot_pneutac.diagnosis.verdict import CLOSE
 from lerobot_pneutac.study.body_model import BodyFitter
@@ -27,7 +25,7 @@ def move_back(study: "BodyStudy", search: "BodySearch", found: Scored) -> bool:
 
     The less a model leaves, the less can be mistaken for a slip.
     """
-    was, model = (study.recording, study.findings), found.model
+    was, model = (study.recording, study.findings, study.breaks), found.model
     columns, _ = headline(study.recording)
     J = model.jacobian.reshape(len(search.rows), -1, model.jacobian.shape[1])[:, : len(columns)]
     residual, trial = study.fitted(model).residual, np.asarray(study.recording.samples["trial"])
@@ -37,10 +35,8 @@ def move_back(study: "BodyStudy", search: "BodySearch", found: Scored) -> bool:
     if slip is None or len(was[1]) - study.checked >= MOST_SLIPS:
         return False
     row, shift = slip
-    samples = study.recording.samples.copy()
-    samples.loc[samples.index[row:], columns] -= shift
     moved = ", ".join(f"{c} by {x:.3g}" for c, x in zip(columns, shift, strict=True))
-    study.recording = replace(study.recording, samples=samples)
+    study.apply_break({"from_row": int(row), "shift": dict(zip(columns, map(float, shift), strict=True))})
     study.findings = [
         *was[1],
         f"The marker slipped in {where(study.recording, row)}: from there on everything is seen "
@@ -50,7 +46,7 @@ def move_back(study: "BodyStudy", search: "BodySearch", found: Scored) -> bool:
     without = search.score(fitter.fit(model.form, model.values, 8))
     if search.judge.surely(found.crossed, without.crossed) and _change(study, without) is None:
         return True
-    study.recording, study.findings = was
+    study.recording, study.findings, study.breaks = was
     return False
 
 
@@ -77,8 +73,8 @@ def keep_one_device(study: "BodyStudy", search: "BodySearch", found: Scored) -> 
         f"{found.value**0.5:.3g} {study.unit}, fitted before and after apart by {left**0.5:.3g}. This "
         f"judgement is of the {longer.sum()} rows {kept} it.",
     ]
-    study.recording = study.recording.keep(longer)
-    study.parts = deal(study.recording, study.seed)
+    first, last = np.flatnonzero(longer)[[0, -1]]
+    study.apply_break({"first_row": int(first), "last_row": int(last)})
     return True
 
 

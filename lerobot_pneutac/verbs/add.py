@@ -1,21 +1,21 @@
-"""Switches an effect on in a twin, re-fits everything and tells the error before and after."""
+"""Switches effects on in a twin, re-fits everything, and reports what each term is worth."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from lerobot_pneutac.diagnosis.model import FittedModel
+from lerobot_pneutac.diagnosis.result import Contribution, Refits
 from lerobot_pneutac.diagnosis.steps import Steps
 from lerobot_pneutac.reports.page import Report, span
 from lerobot_pneutac.reports.sentences import percent
-from lerobot_pneutac.study.base import EffectStudy
 from lerobot_pneutac.study.by_device import study_of
 from lerobot_pneutac.study.pair import same_body
 from lerobot_pneutac.verbs.diagnosis import Diagnosis
 from lerobot_pneutac.verbs.found import read_found
 from lerobot_pneutac.verbs.result import Result, command_on
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
-from pneutac_datasets.recording.noise import noise_text
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.twin import Twin
@@ -25,26 +25,32 @@ OF_DEMONSTRATIONS = ("late_commands", "compliance")  # parameters of a twin, no 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Addition(Result):
-    """What switching an effect on did.
+    """What switching effects on did.
 
     Attributes:
-        effect: its name.
-        accepted: whether the error falls for sure where nothing was fitted.
-        reason: why it was refused, a sentence; empty where it was accepted.
-        twin: with the effect, re-fitted and not yet written; the one that was given where it was refused.
+        effect: their names.
+        accepted: whether the test error falls significantly by them, and by nothing else.
+        reason: why they were refused, a sentence; empty where they were accepted.
+        twin: with the effects, re-fitted and not yet written; the one that was given where they were refused.
         unit: of the errors.
-        noise_floor: error that the measurement's own noise makes; None where it is unknown.
-        before: error without the effect: `train`, `heldout`, `heldout_ci95`; None where nothing was fitted.
-        after: the same with it.
-        reduction: share of the avoidable error that it removes.
+        noise_floor: error that the measurement's own noise makes; None where the recording does not show it.
+        before: error of the twin as it is, re-fitted: `train`, `heldout` (the test part), `heldout_ci95`;
+            None where nothing was fitted.
+        baseline: the same with the known causes that the recording shows; `before` where there are none.
+        after: the same with the effects too.
+        known: known causes that are switched on with them, such as `payload`.
+        contributions: what each term is worth beside all others, the largest first.
+        reduction: share of the avoidable error that known causes and effects remove together.
         reduction_ci95: its interval.
         parameters: name to `value`, `ci95` and `unit`.
         at_bound: parameters stopped by a bound.
         not_identified: parameters that the recording cannot tell, and why.
-        physics: what the effect does to this device, a sentence with the fitted numbers.
+        physics: what each effect does to this device, sentences with the fitted numbers.
         findings: of the data check, one sentence each.
         objections: of the diagnosis that found it, one phrase each; empty where an effect was named.
-        noted: what the twin's history keeps of it beside the errors.
+        unconfirmed: whether the twin is stored although the effects were refused.
+        instead: another effect that explains more; empty where there is none.
+        noted: what the twin's history stores besides the errors.
         recording: that was used.
         seed: that decided what was held out.
         saved_to: the twin's folder once it was saved.
@@ -57,18 +63,23 @@ class Addition(Result):
     recording: str
     seed: int
     unit: str = ""
-    noise_floor: float | None = None
+    noise_floor: float | None = 0.0
     before: dict | None = None
+    baseline: dict | None = None
     after: dict | None = None
+    known: tuple[str, ...] = ()
+    contributions: tuple[Contribution, ...] = ()
     reduction: float = 0.0
     reduction_ci95: tuple[float, float] = (0.0, 0.0)
     parameters: dict[str, dict] | None = None
     at_bound: tuple[str, ...] = ()
     not_identified: dict[str, str] | None = None
-    physics: str = ""
+    physics: tuple[str, ...] = ()
     findings: tuple[str, ...] = ()
     objections: tuple[str, ...] = ()
-    noted: dict | None = None
+    unconfirmed: bool = False
+    instead: str = ""
+    noted: dict | None = field(default=None, repr=False)
     saved_to: Path | None = None
 
     def save(self, folder: str | Path) -> "Addition":
@@ -76,38 +87,55 @@ class Addition(Result):
         twin = self.twin.copy()
         after = self.after or {}
         errors = {k: after[k] for k in ("train", "heldout", "arm_and_gauge", "touch") if k in after}
-        if "touch" in after:  # of demonstrations, which others of the same finger are held against
+        if "touch" in after:  # of demonstrations, which others of the same finger are compared with
             errors["heldout_ci95"] = list(after["heldout_ci95"])
         errors |= {"unit": self.unit, "seed": self.seed} | (self.noted or {})
-        twin.save_version(folder, f"added {self.effect}", self.recording, errors)
+        change = f"added {self.effect}" + (" (unconfirmed)" if self.unconfirmed else "")
+        twin.save_version(folder, change, self.recording, errors)
         return replace(self, twin=twin, saved_to=Path(folder))
+
+    @property
+    def _effects(self) -> list[str]:
+        """The effects without the known causes."""
+        return [e for e in self.effect.split(", ") if e not in self.known]
 
     @property
     def title(self) -> str:
         """Heading of table and report."""
-        return f"Added {self.effect}" if self.accepted else f"{self.effect} was not added"
+        stored = "Added" if self.accepted else "Added without confirmation:" if self.unconfirmed else ""
+        return f"{stored} {self.effect}" if stored else f"{self.effect} was not added"
 
     @property
     def sentence(self) -> str:
-        """What the effect does and by how much the error fell, or why it was refused."""
-        before, after = self.before, self.after
-        if not self.accepted or before is None or after is None:
+        """By how much the error falls, with what, and what each effect does; or why it was refused."""
+        before, base, after = self.before, self.baseline, self.after
+        if not self.accepted or before is None or base is None or after is None:
             return self.reason
-        share = percent(self.reduction, self.reduction_ci95)
-        return (
-            f"{self.physics} With {self.effect} the test error fell from {before['heldout']:.3g} to "
-            f"{after['heldout']:.3g} {self.unit}: {share} of what could be avoided."
-        )
+        noise = "" if self.noise_floor is None else f" (noise {self.noise_floor:.3g} {self.unit})"
+        text, causes = "", [c.replace("_", " ") for c in self.known]
+        if causes:
+            verb = "lowers" if len(causes) == 1 else "lower"
+            text = f"Known causes: {_listed(causes)} {verb} the test error from {before['heldout']:.3g} to "
+            text += f"{base['heldout']:.3g} {self.unit}{'' if self._effects else noise}."
+        if self._effects:
+            names = _listed(self._effects)
+            text += f" With {names} it falls from {base['heldout']:.3g} to {after['heldout']:.3g} {self.unit}"
+            text = text.replace(" it falls", " the test error falls") if not causes else text
+            text += f"{noise}."
+        return text.strip()
 
     def rows(self) -> list[dict]:
-        """The error before and after."""
+        """The errors as it is, with known causes, and with all."""
+        steps = [("as it is", self.before)]
+        if self.known:
+            steps.append((f"with known causes ({', '.join(self.known)})", self.baseline))
+        if self._effects:
+            steps.append((f"with {', '.join(self._effects)}", self.after))
+        noise = "unknown" if self.noise_floor is None else f"{self.noise_floor:.3g}"
         rows = []
-        for name, e in (("before", self.before), (f"with {self.effect}", self.after)):
+        for name, e in steps:
             if e is not None:
-                row = {
-                    f"error, {self.unit} (noise {noise_text(self.noise_floor)})": name,
-                    "train": e["train"],
-                }
+                row = {f"error, {self.unit} (noise {noise})": name, "training": e["train"]}
                 row |= {"test": e["heldout"], "95 % interval": span(e["heldout_ci95"])}
                 rows.append(row | ({"contact": e["heldout_contact"]} if "heldout_contact" in e else {}))
         return rows
@@ -119,20 +147,27 @@ class Addition(Result):
     @property
     def next_command(self) -> str:
         """To see where it still fails; where the effect was refused, what is missing."""
+        if self.instead:
+            return command_on("add", self.twin, self.recording, f"--effect={self.instead}")
         return command_on("compare" if self.accepted else "diagnose", self.twin, self.recording)
 
     def remarks(self) -> list[str]:
-        """Bounds, what speaks against it, and where the twin lies."""
-        out = [f"[yellow]at a bound:[/] {', '.join(self.at_bound)}"] if self.at_bound else []
+        """What each term is worth, bounds, warnings, and where the twin lies."""
+        out = []
+        if len(self.contributions) > 1:
+            worth = ", ".join(f"{c.name} {c.error_without:.3g}" for c in self.contributions)
+            out.append(f"Test error without each term, all else re-fitted, {self.unit}: {worth}.")
+        if self.at_bound:
+            out.append(f"[yellow]at a bound:[/] {', '.join(self.at_bound)}")
         if self.accepted and self.objections:
-            out.append(f"[yellow]the diagnosis objects:[/] {'; '.join(self.objections)}")
+            out.append(f"[yellow]warnings of the diagnosis:[/] {'; '.join(self.objections)}")
         if self.saved_to:
             out.append(f"wrote version {self.twin.history[-1]['version']} of {self.saved_to}")
         bench = [h["recording"] for h in self.twin.history if h["change"] == "calibrated"]
         if self.accepted and bench and "touch" in (self.after or {}):
             out.append(
-                "Touch told this of the pressed finger; the bench tells more of its free bend, with the new "
-                f"effects too: `{command_on('calibrate', self.twin, bench[-1])}`."
+                "This was found from touch, with the finger pressed; re-fit the free bend to the bench "
+                f"recording: `{command_on('calibrate', self.twin, bench[-1])}`."
             )
         return out
 
@@ -145,10 +180,15 @@ class Addition(Result):
             "effect": self.effect,
             "accepted": self.accepted,
             "reason": self.reason,
+            "unconfirmed": self.unconfirmed,
             "unit": self.unit,
             "noise_floor": self.noise_floor,
             "before": self.before,
+            "baseline": self.baseline,
             "after": self.after,
+            "known_causes": list(self.known),
+            "contributions": [asdict(c) for c in self.contributions],
+            "explains_more": self.instead or None,
             "reduction": self.reduction,
             "reduction_ci95": list(self.reduction_ci95),
             "parameters": self.parameters,
@@ -160,14 +200,34 @@ class Addition(Result):
         }
 
     def page(self) -> Report:
-        """The error before and after, and the parameters."""
+        """The errors, what each term is worth, and the parameters."""
         page = Report(self.title)
         page.lead(self.sentence)
+        if self.accepted:
+            for text in self.physics:
+                page.text(text)
         if self.accepted and self.objections:
-            page.text(f"**The diagnosis objects:** {'; '.join(self.objections)}.")
+            page.text(f"**Warnings of the diagnosis:** {'; '.join(self.objections)}.")
         if self.before is not None:
             page.figure(self._figure())
             page.table(self.rows())
+            share = percent(self.reduction, self.reduction_ci95)
+            page.text(f"Of the squared error above the noise {share} goes with all of it.")
+        page.table(
+            [
+                {
+                    "term": c.name,
+                    "known cause": "yes" if c.known else "",
+                    f"test error without it, {self.unit}": c.error_without,
+                    "with all": c.error_with,
+                    f"fall of the mean square, {self.unit}^2 (98 % interval)": (
+                        f"{c.drop[0]:.3g} ({c.drop[1]:.3g} to {c.drop[2]:.3g})"
+                    ),
+                }
+                for c in self.contributions
+            ],
+            "What each term is worth: the model is re-fitted without it.",
+        )
         page.table(
             [
                 {
@@ -178,7 +238,7 @@ class Addition(Result):
                 }
                 for k, v in (self.parameters or {}).items()
             ],
-            "Fitted to the training part.",
+            "Fitted to all but the test part.",
         )
         if self.findings:
             page.heading("What the data check found")
@@ -189,7 +249,10 @@ class Addition(Result):
         import plotly.graph_objects as go
 
         figure = go.Figure()
-        for name, e, colour in (("before", self.before, "#9aa5b1"), ("after", self.after, "#0b6e99")):
+        steps = [("as it is", self.before, "#9aa5b1")]
+        steps += [("with known causes", self.baseline, "#d99a2b")] if self.known else []
+        steps += [(f"with {', '.join(self._effects)}", self.after, "#0b6e99")] if self._effects else []
+        for name, e, colour in steps:
             if e is None:
                 continue
             a, b = e["heldout_ci95"]
@@ -206,13 +269,15 @@ def add(
     effect: str | Sequence[str] | Diagnosis | Path,
     *,
     seed: int = 0,
+    anyway: bool = False,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> Addition:
-    """Switches effects on; they are accepted where the error surely falls on blocks that no fit saw.
+    """Switches effects on; they are accepted where the test error falls significantly by them.
 
-    A diagnosis' finding is taken whole, with its parameters. Effects that are named are fitted, beside the
-    paper's base and the body's own, and judged on blocks that their fit did not see. The errors are those of
-    test blocks. Neither twin nor recording is changed.
+    The test blocks are seen by no fit and by no choice; the errors that are printed are theirs, and the lower
+    1 % bound of the fall on them decides. Known causes that the recording shows (weight, payload, base pose,
+    stretch) are fitted first, and effects are credited with what they add to these. A diagnosis' finding is
+    taken whole, with its parameters. Neither twin nor recording is changed.
 
     Args:
         twin: of the recording's device, or a finger with the gel of the recording.
@@ -220,95 +285,143 @@ def add(
         effect: one or several names of effects or laws; or what `diagnose` found on this recording, itself or
             the folder that it was written to.
         seed: decides which part is held out, and the bootstrap.
+        anyway: returns the twin with the effects although they were refused, as `unconfirmed`.
         progress: called with a text, the fits done and all of them.
 
     Raises:
         InputError: there is no such effect, the devices differ, or there are too few rows to fit at all.
     """
     if isinstance(effect, Diagnosis):
-        o, study = effect.outcome, effect.study
-        # Anew, as the twin itself would have it: a search may predict from what it computed before.
-        after = replace(o.after, residual=study.residual(o.after.twin))
-        return _whole(study, twin, o.selected, o.before, after, o.evidence.objections)
+        o = effect.outcome
+        return _whole(effect.study, twin, effect.to_dict(), (o.before, o.baseline, o.after), anyway)
     if isinstance(effect, Path):
-        return _written(twin, same_body(twin, recording, "add to"), effect)
+        return _written(twin, same_body(twin, recording, "add to"), effect, anyway)
     effects = [effect] if isinstance(effect, str) else list(effect)
     for e in effects:
         if not (isinstance(recording, Demonstrations) and e in OF_DEMONSTRATIONS):
             get_effect(e)
     recording, steps = same_body(twin, recording, "add to"), Steps(progress)
-    given = {"effect": ", ".join(effects), "recording": str(recording.folder), "seed": seed}
+    given: dict[str, Any] = {"effect": ", ".join(effects), "recording": str(recording.folder), "seed": seed}
     study = study_of(twin, recording, seed, adding=effects)
     reason = next(filter(None, map(study.refusal, effects)), "") or study.too_little()
     if reason:
         return Addition(accepted=False, reason=reason, twin=twin, findings=tuple(study.findings), **given)
     steps.expect(f"fitting with and without {given['effect']}", 2)
-    before = study.refit(study.own, None, steps)
-    after = study.refit((*study.own, *effects), before, steps)
-    return _judged(study, twin, effects, before, after, study.fall(before, after), given)
+    found = study.refits(effects, steps)
+    return _judged(study, twin, effects, found, given, anyway, named=True)
 
 
-def _written(twin: Twin, recording: Recording | Demonstrations, folder: Path) -> Addition:
+def _written(twin: Twin, recording: Recording | Demonstrations, folder: Path, anyway: bool) -> Addition:
     """All that a diagnosis wrote to a folder, judged on its own blocks."""
     written = read_found(folder, recording)
-    study = study_of(twin, recording, written.told["seed"])
-    study.judges(written.told["selected"])
-    before, after = (
-        FittedModel(effects=tuple(t.effects), residual=study.residual(t), count=0, twin=t)
-        for t in (written.before, written.found)
-    )
-    told = written.told
-    return _whole(study, twin, told["selected"], before, after, told.get("objections", []))
+    result = written.result
+    study = study_of(twin, recording, result["seed"])
+    study.prepare(result["selected"], result.get("data_breaks", ()))
+    models = [
+        t and FittedModel(effects=tuple(t.effects), residual=study.residual(t), count=0, twin=t)
+        for t in (written.before, written.baseline, written.found)
+    ]
+    return _whole(study, twin, result, models, anyway)
 
 
 def _whole(
-    study, twin: Twin, selected: list[str], before: FittedModel, after: FittedModel, objections: Sequence[str]
+    study, twin: Twin, result: Mapping, models: Sequence[FittedModel | None], anyway: bool
 ) -> Addition:
     """All that a diagnosis found, judged on its test blocks."""
-    folder = str(study.recording.folder)
-    given = {"effect": ", ".join(selected) or "nothing", "recording": folder, "seed": study.seed}
-    given["objections"] = tuple(objections)
+    selected = list(result["selected"])
+    given: dict[str, Any] = {
+        "effect": ", ".join(selected) or "nothing",
+        "recording": str(study.recording.folder),
+    }
+    given |= {"seed": study.seed, "objections": tuple(result.get("objections", ()))}
     reason = study.too_little() if selected else "Nothing was written: the diagnosis found nothing to add."
     if reason:
         return Addition(accepted=False, reason=reason, twin=twin, findings=tuple(study.findings), **given)
-    fall = study.test.drop(before.squared, after.squared)
-    return _judged(study, twin, selected, before, after, fall, given)
+    contributions = [Contribution(**c) for c in result.get("contributions", ())]
+    before, baseline, after = models
+    assert before is not None and after is not None  # each diagnosis has both
+    found = Refits(before, baseline or before, after, result.get("known_causes", []), contributions)
+    return _judged(study, twin, selected, found, given, anyway, named=False)
 
 
-def _judged(study, twin, effects, before, after, fall, given) -> Addition:
-    """The result of switching these effects on."""
+def _judged(
+    study, twin: Twin, effects: Sequence[str], found: Refits, given: dict, anyway: bool, named: bool
+) -> Addition:
+    """The result of switching these effects on, `named` by the user or found by a diagnosis."""
+    before, base, after = found.before, found.baseline, found.after
     reduction, interval = study.reduction(before, after)
-    accepted = fall[1] > 0
-    error, new_error = (study.errors(m) | {"heldout_ci95": study.interval(m)} for m in (before, after))
+    errors = [study.errors(m) | {"heldout_ci95": study.interval(m)} for m in (before, base, after)]
     several = len(effects) > 1
     parameters = {
         f"{e}: {k}" if several else k: v for e in effects for k, v in study.parameters(after, e).items()
     }
+    reason = _refusal(study, effects, found, named)
+    stored = not reason or anyway
     return Addition(
-        accepted=accepted,
-        reason="" if accepted else _no_sure_fall(study, given["effect"], error, new_error, fall),
-        twin=study.twin_of(after) if accepted else twin,
+        accepted=not reason,
+        unconfirmed=bool(reason) and anyway,
+        reason=reason,
+        instead=found.better[0] if reason and found.better else "",
+        twin=study.twin_of(after) if stored else twin,
         unit=study.unit,
         noise_floor=study.noise.value,
-        before=error,
-        after=new_error,
+        before=errors[0],
+        baseline=errors[1],
+        after=errors[2],
+        known=tuple(found.known),
+        contributions=tuple(found.contributions),
         reduction=reduction,
         reduction_ci95=interval,
         parameters=parameters,
         at_bound=tuple(study.at_bound(after, effects)),
         not_identified=after.not_identified,
-        physics=" ".join(study.describe(after, e) for e in effects if e in after.effects),
+        physics=tuple(study.describe(after, e) for e in effects if e in after.effects),
         findings=tuple(study.findings),
         noted=study.noted(after),
         **given,
     )
 
 
-def _no_sure_fall(study: EffectStudy, effect: str, before: dict, after: dict, fall: tuple) -> str:
-    value, low, high = fall
+def _refusal(study, effects: Sequence[str], found: Refits, named: bool) -> str:
+    """Why effects are not added, a sentence; empty where they are."""
+    base, after, unit = found.baseline if named else found.before, found.after, study.unit
+    errors = [study.errors(m)["heldout"] for m in (base, after)]
+    names = _listed(effects)
+    value, low, high = study.test.drop(base.squared, after.squared)
+    if found.better is not None and low > 0:
+        other, model = found.better
+        return (
+            f"Not added: {names} lowers the test error from {errors[0]:.4g} to {errors[1]:.4g} {unit}, but "
+            f"{other} lowers it to {study.errors(model)['heldout']:.4g} {unit} and leaves nothing to {names}."
+        )
+    if idle := [e for e in effects if study.idle(after, e)]:
+        plural = "their constants end where they do" if len(idle) > 1 else "its constants end where it does"
+        return f"Not added: {_listed(idle)} changes nothing; {plural} nothing{_known_help(study, found)}."
+    if low <= 0 or not found.significant:
+        return (
+            f"Not added: with {names} the test error goes from {errors[0]:.4g} to {errors[1]:.4g} {unit}; "
+            f"the mean square error falls by {value:.3g} [{low:.3g} to {high:.3g}] {unit}^2, which is not a "
+            f"significant improvement{_known_help(study, found)}."
+        )
+    useless = [c.name for c in found.contributions if c.name in effects and c.drop[1] <= 0]
+    if named and len(effects) > 1 and useless:
+        useful = [e for e in effects if e not in useless]
+        instead = f"; give --effect={','.join(useful)}" if useful else "; give one of them alone"
+        return f"Not added: {_listed(useless)} adds nothing significant to the others{instead}."
+    return ""
+
+
+def _known_help(study, found: Refits) -> str:
+    """The end of a sentence, where known causes alone lower the error significantly."""
+    if not found.known or study.test.drop(found.before.squared, found.baseline.squared)[1] <= 0:
+        return ""
+    before, base = (study.errors(m)["heldout"] for m in (found.before, found.baseline))
+    causes = _listed([k.replace("_", " ") for k in found.known])
     return (
-        f"Nothing was written: with {effect} the test error goes from {before['heldout']:.4g} to "
-        f"{after['heldout']:.4g} {study.unit}, and the change of its square, {-value:+.3g} "
-        f"[{-high:+.3g} to {-low:+.3g}] {study.unit}^2, is no sure fall; `pneutac diagnose` tells what is "
-        "missing."
+        f". The known causes {causes} lower it from {before:.4g} to {base:.4g} {study.unit}; "
+        "`pneutac calibrate` fits them"
     )
+
+
+def _listed(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

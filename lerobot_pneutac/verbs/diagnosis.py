@@ -1,21 +1,20 @@
 """What a diagnosis tells, whatever the device."""
 
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
 from rich.markup import escape
 
 from lerobot_pneutac.diagnosis.experiment import Separation
-from lerobot_pneutac.diagnosis.result import Outcome, Tested
+from lerobot_pneutac.diagnosis.result import PROFILE, Outcome, Tested
 from lerobot_pneutac.reports import sentences
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.reports.sentences import Confidence, State, next_experiment
 from lerobot_pneutac.study.base import EffectStudy
-from lerobot_pneutac.study.body_words import PROFILE
 from lerobot_pneutac.verbs.contenders import save_contenders
-from lerobot_pneutac.verbs.found import BEFORE, FOUND
+from lerobot_pneutac.verbs.found import BASELINE, BEFORE, FOUND
 from lerobot_pneutac.verbs.result import Result, command_on
 from pneutac_datasets.recording.noise import noise_text
 from pneutac_sim.twin import Twin
@@ -176,6 +175,10 @@ class Diagnosis(Result):
                 "errors": None if o.baseline is None else study.errors(o.baseline),
             },
             "selected": o.selected,
+            "known_causes": o.known,
+            "with_known_causes": None if o.baseline is None else study.errors(o.baseline),
+            "contributions": [asdict(c) for c in o.contributions],
+            "run_terms": o.run_terms,
             "after": self.after,
             "contributions": [vars(c) for c in o.contributions],
             "run_terms": o.run_terms,
@@ -196,7 +199,7 @@ class Diagnosis(Result):
             "objections": o.evidence.objections,
             "findings": list(self.findings),
             "next_experiment": self.next_experiment,
-            "rows": len(study.recording),
+            "rows": study.given_rows,
             "seed": study.seed,
             "seconds": o.seconds,
             "time": self.made_at,
@@ -209,6 +212,8 @@ class Diagnosis(Result):
         Those before and after are for `add --from`, those of all contenders for `design`.
         """
         self.study.twin_of(self.outcome.before).save(Path(folder) / BEFORE)
+        if self.outcome.baseline is not None:
+            self.study.twin_of(self.outcome.baseline).save(Path(folder) / BASELINE)
         self.twin.save(Path(folder) / FOUND)
         save_contenders(folder, self.outcome.contenders)
         return replace(self, saved_to=Path(folder))

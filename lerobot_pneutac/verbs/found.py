@@ -10,7 +10,7 @@ from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin
 
-BEFORE, FOUND = "before", "found"  # folders of twins, beside the report
+BEFORE, BASELINE, FOUND = "before", "baseline", "found"  # folders of twins in that of the report
 
 
 @dataclass(frozen=True)
@@ -18,13 +18,15 @@ class WrittenDiagnosis:
     """A diagnosis in a folder.
 
     Attributes:
-        told: its `result.json`.
+        result: its `result.json`.
         before: the twin as it was, re-fitted.
+        baseline: with the known causes that the recording shows; None where there are none.
         found: the twin with all that was found.
     """
 
-    told: Mapping
+    result: Mapping
     before: Twin
+    baseline: Twin | None
     found: Twin
 
 
@@ -43,12 +45,13 @@ def read_found(folder: str | Path, recording: Recording | Demonstrations) -> Wri
         raise InputError(
             f"There is no diagnosis at '{folder}'; make one with `pneutac diagnose --out={folder}`."
         )
-    told = json.loads(file.read_text())
-    if "verdict" not in told or not (Path(folder) / FOUND).is_dir():
+    result = json.loads(file.read_text())
+    if "verdict" not in result or not (Path(folder) / FOUND).is_dir():
         raise InputError(f"{file} is not the result of a body's diagnosis; give the folder that it wrote.")
-    if told["rows"] != len(recording):
+    if result["rows"] != len(recording):
         raise InputError(
-            f"{file} is of a recording of {told['rows']} rows and {recording.folder} has {len(recording)}; "
+            f"{file} is of a recording of {result['rows']} rows and {recording.folder} has {len(recording)}; "
             "give the recording that was diagnosed."
         )
-    return WrittenDiagnosis(told, Twin.load(Path(folder) / BEFORE), Twin.load(Path(folder) / FOUND))
+    twins = [Path(folder) / name for name in (BEFORE, BASELINE, FOUND)]
+    return WrittenDiagnosis(result, *(Twin.load(f) if f.is_dir() else None for f in twins))
