@@ -21,6 +21,7 @@ from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.twin import Twin
 
 OF_DEMONSTRATIONS = ("late_commands", "compliance")  # parameters of a twin, no effects
+NEARLY = 0.9  # of what a better effect removes: two forms of one mechanism, such as two models of a valve
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -50,6 +51,7 @@ class Addition(Result):
         objections: of the diagnosis that found it, one phrase each; empty where an effect was named.
         unconfirmed: whether the twin is stored although the effects were refused.
         instead: another effect that explains more; empty where there is none.
+        instead_error: test error with it in place of these effects.
         noted: what the twin's history stores besides the errors.
         recording: that was used.
         seed: that decided what was held out.
@@ -79,6 +81,7 @@ class Addition(Result):
     objections: tuple[str, ...] = ()
     unconfirmed: bool = False
     instead: str = ""
+    instead_error: float | None = None
     noted: dict | None = field(default=None, repr=False)
     saved_to: Path | None = None
 
@@ -147,7 +150,7 @@ class Addition(Result):
     @property
     def next_command(self) -> str:
         """To see where it still fails; where the effect was refused, what is missing."""
-        if self.instead:
+        if self.instead and not self.accepted:
             return command_on("add", self.twin, self.recording, f"--effect={self.instead}")
         return command_on("compare" if self.accepted else "diagnose", self.twin, self.recording)
 
@@ -157,6 +160,11 @@ class Addition(Result):
         if len(self.contributions) > 1:
             worth = ", ".join(f"{c.name} {c.error_without:.3g}" for c in self.contributions)
             out.append(f"Test error without each term, all else re-fitted, {self.unit}: {worth}.")
+        if self.instead and self.accepted:
+            out.append(
+                f"{self.instead} by itself explains slightly more: test error {self.instead_error:.3g} "
+                f"{self.unit}. This recording hardly distinguishes the two."
+            )
         if self.at_bound:
             out.append(f"[yellow]at a bound:[/] {', '.join(self.at_bound)}")
         if self.accepted and self.objections:
@@ -188,7 +196,7 @@ class Addition(Result):
             "after": self.after,
             "known_causes": list(self.known),
             "contributions": [asdict(c) for c in self.contributions],
-            "explains_more": self.instead or None,
+            "explains_more": self.instead and {"effect": self.instead, "test": self.instead_error},
             "reduction": self.reduction,
             "reduction_ci95": list(self.reduction_ci95),
             "parameters": self.parameters,
@@ -361,7 +369,8 @@ def _judged(
         accepted=not reason,
         unconfirmed=bool(reason) and anyway,
         reason=reason,
-        instead=found.better[0] if reason and found.better else "",
+        instead=found.better[0] if found.better else "",
+        instead_error=study.errors(found.better[1])["heldout"] if found.better else None,
         twin=study.twin_of(after) if stored else twin,
         unit=study.unit,
         noise_floor=study.noise.value,
@@ -388,7 +397,7 @@ def _refusal(study, effects: Sequence[str], found: Refits, named: bool) -> str:
     errors = [study.errors(m)["heldout"] for m in (base, after)]
     names = _listed(effects)
     value, low, high = study.test.drop(base.squared, after.squared)
-    if found.better is not None and low > 0:
+    if found.better is not None and low > 0 and not _nearly_as_good(study, found):
         other, model = found.better
         return (
             f"Not added: {names} lowers the test error from {errors[0]:.4g} to {errors[1]:.4g} {unit}, but "
@@ -409,6 +418,14 @@ def _refusal(study, effects: Sequence[str], found: Refits, named: bool) -> str:
         instead = f"; give --effect={','.join(useful)}" if useful else "; give one of them alone"
         return f"Not added: {_listed(useless)} adds nothing significant to the others{instead}."
     return ""
+
+
+def _nearly_as_good(study, found: Refits) -> bool:
+    """Whether the effects remove nearly as much of the squared error as the better one by itself."""
+    assert found.better is not None
+    models = (found.baseline, found.after, found.better[1])
+    base, after, other = (study.test.value(m.squared) for m in models)
+    return base - after > NEARLY * (base - other)
 
 
 def _known_help(study, found: Refits) -> str:

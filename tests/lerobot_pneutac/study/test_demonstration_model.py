@@ -210,7 +210,7 @@ def test_imprints_that_are_all_fainter_tell_a_softer_finger(twin, monkeypatch, s
     bare = study.bare
     uncharged = study.errors(bare)["heldout"]
     assert uncharged == pytest.approx(told.errors(told.bare)["heldout"], rel=0.05)
-    study.judges([COMPLIANCE])
+    study.prepare([COMPLIANCE], ())
     bare = study.fitted(study.bare_air, study.bare_touch, study.fitter)
     found = pressing_as(study, bare, study.bare_touch, study.fitter, [LATE])
     assert (found is not None) == bool(word)

@@ -30,7 +30,7 @@ def test_a_marker_that_slips_is_told_with_its_moment_and_fitted_down_to_the_nois
     truth = generate("rod", ["marker_slip"], 12)
     recording = Recording.load(write(truth, tmp_path / "day"))
     study = study_of(Twin("finger", recording.length_mm), recording, 12)
-    left = study.refit((), None, Steps(None)).residual
+    left = study.refits((), Steps(None)).before.residual
     at = int(np.linalg.norm(np.diff(truth.pose - truth.true_pose, axis=0), axis=1).argmax()) + 1
     (told,) = [f for f in study.findings if "slipped" in f]
     row = int(told.partition("rows from ")[2].split()[0])
