@@ -20,6 +20,7 @@ VERBS = {
     "learn": "ask the bench, program by program, until it is known what is missing",
     "studio": "open a twin in the browser: bend it, weigh it, find and add what is missing",
     "report": "write a twin and its history as one page, or as a file for Rerun",
+    "history": "list the versions of a twin, and go back to one",
     "effects": "list, show and export the effects and laws that a twin may have",
     "add": "switch an effect on, re-fit, show the error before and after",
     "control": "make a pressure program that bends the finger as asked, and show how it followed",

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lerobot_pneutac.verbs.history import restore
 from pneutac_sim.errors import InputError
 from pneutac_sim.progress import Progress
 from pneutac_sim.twin import Twin
@@ -113,12 +114,7 @@ class Session:
         """
         if self.version is None:
             raise InputError("The newest version is shown; choose an earlier one to go back to it.")
-        number = self.version
-        twin, newest = Twin.load(self.folder, number), Twin.load(self.folder)
-        entry = newest.history[number]
-        twin.history = newest.history
-        errors = {k: entry.get(k) for k in ("train", "heldout", "unit", "seed") if k in entry}
-        twin.save_version(self.folder, f"back to version {number}", entry.get("recording", ""), errors)
+        twin = restore(self.folder, self.version)
         self.look_at()
         return len(twin.history) - 1
 

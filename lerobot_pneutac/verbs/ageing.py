@@ -153,7 +153,7 @@ def ageing(twin: Twin, recordings: list[Recording], seed: int = 0) -> Ageing:
     if len(set(days)) < 2:
         raise InputError("Ageing takes recordings of two dates or more.")
     order = sorted(range(len(days)), key=days.__getitem__)
-    compared = [compare_body(twin, recordings[k], seed) for k in order]
+    compared = [compare_body(twin, recordings[k]) for k in order]
     rng = np.random.default_rng(seed)
     dates = tuple(_date(days[k], c, rng) for k, c in zip(order, compared, strict=True))
     findings = tuple(f"{d.name}: {f}" for d, c in zip(dates, compared, strict=True) for f in c.findings)

@@ -29,8 +29,7 @@ def compare(
         fidelity: `pipeline` (the twin's kinematics, every sample) or `mpm` (of a finger or an arm: the full
             body of material points, at samples spread over the recording).
         samples: by mpm: at most so many, 200 where left out.
-        seed: decides which blocks of time are held out, where the twin was not fitted on this recording, and
-            which samples are simulated by mpm.
+        seed: decides which samples are simulated by mpm, and which episodes of demonstrations are held out.
         progress: called with a text, the steps done and all of them.
 
     Raises:
@@ -56,7 +55,7 @@ def compare(
         return compare_gel(twin, recording)
     from lerobot_pneutac.verbs.compare_body import compare_body
 
-    whole = compare_body(twin, with_unit_note(twin, recording), seed)
+    whole = compare_body(twin, with_unit_note(twin, recording))
     if fidelity == "pipeline":
         return whole
     from lerobot_pneutac.verbs.compare_mpm import SAMPLES, by_mpm

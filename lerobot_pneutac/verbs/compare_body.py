@@ -38,7 +38,8 @@ class BodyComparison(Comparison):
         measured: (n, D).
         model: (n, D).
         unit: of the error.
-        train_samples: (n,) mask; the other samples are held out.
+        train_samples: (n,) mask of those that the twin was fitted to; the others are held out. None of a
+            recording that it was never fitted to, which is held out as a whole.
         noise: floor of the error.
         band: within which a measurement should lie if the twin is right; None where nothing tells.
         axes: ways to sort the samples.
@@ -157,7 +158,10 @@ class BodyComparison(Comparison):
             return "-" if x is None else f"{x:.3g} {self.unit}"
 
         rows = [("simulated", self.simulated)] if self.fidelity != "pipeline" else []
-        rows += [("held-out error", number(self.heldout)), ("train error", number(self.train))]
+        if self.train is None:
+            rows.append(("error, all rows", number(self.heldout)))
+        else:
+            rows += [("held-out error", number(self.heldout)), ("training error", number(self.train))]
         noise = (
             self.noise.how if self.noise.value is None else f"{number(self.noise.value)} ({self.noise.how})"
         )
@@ -216,17 +220,17 @@ class BodyComparison(Comparison):
         return comparison_page(self)
 
 
-def compare_body(twin: Twin, recording: Recording, seed: int = 0) -> BodyComparison:
+def compare_body(twin: Twin, recording: Recording) -> BodyComparison:
     """Checks the recording, runs the twin from the commanded pressure and sorts the errors.
 
     Args:
         twin: of the same device.
         recording: of a finger or an arm.
-        seed: of the split, where the twin's history does not tell another one for this recording.
     """
     clean, findings = check(recording)
-    train = train_mask(twin, clean, seed)
-    clean, moved = on_one_mount(clean, twin, train)
+    train = train_mask(twin, clean)
+    judged = train if train.any() else np.ones(len(clean), bool)
+    clean, moved = on_one_mount(clean, twin, judged)
     prediction = simulate(twin, read(clean, twin))
     findings += moved
     findings += [f"Effect '{name}' could not act: {why}." for name, why in prediction.left_out.items()]
@@ -247,7 +251,7 @@ def compare_body(twin: Twin, recording: Recording, seed: int = 0) -> BodyCompari
         unit=bench.unit,
         train_samples=train,
         noise=noise,
-        band=prediction_band(twin, bench, train, noise),
+        band=prediction_band(twin, bench, judged, noise),
         axes=axes(clean),
         rate=rate,
         still=is_still(clean, rate),
@@ -258,19 +262,15 @@ def compare_body(twin: Twin, recording: Recording, seed: int = 0) -> BodyCompari
     )
 
 
-def train_mask(twin: Twin, recording: Recording, seed: int = 0) -> np.ndarray:
-    """Samples (n,) that the twin may have been fitted to.
-
-    The last version fitted on this very recording tells the `seed` of its split; other recordings are split
-    with `seed`.
-    """
+def train_mask(twin: Twin, recording: Recording) -> np.ndarray:
+    """Samples (n,) that the twin was fitted to: of the last version fitted to this very recording; else none."""
     here = Path(recording.folder).resolve()
     for entry in reversed(twin.history):
         if entry.get("seed") is not None and Path(entry.get("recording") or "").resolve() == here:
-            if str(entry.get("change", "")).startswith("added"):  # it learns from all but its test part
+            if "added" in str(entry.get("change", "")):  # it learns from all but its test part
                 return deal(recording, int(entry["seed"])).learnt
             return recording.split(int(entry["seed"]))[0]
-    return recording.split(seed)[0]
+    return np.zeros(len(recording), bool)
 
 
 def _pressure_error(recording: Recording, twin: Twin) -> np.ndarray | None:

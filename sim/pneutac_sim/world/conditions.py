@@ -10,8 +10,9 @@ from pneutac_sim.finger.online import PressurePipeline
 from pneutac_sim.twin import Twin
 
 Conditions = Mapping[str, float | list[float]]
-# The flange is held pointing down, so that the straight finger hangs along gravity, a unit vector.
-GRAVITY = {"gravity_x": 1.0, "gravity_y": 0.0, "gravity_z": 0.0}
+# The flange is held pointing down, so that the straight finger hangs along gravity, a unit vector; nothing
+# else hangs at its tip.
+USUAL = {"gravity_x": 1.0, "gravity_y": 0.0, "gravity_z": 0.0, "payload_g": 0.0}
 
 
 def conditions_for(twin: Twin, given: Conditions | None) -> Conditions:
@@ -19,7 +20,8 @@ def conditions_for(twin: Twin, given: Conditions | None) -> Conditions:
 
     Args:
         twin: of a finger.
-        given: by the user; gravity in the frame of the finger's base is the world's own where it is not.
+        given: by the user; gravity in the frame of the finger's base and no payload are the world's own where
+            they are not given.
 
     Raises:
         InputError: a condition is neither a finite number nor a range [low, high] of such, or one that an
@@ -31,7 +33,7 @@ def conditions_for(twin: Twin, given: Conditions | None) -> Conditions:
         numbers = all(type(v) in (int, float) and math.isfinite(v) for v in (low, high))
         if not (numbers and low <= high):
             raise InputError(f"conditions has {name}: {value}; give a finite number, or a range [low, high].")
-    found = GRAVITY | dict(given)
+    found = USUAL | dict(given)
     PressurePipeline(twin, draw(found, np.random.default_rng(0)))  # refuses an effect without its conditions
     return found
 

@@ -1,0 +1,35 @@
+"""The versions of a twin, and the way back to one of them."""
+
+from pathlib import Path
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.twin import Twin
+
+
+def restore(folder: str | Path, version: int) -> Twin:
+    """Writes an earlier version of a twin as its newest one, so that nothing is lost; returns it.
+
+    Args:
+        folder: of the twin.
+        version: number of the version, as `pneutac history` lists it.
+
+    Raises:
+        InputError: there is no such version, or it is the newest.
+    """
+    newest = Twin.load(folder)
+    numbers = [e["version"] for e in newest.history]
+    if version not in numbers:
+        there = f"it has {', '.join(map(str, numbers))}" if numbers else "it was never fitted"
+        raise InputError(f"{folder} has no version {version}; {there}.")
+    if version == numbers[-1]:
+        raise InputError(
+            f"Version {version} is the newest of {folder}; give an earlier one to go back to it."
+        )
+    entry = newest.history[version]
+    twin = Twin.load(folder, version)
+    twin.history = newest.history
+    rest = {k: v for k, v in entry.items() if k not in ("version", "change", "recording")}
+    twin.save_version(
+        folder, f"back to version {version}: {entry['change']}", entry.get("recording", ""), rest
+    )
+    return twin
