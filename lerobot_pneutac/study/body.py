@@ -310,4 +310,5 @@ class BodyStudy(BodyWords):
             gel=given.gel,
             arrays=given.arrays,
             history=given.history,
+            fitted_to={"change": "added", "recording": str(self.recording.folder), "seed": self.seed},
         )

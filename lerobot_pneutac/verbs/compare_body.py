@@ -263,9 +263,9 @@ def compare_body(twin: Twin, recording: Recording) -> BodyComparison:
 
 
 def train_mask(twin: Twin, recording: Recording) -> np.ndarray:
-    """Samples (n,) that the twin was fitted to: of the last version fitted to this very recording; else none."""
+    """Samples (n,) that the twin was fitted to, by its last version of this very recording; else none."""
     here = Path(recording.folder).resolve()
-    for entry in reversed(twin.history):
+    for entry in reversed([*twin.history, *([twin.fitted_to] if twin.fitted_to else [])]):
         if entry.get("seed") is not None and Path(entry.get("recording") or "").resolve() == here:
             if "added" in str(entry.get("change", "")):  # it learns from all but its test part
                 return deal(recording, int(entry["seed"])).learnt

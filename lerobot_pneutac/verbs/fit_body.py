@@ -6,7 +6,7 @@ slow valve cannot pass for a creeping body; else everything is fitted to the pos
 """
 
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
@@ -161,7 +161,7 @@ def calibrate_body(twin: Twin, recording: Recording, seed: int = 0, progress=Non
     fits = _fit_stages(told.twin, recording, bench, train, seed, report)
     judge = _Judge(command, recording, heldout, seed)
     fits, plain, causes = _with_known_causes(fits, recording, bench, train, judge, seed, report)
-    after = fits[-1].twin
+    after = replace(fits[-1].twin, fitted_to={"change": "calibrated", "recording": folder, "seed": seed})
 
     def error(model: Twin, mask: np.ndarray) -> float | None:
         return command.error(simulate(model, command).residual, mask) if mask.any() else None

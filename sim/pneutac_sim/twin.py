@@ -65,6 +65,7 @@ class Twin:
             gel whose effects nobody chose also `effects`: `standard`.
         networks: files of those of `NETWORKS` that were trained for it (`pneutac surrogate`).
         folder: where it was read from or written to last; None where nowhere.
+        fitted_to: `change`, `recording` and `seed` of a fit that is not saved as a version yet.
     """
 
     device: str = "finger"
@@ -78,6 +79,7 @@ class Twin:
     history: list[dict] = field(default_factory=list)
     networks: dict[str, Path] = field(default_factory=dict)
     folder: Path | None = field(default=None, compare=False)
+    fitted_to: dict | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self):
         if self.device not in DEVICES:
@@ -166,6 +168,7 @@ class Twin:
             except BaseException:
                 self.history.pop()
                 raise
+        self.fitted_to = None
         self.folder = path
         return path
 

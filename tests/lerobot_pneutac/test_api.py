@@ -67,7 +67,7 @@ def test_results_are_data_and_leave_what_was_given_as_it_was(bench, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("effect", "own", "reason"),
-    [("creep", ["creep"], "has the effect 'creep' already"), ("leak", [], "is no sure fall")],
+    [("creep", ["creep"], "has the effect 'creep' already"), ("leak", [], "changes nothing")],
 )
 def test_a_refusal_is_a_result(effect, own, reason, bench):
     calibrated, recording = bench
