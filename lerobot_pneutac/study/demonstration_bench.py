@@ -11,7 +11,7 @@ import numpy as np
 from pneutac_sim.finger import Pipeline
 from pneutac_sim.finger.inputs import Inputs
 from pneutac_sim.twin import Twin
-from pneutac_sim.world.conditions import GRAVITY
+from pneutac_sim.world.conditions import USUAL
 
 HZ = 5.0
 STAIRS = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 0.8, 0.6, 0.4, 0.2, 0.0)  # of the range
@@ -34,7 +34,7 @@ class FreeBend:
         pressure = range_kpa * np.concatenate(levels)[:, None]
         n = len(pressure)
         dt = np.append(np.inf, np.full(n - 1, 1 / HZ))
-        columns = {name: np.full(n, value) for name, value in GRAVITY.items()}
+        columns = {name: np.full(n, value) for name, value in USUAL.items()}
         columns |= {"session_time_s": np.zeros(n), "length_mm": np.full(n, twin.length_mm)}
         self.inputs = Inputs(pressure, dt, np.arange(n), columns, True, range_kpa)
         pipeline = Pipeline.of(twin, self.inputs)

@@ -20,7 +20,7 @@ from pneutac_sim.features import CONTROL_HZ, EE, PRESSURE
 from pneutac_sim.finger.inputs import Inputs
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
-from pneutac_sim.world.conditions import GRAVITY
+from pneutac_sim.world.conditions import USUAL
 
 MORE_RAD = (-0.10, -0.04, 0.0, 0.04, 0.10, 0.18)  # bends beside the pressure's that are replayed
 LAGS_S = (0.1, 0.3, 1.0, 3.0)  # of the command
@@ -110,7 +110,7 @@ def inputs_of(episodes: list[EpisodeData], latency_s: float, twin: Twin) -> Inpu
     pressure = np.concatenate(rows)[:, None]
     dt = np.concatenate([np.append(np.inf, np.full(len(r) - 1, 1 / CONTROL_HZ)) for r in rows])
     n = len(pressure)
-    columns = {name: np.full(n, value) for name, value in GRAVITY.items()}
+    columns = {name: np.full(n, value) for name, value in USUAL.items()}
     columns |= {"session_time_s": np.zeros(n), "length_mm": np.full(n, twin.length_mm)}
     return Inputs(pressure, dt, np.arange(n), columns, False, float(np.abs(pressure).max()))
 
