@@ -12,7 +12,7 @@ VERBS = {
     "new": "make a new twin",
     "check": "tell all that a later verb would refuse in a dataset, a recording or a twin",
     "measure": "drive a pressure program and record finger and gel",
-    "convert": "make a bench recording of OptiTrack, Vicon, MATLAB, ROS 2 or a film",
+    "convert": "make a bench recording of any CSV, OptiTrack, Vicon, MATLAB, ROS 2 or a film",
     "calibrate": "fit a twin to a bench recording",
     "compare": "compare a twin with a recording, and show where it fails",
     "diagnose": "find which physical effect is missing",

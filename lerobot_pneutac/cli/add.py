@@ -5,7 +5,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from lerobot_pneutac.cli.options import parse_options
+from lerobot_pneutac.cli.options import TableOptions, parse_options
 from lerobot_pneutac.cli.progress import progress_bar
 from lerobot_pneutac.cli.show import show, write
 from lerobot_pneutac.study.pair import load_pair
@@ -15,13 +15,13 @@ from pneutac_sim.errors import InputError
 
 
 @dataclass
-class AddConfig:
+class AddConfig(TableOptions):
     """Options of `pneutac add`.
 
     Attributes:
         twin: folder of the twin; its next version is written there if the error falls.
-        recording: folder of a bench recording of the same finger, arm or gel; or of a LeRobotDataset of
-            demonstrations, or its name on the Hub.
+        recording: folder of a bench recording, or tables as `pneutac convert` reads them of the same finger,
+            arm or gel; or of a LeRobotDataset of demonstrations, or its name on the Hub.
         effect: names of the effects or laws to switch on, joined by commas.
         diagnosis: folder that `pneutac diagnose` wrote; all that it found is switched on. Also `--from`.
         task: of demonstrations: what stood in front of the robot, where their instruction does not tell.

@@ -6,7 +6,7 @@ from tempfile import TemporaryDirectory
 
 from rich.console import Console
 
-from lerobot_pneutac.cli.options import parse_options
+from lerobot_pneutac.cli.options import TableOptions, parse_options
 from lerobot_pneutac.cli.progress import progress_bar
 from lerobot_pneutac.cli.show import show, write
 from lerobot_pneutac.verbs import calibrate_files as files
@@ -16,14 +16,14 @@ from pneutac_datasets.recording.recording import Recording
 
 
 @dataclass
-class CalibrateConfig:
+class CalibrateConfig(TableOptions):
     """Options of `pneutac calibrate`.
 
     Attributes:
         twin: folder of the twin; a twin of a gel is begun where there is none.
-        recording: folder of the bench recording; without it a twin of a gel is begun, from the DIGIT
-            photographs in $PNEUTAC_DATA or generated images. Of a LeRobotDataset of demonstrations, or its
-            name on the Hub, the gel's light at rest is taken.
+        recording: folder of the bench recording, or tables as `pneutac convert` reads them; without it a twin
+            of a gel is begun, from the DIGIT photographs in $PNEUTAC_DATA or generated images. Of a
+            LeRobotDataset of demonstrations, or its name on the Hub, the gel's light at rest is taken.
         task: of demonstrations: what stood in front of the robot, where their instruction does not tell.
         station: of demonstrations: `station.yaml` of the arm and its place; left out, the one that their
             robot left in them, or the paper's.

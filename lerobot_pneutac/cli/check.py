@@ -5,6 +5,7 @@ import sys
 from rich.console import Console
 from rich.markup import escape
 
+from lerobot_pneutac.cli.tables import show_understood
 from lerobot_pneutac.verbs.check import check_path
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin
@@ -14,7 +15,8 @@ USAGE = """usage: pneutac check PATH [PATH ...] [--twin=PATH] [--station=FILE]
 
 Tells in seconds what a later verb would refuse, all faults at once, and exits with 1 where there is one.
 
-  PATH            folder of a twin, a bench recording or a LeRobotDataset of demonstrations, or a station.yaml
+  PATH            folder of a twin, a bench recording or a LeRobotDataset of demonstrations, a lab's table
+                  (CSV, .mat, Parquet) or a station.yaml
   --twin=PATH     twin for which demonstrations or a station are looked at (default the built-in one)
   --station=FILE  station.yaml in which demonstrations were recorded (default what they tell)"""
 
@@ -35,6 +37,8 @@ def main(argv: list[str]) -> None:
     for path in (a for a in argv if not a.startswith("-")):
         found = check_path(path, twin, station)
         faulty = faulty or bool(found.faults)
+        if found.understood is not None:
+            show_understood(found.understood, console)
         said = f"[red]{len(found.faults)} to mend[/]" if found.faults else "[green]good[/]"
         console.print(f"{escape(path)} ({found.kind}): {said}", highlight=False, soft_wrap=True)
         for mark, sentences in (("[red]fault:[/]", found.faults), ("[yellow]note:[/]", found.notes)):

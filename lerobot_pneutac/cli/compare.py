@@ -5,7 +5,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from lerobot_pneutac.cli.options import parse_options
+from lerobot_pneutac.cli.options import TableOptions, parse_options
 from lerobot_pneutac.cli.progress import progress_bar
 from lerobot_pneutac.cli.show import show, write
 from lerobot_pneutac.study.pair import load_bench_pair, load_pair
@@ -15,13 +15,14 @@ from pneutac_sim.errors import InputError
 
 
 @dataclass
-class CompareConfig:
+class CompareConfig(TableOptions):
     """Options of `pneutac compare`.
 
     Attributes:
         twin: folder of the twin.
-        recording: folder of a bench recording of the same device; or of a LeRobotDataset of demonstrations,
-            or its name on the Hub, which are replayed in the twin's world.
+        recording: folder of a bench recording, or tables as `pneutac convert` reads them of the same device;
+            or of a LeRobotDataset of demonstrations, or its name on the Hub, which are replayed in the twin's
+            world.
         task: of demonstrations: what stood in front of the robot, where their instruction does not tell.
         station: of demonstrations: `station.yaml` of the arm and its place; left out, the one that their
             robot left in them, or the paper's.

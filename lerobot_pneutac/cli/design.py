@@ -5,7 +5,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from lerobot_pneutac.cli.options import parse_options
+from lerobot_pneutac.cli.options import TableOptions, parse_options
 from lerobot_pneutac.cli.progress import progress_bar
 from lerobot_pneutac.cli.show import show, write
 from lerobot_pneutac.diagnosis.hands import GRAVITY, Hands, named
@@ -17,13 +17,13 @@ from pneutac_sim.errors import InputError
 
 
 @dataclass
-class DesignConfig:
+class DesignConfig(TableOptions):
     """Options of `pneutac design`.
 
     Attributes:
         twin: folder of the twin that was diagnosed.
-        recording: folder of the recording that was diagnosed; or of a LeRobotDataset of demonstrations, or
-            its name on the Hub, for which the next motions of the arm are chosen.
+        recording: folder of the recording that was diagnosed, or its tables; or of a LeRobotDataset of
+            demonstrations, or its name on the Hub, for which the next motions of the arm are chosen.
         diagnosis: folder that `pneutac diagnose --out=` wrote; demonstrations need none.
         task: of demonstrations: what stood in front of the robot, where their instruction does not tell.
         station: of demonstrations: `station.yaml`, where their robot left none in them.

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from lerobot_pneutac.cli.options import parse_options
+from lerobot_pneutac.cli.options import TableOptions, parse_options
 from lerobot_pneutac.cli.progress import progress_bar
 from lerobot_pneutac.cli.show import show, write
 from lerobot_pneutac.study.pair import load_pair
@@ -14,13 +14,13 @@ from lerobot_pneutac.verbs.diagnose import diagnose
 
 
 @dataclass
-class DiagnoseConfig:
+class DiagnoseConfig(TableOptions):
     """Options of `pneutac diagnose`.
 
     Attributes:
         twin: folder of the twin, which is not changed.
-        recording: folder of a bench recording of the same finger, arm or gel; or of a LeRobotDataset of
-            demonstrations, or its name on the Hub.
+        recording: folder of a bench recording, or tables as `pneutac convert` reads them of the same finger,
+            arm or gel; or of a LeRobotDataset of demonstrations, or its name on the Hub.
         task: of demonstrations: what stood in front of the robot, where their instruction does not tell.
         station: of demonstrations: `station.yaml` of the arm and its place; left out, the one that their
             robot left in them, or the paper's.

@@ -1,12 +1,13 @@
 """`pneutac new`: makes a twin from the parametric device, a mesh, or the geometry of a recording."""
 
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
 from rich.markup import escape
 
-from lerobot_pneutac.cli.options import parse_options
+from lerobot_pneutac.cli.options import TableOptions, parse_options
 from lerobot_pneutac.verbs.measured_range import range_sentence
 from lerobot_pneutac.verbs.new import mesh_sentence, new_twin, read_body, write_geometry
 from pneutac_datasets.recording.recording import Recording
@@ -16,13 +17,14 @@ from pneutac_sim.twin import DEVICES
 
 
 @dataclass
-class NewConfig:
+class NewConfig(TableOptions):
     """Options of `pneutac new`.
 
     Attributes:
         twin: folder to write; it must not hold a twin yet.
         device: `finger`, `arm` or `gel`; where left out, the recording's own, else a finger.
-        recording: bench recording whose recording.json tells the geometry.
+        recording: bench recording whose recording.json gives the geometry, or tables as `pneutac convert`
+            reads them.
         mesh: STL, OBJ or PLY of the soft body of a finger or an arm.
         mesh_unit: unit of the mesh's coordinates, `mm` or `m`.
         mesh_axis: axis along which the mesh lies, base first: `x`, `y` or `z`; where left out, its longest
@@ -59,6 +61,12 @@ def main(argv: list[str]) -> None:
         raise InputError(
             f"--device is '{config.device}', but {config.recording} is of {an(recording.device)}; omit one."
         )
+    if (
+        recording is not None
+        and recording.meta.get("source")
+        and not (recording.length_mm or config.length_mm)
+    ):
+        raise InputError(f"Give --length_mm: nothing in {config.recording} tells how long the device is.")
     device = config.device or (recording.device if recording else "finger")
     body = None
     if config.mesh is not None:
@@ -75,5 +83,7 @@ def main(argv: list[str]) -> None:
     shape = f", {twin.length_mm:g} mm long with {joints} spine joints" if joints else ""
     console.print(
         f"{config.twin} holds a new {twin.device}{shape} (geometry.stl, in mm); fit it to measurements with "
-        f"`pneutac calibrate --twin={config.twin} --recording={config.recording or 'DIR'}`."
+        f"`pneutac calibrate --twin={shlex.quote(str(config.twin))}"
+        f" --recording={shlex.quote(str(config.recording)) if config.recording else 'DIR'}`.",
+        soft_wrap=True,
     )

@@ -42,6 +42,19 @@ class Option:
     text: str
 
 
+@dataclass(kw_only=True)
+class TableOptions:
+    """Options of a verb that takes a lab's own table as a recording.
+
+    Attributes:
+        yes: take a table as it is understood, without asking.
+        mapping: `mapping.yaml` of another table with the same columns, which says what they are.
+    """
+
+    yes: bool = False
+    mapping: Path | None = None
+
+
 def parse_options(config_class: type, argv: list[str]):
     """Reads `--name=value` options into a dataclass that validates itself.
 
@@ -67,7 +80,23 @@ def parse_options(config_class: type, argv: list[str]):
     out = getattr(config, "out", None)
     if out is not None and not getattr(config, "names_a_file", False) and out.exists() and not out.is_dir():
         raise InputError(f"--out={out} is a file; give a folder.")
+    _convert_tables(config)
     return config
+
+
+def _convert_tables(config) -> None:
+    """Puts the folders of recordings where tables are given."""
+    recording, later = getattr(config, "recording", None), getattr(config, "later", [])
+    if all(isinstance(p, Path) and p.is_dir() for p in (recording, *later) if p is not None):
+        return
+    from lerobot_pneutac.cli.tables import recording_folder  # pandas, which many commands do not need
+
+    said = getattr(config, "yes", False), getattr(config, "mapping", None)
+    length_mm = getattr(config, "length_mm", None)
+    if isinstance(recording, Path):
+        config.recording = recording_folder(recording, *said, length_mm)
+    if later:
+        config.later = [recording_folder(p, *said, length_mm) for p in later]
 
 
 def name_option(sentence: str, config_class: type) -> str:

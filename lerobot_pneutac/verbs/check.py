@@ -7,7 +7,10 @@ from pathlib import Path
 
 from pneutac_datasets.demonstrations.faults import demonstration_faults, demonstration_notes
 from pneutac_datasets.demonstrations.info import is_demonstrations
+from pneutac_datasets.recording.checks import check
 from pneutac_datasets.recording.faults import recording_faults
+from pneutac_datasets.recording.sources import plain
+from pneutac_datasets.recording.sources.plain import Understood
 from pneutac_sim.effects.registry import get_effect, of_body, of_sensor
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import Pipeline
@@ -27,22 +30,25 @@ class Checked:
 
     Attributes:
         path: what was looked at.
-        kind: `twin`, `bench recording`, `demonstrations` or `station`.
+        kind: `twin`, `bench recording`, `table`, `demonstrations` or `station`.
         faults: one sentence for each thing that a later verb refuses.
         notes: one for each thing that is poor but usable.
+        understood: of a table, what its columns were taken for.
     """
 
     path: Path
     kind: str
     faults: list[str]
     notes: list[str]
+    understood: Understood | None = None
 
 
 def check_path(path: str | Path, twin: Twin | None = None, station: Station | None = None) -> Checked:
     """Looks at a folder, whatever it holds, or at a `station.yaml`.
 
     Args:
-        path: of a twin, a bench recording or a LeRobotDataset, or the file of a station.
+        path: of a twin, a bench recording or a LeRobotDataset, the file of a station, or tables as
+            `pneutac convert` reads them.
         twin: on which demonstrations are augmented, or that works in the station; default the built-in one.
         station: in which demonstrations were recorded; default the one left in their `meta`, or the paper's.
 
@@ -52,8 +58,8 @@ def check_path(path: str | Path, twin: Twin | None = None, station: Station | No
     path = Path(path)
     if path.suffix in (".yaml", ".yml") and path.is_file():
         return Checked(path, "station", *_station(path, twin or Twin.builtin()))
-    if path.is_file():
-        raise InputError(f"'{path}' is a file; give the folder that it is in, or a station.yaml.")
+    if files := plain.table_files(path):
+        return _tables(path, files)
     if not path.is_dir():
         near = difflib.get_close_matches(path.name, [p.name for p in path.absolute().parent.glob("*")], n=1)
         raise InputError(f"There is no folder '{path}'" + (f"; is '{near[0]}' meant?" if near else "."))
@@ -68,6 +74,19 @@ def check_path(path: str | Path, twin: Twin | None = None, station: Station | No
     if inside and not (path / "recording.json").is_file():
         raise InputError(f"'{path}' is a folder of folders; give one of them: {', '.join(inside)}.")
     return Checked(path, "bench recording", *recording_faults(path))
+
+
+def _tables(path: Path, files: list[Path]) -> Checked:
+    folder = plain.folder_of(files)
+    if plain.is_current(folder, files):
+        return Checked(folder, "bench recording", *recording_faults(folder))
+    try:
+        known = plain.Given.load(folder / plain.MAPPING) if plain.is_ours(folder) else plain.Given()
+        understood = plain.understand_files(files, known)
+    except InputError as e:
+        return Checked(path, "table", [str(e)], [])
+    notes = [] if understood.faults else check(understood.recording)[1]
+    return Checked(path, "table", understood.faults, notes, understood)
 
 
 def _station(path: Path, twin: Twin) -> tuple[list[str], list[str]]:

@@ -1,22 +1,26 @@
 """`pneutac convert`: makes a bench recording of what a lab's other systems logged."""
 
-import shutil
-from dataclasses import dataclass, field
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from lerobot_pneutac.measuring.camera import Intrinsics, MarkerTracker
 from lerobot_pneutac.measuring.video import track_aruco, track_dots
+from pneutac_datasets.recording import rules
 from pneutac_datasets.recording.recording import Recording
-from pneutac_datasets.recording.sources import mocap, rosbag, tables
+from pneutac_datasets.recording.sources import mocap, plain, rosbag
+from pneutac_datasets.recording.sources.columns import Column, parse_columns
 from pneutac_datasets.recording.sources.frame import BaseFrame, of_body, of_motion
-from pneutac_datasets.recording.sources.joining import COMMAND, command, joined, shifted, tabled
+from pneutac_datasets.recording.sources.joining import command, joined, shifted, tabled
+from pneutac_datasets.recording.sources.plain import Given, Understood
 from pneutac_datasets.recording.sources.tracks import Source, Track
+from pneutac_datasets.recording.wording import listed
 from pneutac_sim.errors import InputError
 
 FILMS = (".mp4", ".avi", ".mov", ".mkv")
-KNOWN = (COMMAND, "pressure_kpa", "trial", "program", "temperature_c", "payload_g")
 
 
 @dataclass
@@ -24,19 +28,25 @@ class ConvertConfig:
     """Options of `pneutac convert`.
 
     Attributes:
-        source: a CSV of OptiTrack (Motive) or Vicon (Nexus), a .mat, the folder of a ROS 2 bag, or a film.
-        out: folder of the new bench recording, which must not exist.
-        length_mm: of the straight finger, base to tip marker.
-        log: CSV or .mat of the pressures, where the source has none.
-        columns: name in the log (or source) to column of the recording; left out, those that already go by
-            the recording's names.
-        time: name of the times in a CSV log or a .mat, s.
+        source: a table (CSV, text, Parquet, .mat), several of them (`a.csv,b.csv`, `'runs/*.csv'`) as one run
+            each, a CSV of OptiTrack (Motive) or Vicon (Nexus), the folder of a ROS 2 bag, or a film.
+            `pneutac convert FILE` is the same as `--source=FILE`.
+        out: folder of the new bench recording, which must not exist; that of tables is `NAME.recording`
+            beside them where it is left out.
+        length_mm: of the straight finger, base to tip marker; of a table left out, where the tip rests.
+        log: table of the pressures, where markers or a film have none.
+        columns: what columns of a table or log are, where their names do not say it:
+            `p: pressure_cmd_kpa [bar], u: pressure_kpa * 20 - 10, note: -`; `-` leaves one out.
+        mapping: `mapping.yaml` of an earlier conversion, which is repeated.
+        time: name of the times in a table or .mat, where it does not say so.
+        rate_hz: rows or frames a second of a table without times.
         offset_s: what the markers' clock shows when the log's shows zero.
         tip: name of the tip's marker or topic; in a film ArUco's number or a dot, see below.
-        base: the same of a marker or body fixed at the finger's base.
-        base_x: axis of the base's body along the straight finger; a single marker has none and x goes to
-            where the tip rests, z the way that it bends.
-        base_z: axis of the base's body in the bending direction.
+        base: the same of a marker or body fixed at the finger's base; of a table the base's position in its
+            frame, mm, such as 10,20,5.
+        base_x: axis of the base's body, or of the table's frame, along the straight finger, such as `z` or
+            `-y`; a single marker has none and x goes to where the tip rests, z the way that it bends.
+        base_z: the same axis in the bending direction.
         base_offset_mm: from the base marker's or body's origin to the finger's base, in the base frame; of
             ArUco markers the other way, as for `pneutac measure`.
         marker_mm: side of the ArUco markers in a film.
@@ -48,11 +58,13 @@ class ConvertConfig:
     """
 
     source: Path
-    out: Path
-    length_mm: float
+    out: Path | None = None
+    length_mm: float | None = None
     log: Path | None = None
-    columns: dict[str, str] = field(default_factory=dict)
-    time: str = tables.TIME
+    columns: str = ""
+    mapping: Path | None = None
+    time: str = ""
+    rate_hz: float | None = None
     offset_s: float = 0.0
     tip: str = ""
     base: str = ""
@@ -67,64 +79,121 @@ class ConvertConfig:
     date: str = ""
 
     def __post_init__(self):
-        for name in ("source", "log"):
-            path = getattr(self, name)
-            if path is not None and not Path(path).exists():
-                raise InputError(f"{name} is '{path}', which does not exist.")
-        if Path(self.out).exists():
+        self.columns = parse_columns(self.columns)
+        if self.log is not None and not Path(self.log).exists():
+            raise InputError(f"log is '{self.log}', which does not exist.")
+        if not Path(self.source).exists() and not plain.table_files(self.source):
+            raise InputError(f"source is '{self.source}', which does not exist.")
+        if self.out is not None and Path(self.out).exists():
             raise InputError(f"out is '{self.out}', which exists; give a new folder.")
-        if not 1 <= self.length_mm <= 1000:
+        if self.length_mm is not None and not 1 <= self.length_mm <= 1000:
             raise InputError(f"length_mm is {self.length_mm:g}; give 1 to 1000 mm.")
+        if self.rate_hz is not None and not 0 < self.rate_hz < 1e6:
+            raise InputError(f"rate_hz is {self.rate_hz:g}; give the rows a second.")
 
 
-def convert(config: ConvertConfig) -> Recording:
+def convert(config: ConvertConfig, show: Callable[[Understood], None] = lambda understood: None) -> Recording:
     """Writes the recording and reads it back with all the checks of one.
+
+    Args:
+        config: its options.
+        show: is given what was understood of a table, before anything is written.
 
     Raises:
         InputError: one sentence: what is missing in which file, or a fault of the recording.
     """
     film = config.source.suffix.lower() in FILMS
-    source = Source(config.source) if film else _read(config.source, config.time)
-    log = source if config.log is None else _read(config.log, config.time)
-    log = shifted(log, config.offset_s)
-    columns = config.columns or {n: n for n in log.columns if n in KNOWN or n.startswith(("tip_", "bend_"))}
+    if not (film or config.tip or _is_markers(config.source)):
+        return _convert_tables(config, show)
+    missing = [n for n in ("out", "length_mm") if getattr(config, n) is None]
+    if missing:
+        raise InputError(f"{missing[0]} is missing; markers and films need it.")
+    source = Source(config.source) if film else _read(config)
+    log = shifted(source if config.log is None else _log(config), config.offset_s)
+    columns = {n: n for n in log.columns} if config.log is not None else config.columns
     if film:
         tip = _of_film(config)
         frame = BaseFrame(_upright(tip, command(tip, log, columns)), np.zeros(3))
     elif config.tip:
         tip = source.track(config.tip, "tip")
         frame = _frame(source.track(config.base, "base"), tip, config, command(tip, log, columns))
-    elif any(c.startswith(("tip_", "bend_", "q_")) for c in columns.values()):
+    elif any(re.match("tip_|bend_|q_", c) for c in config.columns.values()):  # a bag of numbers alone
+        table = log.table({n: Column.parsed(n, c).column for n, c in config.columns.items()})
         tip = frame = None
     else:
         raise InputError(
-            f"{config.source} has the markers {', '.join(source.tracks) or 'none'} and the columns"
-            f" {', '.join(source.columns) or 'none'}; give --tip and --base, or --columns with the tip's."
+            f"{config.source} has the markers {listed(source.tracks) or 'none'} and the columns"
+            f" {listed(source.columns) or 'none'}; give --tip and --base, or --columns with the tip's."
         )
     if tip is None:
-        recording = tabled(log, columns, {"length_mm": config.length_mm})
+        recording = tabled(table, {"length_mm": config.length_mm})
     else:
         recording = joined(tip, frame, log, columns, config.length_mm)
-    if config.date:
-        recording.meta["date"] = config.date
+    recording.meta |= {"date": config.date} if config.date else {}
     recording.meta["notes"] = f"from {config.source.name}"
-    try:
-        return Recording.load(recording.write(config.out))
-    except InputError:
-        shutil.rmtree(config.out)  # there was no such folder before
-        raise
+    rules.check_samples(recording.samples, recording.device, recording.meta, config.source)
+    return replace(Recording.load(recording.write(config.out)), warnings=recording.warnings)
 
 
-def _read(path: Path, time: str) -> Source:
+def _convert_tables(config: ConvertConfig, show: Callable[[Understood], None]) -> Recording:
+    files = plain.table_files(config.source)
+    if not files:
+        raise InputError(f"source is '{config.source}', a folder of no ROS 2 bag; give a table or a take.")
+    folder = config.out or plain.folder_of(files)
+    if folder.exists() and (config.out is not None or not plain.is_ours(folder)):
+        raise InputError(f"out is '{folder}', which exists; give a new folder.")
+    columns = _columns(config)
+    base = (0.0, 0.0, 0.0)
+    if config.base:
+        try:
+            base = tuple(float(v) for v in config.base.strip("[]() ").split(","))
+        except ValueError:
+            base = ()
+        if len(base) != 3:
+            raise InputError(f"base is '{config.base}'; of a table give three mm, such as 10,20,5.")
+    given = Given.load(config.mapping) if config.mapping is not None else Given()
+    said = {"base_mm": base, "base_x": config.base_x, "base_z": config.base_z, "length_mm": config.length_mm}
+    said |= {"rate_hz": config.rate_hz, "date": config.date}
+    said = {n: v for n, v in said.items() if v != Given.__dataclass_fields__[n].default}
+    given = replace(given, columns=given.columns | columns, **said)
+    understood = plain.understand_files(files, given, time=config.time)
+    show(understood)
+    return plain.write(understood, folder)
+
+
+def _columns(config: ConvertConfig) -> dict[str, str]:
+    """Those that are given, with the one of times."""
+    return ({config.time: "time_s"} if config.time else {}) | config.columns
+
+
+def _is_markers(path: Path) -> bool:
+    if path.is_dir() or path.suffix.lower() in (".mcap", ".db3"):
+        return True
+    table = path.suffix.lower() == ".csv" and path.is_file()
+    return table and (mocap.is_optitrack(path) or mocap.is_vicon(path))
+
+
+def _read(config: ConvertConfig) -> Source:
+    """Markers and numbers of a take or a bag, or the numbers of a table."""
+    path = config.source
     if path.is_dir() or path.suffix.lower() in (".mcap", ".db3"):
         return rosbag.read_rosbag(path)
-    if path.suffix.lower() == ".mat":
-        return tables.read_mat(path, time)
-    if path.suffix.lower() != ".csv":
-        raise InputError(f"'{path}' is none of .csv, .mat, {', '.join(FILMS)} or the folder of a ROS 2 bag.")
-    if mocap.is_optitrack(path):
+    if path.suffix.lower() == ".csv" and mocap.is_optitrack(path):
         return mocap.read_optitrack(path)
-    return mocap.read_vicon(path) if mocap.is_vicon(path) else tables.read_log(path, time)
+    if path.suffix.lower() == ".csv" and mocap.is_vicon(path):
+        return mocap.read_vicon(path)
+    raise InputError(f"{path} has no markers; leave out --tip, and name its columns by --columns.")
+
+
+def _log(config: ConvertConfig) -> Source:
+    """The log of pressures, by the recording's names and units."""
+    assert config.log is not None
+    columns = _columns(config)
+    given = Given(columns, rate_hz=config.rate_hz)
+    table = plain.understand_files([config.log], given, log=True, time=config.time).recording.samples
+    times = table["time_s"].to_numpy(float)
+    names = [c for c in table if c not in ("time_s", "trial", "run")]
+    return Source(config.log, {}, {c: (times, table[c].to_numpy()) for c in names})
 
 
 def _frame(base: Track, tip: Track, config: ConvertConfig, kpa: np.ndarray) -> BaseFrame:

@@ -17,6 +17,7 @@ from pneutac_datasets.recording.image_file import read_image
 from pneutac_sim.errors import InputError, shown
 from pneutac_sim.files import refuse_pointer
 
+ROBOT = "pneutac"
 VERSION = 3  # of LeRobot's datasets
 STATE, ACTION = "observation.state", "action"
 OWN = ("timestamp", "frame_index", "episode_index", "index", "task_index")  # LeRobot's, in every dataset
@@ -26,9 +27,26 @@ VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.m
 
 
 def is_demonstrations(folder: str | Path) -> bool:
-    """Whether a folder is a LeRobotDataset of a robot rather than a bench recording."""
+    """Whether a folder is a LeRobotDataset of a robot rather than a bench recording.
+
+    One of another robot than this one that names a commanded pressure in kPa was measured on a bench.
+    """
     file = Path(folder) / "meta" / "info.json"
-    return file.is_file() and {STATE, ACTION} & set(read_info(file)["features"]) != set()
+    if not file.is_file():
+        return False
+    info = read_info(file)
+    features = info.get("features")
+    if not isinstance(features, dict) or not {STATE, ACTION} & set(features):
+        return False
+    entries = {str(n) for f in features.values() if isinstance(f, dict) for n in _names(f)} | set(features)
+    measured = any(re.fullmatch(r"pressure_cmd_(\d+_)?kpa", n) for n in entries)
+    return not (measured and info.get("robot_type") != ROBOT)
+
+
+def _names(feature: dict) -> list:
+    names = feature.get("names") or []
+    names = next(iter(names.values()), []) if isinstance(names, dict) else names
+    return names if isinstance(names, list) else []
 
 
 def read_info(file: Path) -> dict:

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 TARGET_BLOCKS = 40
+EDGE = 1e-5  # of a block: rows so near its end belong to the next
 LEVELS = ("temperature_c", "payload_g")  # drift within a block, so a block counts with its mean
 
 
@@ -31,12 +32,13 @@ def time_blocks(samples: pd.DataFrame) -> np.ndarray:
     t0 = time[starts]
     duration = np.array([time[b - 1] - time[a] for a, b in _spans(starts, len(samples))])
     target = max(duration.sum() / TARGET_BLOCKS, 1e-9)
-    pieces = np.maximum(1, np.round(duration / target)).astype(int)
+    # An offset of the clock changes the last digits of times: what is at an edge must not depend on them.
+    pieces = np.maximum(1, np.round(np.round(duration / target, 6))).astype(int)
     # a short run (one step of a trial) still gives something to both parts
     sizes = np.array([b - a for a, b in _spans(starts, len(samples))])
     pieces = np.where((pieces == 1) & (sizes >= 20), 2, pieces)
     share = (time - t0[run]) / np.maximum(duration[run], 1e-12)
-    within = np.minimum((share * pieces[run]).astype(int), pieces[run] - 1)
+    within = np.minimum((share * pieces[run] + EDGE).astype(int), pieces[run] - 1)
     return np.unique(run * (pieces.max() + 1) + within, return_inverse=True)[1]
 
 

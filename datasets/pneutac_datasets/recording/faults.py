@@ -1,6 +1,7 @@
 """Everything that is wrong with a recording at once, where loading it stops at the first fault."""
 
 import difflib
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from pneutac_datasets.recording import reading, rules, units
 from pneutac_datasets.recording.checks import check
 from pneutac_datasets.recording.clock import check_sent, check_time
 from pneutac_datasets.recording.recording import Recording
+from pneutac_datasets.recording.wording import listed
 from pneutac_sim.errors import InputError
 
 FIELDS = (
@@ -25,6 +27,9 @@ FIELDS = (
     "rest_image",
     "px_per_mm",
     "gel_size_mm",
+    "date",
+    "source",
+    "length_proposed",
 )
 
 
@@ -69,11 +74,16 @@ def recording_faults(folder: str | Path) -> tuple[list[str], list[str]]:
 def _look_at(samples: pd.DataFrame, device: str, meta: dict, file: Path, found: _Collected) -> None:
     """Every rule of the table by itself: one that is broken does not hide the next."""
     found += rules.missing_columns(samples, device, file).values()
-    good = {}
+    good, broken = {}, {}
     for name in samples.columns if len(samples) else ():
-        column = found(rules.clean_numbers, samples[[name]], device, file)
-        if column is not None:
-            good[name] = column[name]
+        try:
+            good[name] = rules.clean_numbers(samples[[name]], device, file)[name]
+        except InputError as e:  # one sentence for a row that several columns lack
+            row = re.search(r"row \d+", str(e))
+            broken.setdefault(row[0] if row else str(e), []).append((name, str(e)))
+    for cases in broken.values():
+        others = f" So are {listed(repr(n) for n, _ in cases[1:])}." if cases[1:] else ""
+        found.append(cases[0][1] + others)
     table = pd.DataFrame(good)
     if "trial" in table:
         table["trial"] = found(rules.clean_trials, table["trial"], file)

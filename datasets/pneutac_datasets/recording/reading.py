@@ -1,4 +1,4 @@
-"""Reads the table of a bench recording from CSV, Parquet or a LeRobotDataset, bounded in memory."""
+"""Reads the files of a bench recording: CSV, Parquet or a LeRobotDataset, bounded in memory."""
 
 import json
 import re
@@ -9,16 +9,13 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from pneutac_datasets.recording.wording import cut, shown
+from pneutac_datasets.recording.text_table import MAX_COLUMNS, MAX_ROWS, TextTable, read_text
+from pneutac_datasets.recording.units import unit_named
+from pneutac_datasets.recording.wording import SourceFile, cut, shown
 from pneutac_sim.errors import CONTROL, InputError
-from pneutac_sim.files import inside
+from pneutac_sim.files import inside, refuse_pointer
 
-# A bench run of one hour at 100 Hz with 20 columns is about 60 MB of text; far above that, reading a table
-# whole would fill a laptop's memory (pandas needs roughly three times the size of the file).
-MAX_CSV_BYTES = 300 * 2**20
-MAX_ROWS = 5_000_000
 MAX_CELLS = 200_000_000  # 1.6 GB of numbers: a small Parquet file may stand for far more
-MAX_COLUMNS = 1000
 MAX_META_BYTES = 2**22
 MAX_NAME = 255  # characters of a file's name
 
@@ -92,53 +89,37 @@ def read_table(folder: Path, meta: dict) -> tuple[pd.DataFrame, Path]:
         raise InputError(f"{folder / 'recording.json'}: field 'samples' must name a file inside the folder.")
     if not file.is_file():
         raise InputError(f"{file} is missing; field 'samples' of recording.json names the table of samples.")
-    return (read_csv(file) if file.suffix.lower() == ".csv" else _read_parquet(file)), file
+    if file.suffix.lower() != ".csv":
+        return read_parquet(file), file
+    table, source = read_text(file), SourceFile(file)
+    source.lines = table.lines
+    return _named_table(table), source
 
 
 def read_csv(file: Path) -> pd.DataFrame:
-    """A table of text with commas, semicolons or tabs; raises InputError where it is none or too large."""
-    size = file.stat().st_size
-    if size > MAX_CSV_BYTES:
-        raise InputError(
-            f"{file} has {size / 2**30:.1f} GB, above the limit of {MAX_CSV_BYTES // 2**20} MB for text; "
-            "keep every n-th row (20 to 50 Hz is enough) or convert it to .parquet."
-        )
-    try:
-        encoding = _encoding(file)
-        with file.open(encoding=encoding) as f:
-            line, rows = f.readline().strip("\n\r"), f.readline()
-        mark = next((m for m in (",", ";", "\t") if m in line), ",")
-        # A spreadsheet that writes decimal commas puts something else between the columns.
-        decimal = "," if mark != "," and re.search(r"\d,\d", rows) else "."
-        header = [c.strip() for c in line.split(mark)]
-        doubled = sorted({c for c in header if header.count(c) > 1})
-        if doubled:
+    """A table of text whose names tell the units; raises InputError where it is none or too large."""
+    return _named_table(read_text(file))
+
+
+def _named_table(table: TextTable) -> pd.DataFrame:
+    for name, unit in table.units.items():
+        ending = re.search(r"_(kpa|mm|rad|s|c|g|n)$", name)
+        if ending and unit_named(unit) is not None and not _same(unit_named(unit), ending[1]):
             raise InputError(
-                f"{file}: column {shown(doubled[0])} appears twice in the header; keep one of them."
+                f"{table.file}: column {shown(name)} is in {shown(unit)}, as a line below the header or its"
+                f" cells say; `pneutac convert {table.file}` converts it."
             )
-        if len(header) > MAX_COLUMNS:
-            raise InputError(f"{file} has {len(header)} columns, above the limit of {MAX_COLUMNS}.")
-        options = {"sep": mark, "decimal": decimal, "encoding": encoding, "skipinitialspace": mark != "\t"}
-        table = pd.read_csv(file, low_memory=False, nrows=MAX_ROWS + 1, **options)
-        if len(table) > MAX_ROWS:
-            raise InputError(f"{file} has over {MAX_ROWS} rows; keep every n-th row.")
-        return table.rename(columns=str.strip)
-    except UnicodeError as e:
-        raise InputError(
-            f"{file} is not UTF-8 text ({getattr(e, 'reason', e)}); save it as plain CSV."
-        ) from e
-    except (pd.errors.ParserError, pd.errors.EmptyDataError) as e:
-        reason = cut(str(e).strip().splitlines()[0])
-        raise InputError(f"{file} is not a comma-separated table: {reason}; save it as plain CSV.") from e
+    return table.frame
 
 
-def _encoding(file: Path) -> str:
-    """UTF-8, or UTF-16 as spreadsheets write it, by the mark at the beginning of the file."""
-    with file.open("rb") as f:
-        return "utf-16" if f.read(2) in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
+def _same(unit, ending: str) -> bool:
+    own = unit_named(ending, unit.dimension)
+    return own is not None and (own.factor, own.shift) == (unit.factor, unit.shift) and unit.against != "abs"
 
 
-def _read_parquet(file: Path) -> pd.DataFrame:
+def read_parquet(file: Path) -> pd.DataFrame:
+    """A table of Parquet, bounded in rows and columns; raises InputError where it is damaged."""
+    refuse_pointer(file)
     try:
         found = pq.ParquetFile(file).metadata
         rows = found.num_rows
@@ -169,25 +150,31 @@ def _read_lerobot(folder: Path) -> pd.DataFrame:
         raise InputError(
             f"{folder / 'data'} holds no .parquet file; the LeRobotDataset is empty or incomplete."
         )
-    raw = pd.concat([_read_parquet(p) for p in parts], ignore_index=True)
+    raw = pd.concat([read_parquet(p) for p in parts], ignore_index=True)
     if len(raw) > MAX_ROWS:
         raise InputError(f"{folder} has {len(raw)} rows, above the limit of {MAX_ROWS}; use fewer episodes.")
     columns: dict[str, pd.Series] = {}
+    source: dict[str, str] = {}
     for name, feature in features.items():
         if name not in raw.columns:
             continue  # videos are files apart, not columns
-        names = feature.get("names")
-        names = list(names.values())[0] if isinstance(names, dict) else names
+        names = feature.get("names") if isinstance(feature, dict) else None
+        names = list(names.values())[0] if isinstance(names, dict) and names else names
         first = raw[name].iloc[0] if len(raw) else None
-        if isinstance(first, Sized) and not isinstance(first, str | dict):
-            if not isinstance(names, list) or len(names) != len(first):
-                if len(first) != 1:
-                    continue
-                names = [name]  # LeRobot keeps a number as a vector of one entry
-            for i, entry in enumerate(names):
-                columns[str(entry)] = raw[name].map(lambda v, i=i: v[i])
-        else:
-            columns[name] = raw[name]
+        vector = isinstance(first, Sized) and not isinstance(first, str | dict | bytes)
+        entries = [name]
+        if vector and isinstance(names, list) and len(names) == len(first):
+            entries = [str(n) for n in names]  # a vector of one entry may have a name, too
+        elif vector and len(first) != 1:
+            continue
+        for i, entry in enumerate(entries):
+            if entry in columns:
+                raise InputError(
+                    f"{file}: {shown(entry)} is the name of an entry of {shown(source[entry])} and of"
+                    f" {shown(name)}; give each its own name."
+                )
+            columns[entry] = raw[name].map(lambda v, i=i: v[i]) if vector else raw[name]
+            source[entry] = name
     table = pd.DataFrame(columns)
     table = table.rename(
         columns={

@@ -61,7 +61,10 @@ class Recording:
             if file.suffix == ".parquet":
                 self.samples.to_parquet(part, index=False)
             else:
-                self.samples.to_csv(part, index=False, float_format="%.7g")
+                times = {
+                    c: self.samples[c].map(_time) for c in ("time_s", "time_sent_s") if c in self.samples
+                }
+                self.samples.assign(**times).to_csv(part, index=False, float_format="%.7g")
         write_json(path / "recording.json", meta)
         return path
 
@@ -172,3 +175,8 @@ class Recording:
                 return train, ~train
         part = blocks.assign(self.samples, self.blocks(), seed, fractions)
         return tuple(part == i for i in range(len(fractions)))
+
+
+def _time(seconds: float) -> str:
+    """With nine decimals: seven digits would be too few for a clock that counts since 1970."""
+    return f"{seconds:.9f}".rstrip("0").rstrip(".")

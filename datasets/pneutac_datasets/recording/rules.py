@@ -116,7 +116,7 @@ def check_samples(
 
 
 _HOW = {
-    "trial": "add it with 0 in every row, or with a new number wherever the recording was started anew",
+    "trial": "number the runs in it, a new number wherever the recording was started anew",
     "time_s": "add the time of each row since the start of its trial, in seconds",
     "image": "add the file name of each row's picture, relative to the folder",
     "indenter": "add what was pressed into the gel in each row, such as sphere",
@@ -172,13 +172,23 @@ def missing_columns(samples: pd.DataFrame, device: str, file: Path) -> dict[str,
     return missing
 
 
+_OWN = re.compile(
+    r"pressure_(\d_)?kpa|tip_[xyz]_mm|bend_angle_rad|time_sent_s|temperature_c|payload_g|program"
+)
+
+
 def _near(name: str, samples: pd.DataFrame) -> str:
     """Names a column that is the wanted one under another unit, such as `pressure_cmd_pa`, or misspelt."""
     stem = re.sub(r"_(kpa|mm|rad|s|c|g)$", "", name)
-    near = [c for c in samples if isinstance(c, str) and re.fullmatch(rf"{re.escape(stem)}(_\w+)?", c, re.I)]
+    # What is a column of its own, as the measured pressure is, stands for no other.
+    others = [c for c in samples if isinstance(c, str) and not _OWN.fullmatch(c)]
+    same = [c for c in others if c.strip().lower() == name]
+    if same:
+        return f" (there is {shown(same[0])}: rename it)"
+    near = [c for c in others if re.fullmatch(rf"{re.escape(stem)}(_\w+)?", c, re.I)]
     if near:
         return f" (there is {shown(near[0])}: convert it to the unit in the name)"
-    close = difflib.get_close_matches(name, [c for c in samples if isinstance(c, str)], n=1, cutoff=0.8)
+    close = difflib.get_close_matches(name, others, n=1, cutoff=0.8)
     return f" (there is {shown(close[0])}: rename it, if that is meant)" if close else ""
 
 
@@ -207,10 +217,17 @@ def clean_numbers(samples: pd.DataFrame, device: str, file: Path) -> pd.DataFram
             row = int(np.argmax(bad))
             raise InputError(
                 f"{file}: column {shown(name)}, {row_name(row, file)} is {_shown(column.iloc[row])} "
-                f"({plural(int(bad.sum()), 'such row')}); delete it or fill in a finite number."
+                f"({plural(int(bad.sum()), 'such row')}); {_remedy(bad, column)}."
             )
         samples[name] = values
     return samples
+
+
+def _remedy(bad: np.ndarray, column: pd.Series) -> str:
+    """What to do about cells that are no number, which costs no more than these cells."""
+    if bad.mean() > 0.05:
+        return "write numbers into this column" if column[bad].notna().all() else "fill in what was measured"
+    return "correct it, or leave out that row" if bad.sum() == 1 else "correct them, or leave out those rows"
 
 
 def _shown(value) -> str:

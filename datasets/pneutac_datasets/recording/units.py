@@ -1,6 +1,7 @@
-"""Columns whose numbers can only be in another unit than their name says."""
+"""Units by name, and columns whose numbers can only be in another unit than their name says."""
 
 import re
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,86 @@ from pneutac_sim.errors import InputError
 MAX_PRESSURE_KPA = 2000.0
 LONGEST_TIP, SHORTEST_TIP = 3.0, 0.02  # of length_mm
 RATIO = 30.0  # between measured and commanded pressure
+
+
+# One of a unit in the unit of a recording's columns: kPa, mm, s, rad, g, N, degrees Celsius.
+UNITS = {
+    "pressure": {
+        "kpa": 1.0, "bar": 100.0, "mbar": 0.1, "hpa": 0.1, "pa": 1e-3, "mpa": 1000.0, "psi": 6.894757,
+        "mmhg": 0.1333224, "torr": 0.1333224, "atm": 101.325, "cmh2o": 0.0980665, "inh2o": 0.2490889,
+        "kilopascal": 1.0, "pascal": 1e-3, "millibar": 0.1,
+    },
+    "length": {
+        "mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4, "inch": 25.4, "inches": 25.4, "um": 1e-3,
+        "meter": 1000.0,
+        "metre": 1000.0, "meters": 1000.0, "metres": 1000.0, "millimeter": 1.0, "millimetre": 1.0,
+        "zoll": 25.4, "dm": 100.0, "millimeters": 1.0, "centimeter": 10.0, "centimeters": 10.0,
+    },
+    "time": {
+        "s": 1.0, "sec": 1.0, "secs": 1.0, "second": 1.0, "seconds": 1.0,
+        "sek": 1.0, "sekunden": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6,
+        "ns": 1e-9, "min": 60.0, "minutes": 60.0, "minuten": 60.0, "h": 3600.0, "milliseconds": 1e-3,
+        "millisekunden": 1e-3, "frames": 1.0,
+    },
+    "angle": {
+        "rad": 1.0, "mrad": 1e-3, "deg": np.pi / 180, "degree": np.pi / 180, "degrees": np.pi / 180,
+        "°": np.pi / 180, "grad": np.pi / 180, "radian": 1.0, "radians": 1.0, "radiant": 1.0,
+    },
+    "mass": {"g": 1.0, "kg": 1000.0, "mg": 1e-3, "gram": 1.0, "grams": 1.0, "gramm": 1.0},
+    "temperature": {
+        "°c": 1.0, "c": 1.0, "degc": 1.0, "celsius": 1.0, "k": 1.0, "kelvin": 1.0, "°f": 5 / 9, "f": 5 / 9,
+        "degf": 5 / 9, "fahrenheit": 5 / 9, "°k": 1.0, "grad c": 1.0, "deg c": 1.0, "deg f": 5 / 9,
+    },
+    "force": {"n": 1.0, "mn": 1e-3, "kn": 1000.0, "newton": 1.0},
+    "acceleration": {"m/s2": 1 / 9.80665, "m/s/s": 1 / 9.80665, "ms-2": 1 / 9.80665},
+    "voltage": dict.fromkeys(("v", "mv", "volt", "ma", "counts", "adc", "digits", "pwm", "%"), 1.0),
+    "none": {"1": 1.0, "#": 1.0, "text": 1.0, "string": 1.0, "iso": 1.0},
+}  # fmt: skip
+SHIFTS = {"k": -273.15, "°k": -273.15, "kelvin": -273.15}  # of temperatures, °C
+SHIFTS |= dict.fromkeys(("°f", "f", "degf", "deg f", "fahrenheit"), -160 / 9)
+ABSOLUTE = re.compile(r"[\s_(]*(abs(olute?)?|absolut)[\s)]*$|(?<=bar|psi|kpa|hpa)\(?a\)?$")
+GAUGE = re.compile(r"[\s_(]*(gauge|rel(ative?)?|relativ|ü|ue)[\s)]*$|(?<=bar|psi|kpa|hpa)\(?g\)?$")
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit of a measurement: `name` as in `UNITS`, and what a pressure is against."""
+
+    dimension: str
+    name: str
+    against: str = ""  # `abs`, `gauge` or nothing
+
+    @property
+    def factor(self) -> float:
+        """One of it in the unit of a recording's columns."""
+        return UNITS[self.dimension][self.name]
+
+    @property
+    def shift(self) -> float:
+        """What is added after the factor."""
+        return SHIFTS.get(self.name, 0.0) if self.dimension == "temperature" else 0.0
+
+    def __str__(self):
+        return f"{self.name} {self.against}".strip()
+
+
+def unit_named(text: str, dimension: str = "") -> Unit | None:
+    """The unit that a text names, such as `kPa`, `bar (abs)`, `m/s²`; None where it is none.
+
+    Args:
+        text: as in a header.
+        dimension: which is meant where a name stands for several (`m`, `c`, `g`); any where it is empty.
+    """
+    plain = " ".join(text.strip().lower().replace("µ", "u").replace("μ", "u").split())
+    plain = plain.replace("²", "2").replace("^", "").replace("º", "°").replace("**", "").strip("[](){} ")
+    against = ""
+    for pattern, name in ((ABSOLUTE, "abs"), (GAUGE, "gauge")):
+        if pattern.search(plain) and pattern.sub("", plain) in UNITS["pressure"]:
+            plain, against = pattern.sub("", plain), name
+    for known in (dimension,) if dimension else UNITS:
+        if plain in UNITS[known] and (not against or known == "pressure"):
+            return Unit(known, plain, against)
+    return None
 
 
 def check_units(samples: pd.DataFrame, meta: dict, file: Path) -> None:
@@ -59,6 +140,8 @@ def _check_tip(samples: pd.DataFrame, meta: dict, file: Path) -> None:
     tips = _columns(samples, r"tip_[xyz]_mm")
     if not tips:
         return
+    if "tip_x_mm" not in tips and len(tips) < 3:
+        return  # one coordinate across the finger may hardly move
     reach = np.linalg.norm(samples[tips].to_numpy(float), axis=1)
     row, value = int(reach.argmax()), float(reach.max())
     if 0 < value < (SHORTEST_TIP * length_mm if length_mm else 1.0):

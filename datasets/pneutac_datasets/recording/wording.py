@@ -2,6 +2,18 @@
 
 from pathlib import Path
 
+import numpy as np
+
+
+class SourceFile(Path):
+    """A file of text that a table was read from.
+
+    Attributes:
+        lines: line of the file (n,) in which each row stands.
+    """
+
+    lines: np.ndarray | None = None
+
 
 def plural(n: int, noun: str) -> str:
     """`1 row`, `2 rows`."""
@@ -15,6 +27,9 @@ def an(device: str) -> str:
 
 def row_name(row: int, file: Path) -> str:
     """`row 3 (line 4 of the file)`: rows of data count from 1, and a text file has its header above them."""
+    lines = getattr(file, "lines", None)
+    if lines is not None and row < len(lines):
+        return f"row {row + 1} (line {lines[row]} of the file)"
     return f"row {row + 1}" + (f" (line {row + 2} of the file)" if file.suffix.lower() == ".csv" else "")
 
 

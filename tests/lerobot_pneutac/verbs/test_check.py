@@ -110,9 +110,11 @@ def test_the_command_tells_each_folder_and_ends_with_one_where_there_is_a_fault(
     assert "fault: Episode 0 commands pressures beyond" in " ".join(capsys.readouterr().out.split())
     with pytest.raises(InputError, match="is 'bench' meant"):
         verb.main([str(tmp_path / "bensh")])
-    (tmp_path / "notes.txt").touch()
-    with pytest.raises(InputError, match="notes.txt' is a file; give the folder"):
-        verb.main([str(tmp_path / "notes.txt")])
+    (tmp_path / "notes.md").touch()
+    with pytest.raises(
+        InputError, match="notes.md is none of .csv, .*; give a table or a recording's folder"
+    ):
+        verb.main([str(tmp_path / "notes.md")])
     with pytest.raises(InputError, match="There is no option --twins=x"):
         verb.main(["bench", "--twins=x"])
 

@@ -120,9 +120,13 @@ def test_a_mat_may_have_all_of_it(tmp_path):
     options = {"length_mm": LENGTH, "columns": names, "time": "run.clock"}
     recording = convert(ConvertConfig(tmp_path / "run.mat", tmp_path / "bench", **options))
     np.testing.assert_allclose(recording.column("bend_angle_rad"), bend, atol=1e-6)
-    with pytest.raises(InputError, match=r"no vector 'time_s'; it has run.clock, .* by --time"):
+    with pytest.raises(
+        InputError, match=r"'run.p' \(0 to 12\) has no unit; 'run.angle' .* --columns='run.p: "
+    ):
         convert(ConvertConfig(tmp_path / "run.mat", tmp_path / "b", LENGTH))
-    with pytest.raises(InputError, match=r"has no 'run.angel'; is 'run.angle' meant"):
+    with pytest.raises(InputError, match=r"no vector 'clock' of times; it has 'run.clock' 50, .* by --time"):
+        convert(ConvertConfig(tmp_path / "run.mat", tmp_path / "b", LENGTH, time="clock"))
+    with pytest.raises(InputError, match=r"has no column 'run.angel'; it has"):
         wrong = options | {"columns": {"run.p": "pressure_cmd_kpa", "run.angel": "bend_angle_rad"}}
         convert(ConvertConfig(tmp_path / "run.mat", tmp_path / "b", **wrong))
     (tmp_path / "bad.mat").write_bytes(b"no such thing" * 20)
@@ -139,9 +143,15 @@ def test_a_csv_with_names_of_its_own_keeps_clocks_that_start_anew(tmp_path):
     recording = convert(ConvertConfig(tmp_path / "lab.csv", tmp_path / "bench", **options))
     assert list(recording.trials()) == [0, 1]
     np.testing.assert_allclose(recording.column("bend_angle_rad"), table["a"], atol=1e-6)
-    faulty = options | {"columns": {"p": "pressure_cmd_kpa", "a": "bend_angle_rad"}}
-    with pytest.raises(InputError, match="goes back from"):
-        convert(ConvertConfig(tmp_path / "lab.csv", tmp_path / "faulty", **faulty))
+    unnumbered = options | {"columns": {"run": "-", "p": "pressure_cmd_kpa", "a": "bend_angle_rad"}}
+    again = convert(ConvertConfig(tmp_path / "lab.csv", tmp_path / "again", **unnumbered))
+    np.testing.assert_array_equal(again.column("trial"), table["run"])  # the clock starts anew
+    shuffled = pd.DataFrame(table).sample(frac=1, random_state=0)
+    shuffled.to_csv(tmp_path / "lab.csv", index=False)
+    with pytest.raises(
+        InputError, match=r"lab.csv: column 'run', row \d+ \(line \d+ .*\) goes back to trial"
+    ):
+        convert(ConvertConfig(tmp_path / "lab.csv", tmp_path / "faulty", **options))
     assert not (tmp_path / "faulty").exists()
 
 
@@ -227,7 +237,7 @@ def test_aruco_markers_in_a_film_are_found(tmp_path, log):
 
 def test_what_is_missing_is_one_sentence(tmp_path, log):
     options = {k: v for k, v in log.items() if k != "log"}
-    with pytest.raises(InputError, match="source is '.*none.csv', which does not exist"):
+    with pytest.raises(InputError, match="There is no file '.*none.csv'; there is log.csv"):
         ConvertConfig(tmp_path / "none.csv", **options)
     source = optitrack(tmp_path / "take.csv")
     with pytest.raises(InputError, match="has no column for pressure_cmd_kpa; .* --columns="):

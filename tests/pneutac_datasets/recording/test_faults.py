@@ -37,8 +37,9 @@ def test_a_good_recording_has_notes_only(tmp_path):
 
 def test_every_fault_is_said_and_misspelt_names_are_told_what_they_may_mean(tmp_path):
     def spoil(table):
-        table.loc[7, "tip_x_mm"] = np.nan
-        table["tip_z_mm"] /= 1e5
+        table["temperature_c"] = 20.0
+        table.loc[7, "temperature_c"] = np.nan
+        table[["tip_x_mm", "tip_z_mm"]] /= 1e5
         table["pressure_kpa"] *= 1e5
         return table.rename(columns={"pressure_cmd_kpa": "presure_cmd_kpa", "time_s": "tiem_s"})
 
@@ -49,7 +50,7 @@ def test_every_fault_is_said_and_misspelt_names_are_told_what_they_may_mean(tmp_
         "'spine_joint_position_mm' is read by nothing; is 'spine_joint_positions_mm' meant?",
         "column 'time_s' is missing (there is 'tiem_s': rename it",
         "column 'pressure_cmd_kpa' is missing (there is 'presure_cmd_kpa': rename it",
-        "column 'tip_x_mm', row 8 (line 9 of the file) is empty",
+        "column 'temperature_c', row 8 (line 9 of the file) is empty",
         "column 'pressure_kpa', row 30 (line 31 of the file) is 3.93",
         "which can only be metres",
     ):

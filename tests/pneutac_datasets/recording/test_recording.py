@@ -126,7 +126,7 @@ BAD = {
     "many doubled stamps": (lambda s: s.assign(time_s=np.round(s.time_s, 1)), "repeats the stamp.*digits"),
     "nan": (
         break_("tip_x_mm", 12, np.nan),
-        r"'tip_x_mm', row 13 \(line 14 of the file\) is empty \(1 such row\).*delete",
+        r"'tip_x_mm', row 13 \(line 14 of the file\) is empty \(1 such row\).*leave out that row",
     ),
     "inf": (break_("tip_z_mm", 3, np.inf), "'tip_z_mm', row 4"),
     "text": (

@@ -31,6 +31,17 @@ class BaseFrame:
         return (position_mm - self.origin_mm) @ self.rotation
 
 
+def axes_of(x: str, z: str) -> np.ndarray:
+    """Axes of the base (3, 3), its columns, in a frame of which `x` and `z` name axes, such as `-y`.
+
+    Raises:
+        InputError: they are none, or not at right angles.
+    """
+    if x not in AXES or z not in AXES or AXES[x] @ AXES[z] != 0:
+        raise InputError(f"base_x is '{x}' and base_z '{z}'; give two different ones of x, y, z, -x, -y, -z.")
+    return np.stack([AXES[x], np.cross(AXES[z], AXES[x]), AXES[z]], 1)
+
+
 def of_body(base: Track, x: str, z: str, offset_mm: np.ndarray) -> BaseFrame:
     """The base frame of a tracked body fixed at the base.
 
@@ -43,15 +54,13 @@ def of_body(base: Track, x: str, z: str, offset_mm: np.ndarray) -> BaseFrame:
     Raises:
         InputError: the axes are none, or not at right angles.
     """
-    if x not in AXES or z not in AXES or AXES[x] @ AXES[z] != 0:
-        raise InputError(f"base_x is '{x}' and base_z '{z}'; give two different ones of x, y, z, -x, -y, -z.")
+    axes = axes_of(x, z)
     assert base.rotation is not None
     seen = np.isfinite(base.position_mm).all(1) & np.isfinite(base.rotation).all((1, 2))
     if not seen.any():
         raise InputError("The base body is never seen; choose another --base.")
     u, _, v = np.linalg.svd(base.rotation[seen].mean(0))
     mean = u @ np.diag([1, 1, np.linalg.det(u @ v)]) @ v
-    axes = np.stack([AXES[x], np.cross(AXES[z], AXES[x]), AXES[z]], 1)
     rotation = mean @ axes
     return BaseFrame(rotation, np.median(base.position_mm[seen], 0) + rotation @ offset_mm)
 

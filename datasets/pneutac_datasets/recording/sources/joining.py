@@ -13,6 +13,7 @@ from pneutac_sim.errors import InputError
 
 COMMAND = "pressure_cmd_kpa"
 LEAST_ROWS = 20
+LEAST_SHARE = 0.9  # of markers and log that both run, below which it is reported
 
 
 def shifted(log: Source, offset_s: float) -> Source:
@@ -31,7 +32,7 @@ def command(tip: Track, log: Source, columns: dict[str, str]) -> np.ndarray:
     if name is None or name not in log.columns:
         raise InputError(
             f"{log.file} has no column for {COMMAND}; it has {', '.join(log.columns)}. Name it by"
-            f" --columns='{{NAME: {COMMAND}}}'."
+            f" --columns='NAME: {COMMAND} [kPa]'."
         )
     return resampled(*log.columns[name], tip.time_s, COMMAND)
 
@@ -65,12 +66,20 @@ def joined(tip: Track, frame: BaseFrame, log: Source, columns: dict[str, str], l
     table |= {column: resampled(*log.columns[name], at, column) for name, column in columns.items()}
     place = frame.of(tip.position_mm[seen])
     table |= {f"tip_{a}_mm": place[:, i] for i, a in enumerate("xyz")}
-    return Recording(Path(), {"length_mm": length_mm}, pd.DataFrame(table), "finger")
+    recording = Recording(Path(), {"length_mm": length_mm}, pd.DataFrame(table), "finger")
+    ran = {"the markers": tip.time_s[-1] - tip.time_s[0], f"{log.file}": end - begin}
+    used = at[-1] - at[0]
+    if used < LEAST_SHARE * max(ran.values()):
+        lasted = " and ".join(f"{name} {seconds:.3g} s" for name, seconds in ran.items())
+        recording.warnings.append(
+            f"{used:.3g} s are used, in which both ran: {lasted}. If that is too little, give --offset_s, or"
+            " export a film at the rate at which it was taken."
+        )
+    return recording
 
 
-def tabled(log: Source, columns: dict[str, str], meta: dict) -> Recording:
+def tabled(table: pd.DataFrame, meta: dict) -> Recording:
     """A recording of columns alone, where the file has all of it."""
-    table = log.table(columns)
     if "trial" not in table:
         table.insert(0, "trial", 0)
     device = "finger" if "pressure_cmd_kpa" in table else "arm"

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pneutac_datasets.recording.reading import MAX_CSV_BYTES, MAX_ROWS
 from pneutac_datasets.recording.sources.tracks import Source, Track, rotations
+from pneutac_datasets.recording.text_table import MAX_CSV_BYTES, MAX_ROWS
 from pneutac_sim.errors import InputError
 
 MM = {"meters": 1000.0, "centimeters": 10.0, "millimeters": 1.0, "m": 1000.0, "cm": 10.0, "mm": 1.0}

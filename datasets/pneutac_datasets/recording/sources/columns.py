@@ -1,0 +1,617 @@
+"""What the columns of a lab's table are: by their names, in English and German, their units and numbers."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+
+from pneutac_datasets.recording.rules import LABELS
+from pneutac_datasets.recording.units import Unit, unit_named
+from pneutac_datasets.recording.wording import listed, shown
+from pneutac_sim.errors import InputError
+
+WORDS = {
+    "pressure": "p press pressure pressures pres druck kammerdruck innendruck luftdruck",
+    "command": "soll set cmd command commanded setpoint sollwert target ref reference desired stell vorgabe"
+    " ziel demand fuehrung sollwerte",
+    "measured": "ist meas measured measurement actual act istwert gemessen sensor gauge feedback fb mess",
+    "tip": "tip spitze marker fingerspitze fingertip tcp ende end endpunkt effector position pos koordinate",
+    "base": "base basis fuss origin ursprung",
+    "axis": "x y z",
+    "angle": "angle winkel bend bending biegung biegewinkel beugung theta phi curl",
+    "joint": "joint gelenk q",
+    "temperature": "temp temperature temperatur",
+    "payload": "payload weight gewicht last load mass masse nutzlast zusatzgewicht zusatzmasse anhaengelast",
+    "gravity": "gravity schwerkraft grav g gravitation",
+    "force": "force kraft f",
+    "time": "time zeit t timestamp zeitstempel elapsed uhrzeit clock datetime stamp sekunden seconds sec",
+    "date": "date datum",
+    "frame": "frame bild sample index",
+    "sent": "sent gesendet",
+    "trial": "trial run lauf versuch messung episode test experiment durchgang versuchsnummer wiederholung",
+    "program": "program programm label phase protokoll protocol profil profile",
+    "filler": "finger in of the der die no nr id number nummer value wert channel kanal chamber kammer air"
+    " luft valve ventil lab abs absolute absolut rel relative",
+}
+KIND = {word: kind for kind, words in WORDS.items() for word in words.split()}
+OWN = re.compile(
+    r"trial|time_s|time_sent_s|pressure_(cmd_)?(\d+_)?kpa|tip_[xyz]_mm|bend_angle_rad|q_\d+_rad|temperature_c"
+    rf"|curvature_[xy]_1_per_m|gravity_[xyz]|payload_g|force_[xyz]_n|base_[xyz]_mm|{LABELS}"
+)
+ENDINGS = {"kpa": "pressure", "mm": "length", "rad": "angle", "s": "time", "c": "temperature", "g": "mass"}
+ENDINGS |= {"n": "force"}
+BASE_UNIT = {"pressure": "kPa", "length": "mm", "angle": "rad", "time": "s", "temperature": "C", "mass": "g"}
+BASE_UNIT |= {"force": "N"}
+LEAVE_OUT = "-"  # instead of a column's name
+AMBIENT_KPA = 101.325
+NEAR_AMBIENT_KPA = 85.0, 110.0  # of the air, from 1,500 m above the sea
+PARTS = re.compile(
+    r"(?P<column>[^\[*]*?)\s*(\[(?P<unit>[^\]]*)\])?\s*(\*\s*(?P<factor>[-+\d.eE]+))?\s*"
+    r"((?P<sign>[+-])\s*(?P<shift>[\d.eE+-]+))?"
+)
+
+
+@dataclass(frozen=True)
+class Column:
+    """What one column of a table is.
+
+    Attributes:
+        name: in the table.
+        column: of the recording; the own name of a column that is retained as it is.
+        unit: of its numbers, None where it has none.
+        factor: after the unit is converted, what its numbers are multiplied by.
+        shift: added after that.
+        guess: how the unit was found where it was not written: `by size`.
+        retained: whether it is none of a recording's own columns.
+    """
+
+    name: str
+    column: str
+    unit: Unit | None = None
+    factor: float = 1.0
+    shift: float = 0.0
+    guess: str = ""
+    retained: bool = False
+
+    @classmethod
+    def parsed(cls, name: str, text: str) -> "Column":
+        """Of `COLUMN`, `COLUMN [UNIT]`, `COLUMN [UNIT] * FACTOR + SHIFT`, or `-` to leave it out.
+
+        Raises:
+            InputError: it is none of these, or the unit is unknown or of another kind.
+        """
+        if text.strip() == name.strip() and not OWN.fullmatch(name):
+            return cls(name, name, retained=True)
+        found = PARTS.fullmatch(text.strip()) if text.strip() != LEAVE_OUT else None
+        if text.strip() == LEAVE_OUT:
+            return cls(name, LEAVE_OUT)
+        wrong = (
+            f"columns: {shown(name)} is {shown(text)}; write COLUMN, COLUMN [UNIT] or COLUMN [UNIT] * FACTOR"
+        )
+        wrong += " + SHIFT, such as 'pressure_cmd_kpa [bar]'."
+        if not found or not found["column"]:
+            raise InputError(wrong)
+        column, unit = found["column"], None
+        if found["unit"]:
+            unit = unit_named(found["unit"], dimension_of(column))
+            if unit is None:
+                raise InputError(
+                    f"columns: {shown(found['unit'])} of {shown(name)} is no unit of"
+                    f" {dimension_of(column) or 'any kind'}; {shown(column)} takes"
+                    f" {EXAMPLES.get(dimension_of(column), 'none')}."
+                )
+        try:
+            factor = float(found["factor"] or 1)
+            shift = float((found["sign"] or "") + (found["shift"] or "0"))
+        except ValueError as e:
+            raise InputError(wrong) from e
+        return cls(name, column, unit, factor, shift, retained=not OWN.fullmatch(column))
+
+    def __str__(self):
+        text = self.column
+        if self.unit is not None:
+            text += f" [{self.unit}]"
+        if self.factor != 1:
+            text += f" * {self.factor:.10g}"
+        if self.shift:
+            text += f" {'+' if self.shift > 0 else '-'} {abs(self.shift):.10g}"
+        return text
+
+    def converted(self, values: pd.Series) -> pd.Series:
+        """Its numbers in the unit of the recording's column; texts as they are."""
+        if values.dtype.kind not in "fiu" or (self.unit is None and self.factor == 1 and not self.shift):
+            return values
+        scale = self.factor * (self.unit.factor if self.unit else 1.0)
+        shift = self.shift + (self.factor * self.unit.shift if self.unit else 0.0)
+        return values.astype(float) * scale + shift
+
+
+EXAMPLES = {
+    "pressure": "kPa, bar, mbar, hPa, psi, Pa or MPa, each with abs where it counts from a vacuum",
+    "length": "mm, cm, m or in",
+    "time": "s, ms, us, ns, min or h",
+    "angle": "rad or deg",
+    "mass": "g or kg",
+    "temperature": "C, K or F",
+    "force": "N or mN",
+}
+
+
+def dimension_of(column: str) -> str:
+    """Which kind of unit a recording's column has; empty for none."""
+    if re.fullmatch(r"gravity_[xyz]", column):
+        return "acceleration"
+    ending = re.search(r"_([a-z]+)$", column)
+    return ENDINGS.get(ending[1], "") if ending and OWN.fullmatch(column) else ""
+
+
+def parse_columns(text: str | dict[str, str]) -> dict[str, str]:
+    """`{a: trial, p [bar]: pressure_cmd_kpa}`, quotes and braces or none, as names to texts of columns.
+
+    Raises:
+        InputError: a part has no colon.
+    """
+    if isinstance(text, dict):
+        return {str(k): str(v) for k, v in text.items()}
+    inner = text.strip()
+    inner = inner[1:-1] if inner.startswith("{") and inner.endswith("}") else inner
+    parts = re.findall(r"(?:\"[^\"]*\"|'[^']*'|[^,\"'])+", inner)
+    found = {}
+    for part in (p.strip() for p in parts if p.strip()):
+        name, colon, column = part.rpartition(":")
+        if not colon or not name.strip() or not column.strip():
+            raise InputError(
+                f"columns is {shown(part)}, which names no column of the recording; write NAME: COLUMN, such"
+                " as --columns='p_soll: pressure_cmd_kpa [bar]'."
+            )
+        found[name.strip().strip("\"'")] = column.strip().strip("\"'")
+    return found
+
+
+# ---------------------------------------------------------------- names
+
+
+@dataclass(frozen=True)
+class Named:
+    """What a name says: the kind of column, its axis or number, and its unit."""
+
+    kind: str
+    index: str = ""
+    unit: str = ""
+
+
+def read_name(name: str, unit: str = "") -> Named:
+    """What a column's name says; kind is empty where it says nothing.
+
+    Args:
+        name: as in the header.
+        unit: of a line of units, where there is one.
+    """
+    options = [(name, unit)] if unit else [*_with_unit(name), (name, "")]
+    for base, found in options:
+        kind, index = _kind(base, found)
+        if not kind and found and unit_named(found, "temperature") and not unit_named(found, "angle"):
+            kind = "temperature" if len(unit_named(found, "temperature").name) > 1 else ""
+        if kind and (not found or _suits(kind, found) or "[" in name or "(" in name or unit):
+            return Named(kind, index, found)
+    last = name.rpartition(".")[2]
+    if last and last != name and not unit:  # a field of a struct
+        return read_name(last)
+    return Named("", "", next((u for _, u in options if u), ""))
+
+
+def _suits(kind: str, unit: str) -> bool:
+    dimension = DIMENSION.get(kind, "")
+    return unit_named(unit, dimension) is not None if dimension else False
+
+
+DIMENSION = {
+    "command": "pressure", "measured": "pressure", "pressure": "pressure", "tip": "length", "base": "length",
+    "angle": "angle", "joint": "angle", "temperature": "temperature", "payload": "mass", "time": "time",
+    "sent": "time", "force": "force", "gravity": "acceleration",
+}  # fmt: skip
+
+
+def _with_unit(name: str) -> list[tuple[str, str]]:
+    """A name split into what is measured and its unit, in the ways that labs write it."""
+    found = []
+    for match in reversed(list(re.finditer(r"[\[({<]([^\])}>]*)[\])}>]", name))):
+        if unit_named(match[1]) is not None or match[0].startswith("["):
+            found.append((name[: match.start()] + " " + name[match.end() :], match[1].strip()))
+    for pattern in (
+        r"(.+?)\s*/\s*(\S+)",
+        r"(.+?)\s+in\s+(\S+)",
+        r"(.+)[\s_.:,;-]+([^\s_]+)",
+        r"(.+?)_(1_per_m)",
+    ):
+        match = re.fullmatch(pattern, name.strip())
+        if match and unit_named(match[2]) is not None:
+            found.append((match[1], match[2]))
+    return found
+
+
+def _kind(base: str, unit: str) -> tuple[str, str]:
+    """Kind of column and axis or number of a name without its unit."""
+    if re.fullmatch(r"\s*T\s*", base) and (not unit or unit_named(unit, "temperature")):
+        return ("temperature", "") if unit else ("T", "")
+    words, numbers = [], []
+    text = base.replace("ß", "ss")
+    for umlaut, plain in (("ä", "ae"), ("ö", "oe"), ("ü", "ue"), ("Ä", "ae"), ("Ö", "oe"), ("Ü", "ue")):
+        text = text.replace(umlaut, plain)
+    text = re.sub(r"([a-z])([A-Z])", r"\1 \2", text)
+    for token in re.findall(r"[A-Za-z]+|\d+", text):
+        if token.isdigit():
+            numbers.append(token)
+        else:
+            words += _segments(token.lower()) or [token.lower()]
+    kinds = [KIND.get(w, "?") for w in words]
+    have = set(kinds) - {"filler"}
+    axes = [w for w, k in zip(words, kinds, strict=True) if k == "axis"]
+    index = numbers[0] if len(numbers) == 1 else ""
+    of_pressure = bool(unit) and unit_named(unit, "pressure") is not None
+    of_voltage = bool(unit) and unit_named(unit, "voltage") is not None
+    if have == {"gravity", "axis"} and len(axes) == 1:
+        return "gravity", axes[0]
+    if len(axes) == 1 and have - {"measured"} in ({"axis"}, {"axis", "tip"}) and not numbers[1:]:
+        return "tip", axes[0]
+    if have == {"axis", "base"} and len(axes) == 1:
+        return "base", axes[0]
+    if have == {"axis", "force"} and len(axes) == 1:
+        return "force", axes[0]
+    if have in ({"pressure", "command"}, {"command"}) or (
+        have == {"command"} and (of_pressure or of_voltage)
+    ):
+        return "command", index
+    if have == {"pressure", "measured"} or (have == {"measured"} and (of_pressure or of_voltage)):
+        return "measured", index
+    if have == {"pressure"}:
+        return "pressure", index
+    for kind, also in ALLOWED.items():
+        if kind in have and have - {kind} <= also:
+            return kind, index if kind == "joint" else ""
+    return "", ""
+
+
+# Kind to the kinds whose words may stand beside it.
+ALLOWED = {
+    "sent": {"time", "command"},
+    "joint": {"angle", "measured"},
+    "angle": {"tip", "measured"},
+    "temperature": {"?", "measured", "tip", "base"},
+    "payload": {"tip"},
+    "trial": set(),
+    "program": {"pressure"},
+    "time": {"measured"},
+    "date": {"time"},
+    "frame": set(),
+}  # fmt: skip
+
+
+def _segments(token: str) -> list[str] | None:
+    """A compound such as `solldruck` or `tipx` as known words; None where it is none."""
+    if token in KIND:
+        return [token]
+    for end in range(len(token) - 1, 0, -1):
+        if token[:end] in KIND and (rest := _segments(token[end:])):
+            joined = [token[:end], *rest]
+            if sum(len(w) for w in joined) > 1 and all(len(w) > 1 or KIND[w] in SHORT for w in joined):
+                return joined
+    return None
+
+
+SHORT = {"axis", "pressure", "gravity", "force", "joint"}  # kinds whose single letters may be in a compound
+
+
+# ---------------------------------------------------------------- what they are
+
+
+def understand(
+    frame: pd.DataFrame,
+    units: dict[str, str],
+    given: dict[str, str],
+    file: str,
+    length_mm: float | None = None,
+    log: bool = False,
+) -> list[Column]:
+    """What each column of a table is.
+
+    Args:
+        frame: the table.
+        units: of columns, from a line of units.
+        given: name to text of `Column.parsed`, which wins over what is recognised.
+        file: its name, for sentences.
+        length_mm: of the finger, where it is known.
+        log: whether the table need not hold the pose, which markers give.
+
+    Raises:
+        InputError: one sentence with all that is open, and the option that answers it.
+    """
+    given = {n: t for n, t in given.items() if n in frame or t not in (n, LEAVE_OUT)}
+    unknown = [n for n in given if n not in frame]
+    if unknown:
+        raise InputError(f"{file} has no column {shown(unknown[0])}; it has {listed(map(shown, frame))}.")
+    columns, named = {n: Column.parsed(n, t) for n, t in given.items()}, {}
+    for name in (n for n in frame if n not in given):
+        own = name.strip().lower() if OWN.fullmatch(name.strip().lower()) else ""
+        unit = unit_named(units[name], dimension_of(own)) if own and name in units else None
+        if own and not re.fullmatch(LABELS, own) and dimension_of(own) and unit is None:
+            unit = unit_named(BASE_UNIT.get(dimension_of(own), ""), dimension_of(own))
+        if own:
+            columns[name] = Column(name, own, unit)
+        else:
+            named[name] = read_name(name, units.get(name, ""))
+    named = _of_time(frame, named, columns)
+    taken = {c.column for c in columns.values()}
+    targets = _targets(named, taken)
+    questions = _doubled(targets, taken, file)
+    for name, target in targets.items():
+        column = Column(name, target, None)
+        if named[name].unit:
+            column = _with_given_unit(column, named[name].unit, file)
+        columns[name] = column
+    found = [columns.get(n) or Column(n, n, retained=True) for n in frame]
+    if not questions:
+        for i, column in enumerate(found):
+            found[i], question = _measured_in(column, frame[column.name], found, frame, length_mm, given)
+            questions += question
+        questions += _absolute(found, frame, given)
+    have = {c.column for c in found}
+    if not questions and not any(re.fullmatch(r"pressure_cmd_(\d+_)?kpa", c) for c in have):
+        gauge = next((c for c in found if re.fullmatch(r"pressure_(\d+_)?kpa", c.column)), None)
+        questions.append(
+            ("no column is the commanded pressure", f"{gauge.name if gauge else 'NAME'}: pressure_cmd_kpa")
+            if gauge is None
+            else (
+                f"{shown(gauge.name)} is a measured pressure and none is the commanded one",
+                "NAME: pressure_cmd_kpa",
+            )
+        )
+    if (
+        not questions
+        and not log
+        and not any(re.match(r"(tip_[xz]|bend_|q_|curvature_|image)", c) for c in have)
+    ):
+        questions.append(("no column says how the finger bent", "NAME: tip_x_mm [mm], NAME: tip_z_mm [mm]"))
+    if questions:
+        raise InputError(_asked(file, questions, frame))
+    return found
+
+
+def _asked(file: str, questions: list[tuple[str, str]], frame: pd.DataFrame) -> str:
+    said = "; ".join(dict.fromkeys(q for q, _ in questions))
+    answer = ", ".join(dict.fromkeys(a for _, a in questions))
+    has = f" It has {listed(map(shown, frame))}." if any("NAME" in a for _, a in questions) else ""
+    return f"{file}: {said}.{has} Say it as `pneutac convert {file} --columns='{answer}'`."
+
+
+def _of_time(frame: pd.DataFrame, named: dict[str, Named], columns: dict[str, Column]) -> dict[str, Named]:
+    """The names, with one clock: `T` beside a time is a temperature; frames and dates count without one."""
+    has_time = any(c.column == "time_s" for c in columns.values())
+    kinds = {n.kind for n in named.values()}
+    for kind in ("time", "T", "date", "frame"):
+        if has_time:
+            break
+        has_time = kind in kinds
+        if has_time and kind != "time":
+            named = {n: replace(v, kind="time") if v.kind == kind else v for n, v in named.items()}
+    return {
+        n: replace(v, kind={"T": "temperature", "date": "", "frame": ""}.get(v.kind, v.kind))
+        for n, v in named.items()
+    }
+
+
+def _targets(named: dict[str, Named], taken: set[str]) -> dict[str, str]:
+    """Name in the table to column of the recording."""
+    kinds = {n.kind for n in named.values()}
+    roles = {"command", "measured"} & kinds
+    roles |= {"command"} if any("pressure_cmd" in t for t in taken) else set()
+    tips = {n for n, v in named.items() if v.kind == "tip"}
+    bare = {n for n in tips if not re.search(r"tip|spitze|marker|tcp|end|pos|koord", n, re.I)}
+    out = {}
+    for name, v in named.items():
+        kind = v.kind
+        if kind == "pressure":
+            kind = "measured" if "command" in roles else "command"
+        if kind == "tip" and name in bare and len(tips - bare) >= 2:
+            continue  # `x` beside `tip x` is something else
+        chamber = f"{v.index}_" if v.index else ""
+        target = {
+            "command": f"pressure_cmd_{chamber}kpa",
+            "measured": f"pressure_{chamber}kpa",
+            "tip": f"tip_{v.index}_mm",
+            "base": f"base_{v.index}_mm",
+            "gravity": f"gravity_{v.index}",
+            "force": f"force_{v.index}_n",
+            "angle": "bend_angle_rad",
+            "joint": f"q_{v.index}_rad" if v.index else "",
+            "temperature": "temperature_c",
+            "payload": "payload_g",
+            "time": "time_s",
+            "sent": "time_sent_s",
+            "trial": "trial",
+            "program": "program",
+        }.get(kind, "")
+        if target and target not in taken:
+            out[name] = target
+    for role in ("cmd_", ""):  # one chamber is no arm
+        numbered = [n for n, t in out.items() if re.fullmatch(rf"pressure_{role}\d+_kpa", t)]
+        if len(numbered) == 1:
+            out[numbered[0]] = f"pressure_{role}kpa"
+    if (
+        not any(t.startswith("gravity") for t in taken)
+        and len([t for t in out.values() if t[:4] == "grav"]) != 3
+    ):
+        out = {n: t for n, t in out.items() if not t.startswith("gravity")}
+    return out
+
+
+def _doubled(targets: dict[str, str], taken: set[str], file: str) -> list[tuple[str, str]]:
+    """A question for each column of the recording that several could be."""
+    questions = []
+    for target in dict.fromkeys(targets.values()):
+        names = [n for n, t in targets.items() if t == target]
+        if len(names) > 1:
+            questions.append(
+                (
+                    f"{' and '.join(map(shown, names))} could each be {target}",
+                    f"{names[0]}: {target}, {names[1]}: -",
+                )
+            )
+    return questions
+
+
+def _with_given_unit(column: Column, text: str, file: str) -> Column:
+    dimension = dimension_of(column.column)
+    if not dimension:
+        return column
+    unit = unit_named(text, dimension)
+    if (
+        unit is None
+        and unit_named(text, "voltage") is None
+        and not (
+            dimension in ("time", "acceleration") and unit_named(text) is not None or text in ("-", "1", "")
+        )
+    ):
+        raise InputError(
+            f"{file}: the unit {shown(text)} of {shown(column.name)} is unknown for {column.column}, which"
+            f" takes {EXAMPLES.get(dimension, 'm/s^2 or none')}; say it as `pneutac convert {file}"
+            f" --columns='{column.name}: {column.column} [UNIT]'`."
+        )
+    if unit is None and unit_named(text, "voltage") is not None:
+        return replace(column, guess="voltage")
+    return replace(column, unit=unit)
+
+
+Question = list[tuple[str, str]]
+
+
+def _measured_in(
+    column: Column, values: pd.Series, found: Sequence[Column], frame: pd.DataFrame, length_mm: float | None,
+    given: dict[str, str],
+) -> tuple[Column, Question]:  # fmt: skip
+    """The column with its unit, by the size of its numbers where that leaves one, else a question."""
+    target, name = column.column, column.name
+    dimension = dimension_of(target)
+    if column.guess == "voltage":
+        return column, [
+            (
+                f"{shown(name)} is no pressure but a signal; give kPa for each of its units",
+                f"{name}: {target} * KPA_PER_UNIT + KPA_AT_ZERO",
+            )
+        ]
+    if column.unit is not None or column.retained or target == LEAVE_OUT or not dimension:
+        return column, []
+    if values.dtype.kind not in "fiu":
+        return column, []  # times of day, or what the rules refuse
+    numbers = values.to_numpy(float)
+    numbers = numbers[np.isfinite(numbers)]
+    top = float(np.abs(numbers).max()) if len(numbers) else 0.0
+
+    def by_size(unit: str) -> tuple[Column, Question]:
+        return replace(column, unit=unit_named(unit, dimension), guess="by size"), []
+
+    def ask(what: str, *units: str) -> tuple[Column, Question]:
+        choice = "|".join(units)
+        return column, [(f"{shown(name)} ({what}) has no unit", f"{name}: {target} [{choice}]")]
+
+    if dimension == "pressure":
+        if column.factor != 1 or name in given:  # stated in full: kPa, as its name says
+            return replace(
+                column, unit=column.unit or (unit_named("kPa") if column.factor == 1 else None)
+            ), []
+        return ask(
+            f"{numbers.min():.4g} to {numbers.max():.4g}" if len(numbers) else "empty", "kPa", "bar", "psi"
+        )
+    if name in given:
+        return replace(column, unit=unit_named(BASE_UNIT.get(dimension, "m/s2"), dimension)), []
+    if dimension == "length":
+        return _length(column, found, frame, length_mm, by_size, ask)
+    if dimension == "angle":
+        return by_size("deg") if top > 7 else ask(f"up to {top:.3g}", "rad", "deg")
+    if dimension == "temperature":
+        middle = float(np.median(numbers)) if len(numbers) else 20.0
+        if 60 <= middle <= 212:
+            return ask(f"{middle:.3g} in the middle", "C", "F")
+        return by_size("K" if 230 <= middle <= 420 else "C")
+    if dimension == "mass":
+        return by_size("g") if top >= 1 or top == 0 else ask(f"up to {top:.3g}", "g", "kg")
+    if dimension == "acceleration":
+        three = frame[[c.name for c in found if c.column.startswith("gravity_")]]
+        norm = float(np.nanmedian(np.linalg.norm(three.to_numpy(float), axis=1)))
+        return by_size("m/s2") if 9 < norm < 10.5 else (column, [])
+    if dimension == "time":
+        return _clock(column, numbers, by_size, ask)
+    return by_size(BASE_UNIT[dimension])
+
+
+def _length(column, found, frame, length_mm, by_size, ask) -> tuple[Column, Question]:
+    """The unit of the tip's coordinates, by how far it is from the base."""
+    kin = [c for c in found if c.column[:4] == column.column[:4] and dimension_of(c.column) == "length"]
+    written = {str(c.unit): c.unit for c in kin if c.unit is not None and not c.guess}
+    if len(written) == 1:  # as its neighbours
+        return replace(column, unit=next(iter(written.values())), guess="as the others"), []
+    tips = [c.name for c in found if re.fullmatch(r"tip_[xyz]_mm", c.column) and c.unit is None]
+    numbers = frame[tips].apply(pd.to_numeric, errors="coerce").to_numpy(float)
+    reach = float(np.nanmax(np.linalg.norm(numbers, axis=1))) if len(numbers) else 0.0
+    if length_mm:
+        fits = {u: reach * unit_named(u, "length").factor / length_mm for u in ("m", "cm", "mm", "in")}
+        good = [u for u, ratio in fits.items() if 0.7 < ratio < 1.4]
+        if len(good) == 1:
+            return by_size(good[0])
+    if 0.01 <= reach < 1:
+        return by_size("m")
+    if reach >= 20:
+        return by_size("mm")
+    return ask(f"{reach:.3g} from the origin", "mm", "cm", "m", "in")
+
+
+def _clock(column, numbers, by_size, ask) -> tuple[Column, Question]:
+    """The unit of a clock, by its stamps and steps."""
+    if re.search(r"frame|bild|sample|index", column.name, re.I):
+        return by_size("frames")
+    if not len(numbers):
+        return by_size("s")
+    for unit, least in (("ns", 1e17), ("us", 1e14), ("ms", 1e11), ("s", 1e8)):
+        if numbers.min() > least:
+            return by_size(unit)  # since 1970
+    steps = np.diff(numbers)
+    step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
+    if step < 1:
+        return by_size("s")
+    return ask(f"in steps of {step:.3g}", "s", "ms")
+
+
+def _absolute(found: list[Column], frame: pd.DataFrame, given: dict[str, str]) -> Question:
+    """Turns absolute pressures into those above the surroundings; asks where one seems to be absolute."""
+    questions: Question = []
+    command = next((c for c in found if re.fullmatch(r"pressure_cmd_(\d+_)?kpa", c.column)), None)
+    for i, column in enumerate(found):
+        if not re.fullmatch(r"pressure_(cmd_)?(\d+_)?kpa", column.column) or column.unit is None:
+            continue
+        values = pd.to_numeric(frame[column.name], errors="coerce")
+        kpa = (values.astype(float) * column.unit.factor * column.factor).to_numpy()
+        seen = np.isfinite(kpa)
+        if not seen.any() or column.shift:
+            continue
+        rest = float(np.min(kpa[seen]))
+        if command is not None and command is not column:
+            driven = pd.to_numeric(frame[command.name], errors="coerce").to_numpy(float)
+            low = seen & (driven <= np.nanquantile(driven, 0.05))
+            rest = float(np.median(kpa[low])) if low.any() else rest
+        near = NEAR_AMBIENT_KPA[0] < rest < NEAR_AMBIENT_KPA[1]
+        if column.unit.against == "abs":
+            ambient = rest if near else AMBIENT_KPA
+            found[i] = replace(
+                column, unit=replace(column.unit, against=""), shift=-round(ambient, 4), guess="absolute"
+            )
+        elif near and column.unit.against != "gauge":
+            unit = column.unit
+            questions.append(
+                (
+                    f"{shown(column.name)} is {rest:.4g} kPa at rest, as the air is: an absolute pressure?",
+                    f"{column.name}: {column.column} [{unit.name} abs|{unit.name} gauge]",
+                )
+            )
+    return questions

@@ -1,0 +1,460 @@
+"""A lab's own tables: the same numbers come back in kPa, mm, s and rad, or one sentence says what is open."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.io import savemat
+
+from pneutac_datasets.recording.recording import Recording
+from pneutac_datasets.recording.sources import plain
+from pneutac_datasets.recording.sources.columns import parse_columns, read_name
+from pneutac_datasets.recording.sources.plain import Given
+from pneutac_datasets.recording.text_table import read_text
+from pneutac_sim.errors import InputError
+
+LENGTH = 73.0
+
+
+def truth(runs=3, seconds=12.0, hz=10.0):
+    """A finger that follows its pressure, by a recording's names."""
+    rows = []
+    for run in range(runs):
+        t = np.arange(0, seconds, 1 / hz)
+        p = np.round(24 + 24 * np.sin(0.9 * t + run - np.pi / 2), 2)
+        p[:5] = 0.0
+        bend = 0.02 + 0.02 * p
+        rows.append(
+            pd.DataFrame(
+                {
+                    "trial": run,
+                    "time_s": np.round(t, 3),
+                    "pressure_cmd_kpa": p,
+                    "pressure_kpa": np.round(p + 0.3, 2),
+                    "tip_x_mm": np.round(LENGTH * np.sin(bend) / bend, 3),
+                    "tip_y_mm": np.round(0.1 * np.cos(t), 3),
+                    "tip_z_mm": np.round(LENGTH * (1 - np.cos(bend)) / bend, 3),
+                    "bend_angle_rad": np.round(bend, 5),
+                    "temperature_c": 21.5 + run,
+                    "payload_g": 2.7 * (run == 1),
+                }
+            )
+        )
+    return pd.concat(rows, ignore_index=True)
+
+
+TRUTH = truth()
+SCALE = {"bar": 100, "mbar": 0.1, "hPa": 0.1, "psi": 6.894757, "Pa": 1e-3, "MPa": 1000, "kPa": 1}
+SCALE |= {"m": 1000, "cm": 10, "mm": 1, "in": 25.4, "deg": np.pi / 180, "°": np.pi / 180, "rad": 1}
+SCALE |= {"s": 1, "ms": 1e-3, "min": 60, "g": 1, "kg": 1000}
+
+
+def lab(names, units, pattern="{} [{}]"):
+    """The truth by a lab's names and units; a unit of None is not written."""
+    table = {}
+    for column, name in names.items():
+        unit = units.get(column)
+        values = TRUTH[column]
+        if unit == "K":
+            values = values + 273.15
+        elif unit == "°F":
+            values = values * 9 / 5 + 32
+        elif unit is not None and unit != "°C":
+            values = values / SCALE[unit]
+        table[pattern.format(name, unit) if unit is not None and pattern else name] = values
+    return pd.DataFrame(table)
+
+
+def understood(file, **given):
+    return plain.understand_files([file], Given(**given))
+
+
+def same(recording, columns, atol=2e-6):
+    for c in columns:
+        np.testing.assert_allclose(recording.column(c), TRUTH[c], atol=atol, rtol=1e-6, err_msg=c)
+
+
+GERMAN = {
+    "trial": "Lauf",
+    "time_s": "Zeit",
+    "pressure_cmd_kpa": "p_soll",
+    "pressure_kpa": "p_ist",
+    "tip_x_mm": "Spitze x",
+    "tip_y_mm": "Spitze y",
+    "tip_z_mm": "Spitze z",
+    "bend_angle_rad": "Winkel",
+    "temperature_c": "Temperatur",
+    "payload_g": "Gewicht",
+}
+ENGLISH = {
+    "trial": "Run",
+    "time_s": "Time",
+    "pressure_cmd_kpa": "Pressure setpoint",
+    "pressure_kpa": "Measured pressure",
+    "tip_x_mm": "Tip X",
+    "tip_y_mm": "Tip Y",
+    "tip_z_mm": "Tip Z",
+    "bend_angle_rad": "Bending angle",
+    "temperature_c": "Temp",
+    "payload_g": "Payload",
+}
+SHORT = {
+    "trial": "run_id", "time_s": "t", "pressure_cmd_kpa": "p_cmd", "pressure_kpa": "p", "tip_x_mm": "x",
+    "tip_y_mm": "y", "tip_z_mm": "z", "bend_angle_rad": "theta", "temperature_c": "T", "payload_g": "load",
+}  # fmt: skip
+COMPOUND = {
+    "trial": "Versuch Nr.",
+    "time_s": "Zeitstempel",
+    "pressure_cmd_kpa": "Solldruck",
+    "pressure_kpa": "Istdruck",
+    "tip_x_mm": "xTip",
+    "tip_y_mm": "yTip",
+    "tip_z_mm": "zTip",
+    "bend_angle_rad": "Biegewinkel",
+    "temperature_c": "Temperatur Ofen",
+    "payload_g": "Zusatzmasse",
+}
+UNITS = [
+    ("bar", "m", "deg", "s", "g", "°C"),
+    ("mbar", "cm", "°", "ms", "kg", "K"),
+    ("psi", "in", "rad", "min", "g", "°F"),
+    ("Pa", "mm", "deg", "s", "g", "°C"),
+    ("MPa", "m", "rad", "ms", "kg", "°C"),
+    ("hPa", "mm", "deg", "s", "g", "K"),
+]
+COLUMNS = ("pressure_cmd_kpa", "tip_x_mm", "bend_angle_rad", "time_s", "payload_g", "temperature_c")
+
+
+def units_of(choice):
+    units = dict(zip(COLUMNS, choice, strict=True))
+    units |= {"pressure_kpa": units["pressure_cmd_kpa"]}
+    return units | dict.fromkeys(("tip_y_mm", "tip_z_mm"), units["tip_x_mm"])
+
+
+@pytest.mark.parametrize("choice", UNITS)
+@pytest.mark.parametrize(
+    "names", [GERMAN, ENGLISH, SHORT, COMPOUND], ids=["german", "english", "short", "compound"]
+)
+def test_units_in_brackets_come_back_as_the_recordings(tmp_path, names, choice):
+    lab(names, units_of(choice)).to_csv(tmp_path / "lab.csv", index=False)
+    found = understood(tmp_path / "lab.csv")
+    assert found.faults == [] and found.length_mm == LENGTH
+    same(found.recording, TRUTH)
+
+
+@pytest.mark.parametrize("pattern", ["{} [{}]", "{} ({})", "{}_{}", "{} / {}", "{} in {}", "{}, {}"])
+def test_units_stand_behind_the_name_in_many_ways(tmp_path, pattern):
+    units = units_of(("mbar", "cm", "deg", "ms", "kg", "K"))
+    lab(GERMAN, units, pattern).to_csv(tmp_path / "lab.csv", index=False, sep=";")
+    same(understood(tmp_path / "lab.csv").recording, TRUTH)
+
+
+@pytest.mark.parametrize(("sep", "decimal"), list(itertools.product([",", ";", "\t", "|"], [".", ","])))
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp1252", "utf-16"])
+@pytest.mark.parametrize("head", ["", "sep=", "# a comment\n\n", "Messung vom 3. Mai\nBediener: Müller\n\n"])
+def test_delimiters_decimal_marks_encodings_and_preambles(tmp_path, sep, decimal, encoding, head):
+    table = lab(GERMAN, units_of(UNITS[0]))
+    quoting = 1 if sep == decimal else 0
+    if quoting:
+        table = table.map(lambda v: str(v).replace(".", ","))
+    text = table.to_csv(index=False, sep=sep, decimal=decimal if not quoting else ".", quoting=quoting)
+    head = f"sep={sep}\n" if head == "sep=" else head
+    (tmp_path / "lab.csv").write_bytes((head + text).encode(encoding))
+    found = understood(tmp_path / "lab.csv")
+    assert found.faults == []
+    same(found.recording, TRUTH)
+
+
+@pytest.mark.parametrize("brackets", ["{}", "[{}]", "({})"])
+def test_a_line_of_units_below_the_header(tmp_path, brackets):
+    units = units_of(UNITS[0])
+    table = lab(GERMAN, units, None)
+    line = ";".join(brackets.format(units[c]) if c in units else "" for c in GERMAN)
+    rows = table.to_csv(index=False, sep=";", decimal=",").split("\n", 1)
+    (tmp_path / "lab.csv").write_text(f"{rows[0]}\n{line}\n{rows[1]}", encoding="utf-8")
+    same(understood(tmp_path / "lab.csv").recording, TRUTH)
+
+
+def test_blanks_between_columns_units_in_cells_and_thousands(tmp_path):
+    table = lab(SHORT, units_of(UNITS[3]))  # pascal
+    (tmp_path / "lab.txt").write_text(table.to_string(index=False))
+    same(understood(tmp_path / "lab.txt").recording, TRUTH)
+    cells = table.rename(columns={"p_cmd [Pa]": "p_cmd"})
+    cells["p_cmd"] = [f"{v:,.1f} Pa" for v in table["p_cmd [Pa]"]]
+    cells.to_csv(tmp_path / "cells.csv", index=False)
+    same(understood(tmp_path / "cells.csv").recording, TRUTH)
+    cells["p_cmd"] = [f"{v:,.2f}".translate(str.maketrans(".,", ",.")) for v in table["p_cmd [Pa]"]]
+    cells.rename(columns={"p_cmd": "p_cmd [Pa]"}).to_csv(
+        tmp_path / "g.csv", sep=";", decimal=",", index=False
+    )
+    same(understood(tmp_path / "g.csv").recording, TRUTH)
+
+
+CLOCKS = {
+    "epoch": lambda t: 1.7e9 + t,
+    "epoch in ms": lambda t: np.round(1.7e12 + 1000 * t).astype("int64"),
+    "epoch in ns": lambda t: np.round(1e9 * t).astype("int64") + 1_700_000_000_000_000_000,
+    "iso": lambda t: (pd.Timestamp("2026-03-01T12:00:00") + pd.to_timedelta(t, "s")).map(
+        lambda v: v.isoformat()
+    ),
+    "german": lambda t: (pd.Timestamp("2026-03-01 12:00:00") + pd.to_timedelta(t, "s")).map(
+        lambda v: f"{v:%d.%m.%Y %H:%M:%S},{v.microsecond // 1000:03d}"
+    ),
+    "of the day": lambda t: (pd.Timestamp("2026-03-01 23:59:55") + pd.to_timedelta(t, "s")).map(
+        lambda v: f"{v:%H:%M:%S}.{v.microsecond // 1000:03d}"
+    ),
+}
+
+
+@pytest.mark.parametrize("clock", CLOCKS)
+def test_clocks_begin_with_zero(tmp_path, clock):
+    one = TRUTH[TRUTH.trial == 0]
+    table = one.drop(columns="time_s").assign(timestamp=pd.Series(CLOCKS[clock](one.time_s.to_numpy())))
+    table.to_csv(tmp_path / "lab.csv", index=False, sep=";")
+    found = understood(tmp_path / "lab.csv")
+    np.testing.assert_allclose(found.recording.column("time_s"), one.time_s, atol=1e-6)
+    assert found.recording.meta.get("date", "") in ("2026-03-01", "2023-11-14", "")
+
+
+def test_frames_and_rows_need_a_rate(tmp_path):
+    one = TRUTH[TRUTH.trial == 0].drop(columns="time_s")
+    one.assign(Frame=np.arange(len(one)) + 100).to_csv(tmp_path / "lab.csv", index=False)
+    with pytest.raises(InputError, match="'Frame' counts frames; give their number a second by --rate_hz"):
+        understood(tmp_path / "lab.csv")
+    found = understood(tmp_path / "lab.csv", rate_hz=10.0)
+    np.testing.assert_allclose(found.recording.column("time_s"), TRUTH[TRUTH.trial == 0].time_s, atol=1e-9)
+    one.to_csv(tmp_path / "lab.csv", index=False)
+    with pytest.raises(InputError, match="no column is a time; .* --rate_hz"):
+        understood(tmp_path / "lab.csv")
+    assert understood(tmp_path / "lab.csv", rate_hz=10.0).recording.column("time_s")[-1] == pytest.approx(
+        11.9
+    )
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e2, 1e4, 2e5, 1.7e9])
+def test_times_are_written_to_a_microsecond_and_blocks_do_not_depend_on_their_zero(tmp_path, offset):
+    table = TRUTH.assign(time_s=TRUTH.time_s + np.where(TRUTH.index % 3, 0.0123456, 0.0) + offset)
+    Recording(tmp_path, {"length_mm": LENGTH}, table, "finger").write(tmp_path / "r")
+    read = Recording.load(tmp_path / "r")
+    np.testing.assert_allclose(read.column("time_s"), table.time_s, atol=1e-6, rtol=0)
+    plainly = Recording(tmp_path, {}, TRUTH, "finger").blocks()
+    late = Recording(tmp_path, {}, TRUTH.assign(time_s=TRUTH.time_s + offset), "finger").blocks()
+    np.testing.assert_array_equal(plainly, late)
+
+
+def renamed(name, column, factor=1.0, plus=0.0):
+    """The truth with a column by another name and in another unit."""
+    return lambda t: t.drop(columns=column).assign(**{name: t[column] * factor + plus})
+
+
+P = "pressure_cmd_kpa"
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (renamed("p", P), r"'p' \(0 to 48\) has no unit.*'p: pressure_cmd_kpa"),
+        (renamed("p_soll", P, 0.01), r"'p_soll' \(0 to 0.48\) has no unit"),
+        (
+            renamed("p soll [kPa]", P, 1, 101.3),
+            r"is 101.3 kPa at rest, as the air is: an absolute pressure\?.*\[kpa abs\|kpa gauge\]",
+        ),
+        (
+            renamed("p soll [V]", P, 0.05),
+            r"'p soll \[V\]' is no pressure but a signal.*pressure_cmd_kpa \* KPA_PER_UNIT",
+        ),
+        (renamed("Temp", "temperature_c", 1, 50), r"'Temp' \(72.5 in the middle\) .*\[C\|F\]"),
+        (renamed("Masse", "payload_g", 1e-3), r"'Masse' \(up to 0.0027\) has no unit.*\[g\|kg\]"),
+        (renamed("t", "time_s", 1000), r"'t' \(in steps of 100\) has no unit.*time_s \[s\|ms\]"),
+        (
+            lambda t: renamed("x", "tip_x_mm", 0.1)(
+                renamed("z", "tip_z_mm", 0.1)(t.drop(columns="tip_y_mm"))
+            ),
+            r"'x' \(7.* from the origin\) has no unit.*\[mm\|cm\|m\|in\]",
+        ),
+        (renamed("p soll [foo]", P), "the unit 'foo' of 'p soll .*unknown"),
+        (renamed("p_ist [kPa]", P), "'p_ist .*is a measured pressure and none is the commanded one"),
+        (lambda t: t.drop(columns=["tip_x_mm", "tip_z_mm"]), "no column says how the finger bent"),
+        (
+            lambda t: t.drop(columns="temperature_c").assign(**{"Temp A": 20.0, "Temp B": 21.0}),
+            "'Temp A' and 'Temp B' could each be temperature_c",
+        ),
+    ],
+)
+def test_what_is_open_is_asked_in_one_sentence(tmp_path, change, says):
+    change(TRUTH.drop(columns=["bend_angle_rad", "pressure_kpa"])).to_csv(tmp_path / "lab.csv", index=False)
+    with pytest.raises(InputError, match=says) as e:
+        understood(tmp_path / "lab.csv")
+    assert "\n" not in str(e.value) and "lab.csv" in str(e.value)
+
+
+def test_answers_are_taken_and_repeated_by_the_mapping(tmp_path):
+    table = TRUTH.drop(columns=[P, "pressure_kpa", "temperature_c", "bend_angle_rad"])
+    table = table.assign(u=TRUTH[P] / 20 + 0.5, p_ist=TRUTH.pressure_kpa + 98.0, flow=1.5)
+    table["T"] = TRUTH.temperature_c * 9 / 5 + 32
+    table.to_csv(tmp_path / "lab.csv", index=False)
+    text = "{u: pressure_cmd_kpa * 20 - 10, p_ist: pressure_kpa [kPa abs], 'T': temperature_c [F]}"
+    found = understood(tmp_path / "lab.csv", columns=parse_columns(text))
+    kept = ["pressure_cmd_kpa", "tip_x_mm", "temperature_c", "payload_g"]
+    same(found.recording, kept)
+    assert np.abs(found.recording.column("pressure_kpa")[:5]).max() < 1e-9  # less what it reads at rest
+    assert found.recording.column("flow")[0] == 1.5
+    written = plain.write(found, tmp_path / "lab.recording")
+    assert plain.is_current(tmp_path / "lab.recording", [tmp_path / "lab.csv"])
+    again = plain.understand_files(
+        [tmp_path / "lab.csv"], Given.load(tmp_path / "lab.recording" / "mapping.yaml")
+    )
+    pd.testing.assert_frame_equal(again.recording.samples, found.recording.samples)
+    same(written, kept, atol=1e-4)
+    table.iloc[:-1].to_csv(tmp_path / "lab.csv", index=False)
+    assert not plain.is_current(tmp_path / "lab.recording", [tmp_path / "lab.csv"])
+
+
+def test_columns_are_given_in_any_quotes():
+    want = {"p [bar]": "pressure_cmd_kpa", "x, tip": "tip_x_mm [m]", "a:b": "-"}
+    assert parse_columns("""{"p [bar]": pressure_cmd_kpa, 'x, tip': tip_x_mm [m], a:b: -}""") == want
+    assert parse_columns("p [bar]: pressure_cmd_kpa") == {"p [bar]": "pressure_cmd_kpa"}
+    with pytest.raises(InputError, match="names no column of the recording"):
+        parse_columns("p [bar]")
+
+
+def test_several_files_are_trials_in_the_order_of_their_numbers(tmp_path):
+    for run, rows in TRUTH.groupby("trial"):
+        rows.drop(columns="trial").to_csv(tmp_path / f"run_{9 + run}.csv", index=False)
+    files = plain.table_files(tmp_path / "run_*.csv")
+    assert [f.name for f in files] == ["run_9.csv", "run_10.csv", "run_11.csv"]
+    found = plain.understand_files(files, Given())
+    same(found.recording, TRUTH)
+    assert list(found.recording.samples["run"].unique()) == ["run_9", "run_10", "run_11"]
+    assert plain.folder_of(files).name == "run_9_to_run_11.recording"
+    assert plain.table_files(f"{files[1]},{files[0]}") == files[:2]
+    loaded = pd.read_csv(files[0])
+    loaded.drop(columns="payload_g").to_csv(files[0], index=False)
+    found = plain.understand_files(files, Given())
+    same(found.recording, ["payload_g"])
+    assert any("has no 'payload_g': 0 there" in n for n in found.notes)
+    loaded.drop(columns="tip_y_mm").to_csv(files[0], index=False)
+    with pytest.raises(InputError, match="run_9.csv has no column 'tip_y_mm', which .*run_10.csv has"):
+        plain.understand_files(files, Given())
+
+
+def test_the_trackers_frame_is_turned_into_the_bases(tmp_path):
+    tip = TRUTH[["tip_x_mm", "tip_y_mm", "tip_z_mm"]].to_numpy()
+    # In the lab the finger hangs along -z and bends towards x.
+    lab_mm = np.stack([tip[:, 2], tip[:, 1], -tip[:, 0]], 1) + [310.0, -40.0, 880.0]
+    table = TRUTH.assign(
+        **dict(zip(("x [mm]", "y [mm]", "z [mm]"), lab_mm.T, strict=True)), gx=0.0, gy=0.0, gz=-1.0
+    )
+    table = table.drop(columns=["tip_x_mm", "tip_y_mm", "tip_z_mm"])
+    table.to_csv(tmp_path / "lab.csv", index=False)
+    with pytest.raises(InputError, match=r"at rest the tip is at \(3.*\) mm, not along x .*--base=X,Y,Z"):
+        understood(tmp_path / "lab.csv")
+    found = understood(tmp_path / "lab.csv", base_mm=(310.0, -40.0, 880.0), base_x="-z", base_z="x")
+    same(found.recording, TRUTH)
+    assert (found.recording.column("gravity_x") == 1.0).all()  # it hangs
+    assert found.length_mm == LENGTH
+    flipped = TRUTH.assign(tip_z_mm=-TRUTH.tip_z_mm)
+    flipped.to_csv(tmp_path / "lab.csv", index=False)
+    assert any("convert with --base_z=-z" in n for n in understood(tmp_path / "lab.csv").notes)
+
+
+def test_what_is_not_recognised_is_retained_and_what_is_empty_said(tmp_path):
+    table = TRUTH.assign(flow_lpm=np.arange(len(TRUTH)) % 7, Bemerkung="ok", leer=np.nan, Ofen=20.5)
+    table.loc[5:8, "tip_z_mm"] = np.nan
+    table.loc[20:30, "temperature_c"] = np.nan
+    table.rename(columns={"Ofen": "Ofen [°C]", "temperature_c": "Tx"}).to_csv(
+        tmp_path / "lab.csv", index=False
+    )
+    found = understood(tmp_path / "lab.csv")
+    assert set(found.recording.samples) >= {"flow_lpm", "Bemerkung", "Tx", "temperature_c"}
+    assert len(found.recording) == len(TRUTH) - 4
+    notes = " ".join(found.notes)
+    assert "4 rows without" in notes and "'leer' is empty" in notes and "'Tx' is empty in 11 rows" in notes
+
+
+def test_faults_name_the_table_its_line_and_its_column(tmp_path):
+    table = lab(GERMAN, units_of(UNITS[0])).astype(object)
+    table.loc[7, "p_soll [bar]"] = "hoch"
+    text = "Messung 1\n\n" + table.to_csv(index=False, sep=";")
+    (tmp_path / "lab.csv").write_text(text, encoding="utf-8")
+    (fault,) = understood(tmp_path / "lab.csv").faults
+    assert "lab.csv: column 'p_soll [bar]', row 8 (line 11 of the file) is 'hoch'" in fault
+    assert "samples.csv" not in fault
+
+
+def test_headers_say_what_they_are():
+    kinds = {
+        "Druck (soll) [bar]": "command", "p_soll": "command", "pSoll": "command", "SetPressure": "command",
+        "pressure_command": "command", "Istdruck": "measured", "p_meas_kPa": "measured",
+        "Sensor [mbar]": "measured",
+        "Druck Tank [bar]": "", "Tip.X": "tip", "Fingerspitze_z": "tip", "pos_y": "tip", "gx": "gravity",
+        "Schwerkraft z": "gravity", "Fx [N]": "force", "T [°C]": "temperature", "Raumtemperatur": "",
+        "T_C": "temperature", "Gewicht [g]": "payload", "t_ms": "time", "Zeit / s": "time", "Run #": "trial",
+        "Winkel [°]": "angle", "acc_x": "", "Base x": "base", "Kommentar": "",
+    }  # fmt: skip
+    assert {name: read_name(name).kind for name in kinds} == kinds
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        ("0,0,1\n0.1,0,2\n0.2,0,3\n", "line 1 holds numbers where the names of the columns should be"),
+        (
+            "t,p\n0,5,1,5\n0,6,1,5\n0,7,1,5\n",
+            "2 names in its header and 4 fields in its rows: decimal commas",
+        ),
+        (
+            "version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n",
+            "Git LFS pointer.*git lfs pull",
+        ),
+        ("PK\x03\x04xx", "a spreadsheet or an archive and no text; save the table as 'CSV UTF-8'"),
+        ("t;p\n0;1\n1;2\n2;3\nt;p\n0;1\n1;2\n", "line 5 repeats the header"),
+        ("t;p\n0;1,5\n1;2.5\n", "has decimal points and decimal commas"),
+        ("t,p\n0,1\n1,2,3\n2,3\n", "line 3 .*more fields"),
+        ("", "holds no table"),
+        ("t,p\n0,1\n1,0.003E37007874015749\n", "a number beyond all limits"),
+        ("t,,p\n0,1,2\n1,2,3\n", "column 2 has no name in the header but is filled in line 2"),
+    ],
+)
+def test_what_is_no_table_is_told_in_one_sentence(tmp_path, content, says):
+    (tmp_path / "lab.csv").write_text(content)
+    with pytest.raises(InputError, match=says):
+        read_text(tmp_path / "lab.csv")
+
+
+def test_lines_below_the_table_are_left_out(tmp_path):
+    (tmp_path / "lab.csv").write_text("t;p\n0;1\n1;2\n\n;;\nEnd of log;\n;;\n")
+    table = read_text(tmp_path / "lab.csv")
+    assert len(table.frame) == 2 and table.frame.dtypes.iloc[0].kind in "fi"
+    assert "line 6 (End of log)" in table.notes[0]
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_spoilt_bytes_end_in_a_recording_or_one_sentence(tmp_path, seed):
+    rng = np.random.default_rng(seed)
+    small = TRUTH[:60]
+    if seed % 3:
+        names = lab(GERMAN, units_of(UNITS[seed % 6]))[:60]
+        data = bytearray(names.to_csv(index=False, sep=";,\t"[seed % 3], decimal=",."[seed % 2]).encode())
+        file = tmp_path / "lab.csv"
+    else:
+        savemat(tmp_path / "lab.mat", {c: small[c].to_numpy() for c in small}, do_compression=bool(seed % 2))
+        data, file = bytearray((tmp_path / "lab.mat").read_bytes()), tmp_path / "lab.mat"
+    for _ in range(25):
+        spoilt = bytearray(data)
+        for at in rng.integers(0, len(spoilt), rng.integers(1, 6)):
+            spoilt[at] = rng.integers(0, 256)
+        if rng.random() < 0.5:
+            spoilt = spoilt[: rng.integers(0, len(spoilt))]
+        if rng.random() < 0.2:
+            a, b = np.sort(rng.integers(0, len(spoilt) + 1, 2))
+            spoilt = spoilt[:a] + spoilt[b:]
+        file.write_bytes(bytes(spoilt))
+        try:
+            found = understood(file)
+            if not found.faults:
+                assert len(plain.write(replace(found), tmp_path / "out.recording"))
+        except InputError as e:
+            assert "\n" not in str(e)
