@@ -1,4 +1,11 @@
-"""Colours of the pages and of the studio, told apart by the colour-blind."""
+"""Colours of all pages and of the studio, one for each meaning, distinct for the colour-blind."""
 
-MEASURED, MODEL, TRAIN, HELDOUT, FLOOR = "#1b2430", "#d1495b", "#9bb1c4", "#0b6e99", "#e0a100"
-CHAMBERS = (HELDOUT, FLOOR, MODEL)  # of one chamber the first
+MEASURED = "#1b2430"
+MODEL = BEFORE = "#d1495b"  # the twin as it is
+KNOWN = "#8a6fb3"  # with known causes
+AFTER = "#0b6e99"  # with all that was found
+TRAIN, HELDOUT = "#9bb1c4", "#2a9d8f"
+FLOOR = "#e0a100"  # the noise
+COMMAND = OTHER = "#9aa5b1"
+SHADE = "rgba(155, 177, 196, 0.35)"  # behind the worst passages
+CHAMBERS = (AFTER, FLOOR, MODEL)  # of one chamber the first

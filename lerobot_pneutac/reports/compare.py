@@ -4,13 +4,14 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from lerobot_pneutac.reports.colours import FLOOR, HELDOUT, MEASURED, MODEL, TRAIN
+from lerobot_pneutac.reports.colours import CHAMBERS, COMMAND, FLOOR, HELDOUT, MEASURED, MODEL, SHADE, TRAIN
 from lerobot_pneutac.reports.compare_sentence import inside_band
 from lerobot_pneutac.reports.page import Report
+from lerobot_pneutac.reports.session import name_runs, session_clock
 from pneutac_datasets.recording.axes import numbers, unit_of
 from pneutac_sim.finger.quantities import root_mean
 
-BAND = "rgba(11, 110, 153, 0.3)"
+BAND = "rgba(42, 157, 143, 0.3)"  # of held-out samples
 POINTS = 1500  # a line: more cannot be seen on a screen
 GAP = np.array([np.nan])  # between the parts of a line
 EACH, ALL = 60, 30_000  # of a trial at least, but where the least of all trials together is more than that
@@ -21,14 +22,13 @@ def comparison_page(c) -> Report:
     report = Report(c.title)
     report.lead(c.sentence)
     unit = c.unit
+    fitted = c.train_samples.any()
+    parts = (("held out", "heldout"), ("training", "train")) if fitted else ()
     report.table(
-        [
-            {"part": part, f"error, {unit}": c.error[key]}
-            for part, key in (("held out", "heldout"), ("train", "train"), ("all", "all"))
-        ]
-        + [{"part": "noise floor", f"error, {unit}": c.noise.value if c.noise.value else "unknown"}],
-        f"Root mean square distance, simulated {c.simulated}. Noise floor: {c.noise.how}. The held-out part "
-        "is made of whole blocks of time."
+        [{"part": part, f"error, {unit}": c.error[key]} for part, key in (*parts, ("all rows", "all"))]
+        + [{"part": "noise", f"error, {unit}": c.noise.value if c.noise.value else "unknown"}],
+        f"Root mean square distance, simulated {c.simulated}. Noise: {c.noise.how}."
+        + (" The held-out part is made of whole blocks of time." if fitted else "")
         + (f" Inside the 95 % band: {inside_band(c)}." if c.coverage is not None else ""),
     )
     if c.out_of_range is not None:
@@ -40,7 +40,7 @@ def comparison_page(c) -> Report:
         report.text("\n\n".join(c.findings))
     report.heading("Over time")
     caption = "Measured and modelled; the worst passages are shaded."
-    caption += " In blue the 95 % band of the held-out part." if c.coverage is not None else ""
+    caption += " In green the 95 % band of the held-out part." if c.coverage is not None else ""
     report.figure(over_time(c), caption, 130 + 150 * c.counted)
     if c.coverage is not None:
         caption = f"Measured minus modelled. Inside the band lie {inside_band(c)}."
@@ -83,17 +83,6 @@ def _line(parts: list[np.ndarray], digits: int) -> np.ndarray:
     return np.concatenate(parts or [GAP]).round(digits)
 
 
-def _session_time(c) -> tuple[np.ndarray, dict[int, float]]:
-    """Time with the trials laid end to end (n,), and where each trial starts."""
-    t, at, shift = np.zeros(len(c.recording)), 0.0, {}
-    for trial, rows in c.recording.trials().items():
-        own = c.recording.column("time_s")[rows]
-        t[rows] = own - own[0] + at
-        shift[trial] = at - own[0]
-        at = t[rows][-1] + 1.0
-    return t, shift
-
-
 def _heldout(c) -> list[np.ndarray]:
     """Row numbers of each stretch of held-out samples."""
     out = []
@@ -123,7 +112,7 @@ def _add_band(figure: go.Figure, c, i: int, t: np.ndarray, centre: np.ndarray) -
 def in_band(c) -> go.Figure:
     """What is left of each counted column over the held-out part, in its band."""
     figure = make_subplots(c.counted, 1, shared_xaxes=True, vertical_spacing=0.04)
-    t, _ = _session_time(c)
+    t, _ = session_clock(c.recording)
     for i, name in enumerate(c.columns[: c.counted]):
         left = c.measured[:, i] - c.model[:, i]
         x, y = [], []
@@ -139,7 +128,7 @@ def in_band(c) -> go.Figure:
         )  # fmt: skip
         _add_band(figure, c, i, t, np.zeros(len(t)))
         figure.update_yaxes(title_text=_title(name), row=i + 1, col=1)
-    return figure.update_xaxes(title_text="session, s", row=c.counted, col=1)
+    return name_runs(figure, c.recording, row=c.counted)
 
 
 def over_time(c) -> go.Figure:
@@ -148,7 +137,7 @@ def over_time(c) -> go.Figure:
         c.counted + 1, 1, shared_xaxes=True, vertical_spacing=0.03,
         row_heights=[1.0] * c.counted + [0.6],
     )  # fmt: skip
-    t, shift = _session_time(c)
+    t, shift = session_clock(c.recording)
     trials = c.recording.trials().values()
     for i in range(c.counted if c.band is not None else 0):
         _add_band(figure, c, i, t, c.model[:, i])
@@ -174,14 +163,13 @@ def over_time(c) -> go.Figure:
         index = _thin(np.arange(len(t)), command[:, k])
         figure.add_scatter(
             x=t[index].round(3), y=command[index, k].round(3), name=name, mode="lines",
-            line={"width": 1}, row=c.counted + 1, col=1,
+            line={"width": 1, "color": ((COMMAND, *CHAMBERS) * 3)[k]}, row=c.counted + 1, col=1,
         )  # fmt: skip
     figure.update_yaxes(title_text="kPa", row=c.counted + 1, col=1)
     for p in c.worst:
         a, b = p["from_s"] + shift[p["trial"]], p["to_s"] + shift[p["trial"]]
-        figure.add_vrect(x0=a, x1=b, fillcolor=FLOOR, opacity=0.3, line_width=0)
-    figure.update_xaxes(title_text="session, s", row=c.counted + 1, col=1)
-    return figure
+        figure.add_vrect(x0=a, x1=b, fillcolor=SHADE, line_width=0, layer="below")
+    return name_runs(figure, c.recording, row=c.counted + 1)
 
 
 def _main_column(c) -> int:
@@ -269,7 +257,7 @@ def residuals(c) -> go.Figure:
     some = np.sort(rng.choice(len(c.measured), min(3000, len(c.measured)), replace=False))
     y = (c.measured - c.model)[some, i]
     choices = [(a.name, a.value) for a in c.axes if a.value is not None and np.ptp(a.value) > 0]
-    choices.append(("session time, s", _session_time(c)[0]))
+    choices.append(("session time, s", session_clock(c.recording)[0]))
     colours = np.where(c.train_samples[some], TRAIN, HELDOUT).tolist()
     figure = go.Figure()
     for k, (_, value) in enumerate(choices):

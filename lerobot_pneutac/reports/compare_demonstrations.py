@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+from lerobot_pneutac.reports.colours import COMMAND, MEASURED, MODEL, OTHER
 from lerobot_pneutac.reports.page import Report
 from pneutac_sim.features import AREA, CONTROL_HZ, PRESSURE
 
@@ -70,12 +71,12 @@ def _curves(c: "DemonstrationComparison", number: int):
     ends = c.study.fitter.ends
     off = np.linalg.norm(c.residual[ends[number] : ends[number + 1], :3], axis=1)
     lines = (
-        (1, "commanded", t, e.action[:, 3], "#c9a227"),
-        (1, "recorded", t, e.state[:, PRESSURE], "#333333"),
-        (1, "replayed", t, r.pressure_kpa, "#0b6e99"),
-        (2, "recorded", t, 100 * e.state[:, AREA], "#333333"),
-        (2, "replayed", t, 100 * r.area, "#0b6e99"),
-        (3, "arm off its commands", t, off, "#b5473c"),
+        (1, "commanded", t, e.action[:, 3], COMMAND),
+        (1, "recorded", t, e.state[:, PRESSURE], MEASURED),
+        (1, "replayed", t, r.pressure_kpa, MODEL),
+        (2, "recorded", t, 100 * e.state[:, AREA], MEASURED),
+        (2, "replayed", t, 100 * r.area, MODEL),
+        (3, "arm off its commands", t, off, OTHER),
     )
     for row, name, x, y, colour in lines:
         figure.add_scatter(x=x, y=y, name=name, line_color=colour, showlegend=row != 2, row=row, col=1)

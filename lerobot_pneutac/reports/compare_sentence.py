@@ -5,6 +5,7 @@
 
 import numpy as np
 
+from lerobot_pneutac.diagnosis.verdict import LITTLE
 from pneutac_datasets.recording.axes import Axis
 from pneutac_datasets.recording.wording import plural
 from pneutac_sim.finger.quantities import root_mean
@@ -16,7 +17,7 @@ def sentence(c) -> str:
     """What a newcomer should take away."""
     squared = c.squared
     heldout, where = squared[~c.train_samples], " where it was not fitted"
-    if not len(heldout):
+    if not len(heldout) or len(heldout) == len(squared):
         heldout, where = squared, ""
     error = root_mean(heldout)
     what = {"mm": "tip", "rad": "bend", "1/m": "curvature"}.get(c.unit, "device")
@@ -30,19 +31,21 @@ def sentence(c) -> str:
         )
     if c.noise.value:
         times = error / c.noise.value
-        if times < 1.1:
-            return f"{text}: no more than the noise of the measurement ({c.noise.value:.2g} {c.unit})."
+        if times <= LITTLE:
+            return f"{text}: at the noise ({c.noise.value:.2g} {c.unit})."
         text += f", {times:.3g} times the noise of the measurement ({c.noise.value:.2g} {c.unit})"
     if len(squared) < FEW_ROWS:
-        return f"{text}; {plural(len(squared), 'row')} cannot tell where it is worst, so record longer."
+        return f"{text}; {plural(len(squared), 'row')} are too few to show where it is worst; record longer."
     peak = _peak(c)
     return f"{text}; it is worst {peak}." if peak else f"{text}."
 
 
 def inside_band(c) -> str:
     """The coverage, which must not be None, in words."""
-    share = f"{100 * c.coverage:.0f} % of the held-out values; 95 % if the twin is right"
-    return f"{share} (made from {c.band.how})"
+    return (
+        f"{100 * c.coverage:.0f} % of the held-out values; about 95 % is expected, less means that the model "
+        "claims to know more than it does"
+    )
 
 
 _PHRASES = {

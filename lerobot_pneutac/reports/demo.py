@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from PIL import Image
 
+from lerobot_pneutac.reports.colours import AFTER, BEFORE
 from lerobot_pneutac.reports.page import Report
 
 if TYPE_CHECKING:
@@ -58,7 +59,7 @@ def _errors(state: dict):
     added = ", ".join(state["diagnose"]["selected"])
     names = ["calibrated", f"with {added}"]
     errors = [state["twin"]["tip_error_mm"], state["add"]["tip_error_mm"]]
-    figure = go.Figure(go.Bar(x=names, y=errors, marker_color=["#9aa5b1", "#0b6e99"]))
+    figure = go.Figure(go.Bar(x=names, y=errors, marker_color=[BEFORE, AFTER]))
     figure.add_hline(y=state["add"]["noise_mm"], line_dash="dash", annotation_text="noise")
     return figure.update_yaxes(title="held-out tip error (mm)", rangemode="tozero")
 

@@ -1,21 +1,26 @@
-"""The report of a diagnosis: the sentence first, then the evidence as pictures."""
+"""The report of a diagnosis: the headline first, then the evidence as pictures."""
 
 import numpy as np
 import plotly.graph_objects as go
+from plotly.subplots import make_subplots
 
 from lerobot_pneutac.diagnosis.experiment import Separation
-from lerobot_pneutac.diagnosis.result import Outcome
-from lerobot_pneutac.reports.page import Report, span
+from lerobot_pneutac.diagnosis.result import Contribution, Outcome
+from lerobot_pneutac.reports.colours import AFTER, BEFORE, COMMAND, FLOOR, KNOWN, OTHER, SHADE
+from lerobot_pneutac.reports.page import Report, interval
+from lerobot_pneutac.reports.physics import physics
 from lerobot_pneutac.reports.sentences import State, alternatives, evidence, meaning, percent
+from lerobot_pneutac.reports.session import name_runs, session_clock, worst_passages
 from lerobot_pneutac.study.base import EffectStudy
+from pneutac_datasets.recording.axes import Axis, axes, numbers
+from pneutac_datasets.recording.recording import Recording
 
-BLUE, GREY, RED = "#0b6e99", "#9aa5b1", "#b8442f"
 MOST_POINTS = 4000
-PASSAGE_S = 3.0
+CONDITIONS = ("gravity", "payload_g", "temperature_c")  # shown first
 
 
 def diagnosis_page(d, separation: Separation | None) -> Report:
-    """The report of a `Diagnosis`, and of the experiment that tells two rivals apart, if any."""
+    """The report of a `Diagnosis`, and of the experiment that separates two rivals, if any."""
     study, o = d.study, d.outcome
     page = Report("What is missing")
     page.lead(d.sentence)
@@ -24,71 +29,121 @@ def diagnosis_page(d, separation: Separation | None) -> Report:
     page.next_here()
     if not d.next_command:
         page.text(f"**Do next.** {d.do_next}")
+    if seen := physics(study, o):
+        page.heading("The physics")
+        page.figure(*seen, 380)
+    page.heading("The error")
     page.figure(
         ladder(study, o),
-        "The error as more is added, where nothing was fitted; whiskers: 95 % interval, dashed: noise.",
-        270,
+        "Test error as terms are added; whiskers: 95 % interval, dashed: noise.",
+        300,
     )
-    if o.selected:
-        page.text(f"**In numbers.** {' '.join(study.describe(o.after, e) for e in o.selected)}")
-    _candidates(page, study, o)
+    _contributions(page, study, o)
+    _parameters(page, study, o)
+    _candidates(page, study, o, d.state)
     if study.recording.device == "gel":
         page.heading("Where it fails")
     else:
         _over_time(page, study, o)
     for picture, caption in study.pictures(o):
         page.image(picture, caption)
-    _rivals(page, o, d.state)
-    _parameters(page, study, o)
+    if d.next_experiment != d.do_next:
+        page.heading("If you record more")
+        page.text(d.next_experiment)
     if separation is not None:
         page.figure(proposed(separation), f"Predictions of the two rivals: {separation.advice}")
     page.heading("The recording")
-    size = "" if study.noise.value is None else f" {study.noise.value:.3g} {study.unit}:"
-    page.text(f"Noise floor{size} {study.noise.how}.")
-    for sentence in d.findings or ["The data check found nothing to complain about."]:
-        page.text(sentence)
+    noise = study.noise.value
+    size = "Noise" if noise is None else f"Noise {noise:.3g} {study.unit}:"
+    page.text(f"{size} {study.noise.how}.")
     return page
 
 
-def _candidates(page: Report, study: EffectStudy, o: Outcome) -> None:
-    page.heading("Each candidate alone")
-    page.text(study.how_tested(o))
+def _contributions(page: Report, study: EffectStudy, o: Outcome) -> None:
+    if len(o.contributions) > 1:
+        page.figure(
+            contributions(study, o),
+            "What each cause is worth: by how much the test error rises without it, all else re-fitted; "
+            "whiskers: 98 % interval.",
+            110 + 42 * len(o.contributions),
+        )
+    if o.selected:
+        page.text(
+            "\n\n".join(
+                f"**{study.cause(o.after, e)}**: {study.describe(o.after, e)} {study.size(o.after, e)}"
+                for e in o.selected
+            )
+        )
+
+
+def contributions(study: EffectStudy, o: Outcome) -> go.Figure:
+    """By how much the test error rises without each cause."""
+    shown = sorted(o.contributions, key=lambda c: c.drop[0])
+    names = [c.name.replace("_", " ") for c in shown]
+    rise = [c.error_without - c.error_with for c in shown]
+    ends = [[_root(c, c.drop[i]) - c.error_with for c in shown] for i in (1, 2)]
+    figure = go.Figure()
+    for known, colour, name in ((True, KNOWN, "known cause"), (False, AFTER, "new")):
+        at = [i for i, c in enumerate(shown) if c.known == known]
+        figure.add_bar(
+            y=[names[i] for i in at], x=[rise[i] for i in at], orientation="h", name=name,
+            marker_color=colour,
+            error_x={
+                "type": "data", "array": [max(0, ends[1][i] - rise[i]) for i in at],
+                "arrayminus": [max(0, rise[i] - ends[0][i]) for i in at], "color": "#333",
+            },
+        )  # fmt: skip
+    figure.update_yaxes(categoryorder="array", categoryarray=names)
+    return figure.update_xaxes(title=f"rise of the test error without it ({study.unit})")
+
+
+def _root(c: Contribution, drop: float) -> float:
+    """Error without a term whose removal raises the mean square by so much."""
+    return float(np.sqrt(max(c.error_with**2 + drop, 0.0)))
+
+
+def _candidates(page: Report, study: EffectStudy, o: Outcome, state: State) -> None:
+    page.heading("Alternatives")
+    page.text(" ".join(filter(None, (alternatives(state), study.how_tested(o)))))
     page.figure(
-        reductions(o), "Share of the avoidable error that each effect alone removes, with its interval."
+        reductions(o), "Share of the error above the noise that each effect removes alone, with its interval."
     )
+    without = {c.name: c.error_without for c in o.contributions}
     rows = []
-    for t in o.tested:
-        row = {"effect": t.name, f"test error ({study.unit})": t.heldout}
-        row |= {"in the contact": t.errors["heldout_contact"]} if "heldout_contact" in t.errors else {}
-        removes = "-" if t.reduction is None else percent(t.reduction, t.ci95)
-        rows.append(row | {"removes": removes, "tested by": t.tested_by})
+    names = [t.name for t in o.tested]
+    for name in [*(e for e in o.selected if e not in names), *names]:
+        t = next((t for t in o.tested if t.name == name), None)
+        row = {"effect": name, "in the headline": "yes" if name in o.selected else ""}
+        row |= {f"test error alone ({study.unit})": t and t.heldout, "removes alone": "not tried alone"}
+        row |= {"in the contact": t.errors["heldout_contact"]} if t and "heldout_contact" in t.errors else {}
+        if t is not None:
+            row["removes alone"] = (
+                "-" if t.reduction is None or t.ci95 is None else percent(t.reduction, t.ci95)
+            )
+        row |= {f"test error without it ({study.unit})": without.get(name)} if without else {}
+        rows.append(row | {"tested by": t.tested_by if t else "with the others"})
     page.table(rows)
+    page.table(
+        [
+            {"cause": r.effect, "instead": r.rival, "its mean square error": f"{100 * r.difference:+.1f} %"}
+            for r in o.rivals
+        ],
+        "Effects that fit the data about as well.",
+    )
     page.table([{"not tested": u.name, "why": u.reason} for u in study.untested])
 
 
 def _over_time(page: Report, study: EffectStudy, o: Outcome) -> None:
-    page.heading("What is left over time")
-    caption = "Distance between measured and modelled, before and after; red: the command."
-    page.figure(over_time(study, o), caption)
-    page.table(worst(study, o), "The worst passages after the change.")
     page.heading("Where the error is")
-    for name, x in axes(study).items():
-        page.figure(against(study, o, name, x), height=300)
-
-
-def _rivals(page: Report, o: Outcome, state: State) -> None:
-    page.heading("Alternatives")
-    page.text(alternatives(state))
-    page.table(
-        [
-            {
-                "effect": r.effect,
-                "rival": r.rival,
-                "rival's mean square error": f"{100 * r.difference:+.1f} %",
-            }
-            for r in o.rivals
-        ],
-        "Effects that explain the test part as well, as far as can be told.",
+    worst = worst_passages(study.recording, o.after.squared)
+    caption = "Distance between measured and modelled, before and after; shaded: the worst passages after."
+    page.figure(over_time(study, o, worst), f"{caption} Below: the command.", 460)
+    page.table(worst, "The worst passages after the change.")
+    found = shown_axes(study)
+    page.figure(
+        by_level(study, o, found),
+        "Error at each level that was recorded; dashed: the noise.",
+        60 + 260 * ((len(found) + 1) // 2),
     )
 
 
@@ -103,7 +158,7 @@ def _parameters(page: Report, study: EffectStudy, o: Outcome) -> None:
                 "effect": e,
                 "parameter": k,
                 "value": p["value"],
-                "95 % interval": span(p["ci95"], "held"),
+                "95 % interval": interval(p, "held"),
                 "unit": p["unit"] or "(a ratio)",
             }
             for e, parameters in fitted.items()
@@ -113,115 +168,117 @@ def _parameters(page: Report, study: EffectStudy, o: Outcome) -> None:
 
 
 def ladder(study: EffectStudy, o: Outcome) -> go.Figure:
-    """Held-out error as effects are added."""
-    rms = [study.errors(model)["heldout"] for _, model in o.ladder]
-    labels = [f"{label}<br>{x:.3g} {study.unit}" for (label, _), x in zip(o.ladder, rms, strict=True)]
-    band = [study.interval(model) for _, model in o.ladder]
+    """Test error before, with the known causes, and as further terms are added."""
+    steps = [("before", o.before, BEFORE)]
+    if o.known and o.baseline is not None:
+        steps.append(("with known causes", o.baseline, KNOWN))
+    for label, model in o.ladder[1:-1]:
+        text = label.removeprefix("how it bends").strip().removeprefix("+").strip()
+        steps += [(f"+ {text}", model, OTHER)] if text else []
+    if o.selected or o.known:
+        steps.append(("with all", o.after, AFTER))
+    models = [m for _, m, _ in steps]
+    rms = [study.errors(m)["heldout"] for m in models]
+    labels = [f"{label}<br>{x:.3g} {study.unit}" for (label, *_), x in zip(steps, rms, strict=True)]
+    band = [study.interval(m) for m in models]
     up = [max(0.0, float(b[1]) - v) for b, v in zip(band, rms, strict=True)]
     down = [max(0.0, v - float(b[0])) for b, v in zip(band, rms, strict=True)]
     figure = go.Figure(
         go.Bar(
-            x=labels, y=rms, marker_color=[GREY] + [BLUE] * (len(rms) - 1), width=0.5,
+            x=labels, y=rms, marker_color=[c for *_, c in steps], width=0.5,
             error_y={"type": "data", "array": up, "arrayminus": down, "color": "#333"},
         )
     )  # fmt: skip
-    if study.noise.value is not None:
-        figure.add_hline(y=study.noise.value, line_dash="dash", line_color=RED, annotation_text="noise")
-    return figure.update_yaxes(title=f"error ({study.unit})", rangemode="tozero")
+    _noise(figure, study)
+    return figure.update_yaxes(title=f"test error ({study.unit})", rangemode="tozero")
+
+
+def _noise(figure: go.Figure, study: EffectStudy, **place) -> None:
+    if study.noise.value:
+        figure.add_hline(
+            y=study.noise.value, line={"dash": "dash", "color": FLOOR},
+            annotation_text="" if place else "noise", **place,
+        )  # fmt: skip
 
 
 def reductions(o: Outcome) -> go.Figure:
-    """Each candidate's share of the avoidable error."""
-    shown = [t for t in o.tested if t.reduction is not None][::-1]
-    value = [100 * t.reduction for t in shown]
+    """Each candidate's share of the error above the noise."""
+    shown = [(t, t.reduction, t.ci95) for t in o.tested if t.reduction is not None and t.ci95 is not None][
+        ::-1
+    ]
+    value = [100 * share for _, share, _ in shown]
     figure = go.Figure(
         go.Bar(
-            y=[t.name for t in shown], x=value, orientation="h",
-            marker_color=[BLUE if t.name in o.selected else GREY for t in shown],
+            y=[t.name for t, *_ in shown], x=value, orientation="h",
+            marker_color=[AFTER if t.name in o.selected else OTHER for t, *_ in shown],
             error_x={
-                "type": "data", "array": [max(0, 100 * (t.ci95[1] - t.reduction)) for t in shown],
-                "arrayminus": [max(0, 100 * (t.reduction - t.ci95[0])) for t in shown], "color": "#333",
+                "type": "data", "array": [max(0, 100 * (ci[1] - share)) for _, share, ci in shown],
+                "arrayminus": [max(0, 100 * (share - ci[0])) for _, share, ci in shown], "color": "#333",
             },
         )
     )  # fmt: skip
-    return figure.update_xaxes(title="avoidable error removed (%)", range=[min(-10, *value, 0) - 5, 105])
+    return figure.update_xaxes(
+        title="error above the noise removed (%)", range=[min(-10, *value, 0) - 5, 105]
+    )
 
 
-def over_time(study: EffectStudy, o: Outcome) -> go.Figure:
-    """Error before and after, over the commanded pressure on an axis of its own at the right."""
-    t = _session_time(study)
+def over_time(study: EffectStudy, o: Outcome, worst: list[dict]) -> go.Figure:
+    """Error before and after, and the command below, over the runs laid end to end."""
+    t, shift = session_clock(study.recording)
     step = max(1, len(t) // MOST_POINTS)
-    p = study.recording.samples[list(study.recording.pressure_columns)].to_numpy(float).mean(1)
-    figure = go.Figure()
-    figure.add_scatter(
-        x=t[::step], y=np.round(p[::step], 3), name="command", yaxis="y2", opacity=0.35,
-        line={"width": 1, "color": RED},
-    )  # fmt: skip
-    for name, r, colour in (("before", o.before, GREY), ("after", o.after, BLUE)):
+    figure = make_subplots(2, 1, shared_xaxes=True, vertical_spacing=0.04, row_heights=[1.0, 0.4])
+    for name, r, colour in (("before", o.before, BEFORE), ("after", o.after, AFTER)):
         y = np.sqrt(r.squared)[::step]
-        figure.add_scatter(x=t[::step], y=np.round(y, 4), name=name, line={"width": 1, "color": colour})
-    red = {"color": RED}
-    return figure.update_layout(
-        xaxis={"title": "session (s)"},
-        yaxis={
-            "title": f"error ({study.unit})", "rangemode": "tozero", "overlaying": "y2", "tickmode": "auto",
-        },
-        yaxis2={
-            "title": {"text": "command (kPa)", "font": red}, "tickfont": red, "side": "right",
-            "rangemode": "tozero", "showgrid": False, "zeroline": False, "automargin": True,
-        },
-        legend={"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0},
+        figure.add_scatter(
+            x=t[::step].round(3),
+            y=np.round(y, 4),
+            name=name,
+            line={"width": 1, "color": colour},
+            row=1,
+            col=1,
+        )
+    p = study.recording.samples[list(study.recording.pressure_columns)].to_numpy(float).mean(1)
+    figure.add_scatter(
+        x=t[::step].round(3), y=np.round(p[::step], 3), name="command", line={"width": 1, "color": COMMAND},
+        row=2, col=1,
     )  # fmt: skip
+    for w in worst:
+        a, b = w["from_s"] + shift[w["trial"]], w["to_s"] + shift[w["trial"]]
+        figure.add_vrect(x0=a, x1=b, fillcolor=SHADE, line_width=0, layer="below")
+    figure.update_yaxes(title_text=f"error ({study.unit})", rangemode="tozero", row=1, col=1)
+    figure.update_yaxes(title_text="kPa", row=2, col=1)
+    return name_runs(figure, study.recording, row=2)
 
 
-def axes(study: EffectStudy) -> dict[str, np.ndarray]:
-    """Quantities against which the error is drawn."""
-    s = study.recording.samples
-    p = s[list(study.recording.pressure_columns)].to_numpy(float).mean(1)
-    t = s["time_s"].to_numpy()
-    first = np.r_[True, np.diff(s["trial"].to_numpy()) != 0]
-    dt = np.where(first, np.inf, np.diff(t, prepend=t[0]))
-    found = {"command (kPa)": p, "rate of the command (kPa/s)": np.diff(p, prepend=p[0]) / dt}
-    largest = np.concatenate([np.maximum.accumulate(p[rows]) for rows in study.recording.trials().values()])
-    found["below the largest command so far (kPa)"] = largest - p
-    found["time in the trial (s)"] = t
-    for name in ("temperature_c", "payload_g", "gravity_z"):
-        if name in s and np.ptp(s[name]) > 0:
-            found[name] = s[name].to_numpy(float)
-    return found
+def shown_axes(study: EffectStudy) -> list[Axis]:
+    """Conditions first, then pressure, direction, hold time and program; those that vary."""
+    recording = study.recording
+    if not isinstance(recording, Recording):
+        p = recording.samples[list(recording.pressure_columns)].to_numpy(float).mean(1)
+        return [numbers("pressure_cmd_kpa", p, 8)]
+    known = {a.name: a for a in axes(recording) if len(a.labels) > 1}
+    wanted = (*CONDITIONS, *recording.pressure_columns, "direction", "hold_time_s", "program")
+    return [known[n] for n in wanted if n in known]
 
 
-def against(study: EffectStudy, o: Outcome, name: str, x: np.ndarray) -> go.Figure:
-    """Root mean square error in bins of equal count."""
-    figure = go.Figure()
-    edges = np.unique(np.quantile(x, np.linspace(0, 1, 16)))
-    index = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, max(len(edges) - 2, 0))
-    count = np.maximum(np.bincount(index), 1)
-    centre = np.bincount(index, x) / count
-    for label, r, colour in (("before", o.before, GREY), ("after", o.after, BLUE)):
-        rms = np.sqrt(np.bincount(index, r.squared) / count)
-        figure.add_scatter(x=centre, y=rms, name=label, mode="lines+markers", line={"color": colour})
-    if study.noise.value is not None:
-        figure.add_hline(y=study.noise.value, line_dash="dash", line_color=RED)
-    return figure.update_xaxes(title=name).update_yaxes(title=f"error ({study.unit})", rangemode="tozero")
-
-
-def worst(study: EffectStudy, o: Outcome) -> list[dict]:
-    """The five passages of three seconds with the largest error."""
-    trial, t = study.recording.column("trial"), study.recording.column("time_s")
-    passage = np.floor(t / PASSAGE_S).astype(int)
-    key, index = np.unique(np.stack([trial, passage], 1), axis=0, return_inverse=True)
-    index = index.reshape(-1)
-    count = np.bincount(index)
-    after = np.sqrt(np.bincount(index, o.after.squared) / count)
-    before = np.sqrt(np.bincount(index, o.before.squared) / count)
-    return [
-        {
-            "trial": int(key[i, 0]), "from_s": PASSAGE_S * key[i, 1], "to_s": PASSAGE_S * (key[i, 1] + 1),
-            "before": float(before[i]), "after": float(after[i]),
-        }
-        for i in np.argsort(-after)[:5]
-    ]  # fmt: skip
+def by_level(study: EffectStudy, o: Outcome, found: list[Axis]) -> go.Figure:
+    """Root mean square error before and after at each level of each axis."""
+    rows = max(1, (len(found) + 1) // 2)
+    figure = make_subplots(
+        rows, 2, subplot_titles=[a.name.replace("_", " ") for a in found], vertical_spacing=0.36 / rows,
+        horizontal_spacing=0.09,
+    )  # fmt: skip
+    for k, axis in enumerate(found):
+        at = {"row": k // 2 + 1, "col": k % 2 + 1}
+        for name, r, colour in (("before", o.before, BEFORE), ("after", o.after, AFTER)):
+            y = [float(np.sqrt(r.squared[axis.bin == i].mean())) for i in range(len(axis.labels))]
+            figure.add_bar(
+                x=axis.labels, y=np.round(y, 4), name=name, marker_color=colour, legendgroup=name,
+                showlegend=k == 0, **at,
+            )  # fmt: skip
+        _noise(figure, study, **at)
+        figure.update_xaxes(type="category", tickfont={"size": 10}, **at)
+    return figure.update_yaxes(title_text=study.unit, col=1)
 
 
 def proposed(s: Separation) -> go.Figure:
@@ -229,17 +286,8 @@ def proposed(s: Separation) -> go.Figure:
     figure = go.Figure()
     spread = [float(np.abs(a - b).max()) for a, b in zip(s.predictions[0].T, s.predictions[1].T, strict=True)]
     k = int(np.argmax(spread))
-    for name, y, colour in zip(("chosen", "rival"), s.predictions, (BLUE, RED), strict=True):
+    for name, y, colour in zip(("chosen", "rival"), s.predictions, (AFTER, BEFORE), strict=True):
         figure.add_scatter(x=s.time_s, y=np.round(y[:, k], 4), name=name, line={"color": colour})
     apart = np.round((s.predictions[0] - s.predictions[1])[:, k], 4)
-    figure.add_scatter(x=s.time_s, y=apart, name="difference", line={"color": GREY, "dash": "dot"})
+    figure.add_scatter(x=s.time_s, y=apart, name="difference", line={"color": OTHER, "dash": "dot"})
     return figure.update_xaxes(title="time (s)").update_yaxes(title=s.columns[min(k, len(s.columns) - 1)])
-
-
-def _session_time(study: EffectStudy) -> np.ndarray:
-    t = study.recording.column("time_s").astype(float).copy()
-    shift = 0.0
-    for rows in study.recording.trials().values():
-        t[rows] += shift - t[rows.start]
-        shift = t[rows.stop - 1] + 1.0
-    return t

@@ -177,5 +177,10 @@ def span(ci95, unknown: str = "") -> str:
     return "{:.4g} to {:.4g}".format(*ci95) if ci95 else unknown
 
 
+def interval(parameter: dict, unknown: str = "") -> str:
+    """The interval of a parameter as results have it, or why there is none."""
+    return parameter.get("note") or span(parameter["ci95"], unknown)
+
+
 def _base64(data: bytes) -> str:
     return base64.b64encode(data).decode()

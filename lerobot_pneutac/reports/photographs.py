@@ -6,6 +6,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from lerobot_pneutac.rendering.silhouettes import strip
+from lerobot_pneutac.reports.colours import AFTER, OTHER
 from lerobot_pneutac.reports.page import Report
 
 
@@ -25,9 +26,9 @@ def photo_page(c) -> Report:
     for pictures, caption in _strips(c):
         page.image(pictures, caption)
     page.heading("How the objective fell")
-    tried, best = c.search.objectives, {"color": "#0b6e99"}
+    tried, best = c.search.objectives, {"color": AFTER}
     figure = go.Figure()
-    figure.add_scatter(y=tried, mode="markers", name="candidates", marker={"color": "#9aa5b1"})
+    figure.add_scatter(y=tried, mode="markers", name="candidates", marker={"color": OTHER})
     figure.add_scatter(y=np.minimum.accumulate(tried), mode="lines", name="best", line=best)
     page.figure(figure.update_xaxes(title="evaluation").update_yaxes(title="L1 + 2 (1 - IoU)", type="log"))
     return page

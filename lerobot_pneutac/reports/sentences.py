@@ -258,7 +258,7 @@ def warnings(s: State) -> list[str]:
         if s.right is not None and s.right < RIGHT and s.causes:
             out.append(_right(s.right))
         if s.agreed is not None and s.agreed < AGREED:
-            out.append(f"{100 * s.agreed:.0f} % of repeated searches found the first-joined cause.")
+            out.append(f"{100 * s.agreed:.0f} % of repeated searches found the first-listed cause.")
         if s.kind is Kind.NOTHING and s.at_noise and s.noise is not None:
             least = s.noise * (AT_NOISE**2 - 1) ** 0.5
             out.append(f"An effect that adds less than {least:.2g} {s.unit} to the error would not show.")
@@ -294,7 +294,7 @@ def alternatives(s: State) -> str:
             f"By itself {joined(s.lower)} reaches a slightly lower test error than any cause by itself. "
             "The choice was made by cross-validation on other blocks."
         )
-    return "No other effect that was tried has a test error as low."
+    return "No other effect that was tried alone has a test error as low."
 
 
 def evidence(s: State) -> str:
@@ -316,7 +316,7 @@ def _removed(s: State) -> str:
 
 def _right(share: float) -> str:
     return (
-        f"In tests with similar results the first-joined cause was right in {100 * share:.0f} of 100 cases."
+        f"In tests with similar results the first-listed cause was right in {100 * share:.0f} of 100 cases."
     )
 
 

@@ -15,15 +15,51 @@ from lerobot_pneutac.diagnosis.result import Contribution, Outcome, Refits, Riva
 from lerobot_pneutac.diagnosis.steps import Steps
 from pneutac_datasets.recording.noise import NoiseFloor
 from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.effects.effect import Parameter
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger.quantities import root_mean
 from pneutac_sim.twin import Twin, Value
 
+SPANS = 0.8  # share of the allowed range that an interval covers when it says nothing
+TIMES = 10.0  # a positive quantity whose interval goes from nothing to so many times its value
+SIGNED = ("gain_rad_per_kpa",)  # parameters whose sign must be known
+RECORD = {
+    "gain": "holds at five pressures or more over the whole range",
+    "rest": "holds at five pressures or more over the whole range",
+    "joint": "a known weight at the tip (payload_g), with the base level and upright",
+    "youngs": "a known weight at the tip (payload_g), with the base level and upright",
+    "bend": "the angles of the joints (q_1_rad ...)",
+}  # first word of a body's parameter to what shows it
+
 
 def with_unit(value: Value, unit: str) -> dict:
     """A parameter as results have it."""
     return {"value": value.value, "ci95": list(value.ci95) if value.ci95 else None, "unit": unit}
+
+
+def not_identifiable(value: float, ci95: Sequence[float] | None, spec: Parameter, range_kpa: float) -> bool:
+    """Whether an interval says nothing: it covers the allowed range, or leaves size or sign open.
+
+    Args:
+        value: fitted.
+        ci95: its interval; None where it was not fitted.
+        spec: of the parameter.
+        range_kpa: largest pressure of the device.
+    """
+    if ci95 is None:
+        return False
+    (low, high), (_, lower, upper) = ci95, spec.limits(range_kpa)
+    covered = np.log(high / max(low, lower)) / np.log(upper / lower) if spec.log and low > 0 else (
+        (high - low) / (upper - lower)
+    )  # fmt: skip
+    open_size = lower >= 0 and low <= lower and high > TIMES * abs(value) > 0
+    return bool(covered > SPANS or open_size or (spec.name in SIGNED and low < 0 < high))
+
+
+def unidentified(experiment: str) -> str:
+    """The note of a parameter that a recording does not show."""
+    return f"not identifiable from this recording: {experiment[:1].lower()}{experiment[1:].rstrip('.')}"
 
 
 class Study:
@@ -118,9 +154,14 @@ class EffectStudy(Study, ABC):
 
     def parameters(self, model: FittedModel, effect: str) -> dict[str, dict]:
         """Parameters of one effect: name to `value`, `ci95` and `unit`."""
-        units = {p.name: p.unit for p in get_effect(effect).parameters}
+        specs = {p.name: p for p in get_effect(effect).parameters}
         values = model.twin.effects.get(effect, {})
-        return {k: with_unit(v, units.get(k, "")) for k, v in values.items()}
+        found = {k: with_unit(v, specs[k].unit if k in specs else "") for k, v in values.items()}
+        largest = float(self.recording.samples[list(self.recording.pressure_columns)].to_numpy(float).max())
+        for k, p in found.items():
+            if k in specs and not_identifiable(p["value"], p["ci95"], specs[k], max(largest, 1e-9)):
+                p["note"] = unidentified(get_effect(effect).experiment)
+        return found
 
     @abstractmethod
     def at_bound(self, model: FittedModel, effects: Sequence[str]) -> list[str]:

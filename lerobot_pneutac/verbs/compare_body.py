@@ -9,6 +9,7 @@ import numpy as np
 from lerobot_pneutac.diagnosis.parts import deal
 from lerobot_pneutac.reports.compare_sentence import inside_band, sentence
 from lerobot_pneutac.reports.page import Report
+from lerobot_pneutac.reports.session import worst_passages
 from lerobot_pneutac.study.reading import read
 from lerobot_pneutac.verbs.compare_band import Band, prediction_band
 from lerobot_pneutac.verbs.comparison import Comparison, rms_of
@@ -20,10 +21,6 @@ from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.finger import BodyData, simulate
 from pneutac_sim.finger.quantities import squared_distance
 from pneutac_sim.twin import Twin
-
-PASSAGE_S = 2.0
-PASSAGES = 5
-APART_S = 10.0  # between the starts of two: the next-worst place says more than the same one again
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -128,28 +125,8 @@ class BodyComparison(Comparison):
 
     @cached_property
     def worst(self) -> list[dict]:
-        """The worst passages of about `PASSAGE_S`, at least two samples each, some time apart."""
-        passages = [p for t, rows in self.recording.trials().items() for p in self._worst_of(t, rows)]
-        return sorted(passages, key=lambda p: -p["error"])[:PASSAGES]
-
-    def _worst_of(self, trial: int, rows: slice) -> list[dict]:
-        t, e = self.recording.column("time_s")[rows], self.squared[rows]
-        begin, sums = np.arange(len(t)), np.r_[0.0, np.cumsum(e)]
-        end = np.maximum(np.searchsorted(t, t + PASSAGE_S, side="right"), np.minimum(begin + 2, len(t)))
-        mean = (sums[end] - sums[:-1]) / (end - begin)
-        free = t <= max(t[0], t[-1] - PASSAGE_S)  # a passage is whole, or the whole of a short trial
-        found = []
-        for a in np.argsort(-mean, kind="stable"):
-            if len(found) == PASSAGES:
-                break
-            if free[a]:
-                free[np.abs(t - t[a]) < APART_S] = False
-                passage = {"trial": trial, "from_s": float(t[a]), "to_s": float(t[end[a] - 1])}
-                passage["error"] = float(np.sqrt(mean[a]))
-                if self.recording.has("program"):
-                    passage["program"] = str(self.recording.column("program")[rows][a])
-                found.append(passage)
-        return found
+        """The worst passages, some time apart."""
+        return worst_passages(self.recording, self.squared)
 
     def rows(self) -> list[dict]:
         """The key numbers."""

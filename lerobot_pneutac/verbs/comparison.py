@@ -1,6 +1,7 @@
 """What a comparison of a twin with a recording tells; by devices in `compare_body` and `compare_gel`."""
 
 from abc import abstractmethod
+from pathlib import Path
 
 import numpy as np
 
@@ -45,8 +46,15 @@ class Comparison(Result):
 
     @property
     def next_command(self) -> str:
-        """To learn why it fails there."""
-        return command_on("diagnose", self.twin, self.subject()[1])
+        """To learn why it fails, on a recording that the twin was fitted to.
+
+        A recording that it was never fitted to judges it, and would judge no more once it is diagnosed.
+        """
+        fitted = [Path(e["recording"]) for e in self.twin.history if e.get("recording")]
+        here = Path(self.subject()[1])
+        if not fitted or here.resolve() in [p.resolve() for p in fitted]:
+            return command_on("diagnose", self.twin, here)
+        return command_on("diagnose", self.twin, fitted[-1])
 
     @property
     def heldout(self) -> float | None:

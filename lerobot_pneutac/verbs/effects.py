@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from lerobot_pneutac.reports.colours import AFTER, BEFORE, COMMAND, MEASURED
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.verbs.effect_file import units
 from lerobot_pneutac.verbs.result import Result
@@ -138,10 +139,10 @@ def _figure(name: str):
     figure = go.Figure()
     apart = np.linalg.norm(with_it - without, axis=1)
     for label, y, colour, axis in (
-        ("command (kPa)", command, "#d9dee3", "y2"),
-        ("deflection without (mm)", without[:, 2], "#9aa5b1", "y"),
-        ("deflection with it (mm)", with_it[:, 2], "#b8442f", "y"),
-        ("apart (mm)", apart, "#0b6e99", "y"),
+        ("command (kPa)", command, COMMAND, "y2"),
+        ("deflection without (mm)", without[:, 2], BEFORE, "y"),
+        ("deflection with it (mm)", with_it[:, 2], AFTER, "y"),
+        ("apart (mm)", apart, MEASURED, "y"),
     ):
         figure.add_scatter(x=t, y=np.round(y, 4), name=label, yaxis=axis, line={"color": colour})
     return figure.update_layout(

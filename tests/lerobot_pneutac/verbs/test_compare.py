@@ -52,7 +52,7 @@ def test_a_right_twin_has_no_more_than_the_noise_everywhere(bench, tmp_path):
     assert result["unit"] == "mm"
     assert result["noise_floor"] == pytest.approx(truth["noise_floor_mm"], rel=0.2)
     assert result["error"]["heldout"] == pytest.approx(truth["noise_floor_mm"], rel=0.1)
-    assert "no more than the noise" in result["sentence"]
+    assert "at the noise" in result["sentence"]
     assert [h["change"] for h in result["history"]] == ["calibrated"]
     assert result["history"][0]["heldout"] == pytest.approx(result["error"]["heldout"])
     assert result["pressure"]["error"]["heldout"] < 0.1
@@ -209,7 +209,7 @@ def test_a_constant_command_and_too_few_rows_lead_the_headline(bench, tmp_path):
     r.samples["pressure_cmd_kpa"] = 20.0
     for folder, start, end in (
         (r.write(tmp_path / "constant"), "The commanded pressure never moves", "where it was not fitted."),
-        (few, "The twin misses", "20 rows cannot tell where it is worst, so record longer."),
+        (few, "The twin misses", "20 rows are too few to show where it is worst; record longer."),
     ):
         result = run(bench, folder, tmp_path / "o")
         assert result["sentence"].startswith(start) and result["sentence"].endswith(end)

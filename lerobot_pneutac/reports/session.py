@@ -1,0 +1,76 @@
+"""A recording over the time of its session: one clock, names of runs, and its worst passages."""
+
+import numpy as np
+import plotly.graph_objects as go
+
+PASSAGE_S = 2.0
+PASSAGES = 5
+APART_S = 10.0  # between the starts of two: the next-worst place says more than the same one again
+GAP_S = 1.0  # shown between two runs
+MOST_NAMES = 16  # more would overlap
+
+
+def session_clock(recording) -> tuple[np.ndarray, dict]:
+    """Time with the runs laid end to end (n,), s, and by how much each run's own time is shifted."""
+    t, at, shift = np.zeros(len(recording)), 0.0, {}
+    for trial, rows in recording.trials().items():
+        own = recording.column("time_s")[rows]
+        t[rows] = own - own[0] + at
+        shift[trial] = at - own[0]
+        at = t[rows][-1] + GAP_S
+    return t, shift
+
+
+def name_runs(figure: go.Figure, recording, row: int | None = None) -> go.Figure:
+    """Marks where each run starts on the axis of time, with its program's name, else its number."""
+    t, _ = session_clock(recording)
+    runs = list(recording.trials().items())
+    step = -(-len(runs) // MOST_NAMES)
+    named = "program" in recording.samples
+    starts = [float(t[rows.start]) for _, rows in runs[::step]]
+    texts = [
+        str(recording.column("program")[rows.start]) if named else f"run {trial}"
+        for trial, rows in runs[::step]
+    ]
+    place = {} if row is None else {"row": row, "col": 1}
+    ticks = {"tickmode": "array", "tickvals": starts, "tickangle": -35, "showgrid": True}
+    return figure.update_xaxes(
+        **ticks, ticktext=[f"{text}, {at:.0f} s" for text, at in zip(texts, starts, strict=True)],
+        title_text="run and time of the session", **place,
+    )  # fmt: skip
+
+
+def worst_passages(recording, squared: np.ndarray) -> list[dict]:
+    """The passages of about `PASSAGE_S` with the largest error, at least two samples each, some time apart.
+
+    Args:
+        recording: of a body, or demonstrations.
+        squared: (n,) squared errors.
+
+    Returns:
+        Each with `trial`, `from_s`, `to_s`, `error` and, if known, `program`.
+    """
+    found = [
+        p for trial, rows in recording.trials().items() for p in _of_run(recording, trial, rows, squared)
+    ]
+    return sorted(found, key=lambda p: -p["error"])[:PASSAGES]
+
+
+def _of_run(recording, trial, rows: slice, squared: np.ndarray) -> list[dict]:
+    t, e = recording.column("time_s")[rows], squared[rows]
+    begin, sums = np.arange(len(t)), np.r_[0.0, np.cumsum(e)]
+    end = np.maximum(np.searchsorted(t, t + PASSAGE_S, side="right"), np.minimum(begin + 2, len(t)))
+    mean = (sums[end] - sums[:-1]) / (end - begin)
+    free = t <= max(t[0], t[-1] - PASSAGE_S)  # a passage is whole, or the whole of a short run
+    found = []
+    for a in np.argsort(-mean, kind="stable"):
+        if len(found) == PASSAGES:
+            break
+        if free[a]:
+            free[np.abs(t - t[a]) < APART_S] = False
+            passage = {"trial": trial, "from_s": float(t[a]), "to_s": float(t[end[a] - 1])}
+            passage["error"] = float(np.sqrt(mean[a]))
+            if "program" in recording.samples:
+                passage["program"] = str(recording.column("program")[rows][a])
+            found.append(passage)
+    return found
