@@ -32,7 +32,8 @@ def demo_page(result: "DemoResult") -> Report:
     page.heading("The error of the twin")
     page.figure(
         _errors(state),
-        "Held-out tip error before and after. The finger's truth shares the form of these effects.",
+        "Held-out tip error before and after. The measurements are of the stand-in: an elastic rod whose air,"
+        " creep and hysteresis have other equations than the twin's effects.",
     )
     page.text(state["diagnose"]["sentence"])
     page.heading("What the policy does")

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from pneutac_datasets.demonstrations.faults import demonstration_faults, demonstration_notes
+from pneutac_datasets.demonstrations.faults import demonstration_faults, demonstration_notes, rate_notes
 from pneutac_datasets.demonstrations.info import is_demonstrations
 from pneutac_datasets.recording.checks import check
 from pneutac_datasets.recording.faults import recording_faults
@@ -69,7 +69,8 @@ def check_path(path: str | Path, twin: Twin | None = None, station: Station | No
         left = station_file(path)
         station = station or (Station.load(left) if left else Station())
         faults = demonstration_faults(path, twin or Twin.builtin(), station)
-        return Checked(path, "demonstrations", faults, [] if faults else demonstration_notes(path, station))
+        notes = rate_notes(path) if faults else demonstration_notes(path, station)
+        return Checked(path, "demonstrations", faults, notes)
     inside = [d.name for d in sorted(path.iterdir()) if any((d / mark).is_file() for mark in MARKS)]
     if inside and not (path / "recording.json").is_file():
         raise InputError(f"'{path}' is a folder of folders; give one of them: {', '.join(inside)}.")

@@ -23,7 +23,7 @@ from lerobot_pneutac.study.pasted import Pasted
 from lerobot_pneutac.verbs.calibration import Calibration
 from lerobot_pneutac.verbs.comparison import rms_of
 from lerobot_pneutac.verbs.gel_effects import EFFECTS, STANDARD, wanted
-from pneutac_datasets.recording.gel import GelRecording
+from pneutac_datasets.recording.gel import GelRecording, pair_faults
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect, of_sensor
 from pneutac_sim.errors import InputError
@@ -32,7 +32,7 @@ from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.makes import library, save
 from pneutac_sim.gel.metrics import ImageScores, score
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.gel.pair import Pair, check_pair
+from pneutac_sim.gel.pair import Pair, RestDifference, cells
 from pneutac_sim.gel.problem import GelFit
 from pneutac_sim.gel.told import Told, told
 from pneutac_sim.progress import Progress, no_progress
@@ -42,6 +42,8 @@ if TYPE_CHECKING:
     from pneutac_sim.mpm.pressed import PressedGel  # which starts a compiler
 
 OURS, PASTED, REST = "this model", "difference pasted", "rest image"
+# A press is poor above this share of the rest image's error, and this many times the median share.
+LEAST_PRESSES, POOR_SHARE, POOR_TIMES = 4, 0.8, 1.6
 MPM = "this model, material points"  # light and all predictions on their surfaces
 
 
@@ -156,6 +158,7 @@ class GelCalibration(Calibration):
                 "[yellow]note:[/] on held-out images the model is worse than the rest image alone: check "
                 "where and how deep the rows say that the indenter pressed."
             )
+        out += [f"[yellow]note:[/] {sentence}" for sentence in poor_presses(self.scores, self.data)]
         names = at_bound(self.gel, list(self.gel.effects))
         out += [f"[yellow]note:[/] {name} lies at its bound." for name in names]
         if not self.data.heldout:
@@ -238,12 +241,8 @@ def calibrate_gel(
     """
     data = GelRecording.load(recording)
     names, start = wanted(effects, twin), time.monotonic()
-    for s in data.presses:
-        try:
-            check_pair(s.rest, s.image, s.press, data.px_per_mm)
-        except InputError as e:
-            where = f"rest image '{recording.meta['rest_image']}', indentation '{s.name}'"
-            raise InputError(f"{recording.folder} ({where}): {e}") from e
+    if faults := pair_faults(recording, data):
+        raise InputError(faults[0])
     presses = [s.photograph for s in data.presses]
     points = _material_points(twin, data, names) if through_mpm else None
     if points:
@@ -282,7 +281,7 @@ def calibrate_gel(
         recording=str(recording.folder),
         change="calibrated gel through material points" if through_mpm else "calibrated gel",
         seed=None,
-        findings=tuple(data.warnings),
+        findings=(*data.warnings, *_against_earlier(twin, data)),
         gel=gel,
         fit=fit,
         told=told(fit.gel, fit.channels, presses),
@@ -294,6 +293,20 @@ def calibrate_gel(
         modulus=modulus,
         material=_material(twin) if through_mpm else "",
     )
+
+
+def _against_earlier(twin: Twin, data: GelRecording) -> list[str]:
+    """A note where the rest image shows something that the twin's earlier one does not."""
+    earlier = twin.arrays.get("rest_image")
+    if not twin.gel or earlier is None or earlier.shape != data.rest.shape:
+        return []
+    found = RestDifference.of(*(cells(i, data.px_per_mm) for i in (data.rest, earlier)), data.px_per_mm)
+    if not found.shows:
+        return []
+    return [
+        f"the rest image shows something at ({found.x_mm:.1f}, {found.y_mm:.1f}) mm that the twin's earlier"
+        f" one does not, {found.levels:.0f} levels strong; if it is not the gel's own light, take it anew."
+    ]
 
 
 def _material_points(twin: Twin, data: GelRecording, effects: Sequence[str] | None) -> "PressedGel":
@@ -332,6 +345,23 @@ def scores_of(data: GelRecording, predicted: list[np.ndarray]) -> list[ImageScor
     return [
         score(p, s.image, s.rest, s.x_px, s.y_px, s.radius_px)
         for p, s in zip(predicted, data.samples, strict=True)
+    ]
+
+
+def poor_presses(scores: dict[str, list[ImageScores]], data: GelRecording) -> list[str]:
+    """A sentence for each press that the model misses far more than the others, as shares of REST's error."""
+    share = np.array(
+        [ours.rmse / max(rest.rmse, 1e-9) for ours, rest in zip(scores[OURS], scores[REST], strict=True)]
+    )
+    if len(share) < LEAST_PRESSES:
+        return []
+    typical = float(np.median(share))
+    return [
+        f"Row {i + 1} ('{s.name}') is missed by {scores[OURS][i].rmse:.1f} levels, {share[i]:.2f} times what"
+        f" the rest image alone misses it by; the others by {typical:.2f} times. Check its image, x_mm, y_mm,"
+        " depth_mm and indenter, or leave the row out."
+        for i, s in enumerate(data.samples)
+        if share[i] > POOR_SHARE and share[i] > POOR_TIMES * typical
     ]
 
 

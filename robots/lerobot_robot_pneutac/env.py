@@ -1,7 +1,9 @@
 """Options of the environments `pneutac` and `pneutac_standin` for lerobot-eval and lerobot-train."""
 
+import runpy
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import override
 
 from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.envs.configs import EnvConfig, HubEnvConfig
@@ -194,22 +196,38 @@ class PneutacEnvConfig(PneutacTaskConfig):
 class PneutacHubConfig(PneutacTaskConfig, HubEnvConfig):
     """Tasks by a repo on the Hub whose `env.py` makes them, such as our folder `envhub`.
 
+    A folder of this machine is tried without the Hub: LeRobot asks it only where `hub_path` is set.
+
     Attributes:
-        hub_path: such as `you/pneutac-switch` or `you/pneutac-switch@revision`.
+        hub_path: such as `you/pneutac-switch` or `you/pneutac-switch@revision`; or a folder with an `env.py`,
+            which moves to `folder`.
+        folder: the repo before it is uploaded; its `env.py` is executed.
         task: one task of the repo's; all of them where it is left out.
     """
 
     task: str | None = None
+    folder: Path | None = None
 
     def __post_init__(self):
         super().__post_init__()
+        if self.hub_path and Path(self.hub_path).is_dir():
+            self.folder, self.hub_path = Path(self.hub_path), None
+        refuse_if(
+            self.folder is not None and not (self.folder / "env.py").is_file(),
+            f"--env.hub_path: the folder '{self.folder}' has no env.py; give one like envhub.",
+        )
         refuse_if(
             self.fps != 0, f"--env.fps is {self.fps}; the repo's env.py says the rate, so leave it out."
         )
         refuse_if(
-            not self.hub_path,
-            "--env.hub_path is missing; give the repo of an env.py, such as you/pneutac-switch.",
+            not (self.hub_path or self.folder),
+            "--env.hub_path is missing; give the repo of an env.py, such as you/pneutac-switch, or a folder.",
         )
+
+    @override
+    def create_envs(self, n_envs: int, use_async_envs: bool = False) -> dict:
+        """The environments of the folder's `env.py`, as LeRobot makes those of a repo."""
+        return runpy.run_path(str(self.folder / "env.py"))["make_env"](n_envs, use_async_envs, self)
 
 
 @EnvConfig.register_subclass("pneutac_standin")

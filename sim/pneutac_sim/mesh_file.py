@@ -6,6 +6,7 @@ import numpy as np
 import trimesh
 
 from pneutac_sim.errors import InputError
+from pneutac_sim.files import refuse_pointer
 
 FORMATS = (".stl", ".obj", ".ply")
 MOST_BYTES = 200 * 2**20
@@ -24,6 +25,7 @@ def load_mesh(file: Path) -> trimesh.Trimesh:
         raise InputError(f"{file} is no mesh that can be read here; export it as STL, OBJ or PLY.")
     if file.stat().st_size > MOST_BYTES:
         raise InputError(f"{file} is larger than {MOST_BYTES // 2**20} MB; simplify it.")
+    refuse_pointer(file)
     try:
         mesh = trimesh.load_mesh(file, process=False, skip_materials=True)  # no other file is opened
     except Exception as e:

@@ -19,7 +19,7 @@ from safetensors.numpy import load_file, save
 
 from pneutac_sim.errors import InputError, shown
 from pneutac_sim.features import PAPER_LENGTH_MM, PAPER_RANGE_KPA
-from pneutac_sim.files import inside, locked, read_yaml, whole, write_json, write_text
+from pneutac_sim.files import inside, locked, read_yaml, refuse_pointer, whole, write_json, write_text
 
 DEVICES = ("finger", "arm", "gel")
 FORMAT = "pneutac-twin/1"
@@ -201,6 +201,7 @@ class Twin:
                     f"{linked} is a link that leads out of the twin's folder; put there what it leads to."
                 )
         if arrays.is_file():
+            refuse_pointer(arrays)
             try:
                 twin.arrays = load_file(arrays)
             except Exception as e:

@@ -57,6 +57,16 @@ def test_options_reach_it_by_lerobots_config(cache):
     env.close()
 
 
+def test_a_folder_is_tried_before_it_is_uploaded(tmp_path):
+    config = PneutacHubConfig(hub_path=str(FOLDER), task="card", episode_length=2)
+    env = make_env(config, n_envs=1)["pneutac"][0]
+    env.reset(seed=[1])
+    assert env.call("task") == ("card",) and env.call("_max_episode_steps") == (2,)
+    env.close()
+    with pytest.raises(DecodingError, match="has no env.py; give one like envhub"):
+        PneutacHubConfig(hub_path=str(tmp_path))
+
+
 def test_a_repo_must_be_named():
     with pytest.raises(DecodingError, match="--env.hub_path is missing"):
         PneutacHubConfig()

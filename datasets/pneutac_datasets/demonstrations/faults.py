@@ -121,7 +121,7 @@ def demonstration_notes(folder: str | Path, station: Station) -> list[str]:
     info = read_info(folder / "meta" / "info.json")
     episodes = _read_episodes(folder, info)
     return [
-        *pace_notes(folder / "meta", float(info["fps"])),
+        *rate_notes(folder),
         *_of_motion(folder, info, episodes)[1],
         *_of_joints(folder, episodes, station),
         *_unmeasured(folder, info, episodes),
@@ -130,6 +130,13 @@ def demonstration_notes(folder: str | Path, station: Station) -> list[str]:
 
 def _joints(state: np.ndarray, action: np.ndarray) -> int:
     return joint_count(state.shape[1], action.shape[1] - len(VELOCITY_NAMES))
+
+
+def rate_notes(folder: str | Path) -> list[str]:
+    """Episodes whose control loop was slower or faster than the dataset's rate."""
+    meta = Path(folder) / "meta"
+    fps = read_info(meta / "info.json").get("fps")
+    return pace_notes(meta, float(fps)) if isinstance(fps, int | float) and fps > 0 else []
 
 
 def _unmeasured(folder: Path, info: dict, episodes: dict[int, tuple[np.ndarray, np.ndarray]]) -> list[str]:

@@ -10,6 +10,7 @@ import pandas as pd
 from pneutac_datasets.recording import reading, rules, units
 from pneutac_datasets.recording.checks import check
 from pneutac_datasets.recording.clock import check_sent, check_time
+from pneutac_datasets.recording.gel import gel_faults
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import listed
 from pneutac_sim.errors import InputError
@@ -68,7 +69,10 @@ def recording_faults(folder: str | Path) -> tuple[list[str], list[str]]:
     if found:
         return list(found), []
     recording = found(Recording.load, folder)
-    return list(found), check(recording)[1] if recording is not None else []
+    if recording is None:
+        return list(found), []
+    faults, notes = gel_faults(recording) if recording.device == "gel" else ([], [])
+    return faults, [] if faults else [*check(recording)[1], *notes]
 
 
 def _look_at(samples: pd.DataFrame, device: str, meta: dict, file: Path, found: _Collected) -> None:

@@ -14,7 +14,7 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.gel.figure import AnyFigure
 from pneutac_sim.gel.indenter import FIGURES, INDENTERS, Press
 from pneutac_sim.gel.late import Earlier
-from pneutac_sim.gel.pair import saturated, shows_contact
+from pneutac_sim.gel.pair import RestDifference, cell_px, cells, check_pair, saturated, shows_contact
 from pneutac_sim.gel.photograph import PressPhotograph
 from pneutac_sim.gel.probe import THICKNESS_MM
 
@@ -30,6 +30,19 @@ UNCERTAIN = {
     "yaw_sd_rad": ("yaw_rad",),
     "tilt_sd_rad": ("tilt_x_rad", "tilt_y_rad"),
 }
+# How places (n, 2) of presses may be turned, as matrices; `_misplaced` looks at mirrored axes by themselves.
+QUARTERS = {
+    "turned by a quarter": np.array([[0, 1], [-1, 0]]),
+    "turned by a quarter the other way": np.array([[0, -1], [1, 0]]),
+    "with x and y exchanged": np.array([[0, 1], [1, 0]]),
+    "with x and y exchanged and mirrored": np.array([[0, -1], [-1, 0]]),
+}
+LIKE = 0.8  # correlation of shown and stated places; four real and generated sensors have 0.98 and more
+# The same sensors: places 0.97 to 1.05 times as far, contacts 1.1 to 1.7 times as wide as stated, rest images
+# within 3 % of the presses' median.
+FARTHER, WIDTHS = 1.25, (0.6, 2.4)
+REST_SAMPLES, REST_GAIN = 5, 0.05
+BLACK_LEVEL, WHITE_LEVEL = 8, 247  # an image below or above all over shows nothing
 ASSUMED_RADIUS_MM = 3.0  # of a ball that the recording does not tell: the scale of the light takes it up
 
 
@@ -96,35 +109,12 @@ class GelRecording:
         Raises:
             InputError: one sentence naming the file, the row (the first is row 1) or field, and the remedy.
         """
-        file, meta = recording.folder / "recording.json", recording.meta
-        scale = meta.get("px_per_mm")
-        if isinstance(scale, bool) or not isinstance(scale, int | float) or not 0 < scale < math.inf:
-            raise InputError(
-                f"{file}: field 'px_per_mm' is {shown(scale)}; give the images' pixels per millimetre."
-            )
-        if not meta.get("rest_image"):
-            raise InputError(f"{file}: field 'rest_image' is missing; name the image without contact.")
-        size = meta.get("gel_size_mm")
-        thickness = float(size[2]) if isinstance(size, list) and len(size) == 3 else THICKNESS_MM
-        rest_image = recording.image(meta["rest_image"], plain=True)
-        out = cls(rest_image, float(scale), thickness, [], list(recording.warnings))
-        width_mm = out.rest.shape[1] / out.px_per_mm
-        if not WINDOW_MM[0] <= width_mm <= WINDOW_MM[1]:
-            raise InputError(
-                f"{file}: px_per_mm is {out.px_per_mm:g}, so that the image would be {width_mm:.3g} mm wide; "
-                f"a gel's is {WINDOW_MM[0]:g} to {WINDOW_MM[1]:g} mm."
-            )
-        clocks, rests = _clock(recording.samples), {meta["rest_image"]: out.rest}
+        out, rests = _begun(recording)
+        clocks = _clock(recording.samples)
         for (i, row), clock in zip(recording.samples.iterrows(), clocks, strict=True):
-            where, own = f"{recording.folder}, row {i + 1}", row.get("rest_image")
-            own = own if isinstance(own, dict) or (isinstance(own, str) and own) else meta["rest_image"]
-            name = own if isinstance(own, str) else where
-            if name not in rests:
-                rests[name] = recording.image(own, plain=True)
-                _same_size(rests[name], out.rest, f"{where}: rest image {shown(name)}")
-            out.samples.append(_sample(recording, row, where, out, rests[name], clock))
+            out.samples.append(_row(recording, out, rests, int(i), row, clock))
         _tell_earlier(recording, out.samples)
-        out.warnings += _misplaced(out) or _doubtful(out)
+        out.warnings += [*(_misplaced(out) or _doubtful(out)), *_rest_doubts(out)]
         return out
 
     @property
@@ -147,6 +137,96 @@ class GelRecording:
     def calibration(self) -> GelSample:
         """The first sample to fit to."""
         return self.presses[0]
+
+
+def gel_faults(recording: Recording) -> tuple[list[str], list[str]]:
+    """All for which `calibrate` refuses a gel's recording, every image opened, and what is poor but usable.
+
+    Returns:
+        One sentence for each fault; one for each note, where there is no fault.
+    """
+    faults: list[str] = []
+    try:
+        gel, rests = _begun(recording)
+    except InputError as e:
+        return [str(e)], []
+    for i, row in recording.samples.iterrows():
+        try:
+            _row(recording, gel, rests, int(i), row, 0.0)
+        except InputError as e:
+            faults.append(str(e))
+    if faults:
+        return list(dict.fromkeys(faults)), []
+    try:
+        data = GelRecording.load(recording)
+        faults = pair_faults(recording, data)
+    except InputError as e:
+        return [str(e)], []
+    return faults, [f"{recording.folder}: {note}" for note in data.warnings[len(recording.warnings) :]]
+
+
+def pair_faults(recording: Recording, data: GelRecording) -> list[str]:
+    """One sentence for each press to calibrate by that is no rest and indentation image, see `check_pair`."""
+    out = []
+    for s in data.presses:
+        try:
+            check_pair(s.rest, s.image, s.press, data.px_per_mm)
+        except InputError as e:
+            where = f"rest image '{recording.meta['rest_image']}', indentation '{s.name}'"
+            out.append(f"{recording.folder} ({where}): {e}")
+    return out
+
+
+def _begun(recording: Recording) -> tuple[GelRecording, dict[str, np.ndarray]]:
+    """A recording without its samples yet, and its rest images by name."""
+    file, meta = recording.folder / "recording.json", recording.meta
+    scale = meta.get("px_per_mm")
+    if isinstance(scale, bool) or not isinstance(scale, int | float) or not 0 < scale < math.inf:
+        raise InputError(
+            f"{file}: field 'px_per_mm' is {shown(scale)}; give the images' pixels per millimetre."
+        )
+    if not meta.get("rest_image"):
+        raise InputError(f"{file}: field 'rest_image' is missing; name the image without contact.")
+    size = meta.get("gel_size_mm")
+    thickness = float(size[2]) if isinstance(size, list) and len(size) == 3 else THICKNESS_MM
+    rest = _image(recording, meta["rest_image"], f"{file}: rest image {shown(meta['rest_image'])}")
+    width_mm = rest.shape[1] / scale
+    if not WINDOW_MM[0] <= width_mm <= WINDOW_MM[1]:
+        raise InputError(
+            f"{file}: px_per_mm is {scale:g}, so that the image would be {width_mm:.3g} mm wide; "
+            f"a gel's is {WINDOW_MM[0]:g} to {WINDOW_MM[1]:g} mm."
+        )
+    out = GelRecording(rest, float(scale), thickness, [], list(recording.warnings))
+    return out, {meta["rest_image"]: rest}
+
+
+def _row(
+    recording: Recording,
+    gel: GelRecording,
+    rests: dict[str, np.ndarray],
+    i: int,
+    row: pd.Series,
+    clock: float,
+) -> GelSample:
+    where, own = f"{recording.folder}, row {i + 1}", row.get("rest_image")
+    first = recording.meta["rest_image"]
+    own = own if isinstance(own, dict) or (isinstance(own, str) and own) else first
+    name = own if isinstance(own, str) else where
+    if name not in rests:
+        rests[name] = _image(recording, own, f"{where}: rest image {shown(name)}", gel.rest)
+    return _sample(recording, row, where, gel, rests[name], clock)
+
+
+def _image(recording: Recording, value, what: str, like: np.ndarray | None = None) -> np.ndarray:
+    """An image; raises InputError where it is of another size than `like`, or black or white all over."""
+    image = recording.image(value, plain=True)
+    if like is not None:
+        _same_size(image, like, what)
+    dark, bright = np.percentile(image, (1, 99))
+    if bright < BLACK_LEVEL or dark > WHITE_LEVEL:
+        colour = "black" if bright < BLACK_LEVEL else "white"
+        raise InputError(f"{what} is {colour} all over; take it anew with the light on and not too bright.")
+    return image
 
 
 def _clock(samples: pd.DataFrame) -> np.ndarray:
@@ -182,8 +262,8 @@ def _tell_earlier(recording: Recording, samples: list[GelSample]) -> None:
 
 
 def _misplaced(data: "GelRecording") -> list[str]:
-    """A note for each axis along which the images show contacts opposite to where the rows put them."""
-    shown, stated = [], []
+    """A note where the images show contacts at other places, or of another size, than the rows say."""
+    shown_px, stated_px, widths = [], [], []
     for s in data.samples:
         if np.array_equal(s.image, s.rest):
             continue
@@ -192,16 +272,88 @@ def _misplaced(data: "GelRecording") -> list[str]:
         ).sum(2)
         squared[squared < 0.25 * squared.max()] = 0
         y, x = np.indices(squared.shape)
-        shown.append([(x * squared).sum() / squared.sum(), (y * squared).sum() / squared.sum()])
-        stated.append([s.x_px, s.y_px])
-    if len(shown) < MIRROR_SAMPLES:
+        shown_px.append([(x * squared).sum() / squared.sum(), (y * squared).sum() / squared.sum()])
+        stated_px.append([s.x_px, s.y_px])
+        widths.append(np.sqrt((squared > 0).sum() / np.pi) / s.radius_px)
+    if len(shown_px) < MIRROR_SAMPLES:
         return []
-    shown, stated = (np.array(a) - np.mean(a, 0) for a in (shown, stated))
+    seen, stated = (np.array(a) - np.mean(a, 0) for a in (shown_px, stated_px))
     out = []
     for axis, name in enumerate("xy"):
-        norm = np.sqrt(np.square(shown[:, axis]).sum() * np.square(stated[:, axis]).sum())
-        if norm > 0 and (shown[:, axis] * stated[:, axis]).sum() < -0.8 * norm:
+        norm = np.sqrt(np.square(seen[:, axis]).sum() * np.square(stated[:, axis]).sum())
+        if norm > 0 and (seen[:, axis] * stated[:, axis]).sum() < -0.8 * norm:
             out.append(f"the images show contacts opposite to {name}_mm: it, or they, are mirrored.")
+    if out:
+        return out
+
+    def likeness(turned: np.ndarray) -> float:
+        norm = np.sqrt(np.square(seen).sum() * np.square(turned).sum())
+        return float((seen * turned).sum() / norm) if norm > 0 else 0.0
+
+    best = max(QUARTERS, key=lambda how: likeness(stated @ QUARTERS[how]))
+    if likeness(stated @ QUARTERS[best]) > max(LIKE, likeness(stated) + 0.2):
+        return [f"the images show contacts {best} against x_mm and y_mm; turn them, or correct the two."]
+    if likeness(stated) < LIKE:
+        return []
+    farther, wider = (seen * stated).sum() / np.square(stated).sum(), float(np.median(widths))
+    if not 1 / FARTHER < farther < FARTHER:
+        return [
+            f"the contacts lie {farther:.2g} times as far from each other as x_mm, y_mm and px_per_mm"
+            f" {data.px_per_mm:g} say; is px_per_mm {data.px_per_mm * farther:.3g}?"
+        ]
+    if not WIDTHS[0] < wider < WIDTHS[1]:
+        return [
+            f"the contacts are {wider:.2g} times as wide as depth_mm and the indenter's size say; are both in"
+            f" millimetres?"
+        ]
+    return []
+
+
+def _rest_doubts(data: "GelRecording") -> list[str]:
+    """Notes where a rest image differs from what the presses show away from their contacts."""
+    out = []
+    for rest in {id(s.rest): s.rest for s in data.samples}.values():
+        samples = [s for s in data.samples if s.rest is rest]
+        if len(samples) >= REST_SAMPLES:
+            out += _rest_doubt(rest, samples, data.px_per_mm)
+    return out
+
+
+def _rest_doubt(rest: np.ndarray, samples: list[GelSample], px_per_mm: float) -> list[str]:
+    """Against the median of the presses."""
+    stack = np.stack([cells(s.image, px_per_mm) for s in samples])
+    y, x = np.indices(stack.shape[1:3])
+    cell = cell_px(px_per_mm)
+    for image, s in zip(stack, samples, strict=True):
+        near = max(2 * s.radius_px, 1.5 * px_per_mm) / cell
+        image[np.hypot(x - s.x_px / cell, y - s.y_px / cell) < near] = np.nan
+    free = np.isfinite(stack[..., 0]).sum(0) >= MIRROR_SAMPLES - 1
+    if free.mean() < 0.3:
+        return []
+    median = np.nanmedian(np.where(free[..., None], stack, 0), 0)
+    mine = cells(rest, px_per_mm)
+
+    def likeness(image: np.ndarray) -> float:
+        a, b = (v[free] - v[free].mean(0) for v in (image, median))
+        return float((a * b).sum() / np.sqrt(np.square(a).sum() * np.square(b).sum() + 1e-9))
+
+    turned = {"mirrored left to right": mine[:, ::-1], "mirrored top to bottom": mine[::-1]}
+    turned["turned by half"] = mine[::-1, ::-1]
+    best = max(turned, key=lambda how: likeness(turned[how]))
+    if likeness(turned[best]) > max(LIKE, likeness(mine) + 0.05):
+        return [f"the rest image is {best} against the presses; turn it as they are."]
+    found, out = RestDifference.of(mine, median, px_per_mm, free), []
+    if abs(found.gain - 1) > REST_GAIN:
+        how = "darker" if found.gain > 1 else "brighter"
+        out.append(
+            f"the rest image is {abs(1 - 1 / found.gain):.0%} {how} than the presses away from their"
+            " contacts; take one in the same session and light."
+        )
+    if found.shows:
+        out.append(
+            f"the rest image shows something at ({found.x_mm:.1f}, {found.y_mm:.1f}) mm that the presses do"
+            f" not, {found.levels:.0f} levels strong; take one while nothing touches the gel."
+        )
     return out
 
 
@@ -242,8 +394,7 @@ def _sample(
     rest: np.ndarray,
     clock: float,
 ) -> GelSample:
-    image = recording.image(row["image"], plain=True)
-    _same_size(image, rest, f"{where}: image {shown(str(row['image']))}")
+    image = _image(recording, row["image"], f"{where}: image {shown(str(row['image']))}", rest)
     kind = str(row["indenter"])
     if kind not in INDENTERS + FIGURES:
         every = ", ".join(INDENTERS + FIGURES)
@@ -312,8 +463,8 @@ def _place(row: pd.Series, where: str, px_per_mm: float, axis: str, size_px: int
     if not 0 <= px < size_px:
         raise InputError(
             f"{where}: the contact's centre, {centred_mm:.3g} mm along {axis}, lies outside the image, which "
-            f"goes to {size_px / px_per_mm / 2:.3g} mm; correct {axis}_mm or contact_{axis}_px, or leave the "
-            "row out."
+            f"goes to {size_px / px_per_mm / 2:.3g} mm; correct {axis}_mm, contact_{axis}_px or "
+            "px_per_mm, or leave the row out."
         )
     if mm is not None and abs(centred_mm - mm) > AGREE_MM:
         raise InputError(

@@ -11,6 +11,7 @@ from PIL import Image, ImageFile
 
 from pneutac_datasets.recording.wording import cut
 from pneutac_sim.errors import InputError
+from pneutac_sim.files import refuse_pointer
 
 # Others take memory before their size is known (WebP), or run programs (EPS).
 FORMATS = ("PNG", "JPEG", "BMP", "TIFF")
@@ -40,6 +41,8 @@ def read_image(source: str | Path | bytes, name: str = "", plain: bool = False) 
     size = len(source) if isinstance(source, bytes) else Path(source).stat().st_size
     if size > MOST_BYTES:
         raise InputError(f"{name} has {size / 2**20:.0f} MB, above the limit of {MOST_BYTES // 2**20} MB.")
+    if not isinstance(source, bytes):
+        refuse_pointer(Path(source))
     data = source if isinstance(source, bytes) else Path(source).read_bytes()
     try:
         with warnings.catch_warnings():
@@ -53,6 +56,8 @@ def read_image(source: str | Path | bytes, name: str = "", plain: bool = False) 
         raise
     except DAMAGED as e:
         reason = cut(" ".join(f"{e}".split()) or type(e).__name__, 200).rstrip(".")
+        if "BytesIO" in reason:  # PIL names the buffer that it was given
+            reason = "it is none of these"
         raise InputError(f"{name} cannot be read as an image ({', '.join(FORMATS)}): {reason}.") from e
 
 

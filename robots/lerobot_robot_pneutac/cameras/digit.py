@@ -114,7 +114,14 @@ class Digit(OpenCVCamera):
         return super().read_latest(max_age_ms)
 
     def _find(self) -> DigitDevice:
-        found = {d.serial: d for d in find_digits()}
+        devices = find_digits()
+        same = [str(d.path) for d in devices if d.serial == self.options.serial]
+        if len(same) > 1:
+            raise InputError(
+                f"{len(same)} DIGITs have the serial '{self.options.serial}', at {' and '.join(same)}; unplug"
+                " all but the one that is meant, since nothing tells them apart."
+            )
+        found = {d.serial: d for d in devices}
         device = found.get(self.options.serial)
         if device is None:
             there = ", ".join(found) or "none"

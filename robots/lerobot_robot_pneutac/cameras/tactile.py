@@ -4,10 +4,11 @@ import numpy as np
 from lerobot.cameras import Camera
 
 from lerobot_robot_pneutac.cameras.live import LiveCamera
-from lerobot_robot_pneutac.cameras.rest_image import capture_rest_image
+from lerobot_robot_pneutac.cameras.rest_image import capture_rest_image, compare_rest_images
 from lerobot_robot_pneutac.hardware.parts import HardwareFault
 from pneutac_sim.features import IMAGE_NAME, IMAGE_SHAPE
 from pneutac_sim.gel.contact import ContactArea, contact_area, quieted
+from pneutac_sim.gel.model import GelModel
 
 REST_FRAMES = 15
 
@@ -19,13 +20,21 @@ class Tactile:
         camera: gives RGB frames uint8 of one size.
         shape: (H, W, 3) of them.
         threshold_levels: of contact, see `pneutac_sim.gel.contact.contact_area`.
+        gel: of the sensor's twin, with whose rest image the first frames are compared; None for none.
 
     Attributes:
         camera, threshold_levels, shape: see above.
         rest_image: mean of the first frames, once connected.
     """
 
-    def __init__(self, camera: Camera, threshold_levels: float, shape: tuple[int, int, int] = IMAGE_SHAPE):
+    def __init__(
+        self,
+        camera: Camera,
+        threshold_levels: float,
+        shape: tuple[int, int, int] = IMAGE_SHAPE,
+        gel: GelModel | None = None,
+    ):
+        self.gel = gel
         self.camera, self.threshold_levels, self.shape = camera, threshold_levels, shape
         self._live = LiveCamera(camera, IMAGE_NAME)
 
@@ -33,10 +42,13 @@ class Tactile:
         """Connects and takes the rest image; nothing may touch the gel meanwhile.
 
         Raises:
-            HardwareFault: frames have another shape, or differ from each other as by a touch.
+            HardwareFault: frames have another shape, differ from each other as by a touch, or show what the
+                twin's rest image does not.
         """
         self.camera.connect()
         self.rest_image = self._checked(capture_rest_image(self.camera, REST_FRAMES))
+        if self.gel is not None:
+            compare_rest_images(self.rest_image, self.gel, str(self.camera))
         self.contact(self.rest_image)  # compiles before anything moves
 
     def read(self) -> np.ndarray:

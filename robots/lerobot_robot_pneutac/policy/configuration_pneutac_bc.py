@@ -22,6 +22,7 @@ from pneutac_sim.features import (
     joint_count,
     state_names_like,
 )
+from pneutac_sim.gel.contact import without_specks
 
 # The network sees means over the cells of such a grid, lying where the image does, 4 x 4 pixels of a DIGIT's.
 # A dataset may hold these means instead of images, and then says of what size these were.
@@ -220,6 +221,24 @@ class PneutacBCConfig(PreTrainedConfig):
                 self.input_features = dict(self.input_features or {})
                 self.input_features[TACTILE] = replace(self.input_features[TACTILE], shape=whole)
             self.check_size(whole, where)
+            if untouched := _untouched(meta):
+                which = ", ".join(map(str, untouched))
+                raise InputError(
+                    f"{where}: no touch in episode{'s' * (len(untouched) > 1)} {which} (contact_area.pos is 0"
+                    " throughout), and the policy is to learn from touch; leave out with lerobot-edit-dataset"
+                    f' --operation.type=delete_episodes --operation.episode_indices="{untouched}", or train'
+                    " with --policy.use_tactile=false."
+                )
+
+
+def _untouched(meta) -> list[int]:
+    """Episodes of a dataset without contact, noise of single pixels apart."""
+    table = parquet.read_table(meta.root / "data", columns=["episode_index", OBS_STATE])
+    area = np.array(table[OBS_STATE].to_pylist())[
+        :, meta.features[OBS_STATE]["names"].index("contact_area.pos")
+    ]
+    episode = table["episode_index"].to_numpy()
+    return [int(e) for e in np.unique(episode) if not without_specks(area[episode == e]).any()]
 
 
 def whole_shape(feature: dict) -> tuple[int, int, int]:

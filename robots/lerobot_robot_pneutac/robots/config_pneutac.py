@@ -144,6 +144,7 @@ class PneutacConfig(RobotConfig):
             ("digit", self.digit, "digit"),
         ):
             refuse_if(not given, f"--robot.{name}.type is missing; give --robot.{name}.type={example}.")
+        self._refuse_one_sensor_twice()
         refuse_if(
             not (self.digit.width and self.digit.height),
             f"--robot.digit.width and height are missing; give the size in which '{self.digit.type}' sends.",
@@ -190,6 +191,22 @@ class PneutacConfig(RobotConfig):
         if self.contact_threshold is not None:
             return self.contact_threshold
         return contact_threshold(self.twin)
+
+    def _refuse_one_sensor_twice(self) -> None:
+        """Two options that name one camera would both get its images."""
+        named: dict[tuple[str, str], str] = {}
+        for name, camera in {"digit": self.digit, **self.cameras}.items():
+            option = name if name == "digit" else f"cameras.{name}"
+            for field_ in ("serial", "index_or_path", "serial_number_or_name"):
+                value = getattr(camera, field_, None)
+                if value is None:
+                    continue
+                first = named.setdefault((field_, str(value)), option)
+                refuse_if(
+                    first != option,
+                    f"--robot.{first} and --robot.{option} both have {field_} '{value}'; give each sensor its"
+                    " own.",
+                )
 
     def _check_chambers(self) -> None:
         has = chambers_of("robot.twin", self.twin) if self.twin is not None else 0

@@ -23,6 +23,7 @@ from lerobot_robot_pneutac.robots.keeping import Keeper
 from pneutac_sim import features
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, IMAGE_NAME
+from pneutac_sim.gel.model import GelModel
 from pneutac_sim.twin import Twin
 
 LET_GO_S = 3.0  # a part that takes longer to let go is left behind
@@ -52,7 +53,8 @@ class Pneutac(BaseRobot):
         self._arm = config.arm.make()
         self._pressure = config.pressure.make()
         self.cameras = make_cameras_from_configs({IMAGE_NAME: config.digit} | config.cameras)
-        self._tactile = Tactile(self.cameras[IMAGE_NAME], config.threshold_levels(), self.image_shape)
+        gel = GelModel.from_twin(Twin.load(config.twin)) if config.twin else None
+        self._tactile = Tactile(self.cameras[IMAGE_NAME], config.threshold_levels(), self.image_shape, gel)
         self._scene = {name: LiveCamera(self.cameras[name], name) for name in config.cameras}
 
     @property

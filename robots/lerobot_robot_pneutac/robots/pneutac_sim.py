@@ -165,8 +165,10 @@ class PneutacSim(BaseRobot):
             self._spread.done(self._seed)
 
     def disconnect(self) -> None:
-        """Frees the world."""
+        """Frees the world; tells how an episode went that nobody announced, as of lerobot-replay."""
         self._need_world()
+        if self.recording is None and self._frames:
+            self._tell()
         _connected.remove(self)
         self._keeper.disconnect()
         self.world.close()

@@ -14,7 +14,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.files import whole
+from pneutac_sim.files import refuse_pointer, whole
 from pneutac_sim.surrogate import network_kernels as kern
 from pneutac_sim.surrogate.skeleton import Skeleton
 
@@ -191,6 +191,7 @@ class ActionNetwork:
         file = Path(file)
         if not file.is_file():
             raise InputError(f"There is no action network '{file}'; train it with `pneutac surrogate`.")
+        refuse_pointer(file)
         try:
             with safe_open(file, "np") as f:
                 label = f.metadata() or {}

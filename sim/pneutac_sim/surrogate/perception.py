@@ -19,7 +19,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.files import whole
+from pneutac_sim.files import refuse_pointer, whole
 from pneutac_sim.gel.probe import COLS, ROWS
 from pneutac_sim.surrogate import perception_kernels as kern
 
@@ -121,6 +121,7 @@ class GelSurrogate:
         """
         if not Path(path).is_file():
             raise InputError(f"There is no perception network '{path}'; train one with `pneutac surrogate`.")
+        refuse_pointer(Path(path))
         try:
             with safe_open(path, "np") as f:
                 about, weights = f.metadata() or {}, {k: f.get_tensor(k) for k in f.keys()}  # noqa: SIM118

@@ -288,7 +288,7 @@ def test_photographs_to_score_by_that_show_nothing_are_noted(tmp_path):
     )
     pixels = np.array(Image.open(rest), float) + np.random.default_rng(0).normal(0, 2, (320, 240, 3))
     Image.fromarray(np.clip(pixels, 0, 255).astype(np.uint8)).save(tmp_path / "presses" / "nothing.png")
-    bright = np.maximum(Image.open(press), 255 * (np.arange(240) > 0)[None, :, None]).astype(np.uint8)
+    bright = np.maximum(Image.open(press), 255 * (np.arange(240) > 40)[None, :, None]).astype(np.uint8)
     Image.fromarray(bright).save(tmp_path / "presses" / "bright.png")
     recording.samples.loc[1, "image"], recording.samples.loc[2, "image"] = "nothing.png", "bright.png"
     assert GelRecording.load(recording).warnings[-2:] == [

@@ -120,3 +120,13 @@ def test_reading_needs_a_connection(sensor, connected):
     camera.disconnect()
     with pytest.raises(DeviceNotConnectedError):
         camera.async_read()
+
+
+def test_two_sensors_with_one_serial_are_refused_with_both_devices(sensor, connected, monkeypatch, tmp_path):
+    devices = digit_devices.find_digits()
+    second = next(d for d in devices if d.serial == "D2")._replace(path=tmp_path / "dev" / "video8")
+    monkeypatch.setattr("lerobot_robot_pneutac.cameras.digit.find_digits", lambda: [*devices, second])
+    with pytest.raises(
+        InputError, match="2 DIGITs have the serial 'D2', at .*video4 and .*video8; unplug all"
+    ):
+        connected()

@@ -5,10 +5,11 @@ import cv2
 import numpy as np
 import pytest
 
-from lerobot_robot_pneutac.cameras.rest_image import capture_rest_image
+from lerobot_robot_pneutac.cameras.rest_image import capture_rest_image, compare_rest_images
 from lerobot_robot_pneutac.hardware.parts import HardwareFault
 from pneutac_sim.features import IMAGE_SHAPE
 from pneutac_sim.gel.contact import contact_area
+from pneutac_sim.gel.model import GelModel
 
 
 def test_rest_image_averages_noise_away(sensor, connected):
@@ -49,3 +50,34 @@ def test_recorded_frames_pass_unchanged_and_show_their_contact(sensor, connected
     camera.read()
     # The recording's table puts a disc of 62 px radius here, 3.9 % of the image; light reaches further.
     assert contact_area(camera.read(), quiet).area > 0.02
+
+
+@pytest.mark.parametrize(("level", "colour"), [(0, "black"), (255, "white")])
+def test_a_rest_image_without_light_or_with_too_much_is_refused(sensor, connected, level, colour):
+    sensor.frame = lambda k: np.clip(level + (k % 3), 0, 255) + np.zeros(IMAGE_SHAPE)
+    with pytest.raises(HardwareFault, match=f"rest image of DIGIT D2 was refused: it is {colour} all over"):
+        capture_rest_image(connected(fps=60), frames=8)
+
+
+def _spot(levels):
+    y, x = np.indices(IMAGE_SHAPE[:2])
+    return levels * np.exp(-(((x - 160) / 25) ** 2 + ((y - 90) / 25) ** 2))[..., None]
+
+
+@pytest.mark.parametrize(("levels", "said"), [(0, ""), (14, "an imprint that is left"), (60, "refused")])
+def test_a_rest_image_is_compared_with_the_twins(caplog, levels, said):
+    """A steady press and an imprint do not move, so that the frames alone do not show them."""
+    gel = GelModel.builtin()
+    rest = np.clip(1.04 * gel.rest_image + _spot(levels), 0, 255).astype(np.uint8)
+    if said == "refused":
+        with pytest.raises(HardwareFault, match=r"shows something at \(2.., -3..\) mm .* let nothing touch"):
+            compare_rest_images(rest, gel, "DIGIT D2")
+        return
+    compare_rest_images(rest, gel, "DIGIT D2")
+    assert said in caplog.text and bool(said) == bool(caplog.text)
+
+
+def test_another_light_than_the_twins_is_warned_of(caplog):
+    gel = GelModel.builtin()
+    compare_rest_images((0.7 * gel.rest_image).astype(np.uint8), gel, "DIGIT D2")
+    assert "DIGIT D2 is 30 % darker than when its twin was calibrated" in caplog.text

@@ -67,9 +67,10 @@ def write_dataset(root, levels, fps=15, state_names=STATE_NAMES, shape=IMAGE_SHA
     with quiet_encoders():
         for level in levels:
             for value in (level, 255):
+                touched = np.array(["contact_area" in n for n in state_names], np.float32)
                 dataset.add_frame(
                     {
-                        OBS_STATE: np.zeros(len(state_names), np.float32),
+                        OBS_STATE: 0.1 * touched,
                         ACTION: np.zeros(4, np.float32),
                         TACTILE: np.full(shape, value, np.uint8),
                         "task": "touch",

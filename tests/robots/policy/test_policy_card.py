@@ -36,6 +36,7 @@ def demonstrations(tmp_path_factory):
         for _ in range(3):
             for _ in range(2):
                 frame = {OBS_STATE: np.zeros(20, np.float32), ACTION: np.zeros(4, np.float32)}
+                frame[OBS_STATE][STATE_NAMES.index("contact_area.pos")] = 0.1
                 dataset.add_frame({**frame, TACTILE: colour, "task": "flip the switch"})
             dataset.save_episode()
         dataset.finalize()

@@ -31,8 +31,8 @@ GENERATED = rest_image(IMAGE_SHAPE)
 STANDIN = new_gel().rest_image
 
 
-def write_dataset(root, image=GENERATED, spoilt=None, episodes=1):
-    """Episodes of two frames; `spoilt` is (key, channel, value) of the last frame."""
+def write_dataset(root, image=GENERATED, spoilt=None, episodes=1, untouched=()):
+    """Episodes of two frames in touch; `spoilt` is (key, channel, value) of the last frame."""
     features = {
         OBS_STATE: {"dtype": "float32", "shape": (len(STATE_NAMES),), "names": list(STATE_NAMES)},
         ACTION: {"dtype": "float32", "shape": (4,), "names": list(ACTION_NAMES)},
@@ -40,9 +40,10 @@ def write_dataset(root, image=GENERATED, spoilt=None, episodes=1):
     }
     dataset = create_dataset(f"local/{root.name}", root, 15, features, "pneutac", False, 2)
     with quiet_encoders():
-        for _ in range(episodes):
+        for episode in range(episodes):
             for last in (False, True):
                 frame = {OBS_STATE: np.zeros(20, np.float32), ACTION: np.zeros(4, np.float32)}
+                frame[OBS_STATE][STATE_NAMES.index("contact_area.pos")] = 0.1 * (episode not in untouched)
                 if spoilt and last:
                     frame[spoilt[0]][spoilt[1]] = spoilt[2]
                 dataset.add_frame({**frame, TACTILE: np.ascontiguousarray(image), "task": "touch"})
@@ -164,6 +165,14 @@ def test_images_that_cannot_be_read_are_named(tmp_path):
     parquet.write_table(table.set_column(table.column_names.index(TACTILE), TACTILE, column), file)
     with pytest.raises(InputError, match=f"'local/broken': no rest image, for the first '{TACTILE}'"):
         make_policy(PneutacBCConfig(device="cpu"), meta)
+
+
+def test_an_episode_that_touches_nothing_stops_a_training_with_touch(tmp_path):
+    meta = write_dataset(tmp_path / "demos", episodes=3, untouched=(1,))
+    with pytest.raises(InputError, match="no touch in episode 1 .*or train with"):
+        PneutacBCConfig(device="cpu").check_dataset(meta)
+    PneutacBCConfig(device="cpu", use_tactile=False).check_dataset(meta)
+    PneutacBCConfig(device="cpu").check_dataset(write_dataset(tmp_path / "touched"))
 
 
 def test_a_dataset_without_episodes_is_named(tmp_path):

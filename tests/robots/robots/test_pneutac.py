@@ -11,6 +11,7 @@ from lerobot.cameras.opencv import OpenCVCameraConfig
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
 from lerobot_robot_pneutac.cameras import live
+from lerobot_robot_pneutac.cameras.config_digit import DigitConfig
 from lerobot_robot_pneutac.cameras.config_digit_generated import DigitGeneratedConfig
 from lerobot_robot_pneutac.hardware.arms import PandaConfig, SimulatedArmConfig
 from lerobot_robot_pneutac.hardware.limits import Limits
@@ -542,3 +543,8 @@ def test_a_twin_beyond_the_controllers_own_limit_is_refused(tmp_path, range_kpa,
     with pytest.raises(InputError, match=says):
         robot.connect()
     assert not robot.is_connected
+
+
+def test_two_options_for_one_sensor_are_refused(tmp_path):
+    with pytest.raises(DecodingError, match="robot.digit and --robot.cameras.left both have serial 'D1'"):
+        config(tmp_path, digit=DigitConfig(serial="D1"), cameras={"left": DigitConfig(serial="D1")})

@@ -287,3 +287,15 @@ def test_a_touch_is_drawn_while_connecting(touch, standin, monkeypatch, make_rob
     monkeypatch.setattr(touch, "prepare", lambda self: drawn.append(prepare(self)))
     make_robot(task="button", standin=standin)
     assert len(drawn) == 1
+
+
+def test_an_episode_that_nobody_announced_ends_with_its_outcome(make_robot, caplog):
+    """As of lerobot-replay, which sends actions and disconnects."""
+    caplog.set_level(logging.INFO)
+    robot = make_robot()
+    for _ in range(3):
+        robot.get_observation()
+        robot.send_action(dict.fromkeys(robot.action_features, 0.0))
+    assert "the task" not in caplog.text
+    robot.disconnect()
+    assert "Episode 1: touch in 0 of 3 frames, the task not done." in caplog.text

@@ -14,6 +14,7 @@ import numpy as np
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import joint_names
+from pneutac_sim.files import refuse_pointer
 from pneutac_sim.world import panda
 from pneutac_sim.world.arms.chain_ik import ChainIK
 
@@ -176,6 +177,7 @@ def read_chain(file: Path, flange: str) -> list[Link]:
     """
     if not file.is_file():
         raise InputError(f"There is no file '{file}'; give the arm's URDF or MJCF.")
+    refuse_pointer(file)
     try:
         spec = mujoco.MjSpec.from_file(str(file))
         for kind in LEFT_OUT:

@@ -1,0 +1,166 @@
+"""`check` of a gel's recording opens every image, and compares images, rows and rest images."""
+
+import json
+import shutil
+
+import numpy as np
+import pandas as pd
+import pytest
+from generated import once
+from PIL import Image
+
+from pneutac_datasets.generate.gel import write_gel_recording
+from pneutac_datasets.recording.faults import recording_faults
+from pneutac_datasets.recording.gel import GelRecording
+from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.errors import InputError
+
+
+@pytest.fixture
+def folder(tmp_path):
+    once(write_gel_recording, folder=tmp_path / "gel", seed=0)
+    return tmp_path / "gel"
+
+
+def picture(name, change):
+    """Changes an image, (H, W, 3) floats."""
+
+    def spoil(folder):
+        image = change(np.array(Image.open(folder / name), float))
+        Image.fromarray(np.clip(image, 0, 255).astype(np.uint8)).save(folder / name)
+
+    return spoil
+
+
+def every_image(change):
+    def spoil(folder):
+        for file in [folder / "rest.png", *sorted((folder / "images").iterdir())]:
+            picture(file.relative_to(folder), change)(folder)
+
+    return spoil
+
+
+def rows(**changes):
+    def spoil(folder):
+        table = pd.read_csv(folder / "samples.csv")
+        table = table.assign(**{k: v(table) for k, v in changes.items()}).drop(columns="contact_radius_px")
+        table.to_csv(folder / "samples.csv", index=False)
+
+    return spoil
+
+
+def field(**changes):
+    def spoil(folder):
+        file = folder / "recording.json"
+        file.write_text(json.dumps(json.loads(file.read_text()) | changes))
+        rows()(folder)
+
+    return spoil
+
+
+def pointer(name):
+    return lambda folder: (folder / name).write_text("version https://git-lfs.github.com/spec/v1\n")
+
+
+def imprint(image):
+    y, x = np.indices(image.shape[:2])
+    return image + 25 * np.exp(-(((x - 150) / 12) ** 2 + ((y - 90) / 12) ** 2))[..., None]
+
+
+def pressed(folder):
+    shutil.copy(folder / "images/ball_3.png", folder / "rest.png")
+
+
+ONE = "images/ball_3.png"
+FAULTS = {
+    "rest is a pointer": (pointer("rest.png"), "rest.png is a Git LFS pointer"),
+    "a press is a pointer": (pointer(ONE), "ball_3.png is a Git LFS pointer"),
+    "black press": (picture(ONE, lambda i: 0 * i), "row 4: image 'images/ball_3.png' is black all over"),
+    "white press": (picture(ONE, lambda i: 0 * i + 255), "is white all over"),
+    "black rest": (picture("rest.png", lambda i: 0 * i), "rest image 'rest.png' is black all over"),
+    "white rest": (picture("rest.png", lambda i: 0 * i + 255), "rest image 'rest.png' is white all over"),
+    "wrong size": (picture(ONE, lambda i: i[:100]), "row 4: image 'images/ball_3.png' is 240 x 100 pixels"),
+    "turned by a quarter": (picture("rest.png", lambda i: np.rot90(i)), "is 240 x 320 pixels but the rest"),
+    "not there": (lambda f: (f / ONE).unlink(), "ball_3.png is missing"),
+    "no picture": (lambda f: (f / ONE).write_text("404"), "ball_3.png cannot be read as an image"),
+    "no rest named": (field(rest_image=""), "field 'rest_image' is missing"),
+    "outside": (field(rest_image="/rest.png"), "lies outside the recording's folder"),
+    "indenter": (rows(indenter=lambda t: "bal"), "indenter is 'bal'; it must be one of"),
+    "depth": (rows(depth_mm=lambda t: 9 * t.depth_mm), "depth_mm is 8.1 but the gel is"),
+    "place": (rows(x_mm=lambda t: t.x_mm * 10), "lies outside the image"),
+    "no calibration": (rows(role=lambda t: "heldout"), "no row with role 'calibration'"),
+    "calibration without contact": (
+        lambda f: shutil.copy(f / "rest.png", f / "images/ball_0.png"),
+        "are the same picture",
+    ),
+}
+
+
+@pytest.mark.parametrize("bad", FAULTS)
+def test_check_says_all_that_calibrate_refuses(folder, bad):
+    spoil, said = FAULTS[bad]
+    spoil(folder)
+    faults, notes = recording_faults(folder)
+    assert any(said in fault for fault in faults), faults
+    assert not any("BytesIO" in fault for fault in faults) and not notes
+    from lerobot_pneutac.verbs.calibrate import calibrate
+    from pneutac_sim.twin import Twin
+
+    with pytest.raises(InputError):
+        calibrate(Twin.builtin(), Recording.load(folder))
+
+
+def test_every_bad_image_is_said(folder):
+    for name in ("images/ball_1.png", "images/ball_4.png"):
+        pointer(name)(folder)
+    faults, _ = recording_faults(folder)
+    assert len(faults) == 2 and "ball_1.png" in faults[0] and "ball_4.png" in faults[1]
+
+
+def test_a_good_recording_has_neither_faults_nor_notes(folder):
+    assert recording_faults(folder) == ([], [])
+
+
+NOTES = {
+    "rest with a press": (pressed, "the rest image shows something at ("),
+    "rest with an imprint": (picture("rest.png", imprint), "at (1.6, -3.5) mm that the presses do not"),
+    "darker rest": (picture("rest.png", lambda i: 0.85 * i), "the rest image is 15% darker than the presses"),
+    "brighter rest": (picture("rest.png", lambda i: 1.15 * i), "brighter than the presses"),
+    "mirrored x": (rows(x_mm=lambda t: -t.x_mm), "opposite to x_mm"),
+    "exchanged": (rows(x_mm=lambda t: t.y_mm, y_mm=lambda t: t.x_mm), "with x and y exchanged against"),
+    "a quarter": (rows(x_mm=lambda t: t.y_mm, y_mm=lambda t: -t.x_mm), "turned by a quarter"),
+    "depth in cm": (rows(depth_mm=lambda t: t.depth_mm / 10), "times as wide as depth_mm and the indenter"),
+}
+
+
+@pytest.mark.parametrize("bad", NOTES)
+def test_images_rows_and_rest_images_are_compared(folder, bad):
+    spoil, said = NOTES[bad]
+    spoil(folder)
+    found = GelRecording.load(Recording.load(folder)).warnings
+    assert any(said in note for note in found), found
+
+
+@pytest.mark.parametrize("scale", [12.0, 27.0])
+def test_a_wrong_scale_is_said_with_the_right_one(folder, scale):
+    field(px_per_mm=scale)(folder)
+    found = GelRecording.load(Recording.load(folder)).warnings
+    (note,) = found
+    assert f"px_per_mm {scale:g} say; is px_per_mm" in note
+    assert float(note.rstrip("?").split()[-1]) == pytest.approx(20.0, rel=0.05)
+
+
+def test_one_press_that_the_fit_misses_is_named():
+    from types import SimpleNamespace
+
+    from lerobot_pneutac.verbs.fit_gel import OURS, REST, poor_presses
+
+    def scores(*levels):
+        return [SimpleNamespace(rmse=level) for level in levels]
+
+    data = SimpleNamespace(samples=[SimpleNamespace(name=f"{i}.png") for i in range(5)])
+    rest = scores(10, 11, 9, 10, 12)
+    (sentence,) = poor_presses({OURS: scores(4, 4, 4, 12, 5), REST: rest}, data)
+    assert "Row 4 ('3.png') is missed by 12.0 levels, 1.20 times what the rest image" in sentence
+    assert poor_presses({OURS: scores(4, 4, 4, 5, 5), REST: rest}, data) == []
+    assert poor_presses({OURS: rest, REST: rest}, data) == []  # all are poor: no single one
