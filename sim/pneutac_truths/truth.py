@@ -15,6 +15,7 @@ from pneutac_truths.programs import Plan
 from pneutac_truths.seen import in_columns, logged
 from pneutac_truths.world import CHAMBERS, World, stream
 
+WARMER_C = 17.0
 SIX = {"command": 1, "air": 1, "drive": 1, "material": 2, "load": 1}  # of what `device` is made
 
 PAIRS: dict[str, tuple[str, ...]] = {
@@ -105,6 +106,7 @@ def generate(
     tell_pauses: bool = False,
     tell_sent: bool = False,
     plan: Plan | None = None,
+    warm_runs: bool = False,
 ) -> Truth:
     """Makes one recording of a device.
 
@@ -119,6 +121,8 @@ def generate(
         tell_pauses: whether recording.json tells how long the device rested before each trial.
         tell_sent: whether the log tells when each command was sent; otherwise it is drawn.
         plan: what is commanded, see `programs.given`; None draws it.
+        warm_runs: whether a third of the trials are in a room that is `WARMER_C` warmer, as the log shows;
+            the device heeds it only where one of its effects does.
 
     Raises:
         ValueError: an unknown name, or a gauge's fault without a gauge.
@@ -148,7 +152,7 @@ def generate(
     for j, name in enumerate(observed):
         samples[name] = shown[:, j]
         noise[name] = float(f"{sd:.4g}")
-    _conditions(w, samples, rng)
+    _conditions(w, samples, rng, warm_runs)
     meta = {
         "device": "arm" if device == "arm" else "finger",
         "length_mm": round(w.body.length_mm, 2),
@@ -195,7 +199,7 @@ def _commands(w: World, rng: np.random.Generator, tell_sent: bool) -> pd.DataFra
     return table
 
 
-def _conditions(w: World, samples: pd.DataFrame, rng: np.random.Generator) -> None:
+def _conditions(w: World, samples: pd.DataFrame, rng: np.random.Generator, warm_runs: bool) -> None:
     """Columns of weight, payload and temperature; a thermometer is at times logged where it tells nothing."""
     rows = w.plan.rows
     trial = w.plan.trial[rows]
@@ -204,8 +208,11 @@ def _conditions(w: World, samples: pd.DataFrame, rng: np.random.Generator) -> No
             samples[f"gravity_{axis}"] = w.gravity[trial, k] + 0.0
     if w.payload_g is not None:
         samples["payload_g"] = w.payload_g[trial]
-    idle = rng.random() < 0.25
+    idle = rng.random() < 0.25 or warm_runs
     air = w.temperature_c if w.temperature_c is not None else room_temperature(w, "temperature")
+    if warm_runs and w.temperature_c is None:
+        warm = stream(w.seed, w.day, "warm").permutation(np.arange(len(w.plan.starts)) % 3 == 0)
+        air = 22 + WARMER_C * warm[w.plan.trial]
     if idle or w.temperature_c is not None:
         samples["temperature_c"] = air[rows] + rng.normal(0, 0.05, len(rows))
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from pneutac_sim.errors import InputError
 
-SETS = ("truths", "hidden", "real", "extrapolation", "own_form_out", "rivals", "logs")
+SETS = ("truths", "hidden", "real", "extrapolation", "own_form_out", "rivals", "logs", "lab")
 DEVICES = ("rod", "arm", "cosserat")
 
 
@@ -17,8 +17,10 @@ class BenchmarkDiagnosisConfig:
     Attributes:
         set: `truths` (devices that share nothing with the twin, judged on another day), `hidden` (devices
             built like the twin), `real` ($PNEUTAC_DATA/soft), `extrapolation` (truths, learnt below 60 % of
-            the pressure), `own_form_out` (without the truth's families), `rivals` (other methods) or `logs`
-            (ordinary logs of plain fingers, which must raise no alarm, and some with one effect).
+            the pressure), `own_form_out` (without the truth's families), `rivals` (other methods), `logs`
+            (ordinary logs of plain fingers, which must raise no alarm, and some with one effect) or `lab`
+            (truths with turned, loaded and warm runs: calibrated, diagnosed, added, compared on another day,
+            then effects added that are not there).
         out: folder of the table; finished cases in it are not repeated. Where left out,
             outputs/benchmark_diagnosis/SET.
         fast: one seed, few cases and four-minute recordings only.

@@ -26,6 +26,7 @@ SETS = {
     "own_form_out": ("truths", "table_truths"),
     "rivals": ("rivals", "table_rivals"),
     "logs": ("logs", "table_logs"),
+    "lab": ("lab", "table_lab"),
 }
 
 
