@@ -141,17 +141,17 @@ class BodyModel:
         return self.jacobian.T @ self.jacobian + self.weight
 
     @cached_property
-    def judged(self) -> np.ndarray:
-        """(N, D) residual in which no step's instant was fitted to the row itself, see `finger.instants`."""
+    def judged(self) -> tuple[np.ndarray, np.ndarray]:
+        """Residual (N, D) and what is to be added to its squares (N,), see `finger.instants`."""
         if self.fitter is None or not isinstance(self.form.reading.switch, tuple):
-            return self.residual
+            return self.residual, np.zeros(len(self.residual))
         return self.fitter.judged(self)
 
     def crossed(self, fold: np.ndarray) -> np.ndarray:
         """(N,) squared errors, each by a fit without its own fold, one Gauss-Newton step from the whole one.
 
-        The errors are those of `judged`. The step stays within bounds and within `FAR`, where a linear model
-        says something.
+        Errors are counted as `judged` says. The step stays within bounds and within `FAR`, where a linear
+        model says something.
 
         Args:
             fold: (N,) number of each row's fold; rows of a negative one stay out and count 0.
@@ -160,9 +160,9 @@ class BodyModel:
         out = np.zeros(len(fold))
         moves = np.flatnonzero((self.v > 1e-6) & (self.v < 1 - 1e-6))
         low, high = np.maximum(-self.v, -FAR)[moves], np.minimum(1 - self.v, FAR)[moves]
-        use = np.r_[moves, of_trials]
+        use, (judged, added) = np.r_[moves, of_trials], self.judged
         if not len(use):
-            return np.where(fold >= 0, (self.judged[:, : self.counted] ** 2).sum(axis=1), 0.0)
+            return np.where(fold >= 0, (judged[:, : self.counted] ** 2).sum(axis=1) + added, 0.0)
         J = self.jacobian.reshape(len(fold), d, -1)[:, :, use]
         H = self.normal[np.ix_(use, use)]
         H = H + 1e-9 * np.trace(H) / len(H) * np.eye(len(H))
@@ -171,8 +171,8 @@ class BodyModel:
             mine = fold == k
             Jk, rk = J[mine].reshape(-1, len(use)), self.residual[mine]
             step = _least_within(H - Jk.T @ Jk, Jk.T @ rk.ravel() - slope[use], low, high)
-            moved = self.judged[mine] + (Jk @ step).reshape(rk.shape)
-            out[mine] = (moved[:, : self.counted] ** 2).sum(axis=1)
+            moved = judged[mine] + (Jk @ step).reshape(rk.shape)
+            out[mine] = (moved[:, : self.counted] ** 2).sum(axis=1) + added[mine]
         return out
 
 
@@ -229,16 +229,19 @@ class BodyFitter:
             self._steps[key] = StepRows(self.recording, lambda s: self.data(replace(reading, switch=s)))
         return self._steps[key]
 
-    def judged(self, model: BodyModel) -> np.ndarray:
-        """(N, D) `BodyModel.judged` of a model with instants of steps, fitted to all `rows`."""
-        reading, out = model.form.reading, model.residual.copy()
+    def judged(self, model: BodyModel) -> tuple[np.ndarray, np.ndarray]:
+        """`BodyModel.judged` of a model with instants of steps, fitted to all `rows`."""
+        reading, out, added = model.form.reading, model.residual.copy(), np.zeros(len(model.residual))
         step = self.steps(reading)
         now = step.residual(self.data(reading).thin(step.rows.ravel()), model.pipeline, model.theta)
-        change = step.judged(model.pipeline, model.theta) - now
+        variance = float((model.residual[:, : model.counted] ** 2).sum(axis=1).mean())
+        judged, cost = step.judged(model.pipeline, model.theta, variance)
         at = np.minimum(np.searchsorted(self.rows, step.rows), len(self.rows) - 1)
         use = step.own & (self.rows[at] == step.rows)
-        out[at[use]] += change[use]
-        return out
+        if not cost.any():  # one instant for all steps
+            out[at[use]] += (judged - now)[use]
+        added[at[use]] = cost[use]
+        return out, added
 
     def twin_with(self, joints: int) -> Twin:
         """The twin with so many joints, in the middle of equal segments where that is not its own number."""

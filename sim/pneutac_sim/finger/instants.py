@@ -1,10 +1,11 @@
 """When a command stepped: between two samples, at an instant that nobody wrote down.
 
-Each step has an instant of its own, fitted to the few rows after it. That also fits their noise, so a model
-is fitted and reported at these instants, but never chosen by them. It is judged by two rules:
+Each step has an instant of its own, fitted to the few rows after it, at which a model is fitted and reported.
+That also fits their noise, so models are not compared by these errors as they stand:
 
-1. A row is judged at the instant that the other rows after the same step choose (leave one out).
-2. One instant serves all steps unless instants of their own predict better under rule 1.
+1. What a fitted number takes out of the noise is added back: of variance s^2, each row of the step gets its
+   leverage on the instant times `COST` s^2 (the correction of Mallows' C_p).
+2. One instant serves all steps unless instants of their own are better by rule 1.
 """
 
 from collections.abc import Callable
@@ -15,6 +16,9 @@ from pneutac_sim.finger.data import BodyData
 from pneutac_sim.finger.pipeline import Pipeline
 from pneutac_sim.finger.switches import steps
 
+COST = (
+    1.5  # of the noise's variance: what an instant of its own must gain; by fitting noise it gains up to one
+)
 _AFTER = 6  # samples after a step that show its instant
 _GRID = np.linspace(0, 1, 25)
 
@@ -64,22 +68,37 @@ class StepRows:
 
     def errors(self, pipeline: Pipeline, theta: np.ndarray) -> np.ndarray:
         """(shares, steps) sums of squares over the rows of a step."""
-        squared = (self._residuals(pipeline, theta) ** 2).sum(axis=-1) * self.own
-        return squared.sum(axis=2)
+        return self._errors(self._residuals(pipeline, theta)).sum(axis=2)
 
-    def judged(self, pipeline: Pipeline, theta: np.ndarray) -> np.ndarray:
-        """(steps, 6, D) residual by which a model may be judged."""
+    def judged(self, pipeline: Pipeline, theta: np.ndarray, variance: float) -> tuple[np.ndarray, np.ndarray]:
+        """By what a model may be compared with others.
+
+        Args:
+            pipeline: the model.
+            theta: (P,) its parameters.
+            variance: mean square of the model's residual, summed over outputs.
+
+        Returns:
+            residual (steps, 6, D), and what is to be added to its squares (steps, 6).
+        """
         R = self._residuals(pipeline, theta)
-        E = (R**2).sum(axis=-1) * self.own  # (shares, steps, 6)
+        E = self._errors(R)
         total = E.sum(axis=2)
-        one = int(total.sum(axis=1).argmin())
-        left_out = (total[..., None] - E).argmin(axis=0)  # chosen by the other rows of the step
-        if total[one].sum() <= np.take_along_axis(E, left_out[None], 0).sum():
-            return R[one]
-        return np.take_along_axis(R, left_out[None, ..., None], 0)[0]
+        one, best = int(total.sum(axis=1).argmin()), total.argmin(axis=0)
+        step = np.arange(len(self.at))
+        low, high = np.maximum(best - 1, 0), np.minimum(best + 1, len(R) - 1)
+        moved = self._errors((R[high, step] - R[low, step])[None])[0]
+        leverage = moved / np.maximum(moved.sum(axis=1, keepdims=True), 1e-300)
+        cost = COST * variance * leverage
+        if total[one].sum() <= E[best, step].sum() + cost.sum():
+            return R[one], np.zeros_like(cost)
+        return R[best, step], cost
 
     def _residuals(self, pipeline: Pipeline, theta: np.ndarray) -> np.ndarray:
         return np.stack([self.residual(data, pipeline, theta) for data in self._data])
+
+    def _errors(self, R: np.ndarray) -> np.ndarray:
+        return (R**2).sum(axis=-1) * self.own
 
 
 def _least(E: np.ndarray) -> np.ndarray:

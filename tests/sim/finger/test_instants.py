@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from pneutac_sim.finger import BodyData, Pipeline
-from pneutac_sim.finger.instants import StepRows, instants, step_rows
+from pneutac_sim.finger.instants import COST, StepRows, instants, step_rows
 from pneutac_sim.twin import Twin, Value
 
 HZ, HOLD, STEPS = 25, 40, 24
@@ -80,8 +80,18 @@ def quick():
 def test_an_instant_fitted_to_a_row_hides_its_noise_and_a_judged_one_does_not(quick):
     step, pipeline, theta = quick
     fitted = step.errors(pipeline, theta).min(axis=0).sum() / step.own.sum()
-    judged = ((step.judged(pipeline, theta)[..., 0] * step.own) ** 2).sum() / step.own.sum()
+    residual, added = step.judged(pipeline, theta, 0.01**2)
+    judged = ((residual[..., 0] ** 2 + added) * step.own).sum() / step.own.sum()
     assert fitted < 0.95 * 0.01**2 <= judged < 1.2 * 0.01**2
+
+
+def test_steps_at_instants_of_their_own_are_judged_at_them_for_the_cost_of_one_number_each(made):
+    _, twin, pipeline, theta, recording = made
+    step = StepRows(recording, lambda s: BodyData.of(recording, twin, start="held", switch=s))
+    residual, added = step.judged(pipeline, theta, variance := 2 * 0.02**2)
+    np.testing.assert_allclose((added * step.own).sum(axis=1), COST * variance)
+    shared = step.errors(pipeline, theta).sum(axis=1).min()
+    assert ((residual**2).sum(axis=2) * step.own).sum() < 0.02 * shared
 
 
 def test_the_rows_of_a_step_end_at_the_next_one_and_with_the_trial():
