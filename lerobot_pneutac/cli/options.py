@@ -6,6 +6,7 @@ Help texts are the `Attributes:` of the dataclass' docstring, so that they stand
 import dataclasses
 import difflib
 import inspect
+import json
 import re
 import shutil
 import sys
@@ -246,6 +247,8 @@ def _completed(options: dict[str, Option], argv: list[str]) -> list[str]:
             raise InputError(f"--{name}={value} names none of its options; give {' or '.join(inside)}.")
         if _holds_a_list(kind) and value and value[0] not in "[{" and ("," in value or _is_list(kind)):
             value = f"[{value}]"
+        if kind in (str, Path) and not re.fullmatch(r"[\w./~+-]*", value):
+            value = json.dumps(value, ensure_ascii=False)  # draccus takes brackets, stars and colons for YAML
         out.append(f"--{name}={value}")
     return out
 

@@ -9,6 +9,7 @@ import numpy as np
 from lerobot_pneutac.measuring.camera import Intrinsics, MarkerTracker
 from pneutac_datasets.recording.sources.tracks import Track
 from pneutac_sim.errors import InputError
+from pneutac_sim.files import refuse_pointer
 
 BASE_FRAMES = 10  # first frames, of which the base's place is the mean
 HUE_DEGREES, LEAST_SATURATION, LEAST_VALUE = 15.0, 90, 60  # of a dot's pixels: from its colour, of 255
@@ -16,19 +17,26 @@ LEAST_PIXELS = 12
 
 
 def frames(file: Path) -> Iterator[tuple[float, np.ndarray]]:
-    """Times, s, and images RGB (H, W, 3) of a film; raises InputError where it cannot be read."""
+    """Times, s, and images RGB (H, W, 3) of a film; raises InputError where it cannot be read.
+
+    The times are the film's own stamps: phones take frames unevenly.
+    """
+    refuse_pointer(file)
     film = cv2.VideoCapture(str(file))
     fps = film.get(cv2.CAP_PROP_FPS)
     if not (film.isOpened() and fps > 0):
         raise InputError(f"{file} is no film that OpenCV reads; convert it to MP4 (H.264).")
     try:
-        number = 0
+        number, last_s = 0, -1.0
         while True:
             good, image = film.read()
             if not good:
                 break
-            yield number / fps, cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
-            number += 1
+            time_s = film.get(cv2.CAP_PROP_POS_MSEC) / 1000
+            if not time_s > last_s:  # a container without stamps
+                time_s = number / fps if number / fps > last_s else last_s + 1 / fps
+            yield time_s, cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+            number, last_s = number + 1, time_s
     finally:
         film.release()
     if not number:

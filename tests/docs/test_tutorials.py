@@ -16,6 +16,7 @@ pytestmark = pytest.mark.timeout(1200)  # two busy cores; a page takes one or tw
 @pytest.mark.parametrize(
     "page",
     [
+        pytest.param("docs/tutorials/your_csv.md", marks=SLOW),
         # The same verbs, in Python, are in the README.
         pytest.param("docs/tutorials/missing_effect.md", marks=NIGHTLY),
         pytest.param("docs/tutorials/digit_from_two_images.md", marks=NIGHTLY),

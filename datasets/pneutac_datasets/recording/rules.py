@@ -15,6 +15,7 @@ from pneutac_sim.errors import CONTROL, InputError
 from pneutac_sim.finger import quantities
 from pneutac_sim.twin import DEVICES
 
+LEAST_USUAL_KPA, LARGE_MOTION_MM = 3.0, 10.0  # no finger of rubber bends so far by so little
 LABELS = r"program|image(_\w+)?|mask(_\w+)?|role|indenter|indenter_file|outline_mm|depth_source"
 
 
@@ -269,6 +270,13 @@ def _check_poverty(samples: pd.DataFrame, file: Path, warnings: list[str]) -> No
         warnings.append(
             f"{file}: column '{pressures[0]}' is constant at {samples[pressures[0]].iloc[0]:g} kPa in every "
             "row; nothing can be learned about the answer to pressure, so record steps or ramps."
+        )
+    top = max((float(np.abs(samples[c]).max()) for c in pressures), default=0.0)
+    moved = float(np.linalg.norm([np.ptp(samples[c].to_numpy(float)) for c in tips])) if tips else 0.0
+    if 0 < top <= LEAST_USUAL_KPA and moved > LARGE_MOTION_MM:
+        warnings.append(
+            f"{file}: column '{pressures[0]}' goes up to {top:.3g} kPa and the tip moves {moved:.3g} mm; if"
+            " that is bar, multiply the pressures by 100, if MPa by 1000, if psi by 6.895."
         )
     if samples["trial"].nunique() == 1:
         warnings.append(

@@ -75,7 +75,11 @@ def read_text(file: Path) -> TextTable:
     Raises:
         InputError: it is no table, has no header, or is too large.
     """
-    size = file.stat().st_size
+    try:
+        size = file.stat().st_size
+        file.open("rb").close()
+    except OSError as e:
+        raise InputError(f"{file} cannot be read: {e.strerror or e}.") from e
     if size > MAX_CSV_BYTES:
         raise InputError(
             f"{file} has {size / 2**30:.1f} GB, above the limit of {MAX_CSV_BYTES // 2**20} MB for text; "

@@ -14,6 +14,7 @@ from pneutac_sim.errors import InputError
 # from the base than the device is long; the factor of three leaves room for a rough length_mm.
 MAX_PRESSURE_KPA = 2000.0
 LONGEST_TIP, SHORTEST_TIP = 3.0, 0.02  # of length_mm
+SAME_LENGTH = 0.12  # of length_mm, within which the resting tip in another unit tells that unit
 RATIO = 30.0  # between measured and commanded pressure
 
 
@@ -146,10 +147,29 @@ def _check_tip(samples: pd.DataFrame, meta: dict, file: Path) -> None:
     row, value = int(reach.argmax()), float(reach.max())
     if 0 < value < (SHORTEST_TIP * length_mm if length_mm else 1.0):
         raise _other_unit(samples, file, tips[0], row, "metres", "multiply the tip columns by 1000", value)
+    rest = _reach_at_rest(samples, reach)
+    for unit, mm in (("centimetres", 10.0), ("inches", 25.4)) if length_mm and rest else ():
+        if abs(rest * mm / length_mm - 1) < SAME_LENGTH and value < 3 * rest:
+            other, remedy = (
+                f"{unit}: at rest the tip is {rest:.3g} from the base",
+                f"multiply the tip columns by {mm:g}",
+            )
+            raise _other_unit(
+                samples, file, tips[0], row, f"{other} of a finger of {length_mm:g} mm", remedy, value
+            )
     if length_mm and value > LONGEST_TIP * length_mm:
         other = f"another unit or frame (length_mm is {length_mm:g})"
         remedy = "give the tip in millimetres from the base of the device"
         raise _other_unit(samples, file, tips[0], row, other, remedy, value)
+
+
+def _reach_at_rest(samples: pd.DataFrame, reach: np.ndarray) -> float:
+    """How far the tip is from the base where the least pressure is commanded; 0 where none is."""
+    commands = _columns(samples, r"pressure_cmd_(\d+_)?kpa")
+    if not commands:
+        return 0.0
+    driven = samples[commands].abs().max(axis=1).to_numpy(float)
+    return float(np.median(reach[driven <= np.quantile(driven, 0.05)]))
 
 
 def check_gravity(samples: pd.DataFrame, meta: dict, file: Path) -> None:

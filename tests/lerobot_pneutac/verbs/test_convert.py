@@ -1,5 +1,7 @@
 """One bend of a finger as every other system would have logged it, made a bench recording."""
 
+from fractions import Fraction
+
 import cv2
 import numpy as np
 import pandas as pd
@@ -111,6 +113,36 @@ def test_of_vicons_markers_x_goes_to_where_the_tip_rests(tmp_path, log):
     assert recording.column("tip_z_mm").max() > 30  # positive pressure bends towards +z
 
 
+def test_vicons_objects_are_bodies_with_places_and_quaternions(tmp_path, log):
+    def objects(file, with_w):
+        turn = LAB.as_quat() if with_w else LAB.as_rotvec()
+        base = [*turn, *ORIGIN_MM]
+        axes = "RX,RY,RZ,RW,TX,TY,TZ" if with_w else "RX,RY,RZ,TX,TY,TZ"
+        gap = "," * (7 if with_w else 6)
+        rows = [
+            ",".join(f"{v:.6f}" for v in [k + 1, 0, *base, *turn, *p]) for k, p in enumerate(lab_mm())
+        ]  # fmt: skip
+        head = ["Objects", "60", f",,Finger:Base{gap}Finger:Tip", f"Frame,Sub Frame,{axes},{axes}"]
+        units = ",".join(["rad"] * (len(turn)) + ["mm"] * 3)
+        file.write_text("\n".join([*head, f",,{units},{units}", *rows]))
+        return file
+
+    options = {"tip": "Tip", "base": "Base"} | log
+    check(convert(ConvertConfig(objects(tmp_path / "tracker.csv", True), **options)), 0.01)
+    options["out"] = tmp_path / "angles"  # of which the order is unknown: places alone
+    check(convert(ConvertConfig(objects(tmp_path / "tracker.csv", False), **options)), 0.6)
+
+
+def test_a_pointer_of_git_lfs_is_named(tmp_path, log):
+    pointer = "version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n"
+    for name in ("lab.csv", "run.mat", "film.mp4"):
+        (tmp_path / name).write_text(pointer)
+        colours = {"tip_rgb": (220, 30, 30), "base_rgb": (40, 200, 40), "dots_mm": 20.0}
+        options = log | {"out": tmp_path / "b"}
+        with pytest.raises(InputError, match=f"{name} is a Git LFS pointer.*git lfs pull"):
+            convert(ConvertConfig(tmp_path / name, **(colours if name == "film.mp4" else {}), **options))
+
+
 def test_a_mat_may_have_all_of_it(tmp_path):
     t = np.arange(0, 5, 0.1)
     bend = 0.01 + 0.06 * pressure(t)
@@ -214,6 +246,41 @@ def test_coloured_dots_in_a_film_are_found(tmp_path, log):
         convert(ConvertConfig(source, **options | {"out": tmp_path / "b"}))
     with pytest.raises(InputError, match="A film needs --marker_mm .* or --tip_rgb"):
         convert(ConvertConfig(source, **log | {"out": tmp_path / "b"}))
+
+
+def test_frames_of_a_film_are_timed_by_their_own_stamps(tmp_path, log):
+    import av
+
+    def stamped(file, times_s):
+        with av.open(str(file), "w") as container:
+            stream = container.add_stream("mpeg4", rate=30)
+            stream.width, stream.height, stream.pix_fmt, stream.bit_rate = 640, 480, "yuv420p", 8_000_000
+            stream.codec_context.time_base = Fraction(1, 1000)
+            for t in times_s:
+                bend = 0.01 + 0.1 * t
+                place = LENGTH * np.array([np.sin(bend) / bend, 0, (1 - np.cos(bend)) / bend])
+                image = np.full((480, 640, 3), 200, np.uint8)
+                dots = (([0, 0, 0], (40, 200, 40)), ([20, 0, 0], (40, 200, 40)), (place, (220, 30, 30)))
+                for at, rgb in dots:
+                    u, v = 100 + 4 * at[0], 300 - 4 * at[2]
+                    cv2.circle(image, (round(16 * u), round(16 * v)), 16 * 9, rgb, -1, cv2.LINE_AA, 4)
+                frame = av.VideoFrame.from_ndarray(image, format="rgb24")
+                frame.pts, frame.time_base = round(1000 * t), Fraction(1, 1000)
+                container.mux(stream.encode(frame))
+            container.mux(stream.encode())
+
+    steps = np.where(np.arange(90) // 15 % 2, 0.1, 0.033)  # 30 and 10 frames a second in turn
+    times = np.round(np.cumsum(steps) - steps[0], 3)
+    stamped(tmp_path / "vfr.mp4", times)
+    t = np.arange(0, 12, 0.1)
+    pd.DataFrame({"t": t, "p [kPa]": 3 * t}).to_csv(tmp_path / "log.csv", index=False)
+    options = {"tip_rgb": (220, 30, 30), "base_rgb": (40, 200, 40), "dots_mm": 20.0, "length_mm": LENGTH}
+    recording = convert(
+        ConvertConfig(tmp_path / "vfr.mp4", tmp_path / "bench", log=tmp_path / "log.csv", **options)
+    )
+    bend = 0.01 + 0.1 * recording.column("time_s")
+    np.testing.assert_allclose(recording.column("tip_z_mm"), LENGTH * (1 - np.cos(bend)) / bend, atol=0.5)
+    assert any("s are used, in which both ran: the markers" in w for w in recording.warnings)
 
 
 def test_aruco_markers_in_a_film_are_found(tmp_path, log):

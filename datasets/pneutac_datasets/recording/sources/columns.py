@@ -525,7 +525,7 @@ def _measured_in(
             f"{numbers.min():.4g} to {numbers.max():.4g}" if len(numbers) else "empty", "kPa", "bar", "psi"
         )
     if name in given:
-        return replace(column, unit=unit_named(BASE_UNIT.get(dimension, "m/s2"), dimension)), []
+        return replace(column, unit=unit_named(BASE_UNIT.get(dimension, ""), dimension)), []
     if dimension == "length":
         return _length(column, found, frame, length_mm, by_size, ask)
     if dimension == "angle":

@@ -8,7 +8,9 @@ import numpy as np
 from pneutac_datasets.recording.sources.tracks import Source, Track, rotations
 from pneutac_datasets.recording.text_table import MAX_CSV_BYTES, MAX_ROWS
 from pneutac_sim.errors import InputError
+from pneutac_sim.files import refuse_pointer
 
+SECTIONS = ("trajectories", "objects", "segments")
 MM = {"meters": 1000.0, "centimeters": 10.0, "millimeters": 1.0, "m": 1000.0, "cm": 10.0, "mm": 1.0}
 
 
@@ -50,34 +52,56 @@ def read_optitrack(file: Path) -> Source:
 
 
 def read_vicon(file: Path) -> Source:
-    """Trajectories that Nexus exported as CSV: its markers.
+    """What Nexus or Tracker exported as CSV: markers of `Trajectories`, bodies of `Objects` or `Segments`.
 
-    The section `Trajectories`, its rate in Hz, a line of names (`Subject:Marker` above the first of each
-    marker's three columns), one of axes, one of units.
+    Each section has its rate in Hz, a line of names (`Subject:Marker` above the first column of each), one of
+    axes (X, Y, Z; of bodies RX, RY, RZ, perhaps RW, TX, TY, TZ), one of units. Bodies have orientations where
+    these are quaternions.
 
     Raises:
-        InputError: the file has no such section, or its unit is unknown.
+        InputError: the file has no such section, or a unit is unknown.
     """
     rows = _rows(file)
-    at = next((i for i, row in enumerate(rows) if row and row[0].strip().lower() == "trajectories"), None)
-    if at is None or len(rows) < at + 6:
-        raise InputError(f"{file} has no section 'Trajectories'; export them from Nexus as ASCII.")
+    source = Source(file)
+    for at in (i for i, row in enumerate(rows) if row and row[0].strip().lower() in SECTIONS):
+        _vicon_section(file, rows, at, source)
+    if not source.tracks:
+        raise InputError(
+            f"{file} has no markers in a section {' or '.join(s.capitalize() for s in SECTIONS)}; export"
+            " trajectories from Nexus as ASCII, or objects from Tracker as CSV."
+        )
+    return source
+
+
+def _vicon_section(file: Path, rows: list[list[str]], at: int, source: Source) -> None:
+    """Adds the markers or bodies of one section."""
+    if len(rows) < at + 6:
+        raise InputError(f"{file} ends within the section '{rows[at][0].strip()}'; export it anew.")
     try:
         rate = float(rows[at + 1][0])
     except (ValueError, IndexError):
         rate = 0.0
     if not rate > 0:
-        raise InputError(f"{file}: the line below 'Trajectories' must be the rate in Hz.")
+        raise InputError(f"{file}: the line below '{rows[at][0].strip()}' must be the rate in Hz.")
     names, axes, units = rows[at + 2 : at + 5]
+    axes = [a.strip().upper() for a in axes]
     end = next((i for i in range(at + 5, len(rows)) if not any(c.strip() for c in rows[i])), len(rows))
     table = _numbers(rows[at + 5 : end], len(axes))
-    source = Source(file)
-    for column, label in enumerate(names):
-        if label.strip() and [a.strip().upper() for a in axes[column : column + 3]] == ["X", "Y", "Z"]:
-            scale = _scale(file, units[column].strip().lower() or "mm")
-            place = scale * table[:, column : column + 3]
-            source.tracks[label.strip().split(":")[-1]] = Track((table[:, 0] - table[0, 0]) / rate, place)
-    return source
+    if not len(table):
+        return
+    time_s = (table[:, 0] - table[0, 0]) / rate
+    labels = [(c, label.strip()) for c, label in enumerate(names) if label.strip()]
+    for k, (column, label) in enumerate(labels):
+        last = labels[k + 1][0] if k + 1 < len(labels) else len(axes)
+        here = {a: c for c, a in enumerate(axes[column:last], column)}
+        place = [here[a] for a in ("TX", "TY", "TZ") if a in here] or [here[a] for a in "XYZ" if a in here]
+        if len(place) != 3:
+            continue
+        unit = units[place[0]].strip().lower() if place[0] < len(units) else ""
+        turns = [here[a] for a in ("RX", "RY", "RZ", "RW") if a in here]
+        R = rotations(table[:, turns]) if len(turns) == 4 else None  # three angles are of an unknown order
+        name = label.split(":")[-1]
+        source.tracks[name] = Track(time_s, _scale(file, unit or "mm") * table[:, place], R)
 
 
 def is_optitrack(file: Path) -> bool:
@@ -86,11 +110,12 @@ def is_optitrack(file: Path) -> bool:
 
 
 def is_vicon(file: Path) -> bool:
-    """Whether a CSV has Nexus' section of trajectories."""
-    return any(line.split(",")[0].strip() == "trajectories" for line in _begin(file).splitlines())
+    """Whether a CSV has one of Vicon's sections."""
+    return any(line.split(",")[0].strip() in SECTIONS for line in _begin(file).splitlines())
 
 
 def _begin(file: Path) -> str:
+    refuse_pointer(file)
     with file.open(encoding="utf-8-sig", errors="replace") as f:
         return f.read(2**16).lower()
 
