@@ -59,7 +59,7 @@ def _interrupted() -> None:
 
 def _dispatch(argv: list[str]) -> None:
     from lerobot_pneutac.cli.options import name_option
-    from pneutac_sim.errors import InputError
+    from pneutac_sim.errors import InputError, printable
 
     verb = argv[0] if argv else "help"
     if verb in ("help", "-h", "--help"):
@@ -80,6 +80,11 @@ def _dispatch(argv: list[str]) -> None:
     except InputError as e:
         known = options_class(verb)
         sys.exit(f"pneutac {verb}: {name_option(str(e), known) if known else e}")
+    except BrokenPipeError:
+        raise
+    except OSError as e:  # a folder that cannot be read or written, a full disk, a Hub out of reach
+        what = f"{e.filename}: {e.strerror}" if e.filename and e.strerror else " ".join(str(e).split())
+        sys.exit(f"pneutac {verb}: {printable(what)}.")
 
 
 def options_class(command: str) -> type | None:

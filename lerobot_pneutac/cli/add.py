@@ -7,11 +7,12 @@ from rich.console import Console
 
 from lerobot_pneutac.cli.options import TableOptions, parse_options
 from lerobot_pneutac.cli.progress import progress_bar
-from lerobot_pneutac.cli.show import show, write
+from lerobot_pneutac.cli.show import finish
 from lerobot_pneutac.study.pair import load_pair
 from lerobot_pneutac.verbs.add import add
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
+from pneutac_sim.files import check_writable
 
 
 @dataclass
@@ -58,13 +59,13 @@ def main(argv: list[str]) -> None:
     for e in effects:
         get_effect(e)
     twin, recording = load_pair(cfg.twin, cfg.recording, "add to", cfg.task, cfg.station)
-    with progress_bar(console) as progress:
+    check_writable(cfg.twin, f"--twin={cfg.twin}")
+    with progress_bar(Console(stderr=True)) as progress:
         result = add(
             twin, recording, cfg.diagnosis or effects, seed=cfg.seed, anyway=cfg.anyway, progress=progress
         )
     if result.accepted or result.unconfirmed:
         result = result.save(cfg.twin)
-    write(result, cfg.out, "add", argv, console)
-    show(result, console, sentence=result.accepted or result.unconfirmed)
+    finish(result, console, cfg.out, "add", argv, sentence=result.accepted or result.unconfirmed)
     if not (result.accepted or result.unconfirmed):
         raise InputError(result.reason)

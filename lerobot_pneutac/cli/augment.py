@@ -4,14 +4,13 @@ from rich.console import Console
 
 from lerobot_pneutac.cli.options import parse_options
 from lerobot_pneutac.cli.progress import progress_bar
-from lerobot_pneutac.cli.show import show, write
+from lerobot_pneutac.cli.show import finish
 from lerobot_pneutac.verbs.augment import AugmentConfig, augment
 
 
 def main(argv: list[str]) -> None:
     """Runs the verb."""
     config, console = parse_options(AugmentConfig, argv), Console()
-    with progress_bar(console) as progress:
+    with progress_bar(Console(stderr=True)) as progress:
         result = augment(config, progress)
-    show(result, console)
-    write(result, config.out, "augment", argv, console)
+    finish(result, console, config.out, "augment", argv)

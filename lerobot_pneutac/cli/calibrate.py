@@ -8,11 +8,13 @@ from rich.console import Console
 
 from lerobot_pneutac.cli.options import TableOptions, parse_options
 from lerobot_pneutac.cli.progress import progress_bar
-from lerobot_pneutac.cli.show import show, write
+from lerobot_pneutac.cli.show import finish
 from lerobot_pneutac.verbs import calibrate_files as files
 from lerobot_pneutac.verbs.calibrate import calibrate
 from lerobot_pneutac.verbs.calibration import Calibration
 from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.errors import InputError
+from pneutac_sim.files import check_writable
 
 
 @dataclass
@@ -64,20 +66,22 @@ def main(argv: list[str]) -> None:
     cfg, console = parse_options(CalibrateConfig, argv), Console()
     with TemporaryDirectory() as scratch:
         result = run(cfg, Path(scratch), console)
-    show(result, console)
-    write(result, cfg.out, "calibrate", argv, console)
+    finish(result, console, cfg.out, "calibrate", argv)
+    if result.worse:
+        raise InputError(result.worse)
 
 
 def run(cfg: CalibrateConfig, scratch: Path, console: Console) -> Calibration:
-    """Fits and saves the twin's next version; `scratch` is a folder for generated data."""
+    """Fits and, unless it is worse, saves the twin's next version; `scratch` is for generated data."""
     recording, note = files.recording_for(cfg.recording, scratch, cfg.seed, cfg.task, cfg.twin, cfg.station)
     console.print(note, end="\n" if note else "", highlight=False)
+    check_writable(cfg.twin, f"--twin={cfg.twin}")
     files.check_prior(cfg.save_prior, recording)
     twin, keep = files.twin_for(cfg.twin, recording), cfg.out or cfg.twin
     if not (cfg.twin / "twin.yaml").exists():
         console.print(f"There is no twin at {cfg.twin} yet: beginning one of a gel.", highlight=False)
     try:
-        with progress_bar(console) as progress:
+        with progress_bar(Console(stderr=True)) as progress:
             result = calibrate(
                 twin, recording, by=cfg.by, effects=cfg.effects, through=cfg.through,
                 image_size=cfg.image_size, train_kpa=cfg.train_kpa, seed=cfg.seed,
@@ -86,6 +90,8 @@ def run(cfg: CalibrateConfig, scratch: Path, console: Console) -> Calibration:
     except KeyboardInterrupt:
         console.print(files.stopped(keep), highlight=False, soft_wrap=True)
         raise
+    if result.worse:
+        return result
     if cfg.out is None:
         files.forget_search(keep)
     if (

@@ -7,7 +7,7 @@ from rich.console import Console
 
 from lerobot_pneutac.cli.options import TableOptions, parse_options
 from lerobot_pneutac.cli.progress import progress_bar
-from lerobot_pneutac.cli.show import show, write
+from lerobot_pneutac.cli.show import finish
 from lerobot_pneutac.study.pair import load_bench_pair, load_pair
 from lerobot_pneutac.verbs.ageing import ageing
 from lerobot_pneutac.verbs.compare import check_fidelity, compare
@@ -57,13 +57,11 @@ def main(argv: list[str]) -> None:
     if cfg.later:
         pairs = [load_bench_pair(cfg.twin, p, "tell ageing by") for p in (cfg.recording, *cfg.later)]
         result = ageing(pairs[0][0], [recording for _, recording in pairs], cfg.seed)
-        show(result, console)
-        write(result, cfg.out, "compare", argv, console)
+        finish(result, console, cfg.out, "compare", argv)
         return
     twin, recording = load_pair(cfg.twin, cfg.recording, "compare", cfg.task, cfg.station)
-    with progress_bar(console) as progress:
+    with progress_bar(Console(stderr=True)) as progress:
         result = compare(
             twin, recording, fidelity=cfg.fidelity, samples=cfg.samples, seed=cfg.seed, progress=progress
         )
-    show(result, console)
-    write(result, cfg.out, "compare", argv, console)
+    finish(result, console, cfg.out, "compare", argv)

@@ -6,7 +6,7 @@ from pathlib import Path
 from rich.console import Console
 
 from lerobot_pneutac.cli.options import parse_options
-from lerobot_pneutac.cli.show import show, write
+from lerobot_pneutac.cli.show import finish
 from lerobot_pneutac.study.pair import same_body
 from lerobot_pneutac.verbs.control import control
 from pneutac_datasets.recording.recording import Recording
@@ -43,5 +43,4 @@ def main(argv: list[str]) -> None:
     if recording is not None:
         same_body(twin, recording, "control")
     result = control(twin, cfg.bend, cfg.hz, cfg.conditions, recording)
-    show(result, console)
-    write(result, cfg.out, "control", argv, console)
+    finish(result, console, cfg.out, "control", argv)

@@ -16,7 +16,7 @@ def main(argv: list[str]) -> None:
     def announce(text: str) -> None:
         console.print(text, style="dim" if text.startswith("$") else "bold", soft_wrap=True, highlight=False)
 
-    with progress_bar(console) as progress:
+    with progress_bar(Console(stderr=True)) as progress:
         result = Demo(cfg, announce, progress).run()
     report = result.report(cfg.out)
     console.print(f"\n[bold]{result.sentence}[/]", highlight=False)

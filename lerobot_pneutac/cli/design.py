@@ -7,7 +7,7 @@ from rich.console import Console
 
 from lerobot_pneutac.cli.options import TableOptions, parse_options
 from lerobot_pneutac.cli.progress import progress_bar
-from lerobot_pneutac.cli.show import show, write
+from lerobot_pneutac.cli.show import finish
 from lerobot_pneutac.diagnosis.hands import GRAVITY, Hands, named
 from lerobot_pneutac.study.pair import load_bench_pair, load_pair
 from lerobot_pneutac.verbs.design import design
@@ -72,10 +72,9 @@ def main(argv: list[str]) -> None:
         if cfg.diagnosis:
             raise InputError("diagnosis: motions are chosen by the twin alone; leave it out.")
         twin, shown = load_pair(cfg.twin, cfg.recording, "design by", cfg.task, cfg.station)
-        with progress_bar(console) as progress:
+        with progress_bar(Console(stderr=True)) as progress:
             motion = design_motion(twin, shown, progress)
-        show(motion, console)
-        return write(motion, cfg.out, "design", argv, console)
+        return finish(motion, console, cfg.out, "design", argv)
     twin, recording = load_bench_pair(cfg.twin, cfg.recording, "design by")
     if cfg.diagnosis is None:
         raise InputError("Give the folder that `pneutac diagnose --out=DIR` wrote, as --diagnosis=DIR.")
@@ -83,15 +82,13 @@ def main(argv: list[str]) -> None:
     if recording.device == "gel":
         _take_no_more(cfg, 4, "a press of a gel has")
         press = design_press(twin, recording, cfg.diagnosis)
-        show(press, console)
-        return write(press, cfg.out, "design", argv, console)
+        return finish(press, console, cfg.out, "design", argv)
     usual = {
         c: float(recording.column(c)[0]) for c in (*GRAVITY, "payload_g", "temperature_c") if recording.has(c)
     }
     hands = Hands.of(named(cfg.hands), usual, cfg.payload_g, cfg.warm_c)
     result = design(twin, recording, cfg.diagnosis, *limits, hands)
-    show(result, console)
-    write(result, cfg.out, "design", argv, console)
+    finish(result, console, cfg.out, "design", argv)
 
 
 def _take_no_more(cfg: DesignConfig, first: int, has: str) -> None:

@@ -7,7 +7,7 @@ from rich.console import Console
 
 from lerobot_pneutac.cli.options import TableOptions, parse_options
 from lerobot_pneutac.cli.progress import progress_bar
-from lerobot_pneutac.cli.show import show, write
+from lerobot_pneutac.cli.show import finish
 from lerobot_pneutac.study.pair import load_pair
 from lerobot_pneutac.verbs.contenders import save_contenders
 from lerobot_pneutac.verbs.diagnose import diagnose
@@ -42,11 +42,10 @@ def main(argv: list[str]) -> None:
     """Runs the verb."""
     cfg, console = parse_options(DiagnoseConfig, argv), Console()
     twin, recording = load_pair(cfg.twin, cfg.recording, "diagnose", cfg.task, cfg.station)
-    with progress_bar(console) as progress:
+    with progress_bar(Console(stderr=True)) as progress:
         result = diagnose(twin, recording, jobs=cfg.jobs, seed=cfg.seed, progress=progress)
     if cfg.out is not None and recording.device != "gel":
         result = result.save(cfg.out)
     elif cfg.out is not None:
         save_contenders(cfg.out, result.outcome.contenders)
-    show(result, console)
-    write(result, cfg.out, "diagnose", argv, console)
+    finish(result, console, cfg.out, "diagnose", argv)

@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from lerobot_pneutac.cli.options import parse_options
-from lerobot_pneutac.cli.show import show, write
+from lerobot_pneutac.cli.show import finish
 from lerobot_pneutac.verbs.effect_file import effect_source, file_name
 from lerobot_pneutac.verbs.effects import list_effects, show_effect
 from pneutac_sim.errors import InputError
@@ -52,8 +52,7 @@ def main(argv: list[str]) -> None:
         if cfg.out is not None and cfg.out.is_file():
             raise InputError(f"--out={cfg.out} is a file; give a folder.")
         result = show_effect(names[0])
-        show(result, console)
-        write(result, cfg.out, "effects", argv, console)
+        finish(result, console, cfg.out, "effects", argv)
     else:
         _export(names[0], cfg.out or Path(f"{file_name(names[0])}.py"), console)
 

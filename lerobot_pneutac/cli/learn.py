@@ -8,7 +8,7 @@ from rich.console import Console
 from lerobot_pneutac.cli.bench import check_bench, make_bench
 from lerobot_pneutac.cli.options import parse_options
 from lerobot_pneutac.cli.progress import progress_bar
-from lerobot_pneutac.cli.show import show, write
+from lerobot_pneutac.cli.show import finish
 from lerobot_pneutac.diagnosis.hands import Hands, named
 from lerobot_pneutac.verbs.learn import learn
 from lerobot_pneutac.verbs.learning import Round
@@ -80,12 +80,11 @@ def main(argv: list[str]) -> None:
         )
 
     try:
-        with progress_bar(console) as progress:
+        with progress_bar(Console(stderr=True)) as progress:
             result = learn(
                 twin, bench, cfg.out, budget_s=60 * cfg.budget_min, program_s=cfg.program_s, seed=cfg.seed,
                 jobs=cfg.jobs, hands=hands, progress=progress, on_round=tell,
             )  # fmt: skip
     except HardwareFault as e:
         raise InputError(f"{e} Finished rounds are kept; the same command goes on after them.") from e
-    show(result, console)
-    write(result, cfg.out, "learn", argv, console)
+    finish(result, console, cfg.out, "learn", argv)

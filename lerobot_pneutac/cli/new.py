@@ -8,11 +8,12 @@ from rich.console import Console
 from rich.markup import escape
 
 from lerobot_pneutac.cli.options import TableOptions, parse_options
-from lerobot_pneutac.verbs.measured_range import range_sentence
+from lerobot_pneutac.verbs.measured_range import measured_range, range_sentence
 from lerobot_pneutac.verbs.new import mesh_sentence, new_twin, read_body, write_geometry
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import an
 from pneutac_sim.errors import InputError, check_choice
+from pneutac_sim.files import check_writable
 from pneutac_sim.twin import DEVICES
 
 
@@ -56,6 +57,7 @@ def main(argv: list[str]) -> None:
     config, console = parse_options(NewConfig, argv), Console()
     if (config.twin / "twin.yaml").exists():
         raise InputError(f"{config.twin} already holds a twin; choose another folder, or delete that one.")
+    check_writable(config.twin, f"--twin={config.twin}")
     recording = Recording.load(config.recording) if config.recording is not None else None
     if recording is not None and config.device not in (None, recording.device):
         raise InputError(
@@ -77,13 +79,13 @@ def main(argv: list[str]) -> None:
         console.print(f"{config.mesh}: {mesh_sentence(body)}", highlight=False, markup=False)
         for note in body.notes:
             console.print(f"[yellow]{escape(str(config.mesh))}:[/] {note}", highlight=False)
-    if recording is not None and twin.device != "gel":
+    if recording is not None and twin.device != "gel" and measured_range(recording):
         console.print(range_sentence(twin.pressure_range_kpa), highlight=False)
     joints = len(twin.spine_joint_positions_mm)
     shape = f", {twin.length_mm:g} mm long with {joints} spine joints" if joints else ""
+    fit = ["pneutac", "calibrate", f"--twin={config.twin}", f"--recording={config.recording or 'DIR'}"]
     console.print(
         f"{config.twin} holds a new {twin.device}{shape} (geometry.stl, in mm); fit it to measurements with "
-        f"`pneutac calibrate --twin={shlex.quote(str(config.twin))}"
-        f" --recording={shlex.quote(str(config.recording)) if config.recording else 'DIR'}`.",
+        f"`{shlex.join(fit)}`.",
         soft_wrap=True,
     )

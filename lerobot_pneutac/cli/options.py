@@ -20,7 +20,7 @@ from pathlib import Path
 import draccus
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.files import read_yaml
+from pneutac_sim.files import check_writable, read_yaml
 
 PLACEHOLDERS = {str: "TEXT", int: "INT", float: "NUMBER", Path: "PATH"}
 COLUMN = 28  # where help texts begin
@@ -79,8 +79,10 @@ def parse_options(config_class: type, argv: list[str]):
             cause = cause.__cause__
         raise cause if isinstance(cause, InputError) else InputError(_in_words(str(e), options)) from e
     out = getattr(config, "out", None)
-    if out is not None and not getattr(config, "names_a_file", False) and out.exists() and not out.is_dir():
-        raise InputError(f"--out={out} is a file; give a folder.")
+    if out is not None and not getattr(config, "names_a_file", False):
+        if out.is_file():
+            raise InputError(f"--out={out} is a file; give a folder.")
+        check_writable(out, f"--out={out}")
     _convert_tables(config)
     return config
 

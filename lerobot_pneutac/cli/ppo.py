@@ -25,7 +25,7 @@ def main(argv: list[str]) -> None:
     station = Station.load(config.station) if config.station else None
     options = {"conditions": config.conditions} if config.conditions else {}
     options |= {"station": station} if station else {}
-    with progress_bar(console) as progress:
+    with progress_bar(Console(stderr=True)) as progress:
         train = (config.task, twin, config.seed, config.steps, config.out, compute)
         card = train_ppo(*train, progress=progress, **options)
     test = card["test"]
@@ -38,7 +38,7 @@ def main(argv: list[str]) -> None:
     if config.student.root is not None:
         from lerobot_pneutac.rl.student import record_student
 
-        with progress_bar(console) as progress:
+        with progress_bar(Console(stderr=True)) as progress:
             what = (config.out, config.task, twin, config.seed, config.student)
             done = record_student(*what, progress, config.conditions, station)
         share = f"{done.episodes} demonstrations of {done.trials} trials ({100 * done.success:.0f} %)"

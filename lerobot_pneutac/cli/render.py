@@ -27,7 +27,7 @@ def main(argv: list[str]) -> None:
     from pneutac_sim.mpm.solve import MpmDiverged
 
     try:
-        with progress_bar(console) as progress:
+        with progress_bar(Console(stderr=True)) as progress:
             draw_film(film, config.out, progress)
     except MpmDiverged as e:
         remedy = GEL_REMEDY if twin.device == "gel" else BODY_REMEDY

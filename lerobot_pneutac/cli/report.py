@@ -6,7 +6,7 @@ from pathlib import Path
 from rich.console import Console
 
 from lerobot_pneutac.cli.options import parse_options
-from lerobot_pneutac.cli.show import show, write
+from lerobot_pneutac.cli.show import finish
 from lerobot_pneutac.study.pair import load_bench_pair
 from lerobot_pneutac.verbs.report import report
 from pneutac_sim.errors import InputError
@@ -46,8 +46,7 @@ def main(argv: list[str]) -> None:
     if cfg.recording is not None:
         twin, recording = load_bench_pair(cfg.twin, cfg.recording, "report on")
     result = report(twin)
-    show(result, console)
-    write(result, cfg.out, "report", given, console)
+    finish(result, console, cfg.out, "report", given)
     if cfg.rrd is not None:
         from lerobot_pneutac.studio.rerun_file import write_rrd
 

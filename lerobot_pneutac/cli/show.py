@@ -13,6 +13,19 @@ from lerobot_pneutac.reports.page import cell
 from pneutac_sim.errors import printable
 
 
+def finish(
+    result, console: Console, out: Path | None, verb: str, argv: list[str], sentence: bool = True
+) -> None:
+    """Writes result and report into folder `out` (nothing where it is None), then prints the result.
+
+    In this order, so that a reader of the output who goes away, such as `head`, costs no file.
+    """
+    path = None if out is None else result.report(out, f"pneutac {verb} {shlex.join(argv)}")
+    show(result, console, sentence)
+    if path is not None:
+        console.print(f"report: {path}", highlight=False, soft_wrap=True)
+
+
 def show(result, console: Console, sentence: bool = True) -> None:
     """Prints notes, sentence, table and remarks of a `Result`."""
     for finding in result.findings_shown:
@@ -36,10 +49,3 @@ def _remark(text: str) -> Text:
         return Text.from_markup(text)
     except MarkupError:
         return Text(text)
-
-
-def write(result, out: Path | None, verb: str, argv: list[str], console: Console) -> None:
-    """Writes result and report into folder `out`, nothing where it is None."""
-    if out is not None:
-        path = result.report(out, f"pneutac {verb} {shlex.join(argv)}")
-        console.print(f"report: {path}", highlight=False)

@@ -7,7 +7,7 @@ from rich.console import Console
 
 from lerobot_pneutac.cli.options import parse_options
 from lerobot_pneutac.cli.progress import progress_bar
-from lerobot_pneutac.cli.show import show, write
+from lerobot_pneutac.cli.show import finish
 from lerobot_pneutac.verbs.surrogate import CARD, Collection, train_networks
 from pneutac_sim.twin import Twin
 
@@ -52,8 +52,7 @@ def main(argv: list[str]) -> None:
             f"Full simulations and training: about {max(1, round(minutes))} min on two cores of their own.",
             highlight=False,
         )
-    with progress_bar(console) as progress:
+    with progress_bar(Console(stderr=True)) as progress:
         trained = train_networks(twin, config.twin, collection, config.fresh, config.device, progress)
-    show(trained, console)
+    finish(trained, console, config.out, "surrogate", argv)
     console.print(f"networks and {CARD} are in {config.twin}", highlight=False)
-    write(trained, config.out, "surrogate", argv, console)

@@ -19,7 +19,7 @@ from lerobot_pneutac.study.photographs import (
 from pneutac_datasets.recording.photographs import read_camera
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import an
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import InputError, option
 from pneutac_sim.mpm.body import Body
 from pneutac_sim.photo_fit.objective import SOLID, MaskedPhotograph
 from pneutac_sim.splat.body import looks_from_twin
@@ -69,7 +69,8 @@ def read_recorded(twin: Twin, config: RenderConfig) -> Recorded:
         looks_from_twin(twin)
     except InputError as e:
         raise InputError(
-            f"The twin at {config.twin} has no looks; fit them with `pneutac calibrate --twin={config.twin} "
+            f"The twin at {config.twin} has no looks; fit them with "
+            f"`pneutac calibrate {option('twin', config.twin)} "
             f"--recording={recording.folder} --by=images`."
         ) from e
     names = masked_cameras(recording)

@@ -9,13 +9,15 @@ import numpy as np
 from lerobot_pneutac.study.pressure_unit import unlike_the_twin
 from pneutac_datasets.demonstrations.info import is_demonstrations
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations, is_dataset, load_demonstrations
+from pneutac_datasets.recording.checks import check
 from pneutac_datasets.recording.recording import Recording
-from pneutac_datasets.recording.wording import an, plural
-from pneutac_sim.errors import InputError
+from pneutac_datasets.recording.wording import an, listed, plural
+from pneutac_sim.errors import InputError, option
 from pneutac_sim.features import CHAMBERS
 from pneutac_sim.finger import BodyData, Pipeline
 from pneutac_sim.twin import Twin
 
+STANDS_KPA = 1e-3  # a pressure that moves by less counts as standing
 LONGER = "Record ten minutes with steps, slow and fast ramps and long holds, in several trials."
 
 
@@ -72,7 +74,8 @@ def same_body[R: Recording | Demonstrations](twin: Twin, recording: R, verb: str
     if measured and abs(recording.length_mm - twin.length_mm) > 0.02 * twin.length_mm:
         raise InputError(
             f"{recording.folder}/recording.json: length_mm is {recording.length_mm:g}, the twin's is "
-            f"{twin.length_mm:g}; make the twin with `pneutac new --twin=DIR --recording={recording.folder}`."
+            f"{twin.length_mm:g}; make the twin with "
+            f"`pneutac new --twin=DIR {option('recording', recording.folder)}`."
         )
     return with_unit_note(twin, recording)
 
@@ -80,6 +83,42 @@ def same_body[R: Recording | Demonstrations](twin: Twin, recording: R, verb: str
 def with_unit_note(twin: Twin, recording: Recording) -> Recording:
     """The recording with a warning where its pressures can hardly be in kPa."""
     return replace(recording, warnings=recording.warnings + unlike_the_twin(twin, recording))
+
+
+def fit_parts(
+    twin: Twin, recording: Recording, seed: int = 0
+) -> tuple[Recording, list[str], np.ndarray, np.ndarray]:
+    """A recording of a finger or an arm as a fit may use it, and how its samples are shared.
+
+    Returns:
+        The checked recording, one sentence a finding, and masks (n,) of training and held-out samples.
+
+    Raises:
+        InputError: no column says what the device did, pressure or device never moves, or rows are too few.
+    """
+    folder = recording.folder
+    if not [c for c in recording.observations if not c.startswith("image")]:
+        raise InputError(
+            f"{folder}: no column tip_x_mm, bend_angle_rad, curvature_x_1_per_m or q_1_rad tells what the "
+            "device did; add one of them."
+        )
+    checked, findings = check(recording)
+    train, heldout = checked.split(seed)
+    enough_rows(twin, checked, list(twin.effects), train)
+    command = checked.samples[checked.pressure_columns].to_numpy(float)[train]
+    if np.ptp(command, axis=0).max() < STANDS_KPA:
+        raise InputError(
+            f"{folder}: column '{checked.pressure_columns[0]}' is {command[0, 0]:g} kPa in every row that "
+            "would be fitted, so nothing tells how far pressure bends the device; record steps or ramps."
+        )
+    bench = BodyData.of(checked, twin, source="command")
+    moved = np.ptp(bench.measured[train], axis=0)
+    if not moved.any():
+        raise InputError(
+            f"{folder}: {listed(repr(c) for c in bench.columns)} never change while the pressure does; "
+            "check that the tracker was running."
+        )
+    return checked, findings, train, heldout
 
 
 def enough_rows(twin: Twin, recording: Recording, effects: list[str], train: np.ndarray) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from lerobot_pneutac.verbs.calibration import Calibration
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations, is_dataset, load_demonstrations
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import InputError, option
 from pneutac_sim.twin import Twin
 
 SEARCH = "evaluations.json"  # in the folder where a search by images is kept
@@ -65,7 +65,7 @@ def twin_for(folder: Path, recording: Recording | Demonstrations) -> Twin:
         return twin
     if recording.device != "gel":
         raise InputError(
-            f"There is no twin at '{folder}'; make one with `pneutac new --twin={folder} "
+            f"There is no twin at '{folder}'; make one with `pneutac new {option('twin', folder)} "
             f"--device={recording.device}`."
         )
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):

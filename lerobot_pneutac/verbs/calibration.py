@@ -6,7 +6,10 @@ from typing import Self
 
 from lerobot_pneutac.reports.page import span
 from lerobot_pneutac.verbs.result import Result, command_on
+from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin
+
+WORSE = 1.02  # times the error of before: closer counts as equal
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -39,8 +42,31 @@ class Calibration(Result):
     findings: tuple[str, ...] = ()
     saved_to: Path | None = None
 
+    @property
+    def reference(self) -> tuple[str, float | None]:
+        """What a fit must not be worse than on held-out samples, and its error; None without one."""
+        return "", None
+
+    @property
+    def worse(self) -> str:
+        """Why the fit is not stored; empty where it is as good as its reference or better."""
+        what, before = self.reference
+        heldout = self.error["heldout"]
+        if before is None or heldout is None or heldout <= WORSE * before:
+            return ""
+        return (
+            f"Nothing was stored: on held-out samples the fit misses by {heldout:.3g} {self.unit}, and "
+            f"{what} by {before:.3g}; `pneutac check` shows what is wrong with the recording."
+        )
+
     def save(self, folder: str | Path) -> Self:
-        """Writes the twin as the next version of `folder`; returns the result that knows where it lies."""
+        """Writes the twin as the next version of `folder`; returns the result that knows its place.
+
+        Raises:
+            InputError: the fit is `worse` than what was there before.
+        """
+        if self.worse:
+            raise InputError(self.worse)
         twin = self.twin.copy()
         errors = {**self.error, "unit": self.unit} | ({} if self.seed is None else {"seed": self.seed})
         errors |= self._noted()

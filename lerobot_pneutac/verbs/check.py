@@ -5,10 +5,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from lerobot_pneutac.study.pair import fit_parts
+from lerobot_pneutac.verbs.new import new_twin
 from pneutac_datasets.demonstrations.faults import demonstration_faults, demonstration_notes, rate_notes
 from pneutac_datasets.demonstrations.info import is_demonstrations
 from pneutac_datasets.recording.checks import check
 from pneutac_datasets.recording.faults import recording_faults
+from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.sources import plain
 from pneutac_datasets.recording.sources.plain import Understood
 from pneutac_sim.effects.registry import get_effect, of_body, of_sensor
@@ -74,20 +77,38 @@ def check_path(path: str | Path, twin: Twin | None = None, station: Station | No
     inside = [d.name for d in sorted(path.iterdir()) if any((d / mark).is_file() for mark in MARKS)]
     if inside and not (path / "recording.json").is_file():
         raise InputError(f"'{path}' is a folder of folders; give one of them: {', '.join(inside)}.")
-    return Checked(path, "bench recording", *recording_faults(path))
+    return _bench(path)
+
+
+def _bench(folder: Path) -> Checked:
+    faults, notes = recording_faults(folder)
+    return Checked(folder, "bench recording", faults or _unfit(Recording.load(folder)), notes)
+
+
+def _unfit(recording: Recording) -> list[str]:
+    """What `calibrate`, `diagnose` and `add` refuse of a recording that can be read, by a twin of its own."""
+    poses = [c for c in recording.observations if not c.startswith("image")]
+    if recording.device == "gel" or not poses:
+        return []  # gels and photographs have checks of their own
+    try:
+        fit_parts(new_twin(recording.device, recording), recording)
+    except InputError as e:
+        return [str(e)]
+    return []
 
 
 def _tables(path: Path, files: list[Path]) -> Checked:
     folder = plain.folder_of(files)
     if plain.is_current(folder, files):
-        return Checked(folder, "bench recording", *recording_faults(folder))
+        return _bench(folder)
     try:
         known = plain.Given.load(folder / plain.MAPPING) if plain.is_ours(folder) else plain.Given()
         understood = plain.understand_files(files, known)
     except InputError as e:
         return Checked(path, "table", [str(e)], [])
     notes = [] if understood.faults else check(understood.recording)[1]
-    return Checked(path, "table", understood.faults, notes, understood)
+    faults = understood.faults or _unfit(understood.recording)
+    return Checked(path, "table", faults, notes, understood)
 
 
 def _station(path: Path, twin: Twin) -> tuple[list[str], list[str]]:

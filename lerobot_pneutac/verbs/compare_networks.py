@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pneutac_sim.errors import option
 from pneutac_sim.finger import BodyData, Pipeline
 from pneutac_sim.surrogate.finger import network_of
 from pneutac_sim.surrogate.network import ActionNetwork
@@ -29,7 +30,7 @@ def out_of_range(twin: Twin, bench: BodyData) -> tuple[float | None, str | None]
     if network is None:
         return None, (
             "The twin's action network was trained before its body's shape or material changed, so its range "
-            f"says nothing; run `pneutac surrogate --twin={Path(file).parent}`."
+            f"says nothing; run `pneutac surrogate {option('twin', Path(file).parent)}`."
         )
     pipeline = Pipeline.of(twin, bench.inputs)
     joints = pipeline.run(bench.inputs, pipeline.theta(twin, bench.inputs.pressure_range_kpa)).joints

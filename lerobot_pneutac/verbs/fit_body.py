@@ -15,15 +15,13 @@ from lerobot_pneutac.diagnosis.parts import deal
 from lerobot_pneutac.diagnosis.result import Contribution
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.study.body_search import known_causes
-from lerobot_pneutac.study.pair import enough_rows
+from lerobot_pneutac.study.pair import fit_parts
 from lerobot_pneutac.study.pressure_unit import pressure_unit_doubts
 from lerobot_pneutac.verbs.calibration import Calibration
 from lerobot_pneutac.verbs.fit_compliance import fit_compliance
 from lerobot_pneutac.verbs.measured_range import range_sentence
-from pneutac_datasets.recording.checks import check
 from pneutac_datasets.recording.mounts import on_one_mount
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.errors import InputError
 from pneutac_sim.finger import BodyData, Pipeline, PipelineFit, fit, simulate
 from pneutac_sim.finger.quantities import squared_distance
 from pneutac_sim.twin import Twin
@@ -69,6 +67,11 @@ class BodyCalibration(Calibration):
             "where it was fitted"
             + ("." if heldout is None else f", and by {heldout:.3g} {self.unit} where it was not.")
         )
+
+    @property
+    def reference(self) -> tuple[str, float | None]:
+        """The twin as it was."""
+        return "the twin as it was", self.before
 
     def remarks(self) -> list[str]:
         """The errors and what they cost."""
@@ -142,18 +145,11 @@ def calibrate_body(twin: Twin, recording: Recording, seed: int = 0, progress=Non
         progress: called with a text, the fits done and all of them.
 
     Raises:
-        InputError: the recording has images alone, or too few samples.
+        InputError: as `fit_parts`.
     """
     began = time.perf_counter()
-    if not [c for c in recording.observations if not c.startswith("image")]:
-        raise InputError(
-            f"{recording.folder}: no column tip_x_mm, bend_angle_rad, curvature_x_1_per_m or q_1_rad tells "
-            "what the device did; add one of them."
-        )
     folder = str(recording.folder)
-    recording, findings = check(recording)
-    train, heldout = recording.split(seed)
-    enough_rows(twin, recording, list(twin.effects), train)
+    recording, findings, train, heldout = fit_parts(twin, recording, seed)
     recording, moved = on_one_mount(recording, twin, train)
     bench, command = (BodyData.of(recording, twin, source=s) for s in ("auto", "command"))
     report = progress or (lambda *_: None)

@@ -147,17 +147,17 @@ class GelCalibration(Calibration):
         source = f"{self.recording}, {len(self.data.presses)} of its presses"
         return save(name, self.fit.gel, self.fit.channels, source, self.fit.leftovers)
 
+    @property
+    def reference(self) -> tuple[str, float | None]:
+        """The rest image alone."""
+        return "the rest image alone", errors_of(self.scores[REST], self.data)["heldout"]
+
     def remarks(self) -> list[str]:
         """Make, time and what to look at."""
         out = self._told_of()
         n = len(self.data.presses)
         what = "one rest and one indentation image" if n == 1 else f"{n} indentation images"
         out.append(f"Fitted to {what} in {self.seconds:.1f} s{self._now()}.")
-        if self.data.heldout and self.mean(OURS).rmse > self.mean(REST).rmse:
-            out.append(
-                "[yellow]note:[/] on held-out images the model is worse than the rest image alone: check "
-                "where and how deep the rows say that the indenter pressed."
-            )
         out += [f"[yellow]note:[/] {sentence}" for sentence in poor_presses(self.scores, self.data)]
         names = at_bound(self.gel, list(self.gel.effects))
         out += [f"[yellow]note:[/] {name} lies at its bound." for name in names]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import InputError, option
 from pneutac_sim.twin import Twin
 
 BEFORE, BASELINE, FOUND = "before", "baseline", "found"  # folders of twins in that of the report
@@ -43,7 +43,7 @@ def read_found(folder: str | Path, recording: Recording | Demonstrations) -> Wri
     file = Path(folder) / "result.json"
     if not file.is_file():
         raise InputError(
-            f"There is no diagnosis at '{folder}'; make one with `pneutac diagnose --out={folder}`."
+            f"There is no diagnosis at '{folder}'; make one with `pneutac diagnose {option('out', folder)}`."
         )
     result = json.loads(file.read_text())
     if "verdict" not in result or not (Path(folder) / FOUND).is_dir():

@@ -4,6 +4,7 @@ Where a parameter is wrong the sentence begins with its name: the command line m
 """
 
 import re
+import shlex
 from collections.abc import Iterable
 
 # All but tab and newline: what a terminal obeys, and marks that turn the direction of text.
@@ -30,6 +31,11 @@ def shown(value) -> str:
     """A value as a sentence quotes it: its beginning, where it is long."""
     text = repr(value)
     return text if len(text) <= MOST_SHOWN else f"{text[: MOST_SHOWN - 3]}..."
+
+
+def option(name: str, value) -> str:
+    """An option of a command to copy, `--twin='my twin'`: quoted for a shell where that needs it."""
+    return f"--{name}={shlex.quote(str(value))}"
 
 
 def check_choice(name: str, value: str, choices: Iterable[str]) -> None:

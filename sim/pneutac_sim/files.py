@@ -5,8 +5,9 @@ import io
 import json
 import os
 import sys
+import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +29,8 @@ def read_yaml(file: Path):
         raise InputError(f"{file} is larger than {MOST_YAML_BYTES} bytes; it is no file of this product.")
     try:
         return yaml.load(file.read_text(), _Loader)
+    except OSError as e:
+        raise InputError(f"{file} cannot be read ({e.strerror}).") from e
     except RecursionError as e:
         raise InputError(f"{file} is nested too deeply; correct it in a text editor.") from e
     except (yaml.YAMLError, ValueError) as e:
@@ -89,7 +92,7 @@ def whole(file: Path) -> Iterator[Path]:
     A stop, at any moment, or a power cut leaves the old file or the new one, whole.
 
     Raises:
-        InputError: no space is left; the old file is untouched.
+        InputError: it cannot be written, or no space is left; the old file is untouched.
     """
     part = file.with_name(f"{file.name}.{os.getpid()}.part")
     with _space(file):
@@ -114,14 +117,37 @@ def flush(path: Path) -> None:
         os.close(handle)
 
 
+def check_writable(folder: Path, what: str) -> None:
+    """Raises InputError where nothing can be written into a folder, there or yet to be made; changes nothing.
+
+    Args:
+        folder: to try.
+        what: the sentence calls it, such as `--out=results`.
+    """
+    made: list[Path] = []
+    try:
+        made = [p for p in (folder, *folder.parents) if not p.exists()]
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder) as file:
+            file.write(b"tried")
+    except OSError as e:
+        raise InputError(f"{what} cannot be written ({e.strerror}); choose another folder.") from e
+    finally:
+        for p in made:
+            with suppress(OSError):
+                p.rmdir()
+
+
 @contextmanager
 def _space(file: Path) -> Iterator[None]:
     try:
         yield
+    except BrokenPipeError:
+        raise
     except OSError as e:
-        if e.errno not in (errno.ENOSPC, errno.EDQUOT):
-            raise
-        raise InputError(f"No space is left to write {file}; free some and repeat.") from e
+        if e.errno in (errno.ENOSPC, errno.EDQUOT):
+            raise InputError(f"No space is left to write {file}; free some and repeat.") from e
+        raise InputError(f"{file} cannot be written ({e.strerror or e}); choose another folder.") from e
 
 
 @contextmanager
@@ -131,9 +157,11 @@ def locked(folder: Path) -> Iterator[None]:
     Raises:
         InputError: another process has written for `LOCK_S` seconds.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    with _space(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = FileLock(folder / ".lock", timeout=LOCK_S)
     try:
-        with FileLock(folder / ".lock", timeout=LOCK_S):
+        with _space(folder), lock:
             yield
     except Timeout as e:
         raise InputError(

@@ -17,7 +17,7 @@ import numpy as np
 import yaml
 from safetensors.numpy import load_file, save
 
-from pneutac_sim.errors import InputError, shown
+from pneutac_sim.errors import InputError, option, shown
 from pneutac_sim.features import PAPER_LENGTH_MM, PAPER_RANGE_KPA
 from pneutac_sim.files import inside, locked, read_yaml, refuse_pointer, whole, write_json, write_text
 
@@ -180,7 +180,8 @@ class Twin:
             if version is not None:
                 raise InputError(f"{path} has no version {version} ({file} is missing).")
             raise InputError(
-                f"There is no twin at '{path}' (no twin.yaml); make one with `pneutac new --twin={path}`."
+                f"There is no twin at '{path}' (no twin.yaml); make one with "
+                f"`pneutac new {option('twin', path)}`."
             )
         d = read_yaml(file)
         if not isinstance(d, dict) or d.get("format") != FORMAT:

@@ -18,6 +18,8 @@ LOOKS = (
     loops.closed_loop,
     loops.late_command,
     poses.exchanged_axes,
+    poses.misplaced_tip,
+    poses.other_way_round,
     poses.drift,
 )
 

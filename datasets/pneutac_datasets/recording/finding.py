@@ -46,6 +46,8 @@ KINDS = {
     "closed_loop": "the command answers to the measured pose; `same_row` 1: to that of its own row",
     "late_command": "the command is written `rows_late` rows after the device got it",
     "exchanged_axes": "two tip coordinates stand in each other's place",
+    "misplaced_tip": "the tip's path is that of another unit, frame or length; `off_path` in lengths",
+    "other_way_round": "the finger bends to the negative side at positive pressure",
     "drift": "the output moves over the session at equal pressures, each column by its number",
     "no_measured_pressure": "air and body cannot be told apart",
 }

@@ -1,8 +1,11 @@
 """Faults of pose columns: angles that wrap, axes in each other's place, drift."""
 
 import re
+from functools import cache
+from itertools import product
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from pneutac_datasets.recording.blocks import time_blocks
 from pneutac_datasets.recording.finding import Finding
@@ -14,6 +17,13 @@ from pneutac_datasets.recording.tracker import where
 from pneutac_datasets.recording.wording import plural
 
 TURN = 2 * np.pi
+TIP = ("tip_x_mm", "tip_y_mm", "tip_z_mm")
+LENGTHS = {"millimetres": 1.0, "centimetres": 10.0, "inches": 25.4, "metres": 1000.0}  # mm in one of them
+MOST_TIPS = 200
+MOST_BENT_RAD = 4.2  # beyond that the path nears the base, where any tip lies close to it
+OTHER_LENGTH = 1.15  # ratio of two lengths that no rough measure explains
+OFF_PATH = 0.004  # lengths of the device: nearer than that nothing is wrong
+MUCH_NEARER = 0.3
 
 
 def unwrap(recording: Recording) -> tuple[Recording, list[Finding]]:
@@ -80,6 +90,90 @@ def exchanged_axes(recording: Recording) -> list[Finding]:
                 f"of {length:g} mm lies along x: the axes are exchanged; give both in its base frame."
             )
             found.append(Finding("exchanged_axes", text, ("tip_x_mm", "tip_z_mm")))
+    return found
+
+
+def misplaced_tip(recording: Recording) -> list[Finding]:
+    """Tip coordinates that lie on the path of a bending device in another unit, frame or length alone.
+
+    A device that bends evenly moves its tip on the curve L (sin t, 1 - cos t) / t. Real ones stay near it, so
+    only a reading of the columns that brings them several times nearer is named.
+    """
+    length, names = recording.length_mm, [c for c in TIP if recording.has(c)]
+    if recording.device not in ("finger", "arm") or length is None or "tip_x_mm" not in names[:-1]:
+        return []
+    tip = recording.samples[names].to_numpy(float)
+    tip = tip[:: max(1, len(tip) // MOST_TIPS)] / length
+    x, aside = tip[:, 0], np.linalg.norm(tip[:, 1:], axis=1)
+    sideways = " and ".join(names[1:])
+    now, readings = _off_path(x, aside), []
+    if now < OFF_PATH:
+        return []
+    for (in_x, kx), (in_z, kz) in product(LENGTHS.items(), LENGTHS.items()):
+        if kx == kz == 1:
+            continue
+        which = " and ".join(names) if kx == kz else sideways if kx == 1 else "tip_x_mm"
+        if kx == kz or 1 in (kx, kz):
+            unit = in_z if kx == 1 else in_x
+            remedy = f"{which} can only be in {unit}; multiply by {kz if kx == 1 else kx:g}"
+        else:
+            remedy = f"tip_x_mm can only be in {in_x} and {sideways} in {in_z}; multiply by {kx:g} and {kz:g}"
+        readings.append((_off_path(kx * x, kz * aside), remedy, max(kx, kz)))
+    readings.append(
+        (_off_path(x + 1, aside), f"x is counted from the tip at rest; add {length:g} to tip_x_mm", 1)
+    )
+    readings.append(
+        (_off_path(-x, aside), "x points from the tip to the base; change the sign of tip_x_mm", -1)
+    )
+    scales = [s for s in np.geomspace(1 / 6, 6, 91) if not 1 / OTHER_LENGTH < s < OTHER_LENGTH]
+    best = min(scales, key=lambda s: _off_path(s * x, s * aside))
+    remedy = f"it fits a device of {length / best:.3g} mm; correct length_mm, or the scale of the tip"
+    readings.append((2 * _off_path(best * x, best * aside), remedy, best))
+    off, remedy, kind = min(readings, key=lambda r: r[0])
+    if off > MUCH_NEARER * now:
+        return []
+    rest = np.abs(_drive(recording)).max(1)
+    rest = recording.samples[names].to_numpy(float)[rest <= np.quantile(rest, 0.1)]
+    away = float(np.linalg.norm(np.median(rest, axis=0)))
+    text = (
+        f"At the lowest pressures the tip is {away:.3g} mm from the base of a {recording.device} of "
+        f"{length:g} mm, and its path does not fit such a device: {remedy}."
+    )
+    return [Finding("misplaced_tip", text, tuple(names), numbers={"off_path": now, "reading": float(kind)})]
+
+
+def _off_path(x: np.ndarray, aside: np.ndarray) -> float:
+    """Root mean square distance of tips, in lengths of the device, from the path of an evenly bent one."""
+    return float(np.sqrt(np.mean(_path().query(np.stack([x, aside], -1))[0] ** 2)))
+
+
+@cache
+def _path() -> cKDTree:
+    turn = np.linspace(1e-6, MOST_BENT_RAD, 2000)
+    return cKDTree(np.stack([np.sin(turn), 1 - np.cos(turn)], -1) / turn[:, None])
+
+
+def other_way_round(recording: Recording) -> list[Finding]:
+    """A finger that bends towards -z, or whose angle falls, as the pressure rises."""
+    if recording.device != "finger":
+        return []
+    p, found = _drive(recording), []
+    if p.max() < -p.min():
+        return []  # vacuum bends it: which way is positive is its maker's choice
+    for name in ("tip_z_mm", "bend_angle_rad"):
+        if not recording.has(name):
+            continue
+        y = recording.column(name).astype(float)
+        far = float(np.ptp(y))
+        if far < (0.05 * (recording.length_mm or 100.0) if name == "tip_z_mm" else 0.05):
+            continue
+        if np.corrcoef(p[:, 0], y)[0, 1] < -0.7:
+            text = (
+                f"Column '{name}' falls as the pressure rises, but a finger's bend is positive at positive "
+                "pressure: it was mounted, or z drawn, the other way round; change the sign of the column, "
+                "or the twin's gain is negative."
+            )
+            found.append(Finding("other_way_round", text, (name,)))
     return found
 
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import InputError, option
 from pneutac_sim.surrogate.finger import SurrogateFinger, network_of
 from pneutac_sim.surrogate.fingerprint import gel_fingerprint
 from pneutac_sim.surrogate.network import ActionNetwork
@@ -62,7 +62,8 @@ class Networks:
                     else f"The twin has no {name} network, and its {_OF[name]} is not the built-in one"
                 )
                 raise InputError(
-                    f"{why}; run `pneutac surrogate --twin={own.parent if own else 'DIR'}`, or choose the "
+                    f"{why}; run `pneutac surrogate {option('twin', own.parent if own else 'DIR')}`, "
+                    "or choose the "
                     "fidelity `probe`, which needs none."
                 )
             found[name] = network
