@@ -80,8 +80,6 @@ def parse_options(config_class: type, argv: list[str]):
         raise cause if isinstance(cause, InputError) else InputError(_in_words(str(e), options)) from e
     out = getattr(config, "out", None)
     if out is not None and not getattr(config, "names_a_file", False):
-        if out.is_file():
-            raise InputError(f"--out={out} is a file; give a folder.")
         check_writable(out, f"--out={out}")
     _convert_tables(config)
     return config

@@ -21,7 +21,7 @@ from lerobot_pneutac.study.body_search import BodySearch, Searched, base_effects
 from lerobot_pneutac.study.body_space import BodySpace
 from lerobot_pneutac.study.body_words import BodyWords
 from lerobot_pneutac.study.one_device import move_back
-from lerobot_pneutac.study.pair import enough_rows
+from lerobot_pneutac.study.pair import device_moves, enough_rows
 from lerobot_pneutac.study.reading import read
 from pneutac_datasets.recording.checks import check
 from pneutac_datasets.recording.mounts import on_one_mount

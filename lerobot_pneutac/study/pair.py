@@ -102,6 +102,7 @@ def fit_parts(
             f"{folder}: no column tip_x_mm, bend_angle_rad, curvature_x_1_per_m or q_1_rad tells what the "
             "device did; add one of them."
         )
+    device_moves(recording)
     checked, findings = check(recording)
     train, heldout = checked.split(seed)
     enough_rows(twin, checked, list(twin.effects), train)
@@ -111,14 +112,16 @@ def fit_parts(
             f"{folder}: column '{checked.pressure_columns[0]}' is {command[0, 0]:g} kPa in every row that "
             "would be fitted, so nothing tells how far pressure bends the device; record steps or ramps."
         )
-    bench = BodyData.of(checked, twin, source="command")
-    moved = np.ptp(bench.measured[train], axis=0)
-    if not moved.any():
-        raise InputError(
-            f"{folder}: {listed(repr(c) for c in bench.columns)} never change while the pressure does; "
-            "check that the tracker was running."
-        )
     return checked, findings, train, heldout
+
+
+def device_moves(recording: Recording) -> None:
+    """Raises InputError where every measured number of the device is the same in all rows."""
+    poses = [c for c in recording.observations if not c.startswith("image")]
+    if poses and len(recording) > 1 and not np.ptp(recording.samples[poses].to_numpy(float), axis=0).any():
+        raise InputError(
+            f"{recording.folder}: {listed(map(repr, poses))} never changes; check that the tracker ran."
+        )
 
 
 def enough_rows(twin: Twin, recording: Recording, effects: list[str], train: np.ndarray) -> None:

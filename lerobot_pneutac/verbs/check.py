@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from lerobot_pneutac.study.by_device import study_of
 from lerobot_pneutac.study.pair import fit_parts
 from lerobot_pneutac.verbs.new import new_twin
 from pneutac_datasets.demonstrations.faults import demonstration_faults, demonstration_notes, rate_notes
@@ -24,6 +25,7 @@ from pneutac_sim.world.checks import check_networks, out_of_reach
 from pneutac_sim.world.station import Station, station_file
 from pneutac_sim.world.station_faults import station_faults
 
+SHORT = 1000  # rows: a diagnosis refuses none that is longer
 MARKS = "twin.yaml", "recording.json", "meta/info.json"  # what is in a folder that can be looked at
 
 
@@ -90,8 +92,11 @@ def _unfit(recording: Recording) -> list[str]:
     poses = [c for c in recording.observations if not c.startswith("image")]
     if recording.device == "gel" or not poses:
         return []  # gels and photographs have checks of their own
+    twin = new_twin(recording.device, recording)
     try:
-        fit_parts(new_twin(recording.device, recording), recording)
+        fit_parts(twin, recording)
+        if len(recording) < SHORT:
+            study_of(twin, recording)
     except InputError as e:
         return [str(e)]
     return []

@@ -130,6 +130,8 @@ def check_writable(folder: Path, what: str) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder) as file:
             file.write(b"tried")
+    except FileExistsError as e:
+        raise InputError(f"{what} is a file; give a folder.") from e
     except OSError as e:
         raise InputError(f"{what} cannot be written ({e.strerror}); choose another folder.") from e
     finally:

@@ -158,7 +158,7 @@ def other_way_round(recording: Recording) -> list[Finding]:
     if recording.device != "finger":
         return []
     p, found = _drive(recording), []
-    if p.max() < -p.min():
+    if p.max() < -p.min() or not np.ptp(p[:, 0]):
         return []  # vacuum bends it: which way is positive is its maker's choice
     for name in ("tip_z_mm", "bend_angle_rad"):
         if not recording.has(name):
