@@ -69,6 +69,7 @@ class BodyStudy(BodyWords):
     def __init__(self, twin: Twin, recording: Recording, seed: int = 0, adding: Sequence[str] = ()):
         self.twin, self.seed, self._given = twin, seed, recording
         self.breaks: tuple[dict, ...] = ()
+        device_moves(recording)
         self.recording, self.findings = check(recording)
         self.parts = deal(self.recording, seed)
         self.own = tuple(of_body(twin.effects))
