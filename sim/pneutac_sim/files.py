@@ -3,6 +3,7 @@
 import errno
 import io
 import json
+import math
 import os
 import sys
 import tempfile
@@ -18,6 +19,7 @@ from PIL import Image
 from pneutac_sim.errors import CONTROL, InputError
 
 MOST_YAML_BYTES = 2**20
+MOST_WHOLE = 10**19
 LOCK_S = 60.0  # how long another process's writing is waited for
 # How the small text files begin that stand for files which Git has not fetched, and the command that does.
 POINTERS = {b"version https://git-lfs": "git lfs pull", b"/annex/objects/": "git annex get ."}
@@ -54,6 +56,11 @@ class _Loader(yaml.SafeLoader):
             )
         return super().compose_node(parent, index)
 
+    def construct_yaml_int(self, node):
+        """A whole number; one that no quantity has is infinite, which every field refuses."""
+        value = super().construct_yaml_int(node)
+        return value if abs(value) < MOST_WHOLE else math.copysign(math.inf, value)
+
     def construct_scalar(self, node):
         value = super().construct_scalar(node)
         if CONTROL.search(value):
@@ -73,6 +80,9 @@ def refuse_pointer(file: Path) -> None:
                 f"{file} is a {'Git LFS' if b'lfs' in mark else 'git-annex'} pointer and not the file itself;"
                 f" run `{command}` in its repository."
             )
+
+
+_Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_yaml_int)
 
 
 def inside(folder: Path, file: Path) -> bool:
