@@ -24,12 +24,12 @@ from pneutac_sim.twin import Twin, Value
 SPANS = 0.8  # share of the allowed range that an interval covers when it says nothing
 TIMES = 10.0  # a positive quantity whose interval goes from nothing to so many times its value
 SIGNED = ("gain_rad_per_kpa",)  # parameters whose sign must be known
+ANGLES = "record the angles of the joints (q_1_rad ...)"
 RECORD = {
-    "gain": "holds at five pressures or more over the whole range",
-    "rest": "holds at five pressures or more over the whole range",
-    "joint": "a known weight at the tip (payload_g), with the base level and upright",
-    "youngs": "a known weight at the tip (payload_g), with the base level and upright",
-    "bend": "the angles of the joints (q_1_rad ...)",
+    "gain": "record holds at five pressures or more over the whole range",
+    "rest": "record holds at five pressures or more over the whole range",
+    "joint": "record a known weight at the tip (payload_g), with the base level and upright",
+    "youngs": "record a known weight at the tip (payload_g), with the base level and upright",
 }  # first word of a body's parameter to what shows it
 
 

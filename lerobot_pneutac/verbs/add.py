@@ -8,7 +8,8 @@ from typing import Any
 from lerobot_pneutac.diagnosis.model import FittedModel
 from lerobot_pneutac.diagnosis.result import Contribution, Refits
 from lerobot_pneutac.diagnosis.steps import Steps
-from lerobot_pneutac.reports.page import Report, span
+from lerobot_pneutac.reports.colours import AFTER, BEFORE, KNOWN
+from lerobot_pneutac.reports.page import Report, interval, span
 from lerobot_pneutac.reports.sentences import percent
 from lerobot_pneutac.study.by_device import study_of
 from lerobot_pneutac.study.pair import same_body
@@ -129,7 +130,7 @@ class Addition(Result):
 
     def rows(self) -> list[dict]:
         """The errors as it is, with known causes, and with all."""
-        steps = [("as it is", self.before)]
+        steps = [("before", self.before)]
         if self.known:
             steps.append((f"with known causes ({', '.join(self.known)})", self.baseline))
         if self._effects:
@@ -241,7 +242,7 @@ class Addition(Result):
                 {
                     "parameter": k,
                     "value": v["value"],
-                    "95 % interval": span(v["ci95"], "held"),
+                    "95 % interval": interval(v, "held"),
                     "unit": v["unit"] or "(a ratio)",
                 }
                 for k, v in (self.parameters or {}).items()
@@ -257,9 +258,9 @@ class Addition(Result):
         import plotly.graph_objects as go
 
         figure = go.Figure()
-        steps = [("as it is", self.before, "#9aa5b1")]
-        steps += [("with known causes", self.baseline, "#d99a2b")] if self.known else []
-        steps += [(f"with {', '.join(self._effects)}", self.after, "#0b6e99")] if self._effects else []
+        steps = [("before", self.before, BEFORE)]
+        steps += [("with known causes", self.baseline, KNOWN)] if self.known else []
+        steps += [(f"with {', '.join(self._effects)}", self.after, AFTER)] if self._effects else []
         for name, e, colour in steps:
             if e is None:
                 continue

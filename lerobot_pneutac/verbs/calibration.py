@@ -93,11 +93,15 @@ class Calibration(Result):
 
     def rows(self) -> list[dict]:
         """One row a parameter."""
+        return self.parameter_rows()
+
+    def parameter_rows(self) -> list[dict]:
+        """The same, for the report."""
         return [
             {
                 "parameter": name,
                 "value": p["value"],
-                "95 % interval": span(p["ci95"]),
+                "95 % interval": "" if str(p["note"]).startswith("not identifiable") else span(p["ci95"]),
                 "unit": p["unit"],
                 "note": p["note"],
             }

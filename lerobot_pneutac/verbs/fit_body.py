@@ -13,19 +13,24 @@ import numpy as np
 from lerobot_pneutac.diagnosis.bootstrap import Resampler
 from lerobot_pneutac.diagnosis.parts import deal
 from lerobot_pneutac.diagnosis.result import Contribution
+from lerobot_pneutac.reports.colours import HELDOUT, MEASURED, MODEL
 from lerobot_pneutac.reports.page import Report
+from lerobot_pneutac.study.base import ANGLES, RECORD, not_identifiable, unidentified
 from lerobot_pneutac.study.body_search import known_causes
 from lerobot_pneutac.study.pair import fit_parts
 from lerobot_pneutac.study.pressure_unit import pressure_unit_doubts
 from lerobot_pneutac.verbs.calibration import Calibration
-from lerobot_pneutac.verbs.fit_compliance import fit_compliance
+from lerobot_pneutac.verbs.fit_compliance import NO_LOAD, fit_compliance
 from lerobot_pneutac.verbs.measured_range import range_sentence
 from pneutac_datasets.recording.mounts import on_one_mount
 from pneutac_datasets.recording.recording import Recording
+from pneutac_datasets.recording.wording import joined
+from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.finger import BodyData, Pipeline, PipelineFit, fit, simulate
 from pneutac_sim.finger.quantities import squared_distance
 from pneutac_sim.twin import Twin
 
+LIMIT = "at the limit of its allowed range: the model is probably missing something"
 MOST_POINTS = 4000  # of a line in the report
 WORTH = 0.01  # of the mean square error: a known cause that lowers it by less is left out
 
@@ -61,12 +66,11 @@ class BodyCalibration(Calibration):
     @property
     def sentence(self) -> str:
         """How far the twin is from the recording now."""
-        heldout = self.error["heldout"]
-        return (
-            f"After calibration the twin misses the measurements by {self.error['train']:.3g} {self.unit} "
-            "where it was fitted"
-            + ("." if heldout is None else f", and by {heldout:.3g} {self.unit} where it was not.")
-        )
+        heldout, train = self.error["heldout"], f"training error {self.error['train']:.3g} {self.unit}"
+        if heldout is None:
+            return f"Calibrated: {train}; nothing was held out{self._now()}."
+        before = f"{heldout:.3g} {self.unit} (before {self.before:.3g})"
+        return f"Calibrated: held-out error {before}, {train}{self._now()}."
 
     @property
     def reference(self) -> tuple[str, float | None]:
@@ -74,18 +78,22 @@ class BodyCalibration(Calibration):
         return "the twin as it was", self.before
 
     def remarks(self) -> list[str]:
-        """The errors and what they cost."""
-        heldout = self.error["heldout"]
-        tested = "nothing was held out" if heldout is None else (
-            f"held-out {heldout:.3g} {self.unit} (before: {self.before:.3g})"
-        )  # fmt: skip
-        return [
-            *self._causes(),
-            f"error: train {self.error['train']:.3g} {self.unit}, {tested}; {self.evaluations} simulations "
-            f"in {self.seconds:.1f} s{self._now()}",
-            self.compliance,
-            range_sentence(self.twin.pressure_range_kpa),
-        ]
+        """Known causes, then the one thing that a reader should know most; the report has all."""
+        noted = {k: str(p["note"]) for k, p in self.parameters.items()}
+        limit = [k for k, note in noted.items() if note == LIMIT]
+        unknown = [k for k, note in noted.items() if note.startswith("not identifiable")]
+        said = []
+        if limit:
+            said.append(f"At the limit of its allowed range: {joined(limit)}. Something may be missing.")
+        if unknown:
+            said.append(f"Not identifiable from this recording: {joined(unknown)}.")
+        if NO_LOAD in self.compliance:
+            said.append(self.compliance)
+        return [*self._causes(), *said[:1]]
+
+    def rows(self) -> list[dict]:
+        """None: the sentence has the errors, the report the parameters."""
+        return []
 
     def _causes(self) -> list[str]:
         """What the known causes are worth, one sentence; none where there are none."""
@@ -112,9 +120,10 @@ class BodyCalibration(Calibration):
         import plotly.graph_objects as go
 
         page = Report(self.title)
-        page.lead(" ".join([self.sentence, *self._causes(), self.compliance]))
+        page.lead(" ".join([self.sentence, *self._causes()]))
+        page.text(f"{self.compliance} {range_sentence(self.twin.pressure_range_kpa)}")
         page.table(
-            self.rows(),
+            self.parameter_rows(),
             "Intervals count neighbouring samples as the few independent ones that they are worth.",
         )
         t = self.bench.inputs.columns["session_time_s"][self.bench.inputs.rows]
@@ -122,15 +131,13 @@ class BodyCalibration(Calibration):
         for i, column in enumerate(self.bench.columns[: self.bench.counted]):
             figure = go.Figure()
             measured, residual = self.bench.measured[:, i], self.fits[-1].residual[:, i]
-            lines = (("measured", measured, "#9aa5b1"), ("twin", measured - residual, "#0b6e99"))
+            lines = (("measured", measured, MEASURED), ("twin", measured - residual, MODEL))
             for name, y, colour in lines:
                 figure.add_scattergl(
                     x=t[::step], y=y[::step], name=name, mode="lines", line={"color": colour}
                 )
             y = np.where(self.train, np.nan, residual)
-            figure.add_scattergl(
-                x=t[::step], y=y[::step], name="held-out residual", line={"color": "#c2410c"}
-            )
+            figure.add_scattergl(x=t[::step], y=y[::step], name="held-out residual", line={"color": HELDOUT})
             page.figure(figure.update_xaxes(title="time (s)").update_yaxes(title=column))
         return page
 
@@ -271,6 +278,12 @@ def _fit_stages(
     return fits
 
 
+def _shown_by(name: str) -> str:
+    """What to record to identify a parameter."""
+    effect, dot, _ = name.partition(".")
+    return get_effect(effect).experiment if dot else RECORD.get(name.partition("_")[0], ANGLES)
+
+
 def parameters(twin: Twin, fits: list[PipelineFit], bench: BodyData) -> dict[str, dict]:
     """Value, 95 % interval where it was fitted, unit, and what to know about each parameter."""
     model = Pipeline.of(twin)
@@ -282,8 +295,10 @@ def parameters(twin: Twin, fits: list[PipelineFit], bench: BodyData) -> dict[str
             if name in f.ci95:
                 row |= {"ci95": list(f.ci95[name]), "note": ""}
             if name in f.at_bound:
-                row["note"] = f"stopped at its {f.at_bound[name]} bound: a look at the physics is due"
-            if name in f.not_identified:
-                row["note"] = f"not identified: {f.not_identified[name]}"
+                row["note"] = LIMIT
+            if name in f.not_identified or not_identifiable(
+                row["value"], row["ci95"], spec, bench.inputs.pressure_range_kpa
+            ):
+                row["note"] = unidentified(_shown_by(name))
         out[name] = row
     return out

@@ -58,10 +58,10 @@ def fit_compliance(twin: Twin, recording: Recording, train: np.ndarray, seed: in
         seed: of the starting points.
     """
     if twin.device != "finger":
-        return _held(twin, "An arm's modulus and stiffness are not told by loaded poses; they are held.")
+        return _held(twin, "An arm's modulus and stiffness are not fitted to loaded poses; they are held.")
     force = known_forces(recording)
     if force is None or np.ptp(force[train], axis=0)[[0, 2]].max() < LEAST_FORCE_N:
-        return _held(twin, f"No known load bends the finger, so {_NEITHER}; {advice(twin)}.")
+        return _held(twin, f"{NO_LOAD}, so {_NEITHER}; {advice(twin)}.")
     samples = recording.samples.assign(**dict(zip(FORCES, force.T, strict=True)))
     known = replace(recording, samples=samples)
     start = twin.copy()
@@ -110,6 +110,7 @@ def advice(twin: Twin) -> str:
     )
 
 
+NO_LOAD = "No known load bends the finger"
 _NEITHER = "neither the joints' stiffness nor the modulus is identified and both are held"
 
 
@@ -129,7 +130,7 @@ def _found(twin: Twin, found: PipelineFit, body: SoftBody) -> Compliance:
         )
     new.parameters[WHOLE] = whole
     rows = {WHOLE: with_unit(whole, "N m/rad") | {"note": ""}}
-    remark = "Loaded poses tell a whole stiffness of {:.3g} to {:.3g} N m/rad a joint".format(*whole.ci95)
+    remark = "Joint stiffness: {:.2g} to {:.2g} N m/rad.".format(*whole.ci95)
     # a body of the modulus E alone would be as stiff as joints of E times this
     alone = body.alone(1e-3 * (twin.length_mm - np.asarray(twin.spine_joint_positions_mm)))
     share = found.twin.parameters[BODY_SHARE]
@@ -137,19 +138,17 @@ def _found(twin: Twin, found: PipelineFit, body: SoftBody) -> Compliance:
     if BODY_SHARE not in found.at_bound and high < WIDEST * low:
         new.parameters[MODULUS] = Value(whole.value * share.value / alone, (low, high))
         rows[MODULUS] = with_unit(new.parameters[MODULUS], "MPa") | {"note": ""}
-        remark += f", and a modulus of {low:.3g} to {high:.3g} MPa; the rest is the chamber's."
+        remark += f" Young's modulus: {low:.3g} to {high:.3g} MPa; the rest is the chamber's."
         return Compliance(new, rows, remark, found.evaluations)
     value = twin.parameters.get(MODULUS, Value(PAPER_FINGER[MODULUS])).value
     range_mpa = f"{max(low, 0.0):.2g} to {high:.2g} MPa"
-    rows[MODULUS] = with_unit(Value(value), "MPa") | {
-        "note": f"held: these loads leave it anywhere from {range_mpa}"
-    }
+    rows[MODULUS] = with_unit(Value(value), "MPa") | {"note": f"held: not identifiable ({range_mpa})"}
     remark += (
-        f"; the soft body's share of it is not told from the chamber's, its modulus may be {range_mpa}: "
-        f"measure the joints too (q_1_rad ...); {advice(twin)}."
+        f" Young's modulus cannot be identified from these data ({range_mpa}); record the angles of the "
+        "joints too (q_1_rad ...)."
     )
     if value * alone >= whole.value:
         new.parameters[MODULUS] = Value(0.5 * (low + min(high, 0.9 * whole.value / alone)))
-        remark += f" Until then it is {new.parameters[MODULUS].value:.2g} MPa, which those loads allow."
+        remark += f" It is set to {new.parameters[MODULUS].value:.2g} MPa."
         rows[MODULUS]["value"] = new.parameters[MODULUS].value
     return Compliance(new, rows, remark, found.evaluations)
