@@ -1,5 +1,6 @@
-"""How far a verb has come: a bar on a terminal, elsewhere a line at once and then every ten seconds."""
+"""How far a verb has come: a bar on a terminal, elsewhere a line at once and every ten seconds on stderr."""
 
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -21,7 +22,7 @@ LINE_S = 10.0
 def progress_bar(console: Console) -> Iterator[Callable[[str, int, int], None]]:
     """Gives `progress(text, done, total)`; the total may grow."""
     if not console.is_terminal:
-        yield _lines(console)
+        yield _lines(Console(stderr=True) if console.file is sys.stdout else console)
         return
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     with Progress(

@@ -3,6 +3,7 @@
 import shlex
 from pathlib import Path
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.errors import MarkupError
 from rich.markup import escape
@@ -34,7 +35,8 @@ def show(result, console: Console, sentence: bool = True) -> None:
         console.print(f"\n[bold]{escape(printable(result.sentence))}[/]\n", highlight=False)
     rows = result.rows()
     if rows:
-        table = Table(*(Column(str(k), overflow="fold") for k in rows[0]), title=result.title)
+        columns = (Column(str(k), overflow="fold") for k in rows[0])
+        table = Table(*columns, title=result.title, title_justify="left", box=SIMPLE_HEAD)
         for row in rows:
             style = "yellow" if row.get("note", "held") not in ("", "held") else None
             table.add_row(*(Text(printable(cell(row[k], ""))) for k in rows[0]), style=style)

@@ -38,15 +38,15 @@ def told_sentences(told: Told, make: str) -> list[str]:
     out = []
     if told.untold:
         source = f"what other sensors of the make {make} have" if make else "its default"
-        out.append(f"The presses do not tell {_grouped(told.untold)}: each stays near {source}.")
+        out.append(f"The presses do not identify {_grouped(told.untold)}: each stays near {source}.")
     if told.open_levels < ENOUGH_LEVELS:
         out.append("Another press of this indenter would tell little more.")
         return out
     p = told.add
     out.append(
         f"To know more, add a {'deeper press' if told.deeper else 'press'} at the {told.where} "
-        f"({p.depth_mm:.2g} mm deep, x {p.x_mm:.1f}, y {p.y_mm:.1f} mm): over the whole gel the fit leaves "
-        f"{told.open_levels:.1f} levels open, with it {told.then_levels:.1f}, beside the model's own error."
+        f"({p.depth_mm:.2g} mm deep, x {p.x_mm:.1f}, y {p.y_mm:.1f} mm): this press would cut the "
+        f"calibration's uncertainty from {told.open_levels:.1f} to {told.then_levels:.1f} grey levels."
     )
     if told.deeper:
         out.append("Contacts deeper than the presses are extrapolated.")

@@ -35,8 +35,8 @@ from pneutac_sim.twin import Twin, Value
 
 RESTED_S = 1e4  # a pause at zero pressure after which everything has rested
 OF_TRIALS = (
-    "Trials differ by small offsets, gains, zeros and clocks of their own, no part of the device: with "
-    "what was found, errors are counted beside them (told by its learning rows), before it they are not."
+    "Each run has its own small offset, gain and time shift. They are no part of the device and not in the "
+    "twin; the error without them is reported separately."
 )
 EDGE = 1e-3
 

@@ -1,5 +1,6 @@
 """Commands of pressure with which a finger bends as it is told, and how well it followed them."""
 
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -91,10 +92,11 @@ class Control(Result):
             {"bend": name, "error, mrad": f"{1e3 * error:.1f}"} for name, error in kinds if error is not None
         ]
 
-    @property
-    def next_command(self) -> str:
+    def next_after(self, out: Path) -> str:
         """To drive the program."""
-        return "" if self.recording else "pneutac measure --program=OUT/program.csv ..."
+        if self.recording:
+            return ""
+        return shlex.join(["pneutac", "measure", f"--program={out}/program.csv", f"--out={out}/recording"])
 
     def page(self) -> Report:
         """Target, twin, finger and pressure over time."""

@@ -1,5 +1,6 @@
 """The next program for the bench: what it separates, what it narrows, where it goes for the first time."""
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -65,18 +66,24 @@ class Design(Result):
         c = self.best
         if c.tells_little:
             return (
-                "No program within these limits would tell anything more; allow higher pressures or longer "
+                "No program within these limits would show anything new; allow higher pressures or longer "
                 "programs."
             )
         likely = self.contenders[0]
         first = "".join(f"{s} " for s in instructions(self.hands.usual, c.conditions))
         names = " + ".join(map(called, likely.terms)) or "no effect"
+        best = f"{names} has {100 * likely.probability:.0f} %"
+        gain = f"{c.rivals:.2f} nats between models, {c.constants:.1f} nats on constants"
         return (
-            f"{first}Drive {c.name} ({c.seconds:.0f} s): {c.rivals:.2f} nats between "
-            f"{len(self.contenders)} models, of which {names} is the likeliest "
-            f"({100 * likely.probability:.0f} %), {c.constants:.1f} nats about its constants, and "
-            f"{100 * c.new:.0f} % of its time where no recording has been."
+            f"{first}Next, drive {c.name} ({c.seconds:.0f} s). Of {len(self.contenders)} candidate models "
+            f"{best}; this test mainly {self._purpose}. Expected information: {gain}; "
+            f"{100 * c.new:.0f} % of its time is where no recording has been."
         )
+
+    @property
+    def _purpose(self) -> str:
+        decides = self.best.rivals >= max(np.log(len(self.contenders)) / 2, 1e-9)
+        return "decides between them" if decides else "sharpens the constants of the first"
 
     def rows(self) -> list[dict]:
         """The best programs."""
@@ -91,10 +98,9 @@ class Design(Result):
             for c in self.choices[:SHOWN]
         ]
 
-    @property
-    def next_command(self) -> str:
+    def next_after(self, out: Path) -> str:
         """To drive it."""
-        return "pneutac measure --program=OUT/program.csv ..."
+        return shlex.join(["pneutac", "measure", f"--program={out}/program.csv", f"--out={out}/recording"])
 
     def to_dict(self) -> dict:
         """The content of `result.json`."""

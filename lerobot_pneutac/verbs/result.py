@@ -43,6 +43,10 @@ class Result:
         """What to run next; empty where nothing follows."""
         return ""
 
+    def next_after(self, out: Path) -> str:
+        """The same once the report lies in folder `out`."""
+        return self.next_command
+
     @property
     def sentence(self) -> str:
         """What a reader should take away; empty where the table says it all."""
@@ -84,8 +88,8 @@ class Result:
             write_image(Path(out) / name, picture)
         page = self.page()
         page.about = about(*self.subject())
-        if self.next_command:
-            page.next_command(_going_on(self.next_command, command))
+        if following := self.next_after(Path(out)):
+            page.next_command(_going_on(following, command))
         if command:
             page.heading("Do it again")
             page.code(command)
