@@ -51,6 +51,7 @@ OUTLIER = 6.0  # robust standard deviations beyond which a contrast is a jump of
 EXACT = 1e-9  # of a column's range: smaller noise is rounding of computed numbers
 LEAST_DOF = 40  # degrees of freedom of an estimate
 LEAST_ROWS = 120  # in fewer an estimate by contrasts is not within 20 %
+LEAST_REPEATED = 240  # rows of pairs; fewer give no noise within 20 %
 MOST_ROWS, PIECE_ROWS = 20_000, 2_000  # of a longer recording so many are used, in pieces
 RECORD_MORE = "record two minutes or more, run one program twice, or declare 'noise' in recording.json"
 MAD = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
@@ -103,6 +104,8 @@ def noise_floor(recording: Recording) -> NoiseFloor:
     columns, unit = headline(recording)
     numeric = [c for c in recording.observations if not c.startswith("image")]
     pairs = repeats(recording)
+    if sum(len(first) for first, *_ in pairs) < LEAST_REPEATED:
+        pairs = []
     declared = recording.meta.get("noise") or {}
     by: dict[str, float] = {}
     session = None
@@ -110,7 +113,9 @@ def noise_floor(recording: Recording) -> NoiseFloor:
         for c in numeric:
             a = [recording.column(c)[first] - recording.column(c)[second] for first, second, _ in pairs]
             fast = np.concatenate([_detrended(d, window) for d, (*_, window) in zip(a, pairs, strict=True)])
-            by[c] = MAD * float(np.median(np.abs(fast))) / np.sqrt(2)
+            size = np.abs(fast)
+            usual = size[size <= OUTLIER * MAD * np.median(size)]  # without jumps of the marker
+            by[c] = float(np.sqrt(np.mean(usual**2) / 2))
         whole = {
             c: np.concatenate([recording.column(c)[a] - recording.column(c)[b] for a, b, _ in pairs])
             for c in columns

@@ -10,7 +10,7 @@ import pytest
 from pneutac_benchmarks.diagnosis.cases import Case
 from pneutac_benchmarks.diagnosis.logs import made
 from pneutac_datasets.recording.checks import check
-from pneutac_datasets.recording.noise import noise_floor
+from pneutac_datasets.recording.noise import noise_floor, repeats
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 
@@ -52,6 +52,13 @@ def test_noise_that_is_correlated_from_row_to_row_is_seen_in_quiet_rows():
     filtered = np.convolve(rng.normal(0, 1, 6002), np.ones(3) / 3**0.5, "valid")
     r.samples["bend_angle_rad"] += 0.01 * filtered
     assert noise_floor(r).value == pytest.approx(0.01, rel=0.15)
+
+
+def test_a_short_repeat_is_no_measurement_of_the_noise():
+    _, r, noise = made(Case("logs", "plain", "plain", 801))
+    floor = noise_floor(r)
+    assert sum(len(a) for a, *_ in repeats(r)) == 80 and not floor.known
+    assert floor.value == pytest.approx(noise, rel=0.1)
 
 
 def test_jumps_of_the_marker_are_no_noise():
