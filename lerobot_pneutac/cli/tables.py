@@ -104,6 +104,10 @@ def _rows(understood: plain.Understood) -> list[tuple[str, str, str]]:
             rows[-1][0].append(c.name)
             continue
         rows.append([[c.name], stem, [how, "" if "xyz" in stem else _range(c, understood.recording)]])
+    have = understood.recording.samples
+    for row in rows:  # the axes that there are
+        axes = "".join(a for a in "xyz" if row[1].replace("xyz", a) in have)
+        row[1] = row[1].replace("xyz", axes) if axes else row[1]
     return [(" ".join(names), stem, " ".join(p for p in how if p)) for names, stem, how in rows]
 
 

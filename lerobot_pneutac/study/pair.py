@@ -70,8 +70,8 @@ def same_body[R: Recording | Demonstrations](twin: Twin, recording: R, verb: str
     same_device(twin, recording, "the twin", verb)
     if isinstance(recording, Demonstrations) or recording.device == "gel":
         return recording
-    measured = recording.length_mm is not None and not recording.meta.get("length_proposed")
-    if measured and abs(recording.length_mm - twin.length_mm) > 0.02 * twin.length_mm:
+    length_mm = None if recording.meta.get("length_proposed") else recording.length_mm
+    if length_mm is not None and abs(length_mm - twin.length_mm) > 0.02 * twin.length_mm:
         raise InputError(
             f"{recording.folder}/recording.json: length_mm is {recording.length_mm:g}, the twin's is "
             f"{twin.length_mm:g}; make the twin with "

@@ -162,10 +162,11 @@ def _read_lerobot(folder: Path) -> pd.DataFrame:
         names = list(names.values())[0] if isinstance(names, dict) and names else names
         first = raw[name].iloc[0] if len(raw) else None
         vector = isinstance(first, Sized) and not isinstance(first, str | dict | bytes)
+        size = len(first) if vector and isinstance(first, Sized) else 0
         entries = [name]
-        if vector and isinstance(names, list) and len(names) == len(first):
+        if vector and isinstance(names, list) and len(names) == size:
             entries = [str(n) for n in names]  # a vector of one entry may have a name, too
-        elif vector and len(first) != 1:
+        elif vector and size != 1:
             continue
         for i, entry in enumerate(entries):
             if entry in columns:

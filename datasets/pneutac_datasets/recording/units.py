@@ -148,8 +148,8 @@ def _check_tip(samples: pd.DataFrame, meta: dict, file: Path) -> None:
     if 0 < value < (SHORTEST_TIP * length_mm if length_mm else 1.0):
         raise _other_unit(samples, file, tips[0], row, "metres", "multiply the tip columns by 1000", value)
     rest = _reach_at_rest(samples, reach)
-    for unit, mm in (("centimetres", 10.0), ("inches", 25.4)) if length_mm and rest else ():
-        if abs(rest * mm / length_mm - 1) < SAME_LENGTH and value < 3 * rest:
+    for unit, mm in (("centimetres", 10.0), ("inches", 25.4)):
+        if length_mm and rest and abs(rest * mm / length_mm - 1) < SAME_LENGTH and value < 3 * rest:
             other, remedy = (
                 f"{unit}: at rest the tip is {rest:.3g} from the base",
                 f"multiply the tip columns by {mm:g}",

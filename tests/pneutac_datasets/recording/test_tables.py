@@ -1,6 +1,7 @@
 """A lab's own tables: the same numbers come back in kPa, mm, s and rad, or one sentence says what is open."""
 
 import itertools
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +9,7 @@ import pandas as pd
 import pytest
 from scipy.io import savemat
 
+from pneutac_datasets.demonstrations.info import is_demonstrations
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.sources import plain
 from pneutac_datasets.recording.sources.columns import parse_columns, read_name
@@ -358,6 +360,43 @@ def test_the_trackers_frame_is_turned_into_the_bases(tmp_path):
     flipped = TRUTH.assign(tip_z_mm=-TRUTH.tip_z_mm)
     flipped.to_csv(tmp_path / "lab.csv", index=False)
     assert any("convert with --base_z=-z" in n for n in understood(tmp_path / "lab.csv").notes)
+
+
+def test_a_place_that_is_counted_from_the_tip_and_a_bend_along_y_are_noticed(tmp_path):
+    TRUTH.assign(tip_x_mm=TRUTH.tip_x_mm - LENGTH).to_csv(tmp_path / "lab.csv", index=False)
+    with pytest.raises(InputError, match="its place is counted from the tip; .*--base=-LENGTH,0,0"):
+        understood(tmp_path / "lab.csv")
+    same(understood(tmp_path / "lab.csv", base_mm=(-LENGTH, 0.0, 0.0)).recording, TRUTH)
+    flat = TRUTH.drop(columns="tip_y_mm").rename(columns={"tip_z_mm": "tip_y_mm"})
+    flat.to_csv(tmp_path / "lab.csv", index=False)
+    assert any("convert with --base_z=y" in n for n in understood(tmp_path / "lab.csv").notes)
+    same(understood(tmp_path / "lab.csv", base_z="y").recording, ["tip_x_mm", "tip_z_mm"])
+
+
+def dataset(folder, features, robot_type="bench"):
+    """A LeRobotDataset of the truth with these features: name to the names of its entries."""
+    (folder / "meta").mkdir(parents=True)
+    (folder / "data").mkdir()
+    table = TRUTH.rename(columns={"trial": "episode_index", "time_s": "timestamp"})
+    columns = {c: table[c] for c in ("episode_index", "timestamp")}
+    columns |= {f: list(TRUTH[names].to_numpy("float32")) for f, names in features.items()}
+    pd.DataFrame(columns).to_parquet(folder / "data" / "file.parquet")
+    told = {f: {"dtype": "float32", "shape": [len(n)], "names": n} for f, n in features.items()}
+    told |= {c: {"dtype": "float32", "shape": [1], "names": None} for c in ("episode_index", "timestamp")}
+    info = {"robot_type": robot_type, "fps": 10, "features": told}
+    (folder / "meta" / "info.json").write_text(json.dumps(info))
+    return folder
+
+
+def test_a_lerobot_dataset_of_a_bench_keeps_the_names_of_its_entries(tmp_path):
+    tips = ["tip_x_mm", "tip_z_mm"]
+    bench = dataset(tmp_path / "a", {"action": [P], "observation.state": tips})
+    assert not is_demonstrations(bench)
+    same(Recording.load(bench), [P, *tips], atol=1e-4)
+    assert is_demonstrations(dataset(tmp_path / "b", {"action": [P], "observation.state": tips}, "pneutac"))
+    doubled = dataset(tmp_path / "c", {"command": [P], "measured": [P, *tips]})
+    with pytest.raises(InputError, match=f"'{P}' is the name of an entry of 'command' and of 'measured'"):
+        Recording.load(doubled)
 
 
 def test_what_is_not_recognised_is_retained_and_what_is_empty_said(tmp_path):

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from pneutac_datasets.recording.rules import LABELS
-from pneutac_datasets.recording.units import Unit, unit_named
+from pneutac_datasets.recording.units import UNITS, Unit, unit_named
 from pneutac_datasets.recording.wording import listed, shown
 from pneutac_sim.errors import InputError
 
@@ -192,8 +192,9 @@ def read_name(name: str, unit: str = "") -> Named:
     options = [(name, unit)] if unit else [*_with_unit(name), (name, "")]
     for base, found in options:
         kind, index = _kind(base, found)
-        if not kind and found and unit_named(found, "temperature") and not unit_named(found, "angle"):
-            kind = "temperature" if len(unit_named(found, "temperature").name) > 1 else ""
+        warmth = unit_named(found, "temperature") if found and not kind else None
+        if warmth is not None and len(warmth.name) > 1 and unit_named(found, "angle") is None:
+            kind = "temperature"
         if kind and (not found or _suits(kind, found) or "[" in name or "(" in name or unit):
             return Named(kind, index, found)
     last = name.rpartition(".")[2]
@@ -556,7 +557,7 @@ def _length(column, found, frame, length_mm, by_size, ask) -> tuple[Column, Ques
     numbers = frame[tips].apply(pd.to_numeric, errors="coerce").to_numpy(float)
     reach = float(np.nanmax(np.linalg.norm(numbers, axis=1))) if len(numbers) else 0.0
     if length_mm:
-        fits = {u: reach * unit_named(u, "length").factor / length_mm for u in ("m", "cm", "mm", "in")}
+        fits = {u: reach * UNITS["length"][u] / length_mm for u in ("m", "cm", "mm", "in")}
         good = [u for u, ratio in fits.items() if 0.7 < ratio < 1.4]
         if len(good) == 1:
             return by_size(good[0])

@@ -30,6 +30,7 @@ SPREADSHEETS = (".xlsx", ".xls", ".xlsm", ".ods", ".numbers")
 VECTORS = "tip_{}_mm", "force_{}_n", "gravity_{}"
 REST_SHARE = 0.05  # of the rows: those of the least pressure
 ALONG = 0.7  # cosine between the resting tip and x, below which the axes must be others
+FROM_TIP = 0.2  # of its motion: nearer to the origin than that no resting tip is to its base
 EPOCH_S = 1e8  # a clock beyond this counts since 1970
 
 
@@ -67,16 +68,16 @@ class Given:
             raise InputError(f"{file}: field {shown(wrong[0])} is none of {', '.join(known)}.")
         try:
             columns = content.get("columns") or {}
-            base = tuple(float(v) for v in content.get("base_mm", cls.base_mm))
-            numbers = {
-                k: None if content.get(k) is None else float(content[k]) for k in ("length_mm", "rate_hz")
-            }
-            if not isinstance(columns, dict) or len(base) != 3:
-                raise ValueError("columns must be names and base_mm three numbers")
+            x, y, z = (float(v) for v in content.get("base_mm", cls.base_mm))
+            length_mm, rate_hz = (
+                None if content.get(k) is None else float(content[k]) for k in ("length_mm", "rate_hz")
+            )
+            if not isinstance(columns, dict):
+                raise ValueError("columns must be names and what they are")
         except (TypeError, ValueError) as e:
             raise InputError(f"{file} is no mapping: {e}.") from e
-        texts = {k: str(content.get(k, getattr(cls, k))) for k in ("base_x", "base_z", "date")}
-        return cls(parse_columns(columns), base, **numbers, **texts)
+        base_x, base_z, date = (str(content.get(k, getattr(cls, k))) for k in ("base_x", "base_z", "date"))
+        return cls(parse_columns(columns), (x, y, z), base_x, base_z, length_mm, rate_hz, date)
 
     def text(self, columns: Sequence[Column], length_mm: float | None) -> str:
         """The content of `mapping.yaml` once the columns are known."""
@@ -488,8 +489,16 @@ def _axes_notes(recording: Recording, source: str, given: Given) -> list[str]:
     """
     table = recording.samples
     rest = _at_rest(table)
-    if rest is None or not np.linalg.norm(rest) > 0 or "tip_z_mm" not in table:
+    tips = [t for t in ("tip_x_mm", "tip_y_mm", "tip_z_mm") if t in table]
+    if rest is None or not np.linalg.norm(rest) > 0 or len(tips) < 2:
         return []
+    moved = float(np.linalg.norm([np.ptp(table[t]) for t in tips]))
+    if np.linalg.norm(rest) < FROM_TIP * moved:
+        raise InputError(
+            f"{source}: at rest the tip is {np.linalg.norm(rest):.3g} mm from the origin and moves"
+            f" {moved:.3g} mm: its place is counted from the tip; give that of the base, as"
+            f" `pneutac convert {source} --base=-LENGTH,0,0`."
+        )
     share = rest / np.linalg.norm(rest)
     if share[0] < ALONG:
         i = int(np.abs(share).argmax())
@@ -508,9 +517,13 @@ def _axes_notes(recording: Recording, source: str, given: Given) -> list[str]:
     kpa = kpa - kpa.mean()
     bends = {a: float(kpa @ table[f"tip_{a}_mm"].to_numpy(float)) for a in "yz" if f"tip_{a}_mm" in table}
     spread = {a: float(np.ptp(table[f"tip_{a}_mm"])) for a in bends}
-    if spread.get("y", 0) > 3 * spread["z"] and given.base_z == "z":
+    if spread.get("y", 0) > 3 * spread.get("z", 0.0) and given.base_z == "z":
         way = "y" if bends["y"] > 0 else "-y"
-    elif bends["z"] < 0 and abs(bends["z"]) > 0.2 * len(kpa) * kpa.std() * table["tip_z_mm"].std():
+    elif (
+        "z" in bends
+        and bends["z"] < 0
+        and abs(bends["z"]) > 0.2 * len(kpa) * kpa.std() * table["tip_z_mm"].std()
+    ):
         way = given.base_z[1:] if given.base_z.startswith("-") else f"-{given.base_z}"
     else:
         return []
