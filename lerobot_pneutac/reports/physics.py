@@ -30,21 +30,18 @@ def physics(study: EffectStudy, o: Outcome) -> tuple[go.Figure, str] | None:
         return None
     effect = next((e for e in order if e not in o.known), order[0])
     data = read(study.recording, o.after.twin)
-    k = int(np.argmax(np.var(data.measured[:, : data.counted], axis=0)))
+    without, left = study.residual(o.after.twin.without(effect)), o.after.residual
+    k = int(np.argmax(np.var(without - left, axis=0)))  # where the cause shows most
     measured = data.measured[:, k]
-    lines = {
-        "measured": measured,
-        "without": measured - study.residual(o.after.twin.without(effect))[:, k],
-        "with": measured - o.after.residual[:, k],
-    }
+    lines = {"measured": measured, "without": measured - without[:, k], "with": measured - left[:, k]}
     slow = family(effect) in SLOW or get_effect(effect).stage == "pneumatics"
     column, name = data.columns[k], study.cause(o.after, effect)
-    ways = [_by_level] if effect in LEVELS else [_steps, _loop] if slow else [_loop]
+    ways = [_by_level, _loop] if family(effect) in LEVELS else [_steps, _loop] if slow else [_loop]
     for way in ways:
         found = way(study.recording, lines, column, effect)
         if found is not None:
             figure, caption = found
-            return figure, f"The largest cause, {name}. {caption}"
+            return figure, f"The largest {'cause' if effect in o.known else 'new cause'}, {name}. {caption}"
     return None
 
 
@@ -123,7 +120,7 @@ def _loop(recording: Recording, lines, column: str, effect: str) -> tuple[go.Fig
 
 def _by_level(recording: Recording, lines, column: str, effect: str) -> tuple[go.Figure, str] | None:
     """What the model without the cause misses at each level of its condition."""
-    axis = next((a for a in axes(recording) if a.name == LEVELS[effect]), None)
+    axis = next((a for a in axes(recording) if a.name == LEVELS[family(effect)]), None)
     if axis is None or len(axis.labels) < 2:
         return None
     figure, levels = go.Figure(), range(len(axis.labels))

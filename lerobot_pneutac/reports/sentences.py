@@ -12,6 +12,7 @@ from pneutac_sim.effects.laws import family, is_law
 
 RIGHT = 0.8  # calibrated probability of the headline below which it is not called confirmed
 EVEN = 0.5  # below which it is not called likely
+UNTESTED = "cannot be tested, "  # what the reasons of untested effects begin with
 AGREED = 0.7  # share of repeated searches below which it is not called confirmed
 COUNTS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
 
@@ -169,7 +170,7 @@ def state_of(study: EffectStudy, outcome: Outcome) -> State:
         right=o.likely_right,
         objections=tuple(e.objections) if named else (),
         black_box=e.left_to_black_box if e.unfinished else 0.0,
-        untested=tuple(f"{called(u.name)}: {u.reason}" for u in study.untested),
+        untested=tuple(f"{called(u.name)} ({u.reason.removeprefix(UNTESTED)})" for u in study.untested),
         notes=tuple(dict.fromkeys(n for n in (*study.findings, alike, *study.caveats(o)) if n)),
         confusable=bool(alike),
         optimistic=not study.parts.has_test,
