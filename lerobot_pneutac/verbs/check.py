@@ -21,7 +21,7 @@ from pneutac_sim.finger import Pipeline
 from pneutac_sim.finger.online import COMPUTED
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.twin import PAPER_FINGER, Twin, Value
-from pneutac_sim.world.checks import check_networks, out_of_reach
+from pneutac_sim.world.checks import check_networks, check_world, out_of_reach
 from pneutac_sim.world.station import Station, station_file
 from pneutac_sim.world.station_faults import station_faults
 
@@ -121,7 +121,11 @@ def _station(path: Path, twin: Twin) -> tuple[list[str], list[str]]:
     if faults:
         return faults, []
     short = out_of_reach(Station.load(path), twin.length_mm)
-    return [], [
+    try:
+        check_world(twin, "probe", {})
+    except InputError as e:
+        faults = [f"A robot with this twin is refused: {e}"]
+    return faults, [
         f"The arm falls {missing:.2g} m short of where the task '{task}' starts; choose another base_m."
         for task, missing in short.items()
     ]

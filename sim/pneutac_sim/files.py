@@ -59,7 +59,9 @@ class _Loader(yaml.SafeLoader):
     def construct_yaml_int(self, node):
         """A whole number; one that no quantity has is infinite, which every field refuses."""
         value = super().construct_yaml_int(node)
-        return value if abs(value) < MOST_WHOLE else math.copysign(math.inf, value)
+        if abs(value) < MOST_WHOLE:
+            return value
+        return math.inf if value > 0 else -math.inf
 
     def construct_scalar(self, node):
         value = super().construct_scalar(node)

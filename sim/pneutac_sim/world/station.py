@@ -20,6 +20,7 @@ from pneutac_sim.world.arms.chain import Chain
 from pneutac_sim.world.panda import Panda
 
 MOST_LATE_S = 1.0
+FARTHEST_M = 10.0  # no arm on a table works farther from its origin
 MISSING_M = 0.003  # by which a place that is out of the arm's reach is missed
 FORMAT = "pneutac-station/1"
 FILE = "station.yaml"
@@ -181,4 +182,6 @@ def check_corner(value, name: str) -> tuple[float, float, float]:
         right = False
     if not right:
         raise InputError(f"{name} is {shown(value)}; give three finite numbers of metres, x, y and z.")
+    if max(map(abs, (x, y, z))) > FARTHEST_M:
+        raise InputError(f"{name} is {shown(value)}, which can only be millimetres; divide it by 1000.")
     return x, y, z

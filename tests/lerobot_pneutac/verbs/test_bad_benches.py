@@ -5,10 +5,12 @@ import json
 import re
 import shutil
 import sys
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
 
 from lerobot_pneutac.cli import main
 from lerobot_pneutac.study.by_device import study_of
@@ -16,8 +18,11 @@ from lerobot_pneutac.study.pair import load_pair
 from lerobot_pneutac.verbs.calibrate import calibrate
 from lerobot_pneutac.verbs.check import check_path
 from lerobot_pneutac.verbs.compare import compare
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin, Value
+from pneutac_sim.world.arms import ARMS
+from pneutac_sim.world.station import Station
 
 
 def table(n=600):
@@ -169,3 +174,94 @@ def test_commands_to_copy_are_quoted(tmp_path, monkeypatch, capsys):
     assert f"pneutac calibrate '--twin={twin}' '--recording={folder}'" in capsys.readouterr().out
     with pytest.raises(InputError, match=r"pneutac new --twin='.*Übung 2'"):
         Twin.load(tmp_path / "Übung 2")
+
+
+def station(folder, **fields):
+    (folder / "station.yaml").write_text(yaml.safe_dump({"format": "pneutac-station/1"} | fields))
+    return check_path(folder / "station.yaml").faults
+
+
+@pytest.mark.parametrize("name", ["workspace_low_m", "workspace_high_m", "base_m", "home_m"])
+def test_a_station_in_millimetres_is_named(name, tmp_path):
+    faults = station(tmp_path, **{name: [300.0, -200.0, 180.0]})
+    assert any(f"{name} is [300.0, -200.0, 180.0], which can only be millimetres" in f for f in faults)
+
+
+@pytest.mark.parametrize("arm", ["ur5", "so101"])
+def test_an_arm_in_millimetres_or_with_a_joint_that_copies_is_named(arm, tmp_path):
+    described = ARMS[arm][0]
+    text = Path(described.urdf).read_text()
+
+    def fault(changed):
+        (tmp_path / "arm.urdf").write_text(changed)
+        fields = {"urdf": "arm.urdf", "flange": described.flange, "home_rad": list(described.home_rad)}
+        return " ".join(station(tmp_path, arm=fields))
+
+    def thousand(found):
+        return f'xyz="{" ".join(str(1000 * float(x)) for x in found[1].split())}"'
+
+    assert fault(text) == ""
+    assert "can only be millimetres" in fault(re.sub(r'(?<=<origin )xyz="([^"]*)"', thousand, text))
+    first, copy = re.findall(r'<joint name="([^"]+)" type="revolute"', text)[:2]
+    end = text.index("</joint>", text.index(f'<joint name="{copy}"'))
+    mimic = f'<mimic joint="{first}" multiplier="-1"/>'
+    assert f"joint '{copy}' copies '{first}' (mimic)" in fault(text[:end] + mimic + text[end:])
+    assert fault(text[:end] + f"<!-- {mimic} -->" + text[end:]) == ""
+
+
+def test_a_station_is_looked_at_with_the_conditions_that_its_twin_asks_for(tmp_path):
+    station(tmp_path)
+    twin = Twin.builtin()
+    twin.effects = {"thermal": {}}
+    (fault,) = check_path(tmp_path / "station.yaml", twin).faults
+    assert "needs the condition 'temperature_c'" in fault
+
+
+HUGE = 10**400, -(10**30), float("nan"), float("inf"), [], [[]], {}, None, "text", True, {"value": 10**400}
+
+
+@pytest.mark.parametrize("value", HUGE, ids=[repr(v)[:12] for v in HUGE])
+def test_a_file_with_any_number_in_any_place_is_read_or_one_sentence(value, tmp_path):
+    """Every field of a twin, a station and a recording in turn; nothing but an InputError may come out."""
+    twin = Twin.builtin()
+    twin.effects = {"creep": {"share": Value(0.1, (0.05, 0.2))}}
+    twin.save(tmp_path)
+    for path in places(content := yaml.safe_load((tmp_path / "twin.yaml").read_text())):
+        (tmp_path / "twin.yaml").write_text(yaml.safe_dump(put(content, path, value)))
+        refused(lambda: Twin.load(tmp_path))
+        Twin.faults(tmp_path)
+    corner = [0.3, -0.2, 0.2]
+    content = {"format": "pneutac-station/1", "workspace_low_m": corner, "mount_mm": 20, "control_hz": 15}
+    content |= {"latency_s": 0.1, "home_m": [0.4, 0.0, 0.3], "arm": "ur5"}
+    for path in places(content):
+        (tmp_path / "station.yaml").write_text(yaml.safe_dump(put(content, path, value)))
+        refused(lambda: Station.load(tmp_path / "station.yaml"))
+    content = {
+        "device": "finger",
+        "length_mm": 100,
+        "noise": {"bend_angle_rad": 0.1},
+        "samples": "samples.csv",
+    }
+    content |= {"trials": {"0": {"start": "rested"}}, "spine_joint_positions_mm": [10, 50], "supply_kpa": 3}
+    folder = write(tmp_path / "r", table(80))
+    for path in places(content):
+        (folder / "recording.json").write_text(json.dumps(put(content, path, value)))
+        refused(lambda: Recording.load(folder))
+
+
+def places(content, before=()):
+    pairs = content.items() if isinstance(content, dict) else enumerate(content)
+    for key, value in pairs:
+        yield (*before, key)
+        if isinstance(value, dict | list):
+            yield from places(value, (*before, key))
+
+
+def put(content, path, value):
+    """A copy with a value in one place; a place that is not there is made."""
+    content = json.loads(json.dumps(content))
+    inside = content
+    for key in path[:-1]:
+        inside = inside.setdefault(key, {}) if isinstance(inside, dict) else inside[key]
+    inside[path[-1]] = value
+    return content

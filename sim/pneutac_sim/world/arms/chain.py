@@ -5,6 +5,7 @@ missing, or in a format that MuJoCo does not read, are no hindrance; capsules ar
 With stiff joint control a link's mass matters for little, so every link has the same.
 """
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +23,9 @@ LEAST_JOINTS = 5  # to hold the flange's direction while it goes anywhere
 TILT = np.cos(np.radians(5))  # of the flange's axis from straight down at home, at most
 LINK_KG = 1.0
 THICKNESS = 0.045  # radius of the capsules as a share of the longest link
+_NAME = r"""\bname\s*=\s*(["'])(.*?)\1"""
+_MIMIC = r"""<mimic\b[^>]*\bjoint\s*=\s*(["'])(.*?)\1"""  # inside of a URDF's joint
+MOST_REACH_M = 5.0  # of an arm that carries a finger over a table
 MOST_TURN_RAD = 2 * np.pi  # of a joint without limits
 LEFT_OUT = (  # of a file: all that the chain does not need
     "geoms meshes hfields skins textures materials actuators sensors equalities tendons keys excludes pairs"
@@ -87,6 +91,12 @@ class Chain:
         self._gains = self._servo_gains()
 
     def _check(self, file, flange: str, limits: list) -> None:
+        reach = sum(float(np.linalg.norm(link.pos)) for link in self._links)
+        if reach > MOST_REACH_M:
+            raise InputError(
+                f"{file}: the links to '{flange}' are {reach:.4g} m long together, which can only be"
+                " millimetres; give the file's lengths in metres."
+            )
         if self.joints < LEAST_JOINTS:
             raise InputError(
                 f"{file}: {self.joints} joints lead to '{flange}'; it takes {LEAST_JOINTS} or more to hold"
@@ -180,6 +190,7 @@ def read_chain(file: Path, flange: str) -> list[Link]:
     refuse_pointer(file)
     try:
         spec = mujoco.MjSpec.from_file(str(file))
+        copies = _copied_joints(file, spec)
         for kind in LEFT_OUT:
             for each in list(getattr(spec, kind)):
                 spec.delete(each)
@@ -208,11 +219,28 @@ def read_chain(file: Path, flange: str) -> list[Link]:
                     f"{file}: joint '{model.joint(j).name}' on the way to '{flange}' is no hinge; an arm of"
                     " hinges alone can be used."
                 )
+            if model.joint(j).name in copies:
+                raise InputError(
+                    f"{file}: joint '{model.joint(j).name}' copies '{copies[model.joint(j).name]}' (mimic)"
+                    ", so"
+                    " it has no motor of its own; give an arm without such joints."
+                )
             limits = model.jnt_range[j] if model.jnt_limited[j] else (-MOST_TURN_RAD, MOST_TURN_RAD)
             hinges.append((model.jnt_pos[j].copy(), model.jnt_axis[j].copy(), *limits))
         links.append(Link(model.body_pos[b].copy(), model.body_quat[b].copy(), tuple(hinges)))
         b = int(model.body_parentid[b])
     return links[::-1]
+
+
+def _copied_joints(file: Path, spec: mujoco.MjSpec) -> dict[str, str]:
+    """Joint to the one whose angle it copies, by a URDF's `mimic` or an MJCF's equality of joints."""
+    found = {e.name1: e.name2 for e in spec.equalities if e.type == mujoco.mjtEq.mjEQ_JOINT and e.name2}
+    text = re.sub(r"<!--.*?-->", "", file.read_text(errors="replace"), flags=re.S)
+    for joint, inside in re.findall(r"<joint\b([^>]*[^/])>(.*?)</joint>", text, flags=re.S):
+        name, copied = (re.search(p, t) for p, t in ((_NAME, joint), (_MIMIC, inside)))
+        if name and copied:
+            found[name[2]] = copied[2]
+    return found
 
 
 def _text(numbers: np.ndarray) -> str:
