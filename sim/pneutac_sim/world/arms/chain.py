@@ -221,9 +221,8 @@ def read_chain(file: Path, flange: str) -> list[Link]:
                 )
             if model.joint(j).name in copies:
                 raise InputError(
-                    f"{file}: joint '{model.joint(j).name}' copies '{copies[model.joint(j).name]}' (mimic)"
-                    ", so"
-                    " it has no motor of its own; give an arm without such joints."
+                    f"{file}: joint '{model.joint(j).name}' copies '{copies[model.joint(j).name]}' (mimic),"
+                    " so it has no motor of its own; give an arm without such joints."
                 )
             limits = model.jnt_range[j] if model.jnt_limited[j] else (-MOST_TURN_RAD, MOST_TURN_RAD)
             hinges.append((model.jnt_pos[j].copy(), model.jnt_axis[j].copy(), *limits))
