@@ -106,7 +106,7 @@ def generate(
     tell_pauses: bool = False,
     tell_sent: bool = False,
     plan: Plan | None = None,
-    warm_runs: bool = False,
+    lab: bool = False,
 ) -> Truth:
     """Makes one recording of a device.
 
@@ -121,8 +121,8 @@ def generate(
         tell_pauses: whether recording.json tells how long the device rested before each trial.
         tell_sent: whether the log tells when each command was sent; otherwise it is drawn.
         plan: what is commanded, see `programs.given`; None draws it.
-        warm_runs: whether a third of the trials are in a room that is `WARMER_C` warmer, as the log shows;
-            the device heeds it only where one of its effects does.
+        lab: whether a third of the trials are in a room that is `WARMER_C` warmer, as the log shows (the
+            device heeds it only where one of its effects does), and the base is turned in its plane alone.
 
     Raises:
         ValueError: an unknown name, or a gauge's fault without a gauge.
@@ -135,6 +135,7 @@ def generate(
     gauged = bool(faulty) or (stream(seed, "gauge").random() < 0.5 if gauge is None else gauge)
     drawn = make.draw(device, names, seed)
     w = World.start(device, seed, day, make.MINUTES[device] if minutes is None else minutes, plan)
+    w.in_plane = lab
     truly, seen = make.run(w, drawn)
     samples = _commands(w, rng, tell_sent)
     noise = {}
@@ -152,7 +153,7 @@ def generate(
     for j, name in enumerate(observed):
         samples[name] = shown[:, j]
         noise[name] = float(f"{sd:.4g}")
-    _conditions(w, samples, rng, warm_runs)
+    _conditions(w, samples, rng, lab)
     meta = {
         "device": "arm" if device == "arm" else "finger",
         "length_mm": round(w.body.length_mm, 2),
@@ -199,7 +200,7 @@ def _commands(w: World, rng: np.random.Generator, tell_sent: bool) -> pd.DataFra
     return table
 
 
-def _conditions(w: World, samples: pd.DataFrame, rng: np.random.Generator, warm_runs: bool) -> None:
+def _conditions(w: World, samples: pd.DataFrame, rng: np.random.Generator, lab: bool) -> None:
     """Columns of weight, payload and temperature; a thermometer is at times logged where it tells nothing."""
     rows = w.plan.rows
     trial = w.plan.trial[rows]
@@ -208,9 +209,9 @@ def _conditions(w: World, samples: pd.DataFrame, rng: np.random.Generator, warm_
             samples[f"gravity_{axis}"] = w.gravity[trial, k] + 0.0
     if w.payload_g is not None:
         samples["payload_g"] = w.payload_g[trial]
-    idle = rng.random() < 0.25 or warm_runs
+    idle = rng.random() < 0.25 or lab
     air = w.temperature_c if w.temperature_c is not None else room_temperature(w, "temperature")
-    if warm_runs and w.temperature_c is None:
+    if lab and w.temperature_c is None:
         warm = stream(w.seed, w.day, "warm").permutation(np.arange(len(w.plan.starts)) % 3 == 0)
         air = 22 + WARMER_C * warm[w.plan.trial]
     if idle or w.temperature_c is not None:

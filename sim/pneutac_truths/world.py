@@ -107,6 +107,7 @@ class World:
         twist: (n,) twist over the length, rad.
         stretch: (n,) axial strain of the chamber.
         base_turn: (n, 3) rotation vector of the mount, rad.
+        in_plane: whether the base is turned in the plane of bending alone.
         gravity: (trials, 3) unit vectors where weight acts, else None.
         weighs: whether the rod's own weight acts.
         payload_g: (trials,) at the tip, or None.
@@ -130,6 +131,7 @@ class World:
     twist: np.ndarray = field(init=False)
     stretch: np.ndarray = field(init=False)
     base_turn: np.ndarray = field(init=False)
+    in_plane: bool = False
     gravity: np.ndarray | None = None
     weighs: bool = False
     payload_g: np.ndarray | None = None

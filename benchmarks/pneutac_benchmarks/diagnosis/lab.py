@@ -50,9 +50,7 @@ def solve(case: Case) -> dict:
     with tempfile.TemporaryDirectory() as tmp:
         days = []
         for day in (1, 2):
-            truth = generate(
-                "rod", [case.effects, *ALWAYS], case.seed, day, minutes=case.minutes, warm_runs=True
-            )
+            truth = generate("rod", [case.effects, *ALWAYS], case.seed, day, minutes=case.minutes, lab=True)
             days.append(Recording.load(write(truth, Path(tmp) / f"day{day}")))
         learn, judge = days if case.kind == "loop" else days[::-1]
         calibrated = calibrate(Twin("finger", learn.length_mm or 110.0), learn)

@@ -23,7 +23,7 @@ def gravity(w: World, size: float) -> None:
     rng = w.draws("gravity")
     w.body = replace(w.body, weight=size)
     w.weighs = True
-    ways = DOWN[rng.permutation(len(DOWN))[: rng.integers(3, 5)]]
+    ways = DOWN[:3] if w.in_plane else DOWN[rng.permutation(len(DOWN))[: rng.integers(3, 5)]]
     # each direction for a run of trials, as the rig is turned seldom; the repeats at the end as they come
     w.gravity = ways[np.sort(np.arange(len(w.plan.starts)) % len(ways))]
 
