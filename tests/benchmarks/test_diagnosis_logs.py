@@ -92,4 +92,5 @@ def test_nothing_is_named_where_nothing_is(seed):
 def test_an_effect_of_five_times_the_noise_is_found(effect, seed):
     a = logs.solve(Case("logs", "effect", effect, seed))
     assert "crash" not in a, a.get("where")
-    assert a["right"] and a["error_over_noise"][1] < 1.5
+    before, after = a["error_over_noise"]
+    assert a["right"] and after < 0.5 * before
