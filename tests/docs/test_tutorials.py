@@ -19,6 +19,7 @@ pytestmark = pytest.mark.timeout(1200)  # two busy cores; a page takes one or tw
         pytest.param("docs/tutorials/your_csv.md", marks=SLOW),
         # The same verbs, in Python, are in the README.
         pytest.param("docs/tutorials/missing_effect.md", marks=NIGHTLY),
+        pytest.param("docs/how_to/read_a_diagnosis.md", marks=NIGHTLY),
         pytest.param("docs/tutorials/digit_from_two_images.md", marks=NIGHTLY),
         pytest.param("docs/how_to/networks.md", marks=SLOW),
         # The same loop, without augmentation and stand-in, is in the README and in test_plugin_loop.
