@@ -64,6 +64,19 @@ def read_film(file: Path) -> Film:
     return Film(np.sort(times), stated)
 
 
+def film_of(films: dict[Path, Film | InputError], file: Path) -> Film:
+    """A video, opened once; raises InputError where it cannot be."""
+    if file not in films:
+        try:
+            films[file] = read_film(file)
+        except InputError as e:
+            films[file] = e
+    film = films[file]
+    if isinstance(film, InputError):
+        raise film
+    return film
+
+
 def frame_size(file: Path, times_s: Sequence[float]) -> tuple[int, int]:
     """Decodes the frames at these times; returns their height and width.
 

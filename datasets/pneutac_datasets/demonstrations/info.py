@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from pneutac_datasets.demonstrations.films import TOLERANCE_S, Film, frame_size, read_film
+from pneutac_datasets.demonstrations.films import TOLERANCE_S, Film, film_of, frame_size
 from pneutac_datasets.recording.image_file import read_image
 from pneutac_sim.errors import InputError, shown
 from pneutac_sim.files import refuse_pointer
@@ -358,6 +358,12 @@ def _pictures(
                 video_key=key, chunk_index=int(chunk), file_index=int(file_number)
             )
             file = folder / path
+            if not file.is_file():
+                found.setdefault(
+                    path,
+                    f"{file} is missing; put it back, or run {repair} --drop, which leaves its episodes out.",
+                )
+                continue
             try:
                 times = begin + rows["timestamp"][rows["episode_index"] == number]
                 _look_at_video(film_of(films, file), file, times, number, repair)
@@ -373,19 +379,6 @@ def _pictures(
         except InputError as e:
             found.setdefault(key, str(e))
     return list(found.values())
-
-
-def film_of(films: dict[Path, Film | InputError], file: Path) -> Film:
-    """A video, opened once; raises InputError where it cannot be."""
-    if file not in films:
-        try:
-            films[file] = read_film(file)
-        except InputError as e:
-            films[file] = e
-    film = films[file]
-    if isinstance(film, InputError):
-        raise film
-    return film
 
 
 def _look_at_video(film: Film, file: Path, times_s: np.ndarray, number: int, repair: str) -> None:

@@ -14,6 +14,7 @@ from pneutac_datasets.recording.gel import gel_faults
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import listed
 from pneutac_sim.errors import InputError
+from pneutac_sim.files import refuse_pointer
 
 FIELDS = (
     "device",
@@ -71,8 +72,25 @@ def recording_faults(folder: str | Path) -> tuple[list[str], list[str]]:
     recording = found(Recording.load, folder)
     if recording is None:
         return list(found), []
-    faults, notes = gel_faults(recording) if recording.device == "gel" else ([], [])
+    faults, notes = gel_faults(recording) if recording.device == "gel" else (_pictures(recording), [])
     return faults, [] if faults else [*check(recording)[1], *notes]
+
+
+def _pictures(recording: Recording) -> list[str]:
+    """Pictures of a body that are missing, or pointers to files; the first and last of a camera are read."""
+    found = _Collected()
+    for name in recording.samples:
+        if not re.fullmatch(r"(image|mask)(_\w+)?", name):
+            continue
+        named = [v for v in recording.samples[name] if isinstance(v, str | dict) and v]
+        for value in (*named[:1], *named[-1:]):
+            found(recording.image, value)
+        for value in named:
+            if isinstance(value, str) and (recording.folder / value).is_file():
+                found(refuse_pointer, recording.folder / value)
+            elif isinstance(value, str):
+                found(recording.image, value)
+    return list(found)
 
 
 def _look_at(samples: pd.DataFrame, device: str, meta: dict, file: Path, found: _Collected) -> None:

@@ -186,7 +186,10 @@ def _begun(recording: Recording) -> tuple[GelRecording, dict[str, np.ndarray]]:
             f"{file}: field 'px_per_mm' is {shown(scale)}; give the images' pixels per millimetre."
         )
     if not meta.get("rest_image"):
-        raise InputError(f"{file}: field 'rest_image' is missing; name the image without contact.")
+        raise InputError(
+            f"{file}: field 'rest_image' is missing; name the image without contact. Where none was"
+            " taken, the median of five or more presses at different places serves."
+        )
     size = meta.get("gel_size_mm")
     thickness = float(size[2]) if isinstance(size, list) and len(size) == 3 else THICKNESS_MM
     rest = _image(recording, meta["rest_image"], f"{file}: rest image {shown(meta['rest_image'])}")

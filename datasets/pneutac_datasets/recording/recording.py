@@ -140,6 +140,11 @@ class Recording:
             raise InputError(f"{self.folder}: image {shown(name)} is no file's name; give its file.")
         source = self.folder / name
         if not inside(self.folder, source):
+            if (self.folder / name.lstrip("/")).is_file():
+                raise InputError(
+                    f"{self.folder}: image '{name}' begins with a slash, as a file outside the recording"
+                    f" does; name it '{name.lstrip('/')}'."
+                )
             raise InputError(f"{self.folder}: image '{name}' lies outside the recording's folder.")
         if not source.is_file():
             raise InputError(f"{source} is missing, though the recording names it as an image.")

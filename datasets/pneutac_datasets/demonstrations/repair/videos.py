@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 from lerobot.datasets.utils import DatasetInfo, update_chunk_file_indices
 from lerobot.datasets.video_utils import get_video_info
 
-from pneutac_datasets.demonstrations.films import Film, frame_size, read_film
+from pneutac_datasets.demonstrations.films import Film, film_of, frame_size, read_film
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import flush
 
@@ -64,7 +64,7 @@ class _Films:
 
     def __init__(self, root: Path, info: DatasetInfo, key: str):
         self.root, self.info, self.key = root, info, key
-        self._read: dict[Path, Film | InputError] = {}
+        self._films: dict[Path, Film | InputError] = {}
 
     def place(self, known: list[dict], new: list[Rows], remarks: list[str]) -> list[dict]:
         """Where episodes that are not known lie: one after another in the files after the last known one.
@@ -77,9 +77,8 @@ class _Films:
         out, at, begun = [], 0, False
         for rows in new:
             if begun:
-                film, following = self._film(self._file(numbers)), self._next(numbers)
-                ended = isinstance(film, Film) and not film.torn and len(film.times_s) - at < rows.length
-                if ended and self._file(following).is_file():
+                following = self._next(numbers)
+                if self._ended(numbers, at, rows.length) and self._file(following).is_file():
                     numbers, at, begun = following, 0, False
             if not begun:
                 _take_whole_one(self._file(numbers), rows.length, remarks)
@@ -95,22 +94,20 @@ class _Films:
         if None in (chunk, number, begin):
             raise InputError(f"meta/episodes does not say where '{self.key}' of episode {rows.episode} is.")
         file = self._file((chunk, number))
-        film = self._film(file)
-        if isinstance(film, InputError):
-            raise film
+        film = film_of(self._films, file)
         wanted = begin + np.arange(rows.length) / self.info.fps
         there = int((~film.lacks(wanted)).sum())
         if there < rows.length:
             raise InputError(f"{file} holds {there} of the {rows.length} frames of episode {rows.episode}.")
         frame_size(file, wanted[[0, -1]])
 
-    def _film(self, file: Path) -> Film | InputError:
-        if file not in self._read:
-            try:
-                self._read[file] = read_film(file)
-            except InputError as e:
-                self._read[file] = e
-        return self._read[file]
+    def _ended(self, numbers: tuple[int, int], at: int, length: int) -> bool:
+        """Whether a whole video has too few frames for one more episode."""
+        try:
+            film = film_of(self._films, self._file(numbers))
+        except InputError:
+            return False
+        return not film.torn and len(film.times_s) - at < length
 
     def _file(self, numbers: tuple[int, int]) -> Path:
         path = self.info.video_path.format(video_key=self.key, chunk_index=numbers[0], file_index=numbers[1])
