@@ -280,7 +280,7 @@ class Search:
             found.without = without
             weakest = min(without, key=lambda t: without[t].value)
             room = without[weakest].value - self.floor2
-            if self._surely(without[weakest], best, max(0.02 * room, 0.3 * WORTH_OF_FLOOR * self.floor2)):
+            if self._surely(without[weakest], best, max(0.02 * room, WORTH_OF_FLOOR * self.floor2)):
                 return best
             best = without[weakest]
 

@@ -24,7 +24,7 @@ MISSING = (
 ALWAYS = ("gravity", "payload")
 TRIED = (
     "creep", "hysteresis", "friction", "leak", "thermal", "valve_lag", "gain_saturation", "cyclic_softening",
-    "dead_time", "crosstalk", "self_heating",
+    "dead_time", "orifice_flow", "stiffening",
 )  # fmt: skip
 MOST_TRIED = 8
 

@@ -322,7 +322,9 @@ class _Contrasts:
         W = np.stack([-w, np.ones(len(i)), w - 1], axis=1)
         self.W = W / np.linalg.norm(W, axis=1, keepdims=True)
         self.i, self.s, self.t = i, s, t
-        self.X, self.c = (sum(self.W[:, [k]] * z[i + d] for k, d in enumerate((-s, 0, s))) for z in (F, Y))
+        self.X, self.c = (
+            np.sum([self.W[:, [k]] * z[i + d] for k, d in enumerate((-s, 0, s))], axis=0) for z in (F, Y)
+        )
         self._basis: dict[float | None, np.ndarray] = {}
 
     def deviation(self, k: int, quiet: np.ndarray, after_s: tuple[float | None, ...]) -> float | None:
