@@ -250,15 +250,14 @@ class BodyStudy(BodyWords):
         base = start
         if known:
             base = without[new[0]] if len(new) == 1 else search.score(space.without(model, *new))
-        better = None
+        baseline, after, better = self.fitted(base.model), self.fitted(model), None
         significant = engine.is_worth(base, whole)
-        if significant and new:
+        if new and self.test.drop(baseline.squared, after.squared)[1] > 0:
             better = self._better(search, space, base, whole, set(map(family, new)))
-        after = self.fitted(model)
         steps.done()
         return Refits(
             before=self.fitted(start.model),
-            baseline=self.fitted(base.model),
+            baseline=baseline,
             after=after,
             known=known,
             contributions=self.contributions(

@@ -314,10 +314,10 @@ def test_what_settles_worse_is_taken_as_it_was_fitted():
 @pytest.mark.parametrize(
     ("final", "without", "kept"),
     [
-        (0.5, 0.505, False),  # 0.02 of a room of a quarter
-        (0.5, 0.506, True),
-        (0.26, 0.2620, False),  # 0.3 of 0.03 of the noise's quarter
-        (0.26, 0.2625, True),
+        (0.75, 0.760, False),  # 0.02 of a room of a half
+        (0.75, 0.761, True),
+        (0.26, 0.2670, False),  # 0.03 of the noise's quarter
+        (0.26, 0.2680, True),
         (0.5, {"value": 0.6, "patchy": True}, False),  # worse, but not surely
     ],
 )

@@ -5,7 +5,7 @@ import json
 import pytest
 from generated import once
 
-from lerobot_pneutac import add, compare
+from lerobot_pneutac import add, compare, diagnose
 from lerobot_pneutac.cli import add as verb
 from lerobot_pneutac.cli import calibrate
 from lerobot_pneutac.verbs.add import Addition
@@ -95,6 +95,51 @@ def test_an_effect_that_does_not_help_is_refused_with_numbers(pair, tmp_path):
     ):
         verb.main([f"--twin={twin}", f"--recording={recording}", "--effect=leak"])
     assert (twin / "twin.yaml").read_text() == before and not (twin / "history").exists()
+
+
+@pytest.mark.slow
+def test_an_effect_in_whose_place_another_explains_more_is_refused_and_stored_only_as_unconfirmed(
+    pair, tmp_path
+):
+    recording = Recording.load(pair[1])
+    twin = Twin("finger", recording.length_mm, recording.spine_joint_positions_mm)
+    refused = add(twin, recording, "hysteresis")
+    assert not refused.accepted and refused.twin is twin and not refused.unconfirmed
+    assert (
+        refused.instead
+        and refused.instead in refused.reason
+        and refused.instead_error < refused.after["heldout"]
+    )
+    anyway = add(twin, recording, "hysteresis", anyway=True)
+    assert (anyway.accepted, anyway.unconfirmed, anyway.reason) == (False, True, refused.reason)
+    anyway.save(tmp_path / "twin")
+    stored = Twin.load(tmp_path / "twin")
+    assert "hysteresis" in stored.effects and stored.history[-1]["change"] == "added hysteresis (unconfirmed)"
+
+
+@pytest.mark.slow
+def test_of_two_effects_the_one_that_adds_nothing_is_named(pair):
+    recording = Recording.load(pair[1])
+    twin = Twin("finger", recording.length_mm, recording.spine_joint_positions_mm)
+    result = add(twin, recording, ["creep", "leak"])
+    assert not result.accepted and "leak changes nothing" in result.reason
+    worth = {c.name: c.error_without - c.error_with for c in result.contributions}
+    assert worth["creep"] > 10 * abs(worth["leak"])
+
+
+@pytest.mark.slow
+def test_a_diagnosis_and_its_addition_report_the_same_errors_of_the_same_blocks(pair, tmp_path):
+    recording = Recording.load(pair[1])
+    twin = Twin("finger", recording.length_mm, recording.spine_joint_positions_mm)
+    found = diagnose(twin, recording, jobs=1)
+    written = found.save(tmp_path)
+    written.report(tmp_path)
+    for added in (add(twin, recording, found), add(twin, recording, tmp_path)):
+        assert added.accepted
+        for ours, theirs in ((added.before, found.before), (added.after, found.after)):
+            assert ours["heldout"] == pytest.approx(theirs["heldout"], rel=1e-6)
+        assert [c.name for c in added.contributions] == [c.name for c in found.outcome.contributions]
+        assert set(found.selected) <= set(added.twin.effects)
 
 
 def test_unknown_effect_lists_the_valid_ones(pair):

@@ -128,6 +128,16 @@ def test_samples_beyond_the_training_of_the_action_network_are_told(bench, tmp_p
 
 
 @pytest.mark.slow
+def test_a_recording_that_the_twin_was_never_fitted_to_has_one_error(bench):
+    twin = Twin.load(bench / "twin")
+    other = compare_body(twin, Recording.load(bench / "creep"))
+    assert other.train is None and other.heldout == other.error["all"]
+    assert "error, all rows" in [r[""] for r in other.rows()]
+    own = compare_body(twin, Recording.load(bench / "none"))
+    assert own.train is not None and own.heldout != own.error["all"]
+
+
+@pytest.mark.slow
 def test_the_split_of_the_fit_is_used_again(bench):
     r = Recording.load(bench / "none")
     twin = Twin.load(bench / "twin")

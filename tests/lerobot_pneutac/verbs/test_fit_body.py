@@ -67,6 +67,36 @@ def test_calibrate_finds_the_parameters_and_writes_the_next_version(tmp_path, ca
     assert "rest_pressure_kpa" in capsys.readouterr().out
 
 
+def turned_over(folder, weighs):
+    """The same device with its base turned over in every second trial."""
+    device = truth(*(["gravity"] if weighs else []))
+    if weighs:
+        device.effects["gravity"]["tip_mass_g"].value = 60.0
+    table = stairs()
+    over = np.where(table["trial"] % 2, 1.0, -1.0)
+    table |= {"gravity_x": 0 * over, "gravity_y": 0 * over, "gravity_z": over}
+    inputs = Inputs.from_samples(table)
+    model = Pipeline.of(device, inputs)
+    run, rng = model.run(inputs, model.theta(device, 15.0)), np.random.default_rng(1)
+    for name in ("tip_x_mm", "tip_z_mm"):
+        table[name] = model.outputs(run, [name])[:, 0] + 0.1 * rng.normal(size=len(over))
+    meta = {"device": "finger", "length_mm": 110.0, "samples": "samples.csv"}
+    return Recording(folder, meta, pd.DataFrame(table), "finger").write(folder)
+
+
+@pytest.mark.slow
+def test_known_causes_that_the_recording_shows_are_fitted_first_and_no_others(tmp_path):
+    found = calibrate_body(Twin(), Recording.load(turned_over(tmp_path / "heavy", True)))
+    (cause,) = found.causes
+    assert (cause.name, list(found.twin.effects)) == ("gravity", ["gravity"])
+    assert found.error["heldout"] == pytest.approx(0.1 * np.sqrt(2), rel=0.15)
+    assert cause.error_without > 2 * cause.error_with and cause.drop[1] > 0
+    assert found.without_causes > 2 * found.error["heldout"]
+    assert found.to_dict()["known_causes"][0]["name"] == "gravity"
+    light = calibrate_body(Twin(), Recording.load(turned_over(tmp_path / "light", False)))
+    assert not light.causes and not light.twin.effects
+
+
 def test_measured_pressure_tells_the_valve_from_the_creep(tmp_path):
     """The fast part of creep looks like a slow valve in the pose, but not in the pressure."""
     both = truth("valve_lag", "creep")
@@ -90,7 +120,7 @@ def test_a_bound_is_called_out_in_table_and_result(tmp_path, capsys):
     truth("dead_time").save(tmp_path / "twin")
     main([f"--twin={tmp_path / 'twin'}", f"--recording={folder}", f"--out={tmp_path / 'out'}"])
     result = json.loads((tmp_path / "out" / "result.json").read_text())
-    assert "upper bound" in result["parameters"]["dead_time.delay_s"]["note"]
+    assert "limit of its allowed range" in result["parameters"]["dead_time.delay_s"]["note"]
     assert "upper" in capsys.readouterr().out
 
 
