@@ -13,11 +13,12 @@ TEXT = (ROOT / "README.md").read_text()
 def test_blocks_run(tmp_path):
     run_page("README.md", tmp_path)
     assert (tmp_path / "outputs/readme/added/report.html").is_file()
-    assert (tmp_path / "outputs/readme/eval/eval_info.json").is_file()
+    assert (tmp_path / "outputs/readme/demos/meta/info.json").is_file()
 
 
 def test_it_is_short():
-    assert len(TEXT.splitlines()) <= 150
+    assert len(TEXT.split()) <= 650
+    assert "make demo" in TEXT and "make test" in TEXT
 
 
 def test_links_lead_to_files():

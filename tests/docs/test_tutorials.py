@@ -22,7 +22,7 @@ pytestmark = pytest.mark.timeout(1200)  # two busy cores; a page takes one or tw
         pytest.param("docs/how_to/read_a_diagnosis.md", marks=NIGHTLY),
         pytest.param("docs/tutorials/digit_from_two_images.md", marks=NIGHTLY),
         pytest.param("docs/how_to/networks.md", marks=SLOW),
-        # The same loop, without augmentation and stand-in, is in the README and in test_plugin_loop.
+        # The same loop, without augmentation and stand-in, is in test_plugin_loop.
         pytest.param("docs/tutorials/train_on_the_switch.md", marks=[NIGHTLY, pytest.mark.timeout(2400)]),
         pytest.param("docs/tutorials/own_finger.md", marks=NIGHTLY),
         pytest.param("docs/how_to/pictures.md", marks=NIGHTLY),
@@ -39,8 +39,8 @@ def test_blocks_run(page, tmp_path):
 
 
 @NIGHTLY
-@pytest.mark.parametrize("page", ["README.md", "docs/tutorials/digit_from_two_images.md"])
-def test_blocks_on_photographs_print_the_errors_that_their_comments_tell(page, tmp_path):
+def test_blocks_on_photographs_print_the_errors_that_their_comments_tell(tmp_path):
+    page = "docs/tutorials/digit_from_two_images.md"
     if "PNEUTAC_DATA" not in os.environ:
         pytest.skip("PNEUTAC_DATA is unset: there are no real photographs to calibrate to")
     (tmp_path / "digit_fots").symlink_to(Path(os.environ["PNEUTAC_DATA"]) / "tactile" / "digit_fots")
