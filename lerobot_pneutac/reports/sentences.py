@@ -153,7 +153,7 @@ def state_of(study: EffectStudy, outcome: Outcome) -> State:
         unit=study.unit,
         verdict=o.verdict,
         poor=study.too_little() if e.poor else "",
-        causes=tuple(dict.fromkeys(study.cause(o.after, n) for n in named)),
+        causes=_causes(study, o, named),
         known=len(o.known),
         before=study.errors(o.before)["heldout"],
         after=after,
@@ -176,6 +176,18 @@ def state_of(study: EffectStudy, outcome: Outcome) -> State:
         optimistic=not study.parts.has_test,
         experiment=next_experiment(study, o)[0],
     )
+
+
+def _causes(study: EffectStudy, outcome: Outcome, named: list[str]) -> tuple[str, ...]:
+    """Noun phrases of what is missing, one for all terms of one kind."""
+    kinds: dict[str, list[str]] = {}
+    for name in named:
+        kinds.setdefault(family(name), []).append(name)
+    phrases = []
+    for kind, names in kinds.items():
+        phrase = study.cause(outcome.after, names[0])
+        phrases.append(phrase if len(names) == 1 else f"{kind.replace('_', ' ')} ({len(names)} terms)")
+    return tuple(dict.fromkeys(phrases))
 
 
 def headline(s: State) -> str:

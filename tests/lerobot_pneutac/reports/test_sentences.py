@@ -104,7 +104,7 @@ def test_confidence_follows_the_verdict_and_what_is_open(case, verdict, confiden
 def test_warnings_have_findings_of_the_data_and_what_was_not_tested():
     told = warnings(state_of(*given(after=0.9)))
     assert told[0].startswith("A check failed: the error stays at 2.1 times the noise")
-    assert "The clock jumps." in told and told[-1] == "Not tested: gravity: record column gravity_x."
+    assert "The clock jumps." in told and told[-1] == "Not tested: gravity (record column gravity_x)."
 
 
 def test_what_to_record_next_is_the_effects_own():
