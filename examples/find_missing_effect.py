@@ -15,12 +15,11 @@ print(f"calibrated: {before.heldout:.2f} {before.unit} where the noise has {befo
 diagnosis = diagnose(twin, recording)
 print(f"{diagnosis.verdict}: {diagnosis.sentence}")
 
-for effect in diagnosis.selected:
-    result = add(twin, recording, effect)
-    print(f"{effect}: {'added' if result.accepted else 'refused'}. {result.physics or result.reason}")
-    twin = result.twin
+result = add(twin, recording, diagnosis)  # stored where the test error falls significantly
+print(f"{result.effect}: {'added' if result.accepted else 'refused'}. {result.sentence}")
+twin = result.twin
 
 after = compare(twin, recording)
 print(f"with effects: {after.heldout:.2f} {after.unit}")
-after.report("outputs/missing_effect/report")  # outputs/report/report.html opens offline
+after.report("outputs/missing_effect/report")  # report.html in it opens offline
 twin.save("outputs/missing_effect/twin")
