@@ -1,4 +1,7 @@
-"""`pneutac add`: switches an effect on in a twin, re-fits all, and shows the error before and after."""
+"""`pneutac add`: switches effects on in a twin, re-fits all, and stores that if the test error falls.
+
+Nothing is stored where the fall is not significant, see `lerobot_pneutac.verbs.add`.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +23,7 @@ class AddConfig(TableOptions):
     """Options of `pneutac add`.
 
     Attributes:
-        twin: folder of the twin; its next version is written there if the error falls.
+        twin: folder of the twin; its next version is written there if the test error falls significantly.
         recording: folder of a bench recording, or tables as `pneutac convert` reads them of the same finger,
             arm or gel; or of a LeRobotDataset of demonstrations, or its name on the Hub.
         effect: names of the effects or laws to switch on, joined by commas.

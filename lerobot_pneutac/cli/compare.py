@@ -31,8 +31,7 @@ class CompareConfig(TableOptions):
             body of material points, at samples spread over the recording).
         samples: largest number of samples by mpm; where left out, 200.
         later: recordings of the same finger or arm on other dates: how it ages, when to calibrate it again.
-        seed: seed of the choice of what is held out, where the twin was not fitted on this recording, and of
-            the samples by mpm.
+        seed: seed of the choice of the samples by mpm, and of the demonstrations that are held out.
     """
 
     twin: Path

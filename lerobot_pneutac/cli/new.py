@@ -85,7 +85,6 @@ def main(argv: list[str]) -> None:
     shape = f", {twin.length_mm:g} mm long with {joints} spine joints" if joints else ""
     fit = ["pneutac", "calibrate", f"--twin={config.twin}", f"--recording={config.recording or 'DIR'}"]
     console.print(
-        f"{config.twin} holds a new {twin.device}{shape} (geometry.stl, in mm); fit it to measurements with "
-        f"`{shlex.join(fit)}`.",
+        f"{config.twin} holds a new {twin.device}{shape}. Next: `{shlex.join(fit)}`",
         soft_wrap=True,
     )

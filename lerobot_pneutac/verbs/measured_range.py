@@ -24,8 +24,8 @@ def range_sentence(pressure_range_kpa: tuple[float, float]) -> str:
     """What a range means for all that drives the twin."""
     low, high = pressure_range_kpa
     return (
-        f"The twin was measured from {low:g} to {high:g} kPa; robots and environments drive it within this,"
-        " and farther only where `pressure_range_kpa` is given."
+        f"The twin was measured from {low:g} to {high:g} kPa; robots and environments drive it no farther "
+        "unless `pressure_range_kpa` is given."
     )
 
 
