@@ -50,6 +50,7 @@ class Addition(Result):
         physics: what each effect does to this device, sentences with the fitted numbers.
         findings: of the data check, one sentence each.
         objections: of the diagnosis that found it, one phrase each; empty where an effect was named.
+        diagnosed: whether a diagnosis found them; its own output has the notes and the table.
         unconfirmed: whether the twin is stored although the effects were refused.
         instead: another effect that explains more; empty where there is none.
         instead_error: test error with it in place of these effects.
@@ -80,6 +81,7 @@ class Addition(Result):
     physics: tuple[str, ...] = ()
     findings: tuple[str, ...] = ()
     objections: tuple[str, ...] = ()
+    diagnosed: bool = False
     unconfirmed: bool = False
     instead: str = ""
     instead_error: float | None = None
@@ -118,9 +120,12 @@ class Addition(Result):
         noise = "" if self.noise_floor is None else f" (noise {self.noise_floor:.3g} {self.unit})"
         text, causes = "", [c.replace("_", " ") for c in self.known]
         if causes:
-            verb = "lowers" if len(causes) == 1 else "lower"
-            text = f"Known causes: {_listed(causes)} {verb} the test error from {before['heldout']:.3g} to "
-            text += f"{base['heldout']:.3g} {self.unit}{'' if self._effects else noise}."
+            was, now = (f"{e['heldout']:.3g}" for e in (before, base))
+            verb = "lower" if base["heldout"] < before["heldout"] else "raise"
+            change = f"{verb}{'s' if len(causes) == 1 else ''} the test error from {was} to {now}"
+            if was == now:
+                change = f"leave{'s' if len(causes) == 1 else ''} the test error at {now}"
+            text = f"Known causes: {_listed(causes)} {change} {self.unit}{'' if self._effects else noise}."
         if self._effects:
             names = _listed(self._effects)
             text += f" With {names} it falls from {base['heldout']:.3g} to {after['heldout']:.3g} {self.unit}"
@@ -128,8 +133,16 @@ class Addition(Result):
             text += f"{noise}."
         return text.strip()
 
+    @property
+    def findings_shown(self) -> tuple[str, ...]:
+        """The findings, unless the diagnosis has shown them."""
+        return () if self.diagnosed else self.findings
+
     def rows(self) -> list[dict]:
-        """The errors as it is, with known causes, and with all."""
+        """The errors as it is, with known causes, and with all; none where the diagnosis has shown them."""
+        return [] if self.diagnosed else self._errors()
+
+    def _errors(self) -> list[dict]:
         steps = [("before", self.before)]
         if self.known:
             steps.append((f"with known causes ({', '.join(self.known)})", self.baseline))
@@ -219,7 +232,7 @@ class Addition(Result):
             page.text(f"**Warnings of the diagnosis:** {'; '.join(self.objections)}.")
         if self.before is not None:
             page.figure(self._figure())
-            page.table(self.rows())
+            page.table(self._errors())
             share = percent(self.reduction, self.reduction_ci95)
             page.text(f"Of the squared error above the noise {share} goes with all of it.")
         page.table(
@@ -342,7 +355,7 @@ def _whole(
         "effect": ", ".join(selected) or "nothing",
         "recording": str(study.recording.folder),
     }
-    given |= {"seed": study.seed, "objections": tuple(result.get("objections", ()))}
+    given |= {"seed": study.seed, "objections": tuple(result.get("objections", ())), "diagnosed": True}
     reason = study.too_little() if selected else "Nothing was written: the diagnosis found nothing to add."
     if reason:
         return Addition(accepted=False, reason=reason, twin=twin, findings=tuple(study.findings), **given)

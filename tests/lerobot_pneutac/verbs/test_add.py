@@ -185,3 +185,22 @@ def test_every_verb_sees_the_fall_of_a_pneumatic_effect(tmp_path):
     assert Twin.load(folder).history[-1]["heldout"] == pytest.approx(plain, rel=0.02)
     verb.main([f"--twin={folder}", f"--recording={recording.folder}", "--effect=valve_lag"])
     assert heldout() < 0.5 * plain
+
+
+@pytest.mark.parametrize(
+    ("baseline", "says"),
+    [
+        (1.418, "payload leaves the test error at 1.42 mm"),
+        (1.1, "payload lowers the test error from 1.42 to 1.1"),
+    ],
+)
+def test_known_causes_are_said_to_lower_only_what_they_lower(baseline, says):
+    errors = [{"train": e, "heldout": e, "heldout_ci95": (e, e)} for e in (1.42, baseline, 0.46)]
+    given = {"twin": Twin("finger", 90.0), "recording": "r", "seed": 0, "unit": "mm", "known": ("payload",)}
+    given |= dict(zip(("before", "baseline", "after"), errors, strict=True), findings=("a note.",))
+    named = Addition(effect="creep, payload", accepted=True, reason="", **given)
+    assert says in named.sentence
+    assert len(named.rows()) == 3 and named.findings_shown
+    found = Addition(effect="creep, payload", accepted=True, reason="", diagnosed=True, **given)
+    assert not found.rows() and not found.findings_shown  # the diagnosis has shown both
+    assert "with known causes (payload)" in found.page().fragment()
