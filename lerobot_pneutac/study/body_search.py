@@ -208,10 +208,12 @@ class BodySearch:
         if now.value < NEAR**2 * floor2 or self.study.recording.samples["trial"].nunique() < 4:
             return ()
         form, values = now.model.form, now.model.values
-        tried = [self.score(space.fitter.fit(replace(form, trials=w), values, 8)) for w in TRIAL_WIDTHS]
-        beside = min(tried, key=lambda s: s.value)
-        differ = now.value - beside.value > 0.3 * (now.value - floor2)
-        return beside.model.form.trials if differ and self.judge.surely(now.crossed, beside.crossed) else ()
+        tried = self.engine(space).fits([Trial(replace(form, trials=w), values) for w in TRIAL_WIDTHS], 8)
+        if not tried:
+            return ()
+        best = tried[0]
+        differ = now.value - best.value > 0.3 * (now.value - floor2)
+        return best.model.form.trials if differ and self.judge.surely(now.crossed, best.crossed) else ()
 
     def simplified(self, space: BodySpace, found: Found, own: tuple[str, ...]) -> Scored:
         """The final model with the paper's base, and without parts of the base, where that is as good."""

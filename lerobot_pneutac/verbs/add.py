@@ -363,13 +363,21 @@ def _whole(
     before, baseline, after = models
     assert before is not None and after is not None  # each diagnosis has both
     found = Refits(before, baseline or before, after, result.get("known_causes", []), contributions)
-    return _judged(study, twin, selected, found, given, anyway, named=False)
+    decided = result["verdict"] in ("missing_effect", "insufficient_form")
+    return _judged(study, twin, selected, found, given, anyway, named=False, decided=decided)
 
 
 def _judged(
-    study, twin: Twin, effects: Sequence[str], found: Refits, given: dict, anyway: bool, named: bool
+    study,
+    twin: Twin,
+    effects: Sequence[str],
+    found: Refits,
+    given: dict,
+    anyway: bool,
+    named: bool,
+    decided: bool = True,
 ) -> Addition:
-    """The result of switching these effects on, `named` by the user or found by a diagnosis."""
+    """The result of switching on effects, `named` by the user or found by a diagnosis that `decided`."""
     before, base, after = found.before, found.baseline, found.after
     reduction, interval = study.reduction(before, after)
     errors = [study.errors(m) | {"heldout_ci95": study.interval(m)} for m in (before, base, after)]
@@ -378,6 +386,11 @@ def _judged(
         f"{e}: {k}" if several else k: v for e in effects for k, v in study.parameters(after, e).items()
     }
     reason = _refusal(study, effects, found, named)
+    if not reason and not decided:
+        reason = (
+            f"Not added: the diagnosis is inconclusive; {_listed(effects)} only stands in for something that "
+            "no known effect describes."
+        )
     stored = not reason or anyway
     return Addition(
         accepted=not reason,
@@ -420,7 +433,13 @@ def _refusal(study, effects: Sequence[str], found: Refits, named: bool) -> str:
     if idle := [e for e in effects if study.idle(after, e)]:
         plural = "their constants end where they do" if len(idle) > 1 else "its constants end where it does"
         return f"Not added: {_listed(idle)} changes nothing; {plural} nothing{_known_help(study, found)}."
-    if low <= 0 or not found.significant:
+    if named and low > 0 and not found.significant:
+        return (
+            f"Not added: with {names} the test error falls from {errors[0]:.4g} to {errors[1]:.4g} {unit}, "
+            "but cross-validation on the other blocks does not confirm it"
+            f"{_known_help(study, found)}."
+        )
+    if low <= 0:
         return (
             f"Not added: with {names} the test error goes from {errors[0]:.4g} to {errors[1]:.4g} {unit}; "
             f"the mean square error falls by {value:.3g} [{low:.3g} to {high:.3g}] {unit}^2, which is not a "
