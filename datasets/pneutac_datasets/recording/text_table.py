@@ -39,7 +39,7 @@ NUMBER = re.compile(
     r"\s*[-+\u2212]?(\d[\d.,]*|\d{1,3}([\s'\u2019\u00a0\u202f]\d{3})+([.,]\d*)?|[.,]\d+)([eE][-+]?\d+)?\s*"
 )
 WITH_UNIT = re.compile(rf"({NUMBER.pattern})([^\d\s.,+-][^\d]{{0,8}})")
-SUFFIXES = "png jpg jpeg bmp tif tiff stl obj ply mp4 avi".split()  # `7.png` is a file and no number of png
+SUFFIXES = "png jpg jpeg bmp tif tiff stl obj ply mp4 avi".split()  # `7.png` and `7_mask.png` are files
 HUGE = re.compile(r"[\d.,]\s*[eE][-+]?\d{4,}")  # pandas 2.3 reads beyond its memory at long exponents
 GROUPS_OF_THREE = re.compile(r"\s*[-+\u2212]?[1-9]\d{0,2}([.,]\d{3})+\s*")
 
@@ -212,7 +212,7 @@ def _texts_to_numbers(table: TextTable, mark: str, comma: bool) -> str:
         if len(values) and not matched.all():
             units = values.str.extract(rf"^{WITH_UNIT.pattern}$")
             behind = units[units.columns[-1]].dropna().str.strip().unique()
-            unit = len(behind) == 1 and behind[0].lower() not in SUFFIXES
+            unit = len(behind) == 1 and behind[0].lower().rpartition(".")[2] not in SUFFIXES
             if units.iloc[:, 0].notna().all() and unit and name not in table.units:
                 table.units[name], stripped = behind[0], units.iloc[:, 0]
                 matched = stripped.notna()

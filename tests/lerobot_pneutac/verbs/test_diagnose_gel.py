@@ -84,7 +84,7 @@ def test_nothing_is_found_where_nothing_is_hidden(tmp_path, capsys):
     twin = linear_twin(tmp_path / "twin", recording)
     found = run(diagnose, tmp_path / "d", twin, recording)
     assert found["selected"] == [] and found["verdict"] == "adequate"
-    with pytest.raises(InputError, match="no sure fall"):
+    with pytest.raises(InputError, match="Not added"):
         add([f"--twin={twin}", f"--recording={recording.folder}", "--effect=shadow"])
     assert Twin.load(twin).effects == {} and len(Twin.load(twin).history) == 1
     assert "Nothing is missing" in capsys.readouterr().out
