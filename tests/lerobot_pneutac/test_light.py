@@ -10,6 +10,7 @@ import pytest
 
 WITHOUT = """
 import json, sys
+import scipy.signal  # looks for torch in sys.modules by its name, where None stands for what is not installed
 for name in ("taichi", "torch", "lerobot"):
     sys.modules[name] = None  # importing it raises ImportError
 from lerobot_pneutac.cli import main
