@@ -42,9 +42,10 @@ def sentence(c) -> str:
 
 def inside_band(c) -> str:
     """The coverage, which must not be None, in words."""
+    values = "values" if c.train is None else "held-out values"
     return (
-        f"{100 * c.coverage:.0f} % of the held-out values; about 95 % is expected, less means that the model "
-        "claims to know more than it does"
+        f"{100 * c.coverage:.0f} % of the {values}; about 95 % is expected, less means that the model claims "
+        "to know more than it does"
     )
 
 
