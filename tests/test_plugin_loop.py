@@ -178,12 +178,22 @@ def test_record_train_eval_rollout_replay_merge_view_finetune(run):
     )
     assert list((work / "viz").glob("*.rrd"))
 
+    # Rollouts of an untrained policy touch nothing, and training refuses such episodes.
+    run(
+        "lerobot-edit-dataset",
+        "--repo_id=local/merged",
+        f"--root={work / 'merged'}",
+        "--new_repo_id=local/touched",
+        f"--new_root={work / 'touched'}",
+        "--operation.type=delete_episodes",
+        "--operation.episode_indices=[2, 3]",
+    )
     run(
         "lerobot-train",
         f"--policy.path={policy}",
         "--policy.optimizer_lr=1e-4",
-        "--dataset.repo_id=local/merged",
-        f"--dataset.root={work / 'merged'}",
+        "--dataset.repo_id=local/touched",
+        f"--dataset.root={work / 'touched'}",
         f"--output_dir={work / 'tuned'}",
         "--steps=5",
         "--log_freq=5",

@@ -68,7 +68,7 @@ def main(argv: list[str]) -> None:
     if is_dataset(cfg.recording):
         from lerobot_pneutac.verbs.design_motion import design_motion  # MuJoCo, which benches do not need
 
-        _take_no_more(cfg, 6, "the next demonstrations have")
+        _take_no_more(cfg, "max_kpa", "the next demonstrations have")
         if cfg.diagnosis:
             raise InputError("diagnosis: motions are chosen by the twin alone; leave it out.")
         twin, shown = load_pair(cfg.twin, cfg.recording, "design by", cfg.task, cfg.station)
@@ -80,7 +80,7 @@ def main(argv: list[str]) -> None:
         raise InputError("Give the folder that `pneutac diagnose --out=DIR` wrote, as --diagnosis=DIR.")
     limits = (cfg.max_kpa, cfg.min_kpa, cfg.budget_s, cfg.program_s, cfg.hz)
     if recording.device == "gel":
-        _take_no_more(cfg, 4, "a press of a gel has")
+        _take_no_more(cfg, "task", "a press of a gel has")
         press = design_press(twin, recording, cfg.diagnosis)
         return finish(press, console, cfg.out, "design", argv)
     usual = {
@@ -91,8 +91,9 @@ def main(argv: list[str]) -> None:
     finish(result, console, cfg.out, "design", argv)
 
 
-def _take_no_more(cfg: DesignConfig, first: int, has: str) -> None:
+def _take_no_more(cfg: DesignConfig, first: str, has: str) -> None:
     """Raises InputError where an option from the first on is given."""
-    for option in fields(cfg)[first:]:
+    options = fields(cfg)
+    for option in options[[o.name for o in options].index(first) :]:
         if getattr(cfg, option.name) != option.default:
             raise InputError(f"{option.name}: {has} no such option; leave it out.")

@@ -173,7 +173,9 @@ class BodyModel:
             step = _least_within(H - Jk.T @ Jk, Jk.T @ rk.ravel() - slope[use], low, high)
             moved = judged[mine] + (Jk @ step).reshape(rk.shape)
             out[mine] = (moved[:, : self.counted] ** 2).sum(axis=1) + added[mine]
-        return out
+        # A fit that stopped early is promised the rest of its way by the step: it counts by its own errors.
+        left_in = float(np.where(fold >= 0, (judged[:, : self.counted] ** 2).sum(axis=1) + added, 0.0).sum())
+        return out * max(1.0, left_in / max(float(out.sum()), 1e-300))
 
 
 def _least_within(H: np.ndarray, g: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:

@@ -234,7 +234,9 @@ class BodySearch:
         form = replace(model.form, own=False)
         values = {k: v for k, v in model.values.items() if not k.startswith(("bend_", "curl"))}
         trials = [Trial(form, values), Trial(form, values | space.fitter.rough(form))]
-        return next(iter(self.engine(space).fits(trials, 12)), None)
+        first = self.engine(space).fits(trials, 12)
+        again = [Trial(form, s.model.values) for s in first]  # the profile's place is taken by slow steps
+        return min((*first, *self.engine(space).fits(again, 24)), key=lambda s: s.value, default=None)
 
     # ---------------------------------------------------------------- what it means
 

@@ -100,7 +100,7 @@ def test_its_demonstrations_are_augmented(station, demos, tmp_path):
     options = {"dataset": source, "output": new, "task": "card", "fidelity": "probe", "workers": 1}
     paper = tmp_path / "station.yaml"
     paper.write_text("format: pneutac-station/1\n")
-    with pytest.raises(InputError, match="arm of 6 joints, and the station's has 7; give its station"):
+    with pytest.raises(InputError, match="has 6 joints, and that of the station 7; give the station.yaml"):
         augment(AugmentConfig(**options, station=paper))
 
 
@@ -116,7 +116,7 @@ def test_its_demonstrations_tell_their_station(station, demos, tmp_path):
     assert given.episodes[0].state[0, EE][2] == pytest.approx(height_m + 0.05, abs=1e-5)
     assert check_path(moved).faults == []
     (moved / "meta" / "station.yaml").unlink()
-    with pytest.raises(InputError, match="has 6 joints, and that of the paper 7; lay the station.yaml"):
+    with pytest.raises(InputError, match="has 6 joints, and that of the station 7; give the station.yaml"):
         load_demonstrations(moved, "card", only=[0])
 
 

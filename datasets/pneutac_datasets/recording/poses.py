@@ -155,8 +155,8 @@ def _path() -> cKDTree:
 
 def other_way_round(recording: Recording) -> list[Finding]:
     """A finger that bends towards -z, or whose angle falls, as the pressure rises."""
-    if recording.device != "finger":
-        return []
+    if recording.device != "finger" or exchanged_axes(recording):
+        return []  # what falls may be another axis
     p, found = _drive(recording), []
     if p.max() < -p.min() or not np.ptp(p[:, 0]):
         return []  # vacuum bends it: which way is positive is its maker's choice

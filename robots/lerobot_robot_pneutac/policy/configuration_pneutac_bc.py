@@ -22,7 +22,6 @@ from pneutac_sim.features import (
     joint_count,
     state_names_like,
 )
-from pneutac_sim.gel.contact import without_specks
 
 # The network sees means over the cells of such a grid, lying where the image does, 4 x 4 pixels of a DIGIT's.
 # A dataset may hold these means instead of images, and then says of what size these were.
@@ -233,6 +232,8 @@ class PneutacBCConfig(PreTrainedConfig):
 
 def _untouched(meta) -> list[int]:
     """Episodes of a dataset without contact, noise of single pixels apart."""
+    from pneutac_sim.gel.contact import without_specks  # Numba, which robots do not need
+
     table = parquet.read_table(meta.root / "data", columns=["episode_index", OBS_STATE])
     area = np.array(table[OBS_STATE].to_pylist())[
         :, meta.features[OBS_STATE]["names"].index("contact_area.pos")

@@ -32,7 +32,7 @@ def test_looking_writes_nothing_and_going_back_loses_nothing(folder):
     assert not session.twin.effects and (folder / "twin.yaml").read_bytes() == before
     session.keep()
     history = Twin.load(folder).history
-    assert [e["change"] for e in history] == ["calibrated", "added creep", "back to version 0"]
+    assert [e["change"] for e in history] == ["calibrated", "added creep", "back to version 0: calibrated"]
     assert history[2]["heldout"] == 2.2 and history[2]["seed"] == 3 and not Twin.load(folder).effects
     session.look_at(1)
     session.keep()  # and forth

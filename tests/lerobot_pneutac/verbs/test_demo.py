@@ -219,7 +219,7 @@ def test_the_interval_is_wilsons(successes, trials, low, high, tmp_path):
 
 
 def test_the_sentence_says_what_was_found_and_the_report_is_written(commands, tmp_path, monkeypatch):
-    monkeypatch.setattr(command, "Console", lambda: Console(width=500))
+    monkeypatch.setattr(command, "Console", lambda **options: Console(width=500, **options))
     out = tmp_path / "d"
     command.main([f"--out={out}"])
     result = json.loads((out / "result.json").read_text())

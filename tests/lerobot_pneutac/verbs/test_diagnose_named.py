@@ -29,9 +29,14 @@ def test_measured_pressure_tells_the_valve_from_the_body(bench):
 
 
 def test_a_disturbance_is_unknown_and_no_headline(bench):
+    """Only a declared noise tells it from a slow noise of the tracker."""
     recording = bench("disturbance_base_bumps")
     d = diagnose(twin_of(recording), recording, jobs=1)
-    assert d.verdict == "unknown_effect"
+    assert d.verdict == "adequate" and not d.selected
+    assert "does not follow the command. How much of it is noise is not known" in d.sentence
+    recording.meta["noise"] = {f"tip_{a}_mm": 0.25 for a in "xyz"}
+    d = diagnose(twin_of(recording), recording, jobs=1)
+    assert d.verdict == "unknown_effect" and not d.selected
     assert "no known effect" in d.sentence
 
 

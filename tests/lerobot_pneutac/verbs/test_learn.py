@@ -26,6 +26,7 @@ from lerobot_robot_pneutac.hardware.pneutac_serial import PneutacExchange
 from lerobot_robot_pneutac.hardware.serial_pressure import Command
 from lerobot_robot_pneutac.standin.finger import new_rod
 from pneutac_datasets.recording.joined import joined
+from pneutac_datasets.recording.noise import NoiseFloor
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.laws import family
 from pneutac_sim.errors import InputError
@@ -174,11 +175,13 @@ def test_a_law_is_not_confirmed_by_what_another_model_without_it_foresaw_as_well
     ("foreseen", "left", "stays"), [(1.6, 1.3, False), (1.6, 1.0, True), (1.4, 1.3, True)],
     ids=["badly foreseen, unexplained", "badly foreseen, then explained", "foreseen, something left"],
 )  # fmt: skip
-def test_a_law_stays_confirmed_until_a_program_contradicts_it(learnt, foreseen, left, stays):
+def test_a_law_stays_confirmed_until_a_program_contradicts_it(learnt, foreseen, left, stays, tmp_path):
     rounds, last = Rounds(learnt.folder, Twin.builtin(), Mirror(), 0, 1, None), learnt.last
     told = {"program": "another", "kind": "another", "seconds": 20.0, "pause_s": None}
+    noise = NoiseFloor(last.noise, last.noise, "mm", "known", {})
     found = SimpleNamespace(
-        study=SimpleNamespace(noise=SimpleNamespace(value=last.noise), unit="mm"), verdict=last.verdict,
+        study=SimpleNamespace(noise=noise, unit="mm", recording=SimpleNamespace(folder=tmp_path)),
+        verdict=last.verdict,
         selected=last.selected, sentence="", after={"heldout": left * last.noise},
         outcome=SimpleNamespace(contenders=(), likely_right=None),
     )  # fmt: skip
