@@ -54,7 +54,6 @@ class Intrinsics:
         return cls(matrix, distortion, size, rms)
 
     def save(self, path: str | Path) -> None:
-        """Writes JSON."""
         d = {
             "intrinsics": self.matrix.tolist(),
             "distortion": self.distortion.tolist(),

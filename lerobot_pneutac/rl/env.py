@@ -135,7 +135,6 @@ class PpoEnv(gymnasium.Env):
         return self._observe(observed.state), {"is_success": False, "failure": ""}
 
     def step(self, action: np.ndarray) -> tuple[dict, float, bool, bool, dict]:
-        """One control step."""
         normal = np.clip(action, -1, 1).astype(float)
         observed = self.world.step(to_action(normal, self.world.pressure_range_kpa))
         moment = self._look()

@@ -96,7 +96,6 @@ class BodyScene:
         )  # fmt: skip
 
     def hide_solid(self) -> None:
-        """The skin again."""
         if self._solid is not None:
             self._solid.remove()
             self._solid, self._skin.visible = None, True

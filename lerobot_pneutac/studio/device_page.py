@@ -252,6 +252,5 @@ class DevicePage:
         )
 
     def close(self) -> None:
-        """Stops the body."""
         self._stop.set()
         self._thread.join(timeout=2.0)

@@ -35,7 +35,6 @@ class EffectsPanel:
         self._rows = [_Switch(gui, get_effect(n), present.get(n), range_kpa, changed) for n in names]
 
     def values(self) -> dict[str, dict[str, Value]]:
-        """The effects that are on."""
         return {row.effect.name: row.values() for row in self._rows if row.on}
 
 

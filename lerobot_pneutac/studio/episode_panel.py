@@ -96,12 +96,10 @@ class EpisodePanel:
         )
 
     def _forget(self) -> None:
-        """Another twin is looked at."""
         if self._episode is not None:
             self._episode = None
             self._picture.visible = self._beside.visible = False
             self.readout.content = "Another version of the twin is looked at; replay it anew."
 
     def close(self) -> None:
-        """Stops it."""
         self._player.close()

@@ -97,7 +97,6 @@ class FindPage:
         self._bar.value = 100.0 * max(0.02, done / max(total, 1))
 
     def compare(self) -> None:
-        """Where the twin stands."""
         session = self._studio.session
         session.comparison = compare(session.twin, session.needs_recording())
         self._tell_error()

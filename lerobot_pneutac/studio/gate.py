@@ -132,7 +132,6 @@ class Gate:
 
 
 def _bound(host: str, port: int) -> socket.socket:
-    """A listening socket."""
     try:
         family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
     except socket.gaierror as e:

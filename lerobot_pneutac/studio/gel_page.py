@@ -175,6 +175,5 @@ class GelPage:
             )
 
     def close(self) -> None:
-        """Stops it."""
         self._stop.set()
         self._thread.join(timeout=2.0)

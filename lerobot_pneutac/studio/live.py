@@ -28,7 +28,6 @@ class Shape:
 
     @property
     def bend_deg(self) -> float:
-        """How far the tip is turned."""
         return float(np.degrees(self.markers[3] if self.markers[4] == 0 else np.hypot(*self.markers[3:])))
 
     def spine_mm(self, length_mm: float, joints_mm: np.ndarray) -> np.ndarray:
@@ -115,7 +114,6 @@ class LiveBody:
         self.time_s = 0.0
 
     def set_conditions(self, conditions: Mapping[str, float]) -> None:
-        """From now on."""
         self._pipeline.set_conditions(conditions)
 
     def rest(self, pressure_kpa: np.ndarray) -> None:

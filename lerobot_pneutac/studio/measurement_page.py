@@ -166,6 +166,5 @@ class MeasurementPage:
         )
 
     def close(self) -> None:
-        """Stops it."""
         self.player.close()
         self._thread.join(timeout=2.0)

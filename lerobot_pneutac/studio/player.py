@@ -31,7 +31,6 @@ class Player:
 
     @property
     def now_s(self) -> float:
-        """The moment."""
         return self._time.value
 
     @now_s.setter
@@ -57,6 +56,5 @@ class Player:
                 self.now_s = t if t <= self._time.max else 0.0
 
     def close(self) -> None:
-        """Stops it."""
         self._stop.set()
         self._thread.join(timeout=2.0)

@@ -68,6 +68,5 @@ class SolidPanel:
             self._scene.show_solid(self._solid, splats=self._drawn.value == SPLATS)
 
     def hide(self) -> None:
-        """Something moves: the skin again."""
         self._solid, self.told.visible = None, False
         self._scene.hide_solid()

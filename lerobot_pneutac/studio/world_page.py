@@ -140,12 +140,10 @@ class WorldPage:
         self.readout.content = f"{self._task.value}, {time_s:.1f} s of the task. {end}"
 
     def close_world(self) -> None:
-        """Ends the task."""
         self._stop.set()
         if self._thread is not None:
             self._thread.join(timeout=5.0)
 
     def close(self) -> None:
-        """Ends all."""
         self.close_world()
         self.episodes.close()

@@ -99,7 +99,6 @@ class Moving:
         self.time_s = np.float64(0.0)
 
     def advance(self) -> None:
-        """One step of the fine grid."""
         for _ in range(self.parts):
             self.time_s = self._stepper.step(self._system, self.time_s, self._dt)
 

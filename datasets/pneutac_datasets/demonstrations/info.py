@@ -173,7 +173,6 @@ def _read_parquet(file: Path, remedy: str, columns: list[str] | None = None) -> 
 
 
 def _tasks(folder: Path, info: dict, repair: str) -> set[int]:
-    """Numbers of the tasks."""
     file = folder / "meta" / "tasks.parquet"
     remedy = f"restore it, or run {repair}, which names tasks by number"
     table = _read_parquet(file, remedy)

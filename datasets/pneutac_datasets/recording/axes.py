@@ -122,7 +122,6 @@ def _labels(name: str, column: pd.Series) -> Axis:
 
 
 def _compact(axis: Axis) -> Axis:
-    """Drops empty bins."""
     used = np.unique(axis.bin[axis.bin >= 0])
     place = np.full(len(axis.labels) + 1, -1)
     place[used] = np.arange(len(used))

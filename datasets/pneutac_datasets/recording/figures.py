@@ -42,5 +42,4 @@ def _text(row: pd.Series, column: str, remedy: str) -> str:
 
 @lru_cache(maxsize=16)
 def _read(file: Path, changed: int) -> Figure:
-    """Read once for all rows."""
     return Figure.read(file)

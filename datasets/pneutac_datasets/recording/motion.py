@@ -26,7 +26,6 @@ class Motion:
 
     @property
     def angle_deg(self) -> float:
-        """By how much it turns."""
         k = len(self.shift)
         cosine = (np.trace(self.turn) - k + 2) / 2
         return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))

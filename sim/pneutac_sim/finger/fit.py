@@ -66,7 +66,6 @@ class PipelineFit:
 
     @property
     def free_names(self) -> list[str]:
-        """Names of the fitted parameters."""
         return [self.pipeline.names[i] for i in self.free]
 
 

@@ -120,7 +120,6 @@ class EffectLink:
         return self.effect.state_size(1) > 0
 
     def state_size(self, channels: int) -> int:
-        """Numbers that it remembers."""
         return self.effect.state_size(channels)
 
     def __call__(self, x, dt, theta, conditions: Conditions, state) -> np.ndarray:
@@ -159,7 +158,6 @@ class Drive:
     remembers = False
 
     def state_size(self, channels: int) -> int:
-        """It remembers nothing."""
         return 0
 
     def __call__(self, x, dt, theta, conditions: Conditions, state) -> np.ndarray:
@@ -212,7 +210,6 @@ class HeldDrive:
     remembers = False
 
     def state_size(self, channels: int) -> int:
-        """It remembers nothing."""
         return 0
 
     def __call__(self, x, dt, theta, conditions: Conditions, state) -> np.ndarray:
@@ -292,7 +289,6 @@ class Markers:
     remembers = False
 
     def state_size(self, channels: int) -> int:
-        """It remembers nothing."""
         return 0
 
     def __call__(self, x, dt, theta, conditions: Conditions, state) -> np.ndarray:

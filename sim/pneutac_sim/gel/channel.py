@@ -110,7 +110,6 @@ class Channel:
 
     @property
     def values(self) -> dict[Unknown, float]:
-        """The unknowns as found."""
         return dict(zip(self.prior, self._x.tolist(), strict=True))
 
     @property

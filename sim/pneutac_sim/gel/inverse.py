@@ -65,7 +65,6 @@ class Touch:
 
     @property
     def area_mm2(self) -> float:
-        """Of the contact."""
         return float(self.contact.sum() * self.cell_mm[0] * self.cell_mm[1])
 
     @property

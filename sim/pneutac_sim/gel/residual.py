@@ -77,7 +77,6 @@ class ResidualField:
         return self._reaches[key]
 
     def times(self, share: float) -> "ResidualField":
-        """So much of it."""
         return ResidualField(self.centres, np.float32(share) * self.weights)
 
     def shown(self, channels: tuple[int, int, int], mirror_x: bool, mirror_y: bool) -> "ResidualField":

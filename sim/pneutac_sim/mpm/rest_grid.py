@@ -60,7 +60,6 @@ class RestGrid:
 
     @staticmethod
     def of(body: Body) -> "RestGrid":
-        """The grid of a body."""
         dx = 2 * body.spacing_m
         cell, local = body.cells // 2, body.cells % 2
         cells, index = np.unique(cell, axis=0, return_inverse=True)

@@ -41,7 +41,6 @@ class UserMesh:
 
     @property
     def length_mm(self) -> float:
-        """From base to tip."""
         return round(float(self.mesh.bounds[1, 0]), 4)
 
 

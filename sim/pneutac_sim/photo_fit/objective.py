@@ -106,7 +106,6 @@ class Objective:
         return values
 
     def scores(self, bodies: Bodies) -> Scores:
-        """Of bodies at rest."""
         rows = [
             [self._score(p, at[p.state], edge[p.state]) for p in self.photographs]
             for at, edge in zip(bodies.positions, map(self.surface, *bodies[:2]), strict=True)

@@ -42,7 +42,6 @@ def _alpha(lane, x, bdy, cdy2, a, opacity):
 
 @njit(inline="always")
 def _cut(raw):
-    """Alpha as it is composited."""
     alpha = raw if raw < MOST_ALPHA else MOST_ALPHA
     return alpha if raw >= LEAST_ALPHA else _ZERO
 

@@ -61,7 +61,6 @@ class Plan:
 
     @property
     def pairs(self) -> int:
-        """State-torque pairs of one trajectory."""
         return int(round(self.duration_s / FRAME_S))
 
 

@@ -83,7 +83,6 @@ class Contact:
         )
 
     def at(self, depth_mm: float) -> "Contact":
-        """The same contact at another depth."""
         return replace(self, press=replace(self.press, depth_mm=depth_mm))
 
 

@@ -32,11 +32,9 @@ class Dragged:
 
     @property
     def mirrored(self) -> tuple[bool, bool]:
-        """Never in x."""
         return False, self.punch.mirrored[1]
 
     def reach_mm(self, depth_mm: float) -> tuple[float, float]:
-        """All the way."""
         x, y = self.punch.reach_mm(depth_mm)
         return x + self.most_mm, y
 

@@ -76,7 +76,6 @@ class AugmentSetup:
 
     @property
     def where(self) -> Station:
-        """The station."""
         return Station.load(self.station) if self.station else Station()
 
 

@@ -50,11 +50,9 @@ class Work:
         return self.folder / f"check_{index:06d}.json"
 
     def episode_file(self, index: int) -> Path:
-        """File of one finished demonstration."""
         return self.folder / f"episode_{index:06d}.npz"
 
     def load_scene(self, source: int) -> Scene:
-        """Reads a scene."""
         d = json.loads(self.scene_file(source).read_text())
         return Scene(**d | {"shift_m": tuple(d["shift_m"])})
 
@@ -70,7 +68,6 @@ class Work:
         return attempt, provenance, seconds
 
     def save_scene(self, source: int, scene: Scene) -> None:
-        """Writes a scene."""
         write_json(self.scene_file(source), asdict(scene))
 
     def save_episode(self, index: int, attempt: Attempt, provenance: dict, seconds: dict) -> None:

@@ -31,7 +31,6 @@ class Rows:
     group: int
 
     def table(self) -> pa.Table:
-        """The rows themselves."""
         table = pq.ParquetFile(self.file).read_row_group(self.group)
         return table.filter(pc.equal(table["episode_index"], self.episode))
 

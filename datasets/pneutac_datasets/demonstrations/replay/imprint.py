@@ -114,7 +114,6 @@ class LightDrift:
         )
 
     def to_dict(self) -> dict:
-        """As numbers."""
         return {
             "levels": list(self.levels),
             "shape_levels": self.shape_levels,

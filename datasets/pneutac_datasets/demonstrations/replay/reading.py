@@ -84,7 +84,6 @@ class Demonstrations:
         return self.samples[name].to_numpy()
 
     def trials(self) -> dict[str, slice]:
-        """Rows of each episode."""
         ends = np.cumsum([0, *map(len, self.episodes)])
         return {str(i): slice(a, b) for i, (a, b) in enumerate(zip(ends[:-1], ends[1:], strict=True))}
 
