@@ -24,8 +24,7 @@ class StudioConfig:
         bench: where the next experiment is driven, by a button that says so: `none`, `standin`, the finger
             that stands in for a real one, or `measure`, your bench.
         measure: YAML file with the options of `pneutac measure` for your bench, without `program` and `out`.
-        host: address to listen on; any but this machine's own asks for the token that is printed.
-        port: to listen on; 0 for any that is free.
+        port: of this machine to listen on; 0 for any that is free.
     """
 
     twin: Path
@@ -34,7 +33,6 @@ class StudioConfig:
     demonstrations: str = ""
     bench: str = "none"
     measure: Path | None = None
-    host: str = "127.0.0.1"
     port: int = 8080
 
     def __post_init__(self):
@@ -56,7 +54,7 @@ def main(argv: list[str]) -> None:
         raise InputError(
             "The studio needs the package viser; `pip install 'lerobot_robot_pneutac[studio]'`."
         ) from e
-    studio = Studio(cfg.host, cfg.port)
+    studio = Studio(cfg.port)
     console.print(f"The studio opens at {studio.address} (Ctrl+C ends it)", soft_wrap=True, highlight=False)
     try:
         from lerobot_pneutac.studio.session import Session

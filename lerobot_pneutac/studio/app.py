@@ -1,21 +1,21 @@
-"""The studio: a viewer in the browser, its pages, and the door in front of it."""
+"""The studio: a viewer in the browser and its pages."""
 
 from __future__ import annotations
 
 import contextlib
 import io
-import secrets
+import os
+import re
 import socket
 from collections.abc import Callable
-from functools import wraps
+from functools import partial, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import viser
+import websockets.asyncio.server as websocket_server
 
 from lerobot_pneutac.studio.colours import BRAND
-from lerobot_pneutac.studio.front import front_page
-from lerobot_pneutac.studio.gate import LOCAL, Gate
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import CHAMBERS
 
@@ -23,14 +23,15 @@ if TYPE_CHECKING:
     from lerobot_pneutac.studio.session import Session
 
 PANEL_PX = 500
+# Who may open a connection: programs and pages of this machine, by whatever port an SSH tunnel has there.
+ORIGINS = (None, re.compile(r"http://(localhost|127\.0\.0\.1)(:\d+)?"))
 
 
 class Studio:
     """One open studio; it answers at once, and `show` fills it while the browser still loads the page.
 
     Args:
-        host: to listen on.
-        port: to listen on; 0 for any that is free.
+        port: of this machine to listen on; 0 for any that is free.
 
     Attributes:
         session: what it shows.
@@ -45,18 +46,10 @@ class Studio:
 
     session: Session
 
-    def __init__(self, host: str = "127.0.0.1", port: int = 8080):
+    def __init__(self, port: int = 8080):
         self.driver = ""
-        self._token = "" if host in LOCAL else secrets.token_urlsafe(16)
-        with contextlib.redirect_stdout(io.StringIO()):  # it prints its own address, which is not the door's
-            self.server = viser.ViserServer("127.0.0.1", 0, verbose=False)
-        try:
-            self._gate = Gate(host, port, self.server.get_port(), self._token, front_page())
-        except InputError:
-            self._stop_server()
-            raise
-        shown = socket.gethostname() if host in ("0.0.0.0", "::") else host
-        self.address = f"http://{shown}:{self._gate.port}/" + (f"?token={self._token}" if self._token else "")
+        self.server = _viewer(port)
+        self.address = f"http://127.0.0.1:{self.server.get_port()}/"
         gui = self.server.gui
         gui.set_panel_label("PneuTac studio")
         gui.configure_theme(show_logo=False, show_share_button=False, brand_color=BRAND)
@@ -140,9 +133,28 @@ class Studio:
         """Ends it; what was not written is lost."""
         for page in self.pages.values():
             page.close()
-        self._gate.close()
-        self._stop_server()
-
-    def _stop_server(self) -> None:
         with contextlib.redirect_stdout(io.StringIO()):
             self.server.stop()
+
+
+def _viewer(port: int) -> viser.ViserServer:
+    """The viewer on this machine alone, refusing connections from pages of other sites.
+
+    viser takes the next port where one is in use, and has no setting for the `origins` of websockets.
+    """
+    try:
+        with socket.create_server(("127.0.0.1", port)) as free:
+            port = free.getsockname()[1]
+    except (OSError, OverflowError) as e:
+        why = os.strerror(e.errno) if getattr(e, "errno", None) else e
+        raise InputError(
+            f"port={port} cannot be had ({why}); another studio may be open there: close it, or"
+            " give another with --port=, or --port=0 for any that is free."
+        ) from e
+    serve = websocket_server.serve
+    websocket_server.serve = partial(serve, origins=ORIGINS)
+    try:
+        with contextlib.redirect_stdout(io.StringIO()):  # it prints an address of its own
+            return viser.ViserServer("127.0.0.1", port, verbose=False)
+    finally:
+        websocket_server.serve = serve
