@@ -1,4 +1,4 @@
-"""Demonstrations from demonstrations: two are recorded, one more is planned from them in another scene."""
+"""Demonstrations from demonstrations: two are recorded, four more are made from them, elsewhere."""
 
 from pathlib import Path
 
@@ -19,7 +19,7 @@ if __name__ == "__main__":  # workers import this file
         dataset=DatasetRef("local/demos", demos),
         output=DatasetRef("local/more", Path("outputs/augment/more")),
         task="switch",
-        episodes=1,
+        episodes=4,
     )
     result = augment(config, lambda text, done, total: print(f"{text}: {done} of {total}"))
     print(f"kept {result.share:.0%} of the variants")

@@ -73,6 +73,7 @@ def _measure(cfg: BenchmarkAugmentConfig, task: str, console: Console) -> dict:
         dataset=DatasetRef(f"local/{recorded.name}", recorded),
         output=DatasetRef(f"local/{made.name}", made),
         task=task,
+        method="planner",
         episodes=cfg.episodes,
         seed=cfg.seed,
         workers=cfg.workers,

@@ -32,8 +32,12 @@ def augment_page(new: tuple[str, Path], summary: dict, references: list[Referenc
     report.text(
         "Contacts of the recorded demonstrations begin within "
         + " / ".join(f"{s:.1f}" for s in 1e3 * onset_sigma_m(references))
-        + " mm (standard deviation in x / y / z); objects and reference trajectories were moved together by"
-        " as much in x and y."
+        + " mm (standard deviation in x / y / z)"
+        + (
+            "; objects and reference trajectories were moved together by as much in x and y."
+            if summary["scenes"]
+            else "."
+        )
     )
     late = {line["late_commands"] for line in summary["provenance"] if "late_commands" in line}
     if late:
@@ -44,12 +48,13 @@ def augment_page(new: tuple[str, Path], summary: dict, references: list[Referenc
     rows = [{"variants": "kept", "number": summary["kept"]}]
     rows += [{"variants": f"rejected: {r}", "number": n} for r, n in summary["rejected"].items()]
     report.table(rows, "Yield")
-    scenes = [_scene_row(r, s) for r, s in zip(references, summary["scenes"], strict=False)]
-    report.table(scenes, "Where the object stood: the replay of each recorded demonstration in the twin")
+    if summary["scenes"]:
+        scenes = [_scene_row(r, s) for r, s in zip(references, summary["scenes"], strict=False)]
+        report.table(scenes, "Where the object stood: the replay of each recorded demonstration in the twin")
     if "checks" in summary:
         report.table([_check_row(c) for c in summary["checks"]], "Carried out once more by material points")
     report.heading("Touch")
-    states = _states(*new)
+    states = _states(*new)[: summary["kept"]]
     sources = [line["source_episode"] for line in summary["provenance"]]
     report.figure(_touch(states, sources, references), "Contact area: recorded (thick) and new (thin)")
     report.figure(_paths(states, references), "Where the contacts begin, from above")
@@ -62,6 +67,8 @@ def augment_result(method: str, summary: dict, references: list[Reference]) -> d
     return {
         "method": method,
         "kept": summary["kept"],
+        "copies": summary.get("copies", 0),
+        "start_range_m": summary.get("start_range_m"),
         "attempts": summary["attempts"],
         "yield": summary["kept"] / summary["attempts"],
         "rejected": summary["rejected"],

@@ -1,4 +1,4 @@
-"""`pneutac augment`: makes many demonstrations out of a few, planned on the twin and guided by touch."""
+"""`pneutac augment`: makes many demonstrations out of a few, carried out on the twin."""
 
 import os
 import shlex
@@ -18,7 +18,9 @@ from pneutac_sim.twin import Twin
 from pneutac_sim.world.checks import check_bends, check_world
 from pneutac_sim.world.station import Station, station_file
 
-METHODS = ("tactile", "naive")
+METHODS = ("library", "expert", "planner", "naive")
+MOST_START_M, MOST_REAL = 0.1, 0.9
+REAL_SHARE = 0.25  # of the frames, with which ten and a hundred new ones were trained best
 
 
 @dataclass
@@ -43,8 +45,10 @@ class AugmentConfig:
         output: new demonstrations, whose folder must not exist.
         task: what stood in front of the robot, such as `switch`; where left out, the one that the
             demonstrations' instruction names.
-        method: `tactile` (planned in the simulator), or `naive` (varied without one, which looks at dataset,
-            output, episodes and seed alone).
+        method: `library` (a controller made of the demonstrations, which starts anywhere and finds the object
+            by touch), `expert` (the scripted controller that the task brings), `planner` (each is planned,
+            guided by one demonstration's touch; `tactile` is its former name), or `naive` (varied without a
+            simulator; looks at dataset, output, episodes and seed alone).
         episodes: number of new demonstrations.
         seed: seed of every random choice.
         twin: folder of the finger's twin; where left out, the built-in one.
@@ -56,6 +60,11 @@ class AugmentConfig:
         station: file `station.yaml` of arm, workspace, mount and control rate in which they were recorded;
             where left out, the one that their robot left in them, or the paper's.
         planner: horizon, samples and weights of the planner.
+        start_range: half widths in m along x, y and z by which `library` and `expert` start beside recorded
+            starts; where left out, the standard deviation of the recorded starts, 0.004 at least.
+        real_share: share of the frames that are to be recorded ones; as many copies of the demonstrations
+            are added, so that `lerobot-train` mixes them. Where left out, 0.25 with `library` and `expert`
+            and 0 with the others.
         attempts: number of variants tried for one demonstration before giving up.
         check_mpm: number of the new demonstrations that are carried out once more by material points; how far
             they agree goes into the report. Each takes minutes.
@@ -66,7 +75,7 @@ class AugmentConfig:
     dataset: DatasetRef
     output: DatasetRef
     task: str = ""
-    method: str = "tactile"
+    method: str = "library"
     episodes: int = 100
     seed: int = 0
     twin: Path | None = None
@@ -74,6 +83,8 @@ class AugmentConfig:
     conditions: dict[str, float | list[float]] = field(default_factory=dict)
     station: Path | None = None
     planner: PlannerConfig = field(default_factory=PlannerConfig)
+    start_range: tuple[float, float, float] | None = None
+    real_share: float | None = None
     attempts: int = 30
     check_mpm: int = 0
     workers: int | None = None
@@ -82,7 +93,20 @@ class AugmentConfig:
     def __post_init__(self):
         if self.task:
             check_choice("task", self.task, task_names())
+        self.method = "planner" if self.method == "tactile" else self.method
         check_choice("method", self.method, METHODS)
+        anywhere = self.method in ("library", "expert")
+        if self.start_range is not None:
+            if not anywhere:
+                raise InputError(f"start_range is of library and expert, not of {self.method}; leave it out.")
+            if not all(0 <= x <= MOST_START_M for x in self.start_range):
+                raise InputError(f"start_range must be three numbers of 0 to {MOST_START_M} m.")
+        if anywhere and self.planner != PlannerConfig():
+            raise InputError(f"planner has options that {self.method} does not use; give method=planner.")
+        if self.real_share is None:
+            self.real_share = REAL_SHARE if anywhere else 0.0
+        if not 0 <= self.real_share <= MOST_REAL or (self.real_share and self.method == "naive"):
+            raise InputError(f"real_share must be 0 to {MOST_REAL:g}, and 0 with naive.")
         check_choice("fidelity", self.fidelity, FIDELITIES)
         self.workers = self.workers if self.workers is not None else len(os.sched_getaffinity(0))
         check_least(1, episodes=self.episodes, attempts=self.attempts, workers=self.workers)
@@ -97,7 +121,7 @@ class AugmentConfig:
             )
         if self.twin is not None and not (Path(self.twin) / "twin.yaml").is_file():
             raise InputError(f"twin is '{self.twin}', which holds no twin.yaml; give a twin's folder.")
-        if self.method == "tactile":
+        if self.method != "naive":
             twin = Twin.load(self.twin) if self.twin else Twin.builtin()
             check_world(twin, self.fidelity, self.conditions)
             if self.check_mpm:
@@ -146,7 +170,25 @@ class Augmentation(Result):
             *[f"Material points do the task in {agree} of {len(checks)} of them too."] * bool(checks),
             f"{len(self.references)} demonstrations in, {kept} new ones in {self.config.output.root}"
             f" ({minutes:.1f} minutes, {kept / minutes:.0f} a minute).",
+            *self._mixed(),
         ]
+
+    def _mixed(self) -> list[str]:
+        """Where they start, and what the dataset holds beside them."""
+        out, copies = [], self.summary.get("copies", 0)
+        if start_range := self.summary.get("start_range_m"):
+            x, y, z = (1e3 * each for each in start_range)
+            out.append(
+                f"They start up to {x:.0f} / {y:.0f} / {z:.0f} mm (x / y / z) beside recorded starts"
+                " (--start_range)."
+            )
+        if copies:
+            times = copies // len(self.references)
+            out.append(
+                f"The recorded ones are in the dataset {times} time{'s' * (times > 1)}, so that training on it"
+                " mixes both (--real_share); do not merge it with them again."
+            )
+        return out
 
     def subject(self) -> tuple[Twin, Path]:
         """The twin on which it was planned, and the recorded demonstrations."""
@@ -183,6 +225,8 @@ def augment(config: AugmentConfig, progress: Progress = no_progress) -> Augmenta
     """
     progress("reading the demonstrations", 0, 1)
     from pneutac_datasets.demonstrations.augment.episode import AugmentSetup
+    from pneutac_datasets.demonstrations.augment.library import start_spread_m
+    from pneutac_datasets.demonstrations.augment.reference import onset_sigma_m
     from pneutac_datasets.demonstrations.augment.run import (
         augment_guided,
         augment_without_simulator,
@@ -196,7 +240,7 @@ def augment(config: AugmentConfig, progress: Progress = no_progress) -> Augmenta
     check_new(config.output.root, config.output.repo_id)
     sensor, file = None, station_file(config.dataset.root, config.station)
     station = Station.load(file) if file else Station()
-    if config.method == "tactile":
+    if config.method != "naive":
         twin = Twin.load(config.twin) if config.twin else Twin.builtin()
         faults = demonstration_faults(config.dataset.root, twin, station)
         if faults:
@@ -209,13 +253,18 @@ def augment(config: AugmentConfig, progress: Progress = no_progress) -> Augmenta
     else:
         base_m = np.array(station.base_m)  # demonstrations tell places in the arm's frame
         further = further_features(meta)
+        placed = [replace(r, flange_m=r.flange_m + base_m) for r in references]
+        onset_sigma_m(placed)
+        start_range_m = config.start_range or start_spread_m(placed)
         setup = AugmentSetup(
-            [replace(r, flange_m=r.flange_m + base_m) for r in references],
+            placed,
             config.task or task_of(references[0].task, config.dataset.root),
             config.twin,
             config.fidelity,
             config.planner,
             config.seed,
+            config.method,
+            start_range_m,
             attempts=config.attempts,
             conditions=config.conditions,
             station=file,
@@ -224,7 +273,10 @@ def augment(config: AugmentConfig, progress: Progress = no_progress) -> Augmenta
                 key.split(".")[-1]: tuple(f["shape"][:2]) for key, f in further.items() if key != POINTS
             },
         )
-        summary = augment_guided(meta, setup, *new, config.workers, progress, config.check_mpm)
+        summary = augment_guided(
+            meta, setup, *new, config.workers, progress, config.check_mpm, config.real_share
+        )
+        summary["start_range_m"] = start_range_m if config.method != "planner" else None
     if file:
         station.save(config.output.root / "meta")
     return Augmentation(config, summary, references)

@@ -185,7 +185,7 @@ class Demo:
         self._command(
             "pneutac", "augment", f"--dataset.repo_id=local/{source.name}", f"--dataset.root={source}",
             f"--output.repo_id=local/{new.name}", f"--output.root={new}", f"--task={TASK}",
-            f"--twin={self.twin}", f"--episodes={self.cfg.augmented}",
+            f"--twin={self.twin}", "--method=planner", f"--episodes={self.cfg.augmented}",
             f"--seed={self.cfg.seed}", f"--out={out}",
         )  # fmt: skip
         result = json.loads((out / "result.json").read_text())

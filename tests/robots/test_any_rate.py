@@ -67,6 +67,7 @@ def test_30_hz_are_recorded_checked_augmented_and_learnt(station, recorded, tmp_
         "dataset": DatasetRef("local/fast", recorded),
         "output": DatasetRef("local/more", tmp_path / "more"),
         "task": "card",
+        "method": "planner",
         "fidelity": "probe",
         "planner": PlannerConfig(samples=4, elites=2, iterations=1),
         "episodes": 1,

@@ -5,6 +5,7 @@ the gel feels, all of which a policy sees too. Nothing but touch tells it where 
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import nnls
@@ -29,12 +30,19 @@ class ScriptedExpert:
     Experts speak of the paper's finger, of 0 to 15 kPa. Another's pressures are as large a share of its own
     range, of its farther end where it bends by vacuum. Several chambers bend the body as far as the paper's
     finger would be bent, which is curled at 0 kPa already, or as far as they can.
+
+    Args:
+        world: whose task is demonstrated.
+        rng: draws the habits and the tremor of the hand.
+        tremor: whether the hand trembles.
     """
 
-    def __init__(self, world: World, rng: np.random.Generator):
+    def __init__(self, world: World, rng: np.random.Generator, tremor: bool = True):
         self._world = world
         self._rng = rng
         self._habits = Habits.draw(rng)
+        if not tremor:
+            self._habits = replace(self._habits, tremor=0.0)
         self._velocity = np.zeros(3)
         self._pressure = self._habits.low_kpa
         self._expert = _expert_of(world)

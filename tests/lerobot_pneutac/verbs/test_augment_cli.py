@@ -64,6 +64,7 @@ def options(recorded, out, *more) -> list[str]:
         f"--output.root={out}",
         "--fidelity=probe",
         "--workers=1",
+        "--method=planner",
         *QUICK,
         *more,
     ]
@@ -229,7 +230,7 @@ def test_bad_input_is_named(recorded, made, tmp_path):
             verb.main(options(recorded, tmp_path / "o", *more))
 
     refused("--task=bottle", match="^task is 'bottle'; it must be one of switch, egg, card")
-    refused("--method=magic", match="^method is 'magic'; it must be one of tactile, naive")
+    refused("--method=magic", match="^method is 'magic'; it must be one of library, expert, planner, naive")
     refused("--episodes=0", match="^episodes is 0; it must be 1 or more")
     refused("--planner.replan=9", match="^replan is 9; it must be at most horizon")
     refused(f"--twin={tmp_path}", match="holds no twin.yaml")
@@ -306,6 +307,9 @@ def test_what_differs_is_measured_and_what_was_checked_is_not_checked_again(tmp_
         (["--check_mpm=1", "--method=naive"], "naive ones have no scene"),
         (["--check_mpm=1", "--fidelity=mpm"], "which fidelity=mpm is already"),
         (["--check_mpm=-1"], "check_mpm is -1; it must be 0 or more"),
+        (["--method=library"], "planner has options that library does not use"),
+        (["--start_range=[0,0,0]"], "start_range is of library and expert, not of planner"),
+        (["--real_share=0.95"], "real_share must be 0 to 0.9"),
     ],
 )
 def test_checks_that_cannot_be_are_refused(tmp_path, more, says):

@@ -1,6 +1,7 @@
-"""One new demonstration out of a recorded one: a pure function of seed and index."""
+"""One new demonstration out of recorded ones: a pure function of seed and index."""
 
 import time
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import numpy as np
 from lerobot.utils.constants import OBS_IMAGES
 
 from pneutac_datasets.demonstrations.augment.course import Course
+from pneutac_datasets.demonstrations.augment.library import Follower, Library
 from pneutac_datasets.demonstrations.augment.planner import CemPlanner, PlannerConfig
 from pneutac_datasets.demonstrations.augment.reference import (
     EXTRA_STEPS,
@@ -22,13 +24,14 @@ from pneutac_datasets.demonstrations.augment.scene import (
     find_scene,
     follow,
 )
-from pneutac_datasets.demonstrations.augment.variant import Variant
+from pneutac_datasets.demonstrations.augment.variant import Variant, bend_gain_sd
 from pneutac_datasets.demonstrations.episodes import POINTS
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import MAX_PRESSURE_KPA, PRESSURES, VELOCITY_NAMES, Places
 from pneutac_sim.gel.sensor import centre_mm
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.conditions import Conditions
+from pneutac_sim.world.expert import ScriptedExpert
 from pneutac_sim.world.gantry import Gantry
 from pneutac_sim.world.look import SceneCameras
 from pneutac_sim.world.points import tactile_points
@@ -40,6 +43,7 @@ START_M = 0.004  # standard deviation of the start; its height stays, by which m
 SHORTEST = 8  # control steps of the paper's rate; what is done sooner was done by where the object stood
 IN_THE_WAY = "the object stood where the hand starts"
 TRIES = 10  # variants of one reference before another one gets its turn
+LONGEST = 300  # control steps of the paper's rate for a demonstration without a reference, at most
 
 
 @dataclass(frozen=True)
@@ -53,6 +57,9 @@ class AugmentSetup:
         fidelity: of the world in which the plans are carried out.
         planner: its options.
         seed: decides everything.
+        method: `library` (a controller made of the demonstrations, see `library`), `expert` (the task's
+            scripted controller) or `planner` (each plan is guided by one demonstration).
+        start_range_m: half widths (3,) by which starts lie about the recorded ones; not of the planner.
         attempts: variants tried for one demonstration.
         candidates: scenes drawn to find where the object stood.
         conditions: of the world, see `World`; every demonstration draws from a range.
@@ -67,6 +74,8 @@ class AugmentSetup:
     fidelity: str
     planner: PlannerConfig
     seed: int
+    method: str = "planner"
+    start_range_m: tuple[float, float, float] = (START_M, START_M, START_M)
     attempts: int = 30
     candidates: int = 48
     conditions: Conditions = field(default_factory=dict)
@@ -121,8 +130,12 @@ class Generator:
         self.world = VariedWorld(s.task, twin, self.touch, s.fidelity, s.conditions, station=s.where)
         self._scene = SceneCameras(self.world, s.cameras)
         self.gantry = Gantry(self.world)
-        self.sigma_m, self.reaction_hz = onset_sigma_m(s.references), reaction_hz(s.references)
         self.late_commands = command_latency(self.world, self.gantry, s.references)
+        self.bend_gain_sd = bend_gain_sd(twin)
+        if s.method == "library":
+            self.library = Library.of(s.references, float(np.ptp(self.world.pressure_range_kpa)))
+        if s.method == "planner":
+            self.sigma_m, self.reaction_hz = onset_sigma_m(s.references), reaction_hz(s.references)
 
     def scene(self, source: int) -> Scene:
         """Where the object stood in a reference."""
@@ -136,7 +149,7 @@ class Generator:
 
         Args:
             index: number of the demonstration.
-            scenes: one for each reference.
+            scenes: of the planner, one for each reference.
 
         Returns:
             the attempt that is kept, and its provenance with every rejection's reason.
@@ -148,14 +161,20 @@ class Generator:
         rejected = []
         for number in range(s.attempts):
             rng = np.random.default_rng([s.seed, index, number])
-            source = (index + number // TRIES) % len(scenes)
-            variant = Variant.draw(source, self.sigma_m, self.late_commands, rng, s.conditions)
-            attempt = self.carry_out(variant, scenes[source], rng)
+            source = (index + number // TRIES) % len(s.references)
+            sigma_m = self.sigma_m if s.method == "planner" else np.zeros(3)
+            variant = Variant.draw(source, sigma_m, self.late_commands, rng, s.conditions, self.bend_gain_sd)
             where = {"source_episode": s.references[source].source, **asdict(variant)}
+            if s.method == "planner":
+                attempt = self.carry_out(variant, scenes[source], rng)
+                scores = {
+                    "cost": attempt.cost, "area_rmse": attempt.area_rmse, "scene": asdict(scenes[source])
+                }  # fmt: skip
+            else:
+                attempt, scores = self.find_out(variant, rng)
             if attempt.reason is None:
-                scores = {"cost": attempt.cost, "area_rmse": attempt.area_rmse, "frames": len(attempt.action)}
-                kept = {"episode": index, "seed": s.seed, "attempt": number, **where, **scores}
-                return attempt, {**kept, "scene": asdict(scenes[source]), "rejected": rejected}
+                kept = {"episode": index, "seed": s.seed, "method": s.method, "attempt": number, **where}
+                return attempt, {**kept, **scores, "frames": len(attempt.action), "rejected": rejected}
             rejected.append({"attempt": number, "reason": attempt.reason, **where})
         reasons = ", ".join(sorted({r["reason"] for r in rejected}))
         raise InputError(
@@ -185,17 +204,80 @@ class Generator:
             variant.late_touch,
             variant.conditions,
         )
-        observation = self.world.reset(scene.seed)
-        begun = scene.seed, self.world.variation
-        if self.world.blocked:
-            nothing = observation.state[None][:0], r.action[:0], None
-            return Attempt(*nothing, IN_THE_WAY, 0.0, 1.0, begun)
         ways = self._plan(r, variant, rng) if plan else iter(np.clip(r.action, *self.world.action_limits))
+        return self._carried_out(ways, scene.seed, r.area, missed=plan)
+
+    def find_out(self, variant: Variant, rng: np.random.Generator) -> tuple[Attempt, dict]:
+        """Does the task without a reference: start and object lie anywhere.
+
+        Args:
+            variant: its source is the demonstration about whose start this one begins.
+            rng: decides start, object and controller.
+
+        Returns:
+            the attempt, and its provenance: of the library `path`, the pieces that it consists of.
+        """
+        s = self.setup
+        start_m = s.references[variant.source].flange_m[0] + rng.uniform(-1, 1, 3) * s.start_range_m
+        self.world.variation = Variation(
+            tuple(start_m.tolist()),
+            (0.0, 0.0, 0.0),
+            variant.bend_gain,
+            variant.friction,
+            variant.late_commands,
+            variant.late_touch,
+            variant.conditions,
+        )
+        self._path: list[tuple[int, int, int]] = []
+        ways = self._follow(rng) if s.method == "library" else self._expert(rng)
+        attempt = self._carried_out(ways, int(rng.integers(2**31)))
+        pieces = [dict(zip(("frame", "source_episode", "source_frame"), p, strict=True)) for p in self._path]
+        return attempt, {"path": pieces} if pieces else {}
+
+    def _follow(self, rng: np.random.Generator) -> Iterator[np.ndarray]:
+        """Yields the library's actions; begins at the first, after the world was reset."""
+        world, limits = self.world, self.world.action_limits
+        follower = Follower(self.library, rng, world.flange_m)
+        self._path = follower.path
+        pressure = self.library.pressure_kpa[0]
+        while True:
+            action = follower.action(world.touch.area, self._centre_mm(), world.flange_m, pressure)
+            if action is None:
+                return
+            action = np.clip(action, *limits)
+            pressure = action[PRESSURES]
+            yield action
+
+    def _expert(self, rng: np.random.Generator) -> Iterator[np.ndarray]:
+        """Yields the actions of the task's scripted expert, without the tremor of a hand."""
+        expert = ScriptedExpert(self.world, rng, tremor=False)
+        while True:
+            yield expert.action()
+
+    def _carried_out(
+        self,
+        ways: Iterator[np.ndarray],
+        seed: int,
+        demonstrated: np.ndarray | None = None,
+        missed: bool = True,
+    ) -> Attempt:
+        """Carries actions out in the world, from a reset with a seed, until the task is done or they end.
+
+        Args:
+            ways: asked for its next action once a control step.
+            seed: of the task's own start.
+            demonstrated: contact areas of the reference; None without one, where the time is limited.
+            missed: whether the object must be touched.
+        """
+        observation = self.world.reset(seed)
+        begun, frames = (seed, self.world.variation), self.setup.references[0].frames
+        if self.world.blocked:
+            nothing = observation.state[None][:0], np.zeros((0, len(self.world.action_limits[0]))), None
+            return Attempt(*nothing, IN_THE_WAY, 0.0, 1.0, begun)
         states, actions, images, areas, more, self._costs = [], [], [], [], [], []
-        missed = plan
         while not (self.world.success or self.world.failure):
             action = next(ways, None)
-            if action is None:
+            if action is None or demonstrated is None and len(actions) >= frames(LONGEST):
                 break
             states.append(observation.state)
             images.append(observation.tactile)
@@ -207,7 +289,7 @@ class Generator:
             missed = missed and not self.world.touch.area > 0
             self.seconds["execution"] += time.perf_counter() - began
         reason = self.world.failure
-        if not reason and self.world.success and len(actions) < r.frames(SHORTEST):
+        if not reason and self.world.success and len(actions) < frames(SHORTEST):
             reason = IN_THE_WAY
         elif not reason and missed:
             reason = "it did not touch the object"
@@ -216,12 +298,12 @@ class Generator:
         return Attempt(
             np.array(states),
             np.array(actions),
-            None if images[0] is None else np.array(images),
+            np.array(images) if images and images[0] is not None else None,
             reason,
             float(np.mean(self._costs)) if self._costs else 0.0,
-            _area_rmse(np.array(areas), r.area),
+            1.0 if demonstrated is None else _area_rmse(np.array(areas), demonstrated),
             begun,
-            {key: np.array([each[key] for each in more]) for key in more[0]},
+            {key: np.array([each[key] for each in more]) for key in (more[0] if more else ())},
         )
 
     def _further(self) -> dict[str, np.ndarray]:

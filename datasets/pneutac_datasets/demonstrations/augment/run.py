@@ -1,7 +1,8 @@
 """Augmentation of demonstrations: a few recorded ones in, many new ones out, as a LeRobotDataset.
 
-`augment_guided` plans each new demonstration in the world, guided by the recorded touch;
-`naive.augment_naive` varies the recordings without a simulator.
+`augment_guided` carries each new demonstration out in the world, by a controller made of the recorded ones, by the
+task's expert, or planned and guided by the recorded touch; `naive.augment_naive` varies the recordings without a
+simulator.
 """
 
 import hashlib
@@ -17,10 +18,11 @@ from pathlib import Path
 
 import numpy as np
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
+from lerobot.datasets.aggregate import aggregate_datasets
 from lerobot.utils.constants import ACTION, OBS_STATE
 
 from pneutac_datasets.demonstrations.augment.check import check
-from pneutac_datasets.demonstrations.augment.episode import Attempt, AugmentSetup
+from pneutac_datasets.demonstrations.augment.episode import LONGEST, Attempt, AugmentSetup
 from pneutac_datasets.demonstrations.augment.reference import (
     EXTRA_STEPS,
     Reference,
@@ -50,6 +52,7 @@ from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.worker import process_pool
 
 PROVENANCE = "provenance.jsonl"  # in the dataset's folder `meta`
+RECORDED = "recorded"  # method of the copies of recorded demonstrations
 
 
 def read_references(
@@ -107,8 +110,9 @@ def augment_guided(
     workers: int,
     progress: Progress = no_progress,
     checks: int = 0,
+    real_share: float = 0.0,
 ) -> dict:
-    """Writes a LeRobotDataset of planned demonstrations that merges with its source.
+    """Writes a LeRobotDataset of new demonstrations that merges with its source.
 
     Args:
         meta: of the source, from `read_references`.
@@ -119,6 +123,8 @@ def augment_guided(
         workers: processes.
         progress: is called with the stage, and how many of how many are done.
         checks: demonstrations that material points carry out once more, see `check.check`.
+        real_share: share of the frames that are to be recorded ones: as many copies of the source are merged
+            into the new dataset, so that a trainer that draws frames evenly mixes by it.
 
     Returns:
         `attempts`, `kept`, `rejected` (reason to count), `provenance` (a dict each), `seconds` by part,
@@ -136,13 +142,15 @@ def augment_guided(
     if out_root.exists() and work.folder.exists():
         return _tidy_up(work, out_root, meta, setup, episodes, began) | _checked(work, checks)
     check_new(out_root, out_repo_id)
-    work.open(_run(meta, setup))
+    work.open(_run(meta, setup) | ({"real_share": real_share} if real_share else {}))
     shutil.rmtree(part, ignore_errors=True)
     pool = process_pool(workers, begin, setup, work.folder)
     try:
-        scenes = _find_scenes(pool, work, len(setup.references), progress)
+        planner = setup.method == "planner"
+        scenes = _find_scenes(pool, work, len(setup.references), progress) if planner else []
         planned = _plan(pool, work, scenes, episodes, progress)
         provenance, seconds = _write(part, out_repo_id, meta, setup.references, planned)
+        provenance += _mix(part, out_repo_id, meta, real_share)
         check(work, setup, checks, progress)
         agreements = _checked(work, checks)
         finish(part, out_root, provenance)
@@ -167,14 +175,17 @@ def _tidy_up(
 ) -> dict:
     """Ends a run that was stopped when only its work folder was left to remove."""
     work.open(_run(meta, setup))
-    scenes = [work.load_scene(i) for i in range(len(setup.references))]
+    planner = setup.method == "planner"
+    scenes = [work.load_scene(i) for i in range(len(setup.references))] if planner else []
     lines = (out_root / "meta" / PROVENANCE).read_text().splitlines()
-    if len(lines) != episodes:
+    provenance = [json.loads(line) for line in lines]
+    new = sum(line.get("method") != RECORDED for line in provenance)
+    if new != episodes:
         raise InputError(
-            f"'{out_root}' holds {len(lines)} demonstrations, not {episodes}; give a new folder for them."
+            f"'{out_root}' holds {new} demonstrations, not {episodes}; give a new folder for them."
         )
     shutil.rmtree(work.folder)
-    return _summary([json.loads(line) for line in lines], {}, scenes, began)
+    return _summary(provenance, {}, scenes, began)
 
 
 def _find_scenes(pool: ProcessPoolExecutor, work: Work, references: int, progress: Progress) -> list[Scene]:
@@ -194,7 +205,7 @@ def _plan(
         k: pool.submit(make_episode, k, scenes) for k in range(episodes) if not work.episode_file(k).exists()
     }
     for k in range(episodes):
-        progress("planning demonstrations", k, episodes)
+        progress("making demonstrations", k, episodes)
         if k in waiting:
             waiting.pop(k).result()
         yield work.load_episode(k)
@@ -211,7 +222,7 @@ def _write(
     features = demonstration_features(meta)
     use_videos = features[TACTILE]["dtype"] == "video"
     features |= further_features(meta)
-    longest = max(len(r) + r.frames(EXTRA_STEPS) for r in references)
+    longest = max(max(len(r) + r.frames(EXTRA_STEPS), r.frames(LONGEST)) for r in references)
     provenance, seconds = [], {"writing": 0.0}
     with quiet_encoders():
         out = create_dataset(repo_id, part, meta.fps, features, meta.robot_type, use_videos, longest)
@@ -228,6 +239,27 @@ def _write(
         finally:
             out.finalize()
     return provenance, seconds
+
+
+def _mix(part: Path, repo_id: str, meta: LeRobotDatasetMetadata, share: float) -> list[dict]:
+    """Adds copies of the source until so large a share of the frames is recorded; returns their provenance."""
+    new = LeRobotDatasetMetadata(repo_id, part)
+    copies = round(share / (1 - share) * new.total_frames / meta.total_frames)
+    if not copies:
+        return []
+    alone = part.with_name(part.name + ".new")
+    shutil.rmtree(alone, ignore_errors=True)
+    os.replace(part, alone)
+    with quiet_encoders():
+        aggregate_datasets(
+            [repo_id, *[meta.repo_id] * copies], repo_id, [alone, *[Path(meta.root)] * copies], part
+        )
+    shutil.rmtree(alone)
+    sources = list(range(meta.total_episodes)) * copies
+    return [
+        {"episode": k, "method": RECORDED, "source_episode": source}
+        for k, source in enumerate(sources, new.total_episodes)
+    ]
 
 
 def augment_without_simulator(
@@ -255,8 +287,11 @@ def augment_without_simulator(
 
 def _summary(provenance: list[dict], seconds: dict, scenes: list[Scene], began: float) -> dict:
     rejected = [r["reason"] for line in provenance for r in line.get("rejected", ())]
+    copies = sum(line.get("method") == RECORDED for line in provenance)
+    provenance = provenance[: len(provenance) - copies]
     return {
         "kept": len(provenance),
+        "copies": copies,
         "attempts": len(provenance) + len(rejected),
         "rejected": {reason: rejected.count(reason) for reason in sorted(set(rejected))},
         "provenance": provenance,
@@ -287,7 +322,9 @@ def _run(meta: LeRobotDatasetMetadata, setup: AugmentSetup) -> dict:
         "fidelity": setup.fidelity,
         "station": asdict(setup.where),
         "conditions": setup.conditions,
-        "planner": asdict(setup.planner),
+        "method": setup.method,
+        **({"planner": asdict(setup.planner)} if setup.method == "planner" else {}),
+        **({} if setup.method == "planner" else {"start_range_m": setup.start_range_m}),
         "seed": setup.seed,
         "attempts": setup.attempts,
         "files": 2,  # version of the work folder's files

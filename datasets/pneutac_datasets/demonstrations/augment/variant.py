@@ -4,12 +4,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from pneutac_sim.finger.confidence import Z95
+from pneutac_sim.twin import Twin
 from pneutac_sim.world.conditions import Conditions, draw
 
 # Standard deviations.
 FRICTION = 0.15  # of the factor on the gel's friction
 PEAK_KPA = 0.5  # of the peak pressure of a finger of 0 to 15 kPa; of another in proportion to its range
-BEND_GAIN = 0.04  # of the factor on pressure to bend
+BEND_GAIN = 0.04  # of the factor on pressure to bend, where the twin does not know how sure its own is
 ASIDE_M = 0.005  # of the object's place along y, at most: the way there stays, and a gel is 16 mm wide
 LATE = 1  # control steps by which touch is shown too late, at most
 
@@ -48,6 +50,7 @@ class Variant:
         late_commands: int,
         rng: np.random.Generator,
         conditions: Conditions | None = None,
+        bend_gain_sd: float = BEND_GAIN,
     ) -> "Variant":
         """A variant of a reference; factors stay within two standard deviations."""
         friction, peak, gain = np.clip(rng.standard_normal(3), -2, 2)
@@ -58,8 +61,16 @@ class Variant:
             tuple(shift.tolist()),
             float(1 + FRICTION * friction),
             float(PEAK_KPA * peak),
-            float(1 + BEND_GAIN * gain),
+            float(1 + bend_gain_sd * gain),
             late_commands,
             int(rng.integers(0, LATE + 1)),
             draw(conditions or {}, rng),
         )
+
+
+def bend_gain_sd(twin: Twin | None) -> float:
+    """Standard deviation of the factor on pressure to bend: by the interval of the twin's own gain."""
+    gain = twin.parameters.get("gain_rad_per_kpa") if twin else None
+    if gain is None or gain.ci95 is None or not gain.value:
+        return BEND_GAIN
+    return (gain.ci95[1] - gain.ci95[0]) / (2 * Z95 * abs(gain.value))

@@ -61,7 +61,7 @@ class Work:
         with np.load(self.episode_file(index)) as d:
             images = np.add(d["change"], d["first"], dtype=np.uint8)
             provenance, seconds = json.loads(str(d["provenance"])), json.loads(str(d["seconds"]))
-            scores = provenance["cost"], provenance["area_rmse"]
+            scores = provenance.get("cost", 0.0), provenance.get("area_rmse", 1.0)
             start = start_from_json(str(d["start"]))
             more = {key.removeprefix(MORE): d[key] for key in d.files if key.startswith(MORE)}
             attempt = Attempt(d["state"], d["action"], images, None, *scores, start, more)

@@ -1,0 +1,161 @@
+"""The controller made of demonstrations: it searches on, answers late, and does the task from elsewhere."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pneutac_datasets.demonstrations.augment.episode import AugmentSetup, Generator
+from pneutac_datasets.demonstrations.augment.library import (
+    Follower,
+    Library,
+    lagged_answers,
+    regular,
+    start_spread_m,
+)
+from pneutac_datasets.demonstrations.augment.planner import PlannerConfig
+from pneutac_datasets.demonstrations.augment.reference import Reference, reaction_hz
+from pneutac_datasets.demonstrations.augment.variant import BEND_GAIN, bend_gain_sd
+from pneutac_sim.finger.confidence import Z95
+from pneutac_sim.twin import Twin, Value
+
+NOTHING = np.full(2, np.nan)
+
+
+def walk(source, start_m=(0.0, 0.0, 0.3), touch=(40, 60), frames=90, y_m_s=0.02) -> Reference:
+    """Goes along y at 15 Hz, is pressed at 6 kPa in `touch` and ends."""
+    action = np.tile([0.0, y_m_s, 0.0, 3.0], (frames, 1))
+    area = np.zeros(frames)
+    area[slice(*touch)] = 0.05
+    action[slice(*touch), 3] = 6.0
+    flange = np.add(start_m, np.cumsum(action[:, :3], 0) / 15 - action[0, :3] / 15)
+    centre = np.full((frames, 2), np.nan)
+    centre[slice(*touch)] = 0.0
+    return Reference(source, flange, area, action, "walk", centre)
+
+
+def run(follower, felt, steps, start_m):
+    """Actions and places where areas `felt(flange, step)` come back; ends where no action comes."""
+    flange, pressure, actions, places = np.array(start_m, float), np.full(1, 3.0), [], []
+    for k in range(steps):
+        area = felt(flange, k)
+        action = follower.action(area, NOTHING if not area else np.zeros(2), flange, pressure)
+        if action is None:
+            break
+        actions.append(action)
+        places.append(flange)
+        flange, pressure = flange + action[:3] / 15, action[3:]
+    return np.array(actions), np.array(places)
+
+
+def test_a_free_way_is_followed_and_led_back_to():
+    r = walk(0)
+    follower = Follower(Library([r], np.zeros((3, 3)), 15.0), np.random.default_rng(0), r.flange_m[0])
+    _, places = run(follower, lambda *_: 0.0, 35, r.flange_m[0] + (0.006, 0.0, 0.0))
+    aside = places[:, 0]
+    assert aside[0] == pytest.approx(0.006) and abs(aside[-1]) < 1e-3
+    assert (np.diff(np.abs(aside)) <= 1e-12).all()
+
+
+@pytest.mark.parametrize("early", [-20, 0, 5])
+def test_contact_follows_relative_to_where_touch_came(early):
+    """Twenty frames too soon, in time, or five too late: the press is done from there."""
+    r, at = walk(0), 40 + early
+    library = Library([r], np.zeros((3, 3)), 15.0)
+    follower = Follower(library, np.random.default_rng(0), r.flange_m[0])
+    felt = lambda flange, k: 0.05 if at <= k < at + 20 else 0.0  # noqa: E731
+    actions, places = run(follower, felt, 75, r.flange_m[0])
+    assert (actions[at : at + 18, 3] == 6.0).all() and (actions[: at - 1, 3] == 3.0).all()
+    moved = places[at + 15] - places[at]
+    np.testing.assert_allclose(moved, r.flange_m[55] - r.flange_m[40], atol=2e-3)
+
+
+def test_where_touch_does_not_come_it_searches_on_with_another_demonstration():
+    """The second begins where the first expected its touch, and still has 30 free frames ahead."""
+    first = walk(0)
+    second = walk(1, first.flange_m[38], touch=(40, 60))
+    follower = Follower(
+        Library([first, second], np.zeros((3, 3)), 15.0), np.random.default_rng(2), first.flange_m[0]
+    )
+    follower._go(0, -1)
+    _, places = run(follower, lambda *_: 0.0, 80, first.flange_m[0])
+    assert [p[1] for p in follower.path][-1] == 1
+    assert places[-1][1] > second.flange_m[20][1]
+
+
+def test_alone_it_searches_the_same_way_again_where_touch_does_not_come():
+    r = walk(0)
+    follower = Follower(Library([r], np.zeros((3, 3)), 15.0), np.random.default_rng(0), r.flange_m[0])
+    actions, places = run(follower, lambda *_: 0.0, 200, r.flange_m[0])
+    assert len(follower.path) > 2 and (actions[50:, 1] < 0).any() and (actions[50:, 1] > 0).any()
+    assert places[:, 1].max() < r.flange_m[48, 1] and places[50:, 1].min() > r.flange_m[15, 1]
+
+
+def test_far_from_all_demonstrations_it_gives_up():
+    r = walk(0)
+    far_m = r.flange_m[0] + (0.3, 0.0, 0.0)
+    follower = Follower(Library([r], np.zeros((3, 3)), 15.0), np.random.default_rng(0), far_m)
+    action = follower.action(0.0, NOTHING, far_m, np.full(1, 3.0))
+    follower._frame = len(r)
+    assert action is not None and follower.action(0.0, NOTHING, far_m, np.full(1, 3.0)) is None
+
+
+def test_late_answers_are_found_where_the_same_frame_shows_nothing():
+    """A hand that follows a wandering imprint 0.27 s late, 3 1/s along x: found at a lag of four frames."""
+    rng, gain, lag = np.random.default_rng(3), 3.0, 4
+    made = []
+    for source in range(6):
+        r = walk(source, touch=(20, 80))
+        wander = 2.0 * np.cumsum(rng.standard_normal(60)) / 4
+        r.centre_mm[20:80, 0] = wander - np.roll(wander, 7)
+        r.action[20 + lag : 80, 0] += gain * 1e-3 * r.centre_mm[20 : 80 - lag, 0]
+        r.action[20:80, :3] += 2e-4 * rng.standard_normal((60, 3))
+        made.append(r)
+    answers, found = lagged_answers(made)
+    assert found == lag and answers[0, 0] == pytest.approx(gain, rel=0.1)
+    assert not answers[2].any()
+    assert abs(reaction_hz(made)[0, 0]) < 0.5 * gain
+
+
+def test_pauses_are_left_out_of_free_ways_alone():
+    r = walk(0)
+    r.action[10:20, :3] = 0.0
+    r.action[45:55, :3] = 0.0
+    kept = regular(r)
+    assert 78 <= len(kept) <= 84
+    assert (kept.area > 0).sum() == 20
+
+
+def test_starts_are_as_wide_as_the_recorded_ones():
+    places = np.random.default_rng(0).normal(0, (0.02, 0.01, 0.001), (400, 3)) + (0.0, 0.0, 0.3)
+    made = [walk(k, tuple(p)) for k, p in enumerate(places)]
+    x, y, z = start_spread_m(made)
+    assert x == pytest.approx(0.02, rel=0.1) and y == pytest.approx(0.01, rel=0.1) and z == 0.004
+
+
+def test_the_bend_varies_as_far_as_the_twin_knows_its_own():
+    twin = Twin.builtin()
+    twin.parameters["gain_rad_per_kpa"] = Value(0.03, None)
+    assert bend_gain_sd(twin) == BEND_GAIN
+    twin.parameters["gain_rad_per_kpa"] = Value(0.03, (0.03 - 0.0006 * Z95, 0.03 + 0.0006 * Z95))
+    assert bend_gain_sd(twin) == pytest.approx(0.02)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["library", "expert"])
+def test_the_task_is_done_from_starts_and_objects_that_nobody_showed(method):
+    from test_planner import demonstrations
+
+    recorded = demonstrations("switch", 3)
+    options = {"method": method, "start_range_m": (0.01, 0.01, 0.004), "attempts": 8}
+    generator = Generator(AugmentSetup(recorded, "switch", None, "probe", PlannerConfig(), 1, **options))
+    made = [generator.episode(k, []) for k in range(3)]
+    for attempt, provenance in made:
+        assert attempt.reason is None and provenance["method"] == method
+        assert (attempt.area > 0).any() and len(attempt.state) == len(attempt.action) == provenance["frames"]
+        assert ("path" in provenance) == (method == "library")
+    starts = np.array([a.state[0, 14:17] for a, _ in made])
+    shown = np.array([r.flange_m[0] for r in recorded])
+    assert np.linalg.norm(starts[:, None] - shown, axis=2).min(1).max() > 0.003
+    again = Generator(replace(generator.setup)).episode(1, [])[0]
+    np.testing.assert_array_equal(again.action, made[1][0].action)
