@@ -373,3 +373,20 @@ def test_an_episode_is_a_function_of_seed_and_index(switch):
     other, _ = generator.episode(2, scenes)
     n = min(len(other.action), len(first.action))
     assert np.abs(other.action[:n] - first.action[:n]).max() > 1e-4
+
+
+@pytest.mark.parametrize("method", ["library", "expert"])
+def test_the_task_is_done_from_starts_and_objects_that_nobody_showed(method):
+    recorded = demonstrations("switch", 3)
+    options = {"method": method, "start_range_m": (0.01, 0.01, 0.004), "attempts": 8}
+    generator = Generator(AugmentSetup(recorded, "switch", None, "probe", PlannerConfig(), 1, **options))
+    made = [generator.episode(k, []) for k in range(3)]
+    for attempt, provenance in made:
+        assert attempt.reason is None and provenance["method"] == method
+        assert (attempt.area > 0).any() and len(attempt.state) == len(attempt.action) == provenance["frames"]
+        assert ("path" in provenance) == (method == "library")
+    starts = np.array([a.state[0, 14:17] for a, _ in made])
+    shown = np.array([r.flange_m[0] for r in recorded])
+    assert np.linalg.norm(starts[:, None] - shown, axis=2).min(1).max() > 0.003
+    again = Generator(replace(generator.setup)).episode(1, [])[0]
+    np.testing.assert_array_equal(again.action, made[1][0].action)
