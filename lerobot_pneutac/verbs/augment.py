@@ -185,7 +185,7 @@ class Augmentation(Result):
         if copies:
             times = copies // len(self.references)
             out.append(
-                f"The recorded ones are in the dataset {times} time{'s' * (times > 1)}, so that training on it"
+                f"The dataset holds the recorded ones {times} time{'s' * (times > 1)}, so that training on it"
                 " mixes both (--real_share); do not merge it with them again."
             )
         return out

@@ -1,9 +1,9 @@
 """A controller made of the demonstrations themselves: it can start anywhere, with the object anywhere.
 
-On a free way it follows one of the demonstrations and is led back to it. When touch comes, that demonstration's
-next contact follows, relative to where the touch came. Where touch does not come, is lost, or the demonstration
-is over, the controller jumps to the nearest free frame of any demonstration that still searches. A touch
-elsewhere on the gel than demonstrated, or more of it, is answered as the demonstrations answer it.
+On a free way it follows one of the demonstrations and is led back to it. When touch comes, the next contact of
+that demonstration follows, relative to where the touch came. Where touch does not come, is lost, or the
+demonstration is over, the controller jumps to the nearest free frame of any demonstration that still searches.
+A touch elsewhere on the gel than demonstrated, or more of it, is answered as the demonstrations answer it.
 """
 
 from dataclasses import dataclass, replace
@@ -294,6 +294,6 @@ class Follower:
 
 
 def start_spread_m(references: list[Reference]) -> tuple[float, float, float]:
-    """Half widths by which new starts lie about the recorded ones: their standard deviation, 4 mm at least."""
+    """Half widths of new starts about the recorded ones: their standard deviation, 4 mm at least."""
     spread = np.std([r.flange_m[0] for r in references], axis=0, ddof=1)
     return tuple(np.maximum(spread, LEAST_START_M).tolist())

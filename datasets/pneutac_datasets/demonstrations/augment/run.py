@@ -1,8 +1,8 @@
 """Augmentation of demonstrations: a few recorded ones in, many new ones out, as a LeRobotDataset.
 
-`augment_guided` carries each new demonstration out in the world, by a controller made of the recorded ones, by the
-task's expert, or planned and guided by the recorded touch; `naive.augment_naive` varies the recordings without a
-simulator.
+`augment_guided` carries each new demonstration out in the world: by a controller made of the recorded ones, by
+the task's expert, or planned and guided by the recorded touch. `naive.augment_naive` varies the recordings
+without a simulator.
 """
 
 import hashlib
@@ -242,7 +242,7 @@ def _write(
 
 
 def _mix(part: Path, repo_id: str, meta: LeRobotDatasetMetadata, share: float) -> list[dict]:
-    """Adds copies of the source until so large a share of the frames is recorded; returns their provenance."""
+    """Adds copies of the source until such a share of the frames is recorded; returns their provenance."""
     new = LeRobotDatasetMetadata(repo_id, part)
     copies = round(share / (1 - share) * new.total_frames / meta.total_frames)
     if not copies:
