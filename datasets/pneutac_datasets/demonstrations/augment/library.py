@@ -1,9 +1,9 @@
 """A controller made of the demonstrations themselves: it can start anywhere, with the object anywhere.
 
-On a free way it follows one of the demonstrations and is led back to it. When touch comes, the next contact of
-that demonstration follows, relative to where the touch came. Where touch does not come, is lost, or the
-demonstration is over, the controller jumps to the nearest free frame of any demonstration that still searches.
-A touch elsewhere on the gel than demonstrated, or more of it, is answered as the demonstrations answer it.
+On a free path it follows one of the demonstrations and is led back to it. When touch comes, the next contact
+of that demonstration follows, relative to where the touch came. Where touch does not come, is lost, or the
+demonstration is over, the controller jumps to the nearest free frame of any demonstration that still
+searches. A touch elsewhere on the gel than demonstrated, or more of it, is answered as they answer it.
 """
 
 from dataclasses import dataclass, replace

@@ -1,7 +1,7 @@
 """Augmentation of demonstrations: a few recorded ones in, many new ones out, as a LeRobotDataset.
 
-`augment_guided` carries each new demonstration out in the world: by a controller made of the recorded ones, by
-the task's expert, or planned and guided by the recorded touch. `naive.augment_naive` varies the recordings
+`augment_guided` carries each new demonstration out in the world: by a controller made of the recorded ones,
+by the task's expert, or planned and guided by the recorded touch. `naive.augment_naive` varies the recordings
 without a simulator.
 """
 
