@@ -13,7 +13,9 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import redirect_stderr
 from dataclasses import asdict
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -250,7 +252,7 @@ def _mix(part: Path, repo_id: str, meta: LeRobotDatasetMetadata, share: float) -
     alone = part.with_name(part.name + ".new")
     shutil.rmtree(alone, ignore_errors=True)
     os.replace(part, alone)
-    with quiet_encoders():
+    with quiet_encoders(), redirect_stderr(StringIO()):  # bars of its own beside ours
         aggregate_datasets(
             [repo_id, *[meta.repo_id] * copies], repo_id, [alone, *[Path(meta.root)] * copies], part
         )
