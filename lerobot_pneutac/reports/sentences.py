@@ -209,8 +209,8 @@ def _headline(s: State) -> str:
             )
         case Kind.NOTHING:
             return (
-                f"Nothing that was tested explains the test error of {error}, neither a known effect nor a black "
-                "box of the command. How much of it is noise is not known."
+                f"Nothing that was tested explains the test error of {error}, neither a known effect nor a "
+                "black box of the command. How much of it is noise is not known."
             )
         case Kind.UNDECIDED if s.noise is None:
             return (
