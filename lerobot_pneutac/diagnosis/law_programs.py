@@ -1,4 +1,4 @@
-"""The experiment that shows one law apart from its neighbours, made from what it remembers and its constants.
+"""The experiment that shows one law apart from its neighbours, made from its entry and its constants.
 
 A lag shows after a step, for a few of its time constants; a play where the pressure turns, whatever the
 speed; friction by speed; a limit that was passed only when one comes back below it.
@@ -11,8 +11,7 @@ import numpy as np
 from lerobot_pneutac.diagnosis.programs import HZ, Program, beside_one, pressure_span, table
 from pneutac_datasets.recording.pressures import supply_limits
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.effects import memories as by
-from pneutac_sim.effects.law_table import TABLE, Row
+from pneutac_sim.effects.laws import TABLE
 
 MOST_S = 600.0
 MOST_HZ = 100.0
@@ -37,16 +36,16 @@ def law_program(recording: Recording, name: str, constants: Mapping[str, float])
     if row is None:
         return None
     low, top = pressure_span(recording)
-    advice, knots, hz = _shape(row)(row, constants, low, top)
+    advice, knots, hz = _PROGRAMS[row.experiment](row, constants, low, top)
     time_s, kpa = np.array([(0.0, low), *knots]).T
     if supply_limits(recording) and kpa.max() > top + 1e-6:
         return None  # no supply gives more
     time_s = np.cumsum(time_s)
     t = np.arange(int(min(time_s[-1], MOST_S) * hz)) / hz
     p, change = np.interp(t, time_s, kpa), {}
-    if "temperature_c" in row.columns:
+    if row.column == "temperature_c":
         cold = float(recording.samples["temperature_c"].median())
-        if row.input != by.CONDITION:  # the whole program, then once more in the warm
+        if row.experiment != "warming":  # the whole program, then once more in the warm
             t, p = np.arange(2 * len(p)) / hz, np.tile(p, 2)
         change = {"temperature_c": np.where(np.arange(len(t)) < len(t) // 2, cold, cold + WARMER_C)}
         advice += f" Do the first half at {cold:.0f} °C, the second at {cold + WARMER_C:.0f} °C."
@@ -57,14 +56,6 @@ def law_programs(recording: Recording, effects: Mapping[str, Mapping[str, float]
     """Of all laws among some effects, each with its constants."""
     made = (law_program(recording, name, constants) for name, constants in effects.items())
     return [p for p in made if p is not None]
-
-
-def _shape(row: Row) -> Callable[..., tuple[str, Knots, float]]:
-    if row.input == by.CONDITION:
-        return _soak
-    if row.memory == by.LAG and row.input in (by.SPEED, by.WORK):
-        return _work
-    return _SHAPES[row.memory]
 
 
 def _hold(kpa: float, seconds: float) -> Knots:
@@ -103,23 +94,20 @@ def _after_steps(row, c, low, top):
         f"Step to {middle:.3g} kPa and hold {hold:.3g} s, vent to {low:.3g} kPa for {hold:.3g} s, then "
         f"the same with {top:.3g} kPa"
     )
+    stops = f"the bend goes on for {hold:.3g} s and then stops, and what comes late"
     seen = {
-        by.LAG: "the bend goes on for "
-        f"{hold:.3g} s and then stops, and what comes late "
-        + (
-            "grows with the square of the pressure"
-            if row.input == by.P_SQUARED
-            else "doubles with the pressure"
-        ),
-        by.LAG_PRESSURE: "the bend goes on, faster or slower at the higher pressure",
-        by.LAG_WARM: "the bend goes on, faster or slower in the warm",
-        by.SPECTRUM: "the bend goes on ever slower, from 10 to 100 s still, and does not stop",
-        by.HELD: "while the pressure is held the bend falls at a steady pace",
-    }[row.memory]
-    if row.role == by.GAIN:
+        "hold": f"{stops} doubles with the pressure",
+        "hold, squared": f"{stops} grows with the square of the pressure",
+        "hold, by pressure": "the bend goes on, faster or slower at the higher pressure",
+        "hold, by warmth": "the bend goes on, faster or slower in the warm",
+        "hold for long": "the bend goes on ever slower, from 10 to 100 s still, and does not stop",
+        "loss": "while the pressure is held the bend falls at a steady pace",
+        "hold, then less": f"at {middle:.3g} kPa it bends otherwise right after {top:.3g} kPa than after "
+        "rest",
+    }[row.experiment]
+    if row.experiment == "hold, then less":
         knots += [*_hold(top, hold), *_hold(middle, hold)]
         text += f", then {top:.3g} kPa and {middle:.3g} kPa for {hold:.3g} s each"
-        seen = f"at {middle:.3g} kPa it bends otherwise right after {top:.3g} kPa than after rest"
     return f"{text}: {seen}.", knots, max(HZ, min(MOST_HZ, 5 / tau))
 
 
@@ -214,7 +202,7 @@ def _after_the_highest(row, c, low, top):
         *_hold(low, 20.0),
         *small,
     ]
-    stays = "stay changed" if row.memory == by.BELOW else f"are as before within {wait:.3g} s"
+    stays = "stay changed" if row.experiment == "staying" else f"are as before within {wait:.3g} s"
     text = (
         f"After a rest make three strokes to {middle:.3g} kPa, one to {top:.3g} kPa, then strokes to "
         f"{middle:.3g} kPa again for {wait:.3g} s, in 4 s each: the small strokes change at once after the "
@@ -239,7 +227,9 @@ def _work(row, c, low, top):
     count, knots = round(move / 2), []
     for a, b in ((low, middle), (middle, top)):
         knots += [(2.0, a), *_strokes(a, b, 2.0, count), (2.0, top), (move, top)]
-    more = "more so about the high pressures" if row.input == by.WORK else "alike about both"
+    more = (
+        "more so about the high pressures" if row.experiment == "motion, by pressure" else "alike about both"
+    )
     text = (
         f"Make strokes of 2 s for {move:.3g} s between {low:.3g} and {middle:.3g} kPa, hold {top:.3g} kPa as "
         f"long, then the same between {middle:.3g} and {top:.3g} kPa: what motion changed comes back "
@@ -263,17 +253,21 @@ def _soak(row, c, low, top):
     return text, [k for _ in range(count) for k in (*_strokes(low, top, 6.0, 1), (14.0, low))], HZ
 
 
-_SHAPES: dict[int, Callable[..., tuple[str, Knots, float]]] = {
-    **dict.fromkeys((by.PLAIN, by.CUBE, by.POWER, by.TANH, by.STEP), _stairs),
-    **dict.fromkeys((by.LAG, by.LAG_PRESSURE, by.LAG_WARM, by.SPECTRUM, by.HELD), _after_steps),
-    **dict.fromkeys((by.PLAY, by.PLAY_TWO, by.PLAY_CUBED, by.LOOP), _turns),
-    **dict.fromkeys((by.TANH_OF, by.ROOT_LAG), _paces),
-    **dict.fromkeys((by.FADING, by.BELOW), _after_the_highest),
-    by.HINGE: _around_threshold,
-    by.DEAD_BAND: _small_stairs,
-    by.FLIP: _over_the_snap,
-    by.MODE: _swing,
-    by.FILL_VENT: _fill_and_vent,
-    by.PATH: _many_strokes,
-    by.FADING_TIME: _warm_up,
+# The catalogue's experiment to its program.
+_PROGRAMS: dict[str, Callable[..., tuple[str, Knots, float]]] = {
+    "stairs": _stairs,
+    "turns": _turns,
+    "paces": _paces,
+    "threshold": _around_threshold,
+    **dict.fromkeys(("hold", "hold, squared", "hold, then less", "hold, by pressure"), _after_steps),
+    **dict.fromkeys(("hold, by warmth", "hold for long", "loss"), _after_steps),
+    "fill and vent": _fill_and_vent,
+    "swing": _swing,
+    **dict.fromkeys(("fading", "staying"), _after_the_highest),
+    "strokes": _many_strokes,
+    "snap": _over_the_snap,
+    "small stairs": _small_stairs,
+    "from rest": _warm_up,
+    "warming": _soak,
+    **dict.fromkeys(("motion", "motion, by pressure"), _work),
 }

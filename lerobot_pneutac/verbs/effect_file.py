@@ -1,25 +1,18 @@
-"""Python files of effects: of the library's own as they are, of laws without other laws' branches."""
+"""Python files of effects: the library's own as they are, of a law its entry and the source that it runs."""
 
-import ast
+import dis
 import importlib
 import inspect
 import re
 from dataclasses import MISSING, fields
+from functools import partial
 
-from pneutac_sim.effects import laws, memories
+from pneutac_sim.effects import laws
 from pneutac_sim.effects.body_effect import BodyEffect
 from pneutac_sim.effects.effect import Effect, Parameter
 from pneutac_sim.effects.registry import BUILTIN, get_effect
 from pneutac_sim.errors import InputError
 
-CODES = (
-    "source",
-    "kind",
-    "role",
-    "condition",
-    "out",
-    "feature",
-)  # arguments of the interpreter that a law fixes
 PROJECT = """
 Entry point, in the pyproject.toml of your package:
 
@@ -54,141 +47,45 @@ def effect_source(name: str) -> str:
 
 
 def _law_source(effect: BodyEffect) -> str:
-    run = effect.run.py_func
-    known = _codes(effect)
-    functions = _needed(run, known)
-    body = "\n\n\n".join(f"@kernel\n{ast.unparse(f)}" for f in functions)
-    constants = [f"{n} = {_value(n)}" for n in ("SLOTS", "TIMES_S") if re.search(rf"\b{n}\b", body)]
-    imports = ["import math", ""] if "math." in body else []
-    imports += ["import numpy as np", ""] if re.search(r"\bnp\.|TIMES_S", body) else []
-    imports += ["from pneutac_sim.effects import BodyEffect, Parameter, kernel", ""]
+    """The row of the catalogue, and the source of what it runs."""
+    run = effect.run if isinstance(effect.run, partial) else partial(effect.run)
+    used = _used([run.func, *filter(callable, run.keywords.values())])
+    body = "\n\n\n".join(inspect.getsource(f).rstrip() for f in used.values())
+    constants = [f"SLOTS = {laws.SLOTS}"] if "SLOTS" in body else []
+    if "TIMES_S" in body:
+        times = laws.TIMES_S
+        constants += [f"TIMES_S = np.geomspace({times[0]:g}, {times[-1]:g}, {len(times)})"]
+    chosen = [f"{k}={v.__name__ if callable(v) else repr(v)}" for k, v in run.keywords.items()]
     own = file_name(effect.name)
-    head = f'"""{effect.name}: {{}}\n\n{effect.equation}\n{PROJECT.format(name=own)}"""\n'
-    head = head.replace("{}", "a law, as it acts in a twin.").replace("\\", "\\\\")
-    size = effect.state_size(1), effect.state_size(2)
-    step = size[1] - size[0]
+    head = f'"""{effect.name}: a law, as it acts in a twin.\n\n{effect.equation}\n'
+    head += f'{PROJECT.format(name=own)}"""\n'
+    step = effect.state_size(2) - effect.state_size(1)
     return "\n".join(
         [
-            head, *imports, *constants, "", "", body, "", "", "EFFECT = BodyEffect(",
+            head.replace("\\", "\\\\"),
+            "import math", "from functools import partial", "", "import numpy as np", "",
+            "from pneutac_sim.effects import BodyEffect, Parameter, kernel", "",
+            *constants, "", "", body, "", "", "EFFECT = BodyEffect(",
             f"    name={own!r},", f"    stage={effect.stage!r},", f"    signal={effect.signal!r},",
-            f"    run={functions[-1].name},",
+            f"    run=partial({', '.join([run.func.__name__, *chosen])}),",
             "    parameters=(", *(f"        {_parameter(p)}," for p in effect.parameters), "    ),",
-            f"    codes={effect.codes!r},", f"    columns={effect.columns!r},",
-            f"    state_size=lambda channels: {step} * channels,",
+            f"    columns={effect.columns!r},", f"    state_size=lambda channels: {step} * channels,",
             f"    equation={effect.equation!r},", f"    summary={effect.summary!r},",
             f"    experiment={effect.experiment!r},", ")", "",
         ]
     )  # fmt: skip
 
 
-def _codes(effect: BodyEffect) -> dict[str, int]:
-    """What the interpreter's codes are for one law."""
-    if effect.run is memories.run_drive:
-        source, kind, role, _, condition = map(int, effect.codes[:5])
-        return {"source": source, "kind": kind, "role": role, "condition": condition}
-    if effect.run is memories.run_seen:
-        return {"out": int(effect.codes[0]), "feature": int(effect.codes[1])}
-    return {}
-
-
-def _needed(run, known: dict[str, int]) -> list[ast.FunctionDef]:
-    """The function and those that it calls, callees first, with the codes put in."""
-    out: dict[str, ast.FunctionDef] = {}
-
-    def visit(function) -> None:
-        tree = _Folded(known).visit(ast.parse(inspect.getsource(function)).body[0])
-        tree.decorator_list = []
-        for node in ast.walk(tree):
-            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id not in out:
-                called = getattr(memories, node.func.id, None)
-                if hasattr(called, "py_func"):
-                    visit(called.py_func)
-        out[tree.name] = ast.fix_missing_locations(tree)
-
-    visit(run)
-    return list(out.values())
-
-
-class _Folded(ast.NodeTransformer):
-    """Puts the codes in, and takes out the branches that they never reach."""
-
-    def __init__(self, known: dict[str, int]):
-        self.known = known
-
-    def visit_FunctionDef(self, node):
-        """Everything after a return is out of reach."""
-        self.generic_visit(node)
-        node.body = _reached(node.body)
-        return node
-
-    def visit_Assign(self, node):
-        """Codes are not read any more."""
-        names = [n.id for t in node.targets for n in getattr(t, "elts", [t]) if isinstance(n, ast.Name)]
-        codes = [n for n in names if n in CODES]
-        if codes and isinstance(node.value, ast.Tuple):
-            rest = [(n, v) for n, v in zip(names, node.value.elts, strict=True) if n not in CODES]
-            return [ast.Assign([ast.Name(n, ast.Store())], v, lineno=0) for n, v in rest]
-        return self.generic_visit(node)
-
-    def visit_Name(self, node):
-        """A code's value, and what the table calls it."""
-        if isinstance(node.ctx, ast.Load):
-            value = self.known.get(node.id, getattr(memories, node.id, None) if node.id.isupper() else None)
-            if isinstance(value, int) and node.id != "SLOTS":
-                return ast.Constant(value)
-        return node
-
-    def visit_Compare(self, node):
-        """Two numbers are compared now."""
-        self.generic_visit(node)
-        if len(node.ops) == 1 and isinstance(node.left, ast.Constant) and _is_number(node.comparators[0]):
-            a, b = node.left.value, node.comparators[0].value
-            kinds = {ast.Eq: a == b, ast.Gt: a > b, ast.GtE: a >= b, ast.Lt: a < b, ast.LtE: a <= b}
-            if type(node.ops[0]) in kinds:
-                return ast.Constant(kinds[type(node.ops[0])])
-        return node
-
-    def visit_BoolOp(self, node):
-        """`or` and `and` of what is known."""
-        self.generic_visit(node)
-        stops = isinstance(node.op, ast.Or)
-        left = [v for v in node.values if not (isinstance(v, ast.Constant) and v.value is (not stops))]
-        if any(isinstance(v, ast.Constant) and v.value is stops for v in left):
-            return ast.Constant(stops)
-        if not left:
-            return ast.Constant(not stops)
-        return left[0] if len(left) == 1 else ast.BoolOp(node.op, left)
-
-    def visit_If(self, node):
-        """The branch that is taken."""
-        self.generic_visit(node)
-        if isinstance(node.test, ast.Constant):
-            return node.body if node.test.value else node.orelse
-        return node
-
-    def visit_IfExp(self, node):
-        """The value that is taken."""
-        self.generic_visit(node)
-        if isinstance(node.test, ast.Constant):
-            return node.body if node.test.value else node.orelse
-        return node
-
-
-def _reached(body: list[ast.stmt]) -> list[ast.stmt]:
-    for i, line in enumerate(body):
-        if isinstance(line, ast.Return):
-            return body[: i + 1]
-    return body
-
-
-def _is_number(node: ast.expr) -> bool:
-    return isinstance(node, ast.Constant) and isinstance(node.value, int | float)
-
-
-def _value(name: str) -> str:
-    if name == "TIMES_S":
-        return f"np.geomspace({memories.TIMES_S[0]:g}, {memories.TIMES_S[-1]:g}, {len(memories.TIMES_S)})"
-    return repr(getattr(memories, name))
+def _used(functions: list) -> dict:
+    """Name to function: these and those of `laws` that they call, callees first."""
+    found: dict = {}
+    for function in functions:
+        plain = getattr(function, "py_func", function)
+        names = {i.argval for i in dis.get_instructions(plain) if i.opname == "LOAD_GLOBAL"}
+        called = [getattr(laws, n, None) for n in sorted(names)]
+        found |= _used([f for f in called if getattr(f, "__module__", "") == laws.__name__ and f != function])
+        found[plain.__name__] = plain
+    return found
 
 
 def _parameter(p: Parameter) -> str:

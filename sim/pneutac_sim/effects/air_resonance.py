@@ -10,18 +10,17 @@ import numpy as np
 
 from pneutac_sim.effects.body_effect import BodyEffect, kernel
 from pneutac_sim.effects.effect import Parameter
-from pneutac_sim.effects.memories import SLOTS, mode
+from pneutac_sim.effects.laws import second_order
 
 
 @kernel
 def run(x, dt, theta, conditions, state):
-    """State = per channel as in `laws`: the input before, pressure and its rate."""
+    """State, a row each: nothing, the input before, pressure and its rate."""
     n, channels = x.shape
-    s, f = state.reshape(channels, SLOTS).T.copy(), np.empty((n + 1, channels))
+    s, f = state.reshape(4, channels), np.empty((n + 1, channels))
     f[0], f[1:] = s[1], x
-    mode(s, f, dt, theta[0], theta[1], x)
+    x[:] = second_order(s, f, dt, theta[0], theta[1])
     s[1] = f[n]
-    state[:] = s.T.copy().reshape(channels * SLOTS)
 
 
 EFFECT = BodyEffect(
@@ -33,7 +32,7 @@ EFFECT = BodyEffect(
     ),
     run=run,
     apart=True,
-    state_size=lambda channels: SLOTS * channels,
+    state_size=lambda channels: 4 * channels,
     equation=r"\ddot p + 2\zeta\omega\,\dot p + \omega^2 (p - p_{cmd}) = 0",
     cause="pressure oscillation in hose and chamber, {hz:.2g} Hz, damping ratio {damping_ratio:.2g}",
     summary="Your pressure oscillates in hose and chamber at {hz:.2g} Hz, damping ratio {damping_ratio:.2g}.",

@@ -1,56 +1,783 @@
-"""Laws: effects that are not written by hand but composed of an input, a memory, a role and a condition.
+"""Laws: effects that are composed of an input, a memory, a role and a condition, one entry each.
 
 A law acts on the pressure that bends a body (stage `drive`) by adding a term to it,
 
     p -> p + w c g,   g = M[f(p)]  (added)   or   g = p M[f(p)] / P  (a gain),
 
 on where its tip is (stage `material`), or on what is read of it (stage `observation`). f is the input, M the
-memory, c the condition, P the largest pressure. All laws are rows of one `TABLE`, run by one compiled
-interpreter; a twin keeps a law as its name and its constants, so a found law is data and nothing that came
-with a twin is executed.
+memory, c the condition, P the largest pressure. A twin keeps a law as its name and its constants, so a found
+law is data and nothing that came with a twin is executed.
 
-The memories and their sources are in `memories`.
+Sources of the memories: first-order lags; a power-law spectrum of them (a spring-pot: Nutting, J. Franklin
+Inst. 191, 1921); second order; play and Bouc-Wen loops (Macki, Nistri, Zecca, SIAM Review 35, 1993); a
+maximum that fades (Mullins: Diani, Fayolle, Gilormini, Eur. Polym. J. 45, 2009); path travelled; loss while
+held.
 """
 
-import math
-from functools import cache
+# ruff: noqa: D103 - inputs and memories are what the equations in the catalogue say
 
-from pneutac_sim.effects import memories as by
-from pneutac_sim.effects.body_effect import BodyEffect
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache, partial
+
+import numpy as np
+
+from pneutac_sim.effects.body_effect import BodyEffect, kernel
 from pneutac_sim.effects.effect import Parameter
-from pneutac_sim.effects.law_table import TABLE
-from pneutac_sim.effects.law_words import CAUSES, CONSTANTS, WORDS, seen_by
 
 REFERENCE_C = 23.0
+SLOTS = (
+    16  # numbers that a channel remembers: whether it has begun, its pressure before, the memory's, its input
+)
+TIMES_S = np.geomspace(0.1, 400.0, 12)  # of the power-law spectrum
+
+# ---------------------------------------------------------------- inputs f of the pressure x (n, channels)
+# Arguments: x; dt (n,) s, infinite after a rest; before (channels,), the pressure before; c (n,), the counted
+# condition; P.
 
 
-# output and feature: code of the output, code of the feature, columns
-_SEEN = {
-    **{f"tip_{a} += {f}": (i, j, ()) for i, a in enumerate("xyz") for j, f in enumerate(("z^2", "x z"))},
-    **{f"tip_{a} += dT": (i, 2, ("temperature_c",)) for i, a in enumerate("xyz")},
-    "tip_y += g_y": (1, 2, ("gravity_y",)),
-    "bend += bend^2": (3, 3, ()),
-    "bend += dT": (3, 2, ("temperature_c",)),
+def pressure(x, dt, before, c, P):
+    return x
+
+
+def squared(x, dt, before, c, P):
+    return x * np.abs(x) / P
+
+
+def condition(x, dt, before, c, P):
+    return np.repeat(P * c[:, None], x.shape[1], axis=1)
+
+
+@kernel
+def rate(x, dt, before, c, P):
+    """kPa/s since the sample before; zero after a rest."""
+    out = np.empty_like(x)
+    for t in range(len(x)):
+        for i in range(x.shape[1]):
+            last = x[t - 1, i] if t > 0 else before[i]
+            out[t, i] = 0.0 if math.isinf(dt[t]) else (x[t, i] - last) / dt[t]
+    return out
+
+
+def speed(x, dt, before, c, P):
+    return np.abs(rate(x, dt, before, c, P))
+
+
+def work(x, dt, before, c, P):
+    return np.abs(x * rate(x, dt, before, c, P)) / P
+
+
+OF_RATE = (rate, speed, work)  # they hold since the sample before, where others are straight lines
+
+# ---------------------------------------------------------------- steps of memories
+# Arguments: s (slots, channels), what is remembered, changed; f (n + 1, channels), the one before first;
+# dt (n,) s. Result: (n, channels).
+
+
+@kernel
+def _weights(h):
+    """Weights of the state and of the input before, after h time constants."""
+    keep = math.exp(-h)
+    return keep, 0.0 if math.isinf(h) else (1.0 - keep) / h - keep if h > 1e-6 else 0.5 * h
+
+
+@kernel
+def _lag(s, f, late, dt, tau):
+    """Exact steps of tau s' = f - s, row 2 of s.
+
+    Args:
+        s: as above.
+        f: as above.
+        late: 0 where f is a straight line between samples, 1 where it holds since the sample before.
+        dt: as above.
+        tau: (1 or n, 1 or channels) s.
+    """
+    out = np.empty((len(f) - 1, f.shape[1]))
+    known, keep, old = -1.0, 0.0, 0.0
+    rows, columns = tau.shape
+    for t in range(len(out)):
+        for i in range(out.shape[1]):
+            if i < columns:
+                h = dt[t] / tau[t % rows, i]
+                if h != known:  # most samples follow each other after the same time
+                    known = h
+                    keep, old = _weights(h)
+            s[2, i] = keep * s[2, i] + old * f[t + late, i] + (1.0 - keep - old) * f[t + 1, i]
+            out[t, i] = s[2, i]
+    return out
+
+
+@kernel
+def _spectrum(s, f, dt, exponent):
+    """Lags side by side, from row 2 of s, weighted by a power of their times."""
+    out = np.empty((len(f) - 1, f.shape[1]))
+    weight = TIMES_S**exponent
+    weight /= weight.sum()
+    known, keeps, olds = -1.0, np.zeros(len(TIMES_S)), np.zeros(len(TIMES_S))
+    for t in range(len(out)):
+        for i in range(out.shape[1]):
+            out[t, i] = 0.0
+        for j in range(len(TIMES_S)):
+            if dt[t] != known:
+                keeps[j], olds[j] = _weights(dt[t] / TIMES_S[j])
+            keep, old, w = keeps[j], olds[j], weight[j]
+            for i in range(out.shape[1]):
+                y = keep * s[2 + j, i] + old * f[t, i] + (1.0 - keep - old) * f[t + 1, i]
+                s[2 + j, i] = y
+                out[t, i] += w * y
+        known = dt[t]
+    return out
+
+
+@kernel
+def _fill_vent(s, f, dt, times):
+    """A lag with one time on the way up and another on the way down."""
+    out = np.empty((len(f) - 1, f.shape[1]))
+    known, keeps, olds = -1.0, np.zeros(2), np.zeros(2)
+    for t in range(len(out)):
+        if dt[t] != known:
+            known = dt[t]
+            for j in range(2):
+                keeps[j], olds[j] = _weights(known / times[j])
+        for i in range(out.shape[1]):
+            way = 0 if f[t + 1, i] > s[2, i] else 1
+            keep, old = keeps[way], olds[way]
+            s[2, i] = keep * s[2, i] + old * f[t, i] + (1.0 - keep - old) * f[t + 1, i]
+            out[t, i] = s[2, i]
+    return out
+
+
+@kernel
+def second_order(s, f, dt, omega, zeta):
+    """Exact steps of y'' + 2 zeta omega y' + omega^2 (y - f) = 0 with f held at the middle of each piece.
+
+    Args:
+        s: rows 2 and 3 are y and y' (channels,), changed.
+        f: (n + 1, channels), first the one before.
+        dt: (n,) s.
+        omega: rad/s.
+        zeta: damping ratio.
+
+    Returns:
+        y (n, channels).
+    """
+    out = np.empty((len(f) - 1, f.shape[1]))
+    slowest = omega * (zeta if zeta < 1.0 else zeta - math.sqrt(zeta * zeta - 1.0))
+    known, decay, c, sn, pieces = -1.0, 0.0, 0.0, 0.0, 1
+    for t in range(len(out)):
+        if slowest * dt[t] > 30.0:
+            for i in range(out.shape[1]):
+                s[2, i], s[3, i], out[t, i] = f[t + 1, i], 0.0, f[t + 1, i]
+            continue
+        if dt[t] != known:
+            known = dt[t]
+            pieces = min(1 + int(omega * known / 0.4), 40)
+            h = known / pieces
+            decay = math.exp(-zeta * omega * h)
+            if zeta < 0.9999:
+                w = omega * math.sqrt(1.0 - zeta * zeta)
+                c, sn = math.cos(w * h), math.sin(w * h) / w
+            elif zeta > 1.0001:
+                w = omega * math.sqrt(zeta * zeta - 1.0)
+                c, sn = math.cosh(w * h), math.sinh(w * h) / w
+            else:
+                c, sn = 1.0, h
+        for piece in range(pieces):
+            share = (piece + 0.5) / pieces
+            for i in range(out.shape[1]):
+                goal = f[t, i] + (f[t + 1, i] - f[t, i]) * share
+                d, v = s[2, i] - goal, s[3, i]
+                s[2, i] = goal + decay * (d * (c + zeta * omega * sn) + v * sn)
+                s[3, i] = decay * (v * (c - zeta * omega * sn) - d * omega * omega * sn)
+        for i in range(out.shape[1]):
+            out[t, i] = s[2, i]
+    return out
+
+
+@kernel
+def _play(s, f, dt, down, up):
+    out = np.empty((len(f) - 1, f.shape[1]))
+    for t in range(len(out)):
+        for i in range(out.shape[1]):
+            s[2, i] = min(max(s[2, i], f[t + 1, i] - down), f[t + 1, i] + up)
+            out[t, i] = s[2, i]
+    return out
+
+
+@kernel
+def _dead_band(s, f, dt, width):
+    out = np.empty((len(f) - 1, f.shape[1]))
+    for t in range(len(out)):
+        for i in range(out.shape[1]):
+            if math.isinf(dt[t]) or abs(f[t + 1, i] - s[2, i]) > width:
+                s[2, i] = f[t + 1, i]
+            out[t, i] = s[2, i]
+    return out
+
+
+@kernel
+def _bouc_wen(s, f, dt, width):
+    """Without stiffness: z' = (f' - |f'| |z|^0.3 z) / width."""
+    out = np.empty((len(f) - 1, f.shape[1]))
+    for t in range(len(out)):
+        for i in range(out.shape[1]):
+            z, d = s[2, i], f[t + 1, i] - f[t, i]
+            pieces = 1 + int(min(20.0 * abs(d) / width, 400.0))
+            d /= pieces * width
+            for _ in range(pieces):
+                z = min(1.0, max(-1.0, z + d - abs(d) * abs(z) ** 0.3 * z))
+            s[2, i], out[t, i] = z, width * z
+    return out
+
+
+@kernel
+def _fading_max(s, f, dt, tau):
+    out = np.empty((len(f) - 1, f.shape[1]))
+    for t in range(len(out)):
+        keep = math.exp(-dt[t] / tau)
+        for i in range(out.shape[1]):
+            s[2, i] = max(s[2, i] * keep, f[t + 1, i])
+            out[t, i] = s[2, i]
+    return out
+
+
+@kernel
+def _below_max(s, f, dt, least):
+    """1 - f / (its largest so far)."""
+    out = np.empty((len(f) - 1, f.shape[1]))
+    for t in range(len(out)):
+        for i in range(out.shape[1]):
+            s[2, i] = max(s[2, i], f[t + 1, i], least)
+            out[t, i] = 1.0 - max(f[t + 1, i], 0.0) / s[2, i]
+    return out
+
+
+@kernel
+def _path(s, f, dt, half):
+    """Share n / (n + half) of the path n travelled."""
+    out = np.empty((len(f) - 1, f.shape[1]))
+    for t in range(len(out)):
+        for i in range(out.shape[1]):
+            s[2, i] += abs(f[t + 1, i] - f[t, i])
+            out[t, i] = 1.0 - 1.0 / (1.0 + s[2, i] / half)
+    return out
+
+
+@kernel
+def _loss_while_held(s, f, dt, k, still):
+    out = np.empty((len(f) - 1, f.shape[1]))
+    for t in range(len(out)):
+        keep = math.exp(-dt[t] * k)
+        for i in range(out.shape[1]):
+            moved = math.isinf(dt[t]) or abs(f[t + 1, i] - f[t, i]) > still
+            s[2, i] = 0.0 if moved else s[2, i] * keep - f[t + 1, i] * (1.0 - keep)
+            out[t, i] = s[2, i]
+    return out
+
+
+# ---------------------------------------------------------------- memories M[f]
+# Arguments: f (n + 1, channels), the one before first; dt (n,) s; k, constants; s (slots, channels), what is
+# remembered; P; x (n, channels), the pressure; c (n,), the counted condition; late, see `_lag`.
+# Result: (n, channels).
+
+
+def none(f, dt, k, s, P, x, c, late):
+    return f[1:]
+
+
+def cube(f, dt, k, s, P, x, c, late):
+    return f[1:] ** 3 / P**2
+
+
+def power(f, dt, k, s, P, x, c, late):
+    return np.copysign(P * np.abs(f[1:] / P) ** k[0], f[1:])
+
+
+def tanh(f, dt, k, s, P, x, c, late):
+    return P * np.tanh(k[0] * f[1:] / P) / k[0]
+
+
+def hinge(f, dt, k, s, P, x, c, late):
+    return np.maximum(f[1:] - k[0], 0.0)
+
+
+def step(f, dt, k, s, P, x, c, late):
+    return P * np.tanh((f[1:] - k[0]) / k[1])
+
+
+def play(f, dt, k, s, P, x, c, late):
+    return _play(s, f, dt, k[0], k[0])
+
+
+def play_two(f, dt, k, s, P, x, c, late):
+    return _play(s, f, dt, k[0], k[1])
+
+
+def play_cubed(f, dt, k, s, P, x, c, late):
+    return _play(s, f, dt, k[0], k[0]) ** 3 / P**2
+
+
+def flip(f, dt, k, s, P, x, c, late):
+    return P * np.tanh((_play(s, f, dt, k[0], k[0]) - k[1]) / k[2])
+
+
+def dead_band(f, dt, k, s, P, x, c, late):
+    return _dead_band(s, f, dt, k[0])
+
+
+def loop(f, dt, k, s, P, x, c, late):
+    return _bouc_wen(s, f, dt, k[0])
+
+
+def lag(f, dt, k, s, P, x, c, late):
+    return _lag(s, f, late, dt, k[:1, None])
+
+
+def lag_warm(f, dt, k, s, P, x, c, late):
+    return _lag(s, f, late, dt, (k[0] * k[1] ** c)[:, None])
+
+
+def lag_pressure(f, dt, k, s, P, x, c, late):
+    return _lag(s, f, late, dt, k[0] * k[1] ** (x / P))
+
+
+def tanh_of_lag(f, dt, k, s, P, x, c, late):
+    return P * np.tanh(_lag(s, f, late, dt, k[1:2, None]) / k[0])
+
+
+def root_of_lag(f, dt, k, s, P, x, c, late):
+    return P * np.sqrt(np.abs(_lag(s, f, late, dt, k[:1, None])) / P)
+
+
+def spectrum(f, dt, k, s, P, x, c, late):
+    return _spectrum(s, f, dt, k[0])
+
+
+def fill_vent(f, dt, k, s, P, x, c, late):
+    return _fill_vent(s, f, dt, k)
+
+
+def mode(f, dt, k, s, P, x, c, late):
+    return second_order(s, f, dt, k[0], k[1])
+
+
+def held(f, dt, k, s, P, x, c, late):
+    return _loss_while_held(s, f, dt, k[0], 1e-6 * P)
+
+
+def fading_max(f, dt, k, s, P, x, c, late):
+    return _fading_max(s, f, dt, k[0])
+
+
+def below_max(f, dt, k, s, P, x, c, late):
+    return P * _below_max(s, f, dt, 1e-9) ** k[0]
+
+
+def path(f, dt, k, s, P, x, c, late):
+    return P * _path(s, f, dt, k[0])
+
+
+def fading_time(f, dt, k, s, P, x, c, late):
+    return np.repeat(P * np.exp(-c / k[0])[:, None], x.shape[1], axis=1)
+
+
+# ---------------------------------------------------------------- how laws run
+
+
+def run_drive(x, dt, theta, conditions, state, *, input, memory, late, gain, minus, scaled, counted):
+    """A law of the drive: p becomes p + w c (M[f] - minus f), the term times p / P for a gain.
+
+    Args:
+        x: (n, channels) kPa, changed.
+        dt: (n,) s.
+        theta: weight, P and the memory's constants.
+        conditions: (n, 1) or (n, 0).
+        state: (SLOTS * channels,), changed; a row a slot.
+        input: f.
+        memory: M.
+        late: 1 where the input holds since the sample before, 0 where it is a straight line.
+        gain: whether it is a gain.
+        minus: 1 where the memory's input is taken off, so that nothing is left in steady state.
+        scaled: whether the condition is a factor.
+        counted: zero and unit of the condition; empty where there is none.
+    """
+    weight, P, k, s = theta[0], theta[1], theta[2:], state.reshape(SLOTS, x.shape[1])
+    c = (conditions[:, 0] - counted[0]) / counted[1] if counted else None
+    fresh = s[0, 0] == 0.0
+    if fresh:
+        dt = dt.copy()
+        dt[0] = math.inf
+    f = np.empty((len(x) + 1, x.shape[1]))
+    f[1:] = input(x, dt, s[1], c, P)
+    f[0] = f[1] if fresh else s[-1]
+    s[0], s[1], s[-1] = 1.0, x[-1], f[-1]
+    g = memory(f, dt, k, s, P, x, c, late)
+    if minus:
+        g = g - f[1:]
+    if scaled:
+        g = g * c[:, None]
+    if gain:
+        g = g * x / P
+    x += weight * g
+
+
+def run_seen(x, dt, theta, conditions, state, *, out, feature, counted):
+    """Output `out` gains theta[0] times a feature; conditions = length_mm and the feature's column."""
+    length = conditions[:, 0] if out < 3 else 1.0
+    c = (conditions[:, 1] - counted[0]) / counted[1] if counted else None
+    x[:, out] += theta[0] * length * feature(x, length, c)
+
+
+def run_tracker(x, dt, theta, conditions, state):
+    """A camera or tracker that filters: all markers lag; theta = time.
+
+    State, a row each: nothing, the markers before, the lagged ones.
+    """
+    s = state.reshape(3, x.shape[1])
+    f = np.vstack([s[1:2], x])
+    x[:] = _lag(s, f, 0, dt, theta[:1, None])
+    s[1] = f[-1]
+
+
+# ---------------------------------------------------------------- words
+
+# Family to what such physics does to a device, and what it is called in a list of causes.
+FAMILIES = {
+    "stiffening": ("does not bend in proportion to the pressure", "a gain that changes with pressure"),
+    "gain_saturation": ("saturates (each further kPa bends it less)", "saturation"),
+    "contact": ("bends otherwise above a pressure, as if it met something", "another gain above a pressure"),
+    "hysteresis": (
+        "has hysteresis (at one pressure it bends otherwise on the way up than on the way down)",
+        "hysteresis",
+    ),
+    "snap": ("snaps over at a pressure and back at a lower one", "snap-through"),
+    "creep": ("creeps (it goes on bending while the pressure is held)", "creep"),
+    "valve_lag": ("fills and vents slower than it is commanded", "a slow valve"),
+    "ringing": ("rings (it swings on after a step)", "oscillation after a step"),
+    "leak": ("loses pressure while it is held", "loss of pressure during holds"),
+    "friction": ("is held back by friction", "friction"),
+    "rate": ("bends less or more the faster it moves", "dependence on the rate"),
+    "cyclic_softening": (
+        "is softer or stiffer after high pressures or many cycles",
+        "softening with use",
+    ),
+    "self_heating": (
+        "bends otherwise the more it moves, as if it warmed itself",
+        "dependence on recent motion",
+    ),
+    "thermal": ("bends more or less when it is warm", "temperature"),
+    "dead_band": ("stays where it is until its command has moved enough", "a dead band"),
+    "warm_up": ("bends otherwise in the first minutes of a session", "change over the first minutes"),
+}
+
+# How a constant is shown in a list of causes.
+CONSTANTS = {
+    "time_s": "time constant {time_s:.2g} s",
+    "frequency_rad_per_s": "{hz:.2g} Hz",
+    "damping_ratio": "damping ratio {damping_ratio:.2g}",
+    "fill_time_s": "{fill_time_s:.2g} s to fill",
+    "vent_time_s": "{vent_time_s:.2g} s to vent",
+    "threshold_kpa": "from {threshold_kpa:.2g} kPa",
+    "width_kpa": "width {width_kpa:.2g} kPa",
+    "centre_kpa": "at {centre_kpa:.2g} kPa",
+}
+
+_HOLD = (
+    "Step to half and to full pressure, hold three time constants each, vent as long: the bend goes on and "
+    "then stops"
+)
+# What to record to see a law apart from its neighbours; `diagnosis.law_programs` makes a program of each.
+EXPERIMENTS = {
+    "stairs": "Go up and down in ten equal stairs: what depends on the pressure alone is the same on both "
+    "ways.",
+    "turns": "Go back and forth by small and by large steps, slowly and quickly: the loop is as wide at both "
+    "paces.",
+    "paces": "Go up and down at three paces, a factor of three apart, and stop: it differs by the pace "
+    "alone.",
+    "threshold": "Go up in small stairs through the threshold: each step differs above it, none below.",
+    "hold": f"{_HOLD}.",
+    "hold, squared": f"{_HOLD}, four times as much at the full pressure.",
+    "hold, then less": "Hold the full pressure, then go to half of it: it bends otherwise there than after a "
+    "rest.",
+    "hold, by pressure": "Step to half and to full pressure and hold each: the bend goes on at another pace.",
+    "hold, by warmth": "Step and hold, cold and warm: the bend goes on at another pace.",
+    "hold for long": "Step, hold 100 s, vent as long: the bend still goes on from 10 to 100 s.",
+    "loss": "Hold a pressure for long: the bend falls at a steady pace, and not while the pressure moves.",
+    "fill and vent": "Step up and down to two levels, at 20 Hz or more: filling and venting take other "
+    "times.",
+    "swing": "Step up and down at ten samples a swing or more: it swings about where it ends.",
+    "fading": "Small strokes, one to the top, small ones again for three time constants: the change fades.",
+    "staying": "Small strokes, one to the top, small ones again, also after a rest: the change stays.",
+    "strokes": "After a night's rest make many equal strokes: each differs a little less from the one "
+    "before.",
+    "snap": "Go slowly through the snap and back: it comes at a higher pressure on the way up.",
+    "small stairs": "Go up and down by steps smaller than the band: nothing moves until they add up to it.",
+    "from rest": "After a night's rest make a stroke now and then: it changes with the time alone.",
+    "warming": "Make equal strokes while it warms, for several time constants: they follow the temperature "
+    "late.",
+    "motion": "Make quick strokes, then hold: what the motion changed comes back, alike about low and high "
+    "pressures.",
+    "motion, by pressure": "Make quick strokes, then hold: what the motion changed comes back, more so about "
+    "high pressures.",
+}
+
+# ---------------------------------------------------------------- the catalogue
+
+# Condition column to its zero and unit.
+COUNTED = {"temperature_c": (REFERENCE_C, 10.0), "session_time_s": (0.0, 1.0), "gravity_y": (0.0, 1.0)}
+
+
+@dataclass(frozen=True)
+class Law:
+    """One law of the drive.
+
+    Attributes:
+        memory: M.
+        family: the library's name for such physics, see `FAMILIES`.
+        equation: LaTeX of what is added.
+        experiment: what shows it, see `EXPERIMENTS`.
+        constants: of the memory, with bounds.
+        starts: constants with which a search begins, in units of the parameters' default.
+        input: f.
+        gain: whether it is a gain; otherwise it is added.
+        minus: whether the memory's input is taken off, so that nothing is left in steady state.
+        column: condition that it needs.
+        scaled: whether the condition is a factor; otherwise it moves a constant or is the input.
+        cause: in a list of causes; empty for the family's.
+    """
+
+    memory: Callable
+    family: str
+    equation: str
+    experiment: str
+    constants: tuple[Parameter, ...] = ()
+    starts: tuple[tuple[float, ...], ...] = ((),)
+    input: Callable = pressure
+    gain: bool = False
+    minus: bool = False
+    column: str = ""
+    scaled: bool = False
+    cause: str = ""
+
+    def effect(self, name: str) -> BodyEffect:
+        """The effect of this name, `lag(p)` or `lag(p) #2`."""
+        weight = Parameter("weight", "", 0.05, -3.0, 3.0)
+        scale = Parameter("scale_kpa", "kPa", 1.0, 1e-3, 3.0, neutral=1.0, fixed=True, range_power=1)
+        constants = ", ".join(f"{p.name} {{{p.name}:.3g}}" for p in self.constants)
+        does, cause = FAMILIES[self.family]
+        shown = [CONSTANTS[p.name] for p in self.constants if p.name in CONSTANTS]
+        return BodyEffect(
+            name=name,
+            stage="drive",
+            run=partial(run_drive, **self.choices()),
+            parameters=(weight, scale, *self.constants),
+            columns=(self.column,) if self.column else (),
+            state_size=lambda channels: SLOTS * channels,
+            apart=True,
+            linear="weight",
+            equation=rf"p \to p + w\,({self.equation})",
+            cause=", ".join([self.cause or cause, *shown]),
+            summary=f"Your {{device}} {does}: the pressure p that bends it becomes "
+            f"p + {{weight:.3g}} [{name.partition(' #')[0]}]" + (f", {constants}." if constants else "."),
+            experiment=EXPERIMENTS[self.experiment],
+            derive=_hz,
+        )
+
+    def choices(self) -> dict:
+        """Arguments of `run_drive` that the law fixes."""
+        counted = COUNTED[self.column] if self.column else ()
+        return {
+            "input": self.input, "memory": self.memory, "late": int(self.input in OF_RATE),
+            "gain": self.gain, "minus": self.minus, "scaled": self.scaled, "counted": counted,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class SeenLaw:
+    """One law of what is seen: an output gains a feature.
+
+    Attributes:
+        out: index of the output, tip x, y, z or bend.
+        feature: of the markers (n, 5), the length in mm and the counted condition.
+        column: condition that it needs.
+        family: the library's name for such physics.
+        cause: in a list of causes.
+    """
+
+    out: int
+    feature: Callable
+    column: str = ""
+    family: str = "tracker"
+    cause: str = "an error of the measured tip"
+
+    def effect(self, name: str) -> BodyEffect:
+        """The effect of this name."""
+        structure, of_tip = name.partition(" #")[0], self.out < 3
+        columns = (self.column,) if self.column else ()
+        counted = COUNTED[self.column] if self.column else ()
+        return BodyEffect(
+            name=name,
+            stage="material" if of_tip else "observation",
+            signal="markers",
+            run=partial(run_seen, out=self.out, feature=self.feature, counted=counted),
+            parameters=(Parameter("weight", "", 0.01, -1.0, 1.0),),
+            columns=("length_mm", *columns),
+            equation=structure.replace("+=", r"\mathrel{+}="),
+            cause=self.cause,
+            summary=f"The {'tip' if of_tip else 'bend'} of your {{device}} is off: "
+            + structure.replace("+=", "gains {weight:.2g} times")
+            + ".",
+            experiment="Look at the same motion with a second camera.",
+        )
+
+
+def _time(default=1.0, lower=0.02, upper=200.0, name="time_s") -> Parameter:
+    return Parameter(name, "s", default, lower, upper, log=True)
+
+
+def _width(default=0.1, upper=0.9, name="width_kpa", lower=0.003) -> Parameter:
+    return Parameter(name, "kPa", default, lower, upper, log=True, range_power=1)
+
+
+_TIMES = ((0.1,), (0.3,), (1.0,), (3.0,), (10.0,), (30.0,), (100.0,))
+_SHORT_TO_LONG = ((1.0,), (10.0,), (60.0,))
+_BY_WARMTH = Parameter("times_per_10_k", "", 0.4, 0.05, 3.0, neutral=1.0, log=True)
+_BY_PRESSURE = Parameter("times_at_full_pressure", "", 0.3, 0.01, 10.0, neutral=1.0, log=True)
+_SPECTRAL = Parameter("exponent", "", 0.0, -1.1, 1.1, neutral=9.0)
+_POWER = Parameter("exponent", "", 1.0, 0.2, 5.0, neutral=1.0, log=True)
+_SLOPE = Parameter("slope", "", 1.0, 0.1, 8.0, neutral=0.0, log=True)
+_FLIP = (_width(0.05), _width(0.5, 1.2, "centre_kpa", 0.02), _width(0.15, 1.0, "slope_kpa", 0.03))
+_FILL_VENT = (_time(0.3, 0.02, 5.0, "fill_time_s"), _time(0.6, 0.02, 5.0, "vent_time_s"))
+_CROSSING = (_width(0.1, 5.0, "rate_kpa_per_s", 0.005), _time(0.05, 0.005, 2.0))
+_OMEGA_ZETA = (
+    Parameter("frequency_rad_per_s", "rad/s", 10.0, 0.5, 60.0, log=True),
+    Parameter("damping_ratio", "", 0.3, 0.02, 2.0, log=True),
+)
+_MODES = tuple((2 * math.pi * f, z) for f in (0.5, 1.0, 2.0, 4.0) for z in (0.1, 0.5))
+_MANY = "creep over many time scales"
+
+# fmt: off
+# Name to law, in the order in which laws act: statics, plays, memories, history, conditions.
+TABLE = {
+    "power(p)": Law(power, "stiffening", r"P\,(p/P)^c - p", "stairs",
+                    (_POWER,), ((0.6,), (1.6,)), minus=True),
+    "tanh(p)": Law(tanh, "gain_saturation", r"P\tanh(c\,p/P)/c - p", "stairs",
+                   (_SLOPE,), ((1.0,), (3.0,)), minus=True),
+    "hinge(p)": Law(hinge, "contact", r"\max(p - a, 0)", "threshold",
+                    (_width(0.5, 0.95, "threshold_kpa", 0.05),), ((0.3,), (0.6,))),
+    "p^2": Law(none, "stiffening", r"p^2/P - p", "stairs", input=squared),
+    "p^3": Law(cube, "stiffening", r"p^3/P^2 - p", "stairs", minus=True),
+    "step(p)": Law(step, "stiffening", r"P\tanh((p - a)/b)", "stairs",
+                   _FLIP[1:], ((0.2, 0.15), (0.5, 0.15), (0.8, 0.15))),
+    "play(p)": Law(play, "hysteresis", r"\mathrm{play}_r(p) - p", "turns",
+                   (_width(),), ((0.03,), (0.1,), (0.25,)), minus=True),
+    "dead_band(p)": Law(dead_band, "dead_band", r"\mathrm{band}_r(p) - p", "small stairs",
+                        (_width(0.05),), ((0.02,), (0.06,), (0.15,)), minus=True),
+    "play_two(p)": Law(play_two, "hysteresis", r"\mathrm{play}_{r,l}(p) - p", "turns",
+                       (_width(name="width_up_kpa"), _width(name="width_down_kpa")),
+                       ((0.1, 0.01), (0.01, 0.1)), minus=True),
+    "play(p)^3": Law(play_cubed, "hysteresis", r"\mathrm{play}_r(p)^3/P^2 - p", "turns",
+                     (_width(),), ((0.1,),), minus=True),
+    "loop(p)": Law(loop, "hysteresis", r"\mathrm{loop}_r(p)", "turns",
+                   (_width(lower=0.01),), ((0.03,), (0.1,), (0.25,))),
+    "p play(p)": Law(play, "hysteresis", r"p\,(\mathrm{play}_r(p) - p)/P", "turns",
+                     (_width(),), ((0.1,),), gain=True, minus=True),
+    "flip(p)": Law(flip, "snap", r"P\tanh((\mathrm{play}_r(p) - a)/b)", "snap",
+                   _FLIP, ((0.05, 0.2, 0.15), (0.05, 0.5, 0.15), (0.05, 0.8, 0.15))),
+    "lag(p)": Law(lag, "creep", r"\mathrm{lag}_\tau(p) - p", "hold", (_time(),), _TIMES, minus=True),
+    "lag(p^2)": Law(lag, "creep", r"\mathrm{lag}_\tau(p^2)/P", "hold, squared",
+                    (_time(),), _TIMES, input=squared),
+    "power_law_memory(p)": Law(spectrum, "creep", r"\mathrm{springpot}_m(p) - p", "hold for long",
+                               (_SPECTRAL,), ((0.0,), (-0.4,), (0.4,)), minus=True, cause=_MANY),
+    "power_law_memory(p^2)": Law(spectrum, "creep", r"\mathrm{springpot}_m(p^2)/P", "hold for long",
+                                 (_SPECTRAL,), ((0.0,),), input=squared, cause=_MANY),
+    "p lag(p)": Law(lag, "creep", r"p\,\mathrm{lag}_\tau(p)/P", "hold, then less",
+                    (_time(),), _SHORT_TO_LONG, gain=True),
+    "p lag(p^2)": Law(lag, "creep", r"p\,\mathrm{lag}_\tau(p^2)/P^2", "hold, then less",
+                      (_time(),), _SHORT_TO_LONG, input=squared, gain=True),
+    "lag(p; time moves with p)": Law(lag_pressure, "creep", r"\mathrm{lag}_{\tau k^{p/P}}(p) - p",
+                                     "hold, by pressure", (_time(), _BY_PRESSURE),
+                                     ((3.0, 0.3), (20.0, 0.3)), minus=True),
+    "fill_vent(p)": Law(fill_vent, "valve_lag", r"\mathrm{lag}_{\tau_\pm}(p) - p", "fill and vent",
+                        _FILL_VENT, ((0.3, 0.6),), minus=True),
+    "mode(p)": Law(mode, "ringing", r"\mathrm{mode}_{\omega,\zeta}(p) - p", "swing",
+                   _OMEGA_ZETA, _MODES, minus=True),
+    "held(p)": Law(held, "leak", r"-\int k\,p \text{ while held}", "loss",
+                   (Parameter("rate_1_per_s", "1/s", 0.05, 0.001, 2.0, log=True),), ((0.05,),)),
+    "tanh(dp/dt)": Law(tanh_of_lag, "friction", r"P\tanh(\mathrm{lag}_\tau(\dot p)/r)", "paces",
+                       _CROSSING, ((0.1, 0.05), (0.5, 0.05)), input=rate),
+    "p tanh(|dp/dt|)": Law(tanh_of_lag, "rate", r"p\tanh(\mathrm{lag}_\tau|\dot p|/r)", "paces",
+                           _CROSSING, ((0.3, 0.05),), input=speed, gain=True),
+    "p root lag(|dp/dt|)": Law(root_of_lag, "rate", r"p\sqrt{\mathrm{lag}_\tau|\dot p|/P}", "paces",
+                               (_time(0.2, 0.02, 3.0),), ((0.2,),), input=speed, gain=True),
+    "p fading_max(p)": Law(fading_max, "cyclic_softening", r"p\,(\max_\tau(p) - p)/P", "fading",
+                           (_time(10.0, 0.2),), _SHORT_TO_LONG, gain=True, minus=True),
+    "p below_max(p)": Law(below_max, "cyclic_softening", r"p\,(1 - p/p_{max})^c", "staying",
+                          (Parameter("exponent", "", 1.5, 0.3, 4.0, log=True),), ((1.5,),), gain=True),
+    "p path(p)": Law(path, "cyclic_softening", r"p\,n/(n + n_0), \; n = \int |dp|", "strokes",
+                     (_width(10.0, 200.0, "path_kpa", 0.5),), ((10.0,),), gain=True),
+    "p lag(|dp/dt|)": Law(lag, "self_heating", r"p\,\mathrm{lag}_\tau|\dot p|/P", "motion",
+                          (_time(90.0, 3.0, 200.0),), ((30.0,), (90.0,)), input=speed, gain=True),
+    "p lag(p |dp/dt|)": Law(lag, "self_heating", r"p\,\mathrm{lag}_\tau(p|\dot p|)/P^2",
+                            "motion, by pressure",
+                            (_time(90.0, 3.0, 200.0),), ((30.0,), (90.0,)), input=work, gain=True),
+    "p exp(-t)": Law(fading_time, "warm_up", r"p\,e^{-t/\tau}", "from rest",
+                     (_time(100.0, 10.0, 2000.0),), ((60.0,), (200.0,)), gain=True, column="session_time_s"),
+    "p lag(dT)": Law(lag, "thermal", r"p\,\mathrm{lag}_\tau(\Delta T)", "warming",
+                     (_time(60.0, 3.0, 1000.0),), ((20.0,), (100.0,), (400.0,)),
+                     input=condition, gain=True, column="temperature_c"),
+    "p dT": Law(none, "thermal", r"p\,\Delta T", "stairs", column="temperature_c", scaled=True),
+    "lag(p) dT": Law(lag, "thermal", r"(\mathrm{lag}_\tau(p) - p)\,\Delta T", "hold",
+                     (_time(),), _SHORT_TO_LONG, minus=True, column="temperature_c", scaled=True),
+    "lag(p; time moves with dT)": Law(lag_warm, "creep", r"\mathrm{lag}_{\tau k^{\Delta T}}(p) - p",
+                                      "hold, by warmth", (_time(), _BY_WARMTH),
+                                      ((1.0, 0.37), (10.0, 0.37), (50.0, 0.37)),
+                                      minus=True, column="temperature_c"),
+}
+# fmt: on
+
+
+def z_squared(x, length, c):
+    return x[:, 2] * x[:, 2] / (length * length)
+
+
+def x_z(x, length, c):
+    return x[:, 0] * x[:, 2] / (length * length)
+
+
+def bend_squared(x, length, c):
+    return x[:, 3] * x[:, 3]
+
+
+def counted_condition(x, length, c):
+    return c
+
+
+_OF_BEND = "an error of the measured bend"
+SEEN = {
+    **{
+        f"tip_{a} += {f}": SeenLaw(i, feature)
+        for i, a in enumerate("xyz")
+        for f, feature in (("z^2", z_squared), ("x z", x_z))
+    },
+    **{f"tip_{a} += dT": SeenLaw(i, counted_condition, "temperature_c") for i, a in enumerate("xyz")},
+    "tip_y += g_y": SeenLaw(1, counted_condition, "gravity_y", "gravity", "a sag to the side"),
+    "bend += bend^2": SeenLaw(3, bend_squared, cause=_OF_BEND),
+    "bend += dT": SeenLaw(3, counted_condition, "temperature_c", cause=_OF_BEND),
 }
 TRACKER = "tracker_lag"
-# zero and unit in which a condition is counted
-_COUNTED = {
-    (): (0.0, 1.0),
-    ("temperature_c",): (REFERENCE_C, 10.0),
-    ("session_time_s",): (0.0, 1.0),
-    ("gravity_y",): (0.0, 1.0),
-}
 
 
 def law_names() -> list[str]:
     """All laws, in the order in which they act."""
-    return [*TABLE, *_SEEN, TRACKER]
+    return [*TABLE, *SEEN, TRACKER]
 
 
 def is_law(name: str) -> bool:
     """Whether a name is that of a law, `lag(p)` or its second instance `lag(p) #2`."""
     structure, mark, number = name.partition(" #")
-    known = structure in TABLE or structure in _SEEN or structure == TRACKER
+    known = structure in TABLE or structure in SEEN or structure == TRACKER
     return known and (not mark or number.isdigit())
 
 
@@ -59,70 +786,21 @@ def law(name: str) -> BodyEffect:
     """The effect that a law's name says; the same structure may act twice, the second as `lag(p) #2`.
 
     Raises:
-        KeyError: the table has no such law.
+        KeyError: the catalogue has no such law.
     """
     structure = name.partition(" #")[0]
-    if structure == TRACKER:
-        return BodyEffect(
-            name=name,
-            stage="observation",
-            run=by.run_tracker,
-            parameters=(Parameter("time_s", "s", 0.1, 0.005, 2.0, log=True),),
-            state_size=lambda channels: 2 * channels,
-            equation=r"\tau\,\dot y = x - y",
-            cause="a slow tracker, time constant {time_s:.2g} s",
-            summary="What tracks your {device} lags by {time_s:.2g} s.",
-            experiment="Watch a thing that is moved by hand with the tracker and with a ruler's shutter.",
-        )
-    if structure in _SEEN:
-        out, feature, columns = _SEEN[structure]
-        weight = Parameter("weight", "", 0.01, -1.0, 1.0)
-        of_tip = structure.startswith("tip")
-        return BodyEffect(
-            name=name,
-            stage="material" if of_tip else "observation",
-            signal="markers",
-            run=by.run_seen,
-            parameters=(weight,),
-            codes=(float(out), float(feature), *_COUNTED[columns]),
-            columns=("length_mm", *columns),
-            equation=structure.replace("+=", r"\mathrel{+}="),
-            cause="a sag to the side"
-            if "g_y" in structure
-            else f"an error of the measured {'tip' if of_tip else 'bend'}",
-            summary=f"The {'tip' if of_tip else 'bend'} of your {{device}} is off: "
-            + structure.replace("+=", "gains {weight:.2g} times")
-            + ".",
-            experiment="Look at the same motion with a second camera.",
-        )
-    row = TABLE[structure]
-    weight = Parameter("weight", "", 0.05, -3.0, 3.0)
-    scale = Parameter("scale_kpa", "kPa", 1.0, 1e-3, 3.0, neutral=1.0, fixed=True, range_power=1)
-    constants = ", ".join(f"{p.name} {{{p.name}:.3g}}" for p in row.constants)
+    if structure != TRACKER:
+        return (TABLE.get(structure) or SEEN[structure]).effect(name)
     return BodyEffect(
         name=name,
-        stage="drive",
-        run=by.run_drive,
-        parameters=(weight, scale, *row.constants),
-        codes=(
-            *map(float, (row.input, row.memory, row.role, row.minus, row.condition)),
-            *_COUNTED[row.columns],
-        ),
-        columns=row.columns,
-        state_size=lambda channels: by.SLOTS * channels,
-        apart=True,
-        linear="weight",
-        equation=rf"p \to p + w\,({row.equation})",
-        cause=", ".join(
-            [
-                "creep over many time scales" if row.memory == by.SPECTRUM else CAUSES[row.family],
-                *(CONSTANTS[p.name] for p in row.constants if p.name in CONSTANTS),
-            ]
-        ),
-        summary=f"Your {{device}} {WORDS[row.family]}: the pressure p that bends it becomes "
-        f"p + {{weight:.3g}} [{structure}]" + (f", {constants}." if constants else "."),
-        experiment=seen_by(row.input, row.memory, row.role),
-        derive=_hz,
+        stage="observation",
+        run=run_tracker,
+        parameters=(Parameter("time_s", "s", 0.1, 0.005, 2.0, log=True),),
+        state_size=lambda channels: 3 * channels,
+        equation=r"\tau\,\dot y = x - y",
+        cause="a slow tracker, time constant {time_s:.2g} s",
+        summary="What tracks your {device} lags by {time_s:.2g} s.",
+        experiment="Watch a thing that is moved by hand with the tracker and with a ruler's shutter.",
     )
 
 
@@ -135,11 +813,8 @@ def _hz(values: dict[str, float]) -> dict[str, float]:
 def family(name: str) -> str:
     """What the library calls the physics of a law; the name itself where it has no name for it."""
     structure = name.partition(" #")[0]
-    if structure in TABLE:
-        return TABLE[structure].family
-    if structure == "tip_y += g_y":
-        return "gravity"
-    return "tracker" if structure in _SEEN or structure == TRACKER else name
+    entry = TABLE.get(structure) or SEEN.get(structure)
+    return entry.family if entry else "tracker" if structure == TRACKER else name
 
 
 def starts(name: str) -> tuple[tuple[float, ...], ...]:

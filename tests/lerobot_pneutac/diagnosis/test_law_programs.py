@@ -10,8 +10,7 @@ from lerobot_pneutac.diagnosis.experiment import predict, separations
 from lerobot_pneutac.diagnosis.law_programs import law_program
 from lerobot_pneutac.measuring.programs import read_program
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.effects.law_table import TABLE
-from pneutac_sim.effects.laws import law, starts
+from pneutac_sim.effects.laws import TABLE, law, starts
 from pneutac_sim.finger import BodyData, fit
 from pneutac_sim.twin import Twin, Value
 

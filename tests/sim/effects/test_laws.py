@@ -8,9 +8,7 @@ from scipy.integrate import quad, solve_ivp
 from scipy.signal import lfilter
 
 from pneutac_sim.effects import get_effect, in_order
-from pneutac_sim.effects.law_table import TABLE
-from pneutac_sim.effects.laws import REFERENCE_C, family, is_law, law, law_names, starts
-from pneutac_sim.effects.memories import TIMES_S
+from pneutac_sim.effects.laws import REFERENCE_C, TABLE, TIMES_S, family, is_law, law, law_names, starts
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import Inputs, Pipeline, PressurePipeline
 from pneutac_sim.twin import Twin, Value
