@@ -17,7 +17,7 @@ from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.files import read_yaml
 from pneutac_sim.gel import layout
 from pneutac_sim.gel.fit import fit_presses
-from pneutac_sim.gel.unit import Unit
+from pneutac_sim.gel.layout import Unit
 
 
 def unit(folder: Path) -> Unit:

@@ -5,7 +5,7 @@ import threading
 import cv2
 import numpy as np
 
-from lerobot_pneutac.studio.tables import table
+from lerobot_pneutac.studio.plots import table
 from lerobot_pneutac.verbs.compare import compare
 from pneutac_sim.errors import InputError
 

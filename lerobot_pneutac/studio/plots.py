@@ -1,8 +1,76 @@
 """Small line charts of the studio, redrawn many times a second."""
 
+import math
+import threading
+import time
+from collections.abc import Callable
+
 import numpy as np
 import viser
 from viser import uplot
+
+from lerobot_pneutac.reports.page import cell
+
+FRAMES_A_S = 20
+SPEEDS = {"1 x": 1.0, "0.2 x": 0.2, "5 x": 5.0, "20 x": 20.0}
+
+
+class Player:
+    """A moment that moves on by itself, or by hand.
+
+    Args:
+        gui: of the viewer.
+        show: called when the moment is another.
+    """
+
+    def __init__(self, gui: viser.GuiApi, show: Callable[[], None]):
+        self._time = gui.add_slider("time, s", 0.0, 1.0, 0.01, 0.0)
+        self._playing = gui.add_checkbox("Play", False)
+        self._speed = gui.add_dropdown("speed", tuple(SPEEDS))
+        self._show, self._ready = show, False
+        self._time.on_update(lambda _: show())
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True, name="player")
+        self._thread.start()
+
+    @property
+    def now_s(self) -> float:
+        return self._time.value
+
+    @now_s.setter
+    def now_s(self, value: float) -> None:
+        value, before = float(min(max(value, 0.0), self._time.max)), self._time.value
+        self._time.value = value  # which shows it, where it is another
+        if value == before:
+            self._show()
+
+    def reaches(self, end_s: float) -> None:
+        """There is something to show, from 0 on."""
+        end_s = math.floor(100 * end_s) / 100  # as the slider steps
+        self._time.max, self._ready = end_s, True
+        self._time.value = min(self._time.value, end_s)
+
+    def _run(self) -> None:
+        last = time.monotonic()
+        while not self._stop.wait(1 / FRAMES_A_S):
+            now = time.monotonic()
+            dt, last = now - last, now
+            if self._playing.value and self._ready:
+                t = self._time.value + dt * SPEEDS[self._speed.value]
+                self.now_s = t if t <= self._time.max else 0.0
+
+    def close(self) -> None:
+        self._stop.set()
+        self._thread.join(timeout=2.0)
+
+
+def table(rows: list[dict]) -> str:
+    """Rows of one kind as Markdown; empty where there are none."""
+    if not rows:
+        return ""
+    head = "| " + " | ".join(map(str, rows[0])) + " |\n|" + "---|" * len(rows[0])
+    return "\n".join([head, *("| " + " | ".join(cell(v) for v in row.values()) + " |" for row in rows)])
+
 
 GRID, INK = "rgba(122, 135, 148, 0.25)", "#7a8794"
 

@@ -20,8 +20,7 @@ from pneutac_sim.mpm import devices
 from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import simulate, solve_equilibrium
 from pneutac_sim.surrogate.collect import FRAME_S, HOLDS
-from pneutac_sim.surrogate.gel_collect import press
-from pneutac_sim.surrogate.gel_contact import Contact, random_contact
+from pneutac_sim.surrogate.gel_collect import Contact, press, random_contact
 from pneutac_sim.surrogate.networks import Networks
 from pneutac_sim.surrogate.programs import joint_targets
 from pneutac_sim.twin import Twin

@@ -13,10 +13,9 @@ import numpy as np
 from pneutac_sim.effects.sensor_effect import CHANNELS
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.channel import Channel
-from pneutac_sim.gel.layout import DIGIT, MAKE_SD, MAKE_SD_MM, MAKE_SD_RAD, Layout, kept
+from pneutac_sim.gel.layout import DIGIT, MAKE_SD, MAKE_SD_MM, MAKE_SD_RAD, Layout, Unit, kept
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.residual import Leftover
-from pneutac_sim.gel.unit import Unit
 
 NAME = r"[A-Za-z0-9][A-Za-z0-9 _.-]{0,39}"
 LENDERS = ("near_light", "rest_colour")

@@ -110,7 +110,7 @@ def project(
         if last_x < first_x or last_y < first_y:
             continue
         det = xx * yy - xy * xy
-        # sigma = (x - mu)^T S2^-1 (x - mu) / 2, kept over 8 (see `compositing`)
+        # sigma = (x - mu)^T S2^-1 (x - mu) / 2, kept over 8 (see `rasteriser`)
         out = splats[i]
         out[0], out[1] = x, y
         out[2], out[3], out[4] = yy / det / 16, -xy / det / 8, xx / det / 16

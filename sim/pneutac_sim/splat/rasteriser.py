@@ -5,11 +5,239 @@ from threading import Thread
 from typing import NamedTuple
 
 import numpy as np
-from numba import config
+from numba import config, njit
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.splat import compositing, kernels
+from pneutac_sim.splat import kernels
 from pneutac_sim.splat.camera import Camera
+from pneutac_sim.splat.kernels import LEAST_ALPHA, TILE
+
+# Composites listed Gaussians front to back, tile by tile, and takes that back to colours and opacities.
+#
+#     C = sum_i c_i alpha_i T_i + T_end background, T_i = prod_{j<i} (1 - alpha_j)  (Kerbl et al. 2023, eq. 3)
+#
+# alpha = opacity exp(-sigma) is at most 0.999 and left out below 1/255; a pixel is finished before its
+# transmittance falls to 1e-4 (as there).
+#
+# Every kernel takes (share, shares) and does that share of the tiles, without the interpreter's lock, so that
+# plain threads divide the work. A Gaussian touches rows of a tile whole, 16 lanes, with alpha = 0 off the
+# Gaussian: loops of a fixed length without branches become vector instructions.
+
+
+LEAST_TRANSMITTANCE = np.float32(1e-4)
+MOST_ALPHA = np.float32(0.999)
+_ZERO, _HALF, _ONE = np.float32(0), np.float32(0.5), np.float32(1)
+
+# exp(-t) on 0 <= t <= 0.75 (relative error 2e-7), then squared three times: exp(-sigma) for sigma up to 6,
+# which is enough since alpha < 1/255 beyond sigma = 5.55.
+_E0, _E1, _E2 = np.float32(0.99999988), np.float32(-0.99998954), np.float32(0.49984699)
+_E3, _E4, _E5 = np.float32(-0.16582602), np.float32(0.03952204), np.float32(-0.005698701)
+_FARTHEST = np.float32(0.75)
+
+
+@njit(inline="always")
+def _alpha(lane, x, bdy, cdy2, a, opacity):
+    """Uncut alpha and exp(-sigma) at a lane of a row, dx = lane centre - x."""
+    dx = np.float32(lane) + _HALF - x
+    t = (a * dx + bdy) * dx + cdy2
+    # t = sigma / 8; exp(-sigma) = exp(-t)^8
+    t = t if t < _FARTHEST else _FARTHEST
+    e = _E0 + t * (_E1 + t * (_E2 + t * (_E3 + t * (_E4 + t * _E5))))
+    e = e * e
+    e = e * e
+    e = e * e
+    return opacity * e, e
+
+
+@njit(inline="always")
+def _cut(raw):
+    alpha = raw if raw < MOST_ALPHA else MOST_ALPHA
+    return alpha if raw >= LEAST_ALPHA else _ZERO
+
+
+@njit(inline="always")
+def _begin(state, x0, y0, width, height):
+    """Transmittance 1 in the first 16 columns of a tile's state (16 rows, lanes), -1 off the image; rest 0.
+
+    A negative transmittance marks a finished pixel: it takes no more colour but keeps its magnitude.
+    """
+    for row in range(TILE):
+        for lane in range(state.shape[1]):
+            state[row, lane] = _ZERO
+        for lane in range(TILE):
+            state[row, lane] = _ONE if (y0 + row < height) & (x0 + lane < width) else -_ONE
+
+
+@njit(inline="always")
+def _finished(state):
+    """Whether no pixel of a tile takes more colour."""
+    most = -_ONE
+    for row in range(TILE):
+        for lane in range(TILE):
+            most = state[row, lane] if state[row, lane] > most else most
+    return most < _ZERO
+
+
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+def composite(share, shares, starts, ids, splats, colours, background, tiles_x, image, alpha):
+    """Composites colours (n, 3) front to back into `image` (H, W, 3) and `alpha` (H, W), all float32."""
+    height, width = alpha.shape
+    state = np.empty((TILE, 4 * TILE), np.float32)  # transmittance, red, green, blue
+    for tile in range(share, len(starts) - 1, shares):
+        x0, y0 = tile % tiles_x * TILE, tile // tiles_x * TILE
+        if starts[tile] == starts[tile + 1]:
+            image[y0 : y0 + TILE, x0 : x0 + TILE] = background
+            alpha[y0 : y0 + TILE, x0 : x0 + TILE] = _ZERO
+            continue
+        _begin(state, x0, y0, width, height)
+        for k in range(starts[tile], starts[tile + 1]):
+            if (k & 15) == 0 and _finished(state):
+                break
+            s = splats[ids[k]]
+            x, y, a, b, c, opacity = s[0] - np.float32(x0), s[1] - np.float32(y0), s[2], s[3], s[4], s[5]
+            red, green, blue = colours[ids[k], 0], colours[ids[k], 1], colours[ids[k], 2]
+            first, last = max(np.int64(s[6]) - y0, 0), min(np.int64(s[7]) - y0, TILE - 1)
+            for row in range(first, last + 1):
+                dy = np.float32(row) + _HALF - y
+                bdy, cdy2, line = b * dy, c * dy * dy, state[row]
+                for lane in range(TILE):
+                    raw, _ = _alpha(lane, x, bdy, cdy2, a, opacity)
+                    w = _cut(raw) * line[lane]  # alpha_i T_i
+                    left = line[lane] - w  # T_{i+1} = T_i (1 - alpha_i)
+                    goes_on = left > LEAST_TRANSMITTANCE
+                    w = w if goes_on else _ZERO
+                    line[lane] = left if goes_on else -abs(line[lane])
+                    line[lane + 16] += w * red
+                    line[lane + 32] += w * green
+                    line[lane + 48] += w * blue
+        for row in range(min(TILE, height - y0)):
+            for lane in range(min(TILE, width - x0)):
+                t = abs(state[row, lane])
+                alpha[y0 + row, x0 + lane] = _ONE - t
+                for k in range(3):
+                    image[y0 + row, x0 + lane, k] = state[row, lane + 16 * (k + 1)] + t * background[k]
+
+
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+def pull_back(share, shares, starts, ids, splats, grad_image, tiles_x, out):
+    """Adds to each Gaussian's `out` (n, 3) its weight at each pixel times `grad_image` (H, W, 3) there."""
+    height, width = grad_image.shape[:2]
+    state = np.empty((TILE, 4 * TILE), np.float32)  # transmittance, gradient by red, green, blue
+    sums = np.empty(3 * TILE, np.float32)
+    for tile in range(share, len(starts) - 1, shares):
+        if starts[tile] == starts[tile + 1]:
+            continue
+        x0, y0 = tile % tiles_x * TILE, tile // tiles_x * TILE
+        _begin(state, x0, y0, width, height)
+        for row in range(min(TILE, height - y0)):
+            for lane in range(min(TILE, width - x0)):
+                for k in range(3):
+                    state[row, lane + 16 * (k + 1)] = grad_image[y0 + row, x0 + lane, k]
+        for k in range(starts[tile], starts[tile + 1]):
+            if (k & 15) == 0 and _finished(state):
+                break
+            i = ids[k]
+            s = splats[i]
+            x, y, a, b, c, opacity = s[0] - np.float32(x0), s[1] - np.float32(y0), s[2], s[3], s[4], s[5]
+            first, last = max(np.int64(s[6]) - y0, 0), min(np.int64(s[7]) - y0, TILE - 1)
+            sums[:] = _ZERO
+            for row in range(first, last + 1):
+                dy = np.float32(row) + _HALF - y
+                bdy, cdy2, line = b * dy, c * dy * dy, state[row]
+                for lane in range(TILE):
+                    raw, _ = _alpha(lane, x, bdy, cdy2, a, opacity)
+                    w = _cut(raw) * line[lane]
+                    left = line[lane] - w
+                    goes_on = left > LEAST_TRANSMITTANCE
+                    w = w if goes_on else _ZERO
+                    line[lane] = left if goes_on else -abs(line[lane])
+                    sums[lane] += w * line[lane + 16]
+                    sums[lane + 16] += w * line[lane + 32]
+                    sums[lane + 32] += w * line[lane + 48]
+            for k3 in range(3):
+                total = _ZERO
+                for lane in range(TILE):
+                    total += sums[lane + 16 * k3]
+                out[i, k3] += total
+
+
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+def replay(share, shares, starts, ids, splats, colours, image, alpha, grad_image, grad_alpha, tiles_x, out):
+    """Gradients by colour and opacity: composites once more, near to far.
+
+    With r = g . (what lies behind a Gaussian, background included), g the gradient by the pixel,
+    dL/dalpha = T g . c - r / (1 - alpha); a gradient by coverage acts as a background of its negative.
+
+    Args:
+        share: which share of the tiles to do.
+        shares: how many there are.
+        starts: where each tile's list of Gaussians starts, from `kernels.bin_tiles`.
+        ids: the lists.
+        splats: (n, 8), from `kernels.project`.
+        colours: (n, 3) float32.
+        image: what `composite` gave, (H, W, 3) float32.
+        alpha: coverage that it gave, (H, W) float32.
+        grad_image: g, (H, W, 3) float32.
+        grad_alpha: gradient by the coverage, (H, W) float32.
+        tiles_x: tiles in a row.
+        out: (n, 4) float32, added to: gradients by red, green, blue, opacity.
+    """
+    height, width = alpha.shape
+    state = np.empty((TILE, 5 * TILE), np.float32)  # transmittance, g, r
+    sums = np.empty(4 * TILE, np.float32)
+    for tile in range(share, len(starts) - 1, shares):
+        if starts[tile] == starts[tile + 1]:
+            continue
+        x0, y0 = tile % tiles_x * TILE, tile // tiles_x * TILE
+        _begin(state, x0, y0, width, height)
+        for row in range(min(TILE, height - y0)):
+            for lane in range(min(TILE, width - x0)):
+                p, q = y0 + row, x0 + lane
+                # r_0 = g . C - dL/dA T_end, all that lies behind the camera's plane
+                behind = -grad_alpha[p, q] * (_ONE - alpha[p, q])
+                for k in range(3):
+                    state[row, lane + 16 * (k + 1)] = grad_image[p, q, k]
+                    behind += grad_image[p, q, k] * image[p, q, k]
+                state[row, lane + 64] = behind
+        for k in range(starts[tile], starts[tile + 1]):
+            if (k & 15) == 0 and _finished(state):
+                break
+            i = ids[k]
+            s = splats[i]
+            x, y, a, b, c, opacity = s[0] - np.float32(x0), s[1] - np.float32(y0), s[2], s[3], s[4], s[5]
+            red, green, blue = colours[i, 0], colours[i, 1], colours[i, 2]
+            first, last = max(np.int64(s[6]) - y0, 0), min(np.int64(s[7]) - y0, TILE - 1)
+            sums[:] = _ZERO
+            for row in range(first, last + 1):
+                dy = np.float32(row) + _HALF - y
+                bdy, cdy2, line = b * dy, c * dy * dy, state[row]
+                for lane in range(TILE):
+                    raw, e = _alpha(lane, x, bdy, cdy2, a, opacity)
+                    cut = _cut(raw)
+                    before = line[lane]
+                    w = cut * before
+                    left = before - w
+                    goes_on = left > LEAST_TRANSMITTANCE
+                    w = w if goes_on else _ZERO
+                    line[lane] = left if goes_on else -abs(before)
+                    g_colour = line[lane + 16] * red + line[lane + 32] * green + line[lane + 48] * blue
+                    behind = line[lane + 64] - w * g_colour
+                    line[lane + 64] = behind
+                    # dL/dopacity = dL/dalpha exp(-sigma), zero where alpha is cut
+                    slope = (before * g_colour - behind / (_ONE - cut)) * e
+                    slope = slope if goes_on else _ZERO
+                    slope = slope if raw >= LEAST_ALPHA else _ZERO
+                    slope = slope if raw <= MOST_ALPHA else _ZERO
+                    sums[lane] += w * line[lane + 16]
+                    sums[lane + 16] += w * line[lane + 32]
+                    sums[lane + 32] += w * line[lane + 48]
+                    sums[lane + 48] += slope
+            for k4 in range(4):
+                total = _ZERO
+                for lane in range(TILE):
+                    total += sums[lane + 16 * k4]
+                out[i, k4] += total
+
 
 MOST_THREADS = 8  # starting more costs longer than they save on a picture of a few milliseconds
 
@@ -83,7 +311,7 @@ class Splats:
         background = numbers("background", background, (3,))
         h, w = self.camera.height, self.camera.width
         out = Rendering(np.empty((h, w, 3), np.float32), np.empty((h, w), np.float32))
-        _share(compositing.composite, *self._lists, colours, background, self._tiles_x, *out)
+        _share(composite, *self._lists, colours, background, self._tiles_x, *out)
         return out
 
     def transpose(self, image) -> np.ndarray:
@@ -93,7 +321,7 @@ class Splats:
             InputError: a shape is wrong or a number not finite.
         """
         image = numbers("image", image, (self.camera.height, self.camera.width, 3))
-        return self._gather(compositing.pull_back, 3, image)
+        return self._gather(pull_back, 3, image)
 
     def gradients(
         self, colours, background, grad_image, grad_alpha=None, rendering: Rendering | None = None
@@ -121,7 +349,7 @@ class Splats:
         if grad_alpha is None:
             grad_alpha = np.zeros((h, w), np.float32)
         grad_alpha = numbers("grad_alpha", grad_alpha, (h, w))
-        out = self._gather(compositing.replay, 4, colours, image, alpha, grad_image, grad_alpha)
+        out = self._gather(replay, 4, colours, image, alpha, grad_image, grad_alpha)
         return out[:, :3], out[:, 3]
 
     def _gather(self, kernel, columns: int, *inputs) -> np.ndarray:

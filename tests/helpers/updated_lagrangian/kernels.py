@@ -84,7 +84,7 @@ def touch(
     b, s, points, taken, x, load: arrays, shape: arrays, table: arrays, samples, anchor: arrays, contact:
     arrays,
 ):  # fmt: skip
-    """Force of the indenter on surface point s at x; law and memory as in `contact_kernels.touch`."""
+    """Force of the indenter on surface point s at x; law and memory as in `lagrangian_steps.touch`."""
     at, o = b * LOAD, (b * points + s) * 5
     R, k = matrix9(load, at + rows.POSE), load[at + rows.SPRING]
     centre = vector3(load, at + rows.POSE + 9) + taken * vector3(load, at + rows.DRIFT)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from lerobot_pneutac.studio.live import Skin
-from lerobot_pneutac.studio.photograph_panel import silhouette
+from lerobot_pneutac.studio.measurement_page import silhouette
 from pneutac_sim.mpm.solid import bending_body
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.follow import blank_looks

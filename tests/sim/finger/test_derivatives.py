@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from pneutac_sim.finger.derivatives import changes
 from pneutac_sim.finger.inputs import Inputs
 from pneutac_sim.finger.kinematics import forward_kinematics, forward_kinematics_spatial, tip_derivatives
 from pneutac_sim.finger.pipeline import Pipeline
+from pneutac_sim.finger.problem import changes
 from pneutac_sim.twin import Twin, Value
 
 EFFECTS = (

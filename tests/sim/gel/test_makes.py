@@ -12,11 +12,10 @@ from pneutac_sim.gel import builtin, makes
 from pneutac_sim.gel.channel import priors
 from pneutac_sim.gel.fit import fit_presses
 from pneutac_sim.gel.indenter import Press
-from pneutac_sim.gel.layout import DIGIT, Layout, Orientation, kept, recognise_rest
+from pneutac_sim.gel.layout import DIGIT, Layout, Orientation, Unit, kept, recognise_rest
 from pneutac_sim.gel.metrics import rmse
 from pneutac_sim.gel.photograph import Predictor, PressPhotograph
 from pneutac_sim.gel.residual import FEATURES, PLACE, ResidualField, levels
-from pneutac_sim.gel.unit import Unit
 
 
 @pytest.fixture(autouse=True)

@@ -7,9 +7,9 @@ import trimesh
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm import devices, shapes
 from pneutac_sim.mpm.body import Body, Material
-from pneutac_sim.mpm.lattice import filled_body
 from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.sections import is_inside, lattice_inside, neutral_axis
+from pneutac_sim.mpm.solid import filled_body
 from pneutac_sim.mpm.solve import solve_equilibrium
 from pneutac_sim.mpm.user_mesh import read_mesh, store_mesh, stored_mesh
 from pneutac_sim.twin import Twin

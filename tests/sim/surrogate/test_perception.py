@@ -17,12 +17,17 @@ from pneutac_sim.mpm import devices
 from pneutac_sim.mpm.solve import MpmDiverged
 from pneutac_sim.surrogate import gel_collect, gel_train
 from pneutac_sim.surrogate.fingerprint import gel_fingerprint
-from pneutac_sim.surrogate.gel_collect import Pairs, collect_gel, press, read_contacts
-from pneutac_sim.surrogate.gel_contact import Contact, random_contact
+from pneutac_sim.surrogate.gel_collect import (
+    Contact,
+    Pairs,
+    collect_gel,
+    press,
+    random_contact,
+    read_contacts,
+)
 from pneutac_sim.surrogate.gel_evaluate import evaluate_gel
-from pneutac_sim.surrogate.gel_train import split, train_gel
+from pneutac_sim.surrogate.gel_train import UNet, split, train_gel
 from pneutac_sim.surrogate.perception import GelSurrogate
-from pneutac_sim.surrogate.unet import UNet
 from pneutac_sim.twin import Twin
 
 WINDOW_MM = (12.0, 16.0)
