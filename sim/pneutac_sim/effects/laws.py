@@ -403,7 +403,7 @@ def run_drive(x, dt, theta, conditions, state, *, input, memory, late, gain, min
         counted: zero and unit of the condition; empty where there is none.
     """
     weight, P, k, s = theta[0], theta[1], theta[2:], state.reshape(SLOTS, x.shape[1])
-    c = (conditions[:, 0] - counted[0]) / counted[1] if counted else None
+    c = (conditions[:, 0] - counted[0]) / counted[1] if counted else np.empty(0)
     fresh = s[0, 0] == 0.0
     if fresh:
         dt = dt.copy()
