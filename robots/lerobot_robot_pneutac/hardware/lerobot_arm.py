@@ -12,8 +12,7 @@ import numpy as np
 from lerobot.robots import Robot
 
 from lerobot_robot_pneutac.hardware.parts import COMMAND_S, ArmState, HardwareFault, soon
-from pneutac_sim.world.arms.chain import Chain
-from pneutac_sim.world.arms.chain_ik import ChainIK
+from pneutac_sim.world.arms.chain import Chain, ChainIK
 
 TICK_S = 0.02
 BEHIND_RAD = 0.3  # by which a joint may stay behind its target

@@ -4,8 +4,8 @@ Joints, gauge and camera are noisy; commands act a control step late and tactile
 late. Augmentation and training see its recordings alone: `docs/concepts/standin.md` lists what differs.
 """
 
-from collections import deque
 from dataclasses import dataclass
+from typing import override
 
 import mujoco
 import numpy as np
@@ -22,26 +22,15 @@ from lerobot_robot_pneutac.standin.finger import (
     new_rod,
 )
 from lerobot_robot_pneutac.standin.gel import WINDOW_MM, GelTouch
-from pneutac_sim.errors import InputError
-from pneutac_sim.features import (
-    ACTION_HIGH,
-    ACTION_LOW,
-    IMAGE_SHAPE,
-    PAPER_RANGE_KPA,
-    state_limits,
-)
+from pneutac_sim.features import IMAGE_SHAPE, PAPER_RANGE_KPA, state_limits
 from pneutac_sim.world import scene
-from pneutac_sim.world.action import checked_action
-from pneutac_sim.world.observation import Observation
-from pneutac_sim.world.station import MISSING_M, Station
+from pneutac_sim.world.base import BaseWorld, Observation, imprint_m
+from pneutac_sim.world.station import Station
 from pneutac_sim.world.task_env import TaskEnv
-from pneutac_sim.world.tasks import make_task
-from pneutac_sim.world.tasks.base import HOME_JITTER_M
 from pneutac_sim.world.view import View
 
 LATE_COMMANDS = 1  # control steps
 OBJECT_MASS = 1.15  # factor
-TOUCH_N = 0.02  # less is no contact
 CONTACT_THRESHOLD = 12.0  # levels, where no twin gives a calibrated one
 
 # Standard deviations of what is read once a control step: encoders (rad, rad/s), flange (m, by kinematics
@@ -72,25 +61,17 @@ class Physics:
     stiffness: float = 1.0
 
 
-class StandinWorld:
-    """The stand-in and a task; deterministic under `reset(seed)`.
+class StandinWorld(BaseWorld):
+    """The stand-in and a task; deterministic under `reset(seed)`. See `BaseWorld` for what is not here.
 
-    It has the methods of `pneutac_sim.world.World`, for environment, robot and experts.
+    It has the methods of `pneutac_sim.world.World`, for environment, robot and experts. Commands act some
+    control steps late, see `Physics`; `out_of_range` stays 0, for it has no networks.
 
     Attributes:
-        task: the task; `task.description` is the instruction.
-        station, arm, workspace_m, dt_s: as of `World`.
-        clipped: number of commands that were clipped to limits since the reset.
-        command: action (4,) that was sent last, after clipping; it acts some control steps
-            later, see `Physics`.
-        target_m: where the flange is sent (3,), metres.
-        out_of_range: always 0; networks have a range, this has none.
         touch: last touch: `image`, `pixels`, `area`, a control step late.
-        view: draws the scene, for `render` and scene cameras.
-        model, data: MuJoCo's, for experts and tests.
     """
 
-    out_of_range, chambers = 0, 1
+    chambers = 1
     pressure_range_kpa = PAPER_RANGE_KPA  # that of its own finger
 
     def __init__(
@@ -118,22 +99,8 @@ class StandinWorld:
         Raises:
             InputError: unknown task or touch mode, or an arm that does not reach.
         """
-        self.task, self._physics = make_task(task), physics or Physics()
-        self.station = station or Station()
-        self.dt_s = self.station.dt_s
-        self.arm, self.workspace_m = self.station.make_arm(), self.station.box_m(LENGTH_MM + TIP_MM)
-        self._lift_m = self.workspace_m[0] - self.station.workspace_low_m
-        self._late = self._physics.late_commands + self.station.late_commands
-        self.model = mujoco.MjModel.from_xml_string(
-            scene.build(
-                self.task,
-                mjcf(1e-3 * self.station.mount_mm),
-                self.arm.body,
-                self.arm.servos,
-                self.station.control_hz,
-            )
-        )
-        self.data = mujoco.MjData(self.model)
+        super().__init__(task, station, LENGTH_MM + TIP_MM)
+        self._physics = physics or Physics()
         objects = np.unique(self.model.geom_bodyid[self.model.geom_group == scene.OBJECT_GROUP])
         self.model.body_mass[objects] *= self._physics.object_mass
         self.model.body_inertia[objects] *= self._physics.object_mass
@@ -154,10 +121,7 @@ class StandinWorld:
         self._deviation = np.array([*encoders, *flange, 0.0, 0.0, GAUGE_NOISE_KPA])
         rod = new_rod(self._physics.creep, self._physics.orifice)
         self._finger = RodBody(self.model, self.data, rod)
-        self._ik, self.view = self.arm.solver(), View(self.model)
-        self._arm = slice(0, n)
-        self._pad = self.model.geom("pad").id
-        self._rng, self._noise = np.random.default_rng(), np.random.default_rng(0)
+        self.view, self._noise = View(self.model), np.random.default_rng(0)
         self.reset(0)
 
     def reset(self, seed: int | None = None) -> Observation:
@@ -168,25 +132,9 @@ class StandinWorld:
         """
         if seed is not None:
             self._rng, self._noise = np.random.default_rng(seed), np.random.default_rng([seed, 1])
-        mujoco.mj_resetData(self.model, self.data)
-        self.task.reset(self.model, self.data, self._rng)
-        self.target_m = self.home_m + self._rng.uniform(-1, 1, 3) * HOME_JITTER_M
-        self.target_m[1] += self._rng.choice(self.task.starts_m)
-        self._ik.reset()
-        for _ in range(20):
-            self._joints = self._ik.solve(self.target_m - self.arm.base_m)
-        if self._ik.missing_m > MISSING_M:
-            raise InputError(
-                f"The arm falls {self._ik.missing_m:.2g} m short of {np.round(self.target_m, 3).tolist()} m,"
-                f" where the task '{self.task.name}' starts; give the station another base_m or home_rad."
-            )
-        self.data.qpos[self._arm] = self._joints
+        self._start()
         self._finger.rest()
-        self.clipped, self.command = 0, np.zeros(4)
-        self._waiting = deque([np.zeros(4)] * self._late)
-        for _ in range(self.station.steps(scene.SETTLE_S)):
-            self._advance(self._joints, 0.0)
-        self.data.time = 0.0
+        self._settle(0.0)
         self._shown = self._felt()
         self.touch.begin(self._noise)
         self.touch.sense(self.data)
@@ -203,38 +151,33 @@ class StandinWorld:
             InputError: the action has another shape or is not finite.
             FloatingPointError: the physics has diverged.
         """
-        given = checked_action(action)
-        self.command = np.clip(given, ACTION_LOW.astype(float), ACTION_HIGH.astype(float))
-        self.clipped += int(np.any(np.abs(self.command - given) > 1e-6))
-        self._waiting.append(self.command)
-        *velocity, pressure = self._waiting.popleft()
-        wanted = self.target_m + np.array(velocity) * self.dt_s
-        target = np.clip(wanted, *self.workspace_m)
-        self.clipped += int(np.any(target != wanted))
-        joints = self._ik.solve(target - self.arm.base_m)
-        if self._ik.missing_m > MISSING_M:  # it stays where it was, and goes on from there
-            self.clipped, target, joints = self.clipped + 1, self.target_m, self._joints
-            self._ik.reset(joints)
-        self.target_m = target
+        joints, pressures_kpa = self._send(action)
         self._shown = self._felt()
-        self._advance(joints, pressure)
+        self._advance(joints, float(pressures_kpa[0]))
         scene.check_physics(self.data)
         self.task.update(self.model, self.data, self.dt_s)
         self.touch.sense(self.data)
         return self._observe()
 
-    def _advance(self, joints: np.ndarray, pressure_kpa: float) -> None:
-        """Physics substeps of one control step, towards joint targets (N,) of the arm."""
+    @override
+    def _finger_mjcf(self) -> scene.Finger:
+        return mjcf(1e-3 * self.station.mount_mm)
+
+    @property
+    @override
+    def _late_commands(self) -> int:
+        return super()._late_commands + self._physics.late_commands
+
+    @override
+    def _advance(self, joints: np.ndarray, drive: float) -> None:
         before = self._joints
 
         def servo(share: float) -> None:
             self.data.ctrl[self._arm] = before + share * (joints - before)
 
-        self._finger.advance(pressure_kpa, self.dt_s, servo)
+        self._finger.advance(drive, self.dt_s, servo)
         mujoco.mj_kinematics(self.model, self.data)
         self._joints = joints
-
-    # ---------------------------------------------------------------- senses
 
     @property
     def tactile_shape(self) -> tuple[int, int, int]:
@@ -244,28 +187,13 @@ class StandinWorld:
     def _observe(self) -> Observation:
         d, s = self.data, self.touch.pixels
         contact = [self.touch.area, np.log1p(s), self.pressure_kpa]
-        state = np.concatenate(
-            [d.qpos[self._arm], d.qvel[self._arm], self.flange_m - self.arm.base_m, contact]
-        )
+        state = np.concatenate([d.qpos[self._arm], d.qvel[self._arm], self.flange_m - self._base_m, contact])
         state += self._deviation * self._noise.standard_normal(len(state))
         return Observation(np.clip(state, *self._limits).astype(np.float32), self.touch.image)
 
     def _felt(self) -> tuple[float, np.ndarray | None]:
         """How far the gel is pressed in, mm, and where: the centre of pressure (2,) in its frame, m."""
-        total, moment, force = 0.0, np.zeros(3), np.zeros(6)
-        gel = self.data.site("gel")
-        for i, contact in enumerate(self.data.contact[: self.data.ncon]):
-            if self._pad in (contact.geom1, contact.geom2):
-                mujoco.mj_contactForce(self.model, self.data, i, force)
-                total += force[0]
-                moment += force[0] * (contact.pos - gel.xpos)
-        pressed = -1e3 * float(self.data.joint("pad").qpos[0])
-        return pressed, (gel.xmat.reshape(3, 3).T @ moment)[:2] / total if total > TOUCH_N else None
-
-    @property
-    def home_m(self) -> np.ndarray:
-        """Where the flange starts (3,) before the random part of it, metres."""
-        return np.array(self.station.home_m or self.task.home_m + self._lift_m)
+        return -1e3 * float(self.data.joint("pad").qpos[0]), imprint_m(self.model, self.data)
 
     @property
     def press_mm(self) -> float:
@@ -286,39 +214,6 @@ class StandinWorld:
     def pressure_kpa(self) -> float:
         """Pressure in the finger's chamber, kPa."""
         return self._finger.rod.pressure_kpa
-
-    @property
-    def flange_m(self) -> np.ndarray:
-        """Flange position (3,), metres."""
-        return self.data.site("flange").xpos.copy()
-
-    @property
-    def gel_m(self) -> np.ndarray:
-        """Top of the resting gel (3,), metres."""
-        return self.data.site("gel").xpos.copy()
-
-    @property
-    def time_s(self) -> float:
-        """Simulated seconds since the reset."""
-        return self.data.time
-
-    @property
-    def success(self) -> bool:
-        """Whether the task is done."""
-        return self.task.success()
-
-    @property
-    def failure(self) -> str | None:
-        """What has spoilt the trial, or None."""
-        return self.task.failure()
-
-    def render(self, width: int = 480, height: int = 360) -> np.ndarray:
-        """Picture of the scene with the tactile image in a corner, uint8 (height, width, 3)."""
-        return self.view.picture(self.data, self.touch.image, width, height)
-
-    def close(self) -> None:
-        """Frees the renderer."""
-        self.view.close()
 
 
 def standin_env(

@@ -1,11 +1,12 @@
 """Scripted experts: they find the object by touch, with the variation of a person at a joystick.
 
 An expert is reactive: what it does depends on where the gel is, on the pressure it commanded last and on what
-the gel feels, all of which a policy sees too. Nothing but touch tells it where the object is.
+the gel feels, all of which a policy sees too. Nothing but touch shows it where the object is. The pressure is
+what it is doing: vented, it withdraws; at low pressure it searches; above, it acts on what it has found.
 """
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import nnls
@@ -14,14 +15,126 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.features import MAX_PRESSURE_KPA, action_limits
 from pneutac_sim.finger.pipeline import Pipeline
 from pneutac_sim.twin import PAPER_FINGER, Twin
-from pneutac_sim.world.experts import EXPERTS
-from pneutac_sim.world.experts.motion import Habits, Wish
 from pneutac_sim.world.tasks.base import Task
+from pneutac_sim.world.tasks.card import CardTask
+from pneutac_sim.world.tasks.egg import EggTask
+from pneutac_sim.world.tasks.switch import SwitchTask
 from pneutac_sim.world.world import World
 
 PAPER_JOINTS = 4
 GAIN_RAD_PER_KPA, REST_KPA = PAPER_FINGER["gain_rad_per_kpa"], PAPER_FINGER["rest_pressure_kpa"]
 ACCELERATION = 0.8  # m/s2, how fast a hand changes the velocity
+TOUCH = 0.25  # mm of imprint, or N, that count as a touch, see `pressed`
+VENTED_KPA, SEARCH_KPA = 1.5, 4.5  # below the first it withdraws, from there to the second it searches
+FAST_M_S = 0.095
+WRAP_M = 0.08  # how much farther up after the last lane
+KEEP_HZ = 3.0  # how fast it corrects its lane
+NEAR_M = 0.005  # heights that are told apart
+
+Wish = tuple[np.ndarray, float]  # velocity (3,) m/s and pressure kPa
+
+
+@dataclass
+class Habits:
+    """How one person acts in one episode, drawn anew each time.
+
+    Attributes:
+        speed: factor on all speeds.
+        offset_m: error of the height at which it searches, metres.
+        low_kpa, high_kpa: pressures of search and of manipulation.
+        ramp_kpa_s: how fast the pressure is turned up.
+        tremor: standard deviation of the velocity's noise, m/s.
+    """
+
+    speed: float
+    offset_m: float
+    low_kpa: float
+    high_kpa: float
+    ramp_kpa_s: float
+    tremor: float = 0.003
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator) -> "Habits":
+        """A person's habits for one episode."""
+        return cls(
+            speed=rng.uniform(0.85, 1.15),
+            offset_m=rng.uniform(-1, 1) * 0.0015,
+            low_kpa=rng.uniform(2.75, 3.5),
+            high_kpa=rng.uniform(11.0, 13.0),
+            ramp_kpa_s=rng.uniform(8.0, 12.0),
+        )
+
+
+@dataclass(frozen=True)
+class Lanes:
+    """A search in lanes along x, from -y to +y, each begun at the near side.
+
+    Attributes:
+        height_m: of the gel while it looks for the object, metres above the table.
+        rise_m: how far above that it withdraws.
+        middles_m: y of the flange in each lane, ascending and evenly spaced.
+        back_m: x of the flange at which a lane begins.
+    """
+
+    height_m: float
+    rise_m: float
+    middles_m: tuple[float, ...]
+    back_m: float
+
+    def ahead(self, world: World, habits: Habits, speed: float) -> np.ndarray:
+        """Velocity (3,) along the lane, at the height of the search."""
+        return go_ahead(world, habits, self.height_m, speed) + self.keep(world)
+
+    def withdraw(self, world: World, end: bool) -> np.ndarray:
+        """Velocity (3,) back to the near side: from the end of a lane above everything, else straight.
+
+        On the way down to the next lane it moves on by one; after the last lane it goes up farther, and
+        there back to before the first.
+
+        Args:
+            world: where it is.
+            end: whether it is where a lane ends.
+        """
+        x, y, _ = world.flange_m
+        rise, first, last = world.gel_m[2] - self.height_m, self.middles_m[0], self.middles_m[-1]
+        width = self.middles_m[1] - first
+        if x < self.back_m:
+            if rise > self.rise_m + WRAP_M / 2 and y > first - 1.5 * width:
+                return np.array([0.0, -FAST_M_S, KEEP_HZ * (self.rise_m + WRAP_M - rise)])
+            # Between two heights, so that neither inertia nor latency makes the lane wider.
+            aside = width / (self.rise_m - NEAR_M) if NEAR_M < rise < self.rise_m else 0.0
+            return FAST_M_S * np.array([0.0, aside, -1.0]) / np.hypot(1.0, aside)
+        if end and rise < self.rise_m + WRAP_M * (y > last - width / 2):
+            return np.array([0.0, 0.0, FAST_M_S])
+        return np.array([-FAST_M_S, 0.0, 0.0]) + self.keep(world)
+
+    def begins(self, world: World) -> bool:
+        """Whether it is where a lane begins."""
+        return world.flange_m[0] < self.back_m and world.gel_m[2] < self.height_m + NEAR_M
+
+    def keep(self, world: World) -> np.ndarray:
+        """Velocity (3,) to the middle of the nearest lane."""
+        away = np.subtract(self.middles_m, world.flange_m[1])
+        return np.array([0.0, KEEP_HZ * away[np.argmin(np.abs(away))], 0.0])
+
+
+def go_ahead(world: World, habits: Habits, height_m: float, speed: float) -> np.ndarray:
+    """Velocity (3,) along x, with the gel at the height of the search."""
+    up = height_m + habits.offset_m - world.gel_m[2]
+    return speed * habits.speed * np.array([1.0, 0.0, np.clip(30 * up, -1, 1)])
+
+
+def touching(world: World) -> bool:
+    """Whether the gel shows a touch."""
+    return pressed(world) > TOUCH
+
+
+def pressed(world: World) -> float:
+    """How hard the gel is pressed: its imprint in mm or the force on it in N, whichever is more.
+
+    An edge makes a deep imprint with little force, a face hardly any with much; a person goes by both.
+    """
+    return max(world.press_mm, world.press_n)
 
 
 class ScriptedExpert:
@@ -119,3 +232,78 @@ def towards_gel(twin: Twin, far_kpa: float) -> tuple[np.ndarray, float]:
         )
     full = far_kpa * share / share.max()
     return full, float(np.abs(full) @ gain[:, 0])
+
+
+# Lanes are nearer to each other than gel and bar together are wide, so that the bar is never between two.
+SWITCH_LANES = Lanes(height_m=0.118, rise_m=0.04, middles_m=SwitchTask.starts_m, back_m=0.415)
+END_M = 0.512  # flange where the gel is behind the farthest bar
+CENTRE_ACROSS_HZ, CENTRE_ALONG_HZ = 4.5, 3.0  # how fast it centres the imprint; the bar is lost to the side
+
+
+def flip_switch(world: World, habits: Habits, pressure: float) -> Wish:
+    """Search lane by lane, press on where it touches, let go when the touch is gone; `pressure` in kPa."""
+    x = world.flange_m[0]
+    if pressure < VENTED_KPA and not SWITCH_LANES.begins(world):
+        return SWITCH_LANES.withdraw(world, x > END_M - 0.01), 0.0
+    if touching(world):
+        return _push(world, habits, pressure)
+    if pressure > SEARCH_KPA or x > END_M:
+        return np.zeros(3), 0.0
+    return SWITCH_LANES.ahead(world, habits, 0.08), habits.low_kpa
+
+
+def _push(world: World, habits: Habits, pressure: float) -> Wish:
+    """Inflate and creep ahead with the imprint in the middle of the gel."""
+    full = np.clip((pressure - habits.low_kpa) / (habits.high_kpa - habits.low_kpa), 0, 1)
+    at = world.imprint_m
+    across, along = (0.0, 0.0) if at is None else at
+    ahead = 0.03 - 0.012 * full
+    aside = np.array([CENTRE_ACROSS_HZ * across, CENTRE_ALONG_HZ * along])
+    return habits.speed * np.array([ahead, *-aside]), habits.high_kpa
+
+
+EDGE_M = EggTask().edge_m
+# Lanes are less apart than gel and tab are wide; the wall is touched below the lid's edge.
+EGG_LANES = Lanes(height_m=EDGE_M - 0.02, rise_m=0.030, middles_m=EggTask.starts_m, back_m=0.425)
+# A wall meets a corner of the gel, which yields to little: it is pressed by force.
+SLIDES_N, PRESS_N = 0.35, 0.5  # on the wall: from which it goes up; while it begins to
+SLIDE_N = 0.7  # while it slides up, lest it slips past the tab
+PAST_M = 0.012  # gel above the lid's edge when it has slid past it, and past the tab
+
+
+def open_carton(world: World, habits: Habits, pressure: float) -> Wish:
+    """Touch the front wall, slide up along it, and so lift the lid's tab off the latch; `pressure` in kPa."""
+    z = world.gel_m[2]
+    past = z > EDGE_M + PAST_M
+    if past or pressure < VENTED_KPA and not EGG_LANES.begins(world):
+        return EGG_LANES.withdraw(world, past), 0.0
+    if touching(world) or z > EDGE_M - 0.008:
+        sliding = z > EDGE_M - 0.016
+        missing = (SLIDE_N if sliding else PRESS_N) - world.press_n
+        ahead = np.clip(0.15 * missing, -0.01, 0.025)
+        up = 0.06 * (sliding or world.press_n > SLIDES_N)
+        return habits.speed * np.array([ahead, 0.0, up]) + EGG_LANES.keep(world), habits.low_kpa
+    return EGG_LANES.ahead(world, habits, 0.07), habits.low_kpa
+
+
+LEAN_RAD = CardTask().lean_rad
+MIDDLE_M = CardTask().middle_m - 0.003  # the card creeps down the gel while it is drawn
+PRESS = 0.95  # while drawing, see `pressed`
+DRAW = np.array([-np.sin(LEAN_RAD), 0.0, np.cos(LEAN_RAD)])
+INTO = np.array([np.cos(LEAN_RAD), 0.0, np.sin(LEAN_RAD)])
+
+
+def pull_card(world: World, habits: Habits, pressure: float) -> Wish:
+    """Touch the deck, press lightly, draw along the lean under the same force; `pressure` in kPa."""
+    if not touching(world) and pressure < SEARCH_KPA:
+        return go_ahead(world, habits, MIDDLE_M, 0.06), habits.low_kpa
+    error = PRESS - pressed(world)
+    speed = 0.04 * habits.speed * np.clip(1 - 4 * abs(error), 0, 1)
+    return speed * DRAW + 0.12 * np.clip(error, -0.2, 0.2) * INTO, 0.65 * habits.high_kpa
+
+
+EXPERTS: dict[str, Callable[..., Wish]] = {
+    "switch": flip_switch,
+    "egg": open_carton,
+    "card": pull_card,
+}

@@ -14,14 +14,18 @@ import mujoco
 import numpy as np
 
 from pneutac_sim.features import PRESSURES
+from pneutac_sim.gel.probe import COLS, ROWS, probe_grids
 from pneutac_sim.gel.sensor import TactileSensor, centre_mm
-from pneutac_sim.world import scene, slides
-from pneutac_sim.world.observation import Observation
-from pneutac_sim.world.pairs import Pairs
-from pneutac_sim.world.snapshots import Snapshots
+from pneutac_sim.world import scene
+from pneutac_sim.world.base import Observation
+from pneutac_sim.world.panda import HOME_JOINTS, SERVO_LAG_S, forward_kinematics
 from pneutac_sim.world.soft_finger import mjcf
 from pneutac_sim.world.touch import Touch
 from pneutac_sim.world.varied import VariedWorld, _Staged
+
+SLIDES = ("slide_x", "slide_y", "slide_z")
+STIFFNESS_N_M = 40000.0  # of the flange: about 12 kN m/rad at the arm's half metre
+INERTIA_KG = 1.0
 
 
 class Gantry(VariedWorld):
@@ -53,8 +57,8 @@ class Gantry(VariedWorld):
             scene.build(
                 task,
                 mjcf(self.twin, self.station.mount_mm),
-                slides.body,
-                slides.actuators,
+                _slides_mjcf,
+                _servos_mjcf,
                 self.station.control_hz,
             )
         )
@@ -64,10 +68,10 @@ class Gantry(VariedWorld):
         self.task = _Staged(task, self.model)
         self.sensor = TactileSensor(self.twin)
         self.touch = Touch(self.model, self.sensor, "area", world.touch.network)
-        self._ik, self._base_m = slides.Straight(), np.zeros(3)
+        self._ik, self._base_m = _Straight(), np.zeros(3)
         self._flange, self._gel = self.model.site("flange").id, self.model.site("gel").id
         self._arm, self._snapshots = slice(0, 3), Snapshots(self.touch, self._flange)
-        self._hold()
+        self._bind_model()
         self.steps, self.seconds = 0, {"physics": 0.0, "touch": 0.0}
         self._pairs = Pairs(world.model, self.model)
         root, hand = self.model.body_rootid, self.model.body("gantry").id
@@ -90,7 +94,7 @@ class Gantry(VariedWorld):
         self._held = world._resist(world._drive)
         self._drive, self._rate = world._drive.copy(), world._rate.copy()
         self._pipeline = world._pipeline.copy()
-        self._sent = deque(world._sent)
+        self._queue = deque(world._queue)
         self._placing.set(self.model, world._placing.poses.copy())
         self._memory = _memory(vars(world.task.inner))
         mujoco.mj_kinematics(self.model, here)
@@ -171,7 +175,7 @@ class Gantry(VariedWorld):
 
     def _acting(self, actions: np.ndarray) -> np.ndarray:
         """Actions (S, H, 3 + C) as they act: what was sent before goes first."""
-        sent = np.array(self._sent, float).reshape(1, -1, actions.shape[2])
+        sent = np.array(self._queue, float).reshape(1, -1, actions.shape[2])
         return np.concatenate([np.repeat(sent, len(actions), 0), actions], 1)[:, : actions.shape[1]]
 
     def _restart(self) -> None:
@@ -220,3 +224,139 @@ _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 def _memory(attributes: dict) -> dict:
     """What a task remembers as numbers, not its handles into a model."""
     return {k: copy.copy(v) for k, v in attributes.items() if isinstance(v, int | float | tuple | np.ndarray)}
+
+
+class Snapshots:
+    """Poses of flange, gel and objects, one row a state; rows are kept and used again.
+
+    Args:
+        touch: of the world; in mode `area`.
+        flange: id of the flange's site.
+
+    Attributes:
+        flange_m: (B, 3) flange positions, metres.
+    """
+
+    def __init__(self, touch: Touch, flange: int):
+        self._touch, self._flange = touch, flange
+        self.make_room(0)
+
+    def make_room(self, count: int) -> None:
+        """Rows for at least `count` states; what is in them is lost where they are too few."""
+        n = len(self._touch.felt)
+        self.flange_m, self._gel_m, self._gel = (
+            np.empty((count, 3)),
+            np.empty((count, 3)),
+            np.empty((count, 9)),
+        )
+        self._objects_m, self._objects = np.empty((count, n, 3)), np.empty((count, n, 9))
+        self._grids = np.empty((count, ROWS, COLS), np.float32)
+
+    def take(self, row: int, data: mujoco.MjData) -> None:
+        """Keeps the present state, whose kinematics must be up to date, in a row."""
+        if row >= len(self.flange_m):
+            raise ValueError(f"there is room for {len(self.flange_m)} states, and this is number {row + 1}")
+        _, _, self._objects_m[row], self._objects[row], self._gel_m[row], self._gel[row] = (
+            self._touch.objects(data)
+        )
+        self.flange_m[row] = data.site_xpos[self._flange]
+
+    def feel(self, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Contact areas (count,) and probe grids (count, 80, 59) of the first rows, until the next call."""
+        touch, gel = self._touch, self._touch.sensor.model
+        depth = probe_grids(
+            touch.kinds,
+            touch.sizes,
+            self._objects_m[:count],
+            self._objects[:count],
+            self._gel_m[:count],
+            self._gel[:count],
+            gel.window_mm,
+            gel.thickness_mm,
+            self._grids,
+            touch.sensor.triangles,
+        )
+        return touch.sensor.areas(depth), depth
+
+
+_COUNTS = {"joint": "njnt", "body": "nbody", "geom": "ngeom", "actuator": "nu"}
+
+
+class Pairs:
+    """Indices of everything that both models have.
+
+    Args:
+        one: MuJoCo's model.
+        other: another one, with joints, bodies, geoms and actuators of the same names.
+    """
+
+    def __init__(self, one: mujoco.MjModel, other: mujoco.MjModel):
+        def both(kind: str) -> list[str]:
+            names = [
+                [getattr(m, kind)(i).name for i in range(getattr(m, _COUNTS[kind]))] for m in (one, other)
+            ]
+            return [n for n in names[1] if n and n in names[0]]
+
+        def indices(names: list[str], find) -> tuple[np.ndarray, ...]:
+            return tuple(np.concatenate([find(m, n) for n in names]).astype(int) for m in (one, other))
+
+        joints = both("joint")
+        bodies = [n for n in both("body") if n not in ("world", "flange")]
+        self._qpos = indices(joints, lambda m, n: _span(m.joint(n).qposadr[0], m.joint(n).qpos0))
+        self._dofs = indices(joints, lambda m, n: _span(m.joint(n).dofadr[0], m.joint(n).armature))
+        self._ctrl = indices(both("actuator"), lambda m, n: [m.actuator(n).id])
+        body = indices(bodies, lambda m, n: [m.body(n).id])
+        geom = indices(both("geom"), lambda m, n: [m.geom(n).id])
+        self._fields = [
+            *((*body, name) for name in ("body_pos", "body_quat", "body_mass")),
+            (*geom, "geom_friction"),
+            (*self._dofs, "dof_frictionloss"),
+        ]
+
+    def copy(
+        self, one: mujoco.MjModel, here: mujoco.MjData, other: mujoco.MjModel, there: mujoco.MjData
+    ) -> None:
+        """Takes poses, masses and friction, positions, speeds and controls from `one` to `other`."""
+        for a, b, name in self._fields:
+            getattr(other, name)[b] = getattr(one, name)[a]
+        there.qpos[self._qpos[1]], there.qvel[self._dofs[1]] = (
+            here.qpos[self._qpos[0]],
+            here.qvel[self._dofs[0]],
+        )
+        there.ctrl[self._ctrl[1]] = here.ctrl[self._ctrl[0]]
+
+
+def _span(first: int, like: np.ndarray) -> np.ndarray:
+    return first + np.arange(len(np.atleast_1d(like)))
+
+
+def _slides_mjcf(payload: str = "") -> str:
+    """MJCF of three slides whose positions are the flange's in the world; `payload` as for the arm."""
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, forward_kinematics(HOME_JOINTS)[:3, :3].ravel())
+    slides = "".join(
+        f'<joint name="{name}" type="slide" axis="{axis}" armature="{INERTIA_KG}"/>'
+        for name, axis in zip(SLIDES, ("1 0 0", "0 1 0", "0 0 1"), strict=True)
+    )
+    site = '<site name="flange" size=".001" group="5"/>'
+    # The joints' axes are in the frame of their body: the turned flange is a body of its own.
+    flange = f'<body name="flange" quat="{" ".join(map(repr, quat.tolist()))}">{site}{payload}</body>'
+    return f'<body name="gantry" gravcomp="1">{slides}{flange}</body>'
+
+
+def _servos_mjcf() -> str:
+    """MJCF position servos of the slides."""
+    kv = SERVO_LAG_S * STIFFNESS_N_M
+    return "".join(f'<position name="servo_{j}" joint="{j}" kp="{STIFFNESS_N_M}" kv="{kv}"/>' for j in SLIDES)
+
+
+class _Straight:
+    """Inverse kinematics of the slides: their positions are the flange's own."""
+
+    missing_m = 0.0
+
+    def reset(self) -> None:
+        pass
+
+    def solve(self, position: np.ndarray) -> np.ndarray:
+        return np.array(position, float)

@@ -21,7 +21,7 @@ class SidewaysWorld(VariedWorld):
     """
 
     @override
-    def _made(self) -> Finger:
+    def _finger_mjcf(self) -> Finger:
         if self.chambers > 1:
             raise InputError(
                 f"The twin's {self.twin.device} has {self.chambers} chambers; a finger that a load bends"

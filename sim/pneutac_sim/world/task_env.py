@@ -15,8 +15,8 @@ from pneutac_sim.features import (
     action_limits,
     state_limits,
 )
+from pneutac_sim.world.base import Observation
 from pneutac_sim.world.look import SceneCameras
-from pneutac_sim.world.observation import Observation
 from pneutac_sim.world.points import tactile_points
 
 

@@ -138,20 +138,3 @@ def _closed(triangles: np.ndarray, size: np.ndarray) -> bool:
     first, count = int(size[0]), int(size[1])
     corners = triangles[first : first + count].reshape(-1, 3)
     return trimesh.Trimesh(corners, np.arange(3 * count).reshape(-1, 3)).is_watertight
-
-
-def imprint_m(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray | None:
-    """Centre of pressure in the gel's frame: across and along the finger (2,), metres; None without contact.
-
-    x = sum f_i (x_i - x_gel) / sum f_i over contacts of the pad, f_i their normal forces.
-    """
-    pad, total, moment, force = model.geom("pad").id, 0.0, np.zeros(3), np.zeros(6)
-    gel = data.site("gel")
-    for i in range(data.ncon):
-        if pad in (data.contact[i].geom1, data.contact[i].geom2):
-            mujoco.mj_contactForce(model, data, i, force)
-            total += force[0]
-            moment += force[0] * (data.contact[i].pos - gel.xpos)
-    if total < 0.02:  # N
-        return None
-    return (gel.xmat.reshape(3, 3).T @ moment)[:2] / total

@@ -1,61 +1,46 @@
-"""The world: arm, pneumatic finger with its gel, and a task, stepped at the control rate.
+"""The world of a twin: arm, pneumatic finger with its gel, and a task, stepped at the control rate.
 
 One description serves environment, robot twin and planner. A control step integrates the Cartesian velocity,
 solves the inverse kinematics once, and interpolates joint targets and pressure over the physics substeps.
 """
 
 import logging
-from collections import deque
+from typing import override
 
 import mujoco
 import numpy as np
+from mujoco.rollout import Rollout
 
-from pneutac_sim.errors import InputError, check_choice
-from pneutac_sim.features import CHAMBERS, FIDELITIES, PRESSURES, RENDERS, action_limits
+from pneutac_sim.errors import check_choice
+from pneutac_sim.features import CHAMBERS, FIDELITIES, RENDERS
 from pneutac_sim.finger.online import PressurePipeline
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.twin import PAPER_FINGER, Twin, checked_range
 from pneutac_sim.world import scene
-from pneutac_sim.world.action import checked_action
+from pneutac_sim.world.base import BaseWorld, Observation, imprint_m
 from pneutac_sim.world.checks import check_bends
 from pneutac_sim.world.conditions import Conditions, conditions_for, draw
-from pneutac_sim.world.deforming import deforming
-from pneutac_sim.world.drawn import drawn
 from pneutac_sim.world.following import Follower
-from pneutac_sim.world.observation import Observation
 from pneutac_sim.world.pad import Pad
 from pneutac_sim.world.placing import Placing
 from pneutac_sim.world.scene import Finger
-from pneutac_sim.world.senses import Senses
 from pneutac_sim.world.soft_finger import Springs, mjcf
 from pneutac_sim.world.spine import Spine
-from pneutac_sim.world.station import MISSING_M, Station
-from pneutac_sim.world.substeps import Substeps
-from pneutac_sim.world.tasks import make_task
-from pneutac_sim.world.tasks.base import HOME_JITTER_M
+from pneutac_sim.world.station import Station
 from pneutac_sim.world.touch import Touch
+from pneutac_sim.world.view import View
 
 logger = logging.getLogger(__name__)
 
 
-class World(Senses):
-    """Arm, finger and task, deterministic under `reset(seed)`.
+class World(BaseWorld):
+    """Arm, finger and task of a twin, deterministic under `reset(seed)`; `BaseWorld` has the rest of it.
 
     Attributes:
-        task: the task; `task.description` is the instruction.
         sensor: the gel's tactile sensor.
         conditions: what the twin's effects are given in this episode, such as `temperature_c`.
-        time_s: simulated time since the reset.
-        dt_s: duration of a control step.
         chambers: C, of the finger.
         pressure_range_kpa: lowest and highest pressure that can be commanded to each, kPa.
-        action_limits: lowest and highest action (3 + C,).
-        station: where the finger works.
-        arm: what carries it.
-        workspace_m: corners (3,) of the box to which the flange is held, metres.
-        clipped: number of commands that were clipped to limits since the reset; the first is logged too.
-        command: last action after clipping (3 + C,), which acts as late as the station says.
-        target_m: where the flange is sent (3,), metres in the station's frame.
         spine_target_rad: spine joint angles q_cmd (N,), with several chambers (N, 2), that the pressure
             commands, after the twin's effects.
         finger: the soft body round the spine, `SurrogateFinger` or `MpmFinger`; None where the spine's joints
@@ -63,8 +48,6 @@ class World(Senses):
         out_of_range: number of steps since the reset in which a state of the finger or a contact lay outside
             what the networks were trained with.
         touch: last touch: `depth_mm`, `image`, `pixels`, `area`.
-        view: draws the scene, for `render` and scene cameras.
-        model, data: MuJoCo's, for planners, experts and tests.
     """
 
     def __init__(
@@ -103,7 +86,6 @@ class World(Senses):
                 that is of a gel, or has no networks or outdated ones, or a body stiffer than all of it, or
                 several chambers with another fidelity than `probe`; an effect without its conditions.
         """
-        self.task = make_task(task)
         self.twin = twin or Twin.builtin()
         check_choice("fidelity", fidelity, FIDELITIES)
         check_bends(self.twin, fidelity)
@@ -111,52 +93,25 @@ class World(Senses):
         check_choice("render", render, RENDERS)
         wider = self.twin.pressure_range_kpa if pressure_range_kpa is None else pressure_range_kpa
         self.pressure_range_kpa = checked_range(wider, "pressure_range_kpa")
-        limits = action_limits(self.pressure_range_kpa, self.chambers)
-        self.action_limits = tuple(limit.astype(float) for limit in limits)
-        self._told = False
-        # Tasks are laid out for the paper's finger: with a longer one the flange keeps as much higher.
-        self.station = station or Station()
-        self.workspace_m = self.station.box_m(self.twin.length_mm)
-        self._lift_m = self.workspace_m[0] - self.station.workspace_low_m
-        self.arm = self.station.make_arm()
-        self.dt_s, self._substeps = self.station.dt_s, scene.substeps(self.station.control_hz)
+        super().__init__(task, station, self.twin.length_mm)
+        self._warned = False
+        self._substeps = scene.substeps(self.station.control_hz)
         # Share of a control step at the end of each substep.
         self._ramp = np.linspace(0, 1, self._substeps + 1)[1:, None]
-        self._base_m = self.arm.base_m  # of the frame in which the arm is told where to go
         self._conditions = conditions_for(self.twin, conditions)
         self._pipeline = PressurePipeline(self.twin, draw(self._conditions, np.random.default_rng(0)))
-        self.finger, gel = deforming(self.twin, fidelity, touch)
-        self.model = mujoco.MjModel.from_xml_string(
-            scene.build(
-                self.task,
-                self._made(),
-                self.arm.body,
-                self.arm.servos,
-                self.station.control_hz,
-            )
-        )
-        self.data = mujoco.MjData(self.model)
+        self.finger, gel = _deforming(self.twin, fidelity, touch)
         self.sensor = TactileSensor(self.twin)
         self.touch = Touch(self.model, self.sensor, touch, gel)
-        self._ik = self.arm.solver()
-        self.view = drawn(render, self.model, self.twin, self.sensor if touch == "image" else None)
-        self._rng = np.random.default_rng()
-        self._flange = self.model.site("flange").id
-        self._gel = self.model.site("gel").id
-
-        # The arm's joints and servos come first in the model, then the spine's.
-        self._arm = slice(0, self.arm.joints)
-        self._hold()
-        whole = (
-            self.twin.parameter("joint_stiffness_nm_per_rad")
-            if self.finger is None
-            else (self.finger.controller_nm_per_rad)
-        )
+        self.view = _view(render, self.model, self.twin, self.sensor if touch == "image" else None)
+        self._bind_model()
+        whole = self.twin.parameter("joint_stiffness_nm_per_rad")
+        whole = whole if self.finger is None else self.finger.controller_nm_per_rad
         self._controller = whole * np.eye(self._bends.joints)
         self.reset(0)
 
-    def _hold(self) -> None:
-        """Takes hold of the finger in the model, which has been built."""
+    def _bind_model(self) -> None:
+        """Finds the finger in the model, which has been built."""
         self._bends = Spine(self.model, self.twin)
         self._spine = self._bends.dofs
         self._physics = Substeps(self.model, self.data)
@@ -168,8 +123,6 @@ class World(Senses):
         self._follower = Follower(self.model, self._bends.joints)
         self._tip, self._placing = self.model.site("tip").id, Placing(self.model)
 
-    # ---------------------------------------------------------------- episode
-
     def reset(self, seed: int | None = None) -> Observation:
         """Starts an episode, before which the finger has rested.
 
@@ -180,23 +133,11 @@ class World(Senses):
         """
         if seed is not None:
             self._rng = np.random.default_rng(seed)
-        mujoco.mj_resetData(self.model, self.data)
-        self.task.reset(self.model, self.data, self._rng)
-        self.target_m = self.home_m + self._rng.uniform(-1, 1, 3) * HOME_JITTER_M
-        self.target_m[1] += self._rng.choice(self.task.starts_m)
-        self._ik.reset()
-        for _ in range(20):
-            self._joints = self._ik.solve(self.target_m - self._base_m)
-        if self._ik.missing_m > MISSING_M:
-            raise InputError(
-                f"The arm falls {self._ik.missing_m:.2g} m short of {np.round(self.target_m, 3).tolist()} m,"
-                f" where the task '{self.task.name}' starts; give the station another base_m or home_rad."
-            )
+        self._start()
         self.conditions = self._draw_conditions()
         self._pipeline.set_conditions(self.conditions)
         self._pipeline.reset(0.0, same_session=seed is None)
         self.spine_target_rad = self._pipeline.rest()
-        self.data.qpos[self._arm] = self._joints
         if self.finger is not None:
             self.finger.reset()
         self._drive = self._bend(self.spine_target_rad)
@@ -206,27 +147,18 @@ class World(Senses):
             self._placing.set(
                 self.model, self._placing.find(self._pipeline, self._in_plane(self._drive), self.dt_s)
             )
-        self.clipped = self.out_of_range = 0
-        self.command = np.zeros(len(self.action_limits[0]))
-        self._sent = deque([self.command] * self._late_commands)
         mujoco.mj_kinematics(self.model, self.data)
-        for _ in range(self.station.steps(scene.SETTLE_S)):
-            self._advance(self._joints, self.spine_target_rad)
-        self.data.time = 0.0
+        self._settle(self.spine_target_rad)
         self._measure(self.dt_s)
         self.touch.sense(self.data)
         return self._observe()
 
     @property
-    def home_m(self) -> np.ndarray:
-        """Where the flange starts (3,) before the random part of it, metres."""
-        return np.array(self.station.home_m or self.task.home_m + self._lift_m)
-
-    @property
+    @override
     def _late_commands(self) -> int:
-        """Control steps by which commands act late: the station's and, as demonstrations told, the twin's."""
+        # The twin has a latency of its own where demonstrations show one.
         known = self.twin.parameters.get("command_latency_s")
-        return self.station.late_commands + (self.station.steps(known.value) if known else 0)
+        return super()._late_commands + (self.station.steps(known.value) if known else 0)
 
     def _draw_conditions(self) -> dict[str, float]:
         return draw(self._conditions, self._rng)
@@ -242,18 +174,8 @@ class World(Senses):
             InputError: the action has another shape or is not finite.
             FloatingPointError: the physics has diverged.
         """
-        self.command = self._clip(action)
-        self._sent.append(self.command)
-        sent = self._sent.popleft()
-        wanted = self.target_m + sent[:3] * self.dt_s
-        target = np.clip(wanted, *self.workspace_m)
-        self.clipped += int(np.any(target != wanted))
-        joints = self._ik.solve(target - self._base_m)
-        if self._ik.missing_m > MISSING_M:  # it stays where it was, and goes on from there
-            self.clipped, target, joints = self.clipped + 1, self.target_m, self._joints
-            self._ik.reset(joints)
-        self.target_m = target
-        self._advance(joints, self._pipeline.step(sent[PRESSURES], self.dt_s))
+        joints, pressures_kpa = self._send(action)
+        self._advance(joints, self._pipeline.step(pressures_kpa, self.dt_s))
         scene.check_physics(self.data)
         self.task.update(self.model, self.data, self.dt_s)
         self._measure(self.dt_s)
@@ -261,25 +183,20 @@ class World(Senses):
         self.out_of_range += not (self.touch.in_range and (self.finger is None or self.finger.in_range))
         return self._observe()
 
-    def _clip(self, action) -> np.ndarray:
-        action = checked_action(action, self.chambers)
-        clipped = np.clip(action, *self.action_limits)
-        # A float32 action at the limit is not beyond it.
-        if np.any(np.abs(clipped - action) > 1e-6 * np.maximum(1.0, np.abs(action))):
-            self.clipped += 1
-            if not self._told:
-                self._told = True
-                low, high = self.pressure_range_kpa
-                logger.warning(
-                    "The action %s is beyond the limits (0.1 m/s, %g to %g kPa) and was clipped; later ones"
-                    " are counted only. `pressure_range_kpa` drives a twin beyond what it was measured over.",
-                    np.round(action, 3).tolist(),
-                    low,
-                    high,
-                )
+    @override
+    def _clip(self, action: np.ndarray) -> np.ndarray:
+        before, clipped = self.clipped, super()._clip(action)
+        if self.clipped > before and not self._warned:
+            self._warned = True
+            logger.warning(
+                "The action %s is beyond the limits (0.1 m/s, %g to %g kPa) and was clipped; later ones"
+                " are counted only. `pressure_range_kpa` drives a twin beyond what it was measured over.",
+                *(np.round(action, 3).tolist(), *self.pressure_range_kpa),
+            )
         return clipped
 
-    def _advance(self, joints: np.ndarray, spine: np.ndarray) -> None:
+    @override
+    def _advance(self, joints: np.ndarray, drive: np.ndarray) -> None:
         """Physics substeps of one control step, towards joint targets of the arm and the spine.
 
         M (q - q_d)'' + D (q - q_d)' = K_c (q_d - q) + f(q) - f(q_d), with the controller of stiffness K_c,
@@ -287,18 +204,18 @@ class World(Senses):
         is commanded. f is taken straight about the present q, so that MuJoCo's own springs of K = K_c - J
         have it at every substep.
         """
-        drive, before = self._bend(spine), self._drive
+        after, before = self._bend(drive), self._drive
         K, rest = self._resist(before)
         D = self._springs.set(K)
         self._pad.feel(self.touch.objects(self.data))
         ctrl = np.tile(self.data.ctrl, (self._substeps, 1))
         ctrl[:, self._arm] = self._joints + self._ramp * (joints - self._joints)
-        torques, self._rate = self._follower.torques(before, self._rate, drive, K, D, self._substeps)
+        torques, self._rate = self._follower.torques(before, self._rate, after, K, D, self._substeps)
         ctrl[:, self._spine] = torques + rest
         goal = self._placing.poses
         if self._pipeline.moves:
             goal = self._placing.find(
-                self._pipeline, self._in_plane(self.spine_rad + drive - before), self.dt_s
+                self._pipeline, self._in_plane(self.spine_rad + after - before), self.dt_s
             )
         if self._placing.stays(goal):
             self._placing.set(self.model, goal)
@@ -309,7 +226,7 @@ class World(Senses):
                 self._placing.set(self.model, pose)
                 mujoco.mj_step(self.model, self.data)
         mujoco.mj_kinematics(self.model, self.data)
-        self._joints, self.spine_target_rad, self._drive = joints, spine, drive
+        self._joints, self.spine_target_rad, self._drive = joints, drive, after
 
     def _resist(self, drive: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Stiffness K (N, N) in N m/rad and the motors' torque beyond it, about the present joint angles.
@@ -323,8 +240,8 @@ class World(Senses):
         torque, J = self.finger.torque(drive, q)
         return self._controller - J, torque - J @ (q - drive)
 
-    def _made(self) -> Finger:
-        """The finger's MJCF."""
+    @override
+    def _finger_mjcf(self) -> Finger:
         return mjcf(self.twin, self.station.mount_mm)
 
     def _bend(self, q_cmd: np.ndarray) -> np.ndarray:
@@ -334,8 +251,6 @@ class World(Senses):
     def _in_plane(self, q: np.ndarray) -> np.ndarray:
         """Those of joint angles that the pipeline has; here all."""
         return q
-
-    # ---------------------------------------------------------------- senses
 
     @property
     def tactile_shape(self) -> tuple[int, int, int]:
@@ -357,29 +272,136 @@ class World(Senses):
         return Observation(state.astype(np.float32), self.touch.image)
 
     @property
-    def time_s(self) -> float:
-        """Simulated seconds since the reset."""
-        return self.data.time
-
-    @property
-    def success(self) -> bool:
-        """Whether the task is done."""
-        return self.task.success()
-
-    @property
-    def failure(self) -> str | None:
-        """What has spoilt the trial, or None."""
-        return self.task.failure()
-
-    def render(self, width: int = 480, height: int = 360) -> np.ndarray:
-        """Picture of the scene with the tactile image in a corner, uint8 (height, width, 3)."""
-        return self.view.picture(self.data, self.touch.image, width, height)
-
-    @property
     def renders_with_gl(self) -> bool:
         """Whether the last picture came from OpenGL; False before the first one and where it is drawn."""
         return self.view.uses_gl
 
-    def close(self) -> None:
-        """Frees the renderer."""
-        self.view.close()
+    @property
+    def pressure_kpa(self) -> float:
+        """Pressure in the finger's first chamber, kPa; behind the command where the twin has a valve lag."""
+        return float(self._pipeline.pressure_kpa[0])
+
+    @property
+    def pressures_kpa(self) -> np.ndarray:
+        """The same of each chamber (C,)."""
+        return self._pipeline.pressure_kpa.copy()
+
+    @property
+    def spine_rad(self) -> np.ndarray:
+        """Spine joint angles (N,), with several chambers (N, 2) towards +z and +y, rad."""
+        return self._bends.read(self.data)
+
+    @property
+    def press_mm(self) -> float:
+        """How far the gel's surface is pressed in, mm."""
+        return -1e3 * float(self.data.joint("pad").qpos[0])
+
+    @property
+    def press_n(self) -> float:
+        """Force on the gel, N: that of its own material, see `gel.force`."""
+        return self._pad.spring.force(1e-3 * self.press_mm)
+
+    @property
+    def imprint_m(self) -> np.ndarray | None:
+        """Where the gel is pressed, in its frame: across and along the finger (2,), metres; None where not.
+
+        Along is positive towards the tip. The tactile image shows the same.
+        """
+        return imprint_m(self.model, self.data)
+
+    @property
+    def tip(self) -> np.ndarray:
+        """Where the finger's tip is (5,): x, y, z in mm, bend towards +z and towards +y in rad.
+
+        In the frame in which the base is thought to stand, x along the straight finger.
+        """
+        d = self.data
+        flange = d.site_xmat[self._flange].reshape(3, 3)
+        at = self._placing.in_base(d.site_xpos[self._tip], d.site_xpos[self._flange], flange)
+        bend = np.append(self.spine_rad.sum(0), 0.0)[:2]
+        return np.append(at, self._placing.turned + bend)
+
+    @property
+    def markers(self) -> np.ndarray:
+        """What a bench's camera would read of the tip (5,): `tip` through the twin's observation."""
+        return self._read if self._pipeline.measures else self.tip
+
+    def _measure(self, dt_s: float) -> None:
+        """Takes the markers of this control step, where effects change what is read."""
+        if self._pipeline.measures:
+            self._read = self._pipeline.read(self.tip, dt_s)
+
+
+_STATE = mujoco.mjtState
+_FULL = _STATE.mjSTATE_FULLPHYSICS
+# What is not named here a rollout sets to zero: forces that are applied from outside would be lost.
+_INPUTS = _STATE.mjSTATE_CTRL | _STATE.mjSTATE_QFRC_APPLIED | _STATE.mjSTATE_XFRC_APPLIED
+
+
+class Substeps:
+    """Steps a model, bit for bit as a loop over `mj_step` does.
+
+    Args:
+        model: MuJoCo's.
+        data: its state, which is stepped.
+    """
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData):
+        self._model, self._data = model, data
+        self._rollout = Rollout(nthread=0)
+        self._state = np.empty((1, mujoco.mj_stateSize(model, _FULL)))
+
+    def run(self, ctrl: np.ndarray) -> None:
+        """A substep for each row of controls (S, nu), under the forces that are applied in the data."""
+        model, data = self._model, self._data
+        mujoco.mj_getState(model, data, self._state[0], _FULL)
+        inputs = np.empty((1, len(ctrl), model.nu + model.nv + 6 * model.nbody))
+        inputs[..., : model.nu] = ctrl
+        inputs[..., model.nu : model.nu + model.nv] = data.qfrc_applied
+        inputs[..., model.nu + model.nv :] = data.xfrc_applied.ravel()
+        # It steps the data itself, so its own record of the states is left aside.
+        self._rollout.rollout(
+            [model],
+            [data],
+            self._state,
+            inputs,
+            control_spec=_INPUTS,
+            initial_warmstart=data.qacc_warmstart[None].copy(),
+            nstep=len(ctrl),
+            skip_checks=True,
+        )
+
+
+def _deforming(twin: Twin, fidelity: str, touch: str):
+    """What bends the finger, and what indents the gel; None for the formulas."""
+    deforms = touch in ("image", "area")
+    if fidelity == "surrogate":  # its modules take a second to start
+        from pneutac_sim.surrogate.networks import Networks
+
+        networks = Networks.of(twin)
+        return networks.finger(twin), networks.gel if deforms else None
+    if fidelity == "mpm":
+        from pneutac_sim.world.mpm_finger import MpmFinger
+        from pneutac_sim.world.mpm_gel import MpmGel
+
+        return MpmFinger(twin), MpmGel(twin) if deforms else None
+    return None, None
+
+
+def _view(render: str, model: mujoco.MjModel, twin: Twin, sensor: TactileSensor | None) -> View:
+    """The view of a world, and its tactile images with it.
+
+    Args:
+        render: one of `features.RENDERS`.
+        model: of the world; with `splats` the geoms of the finger's skin leave its seen groups.
+        twin: of the finger.
+        sensor: the gel's; None where no images are wanted.
+    """
+    if render == "mesh":
+        return View(model)
+    from pneutac_sim.splat.gel import SplatSensor  # numba takes a second to start
+    from pneutac_sim.world.splats import DEVICE, SplatView
+
+    if sensor is not None:
+        sensor.draw = SplatSensor(sensor.model, device=DEVICE).image
+    return SplatView(model, twin)

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from lerobot_robot_pneutac.standin.world import StandinWorld
-from pneutac_sim.world.expert import ScriptedExpert
-from pneutac_sim.world.experts.motion import Habits
+from pneutac_sim.world.expert import Habits, ScriptedExpert
 from pneutac_sim.world.world import World
 
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, CONTROL_HZ, TASK_NAMES
-from pneutac_sim.world.expert import ScriptedExpert
-from pneutac_sim.world.experts.motion import VENTED_KPA, Habits
+from pneutac_sim.world.expert import VENTED_KPA, Habits, ScriptedExpert
 from pneutac_sim.world.world import World
 
 pytestmark = pytest.mark.slow

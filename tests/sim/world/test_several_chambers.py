@@ -12,9 +12,9 @@ from pneutac_sim.features import Places
 from pneutac_sim.finger.equilibrium import spatial
 from pneutac_sim.finger.online import PressurePipeline
 from pneutac_sim.twin import Twin, Value
-from pneutac_sim.world.ball_kernel import torques
 from pneutac_sim.world.env import PneutacEnv
 from pneutac_sim.world.expert import ScriptedExpert, towards_gel
+from pneutac_sim.world.following import ball_torques
 from pneutac_sim.world.soft_finger import DEFAULTS, MATERIALS, gel_above_m, mjcf
 from pneutac_sim.world.spine import Spine, end_of, quaternions
 from pneutac_sim.world.station import Station
@@ -104,7 +104,7 @@ def test_torques_are_those_of_mujocos_inverse_dynamics():
     before, rate, slope = (rng.uniform(-size, size, (6, 2)) for size in (0.2, 2, 2))
     ours = np.empty((20, 6, 3))
     nothing = np.zeros(6)
-    torques(*follower._balls, before, rate, slope, nothing, nothing, model.opt.timestep, ours)
+    ball_torques(*follower._balls, before, rate, slope, nothing, nothing, model.opt.timestep, ours)
     spine.write(data, before)
     h = model.opt.timestep
     earlier = mujoco.MjData(model)

@@ -3,8 +3,7 @@
 import mujoco
 import numpy as np
 
-from pneutac_sim.world.substeps import Substeps
-from pneutac_sim.world.world import World
+from pneutac_sim.world.world import Substeps, World
 
 
 def test_one_call_is_the_loop_bit_for_bit():

@@ -5,7 +5,7 @@ import pytest
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, N_PIXELS, STATE_NAMES, TASK_NAMES
-from pneutac_sim.world import drawing, scene
+from pneutac_sim.world import scene, view
 from pneutac_sim.world.expert import ScriptedExpert
 from pneutac_sim.world.station import Station
 from pneutac_sim.world.tasks import TASKS
@@ -159,7 +159,7 @@ def test_without_opengl_the_scene_is_drawn(world, monkeypatch, caplog):
     second = blind.render(320, 240)
     assert first.shape == (240, 320, 3) and first.std() > 20
     assert (first != second).any(axis=2).mean() > 0.02  # the finger has moved
-    assert np.array_equal(second, drawing.draw(blind.model, blind.data, CAMERA, 320, 240))
+    assert np.array_equal(second, view.draw(blind.model, blind.data, CAMERA, 320, 240))
 
 
 def test_diverged_physics_is_no_fresh_scene():

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 if TYPE_CHECKING:
-    from pneutac_sim.world.experts.motion import Habits, Wish
+    from pneutac_sim.world.expert import Habits, Wish
     from pneutac_sim.world.world import World
 
 BUMP_S = 1 / 15  # a force that lasts no longer is no press

@@ -1,0 +1,234 @@
+"""What every simulated world has: arm, task, start, command queue, clipping and inverse kinematics.
+
+`world.World` of a twin and the stand-in are built on it. It knows neither finger nor gel of theirs.
+"""
+
+from abc import ABC, abstractmethod
+from collections import deque
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import PRESSURES, action_limits
+from pneutac_sim.world import scene
+from pneutac_sim.world.station import MISSING_M, Station
+from pneutac_sim.world.tasks import make_task
+from pneutac_sim.world.tasks.base import HOME_JITTER_M
+from pneutac_sim.world.view import View
+
+START_SOLVES = 20  # calls of the inverse kinematics, after which it has converged to the start
+CONTACT_N = 0.02  # a smaller force on the gel is no contact
+
+
+@dataclass
+class Observation:
+    """What a robot senses once a control step.
+
+    Attributes:
+        state: (2 N + 5 + C,) float32 as `features.state_names` of an arm of N joints and C chambers.
+        tactile: uint8 (H, W, 3) of the sensor's size, or None where the world has no image.
+    """
+
+    state: np.ndarray
+    tactile: np.ndarray | None
+
+
+class BaseWorld(ABC):
+    """Arm and task before a finger, deterministic under `reset(seed)`.
+
+    A subclass sets `chambers`, and `pressure_range_kpa` in kPa, before it calls `__init__`.
+
+    Attributes:
+        task: the task; `task.description` is the instruction.
+        station: where the finger works.
+        arm: what carries it.
+        dt_s: duration of a control step.
+        workspace_m: corners (3,) of the box to which the flange is held, metres.
+        action_limits: lowest and highest action (3 + C,).
+        clipped: number of commands that were clipped to limits since the reset.
+        command: last action after clipping (3 + C,), which acts as late as the station says.
+        target_m: where the flange is sent (3,), metres in the station's frame.
+        out_of_range: number of steps since the reset outside what networks were trained with.
+        model, data: MuJoCo's, for planners, experts and tests.
+        view: draws the scene, for `render` and scene cameras.
+    """
+
+    chambers: int
+    pressure_range_kpa: tuple[float, float]
+    view: View
+
+    def __init__(self, task: str, station: Station | None, length_mm: float):
+        """Builds the model.
+
+        Args:
+            task: a task's name, see `features.task_names`.
+            station: arm, workspace and mount; default the paper's.
+            length_mm: of the finger.
+
+        Raises:
+            InputError: there is no such task, or the arm's file is wrong.
+        """
+        self.task, self.station = make_task(task), station or Station()
+        self.dt_s, self.arm = self.station.dt_s, self.station.make_arm()
+        limits = action_limits(self.pressure_range_kpa, self.chambers)
+        self.action_limits = tuple(limit.astype(float) for limit in limits)
+        # Tasks are laid out for the paper's finger: with a longer one the flange keeps as much higher.
+        self.workspace_m = self.station.box_m(length_mm)
+        self._lift_m = self.workspace_m[0] - self.station.workspace_low_m
+        self.model = mujoco.MjModel.from_xml_string(
+            scene.build(
+                self.task,
+                self._finger_mjcf(),
+                self.arm.body,
+                self.arm.servos,
+                self.station.control_hz,
+            )
+        )
+        self.data = mujoco.MjData(self.model)
+        self._ik, self._base_m = self.arm.solver(), self.arm.base_m
+        self._arm = slice(0, self.arm.joints)  # its joints and servos come first in the model
+        self._flange, self._gel = self.model.site("flange").id, self.model.site("gel").id
+        self._rng = np.random.default_rng()
+
+    @abstractmethod
+    def _finger_mjcf(self) -> scene.Finger:
+        """The finger that the flange carries."""
+
+    @abstractmethod
+    def _advance(self, joints: np.ndarray, drive) -> None:
+        """Physics substeps of one control step, towards arm joint targets (N,) rad and a finger's drive."""
+
+    def _start(self) -> None:
+        """Draws a start from the random stream: objects, and where the flange is; it is not settled yet.
+
+        Raises:
+            InputError: the arm does not reach it.
+        """
+        mujoco.mj_resetData(self.model, self.data)
+        self.task.reset(self.model, self.data, self._rng)
+        self.target_m = self.home_m + self._rng.uniform(-1, 1, 3) * HOME_JITTER_M
+        self.target_m[1] += self._rng.choice(self.task.starts_m)
+        self._ik.reset()
+        for _ in range(START_SOLVES):
+            self._joints = self._ik.solve(self.target_m - self._base_m)
+        if self._ik.missing_m > MISSING_M:
+            raise InputError(
+                f"The arm falls {self._ik.missing_m:.2g} m short of {np.round(self.target_m, 3).tolist()} m,"
+                f" where the task '{self.task.name}' starts; give the station another base_m or home_rad."
+            )
+        self.data.qpos[self._arm] = self._joints
+        self.clipped = self.out_of_range = 0
+        self.command = np.zeros(3 + self.chambers)
+        self._queue = deque([self.command] * self._late_commands)
+
+    def _settle(self, drive) -> None:
+        """Brings arm and finger to rest under a constant drive, before the clock starts."""
+        for _ in range(self.station.steps(scene.SETTLE_S)):
+            self._advance(self._joints, drive)
+        self.data.time = 0.0
+
+    def _send(self, action) -> tuple[np.ndarray, np.ndarray]:
+        """Takes an action, and gives the one that acts now: joint targets (N,) rad and pressures (C,) kPa.
+
+        Raises:
+            InputError: the action has another shape or is not finite.
+        """
+        self.command = self._clip(checked_action(action, self.chambers))
+        self._queue.append(self.command)
+        acting = self._queue.popleft()
+        wanted = self.target_m + acting[:3] * self.dt_s
+        target = np.clip(wanted, *self.workspace_m)
+        self.clipped += int(np.any(target != wanted))
+        joints = self._ik.solve(target - self._base_m)
+        if self._ik.missing_m > MISSING_M:  # it stays where it was, and goes on from there
+            self.clipped, target, joints = self.clipped + 1, self.target_m, self._joints
+            self._ik.reset(joints)
+        self.target_m = target
+        return joints, acting[PRESSURES]
+
+    def _clip(self, action: np.ndarray) -> np.ndarray:
+        """The action within `action_limits`; counts it where it was beyond."""
+        clipped = np.clip(action, *self.action_limits)
+        # A float32 action at the limit is not beyond it.
+        self.clipped += bool(np.any(np.abs(clipped - action) > 1e-6 * np.maximum(1.0, np.abs(action))))
+        return clipped
+
+    @property
+    def _late_commands(self) -> int:
+        """Control steps by which commands act late."""
+        return self.station.late_commands
+
+    @property
+    def home_m(self) -> np.ndarray:
+        """Where the flange starts (3,) before the random part of it, metres."""
+        return np.array(self.station.home_m or self.task.home_m + self._lift_m)
+
+    @property
+    def flange_m(self) -> np.ndarray:
+        """Flange position (3,), metres."""
+        return self.data.site_xpos[self._flange].copy()
+
+    @property
+    def gel_m(self) -> np.ndarray:
+        """Middle of the gel window on the resting surface (3,), metres."""
+        return self.data.site_xpos[self._gel].copy()
+
+    @property
+    def time_s(self) -> float:
+        """Simulated seconds since the reset."""
+        return self.data.time
+
+    @property
+    def success(self) -> bool:
+        """Whether the task is done."""
+        return self.task.success()
+
+    @property
+    def failure(self) -> str | None:
+        """What has spoilt the trial, or None."""
+        return self.task.failure()
+
+    def render(self, width: int = 480, height: int = 360) -> np.ndarray:
+        """Picture of the scene with the tactile image in a corner, uint8 (height, width, 3)."""
+        return self.view.picture(self.data, self.touch.image, width, height)
+
+    def close(self) -> None:
+        """Frees the renderer."""
+        self.view.close()
+
+
+def checked_action(action, chambers: int = 1) -> np.ndarray:
+    """The action as float64 (3 + C,) of a finger of C chambers, units of `features.action_names`.
+
+    Raises:
+        InputError: it has another shape or is not finite.
+    """
+    size = 3 + chambers
+    what = f"dx, dy, dz in m/s, {'pressure' if chambers == 1 else f'{chambers} pressures'} in kPa"
+    try:
+        action = np.asarray(action, float)
+    except (TypeError, ValueError) as e:
+        raise InputError(f"The action must be {size} numbers ({what}): {e}.") from e
+    if action.shape != (size,):
+        raise InputError(f"The action has shape {action.shape}; it must be ({size},): {what}.")
+    if not np.isfinite(action).all():
+        raise InputError(f"The action {action.tolist()} is not finite; every entry must be a number.")
+    return action
+
+
+def imprint_m(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray | None:
+    """Centre of pressure in the gel's frame: across and along the finger (2,), metres; None without contact.
+
+    x = sum f_i (x_i - x_gel) / sum f_i over contacts of the pad, f_i their normal forces.
+    """
+    pad, total, moment, force = model.geom("pad").id, 0.0, np.zeros(3), np.zeros(6)
+    gel = data.site("gel")
+    for i in range(data.ncon):
+        contact = data.contact[i]
+        if pad in (contact.geom1, contact.geom2):
+            mujoco.mj_contactForce(model, data, i, force)
+            total += force[0]
+            moment += force[0] * (contact.pos - gel.xpos)
+    return None if total < CONTACT_N else (gel.xmat.reshape(3, 3).T @ moment)[:2] / total
