@@ -5,7 +5,7 @@ from pathlib import Path
 from lerobot_pneutac.verbs.augment import AugmentConfig, DatasetRef, augment
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
-from lerobot_robot_pneutac.teleoperators.config_pneutac_scripted import PneutacScriptedConfig
+from lerobot_robot_pneutac.teleoperators.base_teleop import PneutacScriptedConfig
 from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
 from pneutac_datasets.demonstrations.record import record_episodes
 

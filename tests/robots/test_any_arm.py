@@ -19,7 +19,7 @@ from lerobot_robot_pneutac.policy.configuration_pneutac_bc import TACTILE, Pneut
 from lerobot_robot_pneutac.policy.modeling_pneutac_bc import PneutacBCPolicy
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
-from lerobot_robot_pneutac.teleoperators.config_pneutac_scripted import PneutacScriptedConfig
+from lerobot_robot_pneutac.teleoperators.base_teleop import PneutacScriptedConfig
 from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
 from pneutac_datasets.demonstrations.naive import augment_naive
 from pneutac_datasets.demonstrations.record import record_episodes

@@ -15,13 +15,13 @@ from lerobot.utils.constants import OBS_STATE
 from lerobot_pneutac.cli import check as verb
 from lerobot_pneutac.verbs.augment import AugmentConfig, DatasetRef, augment
 from lerobot_pneutac.verbs.check import check_path
-from lerobot_robot_pneutac.cameras.config_pneutac_scene import PneutacSceneConfig
+from lerobot_robot_pneutac.cameras.simulated import PneutacSceneConfig
 from lerobot_robot_pneutac.env import PneutacEnvConfig, PneutacStandinConfig
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import PneutacBCConfig
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
 from lerobot_robot_pneutac.standin.world import StandinWorld
-from lerobot_robot_pneutac.teleoperators.config_pneutac_scripted import PneutacScriptedConfig
+from lerobot_robot_pneutac.teleoperators.base_teleop import PneutacScriptedConfig
 from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
 from pneutac_datasets.demonstrations.augment.planner import PlannerConfig
 from pneutac_datasets.demonstrations.record import record_episodes

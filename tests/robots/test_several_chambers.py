@@ -19,9 +19,9 @@ from lerobot_robot_pneutac.policy.configuration_pneutac_bc import PneutacBCConfi
 from lerobot_robot_pneutac.policy.modeling_pneutac_bc import PneutacBCPolicy
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
-from lerobot_robot_pneutac.teleoperators.config_pneutac_scripted import PneutacScriptedConfig
+from lerobot_robot_pneutac.teleoperators.base_teleop import PneutacScriptedConfig, VelocityTeleopConfig
 from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
-from lerobot_robot_pneutac.teleoperators.velocity_teleop import VelocityTeleop, VelocityTeleopConfig
+from lerobot_robot_pneutac.teleoperators.velocity_teleop import VelocityTeleop
 from pneutac_datasets.demonstrations.augment.planner import CemPlanner, PlannerConfig
 from pneutac_datasets.demonstrations.augment.run import read_references
 from pneutac_datasets.demonstrations.episodes import load_episode

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lerobot_robot_pneutac.cameras.config_digit_generated import DigitGeneratedConfig
+from lerobot_robot_pneutac.cameras.simulated import DigitGeneratedConfig
 from lerobot_robot_pneutac.hardware.arms import SimulatedArmConfig
 from lerobot_robot_pneutac.robots.config_pneutac import PneutacConfig, PressureConfig
 from lerobot_robot_pneutac.robots.pneutac import Pneutac

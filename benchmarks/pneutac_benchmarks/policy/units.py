@@ -25,7 +25,7 @@ def record(folder: Path, options: dict, needs: list[Path], workers: int) -> dict
     """Scripted demonstrations on the stand-in."""
     from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
     from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
-    from lerobot_robot_pneutac.teleoperators.config_pneutac_scripted import PneutacScriptedConfig
+    from lerobot_robot_pneutac.teleoperators.base_teleop import PneutacScriptedConfig
     from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
     from pneutac_datasets.demonstrations.record import record_episodes
 

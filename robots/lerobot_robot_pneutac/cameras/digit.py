@@ -6,25 +6,112 @@ interface (digit-interface, firmware 2.00 and later).
 
 import logging
 import time
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
+from lerobot.cameras import CameraConfig
 from lerobot.cameras.configs import Cv2Backends, Cv2Rotation
 from lerobot.cameras.opencv import OpenCVCamera, OpenCVCameraConfig
 from lerobot.utils.decorators import check_if_already_connected
 from lerobot.utils.errors import DeviceNotConnectedError
 
-from lerobot_robot_pneutac.cameras.config_digit import STREAMS, DigitConfig
-from lerobot_robot_pneutac.cameras.digit_devices import DigitDevice, find_digits
+from lerobot_robot_pneutac.cameras.elastomer import framed
 from lerobot_robot_pneutac.hardware.parts import HardwareFault, soon
+from lerobot_robot_pneutac.options import refuse_if
 from pneutac_sim.errors import InputError
 
 logger = logging.getLogger(__name__)
 
 RGB_FIRMWARE = 200  # 2.00 is the first whose LEDs are set one by one
 START_S = 1.0  # a USB camera's first image may take longer than those after it
+# What the sensor streams: width and height of its own, lying image in px, and frame rates in Hz.
+STREAMS = {"QVGA": (320, 240, (30, 60)), "VGA": (640, 480, (15, 30))}
+MAX_LED = 15
+SYSFS = Path("/sys/class/video4linux")
+DEV = Path("/dev")
+
+
+@CameraConfig.register_subclass("digit")
+@dataclass(kw_only=True)
+class DigitConfig(CameraConfig):
+    """A DIGIT, found by its serial number.
+
+    Attributes:
+        serial: number printed on the sensor, such as `D20001`.
+        resolution: `QVGA`, images of 320 rows and 240 columns as the simulated sensor's, or `VGA`, 640 x 480.
+        fps: 30, or 60 (QVGA alone) or 15 (VGA alone).
+        led: brightness of the red, green and blue LEDs, 0 (off) to 15.
+        frozen_s: seconds without a new image after which reading says that the sensor hangs. A working one
+            never sends the same image twice: the pixels are noisy.
+        rotation: clockwise, 0, 90, 180 or 270 degrees, of a sensor that is mounted otherwise.
+        crop: shares cut off at top, bottom, left and right of the turned image.
+        mirror: whether left and right are exchanged.
+        width: columns of the image, to which it is scaled; follows from the resolution where it is left out.
+        height: rows of the image; likewise.
+    """
+
+    serial: str
+    resolution: str = "QVGA"
+    fps: int = 30
+    led: tuple[int, int, int] = (MAX_LED, MAX_LED, MAX_LED)
+    frozen_s: float = 0.5
+    rotation: int = 0
+    crop: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    mirror: bool = False
+
+    def __post_init__(self):
+        refuse_if(
+            self.resolution not in STREAMS,
+            f"resolution of the DIGIT is '{self.resolution}'; it must be QVGA or VGA.",
+        )
+        columns, rows, rates = STREAMS[self.resolution]
+        refuse_if(
+            self.fps not in rates,
+            f"fps of the DIGIT is {self.fps}; {self.resolution} has {rates[0]} and {rates[1]}.",
+        )
+        refuse_if(
+            len(self.led) != 3 or not all(isinstance(v, int) and 0 <= v <= MAX_LED for v in self.led),
+            f"led of the DIGIT is {list(self.led)}; give three whole numbers from 0 to {MAX_LED}.",
+        )
+        refuse_if(
+            not self.frozen_s > 2 / self.fps,
+            f"frozen_s of the DIGIT is {self.frozen_s}; it must exceed two frames, {2 / self.fps:.3f} s.",
+        )
+        # Its lying image is handed out upright, `columns` high.
+        self.framing = framed("the DIGIT", self, columns, rows)
+
+
+class DigitDevice(NamedTuple):
+    """A connected DIGIT.
+
+    Attributes:
+        serial: USB serial number, the one printed on the sensor.
+        path: the video device, such as /dev/video0.
+        firmware: USB device release as a number: 200 is version 2.00.
+    """
+
+    serial: str
+    path: Path
+    firmware: int
+
+
+def find_digits() -> list[DigitDevice]:
+    """The connected DIGITs, ordered by serial number."""
+    found = []
+    for node in SYSFS.glob("video*"):
+        usb = (node / "device").resolve().parent  # node/device is the interface; the descriptors lie above
+        # A UVC camera has a second node, which carries metadata and no images.
+        if _text(usb / "product") == "DIGIT" and _text(node / "index") == "0":
+            firmware = int(_text(usb / "bcdDevice") or 0)
+            found.append(DigitDevice(_text(usb / "serial"), DEV / node.name, firmware))
+    return sorted(found)
+
+
+def _text(file: Path) -> str:
+    return file.read_text().strip() if file.is_file() else ""
 
 
 class Digit(OpenCVCamera):

@@ -1,16 +1,29 @@
-"""The camera behind the gel: its frames, and contact against the gel's rest image."""
+"""The camera behind the gel: new frames alone, the gel's rest image, and contact against it."""
 
+import logging
+import time
+
+import cv2
 import numpy as np
 from lerobot.cameras import Camera
 
-from lerobot_robot_pneutac.cameras.live import LiveCamera
-from lerobot_robot_pneutac.cameras.rest_image import capture_rest_image, compare_rest_images
-from lerobot_robot_pneutac.hardware.parts import HardwareFault
+from lerobot_robot_pneutac.hardware.parts import TURNS, HardwareFault
 from pneutac_sim.features import IMAGE_NAME, IMAGE_SHAPE
 from pneutac_sim.gel.contact import ContactArea, contact_area, quieted
 from pneutac_sim.gel.model import GelModel
+from pneutac_sim.gel.pair import RestDifference, cells
+
+logger = logging.getLogger(__name__)
 
 REST_FRAMES = 15
+FRAME_S = 0.5  # an older picture is a lost camera
+RETRY_S = 0.03  # in which the next picture comes where the computer was held up, not the camera
+SAME_S = 1.0  # for so long the same picture to the last bit is a frozen camera: a live one has noise
+BLOCK_PX = 8  # blocks average the pixels' noise away: 2 levels per pixel become 1/4
+BLACK_LEVEL, WHITE_LEVEL = 8, 247  # an image below or above all over shows nothing
+OTHER_LIGHT = 0.1  # share by which a gel may be darker or brighter than in its twin without a warning
+TOUCH_LEVELS = 25.0  # a difference to the twin's rest image that no imprint makes
+MOTION_LEVELS = 2.0  # a touch moves its blocks by more than the 12 levels of `gel.contact`
 
 
 class Tactile:
@@ -66,3 +79,112 @@ class Tactile:
                 f" uint8 {self.shape} by --robot.digit.height and --robot.digit.width."
             )
         return image
+
+
+class LiveCamera:
+    """A camera of the robot's, read at once.
+
+    Args:
+        camera: connected and let go by whoever owns it.
+        name: of its pictures, for the sentences.
+    """
+
+    def __init__(self, camera: Camera, name: str):
+        self._camera, self._name = camera, name
+        self._last: np.ndarray | None = None
+        self._changed_s = 0.0
+
+    def latest(self) -> np.ndarray:
+        """The newest picture uint8 (H, W, 3).
+
+        Raises:
+            HardwareFault: it is older than `FRAME_S`, cannot be had, or has been the same for `SAME_S`.
+        """
+        try:
+            image = self._newest()
+        except Exception as e:
+            raise HardwareFault(f"The camera '{self._name}' gives no picture: {str(e).rstrip('.')}.") from e
+        now_s = time.monotonic()
+        if self._last is None or not np.array_equal(image, self._last):
+            self._last, self._changed_s = image.copy(), now_s
+        elif now_s - self._changed_s > SAME_S:
+            raise HardwareFault(
+                f"The camera '{self._name}' has given the same picture for {now_s - self._changed_s:.1f} s;"
+                " plug it in afresh, and look whether it is covered."
+            )
+        return image
+
+    def _newest(self) -> np.ndarray:
+        for _ in range(TURNS):
+            try:
+                return self._camera.read_latest(max_age_ms=round(1000 * FRAME_S))
+            except TimeoutError:
+                time.sleep(RETRY_S)
+        return self._camera.read_latest(max_age_ms=round(1000 * FRAME_S))
+
+
+def capture_rest_image(camera: Camera, frames: int = 30) -> np.ndarray:
+    """Mean of the next images while nothing touches the gel.
+
+    Args:
+        camera: connected camera with images uint8 (H, W, 3).
+        frames: number of images, at least 2.
+
+    Returns:
+        uint8 (H, W, 3).
+
+    Raises:
+        HardwareFault: some block of 8 x 8 pixels differed from its mean by more than 2 levels in one image:
+            something moved or the light was not steady yet. Or the picture is black or white all over.
+    """
+    if frames < 2:
+        raise ValueError(f"a rest image needs at least 2 frames; got {frames}")
+    images = np.stack([camera.async_read(timeout_ms=1000) for _ in range(frames)])
+    blocks = np.stack([_blocks(image) for image in images])
+    motion = float(np.abs(blocks - blocks.mean(axis=0)).max())
+    if motion > MOTION_LEVELS:
+        raise HardwareFault(
+            f"The rest image of {camera} was refused: the picture changed by {motion:.1f} of 255 levels"
+            f" within {frames} frames; let nothing touch the gel and try again."
+        )
+    rest = images.mean(axis=0).round().astype(np.uint8)
+    dark, bright = np.percentile(rest, (1, 99))
+    if bright < BLACK_LEVEL or dark > WHITE_LEVEL:
+        colour = "black" if bright < BLACK_LEVEL else "white"
+        raise HardwareFault(
+            f"The rest image of {camera} was refused: it is {colour} all over; switch the sensor's"
+            " light on, or lower its brightness or the exposure."
+        )
+    return rest
+
+
+def compare_rest_images(rest: np.ndarray, gel: GelModel, camera: str) -> None:
+    """Compares a rest image with that of the sensor's twin.
+
+    Raises:
+        HardwareFault: something touches the gel, or has left a strong imprint.
+    """
+    if rest.shape != gel.rest_image.shape:
+        return
+    scale = gel.px_per_mm
+    found = RestDifference.of(*(cells(i, scale) for i in (rest, gel.rest_image)), scale)
+    if abs(found.gain - 1) > OTHER_LIGHT:
+        logger.warning(
+            "%s is %.0f %% %s than when its twin was calibrated; check its light, or calibrate anew.",
+            *(camera, 100 * abs(1 / found.gain - 1), "darker" if found.gain > 1 else "brighter"),
+        )
+    if not found.shows:
+        return
+    what = (
+        f"The rest image of {camera} shows something at ({found.x_mm:.1f}, {found.y_mm:.1f}) mm that its"
+        f" twin's does not, {found.levels:.0f} levels strong"
+    )
+    if found.levels > TOUCH_LEVELS:
+        raise HardwareFault(f"{what}: let nothing touch the gel, or calibrate the twin anew, and try again.")
+    logger.warning("%s: an imprint that is left? Wait until it has faded, or calibrate the twin anew.", what)
+
+
+def _blocks(image: np.ndarray) -> np.ndarray:
+    """Means of blocks: float32 (H / 8, W / 8, 3)."""
+    rows, columns = image.shape[0] // BLOCK_PX, image.shape[1] // BLOCK_PX
+    return cv2.resize(image.astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA)

@@ -8,8 +8,7 @@ import numpy as np
 from lerobot.cameras import make_cameras_from_configs
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
-from lerobot_robot_pneutac.cameras.live import LiveCamera
-from lerobot_robot_pneutac.cameras.tactile import Tactile
+from lerobot_robot_pneutac.cameras.tactile import LiveCamera, Tactile
 from lerobot_robot_pneutac.hardware.safety import Guard, within
 from lerobot_robot_pneutac.robots.base_robot import (
     BEND_NAMES,

@@ -1,10 +1,130 @@
-"""What every teleoperator of this robot shares: its actions, no feedback, nothing to calibrate."""
+"""Options of the teleoperators, and what they share; importing this starts no device's library."""
 
+from dataclasses import dataclass
 from typing import Any
 
-from lerobot.teleoperators import Teleoperator
+import numpy as np
+from lerobot.teleoperators import Teleoperator, TeleoperatorConfig
 
-from pneutac_sim.features import ACTION_NAMES
+from lerobot_robot_pneutac.options import refuse_if
+from pneutac_sim.features import ACTION_NAMES, CHAMBERS, MAX_PRESSURE_KPA, MAX_SPEED_M_S
+
+MOST_MM = 20.0  # farther the finger leaves the bar
+
+
+@dataclass(kw_only=True)
+class VelocityTeleopConfig(TeleoperatorConfig):
+    """How fast a person's hand may move the robot.
+
+    Attributes:
+        speed_m_s: speed of the flange at full deflection.
+        pressure_rate_kpa_s: rate of the pressure set-point at full deflection.
+        max_pressure_kpa: highest set-point; a finger of another range than the paper's needs another.
+        min_pressure_kpa: lowest set-point, 0 or, for a finger bent by vacuum, below.
+        bend_range_rad: smallest and largest bend, such as [0.5, 1.2]; the person's hand then changes the bend
+            and not the pressure, from the smallest on, for a robot with `--robot.bend=true`.
+        chamber_shares: shares of the set-point that each of several chambers gets, such as [1, 0, 0.5]; left
+            out for a finger of one chamber.
+    """
+
+    speed_m_s: float = 0.05
+    pressure_rate_kpa_s: float = 5.0
+    max_pressure_kpa: float = MAX_PRESSURE_KPA
+    min_pressure_kpa: float = 0.0
+    bend_range_rad: tuple[float, float] | None = None
+    chamber_shares: list[float] | None = None
+
+    def __post_init__(self):
+        refuse_if(
+            not 0 < self.speed_m_s <= MAX_SPEED_M_S,
+            f"--teleop.speed_m_s is {self.speed_m_s}; it must be above 0 and at most {MAX_SPEED_M_S}.",
+        )
+        low, high = self.min_pressure_kpa, self.max_pressure_kpa
+        refuse_if(
+            not -np.inf < low <= 0 <= high < np.inf or low == high,
+            f"--teleop.max_pressure_kpa is {high} and --teleop.min_pressure_kpa {low}; the first must be 0 or"
+            " above, the second 0 or below, and not both 0.",
+        )
+        given = self.bend_range_rad
+        refuse_if(
+            given is not None and not -np.inf < given[0] < given[1] < np.inf,
+            f"--teleop.bend_range_rad is {given}; give the smaller bend first, as in [0.5,1.2].",
+        )
+        shares, several = self.chamber_shares, max(CHAMBERS.values())
+        refuse_if(
+            shares is not None
+            and (len(shares) != several or not all(0 <= s <= 1 for s in shares) or not any(shares)),
+            f"--teleop.chamber_shares is {shares}; give {several} numbers from 0 to 1, as in [1,0,0.5].",
+        )
+        refuse_if(
+            shares is not None and given is not None,
+            "--teleop.bend_range_rad is for one chamber; leave it out, or --teleop.chamber_shares.",
+        )
+        refuse_if(
+            not 0 < self.pressure_rate_kpa_s < np.inf,
+            f"--teleop.pressure_rate_kpa_s is {self.pressure_rate_kpa_s}; it must be positive.",
+        )
+
+
+@TeleoperatorConfig.register_subclass("pneutac_keyboard")
+@dataclass(kw_only=True)
+class PneutacKeyboardConfig(VelocityTeleopConfig):
+    """Held keys move the robot; docs/how_to/teleoperation.md has the key map."""
+
+
+@TeleoperatorConfig.register_subclass("pneutac_gamepad")
+@dataclass(kw_only=True)
+class PneutacGamepadConfig(VelocityTeleopConfig):
+    """Sticks move the robot, triggers the pressure; docs/how_to/teleoperation.md has the map.
+
+    Attributes:
+        dead_zone: share of a stick's or trigger's travel that counts as rest.
+    """
+
+    dead_zone: float = 0.1
+
+    def __post_init__(self):
+        super().__post_init__()
+        refuse_if(
+            not 0 <= self.dead_zone < 1,
+            f"--teleop.dead_zone is {self.dead_zone}; it must be from 0 to below 1.",
+        )
+
+
+@TeleoperatorConfig.register_subclass("pneutac_spacemouse")
+@dataclass(kw_only=True)
+class PneutacSpacemouseConfig(VelocityTeleopConfig):
+    """A 3Dconnexion SpaceMouse; docs/how_to/teleoperation.md has the map."""
+
+
+@TeleoperatorConfig.register_subclass("pneutac_scripted")
+@dataclass(kw_only=True)
+class PneutacScriptedConfig(TeleoperatorConfig):
+    """A scripted expert in place of a person's hand.
+
+    It demonstrates the task once in every episode that LeRobot records, and waits in between.
+
+    Attributes:
+        episode_steps: ticks of a demonstration where no episodes are announced, as in `lerobot-teleoperate`;
+            where left out, those of 14 s.
+        seed: decides the variation between demonstrations.
+        drag_mm: how far it drags the finger sideways along what it holds, before it lets go; in `button`
+            alone.
+    """
+
+    episode_steps: int | None = None
+    seed: int = 0
+    drag_mm: float = 0.0
+
+    def __post_init__(self):
+        refuse_if(
+            self.episode_steps is not None and self.episode_steps < 1,
+            f"--teleop.episode_steps is {self.episode_steps}; it must be at least 1.",
+        )
+        refuse_if(
+            not 0 <= self.drag_mm <= MOST_MM,
+            f"--teleop.drag_mm is {self.drag_mm:g}; it must be between 0 and {MOST_MM:g}.",
+        )
 
 
 class BaseTeleop(Teleoperator):

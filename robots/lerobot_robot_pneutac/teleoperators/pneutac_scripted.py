@@ -11,8 +11,7 @@ from lerobot_robot_pneutac.robots.pneutac_sim import (
     made_robot,
     need_simulated_robot,
 )
-from lerobot_robot_pneutac.teleoperators.base_teleop import BaseTeleop
-from lerobot_robot_pneutac.teleoperators.config_pneutac_scripted import PneutacScriptedConfig
+from lerobot_robot_pneutac.teleoperators.base_teleop import BaseTeleop, PneutacScriptedConfig
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import DEMONSTRATION_S, action_limits, action_names
 

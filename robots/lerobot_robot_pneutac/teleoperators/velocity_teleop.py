@@ -1,19 +1,27 @@
-"""What the keyboard, the gamepad and the 3D mouse have in common: a direction and a change of pressure."""
+"""Teleoperation by hand: keyboard, gamepad and 3D mouse, each a direction and a change of pressure.
+
+LeRobot's own gamepad reads numbered axes, which mean different sticks on different pads, and no triggers as
+axes; SDL's controller interface names them for every pad it knows.
+"""
 
 import logging
 import time
 from abc import abstractmethod
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from lerobot.teleoperators import TeleoperatorConfig
+from lerobot.teleoperators.keyboard import KeyboardTeleop
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
-from lerobot_robot_pneutac.options import refuse_if
 from lerobot_robot_pneutac.robots.base_robot import BEND_NAMES
-from lerobot_robot_pneutac.teleoperators.base_teleop import BaseTeleop
-from pneutac_sim.features import CHAMBERS, MAX_PRESSURE_KPA, MAX_SPEED_M_S, action_names
+from lerobot_robot_pneutac.teleoperators.base_teleop import (
+    BaseTeleop,
+    PneutacGamepadConfig,
+    PneutacKeyboardConfig,
+    PneutacSpacemouseConfig,
+    VelocityTeleopConfig,
+)
+from pneutac_sim.features import action_names
 
 logger = logging.getLogger(__name__)
 
@@ -21,60 +29,19 @@ BEND_S = 3.0  # from the smallest bend to the largest at full deflection
 MAX_TICK_S = 0.2  # a slow tick changes the pressure by no more than this
 # After `safety.VENT_S` without actions the robot is vented: no sudden return to the old pressure.
 PAUSE_S = 0.9
-
-
-@dataclass(kw_only=True)
-class VelocityTeleopConfig(TeleoperatorConfig):
-    """How fast a person's hand may move the robot.
-
-    Attributes:
-        speed_m_s: speed of the flange at full deflection.
-        pressure_rate_kpa_s: rate of the pressure set-point at full deflection.
-        max_pressure_kpa: highest set-point; a finger of another range than the paper's needs another.
-        min_pressure_kpa: lowest set-point, 0 or, for a finger bent by vacuum, below.
-        bend_range_rad: smallest and largest bend, such as [0.5, 1.2]; the person's hand then changes the bend
-            and not the pressure, from the smallest on, for a robot with `--robot.bend=true`.
-        chamber_shares: shares of the set-point that each of several chambers gets, such as [1, 0, 0.5]; left
-            out for a finger of one chamber.
-    """
-
-    speed_m_s: float = 0.05
-    pressure_rate_kpa_s: float = 5.0
-    max_pressure_kpa: float = MAX_PRESSURE_KPA
-    min_pressure_kpa: float = 0.0
-    bend_range_rad: tuple[float, float] | None = None
-    chamber_shares: list[float] | None = None
-
-    def __post_init__(self):
-        refuse_if(
-            not 0 < self.speed_m_s <= MAX_SPEED_M_S,
-            f"--teleop.speed_m_s is {self.speed_m_s}; it must be above 0 and at most {MAX_SPEED_M_S}.",
-        )
-        low, high = self.min_pressure_kpa, self.max_pressure_kpa
-        refuse_if(
-            not -np.inf < low <= 0 <= high < np.inf or low == high,
-            f"--teleop.max_pressure_kpa is {high} and --teleop.min_pressure_kpa {low}; the first must be 0 or"
-            " above, the second 0 or below, and not both 0.",
-        )
-        given = self.bend_range_rad
-        refuse_if(
-            given is not None and not -np.inf < given[0] < given[1] < np.inf,
-            f"--teleop.bend_range_rad is {given}; give the smaller bend first, as in [0.5,1.2].",
-        )
-        shares, several = self.chamber_shares, max(CHAMBERS.values())
-        refuse_if(
-            shares is not None
-            and (len(shares) != several or not all(0 <= s <= 1 for s in shares) or not any(shares)),
-            f"--teleop.chamber_shares is {shares}; give {several} numbers from 0 to 1, as in [1,0,0.5].",
-        )
-        refuse_if(
-            shares is not None and given is not None,
-            "--teleop.bend_range_rad is for one chamber; leave it out, or --teleop.chamber_shares.",
-        )
-        refuse_if(
-            not 0 < self.pressure_rate_kpa_s < np.inf,
-            f"--teleop.pressure_rate_kpa_s is {self.pressure_rate_kpa_s}; it must be positive.",
-        )
+# Key to direction (x, y, z) and pressure change. Kept free for lerobot-record: n, r, q, the arrows and Esc.
+KEYS = {
+    "w": (1, 0, 0, 0),
+    "s": (-1, 0, 0, 0),
+    "a": (0, 1, 0, 0),
+    "d": (0, -1, 0, 0),
+    "i": (0, 0, 1, 0),
+    "k": (0, 0, -1, 0),
+    "l": (0, 0, 0, 1),
+    "j": (0, 0, 0, -1),
+}
+FULL = 32767  # SDL's axes are 16 bit numbers
+MAX_REPORTS = 200  # per tick; the device sends about 125 a second
 
 
 class VelocityTeleop(BaseTeleop):
@@ -180,3 +147,139 @@ class VelocityTeleop(BaseTeleop):
                 return np.zeros(3), 0.0
             self._let_go = True
         return np.asarray(direction, float) + 0.0, float(np.clip(change, -1.0, 1.0))  # no negative zeros
+
+
+class PneutacKeyboard(VelocityTeleop, KeyboardTeleop):
+    """Moves while keys of `KEYS` are held; keys that oppose each other cancel."""
+
+    config_class = PneutacKeyboardConfig
+    name = "pneutac_keyboard"
+
+    def _open(self) -> None:
+        KeyboardTeleop.connect(self)
+        if self.listener is None:
+            raise DeviceNotConnectedError(
+                "pneutac_keyboard cannot read held keys here: it needs an X11 session, Windows or macOS, not"
+                " Wayland or a remote shell; use pneutac_gamepad."
+            )
+
+    def _read(self) -> tuple[np.ndarray, float]:
+        if not self.listener.is_alive():
+            raise DeviceNotConnectedError(
+                "The keyboard can no longer be read: the arm is stopped and the pressure held; end the"
+                " command and start it again."
+            )
+        self._drain_pressed_keys()
+        held = [KEYS[key] for key, pressed in self.current_pressed.items() if pressed and key in KEYS]
+        total = np.sum([(0, 0, 0, 0), *held], axis=0)
+        return total[:3], total[3]
+
+    def _close(self) -> None:
+        self.listener.stop()
+        self.current_pressed.clear()
+
+    def _on_press(self, key) -> None:
+        self.event_queue.put((_letter(key), True))
+
+    def _on_release(self, key) -> None:
+        # LeRobot's own also disconnects on Esc, which lerobot-record uses to stop and save.
+        self.event_queue.put((_letter(key), False))
+
+
+def _letter(key) -> str:
+    """The key's letter; the same with Shift or Caps Lock, or a press could miss its release."""
+    return (getattr(key, "char", None) or "").lower()
+
+
+class PneutacGamepad(VelocityTeleop):
+    """Left stick x and y, right stick up and down, right trigger inflates, left trigger lets air out."""
+
+    config_class = PneutacGamepadConfig
+    name = "pneutac_gamepad"
+
+    def _open(self) -> None:
+        try:
+            import pygame
+            from pygame._sdl2 import controller
+        except ImportError as error:
+            raise DeviceNotConnectedError(
+                "pneutac_gamepad needs pygame; uv pip install -e '.[gamepad]' in PneuTac's folder."
+            ) from error
+        self._pygame, self._controller = pygame, controller
+        controller.init()
+        pads = [i for i in range(controller.get_count()) if controller.is_controller(i)]
+        if not pads:
+            controller.quit()
+            raise DeviceNotConnectedError("No gamepad was found; plug one in and start again.")
+        self._pad = controller.Controller(pads[0])
+
+    def _read(self) -> tuple[np.ndarray, float]:
+        self._controller.update()
+        if not self._pad.attached():
+            raise DeviceNotConnectedError(
+                "The gamepad was unplugged: the arm is stopped and the pressure held; plug it in and start"
+                " the command again."
+            )
+        # SDL counts sticks to the right and down.
+        direction = [-self._axis("LEFTY"), -self._axis("LEFTX"), -self._axis("RIGHTY")]
+        return np.array(direction), self._axis("TRIGGERRIGHT") - self._axis("TRIGGERLEFT")
+
+    def _close(self) -> None:
+        self._pad.quit()
+        self._controller.quit()
+
+    def _axis(self, name: str) -> float:
+        """Deflection from -1 to 1, growing from zero at the dead zone's edge."""
+        axis = getattr(self._pygame, f"CONTROLLER_AXIS_{name}")
+        value = max(-1.0, self._pad.get_axis(axis) / FULL)
+        beyond = max(0.0, abs(value) - self.config.dead_zone)
+        return float(np.sign(value)) * beyond / (1 - self.config.dead_zone)
+
+
+class PneutacSpacemouse(VelocityTeleop):
+    """The cap's three translations move; the second button inflates, the first lets air out."""
+
+    config_class = PneutacSpacemouseConfig
+    name = "pneutac_spacemouse"
+
+    def _open(self) -> None:
+        try:
+            import pyspacemouse
+            from easyhid import HIDException
+        except (ImportError, OSError) as error:  # OSError: the system's libhidapi is missing
+            raise DeviceNotConnectedError(
+                "pneutac_spacemouse needs pyspacemouse and the system's hidapi library; install them with"
+                " uv pip install -e '.[spacemouse]' in PneuTac's folder, and apt install libhidapi-hidraw0."
+            ) from error
+        self._lost_error = HIDException
+        try:
+            self._mouse = pyspacemouse.open(axis_convention=pyspacemouse.AxisConvention.ROS)
+        except RuntimeError as error:
+            raise DeviceNotConnectedError(
+                f"No SpaceMouse can be opened ({error}); plug one in and let your user read its"
+                " hidraw device."
+            ) from error
+
+    def _read(self) -> tuple[np.ndarray, float]:
+        try:
+            state = self._newest()
+        except self._lost_error as error:
+            raise DeviceNotConnectedError(
+                "The SpaceMouse was unplugged: the arm is stopped and the pressure held; plug it in and start"
+                " the command again."
+            ) from error
+        first, second = state.buttons[0], state.buttons[1]
+        return np.array([state.x, state.y, state.z]), second - first
+
+    def _close(self) -> None:
+        self._mouse.close()
+
+    def _newest(self):
+        """The state after every waiting report: one read takes one report."""
+        time_s = None
+        for _ in range(MAX_REPORTS):
+            state = self._mouse.read()
+            if state.t == time_s:
+                break
+            time_s = state.t
+        return state

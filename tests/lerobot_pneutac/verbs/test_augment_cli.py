@@ -15,10 +15,10 @@ from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata, merge_datas
 from lerobot.utils.constants import ACTION, OBS_STATE
 
 from lerobot_pneutac.cli import augment as verb
-from lerobot_robot_pneutac.cameras.config_pneutac_scene import PneutacSceneConfig
+from lerobot_robot_pneutac.cameras.simulated import PneutacSceneConfig
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
-from lerobot_robot_pneutac.teleoperators.config_pneutac_scripted import PneutacScriptedConfig
+from lerobot_robot_pneutac.teleoperators.base_teleop import PneutacScriptedConfig
 from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
 from pneutac_datasets.demonstrations.augment import check, run
 from pneutac_datasets.demonstrations.augment.episode import Attempt, AugmentSetup

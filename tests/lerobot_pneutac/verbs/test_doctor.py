@@ -9,7 +9,7 @@ import pytest
 
 from lerobot_pneutac.cli.doctor import main
 from lerobot_pneutac.verbs import doctor
-from lerobot_robot_pneutac.cameras import digit_devices
+from lerobot_robot_pneutac.cameras import digit as digit_camera
 
 
 def told(capsys) -> str:
@@ -45,7 +45,7 @@ def test_ports_without_permission_and_a_digit_are_told(monkeypatch, capsys, tmp_
     node.mkdir(parents=True)
     (node / "index").write_text("0")
     (node / "device").symlink_to(usb / "1-1:1.0")
-    monkeypatch.setattr(digit_devices, "SYSFS", tmp_path / "class")
+    monkeypatch.setattr(digit_camera, "SYSFS", tmp_path / "class")
     with pytest.raises(SystemExit):
         main([])
     said = told(capsys)

@@ -7,9 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from lerobot_robot_pneutac.cameras import digit_devices
-from lerobot_robot_pneutac.cameras.config_digit import DigitConfig
-from lerobot_robot_pneutac.cameras.digit import Digit
+from lerobot_robot_pneutac.cameras import digit as digit_camera
+from lerobot_robot_pneutac.cameras.digit import Digit, DigitConfig
 from pneutac_sim.features import IMAGE_SHAPE
 from pneutac_sim.gel.builtin import rest_image
 
@@ -73,8 +72,8 @@ def sensor(monkeypatch, tmp_path):
             self.open, sensor.mode = False, "streams"
 
     monkeypatch.setattr(cv2, "VideoCapture", Capture)
-    monkeypatch.setattr(digit_devices, "SYSFS", tmp_path / "class")
-    monkeypatch.setattr(digit_devices, "DEV", tmp_path / "dev")
+    monkeypatch.setattr(digit_camera, "SYSFS", tmp_path / "class")
+    monkeypatch.setattr(digit_camera, "DEV", tmp_path / "dev")
     for port, (serial, product, firmware) in enumerate(
         [
             ("W9", "HD Webcam", "0100"),

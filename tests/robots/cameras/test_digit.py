@@ -10,9 +10,8 @@ from lerobot.cameras import CameraConfig
 from lerobot.cameras.utils import make_cameras_from_configs
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
-from lerobot_robot_pneutac.cameras import digit_devices
-from lerobot_robot_pneutac.cameras.config_digit import DigitConfig
-from lerobot_robot_pneutac.cameras.digit import Digit
+from lerobot_robot_pneutac.cameras import digit as digit_camera
+from lerobot_robot_pneutac.cameras.digit import Digit, DigitConfig
 from lerobot_robot_pneutac.hardware.parts import HardwareFault
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import IMAGE_SHAPE
@@ -27,7 +26,7 @@ def test_finds_the_sensor_by_serial_on_its_image_node(sensor, connected, tmp_pat
 def test_wrong_serial_names_those_found(sensor, connected, monkeypatch, tmp_path):
     with pytest.raises(InputError, match="'D7' is connected; found: D1, D2, D3"):
         connected(serial="D7")
-    monkeypatch.setattr(digit_devices, "SYSFS", tmp_path / "nothing")
+    monkeypatch.setattr(digit_camera, "SYSFS", tmp_path / "nothing")
     with pytest.raises(InputError, match="found: none"):
         connected()
 
@@ -123,7 +122,7 @@ def test_reading_needs_a_connection(sensor, connected):
 
 
 def test_two_sensors_with_one_serial_are_refused_with_both_devices(sensor, connected, monkeypatch, tmp_path):
-    devices = digit_devices.find_digits()
+    devices = digit_camera.find_digits()
     second = next(d for d in devices if d.serial == "D2")._replace(path=tmp_path / "dev" / "video8")
     monkeypatch.setattr("lerobot_robot_pneutac.cameras.digit.find_digits", lambda: [*devices, second])
     with pytest.raises(

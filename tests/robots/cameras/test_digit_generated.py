@@ -6,9 +6,9 @@ from draccus.utils import DecodingError
 from lerobot.cameras.utils import make_cameras_from_configs
 from lerobot.utils.errors import DeviceNotConnectedError
 
-from lerobot_robot_pneutac.cameras import digit_generated
-from lerobot_robot_pneutac.cameras.config_digit_generated import DigitGeneratedConfig
-from lerobot_robot_pneutac.cameras.rest_image import capture_rest_image
+from lerobot_robot_pneutac.cameras import simulated
+from lerobot_robot_pneutac.cameras.simulated import DigitGeneratedConfig
+from lerobot_robot_pneutac.cameras.tactile import capture_rest_image
 from lerobot_robot_pneutac.hardware.parts import HardwareFault
 from pneutac_sim.features import IMAGE_SHAPE
 from pneutac_sim.gel.builtin import rest_image
@@ -26,7 +26,7 @@ def clock(monkeypatch):
         clock.now_s += seconds + 1e-6
 
     fake = types.SimpleNamespace(perf_counter=lambda: clock.now_s, sleep=sleep)
-    monkeypatch.setattr(digit_generated, "time", fake)
+    monkeypatch.setattr(simulated, "time", fake)
     return clock
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lerobot_robot_pneutac.cameras.live import LiveCamera
+from lerobot_robot_pneutac.cameras.tactile import LiveCamera
 from lerobot_robot_pneutac.hardware.parts import TURNS, HardwareFault
 
 

@@ -5,7 +5,7 @@ import cv2
 import numpy as np
 import pytest
 
-from lerobot_robot_pneutac.cameras.rest_image import capture_rest_image, compare_rest_images
+from lerobot_robot_pneutac.cameras.tactile import capture_rest_image, compare_rest_images
 from lerobot_robot_pneutac.hardware.parts import HardwareFault
 from pneutac_sim.features import IMAGE_SHAPE
 from pneutac_sim.gel.contact import contact_area

@@ -8,7 +8,7 @@ import pytest
 from awake import awake_s
 from draccus.utils import DecodingError
 
-from lerobot_robot_pneutac.cameras.config_digit_generated import DigitGeneratedConfig
+from lerobot_robot_pneutac.cameras.simulated import DigitGeneratedConfig
 from lerobot_robot_pneutac.hardware.arms import SimulatedArmConfig
 from lerobot_robot_pneutac.robots.base_robot import BEND_NAMES
 from lerobot_robot_pneutac.robots.config_pneutac import PneutacConfig, PressureConfig

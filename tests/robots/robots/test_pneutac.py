@@ -10,9 +10,9 @@ from draccus.utils import DecodingError
 from lerobot.cameras.opencv import OpenCVCameraConfig
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
-from lerobot_robot_pneutac.cameras import live
-from lerobot_robot_pneutac.cameras.config_digit import DigitConfig
-from lerobot_robot_pneutac.cameras.config_digit_generated import DigitGeneratedConfig
+from lerobot_robot_pneutac.cameras import tactile
+from lerobot_robot_pneutac.cameras.digit import DigitConfig
+from lerobot_robot_pneutac.cameras.simulated import DigitGeneratedConfig
 from lerobot_robot_pneutac.hardware.arms import PandaConfig, SimulatedArmConfig
 from lerobot_robot_pneutac.hardware.limits import Limits
 from lerobot_robot_pneutac.hardware.parts import COMMAND_S, HardwareFault
@@ -382,7 +382,7 @@ def test_a_picture_that_is_half_a_second_old_is_a_lost_camera(robot, monkeypatch
 @pytest.mark.parametrize("name", ["tactile", "front"])
 @pytest.mark.slow
 def test_any_camera_that_gives_the_same_picture_for_a_second_halts_everything(make_robot, monkeypatch, name):
-    monkeypatch.setattr(live, "SAME_S", 0.2)
+    monkeypatch.setattr(tactile, "SAME_S", 0.2)
     robot = make_robot(cameras={"front": DigitGeneratedConfig(fps=15)})
     for _ in range(8):  # twice the time: cameras that are alive give no alarm
         robot.get_observation()
@@ -403,7 +403,7 @@ def test_any_camera_that_gives_the_same_picture_for_a_second_halts_everything(ma
 
 
 def test_the_time_of_a_frozen_camera_is_that_of_the_manual():
-    assert (live.SAME_S, live.FRAME_S) == (1.0, 0.5)
+    assert (tactile.SAME_S, tactile.FRAME_S) == (1.0, 0.5)
 
 
 def test_a_lost_arm_vents_the_chamber_although_nothing_is_asked(robot, monkeypatch):

@@ -13,7 +13,7 @@ from lerobot.rollout.strategies import core
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 from sensors import wide_twin
 
-from lerobot_robot_pneutac.cameras.config_pneutac_scene import PneutacSceneConfig
+from lerobot_robot_pneutac.cameras.simulated import PneutacSceneConfig
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.pneutac_sim import HOME_RADIUS_M, PneutacSim
 from lerobot_robot_pneutac.standin.gel import GelTouch

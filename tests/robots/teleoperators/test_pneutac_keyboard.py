@@ -99,7 +99,7 @@ def test_escape_leaves_the_keyboard_connected_for_the_episodes_last_ticks(teleop
 
 
 def test_no_key_of_the_map_is_one_of_lerobot_records():
-    from lerobot_robot_pneutac.teleoperators.pneutac_keyboard import KEYS
+    from lerobot_robot_pneutac.teleoperators.velocity_teleop import KEYS
 
     assert not set(KEYS) & {"n", "r", "q"}
 

@@ -11,7 +11,7 @@ from lerobot.utils.utils import log_say
 from lerobot_robot_pneutac.robots import pneutac_sim
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
-from lerobot_robot_pneutac.teleoperators.config_pneutac_scripted import PneutacScriptedConfig
+from lerobot_robot_pneutac.teleoperators.base_teleop import PneutacScriptedConfig
 from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import (

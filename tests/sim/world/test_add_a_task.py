@@ -19,7 +19,7 @@ from lerobot_robot_pneutac.env import PneutacEnvConfig
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
 from lerobot_robot_pneutac.standin.gel import GelTouch
-from lerobot_robot_pneutac.teleoperators.config_pneutac_scripted import PneutacScriptedConfig
+from lerobot_robot_pneutac.teleoperators.base_teleop import PneutacScriptedConfig
 from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
 from pneutac_benchmarks.policy.main import BenchmarkPolicyConfig
 from pneutac_sim.errors import InputError

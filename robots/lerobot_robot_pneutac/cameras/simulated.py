@@ -1,17 +1,67 @@
-"""The camera `digit_generated`: pictures of the built-in gel at a camera's pace."""
+"""Cameras of simulations: `digit_generated`, the built-in gel at a camera's pace, and `pneutac_scene`."""
 
 import math
 import time
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from lerobot.cameras import Camera
+from lerobot.cameras import Camera, CameraConfig
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
-from lerobot_robot_pneutac.cameras.config_digit_generated import DigitGeneratedConfig
-from lerobot_robot_pneutac.cameras.framing import Framing
+from lerobot_robot_pneutac.cameras.elastomer import SMALLEST_PX, Framing
+from lerobot_robot_pneutac.options import refuse_if
+from pneutac_sim.features import CAMERA_SHAPE, IMAGE_SHAPE
 
 BALL_RADIUS_M = 0.004
+
+
+@CameraConfig.register_subclass("pneutac_scene")
+@dataclass(kw_only=True)
+class PneutacSceneConfig(CameraConfig):
+    """A camera beside the simulated robot, which draws what it sees; its name says where it stands.
+
+    Attributes:
+        fps: where left out, the rate at which the world moves on; there is no other.
+        width: columns of the picture, px.
+        height: rows of the picture, px.
+    """
+
+    fps: int = 0
+    width: int = CAMERA_SHAPE[1]
+    height: int = CAMERA_SHAPE[0]
+
+
+@CameraConfig.register_subclass("digit_generated")
+@dataclass(kw_only=True)
+class DigitGeneratedConfig(CameraConfig):
+    """A DIGIT that is not there: pictures of the built-in gel, for dry runs without a sensor.
+
+    Attributes:
+        fps: frames per second.
+        press_period_s: a ball of radius 4 mm comes and goes once in this time; 0 for no ball.
+        press_depth_mm: depth to which the ball comes.
+        width: columns of an image; a DIGIT's has 240, and others are scaled from it.
+        height: rows of an image; a DIGIT's has 320.
+    """
+
+    fps: int = 30
+    width: int = IMAGE_SHAPE[1]
+    height: int = IMAGE_SHAPE[0]
+    press_period_s: float = 0.0
+    press_depth_mm: float = 0.8
+
+    def __post_init__(self):
+        refuse_if(
+            min(self.height, self.width) < SMALLEST_PX,
+            f"digit_generated is {self.width} wide and {self.height} high; it must have {SMALLEST_PX} px each"
+            " way at least.",
+        )
+        refuse_if(
+            not (self.fps > 0 and self.press_period_s >= 0 and self.press_depth_mm >= 0),
+            f"digit_generated has fps {self.fps}, press_period_s {self.press_period_s} and press_depth_mm"
+            f" {self.press_depth_mm}; the first must be positive and the others not negative.",
+        )
 
 
 class DigitGenerated(Camera):
