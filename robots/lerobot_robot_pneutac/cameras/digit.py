@@ -19,7 +19,7 @@ from lerobot.utils.decorators import check_if_already_connected
 from lerobot.utils.errors import DeviceNotConnectedError
 
 from lerobot_robot_pneutac.cameras.elastomer import framed
-from lerobot_robot_pneutac.hardware.parts import HardwareFault, soon
+from lerobot_robot_pneutac.hardware.parts import TURNS, HardwareFault, wait
 from lerobot_robot_pneutac.options import refuse_if
 from pneutac_sim.errors import InputError
 
@@ -260,7 +260,7 @@ class Digit(OpenCVCamera):
             return  # said by LeRobot's own check
         if self._fault:
             raise HardwareFault(self._fault)
-        if not soon(lambda: self._age_s <= self._patience_s, 1 / self.fps):
+        if not wait(lambda: self._age_s <= self._patience_s, TURNS / self.fps, 1 / self.fps):
             raise HardwareFault(f"{self} has sent no new image for {self._age_s:.2f} s; plug it in afresh.")
 
     @property

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from lerobot.cameras import Camera
 
-from lerobot_robot_pneutac.hardware.parts import TURNS, HardwareFault
+from lerobot_robot_pneutac.hardware.parts import TURNS, HardwareFault, wait
 from pneutac_sim.features import IMAGE_NAME, IMAGE_SHAPE
 from pneutac_sim.gel.contact import ContactArea, contact_area, quieted
 from pneutac_sim.gel.model import GelModel
@@ -115,12 +115,19 @@ class LiveCamera:
         return image
 
     def _newest(self) -> np.ndarray:
-        for _ in range(TURNS):
+        image: np.ndarray | TimeoutError
+
+        def came() -> bool:
+            nonlocal image
             try:
-                return self._camera.read_latest(max_age_ms=round(1000 * FRAME_S))
-            except TimeoutError:
-                time.sleep(RETRY_S)
-        return self._camera.read_latest(max_age_ms=round(1000 * FRAME_S))
+                image = self._camera.read_latest(max_age_ms=round(1000 * FRAME_S))
+            except TimeoutError as late:
+                image = late
+            return isinstance(image, np.ndarray)
+
+        if not wait(came, TURNS * RETRY_S, RETRY_S):
+            raise image
+        return image
 
 
 def capture_rest_image(camera: Camera, frames: int = 30) -> np.ndarray:

@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 from lerobot.robots import Robot
 
-from lerobot_robot_pneutac.hardware.parts import COMMAND_S, ArmState, HardwareFault, soon
+from lerobot_robot_pneutac.hardware.parts import COMMAND_S, TICK_S, TURNS, ArmState, HardwareFault, wait
 from pneutac_sim.world.arms.chain import Chain, ChainIK
 
-TICK_S = 0.02
 BEHIND_RAD = 0.3  # by which a joint may stay behind its target
 RUNAWAY_M = 0.003  # by which a target that is out of reach is missed
 MOST_RAD_S = 1.5  # of a joint, also where it would have to be faster for the flange's velocity
@@ -61,7 +60,7 @@ class LeRobotArm:
         self._need()
         if self._fault:
             raise self._fault
-        if not soon(lambda: time.monotonic() - self._read_s <= COMMAND_S, TICK_S):
+        if not wait(lambda: time.monotonic() - self._read_s <= COMMAND_S, TURNS * TICK_S, TICK_S):
             raise HardwareFault(f"{self._robot} sends no new state; check its cable and its power.")
         joints = self._joints
         return ArmState(joints, self._rates, self._seen.pose(joints)[1], 0.0)

@@ -82,20 +82,46 @@ class PressureController(Protocol):
 
 
 COMMAND_S = 0.25  # a command older than this is void: the arm stops, the chamber is vented
-TURNS = 3
+TICK_S = 0.02  # between two looks at what is waited for
+TURNS = 3  # of a listening thread, after which a part that is alive has been heard
 
 
-def soon(true: Callable[[], bool], turn_s: float) -> bool:
-    """Whether it is true now or within a few turns.
+class Clock:
+    """The computer's clock; tests put a simulated one into `parts.clock`."""
 
-    A computer that was held up finds everything too old, until the threads that listen have had their turn.
+    now = staticmethod(time.monotonic)
+    sleep = staticmethod(time.sleep)
+
+
+clock = Clock()
+
+
+def wait(
+    until: Callable[[], bool],
+    limit_s: float,
+    tick_s: float = TICK_S,
+    pause: Callable[[float], object] | None = None,
+) -> bool:
+    """Waits until something is true; the one way in which hardware is waited for.
+
+    A computer that was held up finds everything too old until the threads that listen have had their turn;
+    that is no part's fault. So a pause counts twice its time at most, and there are `TURNS` pauses at least.
 
     Args:
-        true: asked up to `TURNS` + 1 times.
-        turn_s: what a listening thread needs to hear from a part that is alive.
+        until: asked at once, and after every pause. What it raises ends the waiting.
+        limit_s: pauses in sum, s; infinite where `until` itself ends the waiting.
+        tick_s: a pause, s.
+        pause: waits for up to so many seconds, such as a thread's `join`; by default the clock's `sleep`.
+
+    Returns:
+        whether it became true within the limit.
     """
-    for _ in range(TURNS):
-        if true():
-            return True
-        time.sleep(turn_s)
-    return true()
+    waited_s, pauses = 0.0, 0
+    while not until():
+        if pauses >= TURNS and waited_s >= limit_s - 1e-9:
+            return False
+        began_s = clock.now()
+        (pause or clock.sleep)(tick_s)
+        waited_s += min(clock.now() - began_s, 2 * tick_s)
+        pauses += 1
+    return True

@@ -1,10 +1,9 @@
 """What every pressure controller must do, as one sequence: for tests, and for a rig on the bench."""
 
 import math
-import time
 from collections.abc import Callable
 
-from lerobot_robot_pneutac.hardware.parts import HardwareFault, PressureController
+from lerobot_robot_pneutac.hardware.parts import HardwareFault, PressureController, wait
 from pneutac_sim.errors import InputError
 
 REACH_S = 5.0
@@ -49,11 +48,8 @@ def check_pressure_controller(controller: PressureController, kpa: float) -> Non
 
 
 def _must(condition: Callable[[], bool], otherwise: str) -> None:
-    end_s = time.monotonic() + REACH_S
-    while not condition():
-        if time.monotonic() > end_s:
-            raise HardwareFault(f"The pressure controller {otherwise}.")
-        time.sleep(PERIOD_S)
+    if not wait(condition, REACH_S, PERIOD_S):
+        raise HardwareFault(f"The pressure controller {otherwise}.")
 
 
 def _must_raise(error: type[Exception], call: Callable, otherwise: str) -> None:

@@ -15,10 +15,12 @@ from lerobot_robot_pneutac.hardware.chambers import Chambers
 from lerobot_robot_pneutac.hardware.limits import Limits, why_refused
 from lerobot_robot_pneutac.hardware.parts import (
     COMMAND_S,
+    TICK_S,
     Arm,
     ArmState,
     HardwareFault,
     PressureController,
+    wait,
 )
 from pneutac_sim.features import PRESSURES
 
@@ -26,7 +28,6 @@ VENT_S = 1.0  # without an action for so long the chamber is vented
 HOLD_S = 0.5 * COMMAND_S  # without an action for so long the watchdog holds the pressure
 REFUSALS = 5  # so many refused actions among the last `RECENT` are a fault
 RECENT = 20
-TICK_S = 0.02  # of the watchdog
 ARM_S = 0.2  # an arm that has not answered for so long is lost
 MOVE_S = 3.0  # the same of a command, which may clear a reflex first
 HALT_S = 0.05  # how long a halt waits for the arm to say that it stopped
@@ -253,8 +254,6 @@ class _Failing:
 def within(limit_s: float, who: str, call: Callable[..., Any], *args: Any) -> Any:
     """What a call returns or raises; one that hangs is left to its own thread.
 
-    While this computer, or its interpreter, is held up the clock stands still: that is no part's fault.
-
     Raises:
         HardwareFault: it takes longer than `limit_s`.
     """
@@ -268,14 +267,9 @@ def within(limit_s: float, who: str, call: Callable[..., Any], *args: Any) -> An
 
     thread = threading.Thread(target=run, name=f"pneutac-{who}", daemon=True)
     thread.start()
-    waited_s = 0.0
-    while waited_s < limit_s:
-        began = time.monotonic()
-        thread.join(TICK_S)
-        if not thread.is_alive():
-            return outcome.result()
-        waited_s += min(time.monotonic() - began, 2 * TICK_S)
-    raise HardwareFault(f"{who} has not answered for {limit_s:g} s; check its cable and its controller.")
+    if not wait(outcome.done, limit_s, pause=thread.join):
+        raise HardwareFault(f"{who} has not answered for {limit_s:g} s; check its cable and its controller.")
+    return outcome.result()
 
 
 def _quietly(call: Callable[[], None]) -> None:

@@ -1,6 +1,7 @@
 """What pressure controllers at a serial port share: the thread that owns the port, limits and ages."""
 
 import logging
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -9,7 +10,7 @@ from typing import Protocol
 
 import serial
 
-from lerobot_robot_pneutac.hardware.parts import COMMAND_S, HardwareFault
+from lerobot_robot_pneutac.hardware.parts import COMMAND_S, HardwareFault, wait
 from lerobot_robot_pneutac.hardware.pressure_limits import checked_kpa, positive
 
 STALE_S = 0.2  # a measured pressure older than this is none
@@ -103,8 +104,7 @@ class SerialPressure:
         self.vent()
         self._thread = threading.Thread(target=self._run, name=f"pressure {self.port}", daemon=True)
         self._thread.start()
-        while self._exchange.measured_kpa is None and self._thread.is_alive():
-            time.sleep(POLL_S)
+        wait(lambda: self._exchange.measured_kpa is not None or not self._thread.is_alive(), math.inf, POLL_S)
         if self._fault:
             fault = self._fault
             self.disconnect()
@@ -117,7 +117,7 @@ class SerialPressure:
             InputError: the target is not finite or outside 0 ... `max_kpa`.
             HardwareFault: the controller reported a fault or is lost.
         """
-        self._check_fresh()
+        wait(self._fresh, math.inf, POLL_S)
         target = checked_kpa(kpa, self.max_kpa)
         with self._lock:
             self._command = Command(target, self._command.number + 1)
@@ -131,7 +131,7 @@ class SerialPressure:
         Raises:
             HardwareFault: the controller was silent for `STALE_S`, or there is none after `BUSY_S`.
         """
-        self._check_fresh()
+        wait(self._fresh, math.inf, POLL_S)
         return self._exchange.measured_kpa
 
     def vent(self) -> None:
@@ -156,18 +156,18 @@ class SerialPressure:
         if not self._thread:
             raise HardwareFault(f"{self} is not connected; call connect first.")
 
-    def _check_fresh(self) -> None:
-        while True:
-            self._check_running()
-            now, measured_s = time.monotonic(), self._exchange.measured_s
-            if now - measured_s <= STALE_S:
-                return
-            silent = now - max(measured_s, self._alive_s) > STALE_S and now - self._turn_s <= STALL_S
-            if silent or now - measured_s > BUSY_S:
-                raise HardwareFault(
-                    f"{self}: the newest measurement is {now - measured_s:.2f} s old; check cable and power."
-                )
-            time.sleep(POLL_S)
+    def _fresh(self) -> bool:
+        """Whether the measurement is young enough; raises HardwareFault where none will come."""
+        self._check_running()
+        now, measured_s = time.monotonic(), self._exchange.measured_s
+        if now - measured_s <= STALE_S:
+            return True
+        silent = now - max(measured_s, self._alive_s) > STALE_S and now - self._turn_s <= STALL_S
+        if silent or now - measured_s > BUSY_S:
+            raise HardwareFault(
+                f"{self}: the newest measurement is {now - measured_s:.2f} s old; check cable and power."
+            )
+        return False
 
     def _take_turn(self, heard: bool = False) -> None:
         """The port's thread runs, and may have heard something."""

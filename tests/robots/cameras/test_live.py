@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from simulated_clock import simulate_clock
 
 from lerobot_robot_pneutac.cameras.tactile import LiveCamera
 from lerobot_robot_pneutac.hardware.parts import TURNS, HardwareFault
@@ -18,6 +19,11 @@ class Late:
         if self.times >= 0:
             raise TimeoutError("the newest picture is 812 ms old")
         return np.zeros((2, 2, 3), np.uint8)
+
+
+@pytest.fixture(autouse=True)
+def clock(monkeypatch):
+    return simulate_clock(monkeypatch)
 
 
 def test_a_computer_that_was_held_up_finds_the_next_picture():
