@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 
-from lerobot_robot_pneutac.robots.keeping import Keeper
+from lerobot_robot_pneutac.robots.episode_hooks import EpisodeHooks
 from pneutac_benchmarks.robustness.outcome import Outcome
 from pneutac_datasets.demonstrations.repair.dataset import repair_dataset
 from pneutac_sim.errors import InputError
@@ -42,7 +42,7 @@ def record(root: Path, video: bool, resume: bool, saved) -> None:
 
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     robot = _Robot()
-    Keeper(15, robot).connect()  # as a robot that connects
+    EpisodeHooks(15, robot).connect()  # as a robot that connects
     features = {
         "observation.state": {"dtype": "float32", "shape": (len(STATE_NAMES),), "names": list(STATE_NAMES)},
         "action": {"dtype": "float32", "shape": (len(ACTION_NAMES),), "names": list(ACTION_NAMES)},

@@ -11,7 +11,7 @@ from lerobot.utils.constants import ACTION, OBS_STR
 from lerobot.utils.feature_utils import build_dataset_frame, combine_feature_dicts, hw_to_dataset_features
 
 from lerobot_robot_pneutac.options import gel_of
-from lerobot_robot_pneutac.robots.keeping import keep_station
+from lerobot_robot_pneutac.robots.episode_hooks import store_station
 from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
 from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
 from pneutac_datasets.demonstrations.episodes import POINTS, points_feature
@@ -60,7 +60,7 @@ def record_episodes(
         features[POINTS] = points_feature(gel_of(robot.config.twin).window_mm)
     length = teleop.steps(robot)
     dataset = create_dataset(repo_id, root, robot.config.control_hz, features, robot.name, use_videos, length)
-    keep_station(robot, Path(root) / "meta")
+    store_station(robot, Path(root) / "meta")
     ours = [device for device in (teleop, robot) if not device.is_connected]
     for device in ours:
         device.connect()

@@ -18,7 +18,7 @@ from lerobot_robot_pneutac.robots.base_robot import (
 )
 from lerobot_robot_pneutac.robots.bend import BendCommands
 from lerobot_robot_pneutac.robots.config_pneutac import PneutacConfig
-from lerobot_robot_pneutac.robots.keeping import Keeper
+from lerobot_robot_pneutac.robots.episode_hooks import EpisodeHooks
 from pneutac_sim import features
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, IMAGE_NAME
@@ -48,7 +48,7 @@ class Pneutac(BaseRobot):
         super().__init__(config)
         self.config = config
         self.guard: Guard | None = None
-        self._keeper = Keeper(config.control_hz, self)
+        self._hooks = EpisodeHooks(config.control_hz, self)
         self._arm = config.arm.make()
         self._pressure = config.pressure.make()
         self.cameras = make_cameras_from_configs({IMAGE_NAME: config.digit} | config.cameras)
@@ -81,7 +81,7 @@ class Pneutac(BaseRobot):
         """
         if self.is_connected:
             raise DeviceAlreadyConnectedError(f"{self} is already connected.")
-        self._keeper.connect()
+        self._hooks.connect()
         if self.config.bend:
             dt_s = 1 / self.config.control_hz
             self._bend = BendCommands(Twin.load(self.config.twin), self.config.conditions, dt_s)
@@ -116,7 +116,7 @@ class Pneutac(BaseRobot):
     def get_observation(self) -> dict[str, Any]:
         """State (floats) and images; raises HardwareFault, and everything halts, where a part fails."""
         guard = self._need_guard()
-        self._keeper.observed()
+        self._hooks.observed()
         arm, kpa = guard.look()
         with guard.failing("reading the cameras"):
             image = self._tactile.read()
@@ -170,7 +170,7 @@ class Pneutac(BaseRobot):
 
     def _let_go(self) -> None:
         """Disconnects all that was connected; one part's trouble does not keep the next one."""
-        self._keeper.disconnect()
+        self._hooks.disconnect()
         for part in (self._pressure, self._arm, *self.cameras.values()):
             try:
                 if getattr(part, "is_connected", True):

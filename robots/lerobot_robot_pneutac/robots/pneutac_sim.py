@@ -16,7 +16,7 @@ from lerobot_robot_pneutac.robots.base_robot import (
 )
 from lerobot_robot_pneutac.robots.bend import BendCommands
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
-from lerobot_robot_pneutac.robots.keeping import Keeper
+from lerobot_robot_pneutac.robots.episode_hooks import EpisodeHooks
 from lerobot_robot_pneutac.robots.spread_starts import SpreadStarts
 from pneutac_sim import features
 from pneutac_sim.errors import InputError
@@ -71,7 +71,7 @@ class PneutacSim(BaseRobot):
         self.recording: bool | None = None
         self.scenes = 0
         self.successes: list[bool] = []
-        self._keeper = Keeper(config.control_hz, self, waits=True)
+        self._hooks = EpisodeHooks(config.control_hz, self, waits=True)
         self._places = Places.of(self.chambers)
 
     @property
@@ -94,7 +94,7 @@ class PneutacSim(BaseRobot):
         if self.is_connected:
             raise DeviceAlreadyConnectedError(f"{self} is already connected.")
         self.recording = None
-        self._keeper.connect()
+        self._hooks.connect()
         logger.info("Building the world; on a new machine this takes a minute, once.")
         self.world = _world(self.config)
         self.world.touch.prepare()
@@ -106,7 +106,7 @@ class PneutacSim(BaseRobot):
     def get_observation(self) -> dict[str, Any]:
         """State (floats), tactile image uint8 (H, W, 3), and what else was asked for."""
         self._need_world()
-        self._keeper.observed()
+        self._hooks.observed()
         state = zip(self.state_names, self._observation.state.tolist(), strict=True)
         touch: dict[str, Any] = {IMAGE_NAME: self._observation.tactile}
         if self.config.tactile_points:
@@ -170,7 +170,7 @@ class PneutacSim(BaseRobot):
         if self.recording is None and self._frames:
             self._tell()
         _connected.remove(self)
-        self._keeper.disconnect()
+        self._hooks.disconnect()
         self.world.close()
         self.world = None
 

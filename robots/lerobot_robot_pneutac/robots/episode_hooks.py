@@ -1,16 +1,15 @@
-"""What a robot knows of the episodes that LeRobot records, and adds to them: its station, and their rate.
+"""What a robot adds to the datasets that LeRobot records here: its station, and the rate of each episode.
 
-LeRobot 0.6 gives a robot no hook for episodes, stores frame / fps as a frame's time, and observes a robot in
-the pause between episodes as within them. What it announces in the log, and how many frames it counts, tell
-which observations are an episode's: the first ones after the last announcement. It makes the robot, then the
-dataset, and connects the robot last: so a dataset of another rate is refused when its `info.json` is begun.
+`LeRobotHooks` is the one place that knows the inside of LeRobot; `EpisodeHooks` says what is done.
 """
 
 import contextlib
+import importlib.metadata
 import json
 import logging
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import override
@@ -22,64 +21,102 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.files import whole
 from pneutac_sim.pace import PACE_FILE, Pace, faster_than, read_pace, short_of
 
+KNOWN = "0.6"  # series of LeRobot whose inside `LeRobotHooks` knows
 # So lerobot-record and lerobot-rollout announce that an episode begins, and that one has ended.
 BEGINS, ENDS = "Recording episode", ("Reset the environment", "Stop recording")
 
 logger = logging.getLogger(__name__)
 
 
-class Keeper(logging.Handler):
+class LeRobotHooks(logging.Handler):
+    """Hooks into LeRobot, which has none of its own.
+
+    LeRobot stores frame / fps as a frame's time, and observes a robot in the pause between episodes too. What
+    it announces in the log, and how many frames it counts, show which observations belong to an episode: the
+    first ones after the last announcement. It makes the robot, then the dataset, and connects the robot last.
+
+    Args:
+        announced: is called with whether an episode begins (or else has ended).
+        write_json: in place of the function that writes the files of a dataset's `meta`, with its arguments.
+    """
+
+    def __init__(self, announced: Callable[[bool], None], write_json: Callable[[dict, Path], None]):
+        super().__init__(logging.INFO)
+        self._announced, self._write_json, self._warned = announced, write_json, False
+
+    def install(self) -> bool:
+        """Whether LeRobot's datasets are in use here; they are written by `write_json` from now on."""
+        io_utils = sys.modules.get("lerobot.datasets.io_utils")
+        if io_utils is None:
+            return False
+        version = importlib.metadata.version("lerobot")
+        if not version.startswith(f"{KNOWN}."):
+            if not self._warned:
+                logger.warning(
+                    "LeRobot %s is unknown to this version of PneuTac, so the rate of datasets is not"
+                    " checked and no station and no pace are stored with them; install LeRobot %s, or a newer PneuTac.",
+                    *(version, KNOWN),
+                )
+            self._warned = True
+            return False
+        io_utils.write_json = self._write_json
+        sys.modules["lerobot.datasets.dataset_reader"].load_nested_dataset = _load_episodes
+        return True
+
+    def listen(self) -> None:
+        """From now on episodes are noticed, where the hooks can be installed."""
+        if self.install():
+            logging.getLogger().addHandler(self)
+
+    def ignore(self) -> None:
+        logging.getLogger().removeHandler(self)
+
+    @override
+    def emit(self, record: logging.LogRecord) -> None:
+        message = record.getMessage()
+        if message.startswith((BEGINS, *ENDS)):
+            self._announced(message.startswith(BEGINS))
+
+
+class EpisodeHooks:
     """Adds station and pace to the dataset that LeRobot records here, and writes its `info.json` whole.
 
-    While the robot lives, a new dataset of its type has its rate, or is refused.
+    While the robot lives, a new dataset of its type has its rate, or is refused as its `info.json` is begun.
 
     Args:
         control_hz: of the robot, at which the dataset is to be recorded.
-        robot: is told of episodes by its method `announced`; a dataset knows it by its `name`.
+        robot: its method `announced` is called for episodes; a dataset knows it by its `name`.
         waits: the robot stands still between frames, as a simulated one does: a slow loop makes its episodes
             shorter and their motions no faster, so that only the pace of a loop that was too fast is stored.
     """
 
     def __init__(self, control_hz: int, robot: BaseRobot, waits: bool = False):
-        super().__init__(logging.INFO)
         self._control_hz, self._robot, self._waits = control_hz, ref(robot), waits
         self._times_s: list[float] | None = None
-        self._take_over()
+        self._lerobot = LeRobotHooks(self._announced, self._write_json)
+        self._lerobot.install()
 
     def connect(self) -> None:
-        """From now on episodes are noticed."""
-        if self._take_over():
-            logging.getLogger().addHandler(self)
-
-    def _take_over(self) -> bool:
-        """Whether LeRobot's datasets are in use here; they are written by this from now on."""
-        io_utils = sys.modules.get("lerobot.datasets.io_utils")
-        if io_utils is not None:
-            io_utils.write_json = self._write_json
-            sys.modules["lerobot.datasets.dataset_reader"].load_nested_dataset = _load_episodes
-        return io_utils is not None
+        self._lerobot.listen()
 
     def disconnect(self) -> None:
-        """Nothing is noticed any more."""
-        logging.getLogger().removeHandler(self)
-
-    @override
-    def emit(self, record: logging.LogRecord) -> None:
-        message, robot = record.getMessage(), self._robot()
-        if message.startswith(BEGINS):
-            self._times_s = []
-        if robot is not None and message.startswith((BEGINS, *ENDS)):
-            robot.announced(message.startswith(BEGINS))
+        self._lerobot.ignore()
 
     def observed(self) -> None:
         """The robot was observed now."""
         if self._times_s is not None:
             self._times_s.append(time.perf_counter())
 
+    def _announced(self, begins: bool) -> None:
+        if begins:
+            self._times_s = []
+        if (robot := self._robot()) is not None:
+            robot.announced(begins)
+
     def _write_json(self, data: dict, fpath: Path) -> None:
         """In place of LeRobot's, which empties the old file and writes it anew after every episode.
 
-        A kill meanwhile loses the features' names and the frame rate, which nothing else tells. `pneutac
+        A kill meanwhile loses the features' names and the frame rate, which nothing else has. `pneutac
         repair` finds all the rest.
 
         Raises:
@@ -98,8 +135,8 @@ class Keeper(logging.Handler):
             part.write_text(json.dumps(data, indent=4, ensure_ascii=False), encoding="utf-8")
         if frames > 1 and self._times_s is not None and len(self._times_s) >= frames:
             if robot is not None:
-                keep_station(robot, fpath.parent)
-            self._keep(fpath.parent, data["total_episodes"] - 1, data["fps"], self._times_s[:frames])
+                store_station(robot, fpath.parent)
+            self._store_pace(fpath.parent, data["total_episodes"] - 1, data["fps"], self._times_s[:frames])
         if frames:
             self._times_s = None
             if data["fps"] != self._control_hz:
@@ -111,7 +148,7 @@ class Keeper(logging.Handler):
             f" record at --dataset.fps={self._control_hz}, or give a station.yaml with control_hz: {fps}."
         )
 
-    def _keep(self, meta: Path, episode: int, fps: float, times_s: list[float]) -> None:
+    def _store_pace(self, meta: Path, episode: int, fps: float, times_s: list[float]) -> None:
         pace = replace(Pace.of(times_s, fps), simulated=self._waits)
         short, fast = short_of(pace, fps), faster_than(pace, fps)
         if self._waits and short:
@@ -134,16 +171,16 @@ class Keeper(logging.Handler):
         if self._waits and not fast:
             return
         try:
-            kept = {**read_pace(meta), episode: pace}
+            stored = {**read_pace(meta), episode: pace}
         except InputError as e:  # no reason to lose an episode
             logger.warning("%s", e)
             return
-        content = {str(k): vars(p) for k, p in sorted(kept.items())}
+        content = {str(k): vars(p) for k, p in sorted(stored.items())}
         with whole(meta / PACE_FILE) as part:
             part.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
-def keep_station(robot: BaseRobot, meta: Path) -> None:
+def store_station(robot: BaseRobot, meta: Path) -> None:
     """Leaves the station that a robot was given in its dataset's folder `meta`, for all who replay it.
 
     A real robot's may be of its limits and rate alone, with another arm: that is not left.

@@ -1,3 +1,4 @@
+import importlib.metadata
 import json
 import logging
 from pathlib import Path
@@ -6,13 +7,13 @@ from types import SimpleNamespace
 import pytest
 from lerobot.datasets import LeRobotDataset, dataset_reader, io_utils
 
-from lerobot_robot_pneutac.robots.keeping import Keeper
+from lerobot_robot_pneutac.robots.episode_hooks import EpisodeHooks
 from pneutac_sim.errors import InputError
 from pneutac_sim.pace import PACE_FILE, Pace, pace_notes, read_pace
 from pneutac_sim.world.station import Station
 
 DEMOS = Path(__file__).parents[2] / "golden/recordings/demos"
-SECONDS = "lerobot_robot_pneutac.robots.keeping.time.perf_counter"
+SECONDS = "lerobot_robot_pneutac.robots.episode_hooks.time.perf_counter"
 
 
 class Lone:
@@ -33,7 +34,7 @@ def keeper(monkeypatch, caplog):
     monkeypatch.setattr(io_utils, "write_json", io_utils.write_json)
     monkeypatch.setattr(dataset_reader, "load_nested_dataset", dataset_reader.load_nested_dataset)
     caplog.set_level(logging.INFO)
-    keeper = Keeper(15, Lone())
+    keeper = EpisodeHooks(15, Lone())
     keeper.connect()
     yield keeper
     keeper.disconnect()
@@ -74,7 +75,7 @@ def test_a_dataset_keeps_the_station_and_what_waits_has_no_pace(keeper, monkeypa
     robot = Lone()
     robot.config = SimpleNamespace(station=tmp_path / "mine.yaml", joints=5)
     robot.config.station.write_text("format: pneutac-station/1\narm: so101\nlatency_s: 0.1\n")
-    waiting = Keeper(15, robot, waits=True)
+    waiting = EpisodeHooks(15, robot, waits=True)
     waiting.connect()
     save(tmp_path, 0, 0)
     for text in ("Recording episode 0", "Reset the environment"):
@@ -133,3 +134,12 @@ def test_an_episode_that_is_not_there_is_named(keeper):
         LeRobotDataset("local/demos", DEMOS, episodes=[99])
     chosen = LeRobotDataset("local/demos", DEMOS, episodes=[1]).hf_dataset["episode_index"]
     assert {int(e) for e in chosen} == {1}
+
+
+def test_an_unknown_lerobot_is_named_and_left_as_it_is(monkeypatch, caplog):
+    monkeypatch.setattr(importlib.metadata, "version", lambda name: "0.9.1")
+    before = io_utils.write_json, dataset_reader.load_nested_dataset
+    EpisodeHooks(15, Lone()).connect()
+    assert before == (io_utils.write_json, dataset_reader.load_nested_dataset)
+    assert "LeRobot 0.9.1 is unknown to this version of PneuTac" in caplog.text
+    assert "install LeRobot 0.6, or a newer PneuTac." in caplog.text
