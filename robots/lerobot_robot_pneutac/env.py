@@ -101,7 +101,6 @@ class PneutacTaskConfig(EnvConfig):
 
     @property
     def gym_kwargs(self) -> dict:
-        """What `gymnasium.make` is given."""
         look = {"cameras": self._sizes} if self.cameras else {}
         look |= {"randomise_look": True} if self.randomise_look else {}
         points = {"points": True} if self.tactile_points else {}
@@ -177,12 +176,10 @@ class PneutacEnvConfig(PneutacTaskConfig):
 
     @property
     def package_name(self) -> str:
-        """Prefix of the Gymnasium ids."""
         return "pneutac_sim"
 
     @property
     def gym_kwargs(self) -> dict:
-        """What `gymnasium.make` is given."""
         from pneutac_sim.twin import Twin
 
         twin = {"twin": Twin.load(self.twin)} if self.twin else {}
@@ -252,10 +249,8 @@ class PneutacStandinConfig(PneutacTaskConfig):
 
     @property
     def package_name(self) -> str:
-        """Prefix of the Gymnasium ids."""
         return "pneutac_standin"
 
     @property
     def gym_kwargs(self) -> dict:
-        """What `gymnasium.make` is given."""
         return super().gym_kwargs | standin_sensor(self.twin) | _station(self.station)

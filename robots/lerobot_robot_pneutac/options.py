@@ -1,12 +1,14 @@
 """Checks of options, in the one form of error whose text LeRobot's commands show."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from draccus.utils import DecodingError
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.twin import checked_range
+from pneutac_sim.twin import Twin, checked_range
 
 if TYPE_CHECKING:
     from pneutac_sim.gel.model import GelModel
@@ -17,6 +19,15 @@ def refuse_if(wrong: bool, sentence: str) -> None:
     """Raises what LeRobot's commands print as one line; they hide the text of any other error."""
     if wrong:
         raise DecodingError((), sentence)
+
+
+@contextmanager
+def named(option: str) -> Iterator[None]:
+    """Refuses what is an InputError inside, and names the option."""
+    try:
+        yield
+    except InputError as e:
+        raise DecodingError((), f"--{option}: {e}") from e
 
 
 def check_choice(option: str, value: str, choices: tuple[str, ...]) -> None:
@@ -41,12 +52,9 @@ def check_finger(option: str, twin: Path | None) -> None:
 def chambers_of(option: str, twin: Path | None) -> int:
     """Chambers of what a twin is of; 0 of a gel, 1 of the built-in finger where there is none."""
     from pneutac_sim.features import CHAMBERS
-    from pneutac_sim.twin import Twin
 
-    try:
+    with named(option):
         return CHAMBERS.get(Twin.load(twin).device, 0) if twin else 1
-    except InputError as e:
-        raise DecodingError((), f"--{option}: {e}") from e
 
 
 def check_bend(option: str, twin: Path | None) -> None:
@@ -61,12 +69,13 @@ def check_bend(option: str, twin: Path | None) -> None:
 
 def pressure_range(option: str, twin: Path | None) -> tuple[float, float]:
     """Pressures that a twin was measured over, kPa; those of the built-in one where there is none."""
-    from pneutac_sim.twin import Twin
+    with named(option):
+        return twin_of(twin).pressure_range_kpa
 
-    try:
-        return (Twin.load(twin) if twin else Twin.builtin()).pressure_range_kpa
-    except InputError as e:
-        raise DecodingError((), f"--{option}: {e}") from e
+
+def twin_of(folder: Path | None) -> Twin:
+    """The twin in a folder; the built-in one where there is none. Raises InputError where it is damaged."""
+    return Twin.load(folder) if folder else Twin.builtin()
 
 
 def gel_of(twin: Path | None) -> "GelModel":
@@ -76,7 +85,6 @@ def gel_of(twin: Path | None) -> "GelModel":
         InputError: the twin's folder is damaged.
     """
     from pneutac_sim.gel.model import GelModel
-    from pneutac_sim.twin import Twin
 
     return GelModel.from_twin(Twin.load(twin) if twin else None)
 
@@ -88,11 +96,9 @@ def contact_threshold(twin: Path | None) -> float:
 
 def tactile_shape(option: str, twin: Path | None) -> tuple[int, int, int]:
     """Height, width and channels of the images of a twin's sensor; a DIGIT's where there is none."""
-    try:
+    with named(option):
         h, w, c = gel_of(twin).rest_image.shape
-    except InputError as e:
-        raise DecodingError((), f"--{option}: {e}") from e
-    return h, w, c
+        return h, w, c
 
 
 def standin_sensor(twin: Path | None) -> dict:
@@ -117,11 +123,9 @@ def check_station(option: str, file: Path | None) -> None:
     """Refuses what is no station.yaml, or has an arm that carries no finger; None is none."""
     from pneutac_sim.world.station import Station
 
-    try:
-        if file is not None:
+    if file is not None:
+        with named(option):
             Station.load(file).make_arm()
-    except InputError as e:
-        refuse_if(True, f"--{option}: {e}")
 
 
 def station_of(file: Path | None) -> "Station":
@@ -139,42 +143,32 @@ def check_gl(option: str) -> None:
     """Refuses pictures of a scene where OpenGL does not start."""
     from pneutac_sim.world.view import require_gl
 
-    try:
+    with named(option):
         require_gl()
-    except InputError as e:
-        refuse_if(True, f"--{option}: {e}")
 
 
 def check_cameras(option: str, sizes: dict[str, tuple[int, int]]) -> None:
     """Refuses cameras that the scene does not have, and where OpenGL does not start; none are none."""
     from pneutac_sim.world.cameras import check_camera
 
-    try:
+    with named(option):
         for name, size in sizes.items():
             check_camera(name, size)
-    except InputError as e:
-        refuse_if(True, f"--{option}: {e}")
     if sizes:
         check_gl(option)
 
 
 def check_conditions(option: str, twin: Path | None, conditions: dict) -> None:
     """Refuses conditions that are no numbers, or a twin that has an effect without its conditions."""
-    from pneutac_sim.twin import Twin
     from pneutac_sim.world.conditions import conditions_for
 
-    try:
-        conditions_for(Twin.load(twin) if twin else Twin.builtin(), conditions)
-    except InputError as e:
-        refuse_if(True, f"--{option}: {e}")
+    with named(option):
+        conditions_for(twin_of(twin), conditions)
 
 
 def check_networks(option: str, twin: Path | None, fidelity: str) -> None:
     """Refuses a twin whose networks are missing or older than it, or whose stiffness no controller holds."""
-    from pneutac_sim.twin import Twin
     from pneutac_sim.world import checks
 
-    try:
-        checks.check_networks(Twin.load(twin) if twin else Twin.builtin(), fidelity)
-    except InputError as e:
-        refuse_if(True, f"--{option}: {e}")
+    with named(option):
+        checks.check_networks(twin_of(twin), fidelity)

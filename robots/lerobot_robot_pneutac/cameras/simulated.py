@@ -80,7 +80,6 @@ class DigitGenerated(Camera):
 
     @property
     def is_connected(self) -> bool:
-        """Whether `connect` was called."""
         return self._start_s is not None
 
     @staticmethod
@@ -89,7 +88,6 @@ class DigitGenerated(Camera):
         return []
 
     def connect(self, warmup: bool = True) -> None:
-        """Starts the clock."""
         if self.is_connected:
             raise DeviceAlreadyConnectedError(f"{self} is already connected.")
         from pneutac_sim.gel.probe import SPHERE
@@ -123,7 +121,6 @@ class DigitGenerated(Camera):
         return self._image(math.floor(self._time_s() * self.fps))
 
     def disconnect(self) -> None:
-        """Stops."""
         self._time_s()
         self._start_s = None
 

@@ -24,12 +24,10 @@ class ArmConfig(draccus.ChoiceRegistry, abc.ABC):
 
     @property
     def type(self) -> str:
-        """Name that it is registered by."""
         return str(self.get_choice_name(self.__class__))
 
     @property
     def joints(self) -> int:
-        """How many joints it has."""
         return PANDA_JOINTS
 
     @abc.abstractmethod
@@ -68,7 +66,6 @@ class PandaConfig(ArmConfig):
         )
 
     def make(self) -> Arm:
-        """See `ArmConfig.make`."""
         from lerobot_robot_pneutac.hardware.panda import PandaArm
 
         return PandaArm(
@@ -96,11 +93,9 @@ class SimulatedArmConfig(ArmConfig):
 
     @property
     def joints(self) -> int:
-        """How many joints it has."""
         return self._station.joints
 
     def make(self) -> Arm:
-        """See `ArmConfig.make`."""
         from lerobot_robot_pneutac.hardware.simulated_arm import SimulatedArm
 
         return SimulatedArm(arm=_of_base(self._station))
@@ -138,7 +133,6 @@ class LeRobotArmConfig(ArmConfig):
 
     @property
     def joints(self) -> int:
-        """How many joints it has."""
         return self._station.joints
 
     def make(self) -> Arm:

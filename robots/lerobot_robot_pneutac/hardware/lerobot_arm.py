@@ -56,7 +56,6 @@ class LeRobotArm:
         self._thread.start()
 
     def state(self) -> ArmState:
-        """The newest state; no force is felt."""
         self._need()
         if self._fault:
             raise self._fault

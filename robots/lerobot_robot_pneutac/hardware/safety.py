@@ -145,7 +145,6 @@ class Guard:
         stop.join(HALT_S)
 
     def close(self) -> None:
-        """Halts and ends the threads."""
         self._closed.set()
         self.halt()
         for thread in self._threads:

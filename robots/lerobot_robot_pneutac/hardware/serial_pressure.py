@@ -140,7 +140,6 @@ class SerialPressure:
             self._command = Command(None, self._command.number + 1)
 
     def disconnect(self) -> None:
-        """Vents and closes the port; never raises."""
         self.vent()
         self._stop.set()
         if self._thread:

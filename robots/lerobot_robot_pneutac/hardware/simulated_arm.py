@@ -30,7 +30,6 @@ class SimulatedArm:
         self._ik = None
 
     def connect(self) -> None:
-        """Builds the kinematics."""
         from pneutac_sim.world.panda import Panda
 
         self._ik = (self._arm or Panda()).solver()
@@ -40,7 +39,6 @@ class SimulatedArm:
         self._now_s = self._until_s = self._clock()
 
     def state(self) -> ArmState:
-        """The newest state; no force is ever felt."""
         with self._lock:
             self._advance()
             flange = self._ik.pose(self._joints)[1]
@@ -54,14 +52,12 @@ class SimulatedArm:
             self._until_s = self._now_s + COMMAND_S
 
     def stop(self) -> None:
-        """Rests at once."""
         with self._lock:
             if self._ik is not None:
                 self._advance()
                 self._until_s, self._velocity = self._now_s, np.zeros(3)
 
     def disconnect(self) -> None:
-        """Forgets where it is."""
         with self._lock:
             self._ik = None
 

@@ -36,7 +36,6 @@ class SimulatedPressure:
         self._now_s = self._void_s = clock()
 
     def connect(self) -> None:
-        """Starts with an empty chamber."""
         self._connected = True
         self.vent()
 
@@ -49,13 +48,11 @@ class SimulatedPressure:
             self._void_s = self._now_s + COMMAND_S
 
     def pressure(self) -> float:
-        """The chamber's pressure in kPa."""
         with self._lock:
             self._advance()
             return self._kpa
 
     def vent(self) -> None:
-        """Lets the pressure fall to zero."""
         with self._lock:
             if self._connected:
                 self._advance()

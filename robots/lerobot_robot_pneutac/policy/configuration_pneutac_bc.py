@@ -98,7 +98,6 @@ class PneutacBCConfig(PreTrainedConfig):
 
     @property
     def observation_delta_indices(self) -> None:
-        """The present observation only."""
         return None
 
     @property
@@ -108,7 +107,6 @@ class PneutacBCConfig(PreTrainedConfig):
 
     @property
     def reward_delta_indices(self) -> None:
-        """No rewards."""
         return None
 
     def get_optimizer_preset(self) -> AdamConfig:

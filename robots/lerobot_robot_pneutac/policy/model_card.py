@@ -40,7 +40,6 @@ class Demonstrations:
 
     @property
     def name(self) -> str:
-        """For sentences."""
         return ", ".join(self.repo_ids)
 
 

@@ -154,7 +154,6 @@ class PneutacBCPolicy(PreTrainedPolicy):
         return model_card(self.config, self._demonstrations, rest, steps, train, limits)
 
     def get_optim_params(self):
-        """All parameters."""
         return self.parameters()
 
     def reset(self) -> None:

@@ -64,7 +64,6 @@ class Scaling:
         return cls(centre, scale, middle, half, low, high)
 
     def tensors(self) -> dict[str, torch.Tensor]:
-        """The policy's buffers by name."""
         return {f"_{name}": torch.tensor(value, dtype=torch.float32) for name, value in vars(self).items()}
 
 

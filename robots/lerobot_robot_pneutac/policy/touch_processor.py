@@ -56,7 +56,6 @@ class TouchProcessorStep(ObservationProcessorStep):
         return out
 
     def get_config(self) -> dict:
-        """What it is made from."""
         return {"twin": str(self.twin), "image": self.image, "contact_area": self.contact_area}
 
     def transform_features(self, features):

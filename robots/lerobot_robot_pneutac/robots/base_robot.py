@@ -47,7 +47,6 @@ class BaseRobot(Robot):
 
     @property
     def is_calibrated(self) -> bool:
-        """Always true."""
         return True
 
     def calibrate(self) -> None:

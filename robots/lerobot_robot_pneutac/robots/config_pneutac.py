@@ -4,7 +4,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from draccus.utils import DecodingError
 from lerobot.cameras import CameraConfig
 from lerobot.robots import RobotConfig
 
@@ -16,9 +15,11 @@ from lerobot_robot_pneutac.options import (
     check_station,
     check_twin_folder,
     contact_threshold,
+    named,
     pressure_range,
     refuse_if,
     station_of,
+    twin_of,
 )
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import IMAGE_NAME, state_names
@@ -48,7 +49,6 @@ class PressureConfig:
 
     @property
     def count(self) -> int:
-        """How many controllers there are."""
         return len(self.ports) or self.chambers
 
     def make(self) -> "Chambers":
@@ -149,10 +149,8 @@ class PneutacConfig(RobotConfig):
             not (self.digit.width and self.digit.height),
             f"--robot.digit.width and height are missing; give the size in which '{self.digit.type}' sends.",
         )
-        try:
+        with named("robot.pressure"):
             self.pressure.make()  # opens nothing
-        except InputError as e:
-            raise DecodingError((), f"--robot.pressure: {e}") from e
         refuse_if(
             self.bend and self.twin is None,
             "--robot.bend=true needs --robot.twin, the folder of the finger's calibrated twin.",
@@ -173,7 +171,6 @@ class PneutacConfig(RobotConfig):
 
     @property
     def joints(self) -> int:
-        """Joints of the arm."""
         return self.arm.joints
 
     @property
@@ -194,14 +191,14 @@ class PneutacConfig(RobotConfig):
 
     def _refuse_one_sensor_twice(self) -> None:
         """Two options that name one camera would both get its images."""
-        named: dict[tuple[str, str], str] = {}
+        seen: dict[tuple[str, str], str] = {}
         for name, camera in {"digit": self.digit, **self.cameras}.items():
             option = name if name == "digit" else f"cameras.{name}"
             for field_ in ("serial", "index_or_path", "serial_number_or_name"):
                 value = getattr(camera, field_, None)
                 if value is None:
                     continue
-                first = named.setdefault((field_, str(value)), option)
+                first = seen.setdefault((field_, str(value)), option)
                 refuse_if(
                     first != option,
                     f"--robot.{first} and --robot.{option} both have {field_} '{value}'; give each sensor its"
@@ -229,17 +226,13 @@ class PneutacConfig(RobotConfig):
                 not 0 < self.contact_threshold < 256,
                 f"--robot.contact_threshold is {self.contact_threshold}; it must be above 0 and below 256.",
             )
-        try:
-            if self.twin is not None:
+        if self.twin is not None:
+            with named("robot.twin"):
                 self.threshold_levels()
-        except InputError as e:
-            raise DecodingError((), f"--robot.twin: {e}") from e
 
 
 def _box_m(where: "Station", twin: Path | None) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Corners (3,) of a station's workspace in the arm's frame, with the finger of a twin."""
-    from pneutac_sim.twin import Twin
-
-    corners = where.box_m((Twin.load(twin) if twin else Twin.builtin()).length_mm)
+    corners = where.box_m(twin_of(twin).length_mm)
     low_m, high_m = (tuple((corner - where.base_m).tolist()) for corner in corners)
     return low_m, high_m

@@ -71,7 +71,6 @@ class PneutacSimConfig(RobotConfig):
 
     @property
     def joints(self) -> int:
-        """Joints of the station's arm."""
         return self._where.joints
 
     @property
@@ -81,7 +80,6 @@ class PneutacSimConfig(RobotConfig):
 
     @property
     def control_hz(self) -> int:
-        """Control rate of the station."""
         return self._where.control_hz
 
     def __post_init__(self):

@@ -54,7 +54,8 @@ class LeRobotHooks(logging.Handler):
             if not self._warned:
                 logger.warning(
                     "LeRobot %s is unknown to this version of PneuTac, so the rate of datasets is not"
-                    " checked and no station and no pace are stored with them; install LeRobot %s, or a newer PneuTac.",
+                    " checked and no station and no pace are stored with them; install LeRobot %s, or a newer"
+                    " PneuTac.",
                     *(version, KNOWN),
                 )
             self._warned = True

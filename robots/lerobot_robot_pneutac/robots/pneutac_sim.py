@@ -7,7 +7,7 @@ from weakref import WeakSet
 import numpy as np
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
-from lerobot_robot_pneutac.options import standin_sensor, station_of, tactile_shape
+from lerobot_robot_pneutac.options import standin_sensor, station_of, tactile_shape, twin_of
 from lerobot_robot_pneutac.robots.base_robot import (
     BEND_NAMES,
     BaseRobot,
@@ -17,7 +17,6 @@ from lerobot_robot_pneutac.robots.base_robot import (
 from lerobot_robot_pneutac.robots.bend import BendCommands
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.episode_hooks import EpisodeHooks
-from lerobot_robot_pneutac.robots.spread_starts import SpreadStarts
 from pneutac_sim import features
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import IMAGE_NAME, POINTS_KEY, Places
@@ -34,6 +33,37 @@ logger = logging.getLogger(__name__)
 
 _connected: list["PneutacSim"] = []
 _made: WeakSet["PneutacSim"] = WeakSet()
+
+
+class SpreadStarts:
+    """Chooses so that the mean distance to the nearest start done is least, one after the other.
+
+    The greedy way through the k-median problem: Cornuejols, Fisher and Nemhauser, Management Science 23
+    (1977) 789.
+
+    Args:
+        places: seed of a start to where its things are (N, 3), m.
+    """
+
+    def __init__(self, places: dict[int, np.ndarray]):
+        self._seeds = list(places)
+        points = np.array(list(places.values()))
+        self._apart_m = np.linalg.norm(points[:, None] - points[None], axis=-1).mean(-1)  # (starts, starts)
+        self._nearest_m = np.full(len(points), np.inf)
+        self._given: list[int] = []
+
+    def next(self) -> int:
+        """The seed that helps most, and was not given before while there are others."""
+        if len(self._given) == len(self._seeds):
+            self._given.clear()
+        left = [k for k in range(len(self._seeds)) if k not in self._given]
+        mean_m = np.minimum(self._nearest_m, self._apart_m[left]).mean(-1)
+        self._given.append(left[int(np.argmin(mean_m))])
+        return self._seeds[self._given[-1]]
+
+    def done(self, seed: int) -> None:
+        """Tells that there is a demonstration of a start now."""
+        self._nearest_m = np.minimum(self._nearest_m, self._apart_m[self._seeds.index(seed)])
 
 
 class PneutacSim(BaseRobot):
@@ -86,7 +116,6 @@ class PneutacSim(BaseRobot):
 
     @property
     def is_connected(self) -> bool:
-        """Whether the world exists."""
         return self.world is not None
 
     def connect(self, calibrate: bool = True) -> None:
@@ -182,8 +211,9 @@ class PneutacSim(BaseRobot):
         self._moved, self._touched, self._frames = False, 0, 0
         self.scenes += 1
         if self.config.bend:
-            twin = Twin.load(self.config.twin) if self.config.twin else Twin.builtin()
-            self._bend = BendCommands(twin, getattr(self.world, "conditions", {}), self.world.dt_s)
+            self._bend = BendCommands(
+                twin_of(self.config.twin), getattr(self.world, "conditions", {}), self.world.dt_s
+            )
 
     def _starts(self) -> SpreadStarts | None:
         """Random starts to choose from, by the places of flange (half of the weight) and objects."""

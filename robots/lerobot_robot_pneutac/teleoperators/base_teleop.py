@@ -137,12 +137,10 @@ class BaseTeleop(Teleoperator):
 
     @property
     def feedback_features(self) -> dict:
-        """None."""
         return {}
 
     @property
     def is_calibrated(self) -> bool:
-        """Always true."""
         return True
 
     def calibrate(self) -> None:

@@ -41,7 +41,6 @@ class PneutacScripted(BaseTeleop):
 
     @property
     def is_connected(self) -> bool:
-        """Whether `connect` was called."""
         return self._rng is not None
 
     def connect(self, calibrate: bool = True) -> None:
@@ -93,7 +92,6 @@ class PneutacScripted(BaseTeleop):
         return self.config.episode_steps or DEMONSTRATION_S * robot.config.control_hz
 
     def disconnect(self) -> None:
-        """Lets go of the expert."""
         if not self.is_connected:
             raise DeviceNotConnectedError(f"{self} is not connected; call connect() first.")
         self._rng = self._expert = self._scene = None

@@ -92,7 +92,6 @@ class VelocityTeleop(BaseTeleop):
 
     @property
     def is_connected(self) -> bool:
-        """Whether `connect` was called."""
         return self._tick_s is not None
 
     def connect(self, calibrate: bool = True) -> None:
@@ -124,7 +123,6 @@ class VelocityTeleop(BaseTeleop):
         return dict(zip(self.action_features, [*velocity.tolist(), *held], strict=True))
 
     def disconnect(self) -> None:
-        """Lets go of the device."""
         if not self.is_connected:
             raise DeviceNotConnectedError(f"{self} is not connected; call connect() first.")
         self._tick_s = None

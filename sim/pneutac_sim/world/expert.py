@@ -55,7 +55,6 @@ class Habits:
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> "Habits":
-        """A person's habits for one episode."""
         return cls(
             speed=rng.uniform(0.85, 1.15),
             offset_m=rng.uniform(-1, 1) * 0.0015,

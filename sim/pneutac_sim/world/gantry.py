@@ -179,7 +179,6 @@ class Gantry(VariedWorld):
         return np.concatenate([np.repeat(sent, len(actions), 0), actions], 1)[:, : actions.shape[1]]
 
     def _restart(self) -> None:
-        """Goes back to the mirrored state."""
         mujoco.mj_setState(self.model, self.data, self._state, _STATE)
         self.model.dof_frictionloss[:] = self._friction
         vars(self.task.inner).update(_memory(self._memory))
@@ -345,7 +344,6 @@ def _slides_mjcf(payload: str = "") -> str:
 
 
 def _servos_mjcf() -> str:
-    """MJCF position servos of the slides."""
     kv = SERVO_LAG_S * STIFFNESS_N_M
     return "".join(f'<position name="servo_{j}" joint="{j}" kp="{STIFFNESS_N_M}" kv="{kv}"/>' for j in SLIDES)
 

@@ -71,7 +71,6 @@ class Look:
         self._table = self._texels.astype(float).reshape(-1, 3).mean(0)
 
     def draw(self, rng: np.random.Generator) -> None:
-        """Another look."""
         for values, base in zip(self._whole, self._base, strict=True):
             values[:] = (base * _shades(rng, base.shape)).clip(0, 1)
         self._model.light_pos[:] = self._lamps_m + LAMP_M * rng.uniform(-1, 1, self._lamps_m.shape)

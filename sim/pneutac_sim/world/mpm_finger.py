@@ -62,7 +62,6 @@ class MpmFinger:
         self.controller_nm_per_rad = controller_stiffness(twin, self._J)
 
     def reset(self) -> None:
-        """Begins afresh, with the straight finger."""
         self._f, self._begun = np.zeros((2, len(self._J))), False
 
     def torque(self, q_free: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

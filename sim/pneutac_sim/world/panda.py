@@ -153,7 +153,6 @@ class Panda:
         return body(payload, tuple(self.base_m.tolist()))
 
     def servos(self) -> str:
-        """MJCF position servos of the joints."""
         return actuators()
 
     def solver(self) -> CartesianIK:

@@ -90,12 +90,10 @@ class Station:
 
     @property
     def late_commands(self) -> int:
-        """Control steps by which commands act late."""
         return self.steps(self.latency_s)
 
     @property
     def dt_s(self) -> float:
-        """Duration of a control step."""
         return 1 / self.control_hz
 
     def steps(self, seconds: float) -> int:
@@ -110,7 +108,6 @@ class Station:
 
     @property
     def joints(self) -> int:
-        """Joints of the arm."""
         return joints_of(self.arm)
 
     def make_arm(self) -> Chain | Panda:

@@ -104,7 +104,6 @@ class _Staged(Task):
 
     @property
     def home_m(self):
-        """Where the flange starts (3,), metres."""
         return self.inner.home_m if self.variation.start_m is None else self.variation.start_m
 
     @property

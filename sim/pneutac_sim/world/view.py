@@ -154,7 +154,6 @@ class Renderer:
         return np.ascontiguousarray(image[::-1]), depth
 
     def close(self) -> None:
-        """Frees the context."""
         self._context.make_current()
         self._mjr.free()
         self._context.free()

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
-from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
-from lerobot_robot_pneutac.robots.spread_starts import SpreadStarts
+from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim, SpreadStarts
 
 
 def mean_distance_to_nearest(points, chosen):

@@ -42,7 +42,6 @@ class ArmFile:
 
     @property
     def joints(self) -> int:
-        """How many joints it has."""
         return len(self.home_rad)
 
 

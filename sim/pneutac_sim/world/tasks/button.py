@@ -72,7 +72,6 @@ class ButtonTask(Task):
 
     @property
     def _drag_s(self) -> float:
-        """How long the expert drags."""
         return 4 * DRAGS * self.drag_m / DRAG_M_S
 
     @property
