@@ -107,12 +107,12 @@ class PneutacTaskConfig(EnvConfig):
         return {"max_episode_steps": self.episode_length} | look | points
 
     def _set_tactile(self, twin: Path | None) -> None:
-        """Tells the size of the tactile image, that of the twin's sensor."""
+        """Sets the size of the tactile image to that of the twin's sensor."""
         shape = tactile_shape("env.twin", twin)
         self.features[f"pixels/{IMAGE_NAME}"] = PolicyFeature(FeatureType.VISUAL, shape)
 
     def _set_station(self, file: Path | None, chambers: int = 1) -> None:
-        """Tells the size of state and action, by the station's arm and the finger, and the control rate."""
+        """Sets the size of state and action by the station's arm and the finger, and the control rate."""
         check_station("env.station", file)
         station = station_of(file)
         size = (len(state_names(station.joints, chambers)),)

@@ -79,7 +79,7 @@ def twin_of(folder: Path | None) -> Twin:
 
 
 def gel_of(twin: Path | None) -> "GelModel":
-    """The gel of a twin, which tells contact threshold, size of the images and window of its sensor.
+    """The gel of a twin, which has contact threshold, size of the images and window of its sensor.
 
     Raises:
         InputError: the twin's folder is damaged.

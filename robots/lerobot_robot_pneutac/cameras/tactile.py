@@ -69,7 +69,7 @@ class Tactile:
         return self._checked(self._live.latest())
 
     def contact(self, image: np.ndarray) -> ContactArea:
-        """Contact of an image against the rest image, the noise of single pixels apart."""
+        """Contact of an image against the rest image, isolated noise pixels left out."""
         return contact_area(quieted(image), quieted(self.rest_image), self.threshold_levels)
 
     def _checked(self, image: np.ndarray) -> np.ndarray:

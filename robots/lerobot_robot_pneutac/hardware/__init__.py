@@ -1,1 +1,1 @@
-"""Parts of the real robot behind small interfaces, and the limits that are kept below any policy."""
+"""Parts of the real robot behind small interfaces, and the limits that are enforced below any policy."""

@@ -173,5 +173,5 @@ def _station(model: str) -> "Station":
 
 
 def _of_base(station: "Station"):
-    """A station's arm in its own frame: on hardware every place is told in it."""
+    """A station's arm in its own frame: on hardware every place is given in it."""
     return replace(station, base_m=(0.0, 0.0, 0.0)).make_arm()

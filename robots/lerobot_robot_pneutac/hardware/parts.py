@@ -55,7 +55,7 @@ class PressureController(Protocol):
     """A valve with a pressure sensor. Every method but `vent` and `disconnect` raises `HardwareFault`.
 
     Attributes:
-        max_kpa: the highest set-point; known once connected. One that makes vacuum also tells `min_kpa`, its
+        max_kpa: the highest set-point; known once connected. One that makes vacuum also has `min_kpa`, its
             lowest; without it that is 0.
     """
 

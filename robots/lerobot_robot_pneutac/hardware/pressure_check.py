@@ -16,7 +16,7 @@ def check_pressure_controller(controller: PressureController, kpa: float) -> Non
 
     Args:
         controller: not connected.
-        kpa: a pressure that the finger surely stands.
+        kpa: a pressure that the finger withstands.
 
     Raises:
         HardwareFault: the controller reported a fault, or did not do what it must; the message says what.

@@ -1,4 +1,4 @@
-"""Keeps arm and chamber inside their limits, and ends every fault alike: arm stopped, chamber vented."""
+"""Keeps arm and chamber inside their limits, and ends every fault in one way: arm stopped, chamber vented."""
 
 import atexit
 import logging
@@ -62,7 +62,7 @@ class Guard:
         self._vented_kpa = np.zeros(len(self._pressure))
         self._target_kpa = self._vented_kpa
         self._last_s = time.monotonic()
-        self._moving = self._inflated = self._told = False
+        self._moving = self._inflated = self._warned = False
         self._closed = threading.Event()
         self._threads = [
             threading.Thread(target=f, name=f"pneutac-{f.__name__.strip('_')}", daemon=True)
@@ -108,7 +108,7 @@ class Guard:
             self._recent.append(reason is not None)
             if reason:
                 return self._refuse(reason, len(values))
-            self._tell_held(values[PRESSURES])
+            self._warn_limited(values[PRESSURES])
             now = time.monotonic()
             self._target_kpa = self.limits.pressure(values[PRESSURES], self._target_kpa, now - self._last_s)
             velocity = self.limits.velocity(values[:3], state.flange_m)
@@ -122,7 +122,7 @@ class Guard:
         return np.append(velocity, self._target_kpa)
 
     def fail(self, fault: HardwareFault) -> None:
-        """Makes a fault known: everything halts, and later calls raise it. The first one is kept."""
+        """Makes a fault known: everything halts, and later calls raise it. The first one is stored."""
         if self.fault is None:
             self.fault = fault
             logger.error("%s The arm is stopped and the chamber vented.", fault)
@@ -165,12 +165,12 @@ class Guard:
         self._target_kpa = self._vented_kpa
         self._moving = self._inflated = False
 
-    def _tell_held(self, wanted_kpa: np.ndarray) -> None:
-        """Logs the first set-point that the limits hold back; later ones are told by what `act` returns."""
+    def _warn_limited(self, wanted_kpa: np.ndarray) -> None:
+        """Logs the first set-point that the limits hold back; later ones show in what `act` returns."""
         low, high = self.limits.vacuum_kpa, self.limits.pressure_kpa
         beyond = (wanted_kpa < low - ROUNDING_KPA) | (wanted_kpa > high + ROUNDING_KPA)
-        if not self._told and beyond.any():
-            self._told = True
+        if not self._warned and beyond.any():
+            self._warned = True
             logger.warning(
                 "A set-point of %.4g kPa is held to the limits, %g to %g kPa; later ones are not logged.",
                 wanted_kpa[beyond][0],

@@ -41,8 +41,8 @@ class Exchange(Protocol):
 
     Attributes:
         measured_kpa: the newest measured pressure; None before the first.
-        measured_s: a time before which that pressure surely was not measured.
-        max_kpa: the highest set-point; None before the controller told it.
+        measured_s: a time before which that pressure was not measured.
+        max_kpa: the highest set-point; None before the controller reported it.
         fault: why the controller is of no use any more; None while it is.
     """
 

@@ -70,7 +70,7 @@ class TextSerial(SerialPressure):
 
     Args:
         port: serial port, such as /dev/serial/by-id/usb-...
-        max_kpa: the highest set-point; a rig of this kind does not tell.
+        max_kpa: the highest set-point; a rig of this kind does not report it.
         baud: of the port.
         reconnect_s: how long a silent rig is waited for; a board that restarts takes about 2 s.
     """

@@ -121,13 +121,13 @@ class PneutacBCConfig(PreTrainedConfig):
 
     @property
     def joints(self) -> int:
-        """Joints of the arm, as the size of the state tells; 0 where it is the state of none."""
+        """Joints of the arm, by the size of the state; 0 where it is the state of none."""
         shape = self.input_features[OBS_STATE].shape if OBS_STATE in (self.input_features or {}) else ()
         return joint_count(shape[0], self.chambers) if len(shape) == 1 else 0
 
     @property
     def chambers(self) -> int:
-        """Chambers of the finger, as the size of the action tells; one where it is that of none."""
+        """Chambers of the finger, by the size of the action; one where it is that of none."""
         shape = self.output_features[ACTION].shape if ACTION in (self.output_features or {}) else ()
         chambers = shape[0] - len(VELOCITY_NAMES) if len(shape) == 1 else 1
         return chambers if chambers in CHAMBERS.values() else 1
@@ -229,7 +229,7 @@ class PneutacBCConfig(PreTrainedConfig):
 
 
 def _untouched(meta) -> list[int]:
-    """Episodes of a dataset without contact, noise of single pixels apart."""
+    """Episodes of a dataset without contact, isolated noise pixels left out."""
     from pneutac_sim.gel.contact import without_specks  # Numba, which robots do not need
 
     table = parquet.read_table(meta.root / "data", columns=["episode_index", OBS_STATE])

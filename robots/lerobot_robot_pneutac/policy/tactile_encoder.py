@@ -10,7 +10,7 @@ from pneutac_sim.features import IMAGE_SHAPE
 
 EMBEDDING = 64
 DIFFERENCE_SCALE = 32 / 255  # a firm touch changes the image by some 32 of 255 levels
-DARK = 8 / 255  # a pixel darker than this tells nothing of the light
+DARK = 8 / 255  # a pixel darker than this shows nothing of the light
 DRIFT = 0.5, 2.0  # of brightness; beyond these a camera is covered, which must not look like no touch
 
 
@@ -84,7 +84,7 @@ class TactileEncoder(nn.Module):
             )
         seen = image if pooled else pool(image)
         rest = pool(self.rest_image[None])
-        # Every fourth pixel tells the median as well; of all of them it is a quarter of a training step.
+        # Every fourth pixel gives the same median; of all of them it is a quarter of a training step.
         ratio = seen[..., ::2, ::2] / rest[..., ::2, ::2].clamp_min(DARK)
         gain = ratio.flatten(2).median(2).values.clamp(*DRIFT)[..., None, None]
         return (seen - gain * rest) / DIFFERENCE_SCALE

@@ -42,7 +42,7 @@ class TouchProcessorStep(ObservationProcessorStep):
         self._reader = TouchReader.of_twin(twin)
 
     def observation(self, observation):
-        """The observation and what its image tells."""
+        """The observation with the touch that its image shows."""
         if self.image not in observation:
             raise InputError(f"The observation has no image '{self.image}'; name the tactile one.")
         image = np.asarray(observation[self.image])

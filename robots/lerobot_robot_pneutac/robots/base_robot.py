@@ -27,7 +27,7 @@ class BaseRobot(Robot):
 
     @property
     def chambers(self) -> int:
-        """Chambers of the finger; one where the options tell of no others."""
+        """Chambers of the finger; one where the options name no others."""
         return getattr(self.config, "chambers", 1)
 
     @property

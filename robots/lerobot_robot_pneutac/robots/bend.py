@@ -1,4 +1,4 @@
-"""A robot that is told how far its finger bends, and finds the pressure for it."""
+"""Commands of a bend: the pressure that bends the finger so far."""
 
 import logging
 from collections.abc import Mapping
@@ -25,18 +25,18 @@ class BendCommands:
 
     def __init__(self, twin: Twin, conditions: Mapping[str, float], dt_s: float):
         self._control = BendController(twin, dt_s, conditions)
-        self._told = False
+        self._warned = False
 
     def pressure_kpa(self, bend_rad: float) -> float:
         """What to command now; NaN for a bend that is no number, which the robot refuses like every NaN.
 
-        A bend out of the finger's reach is brought as near as it goes, and told once.
+        A bend out of the finger's reach is brought as near as it goes, with one warning.
         """
         if not np.isfinite(bend_rad):
             return float("nan")
         low, high = self._control.reach_rad
-        if not low <= bend_rad <= high and not self._told:
-            self._told = True
+        if not low <= bend_rad <= high and not self._warned:
+            self._warned = True
             logger.warning(
                 "A bend of %.3g rad is out of reach, %.3g to %.3g; it goes as far as it can.",
                 bend_rad,

@@ -109,7 +109,7 @@ class PneutacConfig(RobotConfig):
         arm: `--robot.arm.type=panda --robot.arm.ip=...`, or `simulated` for a dry run.
         pressure: `--robot.pressure.type=pneutac_serial --robot.pressure.port=/dev/ttyACM0`, for example; of
             several chambers `--robot.pressure.ports='[/dev/ttyACM0,/dev/ttyACM1,/dev/ttyACM2]'`.
-        limits: kept below any policy; the set-points are the twin's where none are given.
+        limits: enforced below any policy; the set-points are the twin's where none are given.
         digit: the tactile camera: `--robot.digit.type=digit`, `elastomer` for any other under a gel, or any
             camera type of LeRobot's; its image keeps its size.
         twin: folder of the sensor's calibrated twin; its gel's contact threshold makes `contact_area.pos` and

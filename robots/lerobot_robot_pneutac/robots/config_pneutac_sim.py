@@ -26,7 +26,7 @@ from pneutac_sim.features import FIDELITIES, RENDERS, task_names
 @RobotConfig.register_subclass("pneutac_sim")
 @dataclass(kw_only=True)
 class PneutacSimConfig(RobotConfig):
-    """An arm, a Panda where no station tells another, with the pneumatic finger and its gel, simulated.
+    """An arm, a Panda where no station names another, with the pneumatic finger and its gel, simulated.
 
     Attributes:
         task: what stands in front: `switch`, `egg`, `card`, `fruit`, `cable`, `button`, or your own.

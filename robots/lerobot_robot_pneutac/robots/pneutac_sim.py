@@ -48,7 +48,8 @@ class SpreadStarts:
     def __init__(self, places: dict[int, np.ndarray]):
         self._seeds = list(places)
         points = np.array(list(places.values()))
-        self._apart_m = np.linalg.norm(points[:, None] - points[None], axis=-1).mean(-1)  # (starts, starts)
+        between = points[:, None] - points[None]
+        self._distance_m = np.linalg.norm(between, axis=-1).mean(-1)  # (starts, starts)
         self._nearest_m = np.full(len(points), np.inf)
         self._given: list[int] = []
 
@@ -57,13 +58,13 @@ class SpreadStarts:
         if len(self._given) == len(self._seeds):
             self._given.clear()
         left = [k for k in range(len(self._seeds)) if k not in self._given]
-        mean_m = np.minimum(self._nearest_m, self._apart_m[left]).mean(-1)
+        mean_m = np.minimum(self._nearest_m, self._distance_m[left]).mean(-1)
         self._given.append(left[int(np.argmin(mean_m))])
         return self._seeds[self._given[-1]]
 
     def done(self, seed: int) -> None:
-        """Tells that there is a demonstration of a start now."""
-        self._nearest_m = np.minimum(self._nearest_m, self._apart_m[self._seeds.index(seed)])
+        """There is a demonstration of this start now."""
+        self._nearest_m = np.minimum(self._nearest_m, self._distance_m[self._seeds.index(seed)])
 
 
 class PneutacSim(BaseRobot):
@@ -170,20 +171,20 @@ class PneutacSim(BaseRobot):
 
     @override
     def announced(self, begins: bool) -> None:
-        """An episode begins, with a fresh scene; or it has ended, and how it went is told."""
+        """An episode begins, with a fresh scene; or it has ended, and how it went is logged."""
         if self.is_connected and begins and self._moved:
             self._begin()
         elif self.is_connected and self.recording and not begins:
-            self._tell()
+            self._log_outcome()
         self.recording = begins
 
     def reset(self) -> None:
-        """Starts the scene afresh at the next random start, and tells how the episode went."""
+        """Starts the scene afresh at the next random start, and logs how the episode went."""
         if self.recording is not False:  # what goes on between episodes is none
-            self._tell()
+            self._log_outcome()
         self._begin()
 
-    def _tell(self) -> None:
+    def _log_outcome(self) -> None:
         self.successes.append(bool(self.world.success))
         logger.info(
             "Episode %d: touch in %d of %d frames, the task %s.",
@@ -194,10 +195,10 @@ class PneutacSim(BaseRobot):
             self._spread.done(self._seed)
 
     def disconnect(self) -> None:
-        """Frees the world; tells how an episode went that nobody announced, as of lerobot-replay."""
+        """Frees the world; logs how an episode went that nobody announced, as of lerobot-replay."""
         self._need_world()
         if self.recording is None and self._frames:
-            self._tell()
+            self._log_outcome()
         _connected.remove(self)
         self._hooks.disconnect()
         self.world.close()

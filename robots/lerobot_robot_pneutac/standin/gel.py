@@ -37,8 +37,8 @@ def new_gel(
         image_shape: height, width and channels of its images.
         window_mm: width and height of what the camera sees; lights stand as far apart as it is wide and high.
     """
-    apart = np.append(np.divide(window_mm, WINDOW_MM), 1.0)
-    lamps = replace(LAMPS, places=LAMPS.places * apart)
+    scale = np.append(np.divide(window_mm, WINDOW_MM), 1.0)
+    lamps = replace(LAMPS, places=LAMPS.places * scale)
     return Gel(image_shape, window_mm, GEL_KPA, DOME_MM, lamps)
 
 

@@ -59,7 +59,7 @@ class PneutacScripted(BaseTeleop):
         """The expert's action for the world's present state, within the limits.
 
         Raises:
-            InputError: no `pneutac_sim` robot is connected in this process, or it is told bends.
+            InputError: no `pneutac_sim` robot is connected in this process, or it takes bends.
         """
         if not self.is_connected:
             raise DeviceNotConnectedError(f"{self} is not connected; call connect() first.")

@@ -29,7 +29,7 @@ VENTED_KPA, SEARCH_KPA = 1.5, 4.5  # below the first it withdraws, from there to
 FAST_M_S = 0.095
 WRAP_M = 0.08  # how much farther up after the last lane
 KEEP_HZ = 3.0  # how fast it corrects its lane
-NEAR_M = 0.005  # heights that are told apart
+NEAR_M = 0.005  # heights that it distinguishes
 
 Wish = tuple[np.ndarray, float]  # velocity (3,) m/s and pressure kPa
 

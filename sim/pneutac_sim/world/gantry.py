@@ -42,7 +42,7 @@ class Gantry(VariedWorld):
         seconds: seconds spent in them: `physics`, `touch`.
     """
 
-    _held: tuple[np.ndarray, np.ndarray] | None = None  # the soft body's stiffness and torque
+    _soft_body: tuple[np.ndarray, np.ndarray] | None = None  # the soft body's stiffness and torque
 
     def __init__(self, world: VariedWorld):
         """A gantry for `world`; its state is taken over by `mirror`.
@@ -91,7 +91,7 @@ class Gantry(VariedWorld):
         self.variation, self._rest_rad = world.variation, world._rest_rad
         self.target_m, self._joints = world.target_m.copy(), world.target_m.copy()
         self.spine_target_rad = world.spine_target_rad.copy()
-        self._held = world._resist(world._drive)
+        self._soft_body = world._resist(world._drive)
         self._drive, self._rate = world._drive.copy(), world._rate.copy()
         self._pipeline = world._pipeline.copy()
         self._queue = deque(world._queue)
@@ -101,7 +101,7 @@ class Gantry(VariedWorld):
         self.touch.sense(here)
         self._residual_area = world.touch.area - self.touch.area
         self._friction = self.model.dof_frictionloss.copy()
-        self._keep()
+        self._store()
 
     def stage(self, seed: int, shift_m: tuple[float, float, float]) -> None:
         """Lays the objects out as `reset` does, moved by `shift_m`; the hand stays as it was mirrored.
@@ -120,10 +120,10 @@ class Gantry(VariedWorld):
         here.qacc_warmstart[:] = 0.0
         self._friction = model.dof_frictionloss.copy()
         self._memory = _memory(vars(self.task.inner))
-        self._keep()
+        self._store()
 
-    def _keep(self) -> None:
-        """Remembers the state from which `rollout` starts."""
+    def _store(self) -> None:
+        """Stores the state from which `rollout` starts."""
         self._state = np.empty(mujoco.mj_stateSize(self.model, _STATE))
         mujoco.mj_getState(self.model, self.data, self._state, _STATE)
         self._poses = self._placing.poses
@@ -210,7 +210,7 @@ class Gantry(VariedWorld):
 
     @override
     def _resist(self, drive):
-        return super()._resist(drive) if self._held is None else self._held
+        return super()._resist(drive) if self._soft_body is None else self._soft_body
 
     @override
     def _observe(self):
@@ -226,7 +226,7 @@ def _memory(attributes: dict) -> dict:
 
 
 class Snapshots:
-    """Poses of flange, gel and objects, one row a state; rows are kept and used again.
+    """Poses of flange, gel and objects, one row a state; rows are used again.
 
     Args:
         touch: of the world; in mode `area`.
@@ -252,7 +252,7 @@ class Snapshots:
         self._grids = np.empty((count, ROWS, COLS), np.float32)
 
     def take(self, row: int, data: mujoco.MjData) -> None:
-        """Keeps the present state, whose kinematics must be up to date, in a row."""
+        """Stores the present state, whose kinematics must be up to date, in a row."""
         if row >= len(self.flange_m):
             raise ValueError(f"there is room for {len(self.flange_m)} states, and this is number {row + 1}")
         _, _, self._objects_m[row], self._objects[row], self._gel_m[row], self._gel[row] = (

@@ -106,7 +106,7 @@ class CartesianIK:
     """Joint targets that bring the flange to a position with its orientation held as at home.
 
     Damped least squares: `dq = J^T (J J^T + damping^2 I)^-1 e`, with `e` the position error and the rotation
-    vector to the held orientation. Joint limits are kept by clipping.
+    vector to the held orientation. Joint limits are enforced by clipping.
 
     Attributes:
         q: the present joint targets (7,), rad; each `solve` starts from them.

@@ -1,4 +1,4 @@
-"""Touch as data: displacement and force on a grid of points of the gel's face, beside the image.
+"""Touch as data: displacement and force on a grid of points of the gel's face, in addition to the image.
 
 The layout `[dx, dy, dz, Fx, Fy, Fz]` of each point is the one that LeRobot's own tactile module proposes
 (huggingface/lerobot, pull requests 3175 and 4469, undecided). Frame: that of the gel, x along the image's
@@ -15,7 +15,7 @@ POINT_NAMES = ("dx", "dy", "dz", "Fx", "Fy", "Fz")
 
 
 def points_info(window_mm: tuple[float, float]) -> dict:
-    """What a dataset tells of them: layout, units, frame, and width and height of the window in mm."""
+    """What a dataset says of them: layout, units, frame, and width and height of the window in mm."""
     return {
         "shape": list(POINTS_SHAPE),
         "axes": ["row", "column", "value"],
@@ -31,7 +31,7 @@ def tactile_points(world) -> np.ndarray:
     """The gel's face now, float32 `POINTS_SHAPE`: displacement in mm and force on the gel in N.
 
     dz is the mean over a point's cell, below 0 where the face is pressed in. The contact force of the last
-    physics step is shared among the points as their imprints are, so that they sum to it; beside the window
+    physics step is shared among the points as their imprints are, so that they sum to it; outside the window
     there are no points. An image's lag is not in them.
 
     Args:

@@ -115,7 +115,7 @@ class SplatFinger:
         return replace(now, colours=(light[:, None] * stretch_colours(strain(F)) / 255).clip(0, 1))
 
     def picture(self, data: mujoco.MjData, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Image (H, W, 3), 0 to 1 on black, coverage (H, W) and mean depth (H, W) in m, inf beside it."""
+        """Image (H, W, 3), 0 to 1 on black, coverage (H, W) and mean depth (H, W) in m, inf outside it."""
         now = self.at(data)
         depth = camera.project(now.means)[1]
         splats = self._on(camera, now.means, now.covariances(), now.opacities)

@@ -22,10 +22,9 @@ from pneutac_sim.world.checks import check_bends
 from pneutac_sim.world.conditions import Conditions, conditions_for, draw
 from pneutac_sim.world.following import Follower
 from pneutac_sim.world.pad import Pad
-from pneutac_sim.world.placing import Placing
 from pneutac_sim.world.scene import Finger
 from pneutac_sim.world.soft_finger import Springs, mjcf
-from pneutac_sim.world.spine import Spine
+from pneutac_sim.world.spine import Placing, Spine
 from pneutac_sim.world.station import Station
 from pneutac_sim.world.touch import Touch
 from pneutac_sim.world.view import View

@@ -57,7 +57,7 @@ ARMS: dict[str, tuple[ArmFile | None, tuple[float, float, float]]] = {
 
 
 def read_arm(value: Any, folder: Path) -> "ArmFile | str":
-    """An arm as a `station.yaml` in `folder` tells it: one of `ARMS`, or the fields of `ArmFile`.
+    """An arm as a `station.yaml` in `folder` gives it: one of `ARMS`, or the fields of `ArmFile`.
 
     Raises:
         InputError: it is neither; one sentence.

@@ -54,7 +54,7 @@ class ChainIK:
 
     `dq = J_p+ e_p + (J_r N)+ (e_r - J_r J_p+ e_p)` with damped pseudo-inverses, the position's null space
     `N = I - J_p+ J_p`, position error e_p and rotation vector e_r to the held orientation (Siciliano and
-    Slotine, ICAR 1991). Joint limits are kept by clipping.
+    Slotine, ICAR 1991). Joint limits are enforced by clipping.
 
     Attributes:
         q: the present joint targets (N,), rad; each `solve` starts from them.

@@ -45,7 +45,7 @@ class Task:
         description: the instruction in plain words, as stored with demonstrations.
         home_m: flange position (3,) at the start of an episode, metres.
         starts_m: displacements from there along y, one of which a random start has.
-        goal: what `pneutac ppo` is told of it, with an object whose outermost body has the task's name; None
+        goal: what `pneutac ppo` learns by, with an object whose outermost body has the task's name; None
             where it cannot be learnt so.
     """
 
