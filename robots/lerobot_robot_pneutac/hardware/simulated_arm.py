@@ -32,7 +32,10 @@ class SimulatedArm:
     def connect(self) -> None:
         from pneutac_sim.world.panda import Panda
 
-        self._ik = (self._arm or Panda()).solver()
+        ik = (self._arm or Panda()).solver()
+        ik.solve(ik.pose(ik.q)[1])  # compiles: the first motion would keep `state` waiting for seconds
+        ik.reset()
+        self._ik = ik
         self._joints = self._ik.q.copy()
         self._rates = np.zeros(len(self._joints))
         self._velocity = np.zeros(3)
