@@ -7,6 +7,8 @@ unexport PYTHONDONTWRITEBYTECODE
 # A file of tests stays in one process; each process computes on one thread, so that they share the cores. Three on
 # two cores: some tests record at the pace of the clock, while the cores would idle.
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses=3 --dist=loadfile --no-loadscope-reorder --durations=25
+# Tests of the real clock, all of robots: alone, one after the other.
+REALTIME := OMP_NUM_THREADS=1 $(BIN)/python -m pytest tests/robots -m "realtime and not nightly"
 
 .PHONY: demo check lint test nightly bench docs sbom
 
@@ -15,11 +17,12 @@ demo: .venv/ready
 
 # Before every commit: two minutes on two cores.
 check: lint
-	$(PYTEST) -m "not slow and not nightly"
+	$(PYTEST) -m "not slow and not nightly and not realtime"
 
 # Everything that CI runs: at most 15 minutes on two cores.
 test: .venv/ready
-	$(PYTEST)
+	$(PYTEST) -m "not nightly and not realtime"
+	$(REALTIME) || $(REALTIME) --last-failed
 
 # What is too long for CI: the longest tutorials and the mutations.
 nightly: .venv/ready

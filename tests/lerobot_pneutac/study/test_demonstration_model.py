@@ -203,7 +203,9 @@ def test_stronger_imprints_are_creeps_where_it_explains_the_holds(twin, monkeypa
         assert r.difference > 0 and r.fit.twin.parameter(STIFFNESS) > told
 
 
-@pytest.mark.parametrize(("share", "word"), [(0.7, "softer"), (1.5, "stiffer"), (0.95, "")])
+@pytest.mark.parametrize(
+    ("share", "word"), [(0.7, "softer"), pytest.param(1.5, "stiffer", marks=pytest.mark.nightly), (0.95, "")]
+)
 def test_imprints_that_are_all_fainter_tell_a_softer_finger(twin, monkeypatch, share, word):
     told = study_of(twin, twin, 1.0, monkeypatch)
     study = study_of(knowing(told), twin, share**TYPICAL, monkeypatch)

@@ -217,7 +217,7 @@ def test_a_station_is_looked_at_with_the_conditions_that_its_twin_asks_for(tmp_p
     assert "needs the condition 'temperature_c'" in fault
 
 
-HUGE = 10**400, -(10**30), float("nan"), float("inf"), [], [[]], {}, None, "text", True, {"value": 10**400}
+HUGE = 10**400, float("nan"), [[]], None, "text", {"value": 10**400}
 
 
 @pytest.mark.parametrize("value", HUGE, ids=[repr(v)[:12] for v in HUGE])

@@ -20,6 +20,7 @@ from pneutac_sim.twin import Twin, Value
 COLUMNS = ("tip_x_mm", "tip_y_mm", "tip_z_mm")
 
 
+@pytest.mark.nightly
 def test_the_band_holds_the_truth_and_not_a_missing_effect(tmp_path):
     right, wrong = (
         once(generate, name, tmp_path / name, seed=3, minutes=2, hz=20) for name in ("none", "creep")

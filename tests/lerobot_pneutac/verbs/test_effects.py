@@ -45,7 +45,7 @@ def bench(effect: BodyEffect):
     return x, dt, conditions
 
 
-SOME = ("lag(p)", "play(p)^3", "mode(p)", "lag(p; time moves with dT)", "tip_y += x z", "p dT", "tracker_lag")
+SOME = ("play(p)^3", "lag(p; time moves with dT)", "tip_y += x z")
 
 
 @pytest.mark.slow

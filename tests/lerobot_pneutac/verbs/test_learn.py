@@ -133,6 +133,7 @@ def test_the_report_begins_with_what_was_foreseen_and_design_goes_on_from_a_roun
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_what_was_measured_outlives_a_kill_in_the_search_after_it(learnt, tmp_path, monkeypatch):
     out, last = shutil.copytree(learnt.folder, tmp_path / "out"), learnt.last.number
     shutil.rmtree(out / f"round_{last}")
@@ -149,6 +150,7 @@ def test_what_was_measured_outlives_a_kill_in_the_search_after_it(learnt, tmp_pa
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_killed_after_a_version_was_saved_it_saves_none_twice(learnt, tmp_path):
     out = shutil.copytree(learnt.folder, tmp_path / "out")
     (out / f"round_{learnt.last.number}" / "round.json").unlink()

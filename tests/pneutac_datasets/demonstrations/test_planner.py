@@ -237,6 +237,7 @@ def test_what_is_laid_out_around_a_hand_is_what_a_reset_lays_out():
         np.testing.assert_allclose(felt[:n], area[:n], atol=0.02)
 
 
+@pytest.mark.nightly
 def test_planning_brings_touch_and_path_back_to_the_demonstrated_ones():
     """From the middle of each contact, with a warm start that leaves both, where both count.
 

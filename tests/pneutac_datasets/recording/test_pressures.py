@@ -51,15 +51,16 @@ def of_pressure(recording):
 
 
 PROGRAMS = [("steps", 20.0, 20.0), ("steps", 10.0, 300.0), ("stairs", 20.0, 60.0), ("ramps", 50.0, 3.0)]
+TWO = PROGRAMS[1::2]
 
 
 @pytest.mark.parametrize(("kind", "hz", "top"), PROGRAMS)
-@pytest.mark.parametrize("lag_s", [0.0, 0.3, 1.0])
+@pytest.mark.parametrize("lag_s", [0.0, 1.0])
 def test_a_gauge_that_follows_has_no_finding_however_slow_the_valve(kind, hz, top, lag_s):
     assert of_pressure(bench(kind, hz=hz, top=top, lag_s=lag_s, noise=1e-3 * top)) == []
 
 
-@pytest.mark.parametrize(("kind", "hz", "top"), PROGRAMS)
+@pytest.mark.parametrize(("kind", "hz", "top"), TWO)
 @pytest.mark.parametrize("share", [-0.3, 0.11, 101.325])
 def test_an_offset_is_named_with_its_size_and_taken_off(kind, hz, top, share):
     offset = share if share > 100 else share * top
@@ -87,8 +88,7 @@ def test_an_absolute_command_is_named_with_and_without_a_gauge():
     assert "never falls below 101.3 kPa: is it absolute?" in f.sentence
 
 
-@pytest.mark.parametrize("value", [0.0, -38.1, 12.3])
-@pytest.mark.parametrize("noise", [0.0, 0.05])
+@pytest.mark.parametrize(("value", "noise"), [(0.0, 0.0), (-38.1, 0.05), (12.3, 0.05)])
 @pytest.mark.parametrize("where", ["throughout", "from a row on", "in one trial", "for some seconds"])
 def test_a_gauge_that_stands_is_left_out(value, noise, where):
     rows = {
@@ -118,7 +118,7 @@ def test_a_gauge_that_stands_is_left_out(value, noise, where):
         (lambda p: 10 * p, "seems to be in mbar"),
     ],
 )
-@pytest.mark.parametrize(("kind", "hz", "top"), PROGRAMS)
+@pytest.mark.parametrize(("kind", "hz", "top"), TWO)
 def test_a_gauge_of_another_scale_is_left_out(change, words, kind, hz, top):
     r = gauge(bench(kind, hz=hz, top=top, noise=1e-3 * top), change)
     (f,) = of_pressure(r)
@@ -151,8 +151,7 @@ def test_a_gauge_that_is_read_after_the_motion_is_left_out(kind, late):
 @pytest.mark.parametrize(
     ("kind", "hz", "top"), [("stairs", 20.0, 60.0), ("steps", 10.0, 60.0), ("ramps", 50.0, 6.0)]
 )
-@pytest.mark.parametrize("share", [0.33, 0.6])
-@pytest.mark.parametrize("noise", [0.0, 1e-3])
+@pytest.mark.parametrize(("share", "noise"), [(0.33, 0.0), (0.6, 1e-3)])
 def test_where_the_supply_ends_the_command_ends_too(kind, hz, top, share, noise):
     ends = share * top
     r = bench(kind, hz=hz, top=top, noise=noise * top, moved_by=lambda p: np.minimum(p, ends))

@@ -89,6 +89,7 @@ def test_a_large_image_is_scaled_to_the_simulated_sensors(sensor, connected):
     assert np.abs(image.astype(int) - half).mean() < 2  # noise
 
 
+@pytest.mark.realtime
 def test_background_reading_keeps_the_sensors_pace_and_hands_out_the_newest(sensor, connected):
     camera = connected(fps=60)
     start, before, awake = time.perf_counter(), sensor.count, awake_s()

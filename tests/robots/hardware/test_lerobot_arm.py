@@ -93,6 +93,7 @@ def fault_of(arm, seconds=2.0):
     return None
 
 
+@pytest.mark.realtime
 def test_it_moves_with_a_velocity_rests_by_itself_and_keeps_its_orientation(arm, follower):
     def moves():
         arm.connect()

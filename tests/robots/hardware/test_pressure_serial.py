@@ -59,6 +59,7 @@ def test_a_caller_that_hangs_keeps_no_pressure(program, tmp_path):
         assert until(lambda: controller.pressure() < 0.5, 2.0)
 
 
+@pytest.mark.realtime
 def test_a_computer_that_stalls_is_not_taken_for_a_silent_controller(program, tmp_path):
     """For 0.3 s: longer than a measurement is good for, and than the controller waits for a heartbeat."""
     with terminal(program, tmp_path / "rig"), connected(PneutacSerial(str(tmp_path / "rig"))) as controller:

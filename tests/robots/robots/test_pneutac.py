@@ -226,6 +226,7 @@ def test_contact_area_is_that_of_the_simulated_robot_with_the_same_twin(make_rob
         assert observation["contact_pixels.pos"] == seen.log_pixels
 
 
+@pytest.mark.realtime
 def test_the_flange_follows_velocities_and_holds_its_orientation(robot):
     matrix = robot._arm._ik.pose(robot._arm.state().joints_rad)[0]
 
@@ -341,6 +342,7 @@ def inflate(robot, kpa=2.0):
     assert until(inflated)
 
 
+@pytest.mark.realtime
 @pytest.mark.slow
 def test_without_actions_the_arm_rests_and_the_chamber_keeps_its_pressure_for_a_while(robot):
     def rests_filled():

@@ -21,7 +21,7 @@ from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
 from pneutac_datasets.demonstrations.repair.dataset import repair_dataset
 from pneutac_sim.features import ACTION_NAMES, STATE_NAMES
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 
 # A person's hand, and simulated parts that write into a diary what they are told.
 PLUGIN = {
