@@ -35,7 +35,11 @@ IGNORED = {"seconds", "time", "wall_s", "demonstrations_per_minute", "evaluation
 # {"gel_add": {"*": "photographs to select by are others than those to test by"},
 #  "finger_add": {"reduction*": "of test blocks alone"}}.
 ALL_FITTED = "all twelve photographs are fitted and not six; each is judged by a fit that did not see it"
+WORDS = "sentences may be written anew"
 CHANGED: dict[str, dict[str, str]] = {
+    "report": {"sentence": WORDS},
+    "effects_creep": {"sentence": WORDS, "experiment": WORDS},
+    "effects_lag": {"sentence": WORDS, "experiment": WORDS},
     "gel_add": {
         "before.*": ALL_FITTED,
         "after.*": ALL_FITTED,
@@ -138,6 +142,15 @@ CASES = {
             f"compare {GEL} --out=gel_compare",
         ),
         ("gel",),
+    ),
+    "alone": Case(
+        ("twins/finger",),
+        (
+            "report --twin=finger --out=report",
+            "control --twin=finger --out=control",
+            "effects show creep --out=effects_creep",
+            "effects show lag(p) --out=effects_lag",
+        ),
     ),
     "compare_mpm": Case(
         ("recordings/finger_creep", "twins/finger"),
