@@ -163,12 +163,13 @@ def second_order(s, f, dt, omega, zeta):
         y (n, channels).
     """
     out = np.empty((len(f) - 1, f.shape[1]))
+    y, v = s[2].copy(), s[3].copy()  # arrays of its own, which the compiler knows to be no part of f
     slowest = omega * (zeta if zeta < 1.0 else zeta - math.sqrt(zeta * zeta - 1.0))
     known, decay, c, sn, pieces = -1.0, 0.0, 0.0, 0.0, 1
     for t in range(len(out)):
         if slowest * dt[t] > 30.0:
             for i in range(out.shape[1]):
-                s[2, i], s[3, i], out[t, i] = f[t + 1, i], 0.0, f[t + 1, i]
+                y[i], v[i], out[t, i] = f[t + 1, i], 0.0, f[t + 1, i]
             continue
         if dt[t] != known:
             known = dt[t]
@@ -187,11 +188,12 @@ def second_order(s, f, dt, omega, zeta):
             share = (piece + 0.5) / pieces
             for i in range(out.shape[1]):
                 goal = f[t, i] + (f[t + 1, i] - f[t, i]) * share
-                d, v = s[2, i] - goal, s[3, i]
-                s[2, i] = goal + decay * (d * (c + zeta * omega * sn) + v * sn)
-                s[3, i] = decay * (v * (c - zeta * omega * sn) - d * omega * omega * sn)
+                d, u = y[i] - goal, v[i]
+                y[i] = goal + decay * (d * (c + zeta * omega * sn) + u * sn)
+                v[i] = decay * (u * (c - zeta * omega * sn) - d * omega * omega * sn)
         for i in range(out.shape[1]):
-            out[t, i] = s[2, i]
+            out[t, i] = y[i]
+    s[2], s[3] = y, v
     return out
 
 
